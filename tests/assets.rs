@@ -1,10 +1,10 @@
-//! Files of other projects, rendered with only a display given: window and light are found, and the
-//! result has content.
+//! Files of other projects, rendered with only a display given. Window and light are chosen
+//! automatically, and the result must have content.
 
 use crate::common::{assets, lumistack, number, report, succeed};
 
 /// Smallest fraction of the window that the object must cover. The whole object is visible, so a
-/// slender object covers only this much of a wide window.
+/// slender object covers only a small part of a wide window.
 const COVERAGE: f64 = 0.13;
 /// Smallest difference between the 1st and the 99th percentile of the target.
 const SPAN: f64 = 0.3;

@@ -13,7 +13,7 @@ use crate::common::session::{Picture, SWAY, Session, wait_for};
 use crate::common::show::Show;
 use crate::common::{self, poke, session};
 
-/// Makes a run whose layers contain smooth pictures, to look at and to compare.
+/// Makes a run whose layers contain smooth pictures, which tests and people can compare.
 fn write_waves(folder: &Path) -> Display {
     let mut display = Display::uniform([96, 60], 2.0, [3, 3], [24.0, 16.0], &[-20.0, 0.0, 20.0], 2);
     display.brightness = 0.5;
@@ -24,7 +24,8 @@ fn write_waves(folder: &Path) -> Display {
             (0..frames).flat_map(|f| (0..rows).flat_map(move |r| (0..cols).map(move |c| (f, r, c))))
         {
             let (x, y) = (col as f32 / cols as f32 - 0.5, row as f32 / rows as f32 - 0.5);
-            // rings on every layer, of different colours and places, so that parallax is visible
+            // draw rings on every layer, with different colours and places, so that parallax is
+            // visible
             let distance = (x - 0.1 * n as f32 + 0.1).hypot(0.6 * y) - 0.02 * frame as f32;
             for (channel, value) in layer.block_mut([frame, row, col]).iter_mut().enumerate() {
                 let dims = channel == n;
@@ -45,8 +46,8 @@ fn keep(picture: &Picture, name: &str) {
     }
 }
 
-/// True if a window shows the picture that `lumistack simulate` writes for an angle, each pixel
-/// enlarged by a whole factor. A rounding difference of one code is allowed.
+/// True if a window shows the picture that `lumistack simulate` writes for an angle. The window
+/// enlarges each pixel by a whole factor. A rounding difference of one code is allowed.
 fn shows_simulation(window: &Picture, run: &Path, from: [f64; 2]) -> bool {
     let file = run.join("simulated.png");
     let view = format!("{:.6},{:.6}", from[0], from[1]);
@@ -77,7 +78,7 @@ fn the_preview_window_shows_the_view_that_the_pointer_selects() {
     let display = write_waves(folder.path());
     let mut show = Show::start(&session, folder.path(), &["--preview", "--from", "3,-2"]);
     show.event("started");
-    // eight window pixels per pixel of the display
+    // the window has eight pixels per pixel of the display and axis
     let size = [768, 480];
     let window = || Some(session.import()?.part([0, 0], size));
     let first =
@@ -86,10 +87,10 @@ fn the_preview_window_shows_the_view_that_the_pointer_selects() {
     let mut poke = poke::Poke::new(session.x_display());
     let mut seen = vec![first];
     for (i, at) in [[384, 240], [40, 240], [728, 240], [384, 30], [600, 450]].into_iter().enumerate() {
-        // the pointer must move: its initial position causes no event
+        // move the pointer twice, since its first position may cause no event
         poke.point([at[0] - 1, at[1]]);
         poke.point(at);
-        // the window covers 1.2 times the field of view
+        // the window's size corresponds to 1.2 times the field of view
         let share = [2.0 * f64::from(at[0]) / 768.0 - 1.0, 1.0 - 2.0 * f64::from(at[1]) / 480.0];
         let from = [0, 1].map(|axis| 1.2 * share[axis] * 0.5 * display.field.fov_deg[axis]);
         let shot = wait_for(&format!("the view from {from:?}"), || {
@@ -114,8 +115,8 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     display.layers[2].panel_pitch_mm = Some(0.25);
     display.layers[2].panel = Some(Panel { flip: Flip::Horizontal, ..Panel::default() });
     std::fs::write(folder.path().join("display.toml"), display.to_toml()).unwrap();
-    // The third panel has 640 × 360 pixels, four per pixel of its mask; it is mirrored and linear.
-    // The picture has 640 × 360 pixels too.
+    // The third panel has 640 × 360 pixels, 2 × 2 per pixel of its mask. It is mirrored and has
+    // linear codes. The picture has 640 × 360 pixels too.
     let mut random = Stream::new(5);
     let picture = image::RgbImage::from_fn(640, 360, |x, y| {
         let ring = (f64::from(x) - 320.0).hypot(f64::from(y) - 180.0) < 120.0;
@@ -127,7 +128,7 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     let options = ["--full-resolution-2d", file.to_str().unwrap(), "--layer", "2"];
     let mut show = Show::start(&session, &folder.path().join("display.toml"), &options);
     show.event("started");
-    // sRGB codes become light, and light becomes codes of a linear panel
+    // convert sRGB codes to light, and light to codes of a panel with linear codes
     let code = |code: u8| {
         let value = f64::from(code) / 255.0;
         let light = if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) };
@@ -140,8 +141,8 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     let wanted = Picture { size: [640, 360], rgb };
     let shot = wait_for("the picture", || session.grim("HEADLESS-3").filter(|shown| *shown == wanted));
     keep(&shot, "flat_2");
-    // the other panels are clear within their masks, 320 × 180 pixels in the middle, and dark
-    // outside of them
+    // the other panels are clear inside their masks, which are 320 × 180 pixels in the middle, and
+    // dark outside of them
     for (name, [cols, rows], _) in &SWAY[..2] {
         let mut rgb = Vec::new();
         for (y, x) in (0..*rows).flat_map(|y| (0..*cols).map(move |x| (y, x))) {
@@ -162,7 +163,7 @@ fn masks_for_other_panels_cause_a_warning_and_fit_scales_them() {
     std::fs::write(folder.path().join("display.toml"), display.to_toml()).unwrap();
     lumistack_field_io::write_stack(&folder.path().join("layers"), &display, &LayerStack::filled(&display, 1.0))
         .unwrap();
-    // the smallest panel has room for eight panel pixels per mask pixel
+    // the smallest panel has room for 8 × 8 panel pixels per mask pixel
     for (options, mask) in [(&["--hold", "0"][..], [40, 30]), (&["--hold", "0", "--fit"], [320, 240])] {
         let mut show = Show::start(&session, folder.path(), options);
         let warning = show.event("warning");
@@ -194,7 +195,7 @@ const PITCH_MM: f64 = 0.55;
 const ERROR_PX: f64 = 0.1;
 const EYE: [f64; 3] = [12.0, -8.0, 2000.0];
 
-/// True pose of a panel: rotated and shifted on its layer, millimetres.
+/// True pose of a panel: its rotation, and its shift on its layer in millimetres.
 #[derive(Clone, Copy)]
 struct Standing {
     turn_rad: f64,
@@ -202,7 +203,7 @@ struct Standing {
 }
 
 impl Standing {
-    /// The pixel (column, row) at a point of the layer.
+    /// Returns the pixel (column, row) at a point of the layer in millimetres.
     fn pixel(&self, mm: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.turn_rad.sin_cos();
         let [x, y] = [0, 1].map(|axis| mm[axis] - self.shift_mm[axis]);
@@ -210,7 +211,7 @@ impl Standing {
         [x / PITCH_MM + (PANEL[0] as f64 - 1.0) / 2.0, (PANEL[1] as f64 - 1.0) / 2.0 - y / PITCH_MM]
     }
 
-    /// The point of a pixel.
+    /// Returns the point of the layer, in millimetres, at a pixel.
     fn mm(&self, pixel: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.turn_rad.sin_cos();
         let x = (pixel[0] - (PANEL[0] as f64 - 1.0) / 2.0) * PITCH_MM;
@@ -225,8 +226,8 @@ const OUTPUTS: [session::Screen; 3] = [
     ("HEADLESS-3", PANEL, [2 * PANEL[0] as i32, 0]),
 ];
 
-/// The whole calibration: crosses on an output, a photograph of them, the command, the file, and
-/// the stack on the output afterwards.
+/// The whole calibration. An output shows crosses, a photograph of them is rendered, and the
+/// command corrects the display file. Then the output shows the stack at the corrected positions.
 #[test]
 fn photographs_correct_the_pose_of_panels() {
     let Some(session) = Session::sway(&OUTPUTS) else { return };
@@ -234,11 +235,11 @@ fn photographs_correct_the_pose_of_panels() {
     let mut display = Display::uniform([420, 262], 1.1, [3, 3], [10.0, 10.0], &[-40.0, 0.0, 40.0], 1);
     for layer in &mut display.layers {
         (layer.panel_pitch_mm, layer.transfer) = (Some(PITCH_MM), Transfer::Linear);
-        // interpolate: nearest pixels would move an edge with a small rotation by up to half a
-        // pixel
+        // interpolate between pixels; nearest pixels would shift an edge by up to half a pixel
+        // after a small rotation
         layer.panel = Some(Panel { resample: Sampling::Bilinear, ..Panel::default() });
     }
-    // one spot, 12 mask pixels wide, per ninth of every layer
+    // every layer has one spot, 12 mask pixels wide, in each of its nine parts
     let mut stack = LayerStack::filled(&display, 0.0);
     let spots: Vec<[usize; 2]> =
         [60, 210, 360].into_iter().flat_map(|col| [50, 131, 212].map(|row| [col, row])).collect();
@@ -265,8 +266,8 @@ fn photographs_correct_the_pose_of_panels() {
         let options = ["--pattern", "crosshairs", "--only", &only, "--eye-mm", "12,-8,2000"];
         let mut show = Show::start(&session, &file, &options);
         show.event("swapped");
-        // dark crosses on light: complete when the whole output is light and the picture no longer
-        // changes
+        // the panel shows dark crosses on light; the picture is complete when most of it is light
+        // and it no longer changes
         let name = OUTPUTS[n].0;
         let shot = wait_for("the crosses", || {
             let shot = session.grim(name)?;
@@ -303,27 +304,27 @@ fn photographs_correct_the_pose_of_panels() {
         println!("{found}");
         assert!(found["moved_mm"].as_f64().unwrap() > 1.0, "{found}");
     }
-    // a second calibration finds the panels in place
+    // a second calibration finds that the panels are in place
     let second: Vec<String> = (0..3).map(|n| photograph(n, 2)).collect();
     for found in calibrate(&second, &["--dry-run"]) {
         println!("{found}");
         assert!(found["moved_mm"].as_f64().unwrap() < ERROR_PX * PITCH_MM, "{found}");
     }
-    // the stack appears at the positions of its mask pixels
+    // the output shows the stack at the positions of its mask pixels
     let mut show = Show::start(&session, folder.path(), &["--hold", "0"]);
     show.event("swapped");
     for (n, (name, ..)) in OUTPUTS.iter().enumerate() {
         let shot = wait_for("the spots", || {
             let shot = session.grim(name)?;
-            // nine spots of 12² mask pixels, each of 2² panel pixels
+            // there are nine spots of 12² mask pixels, and a mask pixel has 2² panel pixels
             let light = shot.rgb.iter().map(|code| usize::from(*code)).sum::<usize>() / 255;
             (light.abs_diff(9 * 3 * 24 * 24) < 300).then_some(shot)
         });
         keep(&shot, &format!("spots_{n}"));
         let mut worst: f64 = 0.0;
         for [col, row] in &spots {
-            // a spot has 12 pixels: its middle is half a pixel left of and above its pixel [col,
-            // row]
+            // a spot is 12 pixels wide, so its middle is half a pixel left of and above its pixel
+            // [col, row]
             let wanted = [(*col as f64 - 0.5 - 209.5) * 1.1, (130.5 - (*row as f64 - 0.5)) * 1.1];
             let around = standing[n].pixel(wanted);
             let (mut sum, mut count) = ([0.0; 2], 0.0);

@@ -96,7 +96,7 @@ def images(folder):
         check(folder / "hci", "size", Image.open(folder / "hci/input_Cam000.png").size, size)
         head, shape, scale, data = (folder / "hci/gt_disp_lowres.pfm").read_bytes().split(b"\n", 3)
         check(folder / "hci", "map", (head, tuple(map(int, shape.split())), float(scale)), (b"Pf", size, -1.0))
-        # a rendered scene has the depth of the middle view
+        # the index of a rendered scene has the depth of the middle view
         disparities = np.frombuffer(data, "<f4")
         known = disparities[np.isfinite(disparities)]
         check(folder / "hci", "number of disparities", (disparities.size, known.size > 0), (size[0] * size[1], True))
@@ -127,7 +127,7 @@ def transparencies(folder):
     with tempfile.TemporaryDirectory() as pages:
         subprocess.run(["pdftoppm", "-r", "25.4", "-png", folder / "transparencies.pdf", f"{pages}/page"], check=True)
         files = sorted(Path(pages).iterdir())
-        # an assembly sheet and a chart precede the layers
+        # the PDF has an assembly sheet and a chart in front of the layers
         check(folder, "pages", len(files), 2 + len(manifest["files"]))
         for file in files:
             size = Image.open(file).size

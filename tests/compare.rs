@@ -1,4 +1,5 @@
-//! `compare` on the command line: displays of one run side by side, and a photograph of panels.
+//! `compare` on the command line: the displays of one run side by side, and a photograph of panels
+//! with its simulation.
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +24,7 @@ fn done(text: &str) -> Value {
     text.lines().filter_map(|line| serde_json::from_str(line).ok()).find(|e: &Value| e["event"] == "done").unwrap()
 }
 
-/// A pinhole camera, display millimetres.
+/// A pinhole camera, in display space, millimetres.
 struct Camera {
     eye: [f64; 3],
     /// Right, up, forward.
@@ -33,7 +34,7 @@ struct Camera {
 }
 
 impl Camera {
-    /// The camera looks at a point of the display plane, with some roll.
+    /// Returns a camera that looks at a point of the display plane, and is rolled a little.
     fn looking(eye: [f64; 3], at: [f64; 2]) -> Self {
         let cross = |a: [f64; 3], b: [f64; 3]| {
             [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
@@ -44,7 +45,7 @@ impl Camera {
         Self { eye, axes: [right, cross(right, forward), forward], size: [900, 675], focal_px: 1000.0 }
     }
 
-    /// Pixel of a point of the display plane.
+    /// Returns the pixel at which the camera sees a point of the display plane.
     fn pixel_of(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let seen = [x - self.eye[0], y - self.eye[1], -self.eye[2]];
         let [right, up, forward] = self.axes.map(|axis| axis.iter().zip(seen).map(|(a, b)| a * b).sum::<f64>());
@@ -52,7 +53,7 @@ impl Camera {
         [0.5 * width + self.focal_px * right / forward, 0.5 * height - self.focal_px * up / forward]
     }
 
-    /// Point of the display plane at a pixel.
+    /// Returns the point of the display plane that the camera sees at a pixel.
     fn point_at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [width, height] = self.size.map(|side| side as f64);
         let (right, up) = ((x - 0.5 * width) / self.focal_px, (0.5 * height - y) / self.focal_px);
@@ -61,8 +62,8 @@ impl Camera {
         [self.eye[0] + t * ray[0], self.eye[1] + t * ray[1]]
     }
 
-    /// Renders a photograph of a display that emits `shown` `[row][col][rgb]` towards the camera,
-    /// in a dim room: exposure, noise, 8-bit codes.
+    /// Renders a photograph of a display that emits `shown` `[row][col][rgb]` towards the camera.
+    /// The display is in a dim room. The photograph has an exposure, noise and 8-bit codes.
     fn photograph(&self, shown: &[f32], [cols, rows]: [usize; 2], pitch_mm: f64, exposure: f64, path: &Path) {
         // noise of a camera at low sensitivity
         const NOISE: f64 = 0.01;
@@ -89,8 +90,8 @@ impl Camera {
     }
 }
 
-/// Compares a photograph at the known pose, at the pose found from its corners, and at a wrong
-/// pose.
+/// Compares a photograph with the simulation from three poses: the known pose, the pose computed
+/// from the corners, and a wrong pose.
 #[test]
 fn a_photograph_is_compared_at_its_pose_and_exposure() {
     const EXPOSURE: f64 = 0.6;
@@ -103,7 +104,7 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
     let picture = Picture::read(&simulated).unwrap();
     let (size, shown) = (picture.size(), picture.into_linear());
     assert_eq!(size, [64, 40]);
-    // 160 pixels of 2.961 mm
+    // the preset has 160 pixels of 2.961 mm
     let pitch = 160.0 * 2.961 / 64.0;
     let camera = Camera::looking(eye, [20.0, -10.0]);
     let photo = folder.path().join("photo.png");
@@ -132,14 +133,14 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
     for (found, expected) in found["eye_mm"].as_array().unwrap().iter().zip(eye) {
         assert!((found.as_f64().unwrap() - expected).abs() < 3.0, "corners to a tenth of a pixel: {found}, {expected}");
     }
-    // an error of half a millimetre moves the points where rays cross from one pixel of a layer to
-    // the next, so the pictures differ a little
+    // an error of half a millimetre shifts the rays slightly; some then hit the next pixel of a
+    // layer, so the pictures differ a little
     assert!(psnr(&found) > 30.0, "{found}");
 
     let elsewhere = compared(&["--eye", &point([-150.0, 60.0, 900.0])]);
     assert!(psnr(&elsewhere) < psnr(&known) - 5.0, "{elsewhere}");
 
-    // a longer exposure: clipped pixels are left out
+    // with a longer exposure, clipped pixels are excluded
     camera.photograph(&shown, size, pitch, 2.0, &photo);
     let bright = compared(&["--eye", &point(eye)]);
     assert!(bright["clipped"].as_f64().unwrap() > 0.02, "{bright}");
@@ -161,7 +162,8 @@ fn all_displays_of_a_run_stand_side_by_side() {
         let own = report(&run.join("nodes").join(id))["psnr_view"].as_f64().unwrap();
         assert!((display["likeness"]["psnr_db"].as_f64().unwrap() - own).abs() < 0.01, "{display}, report {own}");
     }
-    // target and two displays, three views; every picture of 64 × 40 four times as large
+    // the sheet has a target and two displays, each with three views; a view of 64 × 40 pixels is
+    // enlarged four times
     let sheet = image::open(out.join("displays.jpg")).unwrap();
     assert!(sheet.width() > 3 * 4 * 64 && sheet.height() > 3 * 4 * 40, "{} × {}", sheet.width(), sheet.height());
     let printed = succeed(lumistack().arg("compare").arg(&run));

@@ -22,7 +22,7 @@ fn cached(report: &Value, name: &str) -> bool {
     stages.iter().find(|stage| stage["name"] == name).unwrap()["cached"].as_bool().unwrap()
 }
 
-/// [value, standard error].
+/// Returns [value, standard error].
 fn pair(value: &Value) -> [f64; 2] {
     [0, 1].map(|i| value[i].as_f64().unwrap())
 }
@@ -45,12 +45,12 @@ fn a_denoised_run_reports_its_errors_and_resumes_from_its_halves() {
     let html = std::fs::read_to_string(run.join("report.html")).unwrap();
     assert!(html.contains("id=\"denoising\"") && html.contains("guided filter"));
 
-    // a second run computes nothing
+    // a second run reuses all results
     succeed(&mut still_life(&run, "guided"));
     assert!(cached(&report(&run), "render"));
     let target = files(&run.join("target"));
     assert!(target != files(&plain.join("target")), "filtered and unfiltered views are the same");
-    // a deleted filtered view is made again without tracing
+    // if a filtered view is deleted, it is filtered again without tracing
     let views = run.join("cache/views");
     let of = |suffix: &str| -> Vec<_> {
         files(&views).into_iter().filter(|(path, _)| path.to_string_lossy().ends_with(suffix)).collect()
@@ -68,7 +68,7 @@ fn a_denoised_run_reports_its_errors_and_resumes_from_its_halves() {
     assert!(target == files(&run.join("target")));
 }
 
-/// The folder of the target's views.
+/// Returns the name of the folder with the target's views.
 fn first_target(views: &Path) -> std::path::PathBuf {
     let entries = std::fs::read_dir(views).unwrap().map(|entry| entry.unwrap().file_name());
     entries.map(std::path::PathBuf::from).find(|name| name.to_string_lossy().starts_with("target-")).unwrap()
@@ -103,7 +103,7 @@ fn a_missing_program_is_named_before_anything_is_rendered() {
     assert!(!traced, "views were traced before the filter was looked for");
 }
 
-/// Makes a program that replaces `oidnDenoise` and returns its input.
+/// Makes a program that stands in for `oidnDenoise`. It returns its input unchanged.
 #[cfg(unix)]
 #[test]
 fn the_external_denoiser_receives_pictures_and_its_result_is_used() {
@@ -119,7 +119,7 @@ test -s "$alb" && test -s "$nrm" && cp "$in" "$out"
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
     succeed(still_life(&run, "oidn").env("LUMISTACK_OIDN", &program));
     let reported = report(&run)["denoising"].clone();
-    // this program changes nothing, so errors and mean stay the same
+    // the program changes nothing, so errors and mean do not change
     assert_eq!(reported["mse_before"], reported["mse_after"], "{reported}");
     assert!(
         pair(&reported["mean_change"])[0].abs() < 1e-6 && reported["name"].as_str().unwrap().contains("Open Image")

@@ -46,7 +46,7 @@ fn a_killed_sweep_resumes_and_ends_with_the_same_bytes() {
     while done() < 3 && start.elapsed() < Duration::from_secs(60) {
         std::thread::sleep(Duration::from_millis(1));
     }
-    // SIGKILL leaves no time to clean up
+    // SIGKILL leaves the process no time to clean up
     child.kill().unwrap();
     child.wait().unwrap();
     let finished = done();
@@ -64,7 +64,7 @@ fn a_killed_sweep_resumes_and_ends_with_the_same_bytes() {
         assert_eq!(std::fs::read(plot.path()).unwrap(), std::fs::read(other).unwrap(), "{:?}", plot.file_name());
     }
 
-    // the paper's trends in such a table
+    // the table must show the paper's trends
     let found = rows(&whole);
     let psnr = |layers: u64, frames: u64, brightness: f64| {
         let is = |row: &&Value| {
@@ -146,12 +146,13 @@ fn analyze_reports_draws_and_refuses() {
     let text = fail(lumistack().args(["analyze", "fig7-uniforn"]));
     assert!(text.contains("did you mean `fig7-uniform`?"), "{text}");
 }
-/// `angular_filter = "display"` gives the same views as dense views that `--prefilter` averages.
-/// Views of single slopes differ.
+/// Renders views with `angular_filter = "display"`. They must equal dense views that `--prefilter`
+/// averages, and differ from views of single slopes.
 #[test]
 fn a_displays_prefilter_is_rendered_as_it_is_averaged() {
     let folder = tempfile::tempdir().unwrap();
-    // three bins of slopes behind the layer; the light field has three views, or five per bin
+    // the backlight has three bins of slopes; the light field has three views, or five views per
+    // bin
     let job = |name: &str, views: usize, filter: &str, samples: u32| {
         let display = format!("{name}-display.toml");
         let text = format!(
@@ -190,13 +191,13 @@ fn a_displays_prefilter_is_rendered_as_it_is_averaged() {
     };
     let (same, other) = (rms(&averaged, &display), rms(&point, &display));
     println!("averaged against rendered: {same:.4}, single slopes against that: {other:.4}");
-    // Both include the noise of 64 paths, 0.028. Without averaging, or without spreading, the first
-    // difference would be the larger one.
+    // Both differences include the noise of 64 paths, 0.028. If the filter did not average, or if
+    // the paths were not spread, the first difference would be the larger one.
     assert!(same < 0.75 * other && other > 0.03, "{same} {other}");
 }
 
-/// The committed tables of the paper's figures show its trends. `lumistack sweep
-/// scenes/sweeps/figure-7.toml` and `figure-8.toml` make them.
+/// The committed tables of the paper's figures must show the paper's trends. `lumistack sweep
+/// scenes/sweeps/figure-7.toml` and `figure-8.toml` make these tables.
 #[test]
 fn the_committed_tables_show_the_papers_trends() {
     let table = |name: &str| -> Vec<(String, f64, f64, f64, f64)> {
@@ -213,14 +214,14 @@ fn the_committed_tables_show_the_papers_trends() {
         let found = figure_7.iter().find(|row| row.0 == display && row.1 == layers && row.2 == frames);
         found.unwrap_or_else(|| panic!("{display}, {layers} layers, {frames} frames")).4
     };
-    // random variation of the result of 50 iterations from random patterns, dB
+    // random variation of the PSNR after 50 iterations from random patterns, dB
     const CHANCE: f64 = 0.5;
     let frames = [1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0];
     for display in ["fig7-uniform", "fig7-directional"] {
         for layers in 1..=8 {
             let layers = f64::from(layers);
             // a single layer in front of a uniform backlight shows the same picture in all
-            // directions, for any number of frames
+            // directions, so more frames do not help
             if display == "fig7-directional" || layers > 1.0 {
                 for pair in frames.windows(2).filter(|pair| at(display, layers, pair[0]) < 40.0) {
                     assert!(
@@ -230,8 +231,8 @@ fn the_committed_tables_show_the_papers_trends() {
                 }
                 assert!(at(display, layers, 12.0) > at(display, layers, 1.0) + 4.0, "{display} {layers}");
             }
-            // The paper's teapot stays below 30 dB with up to eight static layers. Our scene does
-            // so with up to four, and stays below 40 dB with more.
+            // With static layers, the paper's teapot stays below 30 dB for up to eight layers. Our
+            // scene stays below 30 dB for up to four layers, and below 40 dB for more.
             let most = if layers <= 4.0 { 30.0 } else { 40.0 };
             assert!(at(display, layers, 1.0) < most, "a static stack of {layers} layers");
         }

@@ -8,8 +8,8 @@ use crate::live::{Live, write_job};
 
 /// Largest difference of a device's score from the processor's, dB.
 const SAME_DB: f64 = 0.01;
-/// Largest difference in a live display, dB. The number of iterations in its steps depends on the
-/// time that they take.
+/// Largest difference in a live display, dB. Its number of iterations per step depends on the time
+/// that an iteration takes.
 const LIVE_DB: f64 = 0.3;
 
 /// Solves a light field on a device.
@@ -61,7 +61,7 @@ fn an_adapter_solves_as_the_processor_does() {
     succeed(&mut solve(folder.path(), "device", &on_device));
     let [here, there] = ["cpu", "device"].map(|run| number(&report(&folder.path().join(run)), "psnr_view"));
     assert!((here - there).abs() < SAME_DB, "{here} dB and {there} dB");
-    // results that the device has cached are not used for the processor, nor the reverse
+    // results that the device made are not used for the processor
     let run = folder.path().join("device");
     succeed(&mut solve(folder.path(), "device", &on_device));
     assert!(cached(&run, "factorize"));

@@ -1,19 +1,21 @@
-//! The paper's single panel on a lens array, from the scene to the panels.
+//! The paper's single panel behind a lens array, from the scene to the panels.
 //!
-//! A scene becomes emission and a layer, and these become the pictures of two panels. Rays are then
-//! traced through layer and lenses to the rear panel, independently of the display model.
+//! A scene becomes patterns of a backlight and a layer, and these become the pictures of two
+//! panels. The test then traces rays through layer and lenses to the rear panel. It does not use
+//! the display model for this.
 
 use lumistack_display::{Backlight, Display, LensletBacklight, Projection};
 use lumistack_plugin_panels::{Picture, Shows};
 
 use crate::common::{lumistack, number, report, root, succeed};
 
-/// Largest difference of the traced views from the report's figures, dB.
+/// Largest difference between the PSNR of the traced rays and the PSNR in the report, dB.
 const DECIBELS: f64 = 0.5;
-/// Half width of a pupil as a fraction of a view's bin, and steps per axis.
+/// Half the width of a pupil as a fraction of the width of a view's bin, and number of steps per
+/// axis.
 const PUPIL: f64 = 0.3;
 const PUPIL_STEPS: i32 = 3;
-/// One ray out of this number is traced; the traced rays differ between views.
+/// One ray out of this number is traced. Different rays are traced for different views.
 const EVERY: usize = 23;
 
 /// The light of a panel: red, green and blue in rows of pixels.
@@ -24,9 +26,9 @@ struct Panel {
 }
 
 impl Panel {
-    /// Converts codes as they are sent: red, green, blue and a fourth byte.
+    /// Decodes codes in the order in which they are sent: red, green, blue and a fourth byte.
     fn new(codes: &[u8], size: [usize; 2], pitch_mm: f64) -> Self {
-        // IEC 61966-2-1, which the display file declares
+        // the transfer function of IEC 61966-2-1, which the display file declares
         let decoded = |code: u8| {
             let code = f64::from(code) / 255.0;
             if code <= 0.040_45 { code / 12.92 } else { ((code + 0.055) / 1.055).powf(2.4) }
@@ -43,11 +45,11 @@ impl Panel {
     }
 }
 
-/// Returns the origin on the rear panel of a ray that leaves the lens array at a point with a
-/// slope; `None` if the point is not on the array.
+/// Returns the point on the rear panel from which a ray comes. The ray leaves the lens array at a
+/// point with a slope. `None` if the point is not on the array.
 ///
-/// The ray goes back to the lens plane, through a thin lens of this focal length, and to its focal
-/// plane.
+/// The ray is followed backwards: to the lens plane, through a thin lens of this focal length, and
+/// to the focal plane of the lens.
 fn behind(lenses: &LensletBacklight, focal_mm: f64, place_mm: [f64; 2], slope: [f64; 2]) -> Option<[f64; 2]> {
     let mut on_panel = [0.0; 2];
     for axis in 0..2 {
@@ -58,8 +60,8 @@ fn behind(lenses: &LensletBacklight, focal_mm: f64, place_mm: [f64; 2], slope: [
         }
         let centre = (lens + 0.5 - count / 2.0) * lenses.pitch_mm;
         let height = place_mm[axis] - centre;
-        // a thin lens changes a ray's slope at height h by −h/f, so the slope before it is larger
-        // by h/f
+        // a thin lens changes the slope of a ray at height h by −h/f, so behind the lens the slope
+        // is larger by h/f
         let before = slope[axis] + height / focal_mm;
         on_panel[axis] = place_mm[axis] - before * focal_mm;
     }
@@ -72,7 +74,7 @@ fn rays_through_lenses_and_layer_see_the_target() {
     let run = folder.path().join("run");
     let job = folder.path().join("job.toml");
     let scene = root().join("scenes/letters/letters.gltf");
-    // the traced rays replace the zone score, so no score is computed
+    // this test does not need the zone score, so the job switches it off
     let text = format!(
         "scene = {scene:?}\noutputs = []\n[display]\npreset = \"paper-directional\"\nresolution = [84, 52]\nframes = 2\n\
          [render]\nsamples = 3\n[factorize]\niterations = 8\n[report]\nzone_directions = 0\n"
@@ -85,7 +87,7 @@ fn rays_through_lenses_and_layer_see_the_target() {
     let Backlight::Lenslets(lenses) = &display.backlight else { panic!("directional") };
     let rear = &display.layers[0];
     let (size, pitch_mm) = (rear.panel_resolution.unwrap(), rear.panel_pitch_mm.unwrap());
-    // lenses with a field of view of 48 degrees
+    // the lenses have a field of view of 48 degrees
     let focal_mm = 0.5 * lenses.pitch_mm / 24f64.to_radians().tan();
     let panels: Vec<[Panel; 2]> = (0..display.frames)
         .map(|frame| {

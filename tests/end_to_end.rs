@@ -7,18 +7,18 @@ use std::time::{Duration, Instant};
 
 use crate::common::{fail, files, light_fields, lumistack, number, python, report, root, succeed, write_test_field};
 
-/// Largest difference of the report's PSNR from an independent forward model, dB.
+/// Largest difference between the report's PSNR and the PSNR of an independent forward model, dB.
 const PSNR_AGREEMENT_DB: f64 = 0.01;
 
 /// Largest loss of a case against the PSNR in its file, dB. Other instruction sets round
-/// differently, which also changes noise.
+/// differently, which also changes the noise.
 const MAY_LOSE_DB: f64 = 0.3;
-/// Largest gain of a case before its file must be written again, dB: an outdated value would hide a
-/// loss.
+/// Largest gain of a case against its file, dB. With a larger gain the file must be written again,
+/// since an outdated value would hide a loss.
 const MAY_GAIN_DB: f64 = 1.0;
 
-/// Each folder of `tests/cases` has a job and `expected.json`: its PSNR, and files that must exist.
-/// LUMISTACK_WRITE=1 measures the values again.
+/// Each folder of `tests/cases` has a job and `expected.json`, which has the expected PSNR and the
+/// names of files that must exist. LUMISTACK_WRITE=1 measures the values again.
 #[test]
 fn every_case_gives_its_expected_psnr() {
     let renew = std::env::var_os("LUMISTACK_WRITE").is_some();
@@ -84,11 +84,12 @@ fn check_with_numpy(python: &Path, field: &Path, run: &Path, geometry: [&str; 4]
     }
 }
 
-/// Largest difference between the NumPy model's rays, 2000 × 2000 per pixel, and our areas, dB.
+/// Largest difference between the NumPy model, which traces 2000 × 2000 rays per pixel, and our
+/// integration over areas, dB.
 const ZONE_AGREEMENT_DB: f64 = 0.02;
 
-/// Compares psnr_zone of three layers, with parallel views and with pinholes, and of a directional
-/// backlight.
+/// Compares psnr_zone with the NumPy model, for three layers with oblique views and with
+/// perspective views, and for a directional backlight.
 #[test]
 fn a_numpy_model_of_the_seen_picture_gives_the_reports_zone() {
     let Some(python) = python() else { return };
@@ -141,7 +142,7 @@ fn a_directional_backlight_follows_a_foreign_light_field() {
     let folder = tempfile::tempdir().unwrap();
     let field = folder.path().join("views.npy");
     write_test_field(&field, [5, 5, 50, 80], 20.0, 3.0);
-    // with the displays' own backlights (3 × 3 bins, 48 degrees) PSNR is only 30.2 and 27.5 dB
+    // with the presets' own backlights (3 × 3 bins, 48 degrees) the PSNR is only 30.2 and 27.5 dB
     for (display, least) in [("fig7-directional", 35.0), ("paper-directional", 32.0)] {
         let run = folder.path().join(display);
         let flags = ["--fov", "20x20", "--pitch-mm", "3", "--iterations", "30", "--display", display];
@@ -156,7 +157,7 @@ fn a_directional_backlight_follows_a_foreign_light_field() {
         let backlight = text.split("[backlight]").nth(1).unwrap().split("[[").next().unwrap();
         assert!(backlight.contains("5,\n    5,") || backlight.contains("views = [5, 5]"), "{backlight}");
     }
-    // views that no arrangement of bins can match
+    // no arrangement of bins can match these views
     let slopes: Vec<f64> = (0..17).map(|i| f64::from(i) * 1e-3).collect();
     write_array(&field, &[17, 17, 4, 6, 3], std::iter::repeat_n(0.5, 17 * 17 * 4 * 6 * 3));
     let index = serde_json::json!({"projection": "perspective", "distance_mm": 500, "pitch_mm": 60,
@@ -172,7 +173,7 @@ fn a_directional_backlight_follows_a_foreign_light_field() {
 fn one_ray_does_not_decide_a_report_unseen() {
     let folder = tempfile::tempdir().unwrap();
     let (field, run) = (folder.path().join("views.npy"), folder.path().join("run"));
-    // a ray in the middle row of the middle view, where every ray hits all layers
+    // this ray is in the middle row of the middle view, where every ray hits all layers
     const MIDDLE: usize = (4 * 20 + 10) * 32 * 3 + 48;
     let values = (0..3 * 3 * 20 * 32 * 3).map(|i| if i == MIDDLE { 1e4 } else { 0.3 + 0.2 * (i as f32 * 0.01).sin() });
     write_array(&field, &[3, 3, 20, 32, 3], values);
@@ -204,8 +205,8 @@ fn weights_of_zero_are_an_error() {
     assert!(error.contains("weights.npy") && error.contains("at least one weight above 0"), "{error}");
 }
 
-/// One layer can show this view exactly. Its patterns are β times the input itself, not β times the
-/// nearest half floats.
+/// One layer can show this view exactly. Its patterns must be β times the given values, not β times
+/// the nearest half floats.
 #[test]
 fn a_view_that_one_layer_can_show_is_not_rounded() {
     let folder = tempfile::tempdir().unwrap();
@@ -228,7 +229,7 @@ fn a_view_that_one_layer_can_show_is_not_rounded() {
     assert!(psnr > 110.0, "{psnr} dB");
 }
 
-/// Arguments of a small run. It has so many frames that a display with panels would flicker.
+/// Arguments of a small run. With three frames, panels would flicker.
 const SMALL_RUN: [&str; 10] =
     ["--resolution", "84x52", "--frames", "3", "--samples", "4", "--iterations", "10", "--max-bounces", "3"];
 
@@ -252,8 +253,8 @@ fn the_same_bytes_on_one_and_two_threads() {
     check_views_beyond_the_zone(&report(&one));
 }
 
-/// Checks the scores of the views that are one view spacing outside of the outermost views, on both
-/// sides.
+/// Checks the scores of views outside of the zone. They are one view spacing away from the
+/// outermost views, on both sides.
 fn check_views_beyond_the_zone(report: &serde_json::Value) {
     let slopes = |field: &str| -> Vec<f64> {
         report[field]["slope_x"].as_array().unwrap().iter().map(|slope| slope.as_f64().unwrap()).collect()
@@ -285,7 +286,7 @@ fn a_rerun_takes_everything_from_the_cache() {
         assert_eq!(stage["cached"], true, "{name} ran again");
     }
     assert!(before == files(&run.join("layers")));
-    // settings of a later stage do not affect the views
+    // settings of the factorizer do not affect the views
     succeed(small_run(&run).args(["--iterations", "11"]));
     let stages = report(&run)["stages"].clone();
     let cached = |name: &str| stages.as_array().unwrap().iter().find(|s| s["name"] == name).unwrap()["cached"].clone();
@@ -359,8 +360,8 @@ fn simulate_shows_parallax_in_the_right_direction() {
     write_test_field(&field, [3, 5, 31, 50], 20.0, 3.0);
     let flags = ["--fov", "20x20", "--pitch-mm", "3", "--frames", "4", "--iterations", "100"];
     succeed(lumistack().arg("factorize").arg(&field).arg("-o").arg(&run).args(flags));
-    // Seen from the outermost target views, 8.03° and 6.70° off the axis. The red card is 30 mm in
-    // front: from the right it appears farther left.
+    // Simulate the views of the outermost slopes, 8.03° and 6.70° off the axis. The red card is 30
+    // mm in front of the display, so from the right it appears farther left.
     let centre_of_red = |angle: &str| {
         let path = folder.path().join("view.exr");
         succeed(lumistack().arg("simulate").arg(&run).args(["--view", angle]).arg("-o").arg(&path));
@@ -381,7 +382,7 @@ fn simulate_shows_parallax_in_the_right_direction() {
     let (left, right) = (centre_of_red("-8.03,0"), centre_of_red("8.03,0"));
     let expected = 2.0 * 30.0 * 8.03f64.to_radians().tan() / 3.0;
     assert!((left[0] - right[0] - expected).abs() < 1.0, "moved by {} px, expected {expected}", left[0] - right[0]);
-    // from above it appears farther down, at a larger row
+    // from above, the card appears farther down, at a larger row
     let (above, below) = (centre_of_red("0,6.7"), centre_of_red("0,-6.7"));
     assert!(above[1] > below[1] + 1.0, "{above:?} {below:?}");
 }
@@ -404,7 +405,7 @@ fn one_render_feeds_two_displays_and_five_outputs() {
     let outputs: Vec<&str> = outputs.map(|path| path.as_str().unwrap()).collect();
     assert_eq!(outputs.len(), 5, "{outputs:?}");
     assert!(outputs.iter().all(|path| run.join(path).join("images.json").is_file()), "{outputs:?}");
-    // 3 × 3 views behind pinholes: each pinhole is open in one frame of nine
+    // the barrier shows 3 × 3 views, and each pinhole is open in one of nine frames
     assert!((number(&nodes[1], "brightness") - 1.0 / 9.0).abs() < 1e-6);
     let views = files(&run.join("target"));
     assert_eq!(views.len(), 1 + 9, "one light field for both");
@@ -414,7 +415,7 @@ fn one_render_feeds_two_displays_and_five_outputs() {
     let picture = image::open(&picture).unwrap().into_rgb8();
     assert!(picture.pixels().any(|pixel| pixel.0[0] > 64), "the barrier shows something");
 
-    // a second run reuses everything of the first
+    // a second run reuses all results of the first
     let before = std::fs::metadata(run.join("nodes/barrier/layers/layer_0.npy")).unwrap().modified().unwrap();
     go();
     assert_eq!(std::fs::metadata(run.join("nodes/barrier/layers/layer_0.npy")).unwrap().modified().unwrap(), before);

@@ -1,11 +1,11 @@
-//! Bad input gives one clear error with the file, the place in it, the expected and the found
+//! Bad input gives one clear error with the file, the place in the file, the expected and the found
 //! value. No partial output is left.
 
 use std::path::Path;
 
 use crate::common::{self, fail, lumistack, root, succeed, write_test_field};
 
-/// A scene of one triangle; tests replace parts of it by errors.
+/// A scene of one triangle. Tests replace parts of its text by errors.
 fn triangle(position: &str, extra: &str) -> String {
     use base64::Engine as _;
     let mut bytes = Vec::new();
@@ -63,8 +63,8 @@ fn scenes() {
     assert!(text.contains("expected a file with the extension .gltf, .glb") && text.contains("`stl`"), "{text}");
 }
 
-/// A scene file may be untrusted: it reads only regular files in its own folder, unless the user
-/// permits others.
+/// A scene file may be untrusted. It may read only regular files in its own folder, unless the user
+/// permits other folders.
 #[cfg(unix)]
 #[test]
 fn a_scene_reads_no_files_elsewhere() {
@@ -99,14 +99,14 @@ fn a_scene_reads_no_files_elsewhere() {
         assert!(names_all && text.contains("outside of the folder"), "{text}");
         succeed(&mut info(uri, &["--allow-outside"]));
     }
-    // Even with that permission it reads no device and no pipe. Without this check these runs would
+    // Even with this permission, the scene reads no device and no pipe. If it did, these runs would
     // never end.
     for (uri, found) in [("/dev/zero", "a device"), ("pipe", "a pipe"), ("/", "a folder")] {
         let text = fail(&mut info(uri, &["--allow-outside"]));
         assert!(text.contains(&format!("expected a regular file, found {found}")), "{text}");
     }
-    // A key of the job permits its scene to read elsewhere. Paths in the job itself may be
-    // anywhere, but must be regular files.
+    // A key of the job permits its scene to read files of other folders. Paths in the job itself
+    // may lead to any folder, but only to regular files.
     let job = folder.path().join("job.toml");
     let text = "scene = \"scene/scene.gltf\"\n[display]\npreset = \"paper-three-layer\"\n[importer]\nallow_outside = ";
     for (allowed, expected) in [("false", Some("importer.allow_outside = true")), ("true", None)] {
@@ -129,8 +129,8 @@ fn a_scene_reads_no_files_elsewhere() {
     }
 }
 
-/// File names on Linux are bytes: a scene, its folder, a display and the run folder may have any
-/// name.
+/// File names on Linux are bytes. A scene, its folder, a display and the run folder may have names
+/// that are not UTF-8.
 #[cfg(target_os = "linux")]
 #[test]
 fn names_that_are_not_text() {
@@ -157,7 +157,7 @@ fn names_that_are_not_text() {
     succeed(
         lumistack().arg("run").arg(&scene).arg("--display").arg(&display).arg("-o").arg(&run).args(small).arg("--json"),
     );
-    // the written job refers to the same scene
+    // the job that the run wrote refers to the same scene
     succeed(lumistack().arg("run").arg(run.join("job.toml")).arg("-o").arg(&run));
     succeed(lumistack().arg("info").arg(&run));
     let views = inner.join(OsStr::from_bytes(b"v\xFCes"));
@@ -168,7 +168,7 @@ fn names_that_are_not_text() {
         "1",
     ]));
     succeed(lumistack().arg("info").arg(&views));
-    // a folder whose files are listed
+    // the names of the files in this folder are not UTF-8 either
     let numbered = inner.join("numbered");
     std::fs::create_dir(&numbered).unwrap();
     let picture = image::RgbImage::from_pixel(4, 3, image::Rgb([9, 9, 9]));
@@ -304,7 +304,7 @@ fn one_pixel_views_work() {
         command.arg("factorize").arg(&array).arg("-o").arg(&run).args(flags);
         command
     };
-    // with a single pixel, rays of steep views leave the layers
+    // if there is only one pixel, rays of oblique views miss the layers
     let error = fail(&mut factorize("20x20"));
     assert!(error.contains("hits all layers"), "{error}");
     succeed(&mut factorize("1x1"));
@@ -334,7 +334,7 @@ fn a_writer_that_fails_midway_leaves_the_old_output_whole() {
     };
     succeed(&mut factorize("3"));
     let before = common::files(&run.join("outputs"));
-    // files cannot exceed 2 kB, so the writer fails midway
+    // files may not exceed 2 kB, so the write of an output fails
     let mut limited = std::process::Command::new("bash");
     let line = format!("trap '' XFSZ; ulimit -f 2; exec {:?}", factorize("4"));
     let output = limited.arg("-c").arg(line).output().unwrap();
@@ -360,7 +360,7 @@ fn a_preview_needs_a_run() {
     assert!(text.contains("name one of its time steps"), "{text}");
     let text = fail(lumistack().arg("preview").arg(folder.path().join("nothing")).arg("--no-open"));
     assert!(text.contains("nothing: folder: expected a run or a preview"), "{text}");
-    // for a run with damaged patterns no server is started
+    // no server is started for a run with damaged patterns
     std::fs::create_dir(folder.path().join("layers")).unwrap();
     std::fs::write(folder.path().join("layers/stack.json"), "{").unwrap();
     let text = fail(lumistack().arg("preview").arg(folder.path()).arg("--no-open"));

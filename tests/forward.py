@@ -1,6 +1,9 @@
-"""An independent forward model: PSNR of a run from its .npy files, by the geometry of nearest pixels.
+"""An independent forward model: computes psnr_view of a run from its .npy files. A ray reads the nearest pixel of each layer.
 
-usage: forward.py TARGET.npy LAYERS_DIR D1,D2,... PITCH_MM FOV_X FOV_Y BRIGHTNESS   (uniform backlight, oblique views, nearest, drop)
+usage: forward.py TARGET.npy LAYERS_DIR D1,D2,... PITCH_MM FOV_X FOV_Y BRIGHTNESS
+
+The display must have a uniform backlight, oblique views, nearest sampling, and ignore rays that leave a layer ("drop").
+Prints psnr_view and psnr_raw.
 """
 import sys
 import numpy as np

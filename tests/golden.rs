@@ -1,16 +1,18 @@
-//! Compares the renderer with its own earlier pictures: a z-test per pixel, per block of pixels and
-//! of the whole. Random numbers may change, the mean may not.
+//! Compares the renderer with earlier pictures of its own. There is a z-test for each pixel, for
+//! each block of pixels, and for the whole picture. Random numbers may change, but the mean must
+//! not.
 //!
-//! `golden.exr` in a case's folder is a view of its scene with many samples, linear, and the
-//! variance of that mean. For a picture x of n samples per pixel of the same scene,
+//! `golden.exr` in a case's folder is a view of the case's scene with many samples per pixel. It
+//! has the linear mean μ of the samples, and the variance of this mean. A picture x of the same
+//! scene has n samples per pixel. The distance of x from μ in standard errors,
 //!
 //! ```text
 //! z = |x − μ| / √(σ²/n + var μ)        σ² = samples of the golden picture · var μ
 //! ```
 //!
-//! is within the bounds of chance, with Šidák's correction for the number of tests. The test per
-//! pixel is that of Mitsuba's own suite, which also permits some outliers. Sums over blocks detect
-//! small differences that cover large areas.
+//! must be within the bounds of chance, with Šidák's correction for the number of tests. The test
+//! per pixel is the test of Mitsuba's own suite; it also permits some outliers. Sums over blocks
+//! detect small differences that cover large areas.
 
 use std::path::Path;
 
@@ -32,15 +34,15 @@ const SAMPLES: [usize; 2] = [4096, 64];
 const BLOCK: usize = 4;
 /// Probability that at least one of a case's tests fails by chance.
 const FALSE_ALARM_RATE: f64 = 1e-2;
-/// Fraction of the pixels that may fail in a correct picture: 64 samples of a caustic are not
-/// normally distributed.
+/// Fraction of the pixels whose test may fail in a correct picture. The mean of 64 samples of a
+/// caustic is not normally distributed.
 const OUTLIERS: f64 = 0.0025;
 /// Golden pictures are rounded to 11 bits.
 const ROUNDING: f64 = 1.0 / 2048.0;
 
 const CHANNELS: [&str; 6] = ["B", "G", "R", "variance.B", "variance.G", "variance.R"];
 
-/// Means and their variances, `[channel][pixel]`.
+/// Means of the samples, and the variances of these means, `[channel][pixel]`.
 #[derive(Clone)]
 struct Picture {
     mean: [Vec<f64>; 3],
@@ -71,7 +73,7 @@ impl Picture {
         Self { mean: three(), variance: three() }
     }
 
-    /// Writes values with few bits, since the other bits are noise that cannot be compressed.
+    /// Writes values with few bits. The other bits are noise, which cannot be compressed.
     fn write(&self, path: &Path) {
         let rounded = |values: &Vec<f64>| -> Vec<f32> {
             values
@@ -84,8 +86,8 @@ impl Picture {
         write_exr_channels(path, SIZE, &channels).unwrap();
     }
 
-    /// Returns the first failed test of a picture of `samples[1]` samples against this one of
-    /// `samples[0]`.
+    /// Returns the first failed test of the picture `other`, or `None`. `self` has `samples[0]`
+    /// samples per pixel, and `other` has `samples[1]`.
     fn problem(&self, other: &Self, samples: [usize; 2]) -> Option<String> {
         let [cols, rows] = SIZE;
         let share = samples[0] as f64 / samples[1] as f64;
@@ -157,7 +159,7 @@ fn renders_differ_from_golden_pictures_only_by_noise() {
         }
         let golden = Picture::read(&golden);
         let now = Picture::render(&case.join("job.toml"), SAMPLES[1], 2, &folder.path().join("now"));
-        // the tests must detect this change
+        // the tests must detect 2 % more light
         let brighter = Picture { mean: now.mean.clone().map(|c| c.iter().map(|v| 1.02 * v).collect()), ..now.clone() };
         assert!(golden.problem(&brighter, SAMPLES).is_some(), "{name}: 2 % more light is not found");
         if let Some(problem) = golden.problem(&now, SAMPLES) {
@@ -165,7 +167,7 @@ fn renders_differ_from_golden_pictures_only_by_noise() {
             std::fs::create_dir_all(&left).unwrap();
             Picture::save_png(|c, i| now.mean[c][i], &left.join("picture.png"));
             Picture::save_png(|c, i| golden.mean[c][i], &left.join("reference.png"));
-            // grey, 0.2, means equal values; each standard error of difference adds 0.04
+            // a grey of 0.2 shows equal values; each standard error of difference adds 0.04
             let error = |c: usize, i: usize| (golden.variance[c][i] * (SAMPLES[0] / SAMPLES[1] + 1) as f64).sqrt();
             let off = |c: usize, i: usize| 0.2 + 0.04 * (now.mean[c][i] - golden.mean[c][i]) / (error(c, i) + 1e-9);
             Picture::save_png(off, &left.join("difference.png"));

@@ -1,4 +1,5 @@
-//! `lumistack live` as a program: commands and head positions in, states and a run folder out.
+//! Tests of `lumistack live` as a program: it receives commands and head positions, and returns
+//! states and a run folder.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::UdpSocket;
@@ -17,7 +18,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 /// A running display.
 pub(crate) struct Live {
     process: Child,
-    /// None after its end.
+    /// `None` after the program has ended.
     input: Option<ChildStdin>,
     events: Receiver<Value>,
 }
@@ -28,7 +29,7 @@ impl Live {
         Self::start_by(lumistack(), job, run, options)
     }
 
-    /// Starts a job through a command that also sets the windowing session.
+    /// Starts a job by a command that already has the environment of a windowing session.
     fn start_by(mut command: Command, job: &Path, run: &Path, options: &[&str]) -> Self {
         command.args(["--json", "live", "--no-open"]).arg(job).arg("-o").arg(run).args(options);
         let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
@@ -106,19 +107,20 @@ fn states_follow_commands_files_and_heads_and_the_last_is_a_run() {
     let refused = live.event(|event| event["event"] == "refused");
     assert!(refused["message"].as_str().unwrap().contains("did you mean `brightness`?"), "{refused}");
 
-    // Write the light field's file again. Its length differs, since some file systems store coarse
-    // times.
+    // Write the light field's file again. Its length must differ, since some file systems store
+    // times with a coarse resolution.
     write_test_field(&folder.path().join("views.npy"), [3, 3, 20, 24], 20.0, 3.0);
     live.state(|state| state["content"] == 3);
 
-    // send the head of a tracker: six little-endian doubles, centimetres and degrees
+    // send a tracker's packet with the position of a head: six little-endian doubles, in
+    // centimetres and degrees
     let tracker = UdpSocket::bind("127.0.0.1:0").unwrap();
     let packet: Vec<u8> = [5.0f64, 0.0, 10.0, 30.0, 0.0, 0.0].iter().flat_map(|value| value.to_le_bytes()).collect();
     tracker.send_to(&packet, ("127.0.0.1", port)).unwrap();
     live.state(|state| state["zone"] == 0.0);
-    // without further positions the whole zone has its weights again
+    // if no further positions arrive, the whole zone gets its weight again
     live.state(|state| state["zone"] == 1.0);
-    // the same on standard input
+    // send a position on standard input, which has the same effect
     live.command(&json!({"viewers": [[50, 0, 600]]}));
     live.state(|state| state["zone"] == 0.0);
 
@@ -158,7 +160,7 @@ fn a_page_moves_its_viewer_and_a_stranger_does_not() {
     live.state(|state| state["zone"] == 1.0);
     live.stop();
 
-    // a tracker moves the viewer alone
+    // if there is a tracker, the page cannot move the viewer
     let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let live = Live::start(&job, &run, &["--opentrack", &port.to_string()]);
     let address = live.event(|event| event["event"] == "serving")["address"].as_str().unwrap().to_owned();
@@ -167,7 +169,7 @@ fn a_page_moves_its_viewer_and_a_stranger_does_not() {
     live.stop();
 }
 
-/// A program that starts a display may crash, and cannot stop it then.
+/// A program that starts a display may crash. Then it cannot stop the display.
 #[test]
 fn the_end_of_the_input_stops_it_on_request() {
     let folder = tempfile::tempdir().unwrap();
@@ -207,7 +209,7 @@ fn errors_of_the_start_end_it_with_one_message() {
     let folder = tempfile::tempdir().unwrap();
     let job = write_job(folder.path());
     let live = |options: &[&str]| {
-        // without this folder Mesa's drivers print an error of their own
+        // without this folder, Mesa's drivers print an error
         let mut command = lumistack();
         command.env("XDG_RUNTIME_DIR", folder.path());
         fail(command.args(["live", "--no-open"]).arg(&job).arg("-o").arg(folder.path().join("run")).args(options))
@@ -223,8 +225,8 @@ fn errors_of_the_start_end_it_with_one_message() {
     }
 }
 
-/// In the window of an X server without a window manager the pointer moves a head. While the
-/// pointer rests, the head stays where it is.
+/// In a window, the pointer moves a head. The X server has no window manager. While the pointer
+/// rests, the head stays where it is.
 #[cfg(feature = "panels")]
 #[test]
 fn the_mouse_in_the_window_acts_as_a_tracked_head() {
@@ -248,7 +250,7 @@ fn the_mouse_in_the_window_acts_as_a_tracked_head() {
         zone_within(Duration::from_millis(100)) == Some(0.0)
     });
     assert!(followed, "no state follows the pointer");
-    // wait longer than the silence after which the whole zone has its weights again
+    // wait for longer than the silence after which the whole zone would get its weight again
     let rest = zone_within(Duration::from_secs(4));
     assert!(rest.is_none_or(|zone| zone == 0.0), "{rest:?}");
     live.stop();

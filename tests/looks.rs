@@ -61,14 +61,14 @@ fn newest(folder: &Path) -> std::time::SystemTime {
 }
 
 /// The window is far in front of the scene, so no part of the scene is in the depth of field. After
-/// the window is moved, some of it is. With compressed depth nearly all of it is, and the patterns
-/// match their target better.
+/// the window is moved, some parts are. If the depth is also compressed, nearly all parts are, and
+/// the patterns match their target better.
 #[test]
 fn fitted_depth_raises_the_quality() {
     let folder = tempfile::tempdir().unwrap();
     let scene = root().join("scenes/still-life/still-life.gltf");
     let job = folder.path().join("job.toml");
-    // the window is that of the scene's camera, moved 350 mm towards the viewer
+    // the window is the window of the scene's camera, moved 350 mm towards the viewer
     let place = "centre = [0.0, 0.142, 0.32]\nforward = [0.0, -0.4067, -0.9135]\nup = [0.0, 1.0, 0.0]\nwidth = 0.475";
     let window = format!("from = \"given\"\n{place}");
     let text = format!(
@@ -105,7 +105,7 @@ fn fitted_depth_raises_the_quality() {
     assert!(warned(&off) && !warned(&compressed));
 }
 
-/// The depth is reported before rendering, and equals the depth that is reported afterwards.
+/// The depth is reported before rendering. It equals the depth that the rendering reports.
 #[test]
 fn info_reports_the_depth_of_a_scene_for_a_display() {
     let folder = tempfile::tempdir().unwrap();

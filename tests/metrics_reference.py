@@ -1,6 +1,8 @@
-"""SSIM and FLIP of test pictures by the reference tools: scikit-image and flip-evaluator (the tool of FLIP's authors).
+"""Computes SSIM and FLIP of test pictures with the reference tools: scikit-image and flip-evaluator (the tool of FLIP's authors).
 
-usage: metrics_reference.py [MAPS_DIR]     prints tests/metrics_reference.json; with a folder, writes every FLIP map there as raw float32
+usage: metrics_reference.py [MAPS_DIR]
+
+Prints the contents of tests/metrics_reference.json. With MAPS_DIR, also writes every FLIP map there as raw float32.
 
 Pictures are integer formulas of row, column and channel, so that other languages compute the same code values. Values are code/255, sRGB-encoded.
 SSIM is per channel, then the mean; pictures smaller than its window are mirrored at the edges and all their pixels count (win_size=1).
@@ -47,9 +49,9 @@ def picture(formula, shape):
         return noise(number, rows, cols)
     if kind == "smooth":
         return smooth(number, rows, cols)
-    if kind == "grainy":  # smooth with an eighth of noise
+    if kind == "grainy":  # seven eighths of a smooth picture, one eighth of noise
         return (7 * smooth(number, rows, cols) + noise(number + 100, rows, cols)) // 8
-    if kind == "shifted":  # smooth:1, moved to the left
+    if kind == "shifted":  # smooth:1, moved to the left by `number` pixels
         return smooth(1, rows, range(number, shape[1] + number))
     if kind == "checks":
         r, c = np.meshgrid(rows, cols, indexing="ij")

@@ -1,12 +1,12 @@
-//! Outputs of runs, read by independent software; light fields from source plugins; files in
-//! parameters.
+//! Outputs of runs, which independent software reads. Light fields from source plugins. Files in
+//! parameters of plugins.
 
 use std::path::Path;
 use std::process::Command;
 
 use crate::common::{fail, files, lumistack, number, report, root, succeed};
 
-/// Returns whether the result of a stage came from an earlier run.
+/// Returns true if the result of a stage came from an earlier run.
 fn cached(run: &Path, name: &str) -> bool {
     let report = report(run);
     let stages = report["stages"].as_array().unwrap();
@@ -53,14 +53,14 @@ fn a_source_makes_the_light_field_once() {
     assert!(number(&report(&run), "psnr_view") > 10.0);
     run_job(&job, &run);
     assert!(cached(&run, "test_views") && cached(&run, "factorize") && cached(&run, "output-images"));
-    // the folder no longer contains the source's light field
+    // damage the source's light field in the folder
     std::fs::copy(run.join("target/view_00_00.exr"), run.join("target/view_00_02.exr")).unwrap();
     run_job(&job, &run);
     assert!(!cached(&run, "test_views"));
     std::fs::write(&job, NUMBERS.replace("12 }", "6 }")).unwrap();
     run_job(&job, &run);
     assert!(!cached(&run, "test_views") && made != files(&run.join("target")));
-    // the job file in the run's folder describes the same run
+    // the job file in the run folder describes the same run
     run_job(&run.join("job.toml"), &run);
     assert!(cached(&run, "test_views"));
 }
@@ -106,7 +106,7 @@ fn files_in_parameters_are_the_jobs_own() {
     std::fs::create_dir(folder.path().join("sub")).unwrap();
     let output = "[[outputs]]\nplugin = \"quilt\"\nparams = { columns = 3, rows = 1, calibration = \"screen.json\" }\n";
     std::fs::write(&job, format!("{NUMBERS}{output}")).unwrap();
-    // refused before any work begins
+    // the missing file is an error before any work begins
     let error = fail(lumistack().arg("run").arg(&job).arg("-o").arg(&run));
     assert!(error.contains("outputs[0].params.calibration: expected a readable file"), "{error}");
     assert!(error.contains("screen.json") && !run.exists(), "{error}");
@@ -122,11 +122,11 @@ fn files_in_parameters_are_the_jobs_own() {
     let before = native();
     run_job(&job, &run);
     assert!(cached(&run, "output-quilt"));
-    // the content of the calibration changes, but neither its length nor its name
+    // the content of the calibration file changes, but neither the file's length nor its name
     screen(0.75);
     run_job(&job, &run);
     assert!(!cached(&run, "output-quilt") && cached(&run, "factorize") && before != native());
-    // the run's own job finds the file from another folder
+    // a run of the job in the run folder finds the calibration file from another working folder
     succeed(lumistack().arg("run").arg(run.join("job.toml")).arg("-o").arg(&run).current_dir(folder.path()));
     assert!(cached(&run, "output-quilt"));
 }

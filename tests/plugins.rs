@@ -1,4 +1,5 @@
-//! Plugins in libraries, which the program runs in child processes. A child may end in any way.
+//! Plugins in libraries, which the program runs in child processes. A child process may end in any
+//! way.
 
 #![cfg(unix)]
 
@@ -13,7 +14,7 @@ fn file_name(id: &str) -> String {
     format!("{}lumistack_plugin_{id}{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX)
 }
 
-/// Builds the plugin that ends its process on request.
+/// Builds a plugin that ends its own process on request.
 fn hostile(folder: &Path, id: &str, in_entry: &str) {
     let mut cc = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()));
     cc.args(["-std=c11", "-O0", "-shared", "-fPIC", "-I"]).arg(root().join("crates/plugin-abi/include"));
@@ -22,7 +23,7 @@ fn hostile(folder: &Path, id: &str, in_entry: &str) {
     assert!(cc.status().expect("a C compiler").success());
 }
 
-/// Makes a small job with two outputs; one of them has this fault.
+/// Makes a small job with two outputs. The plugin of one output has this fault.
 fn job(folder: &Path, fault: &str) -> PathBuf {
     let text = format!(
         "[source]\nplugin = \"test_views\"\nparams = {{ pattern = \"cards\", depth_mm = 12 }}\n\n\
@@ -55,7 +56,7 @@ fn a_plugin_that_crashes_costs_its_own_output_alone() {
         assert!(text.contains(&expected), "{text}");
         assert!(outputs.join("images").is_dir() && !outputs.join("hostile").exists(), "{fault}");
     }
-    // the program's own output is unaffected
+    // the output of the program itself does not change
     let text = succeed(&mut run(folder.path(), "submit:print"));
     assert!(!text.contains("printed by a plugin"), "{text}");
     assert_eq!(std::fs::read_to_string(outputs.join("hostile/a.txt")).unwrap(), "written");
@@ -82,7 +83,7 @@ fn libraries_that_end_their_process_are_listed_with_the_cause() {
     assert!(text.contains("sound 1.0.0 (output, "), "{text}");
     let cause = format!("its process ({}) ended itself with exit code 0 while it was loaded", file_name("exits"));
     assert!(text.contains(&cause) && text.contains("images "), "{text}");
-    // no other command loads a plugin that is not named
+    // no other command loads a plugin that the job does not name
     let marks = folder.path().join("marks");
     std::fs::create_dir(&marks).unwrap();
     let mut render = lumistack();

@@ -1,8 +1,9 @@
-"""An independent model of the seen picture and of psnr_zone: many single rays per pixel, through nearest pixels of the layers.
+"""An independent model of what an eye sees: traces many rays per pixel, each through the nearest pixel of every layer.
 
-usage: seen.py RUN [RAYS_PER_PIXEL_AND_AXIS]   (a run of a scene with tone = "linear"; nearest, drop; any pitch, offset, projection and backlight)
+usage: seen.py RUN [RAYS_PER_PIXEL_AND_AXIS]
 
-Prints psnr_zone and psnr_zone_worst_tenth of this model.
+RUN is the folder of a run of a scene with tone = "linear", nearest sampling, and rays that leave a layer ignored ("drop"). Pitch,
+offset, projection and backlight may be any. Prints psnr_zone and psnr_zone_worst_tenth of this model.
 """
 import glob
 import json
@@ -21,7 +22,7 @@ distance = views["distance_mm"]
 layers = [np.load(f"{run}/layers/layer_{n}.npy").astype(np.float64) for n in range(len(display["layers"]))]
 lenslets = display["backlight"] if display.get("backlight", {}).get("kind", "uniform") != "uniform" else None
 emission = np.load(f"{run}/layers/emission.npy").astype(np.float64) if lenslets else None
-# every layer, and the backlight, with its [columns, rows]
+# all layers and the backlight, each with its [columns, rows]
 parts = [(part, (values.shape[2], values.shape[1])) for part, values in zip(display["layers"], layers)]
 parts += [(lenslets, (emission.shape[4], emission.shape[3]))] if lenslets else []
 
@@ -35,11 +36,12 @@ def picture(direction, half):
 
 
 def runs(slope, side):
-    """Traces `many` rays per pixel along one axis (0: x).
+    """Traces `many` rays per pixel along one axis: 0 is x, 1 is y.
 
-    Neighbouring rays that read the same pixels of all layers are a run, which one of them represents. Returns
-    places[part][run, pixel], bins[run, pixel], shares[run, pixel] (the run's fraction of the pixel's width), and whether
-    the run crosses all parts.
+    Neighbouring rays that read the same pixels of all parts form a group, called a run; only its first ray is traced further.
+    Returns three arrays: places[part, run, pixel], the pixel of each part (last, with a backlight of lenslets, its bin of
+    directions); shares[run, pixel], the run's fraction of the pixel's width; and inside[run, pixel], whether the run
+    crosses all parts.
     """
     count, sign = ((cols, 1), (rows, -1))[side]
     offset = ((np.arange(many) + 0.5) / many - 0.5)[:, None]

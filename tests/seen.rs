@@ -1,5 +1,5 @@
-//! A scene without settings is visible: from a side with content, lit, with a depth that the
-//! display can show, and without obstacles.
+//! A scene is visible without any settings. It is seen from a side with content, is lit, has no
+//! obstacles in front, and has a depth that the display can show.
 
 use std::path::Path;
 
@@ -8,8 +8,8 @@ use serde_json::{Value, json};
 
 use crate::common::{lumistack, number};
 
-/// Cards of 2 × 2 units whose fronts face +z before they are transformed by translations and
-/// rotations (x, y, z, w) of glTF.
+/// Returns a scene of cards of 2 × 2 units. Their fronts face +z, and are then transformed by
+/// glTF's translations and rotations (x, y, z, w).
 fn scene(cards: &[([f64; 3], [f64; 4])], change: impl FnOnce(&mut Value)) -> String {
     use base64::Engine as _;
     let mut bytes = Vec::new();
@@ -40,11 +40,11 @@ fn scene(cards: &[([f64; 3], [f64; 4])], change: impl FnOnce(&mut Value)) -> Str
 }
 
 const UPRIGHT: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
-/// A quarter turn about −x: the front faces upwards.
+/// A quarter turn about −x, after which the front faces upwards.
 const LYING: [f64; 4] = [-std::f64::consts::FRAC_1_SQRT_2, 0.0, 0.0, std::f64::consts::FRAC_1_SQRT_2];
 
-/// Renders a scene. Returns the messages, the index, and the brightest value and the mean of the
-/// middle view.
+/// Renders a scene. Returns the messages, the index of the light field, and two values of the
+/// middle view: the brightest value and the mean.
 fn render(folder: &Path, scene: &str, flags: &[&str]) -> (String, Value, [f32; 2]) {
     let (file, views) = (folder.join("scene.gltf"), folder.join("views"));
     let _ = std::fs::remove_dir_all(&views);
@@ -71,7 +71,7 @@ fn a_board_is_seen_from_above_and_an_empty_picture_is_a_warning() {
     let (said, info, _) = render(folder.path(), &board, &["--look-from=0,-30"]);
     assert_eq!(info["look_from_deg"], json!([0.0, -30.0]));
     assert!(said.contains("no surface is seen") && said.contains("--look-from"), "its back is culled: {said}");
-    // a requested side overrides the file's camera
+    // a requested side overrides the camera of the file
     let with_camera = scene(&[([0.0; 3], UPRIGHT)], |document| {
         document["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 0.8, "znear": 0.1 } }]);
         document["nodes"].as_array_mut().unwrap().push(json!({ "camera": 0, "translation": [0, 0, 5] }));
@@ -88,7 +88,7 @@ fn lamps_that_miss_the_visible_side_are_supplemented() {
     let folder = tempfile::tempdir().unwrap();
     let lit_from = |z: f64| {
         scene(&[([0.0; 3], UPRIGHT)], move |document| {
-            // shines towards −z, parallel to the card
+            // the lamp shines towards −z, parallel to the card
             document["extensionsUsed"] = json!(["KHR_lights_punctual"]);
             document["extensions"] = json!({ "KHR_lights_punctual": { "lights": [
                 { "type": "spot", "intensity": 40, "spot": { "outerConeAngle": 0.6 } }] } });
@@ -104,7 +104,7 @@ fn lamps_that_miss_the_visible_side_are_supplemented() {
     assert!(!said.contains("its own lamps leave") && mean > 0.1, "{said} {mean}");
 }
 
-/// The background of a scene in studio light is a dark ground, not the light itself.
+/// The background of a scene in studio light is dark. It does not show the light itself.
 #[test]
 fn studio_light_is_no_bright_background() {
     let folder = tempfile::tempdir().unwrap();
@@ -118,8 +118,8 @@ fn studio_light_is_no_bright_background() {
     assert!(corner.iter().all(|&value| value == corner[0]), "neutral: {corner:?}");
 }
 
-/// Cards one behind another, four window widths deep. By default they are compressed into the depth
-/// of field, and one message reports it.
+/// The cards are one behind another, four window widths deep. By default their depth is compressed
+/// into the depth of field, and one message reports this.
 #[test]
 fn depth_that_does_not_fit_is_fitted_by_default() {
     let folder = tempfile::tempdir().unwrap();
@@ -132,7 +132,7 @@ fn depth_that_does_not_fit_is_fitted_by_default() {
     let (said, info, _) = render(folder.path(), &deep, &["--fit-depth=off"]);
     assert!(!said.contains("compressed to") && number(&info, "depth_scale") == 1.0, "{said}");
     assert!(said.contains("only"), "most of it does not fit: {said}");
-    // depth that fits is unchanged
+    // a depth that fits is not changed
     let (said, info, _) = render(folder.path(), &scene(&[([0.0; 3], UPRIGHT)], |_| {}), &[]);
     assert!(
         !said.contains("compressed to") && !said.contains("was moved") && number(&info, "depth_scale") == 1.0,
@@ -140,8 +140,8 @@ fn depth_that_does_not_fit_is_fitted_by_default() {
     );
 }
 
-/// A card behind the camera covers everything in parallel views, unless these start at the camera's
-/// near plane.
+/// A card behind the camera would cover everything in oblique views. Therefore the views start at
+/// the camera's near plane.
 #[test]
 fn content_behind_the_camera_is_hidden() {
     let folder = tempfile::tempdir().unwrap();
@@ -151,7 +151,7 @@ fn content_behind_the_camera_is_hidden() {
         document["nodes"].as_array_mut().unwrap().push(json!({ "camera": 0, "translation": [0, 0, 5] }));
         document["scenes"][0]["nodes"] = json!([0, 1, 2]);
     });
-    // the nearer card is 9 units, several metres of the display, in front of the window
+    // the nearer card is 9 units in front of the window, which is several metres of the display
     let depth = |flags: &[&str]| {
         let said = render(folder.path(), &document, &[&["--json", "--fit-depth=off"], flags].concat()).0;
         let mut done = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());

@@ -8,10 +8,11 @@ use serde_json::Value;
 
 use crate::common::{fail, files, lumistack, number, report, root, succeed, write_test_field};
 
-/// Largest loss of 5 iterations from a warm start, compared with 30 iterations from a fresh start,
-/// with the paper's rule, dB.
+/// Largest loss of 5 iterations from a warm start against 30 iterations from a fresh start, dB. It
+/// applies to the solver `multiplicative`.
 const WARM_LOSS_DB: f64 = 1.0;
-/// Smallest gain over 5 iterations from a fresh start, with any solver, dB.
+/// Smallest gain of 5 iterations from a warm start against 5 iterations from a fresh start, with
+/// any solver, dB.
 const WARM_GAIN_DB: f64 = 1.0;
 /// Largest relative difference of exposures within a sequence.
 const SAME_EXPOSURE: f64 = 1e-9;
@@ -20,8 +21,8 @@ const FLAGS: [&str; 6] = ["--fov", "20x20", "--pitch-mm", "3", "--frames", "4"];
 const VIEWS: [usize; 2] = [3, 5];
 const SIZE: [usize; 2] = [40, 64];
 
-/// Writes a light field as `.npy`: a textured plane 30 mm behind the display, `shift` pixels to the
-/// right.
+/// Writes a light field as `.npy`. It shows a textured plane 30 mm behind the display, shifted by
+/// `shift` pixels to the right.
 fn write_moving_field(path: &Path, shift: f64, [rows, cols]: [usize; 2]) {
     use npyz::WriterBuilder;
     let [views_y, views_x] = VIEWS;
@@ -47,11 +48,11 @@ fn write_moving_field(path: &Path, shift: f64, [rows, cols]: [usize; 2]) {
     writer.finish().unwrap();
 }
 
-/// Writes `count` time steps; the plane moves by `step` pixels per time step.
+/// Writes `count` time steps, between which the plane moves by `step` pixels.
 fn moving(folder: &Path, count: usize, step: f64) -> PathBuf {
     let times = folder.join("times");
     std::fs::create_dir(&times).unwrap();
-    // names whose alphabetical order differs from that of their numbers
+    // the alphabetical order of these names differs from the order of their numbers
     (0..count).for_each(|time| write_moving_field(&times.join(format!("f{}.npy", time + 8)), step * time as f64, SIZE));
     times
 }
@@ -89,14 +90,14 @@ fn a_warm_start_saves_iterations() {
         if solver == "multiplicative" {
             assert!(warm > many - WARM_LOSS_DB, "{warm} dB, 30 from nothing {many} dB");
         }
-        // every time step starts from the result of the previous one: better than a fresh start,
-        // and worse than that result
+        // every time step starts from the result of the previous one; this start is worse than the
+        // time step's own result
         assert!(times[1..].iter().all(|time| number(time, "psnr_start") < number(time, "psnr_view")));
     }
 }
 
-/// In the middle of a sequence there is a cut. There the patterns of the previous time step are not
-/// a good start.
+/// There is a cut in the middle of the sequence. At the cut, the patterns of the previous time step
+/// are not a good start.
 #[test]
 fn a_cut_starts_fresh() {
     let folder = tempfile::tempdir().unwrap();
@@ -114,7 +115,7 @@ fn a_cut_starts_fresh() {
     succeed(factorize(&shot(2), &alone).args(["--iterations", "5"]));
     let (cut, fresh) = (number(&times[2], "psnr_view"), number(&report(&alone), "psnr_view"));
     assert!(cut > fresh - 1e-6, "{cut} dB at the cut, {fresh} dB from a fresh start");
-    // the job file of the time step states the start, and a run of it has the same start
+    // the job file of the time step states its start, and a run of this job has the same start
     let patterns = files(&run.join("t0003/layers"));
     let again = folder.path().join("again");
     succeed(lumistack().arg("run").arg(run.join("t0003/job.toml")).arg("-o").arg(&again));
@@ -132,7 +133,8 @@ fn static_content_does_not_flicker() {
     assert_eq!((&frozen[0]["psnr_change"], &frozen[1]["psnr_change"]), (&Value::Null, &"Infinity".into()));
     assert_eq!((number(&frozen[2], "still_share"), number(&frozen[2], "psnr_still")), (1.0, f64::INFINITY));
     assert!(files(&run.join("t0001/layers")) == files(&run.join("t0003/layers")));
-    // the warm-started solver changes little, and less with each time step
+    // the content stands still, so with warm starts the patterns change little, and less with each
+    // time step
     succeed(factorize(&input, &run).args(flags).arg("5"));
     let settling = times(&run);
     let change = [1, 2].map(|time| number(&settling[time], "psnr_change"));
@@ -140,7 +142,7 @@ fn static_content_does_not_flicker() {
         change[0] > number(&settling[0], "psnr_view") && change[1] > change[0] && change[1].is_finite(),
         "{change:?}"
     );
-    // moving content flickers more
+    // if the content moves, flicker is larger and the score is lower
     let other = folder.path().join("other");
     std::fs::create_dir(&other).unwrap();
     succeed(factorize(&moving(&other, 3, 2.0), &run).args(flags).arg("5"));
@@ -168,7 +170,7 @@ fn a_mismatched_light_field_stops_a_sequence_and_finished_time_steps_are_kept() 
     let cached = |run: &Path| times(run).iter().map(|time| time["cached"].as_bool().unwrap()).collect::<Vec<_>>();
     assert_eq!(cached(&run), [true, true, false, false]);
     let parts = |list: &[(PathBuf, std::time::SystemTime)]| {
-        // every run writes job.toml and display.toml again, so their times change
+        // leave out job.toml and display.toml, which every run writes again
         list.iter().filter(|(path, _)| path.extension().is_none_or(|e| e != "toml")).cloned().collect::<Vec<_>>()
     };
     for (time, before) in ["t0001", "t0002"].iter().zip(&before) {
@@ -232,7 +234,7 @@ fn a_window_moves_through_a_scene() {
     assert!(files(&run.join("t0001/target")) != files(&run.join("t0002/target")));
     assert!(times(&run)[1]["source"].as_str().unwrap().contains("turned by 15.0°, moved by (10.0, 0.0, 0.0) mm"));
     assert!(!run.join("t0002/report.html").exists());
-    // every time step has its own job
+    // every time step has its own job, which can be run
     let patterns = files(&run.join("t0002/layers"));
     succeed(lumistack().arg("run").arg(run.join("t0002/job.toml")).arg("-o").arg(run.join("t0002")));
     let stages = report(&run.join("t0002"))["stages"].clone();
@@ -241,7 +243,7 @@ fn a_window_moves_through_a_scene() {
     assert!(patterns == files(&run.join("t0002/layers")));
 }
 
-/// A red or blue square that moves by half of its width in one second.
+/// Writes a red or blue square that moves by half of its width in one second.
 fn write_gliding_square(path: &Path) {
     use base64::Engine;
     let mut bin: Vec<u8> = Vec::new();
@@ -291,8 +293,8 @@ fn an_animated_scene_plays() {
     let target = |run: &Path| files(&run.join("target"));
     assert!(target(&run.join("t0001")) != target(&run.join("t0002")));
     assert!(target(&run.join("t0002")) != target(&run.join("t0003")));
-    // The last time step has its own job, with its pose. For another pose in the same folder, no
-    // cached result is used.
+    // The last time step has its own job with its pose. A run in this folder with another pose must
+    // not use cached results.
     let last = run.join("t0003");
     let before = target(&last);
     succeed(lumistack().arg("run").arg(last.join("job.toml")).arg("-o").arg(&last));

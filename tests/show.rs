@@ -1,5 +1,5 @@
-//! Panels on real compositors: the content and order of frames on every output, and the reaction to
-//! changes and losses of outputs.
+//! Panels on real compositors. The tests check the content and order of frames on every output, and
+//! the reaction to changes and losses of outputs.
 
 #![cfg(feature = "panels")]
 
@@ -16,8 +16,9 @@ use crate::common::{self, poke};
 
 const FRAMES: usize = 4;
 
-/// Three layers for the three outputs. The mask pixels of one are panel pixels; one is upside down
-/// and has another gamma; one is mirrored, and its mask pixels are 2 × 2 panel pixels.
+/// Three layers for three outputs. One layer has a panel pixel per mask pixel. Another one is
+/// upside down and has another gamma. The third one is mirrored, and has 2 × 2 panel pixels per
+/// mask pixel.
 fn display(outputs: &[Screen]) -> Display {
     let mut display = Display::uniform([320, 180], 0.5, [3, 3], [10.0, 10.0], &[-10.0, 0.0, 10.0], FRAMES);
     display.brightness = 0.5;
@@ -34,14 +35,14 @@ fn display(outputs: &[Screen]) -> Display {
     display
 }
 
-/// Returns the codes of a mask, `[row][col][rgb]`: noise that differs by frame and stack. A strip
-/// above the noise identifies the frame.
+/// Returns the codes of a mask, `[row][col][rgb]`. They are noise that differs between frames and
+/// stacks. A strip at the top identifies the frame.
 fn codes(seed: u64, layer: usize, frame: usize, [cols, rows]: [usize; 2]) -> Vec<u8> {
     let mut random = Stream::new(1000 * seed + 100 * layer as u64 + frame as u64);
     let noise = (0..rows * cols * 3).map(|_| (random.next_u64() & 255) as u8);
     let mut codes: Vec<u8> = noise.collect();
     for (i, pixel) in codes.chunks_exact_mut(3).enumerate().take(20 * cols) {
-        // one stripe per frame; the stripe of the current frame is bright
+        // the strip has one stripe per frame, and the stripe of this frame is bright
         let lit = i % cols * FRAMES / cols == frame;
         pixel.fill(if lit { 255 } else { 20 });
     }
@@ -54,7 +55,7 @@ fn write_run(folder: &Path, display: &Display, seed: u64) {
     for (n, layer) in stack.layers.iter_mut().enumerate() {
         for frame in 0..FRAMES {
             let codes = codes(seed, n, frame, display.layers[n].resolution);
-            // the linear value that is encoded as this code
+            // returns the linear value that is encoded as this code
             let light = |code: u8| {
                 let code = f32::from(code) / 255.0;
                 if n == 1 { code * code } else { code }
@@ -66,8 +67,8 @@ fn write_run(folder: &Path, display: &Display, seed: u64) {
     lumistack_field_io::write_stack(&folder.join("layers"), display, &stack).unwrap();
 }
 
-/// Computes the expected picture of an output, pixel by pixel, from the codes and the mounting of
-/// the panel.
+/// Computes the expected picture of an output, pixel by pixel. It follows from the codes and from
+/// the mounting of the panel.
 fn expected(seed: u64, n: usize, frame: usize, [cols, rows]: [usize; 2]) -> Picture {
     let mask = if n == 2 { [cols / 2, rows / 2] } else { [cols, rows] };
     let codes = codes(seed, n, frame, mask);
@@ -83,7 +84,7 @@ fn expected(seed: u64, n: usize, frame: usize, [cols, rows]: [usize; 2]) -> Pict
     Picture { size: [cols, rows], rgb }
 }
 
-/// Finds the seed of the stack, and the frame, whose picture equals this picture exactly.
+/// Finds the stack, by its seed, and the frame whose expected picture equals this picture exactly.
 fn frame_of(picture: &Picture, n: usize, seeds: &[u64]) -> Option<(u64, usize)> {
     let all = seeds.iter().flat_map(|seed| (0..FRAMES).map(move |frame| (*seed, frame)));
     all.into_iter().find(|(seed, frame)| *picture == expected(*seed, n, *frame, picture.size))
@@ -103,7 +104,7 @@ fn every_output_shows_its_layer_pixel_for_pixel() {
             wait_for(&format!("frame {frame} on {name}"), || session.grim(name).filter(|shown| *shown == wanted));
         }
     }
-    // a nudge moves the picture immediately, and is saved in the file
+    // the command `nudge` moves the picture immediately, and `save` writes its position to the file
     show.tell("nudge 0 3 -2");
     let plain = expected(1, 0, 0, SWAY[0].1);
     let moved = wait_for("the nudge", || session.grim(SWAY[0].0).filter(|shown| *shown != plain));
@@ -131,16 +132,17 @@ fn frames_run_in_order_and_late_ones_are_counted() {
     let rows: Vec<Vec<f64>> =
         text.lines().skip(1).map(|line| line.split(',').map(|number| number.parse().unwrap()).collect()).collect();
     assert_eq!(rows.len() as u64, report["refreshes"].as_u64().unwrap());
-    // a busy machine may be slow, but the order must be right
+    // a busy machine may show few frames, but their order must be right
     assert!(rows.len() > 100, "{} refreshes in 10 s", rows.len());
     for (i, row) in rows.iter().enumerate() {
         assert_eq!((row[0] as usize, row[1] as usize), (i, i % FRAMES));
     }
     let interval = report["interval_s"].as_f64().unwrap();
     let late = rows.windows(2).filter(|pair| pair[1][3] - pair[0][3] > 1.5 * interval).count() as i64;
-    // the log rounds times to microseconds, so one gap may count differently
+    // the log rounds times to microseconds, so it may have one late gap more or less than the
+    // report
     assert!((report["submitted"]["late"].as_i64().unwrap() - late).abs() <= 1, "{late} gaps in the log");
-    // if the compositor reports presentation times, they rise, and the skew is known
+    // if the compositor reports presentation times, the times must rise and the skew must be known
     if report["presented"].as_object().is_some_and(|presented| !presented.is_empty()) {
         for (name, ..) in SWAY {
             assert_eq!(report["presented"][name]["out_of_order"], 0, "{report}");
@@ -171,7 +173,7 @@ fn a_stack_that_is_written_anew_replaces_the_old_one() {
     assert!(show.quit()["swaps"].as_u64().unwrap() >= 3);
 }
 
-/// Every screenshot of all outputs must show one frame of one stack, the same on every output.
+/// Every screenshot must show the same frame of the same stack on every output.
 fn one_frame_per_capture(
     capture: impl Fn() -> Option<Picture>,
     outputs: &[Screen],
@@ -211,7 +213,7 @@ fn one_frame_per_capture(
         frames.insert(last.1);
         captures += 1;
     }
-    // the last stack remains
+    // the last stack stays on the outputs
     wait_for("the last stack", || capture().and_then(|whole| seen(&whole)).filter(|parts| parts[0].0 == 3));
     println!("{captures} captures, frames {frames:?}, stacks {seeds:?}: one frame index each; {}", show.quit());
     assert!(captures >= 50 && frames.len() >= 2);
@@ -223,8 +225,8 @@ fn one_surface_across_all_outputs_never_mixes_frames_on_x11() {
     one_frame_per_capture(|| session.import(), &XORG, &session, [0, 0]);
 }
 
-/// Screenshots of several outputs of sway are taken one after another, so only held frames can be
-/// compared.
+/// Screenshots of several outputs of sway are taken one after another. Therefore only held frames
+/// can be compared.
 #[test]
 fn one_surface_reaches_across_the_outputs_of_sway() {
     let Some(session) = Session::sway(&SWAY) else { return };
@@ -285,8 +287,8 @@ fn outputs_that_are_missing_are_named() {
     assert!(text.contains(expected), "{text}");
 }
 
-/// Checks the end after the loss or change of an output: the message, exit code 1, the unchanged
-/// display file, and the report until then.
+/// Checks how the program ends after an output is lost or changed. It prints the message, ends with
+/// exit code 1, leaves the display file unchanged, and reports the refreshes until then.
 fn must_end(mut show: Show, folder: &Path, file: &str, expected: &str) {
     let report = show.event("report");
     assert!(report["refreshes"].as_u64().unwrap() > 0, "{report}");
@@ -387,7 +389,7 @@ fn a_session_that_ends_ends_the_presentation() {
     }
 }
 
-/// sway on Xorg reports the X server's presentation times.
+/// On Xorg, sway reports the X server's presentation times.
 #[test]
 fn late_frames_and_skew_follow_from_reported_presentation_times() {
     let Some(session) = Session::sway_on_x(&ON_X) else { return };
@@ -402,19 +404,20 @@ fn late_frames_and_skew_follow_from_reported_presentation_times() {
         assert!(shown["shown"].as_u64().unwrap() > 20, "{report}");
         assert_eq!(shown["out_of_order"], 0, "{report}");
     }
-    // the skew of outputs of one server on a busy machine is above 0 and below a second
+    // outputs of one server on a busy machine have a skew above 0 and below a second
     let skew = report["skew_mean_s"].as_f64().unwrap();
     assert!((0.0..1.0).contains(&skew), "{report}");
 }
 
-/// Without a window manager a key press arrives, independent of the earlier focus.
+/// If there is no window manager, a key press arrives; it does not matter which window had the
+/// focus before.
 #[test]
 fn a_bare_x_server_sends_keys_to_the_presentation() {
     let Some(session) = Session::xorg(&XORG) else { return };
     let folder = tempfile::tempdir().unwrap();
     write_run(folder.path(), &display(&XORG), 1);
     let mut poke = poke::Poke::new(session.x_display());
-    // the pointer is outside of the preview window, so that keys arrive only through the focus
+    // place the pointer outside of the preview window, so that keys arrive only through the focus
     poke.point([1300, 300]);
     let (root, other) = (poke.root, poke.window());
     for options in [&["--hold", "1"][..], &["--span"], &["--preview"]] {
@@ -429,13 +432,13 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     }
     let mut show = Show::start(&session, folder.path(), &["--hold", "0"]);
     show.event("swapped");
-    // a window manager decides about the focus
+    // if there is a window manager, the program leaves the focus to it
     poke.manage(true);
     poke.focus(root);
     std::thread::sleep(Duration::from_millis(300));
     assert_eq!(poke.focused(), root);
     poke.manage(false);
-    // a window that takes the focus keeps it; when that window closes, the focus returns
+    // if another window takes the focus, it keeps the focus; when it closes, the focus returns
     poke.focus(other);
     std::thread::sleep(Duration::from_millis(300));
     assert_eq!(poke.focused(), other);
@@ -443,7 +446,7 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     wait_for("the keys", || (poke.focused() > 1).then_some(()));
     let (name, size, at) = XORG[0];
     wait_for("frame 0", || session.import().filter(|all| all.part(at, size) == expected(1, 0, 0, size)));
-    // Tab selects the next panel
+    // the key Tab selects the next panel
     for key in [poke::RIGHT, poke::UP, poke::RIGHT, poke::UP, poke::RIGHT, poke::TAB, poke::DOWN] {
         poke.key(key);
     }
@@ -460,8 +463,8 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     assert!(show.ended().0.success());
 }
 
-/// Presentations are ended in every way and at any time, some before they have begun. They must end
-/// quickly and without a crash. `LUMISTACK_PANELS_TURNS` is their number.
+/// Ends presentations in every way and at any time, some before they have begun. They must end
+/// quickly and without a crash. `LUMISTACK_PANELS_TURNS` is the number of presentations.
 fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn FnMut(u32)) {
     let turns = std::env::var("LUMISTACK_PANELS_TURNS").ok().and_then(|turns| turns.parse().ok()).unwrap_or(turns);
     let folder = tempfile::tempdir().unwrap();
@@ -473,7 +476,7 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
         let mut show = Show::start(session, folder.path(), options);
         std::thread::sleep(Duration::from_secs_f32(1.5 * random.next_f32()));
         let way = ["quit", "interrupt", "terminate", "escape", "close"][(random.next_u64() % 5) as usize];
-        // Xorg has no window manager here, which would request a window to close
+        // without a window manager, Xorg cannot request a window to close
         let way = if name == "Xorg" && way == "close" { "escape" } else { way };
         let signal = |name: &str, show: &Show| {
             assert!(session.command("kill").args([name, &show.child.id().to_string()]).status().unwrap().success());
@@ -488,7 +491,7 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
                     show.child.try_wait().unwrap()
                 });
             }
-            // a window may not exist yet
+            // send the key again and again, since the window may not exist yet
             _ => {
                 wait_for("the end by a key", || {
                     key(poke::ESCAPE);
@@ -497,7 +500,8 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
             }
         }
         let (status, errors) = show.ended();
-        // the program does not handle SIGTERM; SIGINT before it is ready also ends it
+        // the program does not handle SIGTERM; a SIGINT before it is ready also ends it without its
+        // own handler
         let fine = match way {
             "interrupt" => matches!((status.code(), status.signal()), (Some(0 | 130), _) | (_, Some(2))),
             "terminate" => status.signal() == Some(15),

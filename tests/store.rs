@@ -1,7 +1,8 @@
-//! Stored results: damaged and stale results are made again, and `clean` removes unneeded ones.
+//! Stored results: damaged and stale results are made again, and `clean` removes results that are
+//! not needed.
 //!
-//! A folder has one owner, and no foreign file is replaced. If an output cannot be written, this is
-//! found before the work, or only this output fails.
+//! A folder has one owner, and files of other programs are not replaced. If an output cannot be
+//! written, the error comes before the work, or only this output fails.
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
@@ -36,7 +37,7 @@ fn render(run: &Path) -> Command {
     command
 }
 
-/// A job of a light field with these outputs, TOML.
+/// Writes a job of a light field with these outputs, given as TOML. Returns its path.
 fn job(folder: &Path, frames: usize, outputs: &str) -> PathBuf {
     field(folder);
     let path = folder.join("my-job.toml");
@@ -48,7 +49,7 @@ fn job(folder: &Path, frames: usize, outputs: &str) -> PathBuf {
     path
 }
 
-/// Changes the last byte of a file, which keeps its size and its time.
+/// Changes the last byte of a file. Its size and its time stay the same.
 fn damage(path: &Path) {
     let time = fs::metadata(path).unwrap().modified().unwrap();
     let mut bytes = fs::read(path).unwrap();
@@ -61,7 +62,7 @@ fn set_time(path: &Path, time: SystemTime) {
     File::options().write(true).open(path).unwrap().set_modified(time).unwrap();
 }
 
-/// The results of a run.
+/// Returns the files of a run, without the cache and without reports.
 fn results(run: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let all = files(run).into_iter();
     all.filter(|(path, _)| !path.starts_with("cache") && !path.to_string_lossy().contains("report")).collect()
@@ -98,7 +99,7 @@ fn views_that_were_damaged_or_exchanged_are_traced_again() {
     let target = views.into_iter().find(|path| path.to_string_lossy().contains("target-")).unwrap();
     succeed(render(&run).args(["--views", "5x5"]));
     assert!(cached(&run, "render"));
-    // another view of the same size in place of this one
+    // replace this view by another view of the same size
     fs::copy(target.join("view_00_00.exr"), target.join("view_02_02.exr")).unwrap();
     succeed(render(&run).args(["--views", "5x5"]));
     assert!(!cached(&run, "render") && results(&run) == whole);
@@ -118,8 +119,8 @@ fn preview(run: &Path) {
     assert!(serves);
 }
 
-/// Views that share light are traced together again if one of them is damaged, since the shared
-/// samples are deleted by then.
+/// If one view is damaged, all views that share light are traced again together. The samples that
+/// they shared are deleted by then.
 #[test]
 fn views_that_share_light_are_made_again_together() {
     let folder = tempfile::tempdir().unwrap();
@@ -163,7 +164,7 @@ fn a_preview_of_other_patterns_is_made_anew_for_any_time() {
     assert!(image::open(&shown).is_ok());
 }
 
-/// Key of `lumistack info` that lists the outputs which a run would refuse.
+/// Key in the output of `lumistack info`. It lists the outputs that a run would refuse.
 const WOULD_REFUSE: &str = "outputs that a run would refuse";
 
 /// Returns the table of a quilt output that needs this many columns of views.
@@ -179,14 +180,14 @@ fn outputs_that_refuse_the_display_do_so_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
     let transparencies = "[[outputs]]\nplugin = \"transparencies\"\n";
-    // a light field, to which the display is adapted
+    // the input is a light field, to which the display is adapted
     let path = job(folder.path(), 12, transparencies);
     let error = fail(lumistack().arg("run").arg(&path).arg("-o").arg(&run));
     assert!(error.contains("transparencies") && error.contains("12"), "{error}");
     assert!(!run.join("layers").exists(), "it was factorized first");
     let info = succeed(lumistack().arg("info").arg(&path));
     assert!(info.contains(WOULD_REFUSE) && info.contains("transparencies") && info.contains("frames = 1"), "{info}");
-    // a scene: the refusal comes before tracing
+    // the input is a scene, and the error comes before tracing
     let scene = root().join("scenes/glass/glass.gltf");
     fs::write(folder.path().join("bad.json"), "{}").unwrap();
     for (outputs, reason) in [
@@ -210,7 +211,7 @@ fn outputs_that_refuse_the_display_do_so_before_the_work() {
         assert!(error.contains(reason) && !printed.contains("\"begin\""), "{error}{printed}");
         assert!(succeed(lumistack().arg("info").arg(&path)).contains(WOULD_REFUSE));
     }
-    // a node's output is checked with the node's display
+    // the output of a node is checked with the display of this node
     let nodes = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\n[nodes.display]\npreset = \"fig7-uniform\"\nframes = 7\n\
                  [[outputs]]\nplugin = \"images\"\nfrom = \"a\"\n[[outputs]]\nplugin = \"transparencies\"\nfrom = \"b\"\n";
     let error = fail(lumistack().arg("run").arg(job(folder.path(), 1, nodes)).arg("-o").arg(&run));
@@ -222,7 +223,7 @@ fn outputs_of_a_sequence_are_checked_on_the_light_fields_of_its_times() {
     let folder = tempfile::tempdir().unwrap();
     let times = folder.path().join("times");
     fs::create_dir(&times).unwrap();
-    // the job's own display has 3 × 3 views
+    // the light fields have 5 × 5 views, although the job's display has 3 × 3 views
     ["t1.npy", "t2.npy"].iter().for_each(|name| write_test_field(&times.join(name), [5, 5, 16, 24], 20.0, 3.0));
     for (columns, nodes, is_refused) in [
         (5, "", false),
@@ -247,7 +248,7 @@ fn outputs_of_a_sequence_are_checked_on_the_light_fields_of_its_times() {
 fn an_output_that_fails_costs_neither_report_nor_other_outputs() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
-    // a file in place of the output's folder is found only at the first write
+    // a file in the place of the output's folder is found only when the output is written
     succeed(
         lumistack().arg("run").arg(job(folder.path(), 2, "[[outputs]]\nplugin = \"images\"\n")).arg("-o").arg(&run),
     );
@@ -330,19 +331,19 @@ fn neither_foreign_files_nor_inputs_are_written_over() {
     let text = fs::read_to_string(&own).unwrap();
     let error = fail(lumistack().current_dir(here).args(["run", "job.toml", "-o", "."]));
     assert!(error.contains("job.toml") && error.contains("job file"), "{error}");
-    // files of another program next to the run's files
+    // the folder has files of another program with the names of the run's files
     let error = fail(factorize(&here.join("views.npy"), Path::new("."), 2).current_dir(here));
     assert!(error.contains("job.toml") && error.contains("something else"), "{error}");
     assert_eq!(fs::read_to_string(&own).unwrap(), text);
     let mut names: Vec<_> = fs::read_dir(here).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     names.sort();
     assert_eq!(names, ["job.toml", "views.npy"], "nothing was written");
-    // a run's own job may be run again in its folder, also with other settings
+    // a job that a run wrote may be run again in its folder, even with other settings
     let run = here.join("run");
     succeed(lumistack().arg("run").arg(&own).arg("-o").arg(&run));
     succeed(lumistack().arg("run").arg(run.join("job.toml")).arg("-o").arg(&run).args(["--iterations", "3"]));
     assert!(fs::read_to_string(run.join("job.toml")).unwrap().contains("iterations = 3"));
-    // after a user has changed a file by hand, the run refuses the folder
+    // if a user has changed the job by hand, the run refuses the folder
     let changed = fs::read_to_string(run.join("job.toml")).unwrap().replace("iterations = 3", "iterations = 4");
     fs::write(run.join("job.toml"), &changed).unwrap();
     let error = fail(lumistack().arg("run").arg(&own).arg("-o").arg(&run));
@@ -354,7 +355,8 @@ fn neither_foreign_files_nor_inputs_are_written_over() {
     assert!(error.contains("warm start") && error.contains("layers"), "{error}");
 }
 
-/// Runs `lumistack --json clean`; returns the freed bytes by kind, and the bytes that remain.
+/// Runs `lumistack --json clean`. Returns the freed bytes by kind of file, and the bytes that
+/// remain.
 fn clean(dir: &Path, flags: &[&str]) -> (Vec<(String, u64)>, u64) {
     let printed = succeed(lumistack().args(["--json", "clean"]).arg(dir).args(flags));
     let printed: Value = serde_json::from_str(printed.trim()).unwrap();
@@ -380,7 +382,7 @@ fn unneeded_files_are_removed_and_reported() {
     let run = folder.path().join("run");
     succeed(&mut render(&run));
     let first = views_of(&run);
-    // files of a killed run
+    // leave files behind as a killed run does
     let old = SystemTime::now() - Duration::from_secs(3600);
     let left = [".lumistack-abc123.tmp", "cache/.lumistack-abc124.tmp", "layers/.lumistack-abc125.tmp"];
     let leave = || {
@@ -393,7 +395,7 @@ fn unneeded_files_are_removed_and_reported() {
     };
     let is_left = || left.iter().any(|name| run.join(name).exists());
     leave();
-    // another run removes them, and the views of the earlier settings
+    // another run removes these files, and the views of the earlier settings
     succeed(render(&run).args(["--seed", "5"]));
     assert!(!is_left() && !run.join("outputs/tensor-display/.images.partial").exists());
     let second = views_of(&run);
@@ -435,7 +437,7 @@ fn placed(run: &Path) -> Vec<String> {
 fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name);
-    // time steps of a scene, each with its own views
+    // a sequence: the time steps of a scene have their own views
     let sequence = out("sequence");
     let times = |seed: &str| {
         let mut command = render(&sequence);
@@ -458,7 +460,7 @@ fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
             == *bytes)
     );
 
-    // the light fields of a sweep
+    // a sweep: its light fields are cached
     let sweep = out("sweep");
     let designs = |fov: &str| {
         let mut command = lumistack();
@@ -478,7 +480,7 @@ fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
     designs("20x20");
     assert_eq!(fs::read(sweep.join("sweep.csv")).unwrap(), table);
 
-    // a folder of views
+    // a folder of rendered views
     let views = out("views");
     let render_views = || {
         let mut command = lumistack();

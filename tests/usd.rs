@@ -1,4 +1,4 @@
-//! USD on the command line, without OpenUSD: the messages if it is missing.
+//! USD on the command line without OpenUSD: the messages that state how to install it.
 
 use std::path::Path;
 

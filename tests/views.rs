@@ -1,5 +1,5 @@
-//! `lumistack render` for other uses than a display: scene-linear views, layers, selected views, a
-//! rotated environment, and a background.
+//! Tests of `lumistack render` for uses without a display: scene-linear views, additional channels,
+//! selected views, a rotated environment, and a background.
 
 use std::path::Path;
 use std::process::Command;
@@ -31,7 +31,7 @@ fn view(folder: &Path, name: &str) -> Vec<f32> {
     Picture::read(&folder.join(name)).unwrap().into_linear()
 }
 
-/// A channel of a layers file.
+/// Returns a channel of a file with additional channels.
 fn channel(file: &Path, name: &str) -> Vec<f32> {
     let image = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
     let image = image.all_attributes().from_file(file).unwrap();
@@ -85,11 +85,11 @@ fn layers_agree_with_views() {
     let (coverage, depth, normal) = (of("coverage.A"), of("depth.Z"), of("normal.Z"));
     let full = |i: &usize| coverage[*i] == 1.0;
     assert!((0..coverage.len()).filter(full).count() > 20 && coverage.contains(&0.0));
-    // All channels come from the same paths.
+    // All channels of a pixel come from the same paths, so they must agree.
     let (mut past, mut absent) = (0, 0);
     for i in 0..coverage.len() {
         if coverage[i] == 1.0 {
-            // the window is in the triangle's plane or parallel to it
+            // the triangle faces the display, so its normal is the z axis
             assert!(depth[i].is_finite() && (normal[i] - 1.0).abs() < 1e-5, "{} {}", depth[i], normal[i]);
             assert!((of("albedo.G")[i] - 1.0).abs() < 1e-5);
         } else if coverage[i] == 0.0 {
@@ -115,8 +115,8 @@ fn layers_agree_with_views() {
     assert!(text.contains("--layers: expected at least 2 samples"), "{text}");
 }
 
-/// First hits are kept with the radiance of their paths. Without them, the same rays find the same
-/// surfaces again.
+/// First hits are kept with the radiance of their paths. If they are deleted, the same rays find
+/// the same surfaces again.
 #[test]
 fn surfaces_are_those_of_the_paths_of_the_light() {
     let folder = tempfile::tempdir().unwrap();
@@ -141,7 +141,7 @@ fn surfaces_are_those_of_the_paths_of_the_light() {
             if is_guide || name.starts_with("missed_") {
                 std::fs::remove_file(&path).unwrap();
             } else if denoise == "guided" && path.is_dir() {
-                // The filtered views go too, since they were made with the guides.
+                // Remove the filtered views too, since they were made with the guides.
                 std::fs::remove_dir_all(&path).unwrap();
             }
             dropped += usize::from(is_guide);
@@ -166,13 +166,13 @@ fn some_views_are_those_of_the_whole() {
     for name in list("row") {
         assert!(view(&at("row"), &name) == view(&at("all"), &name), "{name} is another picture");
     }
-    // complete rows form a light field
+    // complete rows of views form a light field
     let row = index(&at("row"));
     assert_eq!((&row["slope_x"], row["slope_y"].as_array().unwrap().len()), (&index(&at("all"))["slope_x"], 1));
     assert_eq!(row["info"]["part_of"]["rows"], serde_json::json!([2]));
     let text = succeed(lumistack().arg("info").arg(at("row")));
     assert!(text.contains("views: [5, 1]"), "{text}");
-    // other selections are marked as incomplete
+    // any other selection is marked as incomplete
     succeed(&mut still_life(&at("two"), &["--linear", "--only-views", "0,0", "--only-views", "2,3..4"]));
     assert_eq!((list("two").len(), index(&at("two"))["partial"].as_bool()), (3, Some(true)));
     let text = fail(lumistack().arg("factorize").arg(at("two")).arg("-o").arg(at("run")));
@@ -180,7 +180,7 @@ fn some_views_are_those_of_the_whole() {
         text.contains("expected all views, or whole rows and columns of views") && text.contains("found 3 of 25"),
         "{text}"
     );
-    // rendering the rest completes them
+    // rendering the other views completes the light field
     succeed(&mut still_life(&at("two"), &["--linear"]));
     assert!(files(&at("two")) == files(&at("all")));
     let text = fail(&mut still_life(&at("two"), &["--only-views", "5,0"]));
@@ -205,7 +205,7 @@ fn the_environment_turns_and_hides() {
     let straight = of("straight", &["--linear"]);
     let dim = of("dim", &["--environment-strength", "0.5", "--linear"]);
     assert!(turned.0 != straight.0, "the studio light turns");
-    // on the surface; the background need not show the environment
+    // compare pixels on the surface, since the background need not show the environment
     for i in (0..straight.0.len()).filter(|i| straight.1[i / 3] == 1.0) {
         let (dim, straight) = (dim.0[i], straight.0[i]);
         assert!((dim - 0.5 * straight).abs() < 1e-5 * straight.max(1.0), "{dim} is not half of {straight}");

@@ -1,4 +1,4 @@
-//! Messages of the command: hints that work, warnings about flags that replace or omit something,
+//! Messages of the command: hints that work, warnings about options that replace or omit something,
 //! errors with units, progress, and closed pipes.
 
 use std::io::Read;
@@ -9,7 +9,7 @@ use crate::common;
 use crate::common::triangle::write_triangle;
 use crate::common::{fail, lumistack, report, succeed};
 
-/// Arguments of a small run. It has so many frames that a display with panels would flicker.
+/// Arguments of a small run. With three frames, panels would flicker.
 const SMALL: [&str; 10] =
     ["--resolution", "24x15", "--samples", "2", "--max-bounces", "2", "--frames", "3", "--iterations", "3"];
 
@@ -23,7 +23,7 @@ fn said(command: &mut Command) -> String {
 
 fn run(scene: &Path, folder: &Path) -> Command {
     let mut command = lumistack();
-    // cargo sets CARGO for tests too, and hints would then name `cargo lumistack`
+    // cargo sets the variable CARGO for tests too; with it, hints would name `cargo lumistack`
     command.env_remove("CARGO").arg("run").arg(scene).arg("-o").arg(folder).args(SMALL);
     command
 }
@@ -34,14 +34,14 @@ fn a_scene_alone_becomes_a_preview_and_the_hint_works() {
     let scene = write_triangle(folder.path());
     let out = folder.path().join("run");
     let text = succeed(&mut run(&scene, &out));
-    // the hint names the program as the test started it, by its path
+    // the hint names the program by the path with which the test started it
     let program = env!("CARGO_BIN_EXE_lumistack");
     assert!(text.contains(&format!("Look into the display: {program} preview {}", out.display())), "{text}");
     let single = out.join("outputs/tensor-display/preview/preview.html");
     assert!(single.is_file() && text.contains(&format!("or open {} by a double click", single.display())), "{text}");
     let messages = report(&out)["warnings"].to_string();
     assert!(!messages.contains("flicker"), "these frames are not chosen for panels: {messages}");
-    // through cargo, the hint names the repository's alias
+    // if cargo started the program, the hint names the repository's alias
     let by_cargo = |command: &mut Command| {
         command.env("CARGO", "cargo").env("CARGO_PKG_NAME", "lumistack-cli");
         String::from_utf8(command.output().unwrap().stdout).unwrap()
@@ -86,7 +86,7 @@ fn the_commands_of_the_readme_work_and_report_replaced_files() {
     ] {
         assert!(text.contains(expected), "{expected}: {text}");
     }
-    // equal values replace nothing
+    // an option that gives the light field's own value replaces nothing
     let text = said(lumistack().current_dir(&folder).args(&factorize).args(&SMALL[6..]).args(["--fov", "20x20"]));
     assert!(!text.contains("replaced"), "{text}");
 }
@@ -104,7 +104,7 @@ fn viewpoints_outside_the_zone_say_so() {
         "{text}"
     );
     assert!(from(["--eye", "100,0,600"]).contains("--eye: this viewpoint sees "));
-    // the examples of the help
+    // test the examples in the help text
     let help = succeed(lumistack().args(["simulate", "--help"]));
     for flags in [["--view", "4,-2"], ["--eye", "100,0,2000"]] {
         assert!(help.contains(&flags.join(" ")), "{help}");
@@ -179,14 +179,14 @@ fn every_part_of_a_run_shows_progress() {
     }
     let ended = events.iter().filter(|event| event["event"] == "end").count();
     assert_eq!(ended, begun.len(), "stages follow one another");
-    // cached results are read, with progress
+    // a second run reads cached results, and shows progress meanwhile
     let text =
         succeed(run(&write_triangle(folder.path()), &out).args(["--denoise", "guided", "--samples", "4", "--json"]));
     let kept = text.lines().filter(|line| line.contains("\"begin\"") && line.contains("\"kept views\"")).count();
     assert_eq!(kept, 2, "views and pictures of the score: {text}");
 }
 
-/// The reader has closed the pipe: no panic and no message.
+/// If the reader has closed the pipe, the program ends without a panic and without a message.
 #[test]
 fn a_closed_pipe_ends_quietly() {
     for arguments in
@@ -199,14 +199,14 @@ fn a_closed_pipe_ends_quietly() {
         let status = child.wait().unwrap();
         assert!(said.is_empty() && status.success(), "{arguments:?}: {status} {said}");
     }
-    // a run continues if its messages are not read
+    // a run continues even if its messages are not read
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     let mut child =
         run(&write_triangle(folder.path()), &out).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     drop(child.stderr.take());
     assert!(child.wait().unwrap().success() && out.join("report.html").is_file());
-    // after wrong usage the exit code is still that of wrong usage
+    // wrong usage has the exit code 2, even if the message cannot be written
     let mut child = lumistack().arg("rum").stderr(Stdio::piped()).spawn().unwrap();
     drop(child.stderr.take());
     assert_eq!(child.wait().unwrap().code(), Some(2));
@@ -235,10 +235,10 @@ fn a_plan_is_printed_and_no_work_is_done() {
     let same = planned(&[]);
     assert_eq!(cached(&same), ["trace", "denoise", "expose", "score", "factorize", "output-images", "output-preview"]);
     assert!(same["steps"].as_array().unwrap().iter().all(|step| step["key"].as_str().unwrap().len() == 16), "{same}");
-    // different patterns from the same views
+    // another number of iterations gives other patterns from the same views
     assert_eq!(cached(&planned(&["--iterations", "4"])), ["trace", "denoise", "expose", "score"]);
     assert!(cached(&planned(&["--samples", "3"])).is_empty());
-    // a different scene
+    // the scene's file changes, so no result is current
     let text = std::fs::read_to_string(&scene).unwrap();
     std::fs::write(&scene, text + " ").unwrap();
     assert!(cached(&planned(&[])).is_empty());

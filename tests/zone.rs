@@ -22,8 +22,8 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// A sweep gives a design the same score as the report of a run of this design, and ranks by this
-/// score. Comparisons report the same score.
+/// A sweep gives a design the same score as the report of a run of this design, and ranks designs
+/// by this score. Comparisons report the same score too.
 #[test]
 fn sweeps_reports_and_comparisons_give_one_score() {
     let folder = tempfile::tempdir().unwrap();
@@ -67,7 +67,8 @@ fn sweeps_reports_and_comparisons_give_one_score() {
     assert!(said.contains("Second against the first:      equal"), "{said}");
 }
 
-/// For a given light field, the zone score comes from held-out views; without any there is none.
+/// For a given light field, the zone score comes from held-out views. Without held-out views there
+/// is no zone score.
 #[test]
 fn a_given_light_field_is_judged_by_the_views_that_are_left_out() {
     let folder = tempfile::tempdir().unwrap();
@@ -86,7 +87,7 @@ fn a_given_light_field_is_judged_by_the_views_that_are_left_out() {
     let of_some = report(&some);
     assert!(said.contains("dB over the zone"), "{said}");
     assert_eq!(of_some["zone"]["directions"].as_array().unwrap().len(), 25 - 9);
-    // the solver uses no held-out view, and all held-out views lie between the solver's views
+    // the solver uses no held-out view; all of them are between the solver's views
     let kept = &of_some["views"]["slope_x"];
     let (low, high) = (number(&kept[0]), number(&kept[2]));
     for direction in of_some["zone"]["directions"].as_array().unwrap() {
@@ -100,8 +101,8 @@ fn a_given_light_field_is_judged_by_the_views_that_are_left_out() {
     assert!(number(&of_some["psnr_zone"]) < number(&of_some["psnr_view"]), "views that were solved for are shown best");
 }
 
-/// Writes a display of 7 × 7 native views: three layers, 40 mm apart, of 48 × 30 pixels of 2 mm.
-/// The arguments add lines to all layers, and to the front layer.
+/// Writes a display file of three layers, 40 mm apart, of 48 × 30 pixels of 2 mm, for which 7 × 7
+/// views are native. Some arguments add lines to all layers, or only to the front layer.
 fn display(head: &str, every_layer: &str, front: &str, backlight: &str, layers: &[f64]) -> String {
     let mut text = format!(
         "name = \"test\"\nframes = 4\nbrightness = 0.2\n{head}\n[field]\nresolution = [48, 30]\npitch_mm = 2.0\nviews = \"auto\"\nfov_deg = [20.0, 20.0]\n\
@@ -155,8 +156,8 @@ fn native_views_pay_with_any_hardware() {
                 serde_json::from_slice(&std::fs::read(out.join("target/lightfield.json")).unwrap()).unwrap();
             let views = target["slope_x"].as_array().unwrap().len();
             let psnr = number(&report(&out)["psnr_zone"]);
-            // The run folder is kept, so a case whose display needs the same rays uses cached
-            // views.
+            // The run folder is kept. If two displays need the same rays, the second case uses
+            // cached views.
             (psnr, views)
         };
         let ((native, views), (few, _)) = (zone("", "native"), zone("views = [3, 3]", "few"));
@@ -168,7 +169,7 @@ fn native_views_pay_with_any_hardware() {
     assert!(lost.is_empty(), "no better for native views: {lost:?}");
 }
 
-/// Every time step of a sequence is solved for the native views.
+/// The solver solves every time step of a sequence for the native views.
 #[test]
 fn sequences_are_solved_for_the_whole_zone() {
     let folder = tempfile::tempdir().unwrap();

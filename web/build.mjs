@@ -1,4 +1,4 @@
-// Bundles src/ and the WebAssembly module of ../crates/web (in pkg/, written by `cargo xtask web`) into dist/.
+// Bundles src/ and the WebAssembly modules in pkg/ into dist/. `cargo xtask web` builds the modules and runs this script.
 import { build } from "esbuild";
 import { execFileSync } from "node:child_process";
 import { copyFileSync, existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
@@ -25,19 +25,19 @@ await build({
   loader: { ".css": "text" },
   plugins: [
     {
-      // The simulator's thread travels inside the script, and is started from there: wherever the script comes from.
+      // The script contains the code of the simulator's thread as text. So the thread needs no file of its own.
       name: "worker",
       setup({ onResolve, onLoad }) {
         onResolve({ filter: /^worker:/ }, ({ path, resolveDir }) => ({ path: join(resolveDir, path.slice("worker:".length)), namespace: "worker" }));
         onLoad({ filter: /.*/, namespace: "worker" }, async ({ path }) => {
-          // The page compiles the module: the thread has no address from which one could be fetched.
+          // The page compiles the WebAssembly module and passes it on, since the thread has no address relative to which it could fetch it.
           const { outputFiles } = await build({ ...BROWSERS, entryPoints: [path], format: "iife", define: { "import.meta.url": '""' }, write: false });
           return { contents: outputFiles[0].text.trim(), loader: "text" };
         });
       },
     },
     {
-      // The sheet travels inside the script, in the shadow root of the element: minified like the script.
+      // The script contains the element's style sheet as minified text.
       name: "sheet",
       setup({ onLoad }) {
         onLoad({ filter: /sheet\/.*\.css$/ }, async ({ path }) => {
@@ -49,9 +49,9 @@ await build({
   ],
 });
 await build({ ...BROWSERS, entryPoints: Object.fromEntries(OTHERS.map((name) => [name, `src/${name}.ts`])), outdir: "dist", format: "esm" });
-// Asked for by pages of `lumistack live` alone.
+// Only pages of `lumistack live` load this script.
 await build({ ...BROWSERS, entryPoints: { live: "src/live.ts" }, outdir: "dist", format: "esm" });
-// The page's own few rules stand in it: nothing is fetched before its poster shows.
+// Each page contains its own style sheet, so that the browser fetches nothing before it shows the poster.
 for (const [page, sheet] of [
   ["index", "page"],
   ["solve", "solve"],
@@ -60,12 +60,12 @@ for (const [page, sheet] of [
   writeFileSync(`dist/${page}.html`, readFileSync(`src/${page}.html`, "utf8").replace(`/*${sheet}.css*/`, () => outputFiles[0].text.trim()));
 }
 for (const name of MODULES) copyFileSync(`pkg/${name}`, `dist/${name}`);
-// The scenes that come with the page that solves.
+// Copy the scenes that come with the page that solves.
 for (const [name, { files }] of Object.entries(JSON.parse(readFileSync("src/solve/scenes.json", "utf8")))) {
   mkdirSync(`dist/scenes/${name}`, { recursive: true });
   for (const file of files) copyFileSync(`../scenes/${name}/${file}`, `dist/scenes/${name}/${file}`);
 }
-// What a program that imports the package sees of it; everything else is private.
+// Write the types of the public modules; all other modules are private.
 const all = mkdtempSync(join(tmpdir(), "lumistack-types-"));
 execFileSync(process.execPath, ["node_modules/typescript/bin/tsc", "--emitDeclarationOnly", "--declaration", "--outDir", all], { stdio: "inherit" });
 mkdirSync("dist/types", { recursive: true });

@@ -22,7 +22,7 @@ IMPORT = "import time; t = time.perf_counter(); import lumistack; print(time.per
 
 
 def best(work: Callable[[], object], times: int = 30) -> float:
-    """The fastest of several runs, milliseconds."""
+    """Returns the time of the fastest of several runs, milliseconds."""
     taken = []
     for _ in range(times):
         start = time.perf_counter()
@@ -33,7 +33,7 @@ def best(work: Callable[[], object], times: int = 30) -> float:
 
 def main() -> int:
     runs = [float(subprocess.check_output([sys.executable, "-c", IMPORT])) for _ in range(7)]
-    print(f"import: {1e3 * min(runs):.1f} ms at best, {1e3 * statistics.median(runs):.1f} ms in the middle")
+    print(f"import: {1e3 * min(runs):.1f} ms at best, {1e3 * statistics.median(runs):.1f} ms at the median")
 
     display = lumistack.Display("paper-three-layer", resolution=(160, 100))
     radiance = np.random.default_rng(1).random(display.light_field_shape, np.float32)

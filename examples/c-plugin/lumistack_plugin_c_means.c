@@ -14,7 +14,7 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-/* Lends a constant text. */
+/* Passes a constant text to the host without a copy. */
 #define TEXT(text) {(const uint8_t *)(text), sizeof(text) - 1}
 
 typedef struct {
@@ -27,7 +27,7 @@ static LumistackStatus fail(const LumistackErrorSink *error, LumistackStatus sta
     return status;
 }
 
-/* The plugin has no parameters, so it refuses all but an empty object, and its error repeats the text. */
+/* The plugin has no parameters, so it refuses any JSON text but an empty object. The error quotes the refused text. */
 static LumistackStatus open_(const LumistackHostServices *host, LumistackStr params, LumistackStr display,
                              void **instance, const LumistackErrorSink *error) {
     (void)display;
@@ -45,7 +45,7 @@ static LumistackStatus open_(const LumistackHostServices *host, LumistackStr par
     return LUMISTACK_STATUS_OK;
 }
 
-/* Returns one value. Strides may be negative, and elements need not be aligned. */
+/* Returns one value of a plane. Strides are in bytes and may be negative, and values need not be aligned. */
 static float value_at(const LumistackPlane *plane, size_t row, size_t col, size_t channel) {
     const char *place = (const char *)plane->data + (ptrdiff_t)row * plane->strides[0] +
                         (ptrdiff_t)col * plane->strides[1] + (ptrdiff_t)channel * plane->strides[2];
@@ -62,7 +62,7 @@ static double mean_of(const LumistackPlane *plane) {
     return sum / ((double)plane->shape[0] * (double)plane->shape[1] * (double)plane->shape[2]);
 }
 
-/* Several threads may call it at once: it keeps no state. */
+/* Writes the means of one layer stack. Several threads may call this function at once, so it keeps no state. */
 static LumistackStatus submit(void *instance, const LumistackTime *time, const LumistackData *data,
                               const LumistackErrorSink *error) {
     const LumistackHostServices *host = ((CMeans *)instance)->host;
@@ -73,7 +73,7 @@ static LumistackStatus submit(void *instance, const LumistackTime *time, const L
     uint64_t file;
     LumistackStatus status = host->file_open(host->context, path, &file, error);
     if (status != LUMISTACK_STATUS_OK) return status;
-    /* data.description_json has the numbers of layers and frames; a request past them is refused, which ends the loops */
+    /* The host refuses layers and frames that do not exist, which ends the loops. (data.description_json states their numbers, too.) */
     for (size_t layer = 0;; layer++) {
         size_t frame = 0;
         for (;; frame++) {
@@ -123,7 +123,7 @@ static const LumistackDescriptor DESCRIPTOR = {
     .vtable = &VTABLE,
 };
 
-/* The name ends with the plugin's id, like the name of the file. */
+/* The name of this function, and that of the library's file, must end with the plugin's id. */
 EXPORT const LumistackDescriptor *lumistack_plugin_entry_c_means(void) {
     return &DESCRIPTOR;
 }

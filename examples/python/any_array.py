@@ -1,4 +1,4 @@
-"""Compares the solvers on a light field that NumPy draws: any array can be a light field.
+"""Draws a light field with NumPy and compares the solvers on it. Any array can be a light field.
 
     python examples/python/any_array.py
 """
@@ -12,7 +12,10 @@ import lumistack
 
 
 def discs(display: lumistack.Display) -> NDArray[np.float32]:
-    """Coloured discs at several depths in front of a striped wall: radiance [view_y, view_x, row, col, rgb]."""
+    """Draws coloured discs at several depths in front of a striped wall.
+
+    Returns radiance [view_y, view_x, row, col, rgb].
+    """
     slope_x, slope_y = (np.array(slopes) for slopes in display.slopes)
     _, _, rows, cols, _ = display.light_field_shape
     pitch = display.pitch_mm
@@ -20,7 +23,7 @@ def discs(display: lumistack.Display) -> NDArray[np.float32]:
     y = ((rows - 1) / 2 - np.arange(rows)) * pitch
 
     def seen(z: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Points where the rays of all views intersect the plane at depth z: x + z·s."""
+        """Returns the coordinates x + z·s at which the rays of all views intersect the plane at depth z."""
         return (
             (x[None, :] + z * slope_x[:, None])[None, :, None, :],
             (y[None, :] + z * slope_y[:, None])[:, None, :, None],

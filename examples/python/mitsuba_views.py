@@ -1,10 +1,11 @@
-"""Mitsuba 3 renders the views, Lumistack factorizes them.
+"""Renders views with Mitsuba 3 and factorizes them with Lumistack.
 
     pip install mitsuba
     python examples/python/mitsuba_views.py out
 
-The display is a window at z = 0 of Mitsuba's Cornell box. Each view is a pinhole camera at the eye
-D·s before it, which looks straight ahead. Its principal point moves such that the film is exactly the window.
+The display is a window at z = 0 of Mitsuba's Cornell box. The view of slope s is that of a pinhole
+camera at the distance D in front of the window, D·s beside its middle. The camera looks straight ahead.
+Its principal point is shifted so that the film covers exactly the window.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def camera(display: lumistack.Display, slope: tuple[float, float], samples: int)
         "type": "perspective",
         "fov_axis": "x",
         "fov": float(np.degrees(2 * np.arctan(0.5 * width_mm / DISTANCE_MM))),
-        # fractions of the film's size by which its middle is shifted from the camera's axis
+        # shift of the film's middle from the camera's axis, as fractions of the film's size
         "principal_point_offset_x": -eye_mm[0] / width_mm,
         "principal_point_offset_y": eye_mm[1] / height_mm,
         "to_world": mi.ScalarTransform4f().look_at(origin=[x, y, z], target=[x, y, 0], up=[0, 1, 0]),
@@ -51,7 +52,7 @@ def camera(display: lumistack.Display, slope: tuple[float, float], samples: int)
 
 
 def render(display: lumistack.Display, scene: Any, samples: int) -> NDArray[np.float32]:
-    """Radiance [view_y, view_x, row, col, rgb], scene-linear."""
+    """Renders all views of a display. Returns linear radiance [view_y, view_x, row, col, rgb]."""
     radiance = np.empty(display.light_field_shape, np.float32)
     slope_x, slope_y = display.slopes
     for view_y, s_y in enumerate(slope_y):
@@ -71,7 +72,7 @@ def main() -> None:
     arguments = parser.parse_args()
     mi.set_variant("llvm_ad_rgb" if "llvm_ad_rgb" in mi.variants() and has_llvm() else "scalar_rgb")
 
-    # a new display: three layers, 12 mm apart, for eyes at DISTANCE_MM
+    # Define a new display: three layers, 12 mm apart, for eyes at DISTANCE_MM.
     size = {"resolution": (160, 120), "pitch_mm": 0.7}
     display = lumistack.Display(
         {
@@ -88,7 +89,7 @@ def main() -> None:
     del box["sensor"]
     radiance = render(display, mi.load_dict(box), arguments.samples)
 
-    # all views of a display need the same exposure; values above 1 are clipped
+    # Apply the same exposure to all views, and clip values above 1.
     radiance = np.minimum(radiance * (0.9 / np.quantile(radiance.max(axis=-1), 0.98)), 1.0)
     light_field = lumistack.LightField(radiance, display=display)
     stack = lumistack.factorize(light_field, iterations=30)

@@ -4,10 +4,10 @@
     python examples/python/perceptual.py runs/three-layer           # one display
     python examples/python/perceptual.py runs/figure-9              # all displays of a run, nodes/*
 
-It compares the views that a display shows with the target's views. The first score is the mean over all
-views as still pictures. The second is for a viewer who walks past from left to right: the views of the
-middle row are frames of a video. The unit is the JOD: 10 is no visible difference, and 75 of 100 people
-notice a difference of 1. See Mantiuk et al., ColorVideoVDP, SIGGRAPH 2024.
+It compares the views that a display shows with the target's views. The first score treats views as still
+pictures; it is the mean over all views. The second is for a viewer who walks past from left to right: the
+views of the middle row are the frames of a video. The unit is the JOD. A score of 10 means no visible
+difference, and 75 of 100 people notice a difference of 1. See Mantiuk et al., ColorVideoVDP, SIGGRAPH 2024.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def codes(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def metric(light_field: lumistack.LightField, white: float, distance_mm: float) -> Any:
-    """Makes ColorVideoVDP for pixels of this size at this distance, in a dark room."""
+    """Makes ColorVideoVDP for the light field's pixels, seen from `distance_mm` in a dark room."""
     _, _, rows, cols, _ = light_field.shape
     pixel_deg = float(np.degrees(np.arctan(light_field.pitch_mm / distance_mm)))
     geometry = pycvvdp.vvdp_display_geometry((cols, rows), ppd=1.0 / pixel_deg)
@@ -52,7 +52,7 @@ def main() -> None:
     parser.add_argument("run", type=Path, nargs="+", help="a run folder")
     parser.add_argument("--white", type=float, default=200.0, help="luminance of white at the eye, cd/m²")
     parser.add_argument("--distance-mm", type=float, default=1000.0, help="the viewer's distance")
-    parser.add_argument("--fps", type=float, default=30.0, help="views a second that the walking viewer sees")
+    parser.add_argument("--fps", type=float, default=30.0, help="number of views per second that the walking viewer sees")
     arguments = parser.parse_args()
     # Compare each display's views with the target's: one by one, and as the video of a walk.
     for run in arguments.run:

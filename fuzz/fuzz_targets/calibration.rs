@@ -1,4 +1,5 @@
-//! Calibrations: of a lenticular display (JSON), and of a printer's films (text).
+//! Reads the input as the calibration of a lenticular display (JSON), and as the curve of a
+//! printer's film (text).
 
 #![no_main]
 

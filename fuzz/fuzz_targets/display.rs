@@ -1,5 +1,5 @@
-//! Display files, with the calibration of their panels. A display is the same after it is written
-//! and read.
+//! Reads the input as a display file with the calibration of its panels. A valid display must be
+//! the same after it is written and read again.
 
 #![no_main]
 

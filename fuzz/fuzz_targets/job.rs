@@ -1,4 +1,4 @@
-//! Job files. A job is the same after it is written and read.
+//! Reads the input as a job file. A valid job must be the same after it is written and read again.
 
 #![no_main]
 

@@ -1,5 +1,6 @@
-//! Light-field folders: Lumistack's own (`lightfield.json`, one picture for all views), HCI's
-//! (`parameters.cfg`) and folders of numbered pictures. The first byte selects the kind.
+//! Reads folders of light fields. The first byte selects the kind: Lumistack's own (the input is
+//! `lightfield.json`, and all views are the same picture), HCI's (the input is `parameters.cfg`),
+//! or a folder of pictures with numbers in their names.
 
 #![no_main]
 
@@ -26,7 +27,7 @@ fuzz_target!(|data: &[u8]| {
             ("input_Cam003.png", picture),
         ]),
         _ => {
-            // the file names are the input
+            // the input is the list of file names
             let names = String::from_utf8_lossy(index);
             let names = names.lines().take(16).filter(|name| !name.is_empty() && name.len() < 100);
             let names: Vec<String> = names.map(|name| format!("{}.png", name.replace(['/', '\0'], "_"))).collect();

@@ -1,6 +1,6 @@
-//! The glTF reader gets any bytes. The first bytes select their use: a whole file, or a packed
-//! picture, primitive or buffer view in a valid file. A panic, a hang or memory above the limit is
-//! a finding.
+//! The glTF reader reads arbitrary bytes. The first bytes of an input select its use: a whole file,
+//! or a packed picture, primitive or buffer view in a valid file. A panic, a hang, or memory above
+//! the limit is an error of the reader.
 
 #![no_main]
 
@@ -8,11 +8,11 @@ use libfuzzer_sys::fuzz_target;
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_gltf::{AssetResolver, LoadOptions, contents, load_with};
 
-/// Memory limit of a scene. It is small, so that libFuzzer's own limit finds leaks in the
-/// accounting.
+/// Memory limit of a scene. It is much smaller than libFuzzer's limit, so that memory that the
+/// reader does not count exceeds libFuzzer's limit.
 const MAX_DECODED_BYTES: u64 = 64 << 20;
 
-/// Content of every file but the glTF file.
+/// Resolves the name of every other file to the same content.
 struct Content<'a>(&'a [u8]);
 
 impl AssetResolver for Content<'_> {
@@ -87,7 +87,7 @@ fuzz_target!(|data: &[u8]| {
     match data {
         [b'{', ..] | [b'g', b'l', b'T', b'F', ..] => load(data, b"a file beside it, of forty-four bytes or so......"),
         [b'D', b'R', b'A', b'C', b'O', ..] => load(draco(length).as_bytes(), data),
-        // the second byte belongs to the stream, so the first byte alone selects
+        // for meshopt the first byte alone selects, since it is also the first byte of the stream
         [0xA0 | 0xA1, ..] => {
             load(meshopt(length, "ATTRIBUTES", "NONE", 12, 20).as_bytes(), data);
             load(meshopt(length, "ATTRIBUTES", "EXPONENTIAL", 12, 300).as_bytes(), data);

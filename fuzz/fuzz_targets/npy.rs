@@ -1,5 +1,5 @@
-//! `.npy` arrays, alone and as light fields with a JSON file. The input is the JSON, a separator
-//! and the array.
+//! Reads `.npy` arrays, alone and as a light field beside a JSON file. The input is the JSON, a
+//! separator and the array.
 
 #![no_main]
 

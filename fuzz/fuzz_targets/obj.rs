@@ -1,5 +1,5 @@
-//! OBJ files with their MTL file. The input is the shapes, a separator and the materials. The
-//! importer must write a valid glTF file.
+//! Imports an OBJ file with its MTL file. The input is the text of the OBJ file, a separator, and
+//! the text of the MTL file. The importer must return an error or a valid glTF file.
 
 #![no_main]
 

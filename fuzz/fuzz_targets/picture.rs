@@ -1,5 +1,5 @@
-//! Pictures of light fields and environments: OpenEXR, Radiance HDR, PNG, JPEG, WebP. The target
-//! `load` reads KTX2. The content selects the extension.
+//! Reads pictures of light fields and environments: OpenEXR, Radiance HDR, PNG, JPEG, WebP. The
+//! first bytes select the file's extension. The target `load` reads KTX2.
 
 #![no_main]
 

@@ -1,4 +1,5 @@
-//! Pictures of tiles: three bytes are columns, rows and the kind; the picture follows.
+//! Reads pictures of tiles. The first three bytes are the columns, the rows and the kind of
+//! picture; the picture follows.
 
 #![no_main]
 

@@ -1,5 +1,5 @@
-//! Splat files in every format; SOG with pictures of one texel. A file that can be read must
-//! convert to a valid glTF file, whose scene can be rendered.
+//! Reads splat files of every format; the pictures of SOG have one texel. A file that can be read
+//! must convert to a valid glTF file, whose scene can be rendered.
 
 #![no_main]
 

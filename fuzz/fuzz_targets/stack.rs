@@ -1,5 +1,5 @@
-//! Layer stacks. The input is `stack.json`, a separator, and one array, which all layers and the
-//! emission share.
+//! Reads layer stacks. The input is `stack.json`, a separator, and one array, which is the content
+//! of all layers and of the emission.
 
 #![no_main]
 

@@ -1,4 +1,5 @@
-//! Helpers of the fuzz targets: they split an input into files, in a folder in memory.
+//! Helpers of the fuzz targets: they split an input into parts, and write the parts as files into a
+//! folder in memory.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -18,8 +19,8 @@ pub fn parts<const N: usize>(mut data: &[u8]) -> [&[u8]; N] {
     })
 }
 
-/// Makes a folder that contains only these files. It belongs to this process, and is in memory if
-/// the system allows that.
+/// Makes a folder that contains only these files. Every process has its own folder, which is in
+/// memory if the system has `/dev/shm`.
 pub fn folder(files: &[(&str, &[u8])]) -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     let folder = FOLDER.get_or_init(|| {
@@ -37,7 +38,7 @@ pub fn folder(files: &[(&str, &[u8])]) -> &'static Path {
     folder
 }
 
-/// Runs a reader without output. Its error must have a text.
+/// Runs a reader without output, and returns its value. An error of the reader must have a text.
 pub fn reads<T, E: std::fmt::Display>(work: impl FnOnce(Task<'_>) -> Result<T, E>) -> Option<T> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     match work(Task::quiet(&warnings, &cancel)) {

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lumistack in Blender: patterns of a tensor display for the active scene.
 
-Code without `bpy` is in the Python package `lumistack`; the extension contains its wheel. This
-package has the panel, the operators and the functions that Blender calls.
+Code that does not need `bpy` is in the Python package `lumistack`, whose wheel is part of the
+extension. This package contains the panels, the operators and the functions that Blender calls.
 
     settings    the settings of a scene             operators   the actions of the buttons
     jobs        the work, step by step              panel       the panels

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`blender -b FILE.blend --command lumistack ...`: the button without a window, with an exit code.
+"""The command `blender -b FILE.blend --command lumistack ...`: does the work of the button without
+a window, and ends with an exit code.
 
-In versions of Blender without --command, or from a script:
+Versions of Blender without --command, and scripts, call `main`:
 
     blender -b FILE.blend --python-expr "import sys; from bl_ext.user_default.lumistack import command; sys.exit(command.main(['make']))"
 """
@@ -20,7 +21,8 @@ _handle = None
 
 
 def main(words: list[str]) -> int:
-    """Returns 0 done, 1 failed, 2 wrong usage, 130 interrupted."""
+    """Returns the exit code: 0 after success, 1 after an error, 2 for wrong usage, 130 after an
+    interrupt."""
     try:
         asked = command_line.parse(words)
     except command_line.Usage as usage:
@@ -35,8 +37,8 @@ def main(words: list[str]) -> int:
         for name, value in asked.scene_settings.items():
             setattr(scene, name, value)
         job = jobs.Job(scene, factorize=asked.what == "make")
-        # A command has no window. The lent window shows the file's active scene, not a requested
-        # other one.
+        # A command has no window, but exporters need one. `in_window` lends them one of the file's
+        # windows, which shows the scene that the command requests.
         with handover.in_window(bpy, scene):
             if asked.fit_depth:
                 print(jobs.fit_depth(scene, compress=asked.fit_depth == "compress"), flush=True)

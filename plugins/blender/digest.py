@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A digest of all data that a render depends on, which shows whether kept views are still valid.
+"""A digest of all data that a render depends on. Views from an earlier run are still valid if the
+digest is the same.
 
-Objects are read as evaluated, which includes modifiers, drivers and animation. All other data
-contribute all their plain properties. Pictures contribute their names, and the size and time of
-their files.
+Objects are read after Blender has evaluated modifiers, drivers and animation. Other data enter the
+digest with all their properties that are booleans, numbers, texts or enums. Pictures also enter it
+with the size and time of their files.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ _SKIP = {
     "preview_samples", "use_preview_denoising", "frame_path", "is_movie_format", "file_extension",
 }  # fmt: skip
 _MESHES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
-#: The values of a node's inputs; sockets have few other plain properties.
+#: The property of a node's input socket that contains its value.
 _INPUT = "default_value"
 
 
 def digest(scene) -> str:
-    """The digest of a scene at its current frame."""
+    """Returns the digest of a scene at its current frame."""
     hasher = _Hasher()
     depsgraph = bpy.context.evaluated_depsgraph_get()
     shapes: set[str] = set()
@@ -74,7 +75,8 @@ class _Hasher:
             self.sha.update(struct.pack("<d", value))
 
     def plain(self, held, only: set[str] | None = None) -> None:
-        """Adds the plain properties of any data."""
+        """Adds the properties of `held` that are booleans, numbers, texts or enums; with `only`, the
+        properties with these names alone."""
         for prop in held.bl_rna.properties:
             name = prop.identifier
             if prop.type not in _PLAIN or name in _SKIP or (only is not None and name not in only):
@@ -88,7 +90,7 @@ class _Hasher:
             self.text(f"{name}={value!r}" if not isinstance(value, set) else f"{name}={sorted(value)!r}")
 
     def block(self, data) -> None:
-        """Adds a material, light, world or other block, with its nodes."""
+        """Adds a data block, such as a material, light or world, with its nodes."""
         if data is None:
             self.text("none")
             return

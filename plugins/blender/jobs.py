@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The button's work, as steps that are generated while they are done.
+"""The work of the button, as a generator of steps.
 
-A step is a view that Blender's main thread renders, or work on another thread. `operators` does the
-steps from a timer, so that the window responds; `command` and a render farm do them at once. Every
-finished view and every finished time step is a file, and a second run skips existing ones.
+A step is a view that Blender's main thread renders, or work on another thread to wait for.
+`operators` does the steps one by one from a timer, so that the window responds. `command` and a
+render farm do all steps in one call. Every finished view and every finished time step is a file, and
+a second run skips those that exist.
 """
 
 from __future__ import annotations
@@ -24,21 +25,22 @@ from lumistack.blender.work import Work
 
 from . import digest, pictures, settings as settings_of
 
-#: Iterations of every time step after the first, which starts with the previous patterns.
+#: Iterations of every time step after the first. Few suffice, since it starts with the previous
+#: patterns.
 NEXT_ITERATIONS = 5
-#: Names of the renderers' views.
+#: Names of each renderer's views, for messages.
 NAMES = {"BLENDER": "Blender's views", "GLTF": "Lumistack's views of the glTF file", "USD": "Lumistack's views of the USD file"}
 #: Fraction of clipped values above which a warning is given.
 CLIPPED = 0.01
 
 
 class JobError(Exception):
-    """An error, described in one sentence."""
+    """An error of a job; its text is one sentence for the user."""
 
 
 @dataclass
 class Render:
-    """A view to render: call `aim`, render the scene with write_still, call `finished`."""
+    """A step that renders a view: call `aim`, render the scene with write_still, call `finished`."""
 
     scene: object
     aim: Callable[[], None]
@@ -49,18 +51,18 @@ class Render:
 
 @dataclass
 class Wait:
-    """Work on another thread to wait for."""
+    """A step that waits for work on another thread."""
 
     work: Work
     title: str
-    #: The fraction of the job before this work, and this work's fraction.
+    #: The finished fraction of the job before this work, and the work's fraction of the job.
     share: float
     part: float
 
 
 @dataclass
 class Tick:
-    """A pause in which Blender can handle events."""
+    """A step without work, in which Blender can handle events."""
 
     title: str
     share: float
@@ -81,7 +83,7 @@ class Shown:
 
 @dataclass
 class Job:
-    """One press of the button; `steps()` does it."""
+    """The work of one press of the button; `steps()` generates its steps."""
 
     scene: object
     factorize: bool = True
@@ -120,8 +122,8 @@ class Job:
             scene.frame_set(current)
 
     def _time(self, folder: Path, before: lumistack.LayerStack | None, start: float, part: float):
-        """One time step: views, light field, patterns, outputs."""
-        # Render the views by every renderer; the first one's are the target.
+        """Makes views, light field, patterns and outputs of one time step."""
+        # Render the views by every renderer; those of the first one are the target.
         scene, settings = self.scene, self.scene.lumistack
         display = display_of(settings)
         window = window_of(scene, display)
@@ -140,7 +142,7 @@ class Job:
         if not self.factorize:
             light_field.save(folder / "target")
             return None
-        # Patterns with an equal key from an earlier run are kept.
+        # Keep the patterns of an earlier run if they have the same key.
         iterations = settings_of.quality(settings)[1]
         key = key_of({"target": hash_of(light_field.radiance), "display": display.to_toml(), "iterations": iterations, "first": before is None})
         stamp = folder / "blender.json"
@@ -176,7 +178,7 @@ class Job:
             self.warn("depth", f"{sentence}. Fit Depth moves the scene into that range")
 
     def _views(self, _renderer, display, window, folder: Path, start: float, part: float):
-        """Views by Blender's engine."""
+        """Renders views by Blender's engine."""
         scene, settings = self.scene, self.scene.lumistack
         slope_x, slope_y = display.slopes
         _, _, rows, columns, _ = display.light_field_shape
@@ -232,20 +234,21 @@ class Job:
         return numpy.clip(picture, 0.0, 1.0)
 
     def _trace(self, renderer: str, display, window, folder: Path, start: float, part: float):
-        """Views of the exported scene by Lumistack's path tracer."""
+        """Exports the scene and renders views of it by Lumistack's path tracer."""
         scene, settings = self.scene, self.scene.lumistack
         yield Tick("Exporting the scene", start)
         if renderer == "USD":
             path = folder / "scene.usdc"
             with handover.in_window(bpy, scene):
                 usd.export_scene(bpy, path)
-            # If it cannot, another Python will be used.
+            # This call makes Blender's own OpenUSD importable. If Blender has none, another Python
+            # reads the file.
             usd.is_readable(bpy)
         else:
             path = folder / "scene.glb"
             handover.export_scene(bpy, path, self.warn, scene)
         for line in unshown.unshown(bpy, scene):
-            # USD supports curves.
+            # USD files contain hair as curves, so hair is not lost.
             if not (renderer == "USD" and line.startswith("hair")):
                 self.warn(scene.name, line)
         samples = settings_of.quality(settings)[2]
@@ -257,7 +260,7 @@ class Job:
         def trace(report):
             loaded = lumistack.Scene(path, light={"automatic": False}, callback=report)
             return lumistack.render(
-                # The panel controls depth for both renderers.
+                # The panel's settings control depth for both renderers, so the job must not fit it.
                 loaded, display, window=window.as_job(), fit_depth="off", depth_scale=scale, samples=samples, light=light,
                 tone=tone, exposure_ev=exposure, cache=folder / "cache", callback=report,
             )  # fmt: skip
@@ -269,20 +272,21 @@ class Job:
 
 #: The results of this session's jobs, by the scene's name.
 shown: dict[str, Shown] = {}
-#: Scenes that jobs work at: their camera may be a temporary one.
+#: Names of the scenes with a running job. Their camera may be a temporary one.
 busy: set[str] = set()
 _running: list[Work] = []
 
 
 def result_of(work: Work):
-    """The result of work; raises its error on this thread."""
+    """Returns the result of finished work, or raises its error on this thread."""
     if work.error is not None:
         raise work.error
     return work.result
 
 
 def text_of(error: BaseException) -> str:
-    """The message of an error; of an operator's error, which holds a whole trace, the last line."""
+    """Returns the message of an error. An operator's error contains a whole traceback; then it is
+    the last line."""
     lines = [line for line in str(error).splitlines() if line.strip()]
     is_trace = any(line.startswith("Traceback") or "Python: Traceback" in line for line in lines)
     if not lines:
@@ -298,7 +302,7 @@ def display_of(settings) -> lumistack.Display:
 
 
 def window_of(scene, display: lumistack.Display) -> cameras.Window:
-    """The window according to the scene's settings."""
+    """Returns the window that the scene's settings define."""
     settings = scene.lumistack
     _, _, rows, columns, _ = display.light_field_shape
     size_mm = (columns * display.pitch_mm, rows * display.pitch_mm)
@@ -311,25 +315,25 @@ def window_of(scene, display: lumistack.Display) -> cameras.Window:
 
 
 def depth_sentence(scene, display: lumistack.Display, window: cameras.Window) -> str | None:
-    """The warning for a scene that is too deep for its display."""
+    """Returns a warning if the scene is too deep for its display, else an empty text."""
     return depth.sentence(depths_shown(scene, display, window), display.depth_of_field_mm())
 
 
 def depths_shown(scene, display, window) -> list[float]:
-    """Depths of the visible content, as the display shows them."""
+    """Depths at which the display shows the visible content, mm."""
     fit = depth.Fit(0.0, scene.lumistack.depth_scale)
     distance_mm = display.distance_mm
     return [depth.shown_at(z, fit, distance_mm) for z in rig.depths_through(bpy, scene, window, distance_mm)]
 
 
 def fit_depth(scene, compress: bool) -> str:
-    """Moves the window, and scales depth, so that the display shows the scene sharply. Returns a
-    text about the changes."""
+    """Moves the window along its normal, and with `compress` also scales depth, so that the display
+    shows the scene sharply. Returns a text about the changes."""
     settings = scene.lumistack
     display = display_of(settings)
     range_mm = display.depth_of_field_mm()
     if range_mm is None:
-        raise JobError(f"{display.name}: the display shows its own pixels sharply at no depth")
+        raise JobError(f"{display.name}: the display cannot show its pixels sharply at any depth")
     settings.moved_back_mm, settings.depth_scale = 0.0, 1.0
     depths = rig.depths_through(bpy, scene, window_of(scene, display), display.distance_mm)
     if not depths:
@@ -354,7 +358,7 @@ def hash_of(array: numpy.ndarray) -> str:
 
 
 def kept_patterns(folder: Path, stamp: Path, key: str) -> lumistack.LayerStack | None:
-    """The patterns of an earlier run, if they have the same light field and settings."""
+    """Returns the patterns of an earlier run if they have the key `key`, else None."""
     try:
         if json.loads(stamp.read_text(encoding="utf-8")).get("key") != key:
             return None
@@ -370,7 +374,7 @@ def write_stamp(stamp: Path, key: str) -> None:
 
 
 def renderers_of(settings) -> list[str]:
-    """The renderers; the first one's views are the target."""
+    """Returns the renderers that the settings select. The views of the first one are the target."""
     found = ["BLENDER"] if settings.renderer in ("BLENDER", "BOTH") else []
     if settings.renderer in ("LUMISTACK", "BOTH"):
         found += ["GLTF", "USD"] if settings.handover == "BOTH" else [settings.handover]
@@ -378,7 +382,7 @@ def renderers_of(settings) -> list[str]:
 
 
 def compared(our_name: str, ours, their_name: str, theirs) -> str:
-    """A text about the difference of two light fields."""
+    """Describes the difference of two light fields in one line: PSNR and mean values."""
     error = float(numpy.mean((ours.radiance.astype(numpy.float64) - theirs.radiance) ** 2))
     means = [float(each.radiance.mean()) for each in (ours, theirs)]
     psnr = float("inf") if error == 0.0 else -10.0 * numpy.log10(error)
@@ -391,7 +395,7 @@ def track(work: Work) -> None:
 
 
 def run_now(job: Job, say: Callable[[str, float], None] = lambda *_: None) -> None:
-    """Does all steps of a job at once; for scripts and render farms."""
+    """Does all steps of a job in this call, for scripts and render farms."""
     walk = job.steps()
     try:
         for step in walk:
@@ -413,7 +417,7 @@ def run_now(job: Job, say: Callable[[str, float], None] = lambda *_: None) -> No
 
 
 def end_all() -> None:
-    """Stops all running work."""
+    """Stops all running work, and waits up to ten seconds for its end."""
     for work in _running:
         work.stop()
     deadline = time.monotonic() + 10.0

@@ -4,9 +4,9 @@
     handlers ──▶ session.changed_at
     timer    ──▶ scene-00012.glb ──▶ {"set": {"scene": ..., "window": ...}} ──▶ lumistack live
 
-Handlers only note a change; a timer exports it, since an export in a handler would call the handler
-again. The whole scene is written each time. The next export waits until the last one is shown, and
-takes at most a third of Blender's time.
+Handlers only record that the scene has changed. A timer exports the scene, since an export in a
+handler would call the handler again. Every export writes the whole scene. The next export waits
+until the last one is shown. A rest after every export limits exports to a third of Blender's time.
 """
 
 from __future__ import annotations
@@ -26,46 +26,48 @@ from . import jobs, operators, overlay, settings as settings_of
 
 #: Interval of the timer, seconds.
 TICK_S = 0.05
-#: Longest wait for a state of the last change: a scene that fails has none.
+#: Longest wait for a state that shows the last export, seconds. A scene that cannot be shown never
+#: gives one.
 PATIENCE_S = 2.0
-#: Wait after an error, such as a missing camera.
+#: Wait after an error, such as a missing camera, before the next attempt, seconds.
 RETRY_S = 0.5
-#: Share of Blender's time that is left to the user, in units of the last export.
+#: Time without an export after each export, in units of that export's duration.
 REST = 2.0
-#: Time in which the program writes its run folder when Blender ends.
+#: Longest wait for the program to write its run folder when Blender ends, seconds.
 END_S = 10.0
-#: Our tone curves for Blender's view transforms; the base curve of AgX for all others.
+#: Our tone curve for each of Blender's view transforms. All other transforms get "agx".
 TONES = {"Standard": "linear", "Raw": "linear", "Khronos PBR Neutral": "khronos-neutral"}
-#: Settings that do not change the display.
+#: Settings whose change needs no new state of the display.
 _OTHER = {"rna_type", "name", "folder", "output", "renderer", "handover", "times", "iterations", "show_window", "show_depth", "show_cone", "show_picture"}
-#: Computed from others.
+#: These are computed from other settings.
 _OTHER |= {"window_width", "window_height"}
 
 
 class Session:
-    """One scene, and the program that shows it."""
+    """A scene that is followed, and the program `lumistack live` that shows it."""
 
     def __init__(self, scene) -> None:
         """Exports the scene and starts the program. Raises `jobs.JobError`, OSError and the errors
         of exporters."""
-        # Undo replaces the scene's data and keeps this number.
+        # Undo replaces the scene's Python object, but this number stays the same.
         self._uid = scene.session_uid
         self.title = scene.name
         folder = jobs.output_folder(scene)
         self._scenes = Files(folder / "live-scene", "scene", ".glb")
         self._displays = Files(folder / "live-scene", "display", ".toml")
         self._digest = b""
-        #: Input and result of `_settings`, and the display's text and file.
+        #: The key and the result of the last call of `_settings`; text and path of the last display
+        #: file.
         self._key: object = None
         self._tables: dict[str, object] = {}
         self._display = ("", "")
-        #: Content that glTF cannot express.
+        #: A text about content that glTF cannot express, or the error of the last export.
         self._lost = ""
-        #: A line for the panel, beside those of the program, and the reason of the end.
+        #: The last error of the settings or the export, for the panel; and the reason of the end.
         self.note = self.reason = ""
         self.export_s = 0.0
         self.exports = 0
-        #: Time of the oldest change that was not exported; None without one.
+        #: Time of the oldest change that is not exported yet; None if there is none.
         self.changed_at: float | None = None
         self.is_exporting = False
         self._asked = False
@@ -82,7 +84,7 @@ class Session:
         return self.program.state
 
     def stop(self, reason: str = "") -> None:
-        """Asks the program to end; `step` goes on until it has."""
+        """Requests the program's end. The timer continues to call `step` until the program ended."""
         self._asked, self.reason = True, reason
         self.program.stop()
 
@@ -103,7 +105,7 @@ class Session:
             return True
         now = time.monotonic()
         is_shown = self.program.is_shown or now > self._next + PATIENCE_S
-        # A job replaces the camera while it renders.
+        # A job replaces the scene's camera while it renders, so exports wait for its end.
         is_busy = scene.name in jobs.busy or bpy.app.is_job_running("RENDER")
         if now < self._next or not is_shown or is_busy:
             return True
@@ -116,7 +118,7 @@ class Session:
                     keys["scene"] = path
             self.note = self._lost
         except (jobs.JobError, lumistack.Error, RuntimeError, ValueError, OSError) as error:
-            # The display stays as it is.
+            # After an error the page keeps showing the last state.
             self.note = jobs.text_of(error)
             self._next = time.monotonic() + RETRY_S
             return True
@@ -126,8 +128,8 @@ class Session:
         return True
 
     def _settings(self, scene) -> dict[str, object]:
-        """Tables of the job that the scene's settings and its camera define. The window stays while
-        objects move, also where it was found from them."""
+        """Returns the tables of the job that follow from the scene's settings and its camera. A
+        window whose place was found from objects does not move when the objects move."""
         settings, view = scene.lumistack, scene.view_settings
         values = [(prop.identifier, getattr(settings, prop.identifier)) for prop in settings.bl_rna.properties if prop.identifier not in _OTHER]
         values = [(name, tuple(value) if hasattr(value, "__len__") and not isinstance(value, str) else value) for name, value in values]
@@ -137,7 +139,8 @@ class Session:
         display = jobs.display_of(settings)
         window = jobs.window_of(scene, display)
         is_linear = settings.look == "LINEAR"
-        # A fixed exposure: otherwise a lamp that gets brighter would darken everything else.
+        # Fix the exposure. An automatic one would darken all other objects if a lamp became
+        # brighter.
         light = {
             "automatic": False,
             "automatic_exposure": False,
@@ -161,17 +164,18 @@ class Session:
         return self._display[1]
 
     def _export(self, scene) -> str | None:
-        """Writes the scene; returns None if it is the same as before."""
+        """Writes the scene to a new file and returns its path; None if it equals the last export."""
         self.changed_at = None
         path, begin = self._scenes.next(), time.monotonic()
         lost = unshown.unshown(bpy, scene)
         self.is_exporting = True
         try:
             handover.export_scene(bpy, path, lambda place, text: lost.append(f"{place}: {text}"), scene)
-            # Settings that the export restored are changes too, which must not start the next one.
+            # The export changed settings and restored them. Handle these changes now, while
+            # `is_exporting` is set, so that they do not start the next export.
             bpy.context.view_layer.update()
         except BaseException as error:
-            # Shown until an export works.
+            # The panel shows this error until an export succeeds.
             self._lost = jobs.text_of(error)
             self._scenes.back()
             raise
@@ -189,7 +193,7 @@ class Session:
         return str(path)
 
 
-#: The running session, and a line about the last one.
+#: The running session, and a line for the panel about the end of the last one.
 session: Session | None = None
 ended = ""
 
@@ -201,18 +205,18 @@ def start(scene) -> None:
     ended = ""
     session = Session(scene)
     if not bpy.app.timers.is_registered(_tick):
-        # A file that is opened removes other timers.
+        # A persistent timer also runs after the user has opened another file.
         bpy.app.timers.register(_tick, first_interval=TICK_S, persistent=True)
 
 
 def stop(reason: str = "") -> None:
-    """Asks the program to end; its run folder stays."""
+    """Requests the program's end; its run folder stays."""
     if session is not None:
         session.stop(reason)
 
 
 def end_now() -> None:
-    """Ends the program before this function returns."""
+    """Ends the program and waits for its end."""
     global session
     if session is not None:
         session.program.end(END_S)
@@ -220,7 +224,8 @@ def end_now() -> None:
 
 
 def step() -> bool:
-    """One step of the timer. Returns false without a session."""
+    """Does one step of the session, and records the reason of its end. Returns false without a
+    session."""
     global session, ended
     if session is None:
         return False
@@ -272,7 +277,7 @@ def status() -> list[tuple[str, str]]:
 
 @bpy.app.handlers.persistent
 def _changed(scene, depsgraph=None) -> None:
-    """After changes of data. A selection is a change without consequences."""
+    """Handler for changes of data. A change that only concerns the selection is ignored."""
     if session is None or session.is_exporting:
         return
     updates = () if depsgraph is None else depsgraph.updates
@@ -282,7 +287,7 @@ def _changed(scene, depsgraph=None) -> None:
 
 @bpy.app.handlers.persistent
 def _changed_all(*_) -> None:
-    """After another frame, undo and redo."""
+    """Handler for a change of the frame, undo and redo."""
     if session is not None and not session.is_exporting:
         session.changed_at = session.changed_at or time.monotonic()
 

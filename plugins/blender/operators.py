@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Actions of the buttons."""
+"""The operators that the buttons run."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from lumistack.blender import outline
 
 from . import jobs, overlay, pictures
 
-#: Interval of checks of running work, seconds.
+#: Interval between two checks of running work, seconds.
 TICK = 0.1
-#: Width of the window for a small picture.
+#: Least width of a new window for the simulated view, pixels.
 WINDOW_PX = 720
 _previews: list[subprocess.Popen] = []
 
 
 class _Steps(bpy.types.Operator):
-    """Does a job's steps from a timer; without a window, all at once."""
+    """Does the steps of a job from a timer; without a window, all steps in one call."""
 
     bl_options = {"REGISTER"}
     factorizes = True
@@ -51,7 +51,7 @@ class _Steps(bpy.types.Operator):
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
         context.window_manager.progress_begin(0.0, 1.0)
         context.window_manager.modal_handler_add(self)
-        # A window per view would cover the panel.
+        # Do not open a window for every render: it would cover the panel.
         self._display_type = context.preferences.view.render_display_type
         context.preferences.view.render_display_type = "NONE"
         return {"RUNNING_MODAL"}
@@ -75,7 +75,7 @@ class _Steps(bpy.types.Operator):
         if self._state == "cancelled":
             return self._stop(context, "Stopped; finished parts are kept")
         if bpy.app.is_job_running("RENDER"):
-            # Blender is still finishing the previous view's job.
+            # Blender has not yet finished its render job for the previous view.
             return {"PASS_THROUGH"}
         if self._state == "rendered":
             step.finished()
@@ -163,7 +163,8 @@ class LUMISTACK_OT_render_views(_Steps):
 
 
 def show_view(scene, slope) -> None:
-    """Simulates the display of a scene from a direction, for the image and the 3D view."""
+    """Simulates the display of a scene as seen from a slope, and shows the view in the image editor
+    and in the 3D view."""
     held = jobs.shown.get(scene.name)
     if held is not None:
         picture = lumistack.simulate(held.stack, slope=slope)
@@ -172,7 +173,7 @@ def show_view(scene, slope) -> None:
 
 
 def show_editor(context) -> None:
-    """Shows the simulated view in an image editor: an open one, or a new window like that of a
+    """Shows the simulated view in an open image editor, or in a new window, as Blender does for a
     render."""
     image = bpy.data.images.get(pictures.SHOWN)
     if image is None:
@@ -190,7 +191,7 @@ def _areas(context, kind: str) -> list:
 
 
 def _open_editor(context, size) -> None:
-    """Opens a window, large enough to see the picture well."""
+    """Opens a window of the picture's size, enlarged to at least `WINDOW_PX` pixels of width."""
     render, view = context.scene.render, context.preferences.view
     larger = max(WINDOW_PX / size[0], 1.0)
     changes = [(render, "resolution_x", round(larger * size[0])), (render, "resolution_y", round(larger * size[1])), (render, "resolution_percentage", 100)]
@@ -203,13 +204,13 @@ def _open_editor(context, size) -> None:
     finally:
         for held, name, value in old:
             setattr(held, name, value)
-    # The window's size is known after it has been drawn once.
+    # The size of the new window is known only after Blender has drawn it, so fit the picture later.
     for delay_s in (0.2, 1.0):
         bpy.app.timers.register(functools.partial(_fit_editor), first_interval=delay_s)
 
 
 def _fit_editor() -> None:
-    """Enlarges the picture to its window, once that has a size."""
+    """Enlarges the picture in the image editor to the size of its window."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "IMAGE_EDITOR" and area.spaces.active.image == bpy.data.images.get(pictures.SHOWN):
@@ -310,7 +311,7 @@ class LUMISTACK_OT_preview(bpy.types.Operator):
 
 
 def finished_folder(scene) -> Path | None:
-    """The finished run folder: the scene's, or its first time step's."""
+    """Returns the finished run folder of the scene, or that of its first time step; else None."""
     folder = jobs.output_folder(scene)
     return next((each for each in (folder, folder / "t0001") if (each / "layers" / "stack.json").is_file()), None)
 
@@ -320,7 +321,7 @@ def preview_command(folder: Path) -> list[str]:
 
 
 def preview_environment() -> dict[str, str]:
-    """An environment in which a child finds the package."""
+    """Returns environment variables with which a child process finds the package."""
     home = str(Path(lumistack.__file__).resolve().parent.parent)
     paths = [home, *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Drawings in the 3D view: the window with its depth of field and viewing zone, and the simulated
-view on it. An arrow moves the window back and forth, and a frame moves and scales it in its plane.
+view on the window. An arrow moves the window along its normal. A frame moves and scales the window
+in its plane.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from lumistack.blender import cameras, depth, outline
 
 from . import jobs
 
-#: Linear RGBA.
+#: Colours of the drawings, linear RGBA.
 WINDOW, DEPTH, CONE = (1.0, 0.75, 0.1, 1.0), (0.2, 0.75, 1.0, 0.7), (0.6, 1.0, 0.4, 0.5)
 WIDTH_PX = 1.5
-#: Seconds without motion after which a handle is at rest.
+#: Seconds without motion after which an arrow or frame counts as released.
 REST_S = 0.4
 
 _handle = None
@@ -23,23 +24,24 @@ _moved_at = 0.0
 _pictures: dict[str, object] = {}
 _textures: dict[str, object] = {}
 _outlines: dict[str, tuple[object, object]] = {}
-#: The reason why a scene has no window, by the scene's name.
+#: The reason why a scene has no window, for each scene's name.
 missing: dict[str, str] = {}
 
 
 def forget() -> None:
-    """Drops the lines, since their data have changed."""
+    """Forgets all computed windows, so that they are computed again."""
     _outlines.clear()
 
 
 def set_picture(scene_name: str, picture) -> None:
-    """Sets the simulated view [row, column, rgb] on the window."""
+    """Sets the simulated view [row, column, rgb] that is drawn on the window."""
     _pictures[scene_name] = picture
     _textures.pop(scene_name, None)
 
 
 def lines_of(scene) -> list[tuple[tuple[float, ...], list[tuple[float, float, float]]]]:
-    """(colour, ends of lines in the scene) for the settings; empty without a window."""
+    """Returns the lines to draw, as pairs of a colour and the ends of lines in scene coordinates.
+    The list is empty if the scene has no window."""
     settings = scene.lumistack
     placed = placement(scene)
     if placed is None:
@@ -56,7 +58,8 @@ def lines_of(scene) -> list[tuple[tuple[float, ...], list[tuple[float, float, fl
 
 
 def placement(scene) -> tuple[object, cameras.Window] | None:
-    """Display and window; computed again after the camera or a setting has changed."""
+    """Returns display and window of a scene; None without a window. They are computed again after
+    the camera or a setting has changed."""
     kept = _outlines.get(scene.name)
     if scene.name in jobs.busy:
         return kept and kept[1]
@@ -74,13 +77,13 @@ def placement(scene) -> tuple[object, cameras.Window] | None:
 
 
 def _key(scene) -> object:
-    """The data that determine the window: those of the camera, and the content at the frame."""
+    """Key of the window: the camera's data, and the frame, which determines the content."""
     camera = key_of_camera(scene)
     return camera and (camera, scene.frame_current)
 
 
 def key_of_camera(scene) -> object:
-    """The camera's data that determine the window."""
+    """Key of the camera's data that determine the window; None without a camera."""
     camera = scene.camera
     if camera is None or camera.type != "CAMERA":
         return None
@@ -125,7 +128,7 @@ def _draw_picture(scene, gpu, batch_for_shader) -> None:
 
         rows, columns, _ = picture.shape
         values = numpy.ones((rows, columns, 4), numpy.float32)
-        # The values are linear; Blender encodes the drawing for the screen.
+        # Keep linear values: Blender encodes the drawing for the screen.
         values[..., :3] = numpy.clip(picture[::-1], 0.0, 1.0)
         texture = gpu.types.GPUTexture((columns, rows), format="RGBA16F", data=gpu.types.Buffer("FLOAT", values.size, values.ravel()))
         _textures[scene.name] = texture
@@ -137,8 +140,8 @@ def _draw_picture(scene, gpu, batch_for_shader) -> None:
 
 
 def _moved() -> None:
-    """Called when a handle has moved. Blender adds no undo step for it, so one is added when it
-    rests."""
+    """Called when the user drags the arrow or the frame. Blender adds no undo step for a drag, so a
+    timer adds one when the drag has ended."""
     global _moved_at
     _moved_at = time.monotonic()
     if not bpy.app.timers.is_registered(_push_undo):
@@ -172,7 +175,7 @@ class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
         arrow.color_highlight, arrow.alpha_highlight = (1.0, 1.0, 1.0), 1.0
         arrow.target_set_handler("offset", get=self._get, set=self._set)
         cage = self.gizmos.new("GIZMO_GT_cage_2d")
-        # The display's proportions link the sides.
+        # The window keeps the display's proportions, so only uniform scaling changes it.
         cage.transform = {"TRANSLATE", "SCALE", "SCALE_UNIFORM"}
         cage.color, cage.alpha = WINDOW[:3], 0.3
         cage.color_highlight, cage.alpha_highlight = (1.0, 1.0, 1.0), 1.0
@@ -213,15 +216,17 @@ class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
 
 
 def arrow_matrix(window: cameras.Window, moved_back_mm: float):
-    """The arrow's origin: the window's position along its normal before any move."""
+    """Returns the matrix of the arrow. Its origin is the window's centre before it was moved along
+    its normal."""
     return _matrix(window, window.point((0.0, 0.0, moved_back_mm)))
 
 
 def cage_of(display, window: cameras.Window, settings):
-    """The frame that moves and scales the window, as three values.
+    """Returns three values of the frame that moves and scales the window.
 
-    Its centre is the middle of the camera's picture in the window's plane. The second value is the size
-    of that picture. The third is the width in which shifts are measured.
+    The first is the matrix of the frame at rest; its centre is the middle of the camera's picture in
+    the window's plane. The second is the size of that picture. The third is the width that is the
+    unit of `window_shift`.
     """
     grown = 1.0 if display.distance_mm is None else (display.distance_mm + settings.moved_back_mm) / display.distance_mm
     width, height = (window.scale * part / settings.window_size for part in window.size_mm)
@@ -231,7 +236,7 @@ def cage_of(display, window: cameras.Window, settings):
 
 
 def _matrix(window: cameras.Window, origin):
-    """A position with the axes of a window."""
+    """Returns a matrix with the axes of a window and the given origin."""
     from mathutils import Matrix
 
     return Matrix([[window.right[row], window.up[row], window.back[row], origin[row]] for row in range(3)] + [[0.0, 0.0, 0.0, 1.0]])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panels in the render properties."""
+"""The panels in Blender's render properties."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import bpy
 
 from . import jobs, live, overlay, settings as settings_of
 
-#: Mean width of a character, pixels; and characters that an icon and margins take.
+#: Mean width of a character in pixels; width of an icon and margins in characters.
 CHARACTER_PX, MARGIN = 7.0, 8
 
 
@@ -23,7 +23,7 @@ class _Panel:
         return context.scene is not None
 
     def begin(self, context):
-        """Sets the layout, with names on the left as elsewhere in Blender; returns it and the
+        """Sets up the layout with names on the left, as in Blender's own panels. Returns it and the
         scene's settings."""
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reads views from files, with the scene's colour management if requested, and puts simulated views
-into Blender's image editor."""
+"""Reads rendered views from files, if requested with the scene's colour management. Also shows
+simulated views in Blender's image editor."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ SHOWN = "Lumistack"
 
 
 def load(path: Path, linear: bool = True) -> numpy.ndarray:
-    """[row, column, rgb] of a picture with the file's values, the top row first."""
+    """Returns the values of a picture file as [row, column, rgb], the top row first. If `linear` is
+    false, the values are those in the file, without a conversion to linear light."""
     image = bpy.data.images.load(str(path), check_existing=False)
     try:
         if not linear:
@@ -32,8 +33,8 @@ def load(path: Path, linear: bool = True) -> numpy.ndarray:
 
 
 def as_shown(path: Path, scene) -> numpy.ndarray:
-    """The picture after the scene's view transform, exposure, look and curves for an sRGB screen,
-    in linear light 0..1."""
+    """Returns the picture after the scene's view transform, exposure, look and curves for an sRGB
+    screen, converted back to linear light 0..1."""
     settings, display = scene.render.image_settings, scene.display_settings
     old: list[tuple[object, str, object]] = []
 
@@ -69,7 +70,7 @@ def from_srgb(codes: numpy.ndarray) -> numpy.ndarray:
 
 
 def show(picture: numpy.ndarray) -> object:
-    """Writes a linear picture [row, column, rgb] to the image that editors show."""
+    """Writes a linear picture [row, column, rgb] to the image that image editors show."""
     rows, columns, _ = picture.shape
     image = bpy.data.images.get(SHOWN)
     if image is None or tuple(image.size) != (columns, rows) or not image.is_float:

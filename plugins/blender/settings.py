@@ -10,13 +10,14 @@ import lumistack
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, IntVectorProperty, PointerProperty, StringProperty
 from lumistack.blender import forms
 
-#: Percentage of the display's pixels, iterations, and paths per pixel of Lumistack's path tracer.
+#: For each quality: percentage of the display's pixels, iterations, and paths per pixel of
+#: Lumistack's path tracer.
 QUALITY = {"DRAFT": (20, 10, 4), "PREVIEW": (50, 25, 16), "FULL": (100, 50, 64)}
 
 
 @functools.cache
 def plugins() -> list[dict]:
-    """Plugins that write files, as the package describes them."""
+    """Returns descriptions of the output plugins that write files."""
     return [plugin for plugin in lumistack.plugins() if plugin["kind"] == "output" and not plugin["presents"]]
 
 
@@ -95,11 +96,11 @@ def _property(each: forms.Field):
 
 
 class LumistackOutputs(bpy.types.PropertyGroup):
-    """Parameters of all output plugins; their properties are added before its registration."""
+    """Parameters of all output plugins. The properties are added before the class is registered."""
 
 
 def _settings_class():
-    """The property group of a scene; its lists come from the package."""
+    """Makes the property group of a scene. The package provides its lists of displays and outputs."""
     presets = _presets()
     default = "paper-three-layer" if any(name == "paper-three-layer" for name, *_ in presets) else presets[0][0]
     draw = {"update": _redraw}
@@ -235,14 +236,15 @@ def unregister() -> None:
 
 
 def quality(settings) -> tuple[int, int, int]:
-    """Percent of the pixels, iterations, paths per pixel."""
+    """Returns the percentage of the display's pixels, the iterations, and the paths per pixel."""
     if settings.quality == "CUSTOM":
         return settings.percentage, settings.iterations, settings.samples
     return QUALITY[settings.quality]
 
 
 def display_of(settings) -> lumistack.Display:
-    """The display, changed by the settings. Raises the package's error for an invalid one."""
+    """Returns the display with the changes of the settings. Raises the package's error if it is
+    invalid."""
     what = settings.preset if settings.display_from == "PRESET" else bpy.path.abspath(settings.file)
     display = lumistack.Display(what)
     described = display.to_dict()
@@ -260,7 +262,7 @@ def display_of(settings) -> lumistack.Display:
     if settings.use_views:
         changes["views"] = list(settings.views)
     elif field["views"] == "auto":
-        # Blender renders each view as a separate picture, so the many views of "auto" are slow.
+        # Blender renders every view as a separate picture. The many views of "auto" would be slow.
         changes["views"] = [5, 5]
     if settings.use_brightness:
         changes["brightness"] = settings.brightness

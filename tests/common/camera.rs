@@ -1,8 +1,8 @@
 //! Renders photographs of a display by a camera in front of it, with rotation, lens distortion,
 //! vignetting and noise.
 //!
-//! The model has only rays and planes: no homography, and no code of the calibration that reads the
-//! photographs.
+//! The model has only rays and planes. It has no homography, and shares no code with the
+//! calibration that reads the photographs.
 
 use image::{GrayImage, Luma};
 
@@ -10,7 +10,8 @@ use image::{GrayImage, Luma};
 pub struct Camera {
     /// Position in display space, millimetres.
     pub eye_mm: [f64; 3],
-    /// Rotations about x, y and z, radians; 0 looks straight at the display.
+    /// Rotations about x, y and z, radians. Without rotation, the camera looks straight at the
+    /// display.
     pub turn: [f64; 3],
     /// Focal length, pixels.
     pub focal_px: f64,
@@ -49,8 +50,8 @@ impl Camera {
     }
 
     /// Renders a photograph of the plane at `d_mm`. `light` returns the light (0 to 255) that the
-    /// plane emits at a point in millimetres. Noise has a standard deviation of `noise` codes.
-    /// `uniform` returns random numbers in 0..1.
+    /// plane emits at a point in millimetres. `noise` is the standard deviation of the noise,
+    /// codes. `uniform` returns random numbers in 0..1.
     pub fn photograph(
         &self,
         d_mm: f64,
@@ -71,7 +72,7 @@ impl Camera {
             let mean = points.sum::<f64>() / f64::from(SAMPLES * SAMPLES);
             // the sum of twelve uniform numbers is nearly normal
             let normal = (0..12).map(|_| f64::from(uniform())).sum::<f64>() - 6.0;
-            // vignetting: lenses darken the edges
+            // vignetting: a lens darkens the edges of a photograph
             let r = (f64::from(x) / f64::from(self.size[0]) - 0.5).hypot(f64::from(y) / f64::from(self.size[1]) - 0.5);
             Luma([(20.0 + 0.8 * mean * (1.0 - 0.4 * r * r) + noise * normal).clamp(0.0, 255.0).round() as u8])
         })

@@ -47,7 +47,7 @@ pub fn report(run_dir: &Path) -> serde_json::Value {
     serde_json::from_slice(&text).expect("report.json is JSON")
 }
 
-/// Returns whether a stage of a run used its earlier results.
+/// Returns true if a stage of a run used results of an earlier run.
 pub fn cached(run_dir: &Path, stage: &str) -> bool {
     let report = report(run_dir);
     let stage =
@@ -60,7 +60,8 @@ pub fn number(value: &serde_json::Value, key: &str) -> f64 {
     value[key].as_f64().or_else(|| value[key].as_str()?.parse().ok()).unwrap_or_else(|| panic!("{key} of {value}"))
 }
 
-/// Returns all files in a folder and its subfolders with their bytes, sorted, without `cache`.
+/// Returns all files of a folder and its subfolders with their bytes, sorted by path, without the
+/// folder `cache`.
 pub fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     fn walk(folder: &Path, base: &Path, list: &mut Vec<(PathBuf, Vec<u8>)>) {
         for entry in std::fs::read_dir(folder).expect("the folder is there") {
@@ -94,8 +95,8 @@ pub fn python() -> Option<PathBuf> {
     lumistack_testkit::skip::python_with("numpy")
 }
 
-/// Writes a light field `[view_y][view_x][row][col][rgb]` as `.npy`: a textured plane behind the
-/// display and a bright card in front of it.
+/// Writes a light field `[view_y][view_x][row][col][rgb]` as `.npy`. It shows a textured plane
+/// behind the display and a bright card in front of it.
 pub fn write_test_field(path: &Path, [views_y, views_x, rows, cols]: [usize; 4], fov_deg: f64, pitch_mm: f64) {
     use npyz::WriterBuilder;
     let half_width = (fov_deg / 2.0).to_radians().tan();

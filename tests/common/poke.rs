@@ -8,7 +8,7 @@
 use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 
-/// A key by its keysym; its keycode depends on the server.
+/// Keys, as keysyms. The keycode of a key depends on the server.
 pub const ESCAPE: u32 = 0xff1b;
 pub const TAB: u32 = 0xff09;
 pub const S: u32 = 0x73;
@@ -28,7 +28,7 @@ pub struct Poke {
     /// First identifier of this connection's resources.
     first: u32,
     xtest: u8,
-    /// The keysyms of the keycodes from 8 on.
+    /// The keysym of each keycode, from keycode 8 on.
     keys: Vec<u32>,
 }
 
@@ -54,7 +54,7 @@ impl Poke {
         let answer = poke.ask(&[&[98, 0, 4, 0, 5, 0, 0, 0], &b"XTEST\0\0\0"[..]].concat());
         assert_eq!(answer[8], 1, "no XTEST");
         poke.xtest = answer[9];
-        // GetKeyboardMapping of the keycodes 8 to 255
+        // GetKeyboardMapping for the keycodes 8 to 255
         let answer = poke.ask(&[101, 0, 2, 0, 8, 248, 0, 0]);
         let mut map = vec![0; 4 * 248 * usize::from(answer[1])];
         poke.stream.read_exact(&mut map).unwrap();
@@ -75,7 +75,7 @@ impl Poke {
         self.fake(3, code, [0, 0]);
     }
 
-    /// Sets the keyboard focus to a window; when it closes, no window has the focus.
+    /// Sets the keyboard focus to a window. When the window closes, no window has the focus.
     pub fn focus(&mut self, window: u32) {
         self.say(42, 0, &[window, 0]);
     }
@@ -87,8 +87,8 @@ impl Poke {
         u32::from_le_bytes(answer[8..12].try_into().unwrap())
     }
 
-    /// Makes this client the window manager, or an ordinary client again if `is` is false. The
-    /// window manager receives the requests for the root window's children.
+    /// Makes this client the window manager. If `is` is false, it becomes an ordinary client again.
+    /// The window manager receives the requests that concern children of the root window.
     pub fn manage(&mut self, is: bool) {
         // ChangeWindowAttributes: the event mask, with or without SubstructureRedirect
         self.say(2, 0, &[self.root, 1 << 11, u32::from(is) << 20]);
@@ -107,8 +107,8 @@ impl Poke {
         self.say(4, 0, &[window]);
     }
 
-    /// Sends a request of 32-bit words that has no reply; returns after the server has processed
-    /// it.
+    /// Sends a request of 32-bit words that has no reply. Returns after the server has processed
+    /// the request.
     fn say(&mut self, code: u8, detail: u8, words: &[u32]) {
         let mut request = vec![code, detail, words.len() as u8 + 1, 0];
         request.extend(words.iter().flat_map(|word| word.to_le_bytes()));
@@ -116,8 +116,8 @@ impl Poke {
         self.focused();
     }
 
-    /// Sends FakeInput and a request with a reply. When the reply arrives, the input has been
-    /// processed.
+    /// Sends FakeInput, and then a request with a reply. When the reply arrives, the server has
+    /// processed the input.
     fn fake(&mut self, kind: u8, detail: u8, [x, y]: [i16; 2]) {
         let mut request = vec![self.xtest, 2, 9, 0, kind, detail, 0, 0, 0, 0, 0, 0];
         request.extend_from_slice(&self.root.to_le_bytes());
@@ -132,7 +132,7 @@ impl Poke {
         self.stream.write_all(request).unwrap();
         let mut answer = [0; 32];
         self.stream.read_exact(&mut answer).unwrap();
-        // events that every client receives, such as a new keyboard mapping
+        // skip events that every client receives, such as a new keyboard mapping
         while answer[0] > 1 {
             self.stream.read_exact(&mut answer).unwrap();
         }

@@ -1,6 +1,6 @@
 //! Windowing sessions without hardware: sway with headless outputs, Xorg's dummy driver, and a
-//! nested sway whose outputs are windows of one of these. Each server is a child process of the
-//! test and ends with it.
+//! nested sway. The outputs of a nested sway are windows of another session. Each server is a child
+//! process of the test and ends with it.
 
 #![allow(dead_code, reason = "every test file uses a part of this")]
 
@@ -19,8 +19,8 @@ pub const SWAY: [Screen; 3] =
 pub const XORG: [Screen; 3] =
     [("DUMMY0", [320, 240], [0, 0]), ("DUMMY1", [400, 300], [320, 0]), ("DUMMY2", [640, 360], [720, 0])];
 
-/// Outputs of a sway session nested in another sway. Each is a window of the outer session, so
-/// closing the window unplugs the output.
+/// Outputs of a sway session nested in another sway. Each output is a window of the outer session,
+/// so closing the window unplugs the output.
 pub const NESTED: [Screen; 3] =
     [("WL-1", [320, 240], [0, 0]), ("WL-2", [400, 300], [320, 0]), ("WL-3", [640, 360], [720, 0])];
 
@@ -63,7 +63,7 @@ impl Session {
     }
 }
 
-/// Returns whether a session can be started. Sessions need the machine for themselves, so an
+/// Returns true if a session can be started. Sessions must not run beside other work, so an
 /// environment variable must permit them.
 fn has(program: &str) -> bool {
     if std::env::var_os("LUMISTACK_SESSIONS").is_none() {
@@ -95,16 +95,16 @@ fn is_root() -> bool {
 }
 
 impl Session {
-    /// sway with headless outputs; `None` if it is not installed.
+    /// Starts sway with headless outputs; `None` if sway is not installed.
     pub fn sway(outputs: &[Screen]) -> Option<Self> {
         let backend = [("WLR_BACKENDS", "headless".into()), ("WLR_HEADLESS_OUTPUTS", outputs.len().to_string())];
         Self::start_sway(outputs, &backend, None)
     }
 
-    /// sway with outputs that can be unplugged, see [`NESTED`].
+    /// Starts a sway with outputs that can be unplugged; see [`NESTED`].
     pub fn nested(outputs: &[Screen]) -> Option<Self> {
         let outer = Self::sway(&[("HEADLESS-1", [1600, 900], [0, 0])])?;
-        // a tiled window would change the size of the output that it shows
+        // a tiled window would change the size of the output that the window shows
         assert!(outer.command("swaymsg").arg("for_window [app_id=\".*\"] floating enable").status().unwrap().success());
         // an absolute path, since a relative one would refer to the outer session's folder
         let display = format!("{}/{}", outer.env("XDG_RUNTIME_DIR"), outer.env("WAYLAND_DISPLAY"));
@@ -116,7 +116,7 @@ impl Session {
         Self::start_sway(outputs, &backend, Some(outer))
     }
 
-    /// sway on an X server, see [`ON_X`].
+    /// Starts sway on an X server; see [`ON_X`].
     pub fn sway_on_x(outputs: &[Screen]) -> Option<Self> {
         if !has("sway") {
             return None;
@@ -200,7 +200,7 @@ impl Session {
         self.env.iter().find(|(name, _)| *name == key).expect("part of every session").1.clone()
     }
 
-    /// Xorg with the dummy driver; `None` if it is not installed or not permitted.
+    /// Starts Xorg with the dummy driver; `None` if Xorg is not installed or not permitted.
     pub fn xorg(outputs: &[Screen]) -> Option<Self> {
         if !has("Xorg") || !has("xrandr") || !has("import") {
             return None;
@@ -235,7 +235,7 @@ Section \"Screen\"\nIdentifier \"s\"\nDevice \"d\"\nMonitor \"m\"\nDefaultDepth 
         for (name, [cols, rows], [x, y]) in outputs {
             let mode = format!("{cols}x{rows}p");
             let (total_x, total_y) = (cols + 80, rows + 20);
-            // about 60 Hz
+            // a pixel clock for about 60 Hz
             let clock = format!("{:.3}", total_x as f64 * total_y as f64 * 60.0 / 1e6);
             let timing = [cols + 8, cols + 40, total_x, *rows, rows + 3, rows + 7, total_y].map(|n| n.to_string());
             let mut new = session.command("xrandr");
@@ -307,7 +307,7 @@ impl Picture {
         Self { size: [cols, rows], rgb: lines.collect() }
     }
 
-    /// Saves the picture in the folder of test files, so that a developer can look at it.
+    /// Saves the picture, so that a developer can look at it.
     pub fn save(&self, path: &std::path::Path) {
         let image = image::RgbImage::from_raw(self.size[0] as u32, self.size[1] as u32, self.rgb.clone()).unwrap();
         image.save(path).unwrap();

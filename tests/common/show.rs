@@ -65,7 +65,7 @@ impl Show {
         text
     }
 
-    /// Waits until the program has ended by itself; returns its exit status and standard error.
+    /// Waits until the program ends. Returns its exit status and its standard error.
     pub fn ended(&mut self) -> (ExitStatus, String) {
         let status = wait_for("the end", || self.child.try_wait().unwrap());
         (status, self.errors())

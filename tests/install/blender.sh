@@ -1,6 +1,13 @@
 #!/bin/sh
-# Installs the extension with its wheel by Blender's own command in Debian's Blender, and presses its button. If there is no
-# clean Debian, it uses the module bpy of $BLENDER_PYTHON, which `cargo xtask blender` fetches.
+<<<<<<< HEAD
+# Installs the extension with its wheel by Blender's own command in Debian's Blender, and presses
+# its button. Without a clean Debian, uses the module bpy of $BLENDER_PYTHON, which `cargo xtask
+# blender` fetches.
+=======
+# On a clean Debian, installs the extension (which contains the wheel) with Blender's own command. Then runs the operator
+# of its button (press.py), and its command `lumistack make`. On other machines uses the module bpy of $BLENDER_PYTHON, which
+# `cargo xtask blender` fetches.
+>>>>>>> h-w5
 . "$(dirname "$0")/common.sh"
 case $(uname -m) in x86_64) platform=linux_x64 ;; *) platform=linux_arm64 ;; esac
 zip=$(one "lumistack-blender-*-$platform.zip")
@@ -13,6 +20,6 @@ if [ -n "${CLEAN:-}" ]; then
     blender --background "$WORK/shot.blend" --command lumistack make --display "$WORK/display.toml" --iterations 1 --samples 1 --renderer lumistack -o "$WORK/command"
     [ -s "$WORK/command/layers/stack.json" ]
 else
-    : "${BLENDER_PYTHON:?names a Python with bpy}"
+    : "${BLENDER_PYTHON:?must name a Python with bpy}"
     "$BLENDER_PYTHON" "$HERE/../../plugins/blender/tests/cases.py" lifecycle,make "$zip" "$WORK/cases"
 fi

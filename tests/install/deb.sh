@@ -1,5 +1,5 @@
 #!/bin/sh
-# Installs, uses and removes the Debian package if the machine belongs to the test; otherwise only unpacks it.
+# On a clean Debian, installs, uses and removes the Debian package. On other machines only unpacks and uses it.
 . "$(dirname "$0")/common.sh"
 no_rust
 deb=$(one "lumistack_*_$(dpkg --print-architecture).deb")

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Installs the npm package by npm, and shows it by a browser in a separate page.
+# Installs the viewer's package with npm, and opens a page that uses it in a browser.
 . "$(dirname "$0")/common.sh"
 packages nodejs npm chromium
 tarball

@@ -1,4 +1,7 @@
-"""Runs every command of the first pages in order, each page in its own folder: pages.py FOLDER. Runs have few pixels and paths."""
+"""Runs every command of the documentation's first pages in order, with few pixels and views. Each page has its own folder in FOLDER.
+
+usage: pages.py FOLDER
+"""
 
 import re
 import shlex
@@ -10,13 +13,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ["docs/FIRST_HOUR.md", *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs/start").glob("*.md"))]
-#: Added to commands that render; of repeated flags the last takes effect.
+#: Added to every `lumistack run`. If a flag is repeated, the last one takes effect.
 SMALL = ["--resolution", "64x40", "--views", "3x3", "--zone-samples", "20", "--iterations", "3"]
 FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.M | re.S)
 
 
 def serves(words: list[str], folder: Path) -> None:
-    """Starts a server, which must print its address, and ends it."""
+    """Starts a server, checks that it prints its address, and ends it."""
     with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout
         line = server.stdout.readline()
@@ -27,7 +30,7 @@ def serves(words: list[str], folder: Path) -> None:
 def page(path: str, folder: Path) -> int:
     folder.mkdir(parents=True)
     shutil.copytree(ROOT / "scenes/letters", folder, dirs_exist_ok=True)
-    # stands for a model of the reader, which may have any name
+    # the pages call the reader's own model `model.glb`
     (folder / "letters.gltf").rename(folder / "model.gltf")
     (folder / "job.toml").unlink()
     count = 0

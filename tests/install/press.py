@@ -1,4 +1,7 @@
-"""Presses the extension's button in a Blender in which it is installed: blender --background --python press.py -- FOLDER."""
+"""Runs the operator of the extension's button in a Blender with the installed extension, and checks the files in FOLDER.
+
+usage: blender --background --python press.py -- FOLDER
+"""
 
 import sys
 from pathlib import Path

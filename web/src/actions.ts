@@ -27,12 +27,12 @@ export class TurnRecorder {
     private readonly motion: Motion,
   ) {}
 
-  /** Adds the current picture to a recording. */
+  /** Adds the canvas's current picture to the recording; does nothing if none is in progress. */
   frame(): void {
     this.recording?.frame(this.stage.main);
   }
 
-  /** Records one turn around the zone; `wake` starts the drawing. */
+  /** Records one turn around the zone and saves it as a video; `wake` starts the drawing loop. */
   async save(shown: Shown, wake: () => void): Promise<void> {
     const format = videoFormat();
     if (this.recording || format === undefined) return;

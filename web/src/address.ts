@@ -7,7 +7,10 @@ const REST_MS = 400;
 export class Address {
   private timer: ReturnType<typeof setTimeout> | undefined;
 
-  /** `#…` of a state. It includes the viewing position, unless the view moves by itself. */
+  /**
+   * The `#…` of a state. It includes the viewing position, unless the view swings or looks straight
+   * ahead; with `always` it includes the position in any case.
+   */
   static hash(state: State, slope: Slope, always: boolean): string {
     const still = always || (!state.swing && slope.some((value) => value !== 0));
     const text = toHash(state, still ? slope : undefined);

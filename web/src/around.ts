@@ -1,20 +1,19 @@
-// Pictures while the patterns load: one from the middle, and blends of small views around it.
+// Pictures to show while the patterns load: blends of small views from several slopes.
 import type { Around } from "./info.js";
 import type { Slope } from "./state.js";
 
 export class Surroundings {
-  /** Columns and rows of the canvas: those of a view. */
   private constructor(
     private readonly quilt: ImageBitmap,
     private readonly around: Around,
   ) {}
 
-  /** Decodes the picture; its bytes are those of `around.path`. */
+  /** Decodes `bytes`, the content of the file `around.path`, which holds all views side by side. */
   static async of(around: Around, bytes: Uint8Array<ArrayBuffer>): Promise<Surroundings> {
     return new Surroundings(await createImageBitmap(new Blob([bytes], { type: "image/jpeg" })), around);
   }
 
-  /** Draws the four nearest views with their weights. */
+  /** Draws the mean of the four views nearest to the slope [x, y], weighted bilinearly. */
   draw(on: HTMLCanvasElement, [x, y]: Slope): void {
     const { cols, rows, slope_x, slope_y } = this.around;
     if (on.width !== cols) on.width = cols;
@@ -27,7 +26,8 @@ export class Surroundings {
       for (const [col, wide] of [left, right]) {
         const share = high * wide;
         if (share === 0) continue;
-        // Each picture covers those before it, so its alpha is its weight among all so far.
+        // Drawing a picture scales the earlier ones by 1 − alpha. So its alpha is its weight
+        // divided by the sum of all weights so far.
         sum += share;
         context.globalAlpha = share / sum;
         context.drawImage(this.quilt, col * cols, row * rows, cols, rows, 0, 0, cols, rows);
@@ -41,8 +41,8 @@ export class Surroundings {
 }
 
 /**
- * The indices on either side of a slope and their weights. Slopes rise or fall; past the last one
- * the last view is used.
+ * Returns the two views on either side of a slope, each as [index, weight]. `slopes` rise or fall
+ * evenly. Outside their range the outermost view has all the weight.
  */
 export function between(slopes: readonly number[], slope: number): [[number, number], [number, number]] {
   const last = slopes.length - 1;

@@ -1,9 +1,9 @@
 // Saves pictures and videos as downloads.
 
-/** Formats to try with MediaRecorder, best first. */
+/** Formats of videos, best first; the first one that MediaRecorder supports is used. */
 const FORMATS = ["video/mp4;codecs=avc1.640028", "video/webm;codecs=vp9", "video/webm;codecs=vp8", "video/webm"];
 const BITS_PER_S = 12e6;
-/** Least width of a video; pictures are enlarged by a whole number. */
+/** Least width of a video, pixels. Smaller pictures are enlarged by a whole number. */
 const VIDEO_PX = 960;
 
 export function download(blob: Blob, name: string): void {
@@ -19,7 +19,7 @@ export function toPng(canvas: HTMLCanvasElement): Promise<Blob> {
   return new Promise((resolve, reject) => canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("the browser made no picture"))), "image/png"));
 }
 
-/** The format in which this browser records a canvas; undefined without one. */
+/** The format in which this browser records a canvas; undefined if it cannot record one. */
 export function videoFormat(): string | undefined {
   if (typeof MediaRecorder === "undefined" || !("captureStream" in HTMLCanvasElement.prototype)) return undefined;
   return FORMATS.find((format) => MediaRecorder.isTypeSupported(format));
@@ -31,7 +31,7 @@ export interface Recording {
   stop(): Promise<{ blob: Blob; extension: string }>;
 }
 
-/** Records a separate canvas, since the visible canvas may change. */
+/** Records a video of a separate canvas, since the visible canvas may change its size. */
 export function record(width: number, height: number, format: string): Recording {
   const copy = document.createElement("canvas");
   const scale = Math.ceil(VIDEO_PX / width);

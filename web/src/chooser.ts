@@ -1,4 +1,4 @@
-// Files that are dropped on the element or chosen in its dialog.
+// Opens files that the user drops on the element or chooses in its dialog.
 import { filesByName, filesOf } from "./drop.js";
 import { Problem, problemOf } from "./problem.js";
 

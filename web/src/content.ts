@@ -9,15 +9,15 @@ import type { Slope, State } from "./state.js";
 
 export interface Content {
   readonly info: Info;
-  /** Frames that can be drawn, rising. */
+  /** Numbers of the frames whose files have all arrived, in rising order. */
   readonly frames: readonly number[];
-  /** True if the picture is final: every frame is complete, or will never be. */
+  /** True if the picture is final: every file has arrived or failed. */
   readonly whole: boolean;
-  /** Takes a graphics context, or releases it. */
+  /** Takes a graphics context, or releases it, as the wish demands. */
   attach(wish: Wish): void;
   /** Applies the user's options. */
   apply(state: State): void;
-  /** The picture to show. */
+  /** The picture to show for a state, seen from a slope. */
   shot(state: State, slope: Slope): Shot;
   free(): void;
 }
@@ -26,17 +26,20 @@ export class StackContent implements Content {
   readonly info: Info;
   readonly frames: number[] = [];
   whole = false;
-  /** Version of the module, and colours of the error map; known once it has started. */
+  /**
+   * Version of the module, the error map's colours, and the error of the last colour; undefined
+   * until the module has opened the preview.
+   */
   about: { version: string; heat: string; heatTop: number } | undefined;
   private engine: Engine | undefined;
-  /** Views of the target that have arrived, as row/column. */
+  /** Views of the target that have arrived, each as "row/column". */
   private readonly targets = new Set<string>();
   /** Number of each frame's parts that have not arrived. */
   private readonly missing: number[];
   private options = "";
   private wanted = "";
 
-  /** Throws if the text is no preview. */
+  /** Throws if the text is not a preview.json. */
   constructor(readonly json: string) {
     this.info = infoOf(json);
     this.missing = Array.from({ length: this.info.frames }, (_, frame) => this.info.files.filter((file) => file.frame === frame).length);
@@ -50,7 +53,7 @@ export class StackContent implements Content {
     this.sendOptions();
   }
 
-  /** Records a file that has arrived; returns true if its frame is complete now. */
+  /** Records a file that has arrived; returns true if the file completes its frame. */
   arrived({ frame, view }: FileInfo): boolean {
     if (view) this.targets.add(view.join("/"));
     if (frame === undefined || --this.missing[frame]! > 0) return false;
@@ -60,14 +63,14 @@ export class StackContent implements Content {
     return true;
   }
 
-  /** Replaces all pictures at once, so that every drawn picture shows one state. */
+  /** Replaces all masks at once, so that no drawn picture mixes old and new masks. */
   async exchange(codes: Uint8Array<ArrayBuffer>): Promise<void> {
     await this.engine?.call("exchange", [codes], [codes.buffer]);
     if (this.whole) return;
     for (const file of this.info.files) this.arrived(file);
   }
 
-  /** Replaces all files by other patterns. */
+  /** Replaces all files of the preview by the files of other patterns. */
   async renew(files: readonly ArrayBuffer[]): Promise<void> {
     await this.engine?.call("renew", [files]);
   }
@@ -95,14 +98,14 @@ export class StackContent implements Content {
     this.sendOptions();
   }
 
-  /** The mask of a layer, or of the backlight, whose index follows the last layer's. */
+  /** The mask of a layer in a frame. The index after the last layer's stands for the backlight. */
   mask(layer: number, frame: number): Shot {
     const { layers, backlight, field } = this.info;
     const { cols, rows } = layers[layer] ?? backlight ?? field;
     return { kind: "mask", field: [field.cols, field.rows], layer, frame, size: [cols, rows], backlight: layer >= layers.length };
   }
 
-  /** PSNR of the compared view, in words. */
+  /** PSNR of the target's view nearest to the slope: "31.4 dB · view 3, 2 of 7 × 5". */
   async psnr(slope: Slope): Promise<string> {
     const [row, col] = nearestView(this.info, slope);
     const { cols, rows } = this.info.views;
@@ -128,7 +131,7 @@ export class StackContent implements Content {
     }
     const view = nearestView(info, slope);
     if (state.mode !== "compare" || !this.targets.has(view.join("/"))) return { kind: "view", field, slope };
-    // Display and target are compared at the slope for which the target was rendered.
+    // The display is drawn from the slope of the target's view, so that the two can be compared.
     const snapped = viewSlope(info, ...view);
     if (state.comparison === "slider") return { kind: "split", field, slope: snapped, view, at: state.split };
     if (state.comparison === "side") return { kind: "side", field, slope: snapped, view };
@@ -142,7 +145,7 @@ export class StackContent implements Content {
   }
 }
 
-/** Checks a preview and opens it; the error is the reason. */
+/** Opens a preview in the simulator; throws the reason if the preview is invalid. */
 export async function openPreview(engine: Engine, json: string): Promise<{ version: string; heat: string; heatTop: number }> {
   try {
     return await engine.call("open", [json]);
@@ -164,7 +167,7 @@ export class FieldContent implements Content {
   }
 
   attach(): void {
-    // The processor blends views.
+    // A light field needs no graphics context: the processor blends its views.
   }
 
   apply(): void {
@@ -182,7 +185,10 @@ export class FieldContent implements Content {
   }
 }
 
-/** A frame itself, or the last earlier one that can be drawn, or the first later one. */
+/**
+ * Returns `frame` if it is in `frames`, the rising numbers of complete frames. Otherwise it returns
+ * the last earlier one, or the first one if none is earlier.
+ */
 export function readyFrame(frames: readonly number[], frame: number): number {
   return frames.findLast((each) => each <= frame) ?? frames[0] ?? 0;
 }

@@ -1,4 +1,4 @@
-// The effect of the buttons, sliders and keys around the picture on the state.
+// Applies input from the buttons, sliders and keys around the picture to the state.
 import { copyLink, savePicture, TurnRecorder, type Shown } from "./actions.js";
 import { Address } from "./address.js";
 import { listenToChooser, listenToDrops } from "./chooser.js";
@@ -28,7 +28,7 @@ export interface Controlled {
   content(): Content | undefined;
   set(change: Partial<State>): void;
   look(slope: Slope): void;
-  /** The current picture. */
+  /** The picture that is shown; undefined before the first patterns have arrived. */
   shot(): Shot | undefined;
   stepFrame(by: number): void;
   open(files: ReadonlyMap<string, File>): Promise<void>;
@@ -57,7 +57,7 @@ export class Controls {
     const { on } = this;
     const from = event.composedPath()[0];
     if (!(from instanceof HTMLElement) || event.defaultPrevented || !on.content() || (on.face.at("chooser") as HTMLDialogElement).open) return;
-    // Sliders, fields and buttons handle their own keys.
+    // A slider, field or button that has the focus handles these keys itself.
     const own = { INPUT: /^(Arrow|Home|End|Page| )/, BUTTON: /^( |Enter)/, TEXTAREA: /./, SELECT: /./ }[from.tagName];
     if (own?.test(event.key) || from.isContentEditable) return;
     if (handleKey(event, on.motion, this.target)) event.preventDefault();

@@ -11,7 +11,8 @@ export function deferred(): Deferred {
   let resolve!: () => void;
   let reject!: (error: Error) => void;
   const promise = new Promise<void>((yes, no) => ([resolve, reject] = [yes, no]));
-  // An unused promise must not cause an error in the console: the page shows the error itself.
+  // The console reports a rejected promise without a handler. The page shows the error itself, so
+  // an empty handler prevents a second report.
   promise.catch(() => undefined);
   const made: Deferred = {
     promise,

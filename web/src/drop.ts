@@ -1,5 +1,5 @@
-// Recognizes dropped or chosen files: a preview, a run folder with one, a quilt, or the views of a
-// light field.
+// Recognizes the kind of dropped or chosen files: a preview, a run folder with a preview, a quilt,
+// or the views of a light field.
 import { Problem } from "./problem.js";
 
 export type Dropped =
@@ -9,13 +9,13 @@ export type Dropped =
 
 const PICTURE = /\.(png|jpe?g|webp|avif|gif|bmp)$/i;
 const QUILT = /_qs(\d+)x(\d+)(?:a([0-9.]+?))?\.[a-z]+$/i;
-/** Two indices at the end of a name: view_03_07.png, out_00_05_-381.9_1017.5_.png. */
+/** Names with a view's row and column: view_03_07.png, out_00_05_-381.9_1017.5_.png, 3_7.png. */
 const ROW_COL = [/^view[_-](\d+)[_-](\d+)\b/i, /^out[_-](\d+)[_-](\d+)[_-]/i, /(\d+)[_-](\d+)\.[a-z]+$/i];
-/** One index: input_Cam004.png. */
+/** Names with one number, which counts the views row by row: input_Cam004.png. */
 const RUNNING = /(\d+)\.[a-z]+$/i;
 const MOST_FILES = 20000;
 
-/** The files of a drop with their paths, including those in folders. */
+/** Returns the dropped files by path, including all files in dropped folders. */
 export async function filesOf(transfer: DataTransfer): Promise<Map<string, File>> {
   const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.() ?? null);
   const files = new Map<string, File>();
@@ -40,11 +40,11 @@ export function filesByName(list: Iterable<File>): Map<string, File> {
 }
 
 /**
- * Recognizes the kind of the files; otherwise throws a Problem with the files found and those
- * expected.
+ * Returns the kind of the files. Throws a Problem that states the expected and the found files if
+ * they are of no known kind.
  */
 export function recognize(files: ReadonlyMap<string, File>): Dropped {
-  if (files.size === 0) throw new Problem("Nothing arrived: no files in what was dropped.", WANTED, false);
+  if (files.size === 0) throw new Problem("The drop contains no files.", WANTED, false);
   const json = [...files.keys()].filter((path) => /(^|\/)preview\.json$/.test(path)).sort((a, b) => a.length - b.length)[0];
   if (json !== undefined) return { kind: "preview", files, json };
   const pictures = [...files.entries()].filter(([path]) => PICTURE.test(path));
@@ -61,10 +61,10 @@ const WANTED =
 
 function refusal(files: ReadonlyMap<string, File>): string {
   const paths = [...files.keys()];
-  if (paths.some((path) => /(^|\/)layers\/stack\.json$/.test(path))) return "This run folder holds no preview: write one with “lumistack preview” on it.";
-  if (paths.some((path) => /\.exr$/i.test(path))) return "These views are OpenEXR, which browsers do not read: the plugin “images” writes them as PNG.";
-  if (paths.length === 1 && PICTURE.test(paths[0]!)) return `${paths[0]} is a single picture and its name does not say how many views it has.`;
-  return `None of the ${paths.length} files is a preview.json or a picture.`;
+  if (paths.some((path) => /(^|\/)layers\/stack\.json$/.test(path))) return "This run folder has no preview. “lumistack preview” with this folder writes one.";
+  if (paths.some((path) => /\.exr$/i.test(path))) return "These views are OpenEXR files, which browsers cannot read. The plugin “images” writes views as PNG.";
+  if (paths.length === 1 && PICTURE.test(paths[0]!)) return `${paths[0]} is a single picture, and its name does not give the number of views.`;
+  return `There is no preview.json and no picture among the dropped files (${paths.length}).`;
 }
 
 function quiltOf(file: File): Dropped {
@@ -75,7 +75,11 @@ function quiltOf(file: File): Dropped {
   return { kind: "quilt", file, cols, rows, aspect: aspect > 0 ? aspect : undefined, title: file.name.replace(QUILT, "") };
 }
 
-/** Views in rows from the top and columns from the left, by their names. */
+/**
+ * Arranges views by their names in a grid: rows from the top, columns from the left. If the names
+ * do not state a complete grid, the views are in the order of their names. They form a square if
+ * every name has a number and their count is a square number, else one row.
+ */
 export function gridOf(pictures: readonly (readonly [string, File])[]): File[][] {
   const named = pictures.map(([path, file]) => ({ file, name: path.replace(/^.*\//, "") })).sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
   for (const pattern of ROW_COL) {

@@ -1,14 +1,15 @@
-// <lumistack-viewer src="stack/preview.json">: loads a preview and shows it.
+// The element <lumistack-viewer src="stack/preview.json">, which loads a preview and shows it.
 //
 // Attributes:
 //
 // * src: address of the preview
 // * renderer: "cpu" never uses WebGL2, and "webgl2" always does
 // * wasm: URL of the module, if it is not beside the script
-// * theme: "dark" or "light" replaces the system's
-// * url-state: keeps the state in the page's address
-// * keyboard: "page" receives keys of the whole page, not only of the focused picture
-// * hold: keeps the view from swinging
+// * theme: "dark" or "light" replaces the system's theme
+// * url-state: keeps the user's options in the page's address
+// * keyboard: with "page" the element receives keys of the whole page, not only of the focused
+//   picture
+// * hold: the view does not swing
 import { Address } from "./address.js";
 import type { Surroundings } from "./around.js";
 import { download, fileName, toPng, videoFormat } from "./capture.js";
@@ -38,22 +39,21 @@ import sheetCss from "./sheet/viewer.css";
 
 export interface LumistackErrorDetail {
   message: string;
-  /** A possible remedy. */
+  /** A possible remedy, as a sentence; empty if there is none. */
   advice: string;
   /** True if nothing can be shown. */
   fatal: boolean;
 }
 
-/** Width below which all parts are stacked, CSS pixels. */
+/** Up to this width of the element its parts are stacked, CSS pixels. */
 const NARROW_PX = 860;
-/**
- * Milliseconds between two descriptions of the viewing position, and of rest before PSNR is
- * computed.
- */
+/** Milliseconds between two descriptions of the viewing position in words. */
 const WORDS_MS = 90;
+/** Milliseconds for which the compared view must stay the same before its PSNR is computed. */
 const PSNR_MS = 60;
 /**
- * Milliseconds out of sight after which a viewer releases its graphics context: browsers allow few.
+ * Milliseconds out of sight after which a viewer releases its graphics context. Browsers allow only
+ * a few contexts at a time.
  */
 const REST_MS = 1500;
 
@@ -76,7 +76,7 @@ export class LumistackViewer extends HTMLElement {
 
   private state: State = { ...DEFAULTS };
   private content: Content | undefined;
-  /** Views to look around in before the patterns have arrived. */
+  /** Small views in which the user looks around until the patterns have arrived. */
   private around: Surroundings | undefined;
   private resting: ReturnType<typeof setTimeout> | undefined;
 
@@ -145,12 +145,12 @@ export class LumistackViewer extends HTMLElement {
 
   // --- public interface
 
-  /** Resolves with the first picture; rejects if there will be none. */
+  /** Resolves when the first picture is shown; rejects if no picture can be shown. */
   get ready(): Promise<void> {
     return this.loader.firstPicture.promise;
   }
 
-  /** Resolves when every file has arrived or failed and there is a picture. */
+  /** Resolves when every file has arrived or failed; rejects if no frame is complete. */
   get complete(): Promise<void> {
     return this.loader.everything.promise;
   }
@@ -177,7 +177,7 @@ export class LumistackViewer extends HTMLElement {
     this.set({ comparison });
   }
 
-  /** The slope of the view. Setting it ends swing and inertia. */
+  /** The slope of the view. A new value ends swing and inertia. */
   get slope(): Slope {
     return this.motion.slope;
   }
@@ -193,8 +193,8 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-   * RGBA bytes of the current picture, in the light field's size; of a side-by-side comparison
-   * those of the display.
+   * RGBA bytes of the current picture, in the light field's size. In the side-by-side comparison
+   * this is the display's picture, without the target's.
    */
   async pixels(): Promise<ImageData> {
     const shot = this.shot();
@@ -208,7 +208,7 @@ export class LumistackViewer extends HTMLElement {
     return toPng(await this.stage.still(shot));
   }
 
-  /** Saves a quilt of 8 × 6 views for lenticular displays: a PNG whose name ends in `_qs8x6aASPECT`. */
+  /** Saves a quilt of 8 × 6 views for lenticular displays: a PNG, `TITLE_qs8x6aASPECT.png`. */
   async saveQuilt(): Promise<void> {
     const views = this.views();
     if (!views) throw new Error("there is no picture yet");
@@ -221,7 +221,7 @@ export class LumistackViewer extends HTMLElement {
     await this.controls.saveTurn();
   }
 
-  /** Shows the files (path → file): a preview, a quilt, or the views of a light field. */
+  /** Shows files, given by path: a preview, a quilt, or the views of a light field. */
   async open(files: ReadonlyMap<string, File>): Promise<void> {
     try {
       const dropped = recognize(files);
@@ -233,9 +233,9 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-   * Shows patterns that are being computed. `json` is their preview, and `codes` contains all its
-   * pictures in the preview's order, [row][col][rgb] each. Patterns of the current preview are
-   * replaced at once.
+   * Shows patterns that are being computed. `json` is the text of their preview.json. `codes`
+   * contains the pictures of all its files in their order, [row][col][rgb] each. If `json` is the
+   * current preview, only the patterns are replaced, all at once.
    */
   async showStack(json: string, codes: Uint8Array<ArrayBuffer>): Promise<void> {
     const { content } = this;
@@ -246,8 +246,8 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-   * Replaces the patterns of the current preview at once; `files` has a PNG for every file that it
-   * names.
+   * Replaces all patterns of the current preview at once. `files` contains a PNG for every file of
+   * the preview, in the preview's order.
    */
   async renew(files: readonly ArrayBuffer[]): Promise<void> {
     if (!(this.content instanceof StackContent)) return;
@@ -346,7 +346,7 @@ export class LumistackViewer extends HTMLElement {
     this.stateChanged();
   }
 
-  /** Called when the simulator of the current content has started. */
+  /** Called when the simulator of the new content has started. */
   private opened(content: Content, engine: Engine): void {
     engine.onPath = ({ path, why }) => this.pathChanged(path, why);
     if (content instanceof StackContent) {
@@ -358,7 +358,7 @@ export class LumistackViewer extends HTMLElement {
     this.stateChanged();
   }
 
-  /** The poster in the page, otherwise the one that the preview names. */
+  /** The poster that the page puts into the element; without one, the image of the preview's. */
   private get poster(): HTMLImageElement {
     return this.querySelector<HTMLImageElement>('img[slot="poster"]') ?? (this.face.at("poster") as HTMLImageElement);
   }
@@ -366,7 +366,7 @@ export class LumistackViewer extends HTMLElement {
   private showPoster(address: string): void {
     const { poster } = this;
     if (poster.src === address) return;
-    // This is another preview than the page's own.
+    // The page's own poster belongs to another preview than the one that is loaded now.
     if (poster.slot) poster.remove();
     const ours = this.face.at("poster") as HTMLImageElement;
     ours.src = address;
@@ -411,7 +411,7 @@ export class LumistackViewer extends HTMLElement {
   }
 
   private arrived(content: StackContent, file: FileInfo): void {
-    // A new frame may be the selected one.
+    // The frame that the file completes may be the selected one.
     if (content.arrived(file)) this.stateChanged();
     this.ticker.redraw();
   }
@@ -425,7 +425,7 @@ export class LumistackViewer extends HTMLElement {
     const first = failed[0];
     if (first) {
       const rest = failed.length > 1 ? ` (and ${failed.length - 1} more)` : "";
-      const mean = ready > 0 && ready < info.frames ? ` ${ready} of ${info.frames} frames are whole; the picture is their mean.` : "";
+      const mean = ready > 0 && ready < info.frames ? ` ${ready} of ${info.frames} frames are complete; the picture is their mean.` : "";
       this.report(new Problem(`${first.message}${rest}${mean}`, first.advice, ready === 0));
     }
     if (ready > 0) this.loader.everything.resolve();
@@ -434,7 +434,7 @@ export class LumistackViewer extends HTMLElement {
 
   private progress(share: number): void {
     const { content } = this;
-    // With a poster, the bar is enough.
+    // While a poster is shown, the progress bar has no text.
     let text = content?.whole || this.hasPoster ? "" : "Loading…";
     if (text && content instanceof StackContent) {
       const { frames } = content.info;
@@ -543,7 +543,7 @@ export class LumistackViewer extends HTMLElement {
     this.ticker.redraw();
   }
 
-  /** The picture to show; undefined without patterns. */
+  /** The picture to show; undefined while no frame is complete. */
   private shot(): Shot | undefined {
     const { content } = this;
     return content && content.frames.length > 0 ? content.shot(this.state, this.motion.slope) : undefined;
@@ -570,7 +570,10 @@ export class LumistackViewer extends HTMLElement {
     };
   }
 
-  /** True while a substitute is shown: the mean of a few frames is only noise. */
+  /**
+   * True while the poster or small views replace the picture: the mean of only a few frames is
+   * noisy.
+   */
   private get isEarly(): boolean {
     const { content, state } = this;
     return state.mode === "perceived" && !content?.whole && (this.hasPoster || this.around !== undefined);
@@ -580,7 +583,8 @@ export class LumistackViewer extends HTMLElement {
     const { isEarly } = this;
     if (isEarly) {
       this.face.early(true);
-      // The poster is sharper; small views are for users who move before the patterns have arrived.
+      // The poster is sharper than the small views. So they are drawn only after the user has moved
+      // the view.
       if (this.around && !this.motion.fresh) this.around.draw(this.face.at("early") as HTMLCanvasElement, this.motion.slope);
     } else {
       const shot = this.shot();

@@ -1,4 +1,4 @@
-// The simulator in its own thread, so that it never blocks the page.
+// Runs the simulator in a worker thread, so that it never blocks the page.
 import type { PathChange } from "./painter.js";
 import { Problem, problemOf } from "./problem.js";
 import { fromBase64 } from "./source.js";
@@ -8,8 +8,8 @@ import WORKER from "worker:./worker.ts";
 let compiling: Promise<WebAssembly.Module> | undefined;
 
 /**
- * Compiles the module once; a failed attempt may be repeated. The module is beside the script, at a
- * given URL, or in the page.
+ * Compiles the WebAssembly module at most once per page; after a failure a later call tries again.
+ * The module is part of the page, at the given URL, or beside the script.
  */
 function compile(url: string | null): Promise<WebAssembly.Module> {
   const get = async (): Promise<WebAssembly.Module> => {
@@ -27,7 +27,7 @@ function compile(url: string | null): Promise<WebAssembly.Module> {
 export class Engine {
   private readonly waiting = new Map<number, { resolve: (value: never) => void; reject: (error: Error) => void }>();
   private last = 0;
-  /** Called when another renderer draws. */
+  /** Called when the painter changes between WebGL2 and the processor. */
   onPath: ((change: PathChange) => void) | undefined;
 
   private constructor(private readonly worker: Worker) {
@@ -44,7 +44,7 @@ export class Engine {
     };
   }
 
-  /** `url` is the module's, if it is not beside the script. */
+  /** Starts the thread. `url` is the address of the module; null if it is beside the script. */
   static async start(url: string | null): Promise<Engine> {
     try {
       const module = await compile(url);
@@ -53,15 +53,18 @@ export class Engine {
       await engine.call("start", [module]).finally(() => URL.revokeObjectURL(script));
       return engine;
     } catch (error) {
-      const advice = "See that lumistack_web_bg.wasm lies beside viewer.js, that the server sends it, and that the page may start workers (worker-src blob:), then load this page again.";
+      const advice = "Check that lumistack_web_bg.wasm is in the same folder as viewer.js, that the server sends it, and that the page may start workers (worker-src blob:). Then load this page again.";
       throw new Problem(
         `The simulator could not start: ${problemOf(error, "").message}`,
-        typeof WebAssembly === "undefined" ? "This browser has no WebAssembly, or it is switched off: use another one." : advice,
+        typeof WebAssembly === "undefined" ? "This browser has no WebAssembly, or it is switched off. Use another browser." : advice,
       );
     }
   }
 
-  /** Calls are answered in order. The objects in `handed` are transferred. */
+  /**
+   * Calls a method of the thread. The thread answers calls in their order. The objects in `handed`
+   * are transferred to it.
+   */
   call<K extends keyof Methods>(name: K, args: Parameters<Methods[K]>, handed: Transferable[] = []): Promise<ReturnType<Methods[K]>> {
     return new Promise((resolve, reject) => {
       const id = ++this.last;

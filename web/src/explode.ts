@@ -1,9 +1,9 @@
-// Draws the separated layers without WebGL: in a parallel projection every layer is an affine
-// picture.
+// Draws the separated layers of a stack without WebGL: a parallel projection maps every layer by an
+// affine transform, which a 2D canvas supports.
 import type { Info } from "./info.js";
 import type { Slope } from "./state.js";
 
-/** The layers, and the size of the field. */
+/** The layers of a display, and the size of its light field. */
 export type Stack = Pick<Info, "field" | "layers">;
 
 export interface Exploded {
@@ -16,18 +16,18 @@ export interface Exploded {
 
 /** Fraction of the canvas that the rotated stack fills. */
 const FILL = 0.86;
-/** Number of rays across the field. */
+/** Number of rays that are drawn, evenly spread over the field's width. */
 const RAYS = 5;
 
-/** Draws the stack; `mask` returns the picture of a layer. */
+/** Draws the backlight, the layers and some rays; `mask` returns the picture of a layer. */
 export function explode(context: OffscreenCanvasRenderingContext2D, { slope, yaw, pitch, spread, stack }: Exploded, mask: (layer: number) => OffscreenCanvas): void {
   const on = context.canvas;
   const { layers } = stack;
   const { width_mm, height_mm } = stack.field;
   const count = layers.length;
   const apart = (spread * width_mm * 1.1) / Math.max(count, 2);
-  // Backlight at 0, layers at 1, 2, …: positions along the normal, with the middle one at the
-  // origin.
+  // Position along the normal, mm, of element i: the backlight is element 0, layer n is element
+  // n + 1. The middle of the stack is at the origin.
   const place = (i: number): number => (i - count / 2) * apart;
   const [cosY, sinY, cosP, sinP] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
   const project = (x: number, y: number, z: number): [number, number] => {
@@ -68,7 +68,7 @@ export function explode(context: OffscreenCanvasRenderingContext2D, { slope, yaw
     context.setTransform(1, 0, 0, 1, 0, 0);
     outline(context, [corner, right, [right[0] + down[0] - corner[0], right[1] + down[1] - corner[1]], down]);
   }
-  // Draw some rays of the view on top.
+  // Draw some rays with the view's slope over the layers.
   context.setTransform(1, 0, 0, 1, 0, 0);
   const thin = Math.max(on.width / 600, 1.2);
   const gap = count > 1 ? (layers[count - 1]!.d_mm - layers[0]!.d_mm) / (count - 1) : 1;
@@ -80,7 +80,7 @@ export function explode(context: OffscreenCanvasRenderingContext2D, { slope, yaw
       const point = toCanvas(x + slope[0] * drift, slope[1] * drift, place(i));
       context.lineTo(point[0], point[1]);
     }
-    // A dark line below a bright one is visible on any pattern and in both themes.
+    // A wide dark line under a thin bright line is visible on any pattern and in both themes.
     for (const [colour, width] of [
       ["rgb(0 0 0 / 0.6)", 2.6 * thin],
       ["#f2ad3f", thin],

@@ -1,4 +1,4 @@
-// The parts around the picture: controls, progress, messages, and the viewing position in words.
+// Shows the parts around the picture: controls, progress, messages, the viewing position in words.
 import type { Problem } from "./problem.js";
 import { layerName } from "./sheet.js";
 import { zoneSlope, type Info } from "./info.js";
@@ -7,7 +7,7 @@ import type { Mode, Path, Slope, State } from "./state.js";
 import { ICONS } from "./template.js";
 import { inWords, isInside } from "./zone.js";
 
-/** Milliseconds after which a message that needs no answer disappears. */
+/** Milliseconds after which a message of the kind "passing" disappears. */
 const PASSING_MS = 8000;
 
 export class Face {
@@ -29,13 +29,14 @@ export class Face {
     this.at("title").textContent = info.title || "Untitled";
     this.at("facts").textContent = facts(info);
     this.at("caption").textContent = info.caption;
-    // A light field from other programs has no layers, so no modes and no construction errors.
+    // A light field from another program has no layers. So the controls for modes and for errors of
+    // the display's construction are hidden.
     this.frame.classList.toggle("foreign", info.layers.length === 0);
     (this.at("exploded-frame") as HTMLInputElement).max = String(info.frames - 1);
     this.at("exploded-frame-label").hidden = info.frames < 2;
   }
 
-  /** Shows the error map's colours, and the version and the renderer. */
+  /** Shows the error map's colours with the error of the last colour, and sets the version. */
   about(version: string, heat: string, heatTop: number): void {
     (this.root.querySelector("#legend i") as HTMLElement).style.background = `linear-gradient(90deg, ${heat})`;
     this.at("legend-most").textContent = `${Math.round(heatTop * 100)} % of white`;
@@ -86,7 +87,7 @@ export class Face {
     if (info) this.at("frame-count").textContent = `Frame ${state.frame + 1} of ${info.frames}`;
   }
 
-  /** Describes the viewing position; while `resting` also to screen readers. */
+  /** Describes the viewing position; if the view is `resting`, also for screen readers. */
   describe(info: Info, state: State, slope: Slope, resting: boolean): void {
     const inside = isInside(slope, zoneSlope(info));
     const place = this.at("place");
@@ -102,15 +103,15 @@ export class Face {
     if (resting && live.textContent !== said) live.textContent = said;
   }
 
-  /** Shows or hides the hint on how to look around, until the user has. */
+  /** Shows or hides the hint on how to look around. */
   nudge(visible: boolean): void {
     this.at("nudge").hidden = !visible;
   }
 
-  /** Marks a picture that substitutes for the patterns. */
+  /** Sets whether the poster or small views cover the canvas. */
   early(on: boolean): void {
     this.at("picture").classList.toggle("early", on);
-    // Until this first call a poster shows.
+    // Before the first call the style sheet shows the poster.
     this.at("picture").classList.add("started");
   }
 
@@ -136,7 +137,7 @@ export class Face {
     this.card("This preview cannot be shown", message, advice);
   }
 
-  /** Shows a line over the picture; a passing one disappears by itself. */
+  /** Shows a message over the picture; one of the kind "passing" disappears by itself. */
   notice(text: string, kind: "warn" | "passing" | "plain"): void {
     clearTimeout(this.passing);
     const notice = this.at("notice");
@@ -151,7 +152,7 @@ export class Face {
     this.at("notice").hidden = true;
   }
 
-  /** Resets messages when a load begins. */
+  /** Removes messages and cards when a load begins. */
   fresh(): void {
     this.silence();
     this.at("card").hidden = true;
@@ -174,10 +175,10 @@ export class Face {
   }
 }
 
-/** The expected quality of the picture at this position. */
+/** Describes the place of the viewing position relative to the zone or the views. */
 function whereabouts(info: Info, mode: Mode, inside: boolean): string {
-  if (info.layers.length === 0) return inside ? "Among the views." : "Beyond the outermost view.";
-  if (mode === "compare") return "Compared at the nearest view.";
+  if (info.layers.length === 0) return inside ? "Within the views." : "Outside the views.";
+  if (mode === "compare") return "Compared with the nearest view.";
   return inside ? "In the zone." : "Outside the zone that was optimised.";
 }
 

@@ -1,5 +1,4 @@
-// The parts of preview.json that the page needs. The module checks the file; this code only reads
-// it.
+// Reads the parts of preview.json that the page needs. The WebAssembly module checks the file.
 import type { Slope } from "./state.js";
 
 export interface LayerInfo {
@@ -18,13 +17,13 @@ export interface FileInfo {
   bytes?: number;
 }
 
-/** Small views side by side in one picture, from left to right and from the top. */
+/** Small views in one picture: a grid of tiles, columns from left to right, rows from the top. */
 export interface Around {
   path: string;
-  /** Pixels of a view. */
+  /** Pixel columns and rows of a view. */
   cols: number;
   rows: number;
-  /** Slopes of the columns, rising, and of the rows, falling. */
+  /** Slopes of the columns of views, which rise, and of the rows of views, which fall. */
   slope_x: number[];
   slope_y: number[];
 }
@@ -39,20 +38,20 @@ export interface Info {
   frames: number;
   brightness: number;
   views: { rows: number; cols: number; slopes: [number, number][]; projection: string; distance_mm?: number };
-  /** Half angles of the zone. */
+  /** Half the angles of the viewing zone. */
   zone: { x_rad: number; y_rad: number };
   files: FileInfo[];
-  /** Path of a picture from the middle. */
+  /** Path of a picture of the scene, seen straight ahead. */
   poster?: string;
   around?: Around;
 }
 
-/** Throws if the text is no preview. */
+/** Reads the text of a preview.json; throws if the text is no preview. */
 export function infoOf(json: string): Info {
   const { title = "", caption = "", display, target, frames, brightness, files, poster, around } = JSON.parse(json);
   const emission = files.find(({ kind }: FileInfo) => kind === "emission");
   const [rows, cols] = [target.slope_y.length, target.slope_x.length];
-  // A single view makes no zone.
+  // Along an axis with a single view the zone has no width.
   const half = (axis: number, views: number): number => (views > 1 ? (display.field.fov_deg[axis] * Math.PI) / 360 : 0);
   return {
     title,
@@ -83,7 +82,7 @@ export function infoOf(json: string): Info {
   };
 }
 
-/** Slopes of the zone's half angles; never 0, since they are divisors. */
+/** Slopes at the edge of the zone along x and y. They are never 0, since callers divide by them. */
 export function zoneSlope(info: Info): Slope {
   return [Math.max(Math.tan(info.zone.x_rad), 1e-6), Math.max(Math.tan(info.zone.y_rad), 1e-6)];
 }

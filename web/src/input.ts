@@ -1,4 +1,4 @@
-// Pointer, touch and keys on the picture.
+// Handles pointer, touch and keys on the picture.
 import type { Mode, Slope } from "./state.js";
 import { MODES } from "./state.js";
 import { REACH, type Motion } from "./motion.js";
@@ -14,12 +14,12 @@ export interface InputTarget {
   moved(): void;
 }
 
-/** Radians by which the exploded stack turns per pixel, and per key. */
+/** Radians by which the exploded stack turns per pixel of a drag, and per press of an arrow key. */
 const TURN_PER_PX = 0.006;
 const TURN_PER_KEY = 0.09;
-/** Step of an arrow key, as a fraction of the zone's half width. */
+/** Change of the slope per press of an arrow key, as a fraction of the zone's half width. */
 const STEP = 0.08;
-/** Travel of a finger across half the zone, as a fraction of the stage's width. */
+/** Length of a drag that moves the view across half the zone, as a fraction of the stage's width. */
 const TRAVEL = 0.32;
 
 export function listenToPointer(stage: HTMLElement, motion: Motion, target: InputTarget): void {
@@ -45,7 +45,7 @@ export function listenToPointer(stage: HTMLElement, motion: Motion, target: Inpu
       const [dx, dy] = [event.clientX - last.x, event.clientY - last.y];
       last = { x: event.clientX, y: event.clientY };
       if (target.mode() === "exploded") target.turn(dx * TURN_PER_PX, dy * TURN_PER_PX);
-      // The finger holds the display: dragged to the left, it shows more from the right.
+      // A drag turns the display: a drag to the left shows it from farther right.
       else motion.lookBy([(-dx / (box.width * TRAVEL)) * zoneX, (dy / (box.width * TRAVEL)) * zoneY]);
       target.moved();
     } else if (event.pointerType === "mouse" && ours(event) && target.mode() !== "exploded" && target.mode() !== "layers") {
@@ -90,7 +90,7 @@ export function handleKey(event: KeyboardEvent, motion: Motion, target: InputTar
   return true;
 }
 
-/** Handles the boundary of the comparison's slider; `share` is 0..1 from the left. */
+/** Handles input on the comparison's slider. `share` is the boundary's place, 0..1 from the left. */
 export function listenToDivider(divider: HTMLElement, picture: HTMLElement, move: (share: number) => void, current: () => number): void {
   divider.addEventListener("pointerdown", (event) => {
     divider.setPointerCapture(event.pointerId);
@@ -112,7 +112,7 @@ export function listenToDivider(divider: HTMLElement, picture: HTMLElement, move
   });
 }
 
-/** On the zone map the arrow keys always move the eye. */
+/** Handles keys on the map of the zone: there the arrow keys move the eye in every mode. */
 export function listenToPad(pad: HTMLElement, motion: Motion, target: InputTarget): void {
   const eye: InputTarget = { ...target, mode: () => "perceived" };
   pad.addEventListener("keydown", (event) => {

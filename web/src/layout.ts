@@ -1,23 +1,24 @@
-// Size of the picture: the shape of the field or of a mask, as large as the room allows.
+// Computes the picture's size: as large as the room allows, in the shape of the light field or of
+// the selected mask.
 import type { Info } from "./info.js";
 import { sizeOf } from "./sheet.js";
 import type { State } from "./state.js";
 
 export interface Layout {
-  /** The box of one or two pictures, and one picture in it, CSS pixels. */
+  /** Width and height of the box around one or two pictures, and of one picture, CSS pixels. */
   box: [number, number];
   one: [number, number];
-  /** Two pictures, one above the other. */
+  /** True if the box contains two pictures, one above the other. */
   tall: boolean;
   /** Width over height of the stage's content. */
   aspect: number;
 }
 
-/** Space around the picture on wide and on narrow pages, and between two pictures. */
+/** Space around the picture on wide and on narrow pages, and between two pictures, CSS pixels. */
 const MARGIN = { wide: 28, narrow: 10 };
 const BETWEEN = 12;
 
-/** Computes the layout; a poster has pixels only. */
+/** Computes the layout. A poster has no size in millimetres, so its pixels determine its shape. */
 export function layOut(info: Info | { field: { cols: number; rows: number } }, state: State, room: [number, number], narrow: boolean): Layout {
   const margin = narrow ? MARGIN.narrow : MARGIN.wide;
   const [roomX, roomY] = [Math.max(room[0] - 2 * margin, 1), Math.max(room[1] - 2 * margin, 1)];

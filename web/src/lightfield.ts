@@ -4,15 +4,18 @@ import { Problem, problemOf } from "./problem.js";
 import type { Engine } from "./engine.js";
 import type { Info } from "./info.js";
 
-/** Half the angle of the zone for views without known angles, degrees. */
+/** Half the zone's angles along x and y, degrees. They are assumed, since files do not state them. */
 const HALF_ANGLE: readonly [number, number] = [17.5, 10];
 
-/** Decodes the pictures and passes them to the simulator. */
+/**
+ * Decodes the pictures of a quilt or of a light field's views, and passes them to the simulator.
+ * `report` receives the finished fraction, 0..1.
+ */
 export async function loadForeign(dropped: Extract<Dropped, { kind: "quilt" | "views" }>, engine: Engine, report: (share: number) => void, signal: AbortSignal): Promise<Info> {
   if (dropped.kind === "quilt") {
     const picture = await pixelsOf(dropped.file);
     const { cols, rows } = dropped;
-    if (picture.width < cols || picture.height < rows) throw new Problem(`${dropped.file.name} has ${picture.width} × ${picture.height} pixels for ${cols} × ${rows} views.`, "See that the numbers in the file's name are right.", false);
+    if (picture.width < cols || picture.height < rows) throw new Problem(`${dropped.file.name} has ${picture.width} × ${picture.height} pixels for ${cols} × ${rows} views.`, "Check the numbers in the file's name.", false);
     const width = Math.floor(picture.width / cols);
     const height = Math.floor(picture.height / rows);
     await checked(engine.call("openQuilt", [picture, cols, rows], [picture.data.buffer]));
@@ -33,7 +36,7 @@ export async function loadForeign(dropped: Extract<Dropped, { kind: "quilt" | "v
         size = [picture.height, picture.width];
         await checked(engine.call("openField", [...size, rows, cols]));
       } else if (picture.width !== size[1] || picture.height !== size[0]) {
-        throw new Problem(`${file.name} has ${picture.width} × ${picture.height} pixels, the views before it ${size[1]} × ${size[0]}.`, "All views of a light field have the same size: drop the folder of the views alone.", false);
+        throw new Problem(`${file.name} has ${picture.width} × ${picture.height} pixels, but the views before it have ${size[1]} × ${size[0]}.`, "All views of a light field must have the same size. Drop a folder that contains only the views.", false);
       }
       await checked(engine.call("putView", [row, col, picture], [picture.data.buffer]));
       report((row * cols + col + 1) / (rows * cols));
@@ -66,7 +69,7 @@ async function pixelsOf(file: File): Promise<ImageData> {
   try {
     bitmap = await createImageBitmap(file, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
   } catch (error) {
-    throw new Problem(`${file.name} is not a picture that this browser reads: ${problemOf(error, "").message}`, "Convert it to PNG or JPEG and try again.", false);
+    throw new Problem(`${file.name} is not a picture that this browser can read: ${problemOf(error, "").message}`, "Convert it to PNG or JPEG and try again.", false);
   }
   const canvas = document.createElement("canvas");
   canvas.width = bitmap.width;
@@ -82,7 +85,7 @@ async function checked(call: Promise<void>): Promise<void> {
   try {
     await call;
   } catch (error) {
-    throw new Problem(problemOf(error, "").message, "See that all views have the same size and that the quilt's name is right.", false);
+    throw new Problem(problemOf(error, "").message, "Check that all views have the same size, and that the quilt's name is right.", false);
   }
 }
 

@@ -1,33 +1,37 @@
 // Makes the page's viewer follow `lumistack live`: requests the newest state and shows it without a
-// reload of the page. A bar below the viewer reports the connection, and lets the view act as a
-// tracked head.
+// reload of the page. A bar below the viewer reports the connection. It has a switch by which the
+// view acts as a tracked head.
 //
-// A state is one answer: u32 length of JSON | JSON | files in the order of preview.json. The
-// viewer's attribute `data-state` is the number of the current state.
+// An answer contains one state: length of the JSON as u32 | JSON | files in the order of
+// preview.json. The viewer's attribute `data-state` is the number of the current state.
 import type { LumistackViewer } from "./element.js";
 
+/** The JSON of an answer. */
 interface Head {
   number: number;
-  /** Stays the same as long as preview.json does. */
+  /** Changes if and only if preview.json changes. */
   edition: string;
-  /** Length of every file; none without a newer state. */
+  /** Length of every file in bytes; empty if the page has the newest state already. */
   files: number[];
-  /** The text of preview.json, if this page has another edition. */
+  /** The text of preview.json if this page has another edition, else null. */
   preview: string | null;
-  /** Number of the newest message, and its text: a warning or an error of the last change, or empty. */
+  /**
+   * Number and text of the newest message: a warning or an error of the last change. The text is
+   * empty if the change had none.
+   */
   said: number;
   message: string;
 }
 
 /** Milliseconds before a failed request is repeated. */
 const AGAIN_MS = 500;
-/** Milliseconds between two reports of the view, and of rest before the same view is reported. */
+/** Milliseconds between two checks of the view, and after which an unchanged view is sent again. */
 const LOOK_MS = 40;
 const REST_MS = 400;
-/** Change of a slope that is reported: 0.6 mm at a distance of 600 mm. */
+/** Smallest change of the slope that is sent: the eye moves by 0.6 mm at a distance of 600 mm. */
 const STEP = 0.001;
 
-/** The bar's own rules; its colours are those of the viewer in the same theme. */
+/** The bar's style sheet; its colours are those of the viewer in the system's theme. */
 const SHEET = `
   lumistack-viewer { height: calc(100dvh - 34px) }
   .live { --back: #15171a; --line: #282b30; --text: #ecebe8; --quiet: #9a9da5; --good: #7fc98f; --warn: #efb152; color-scheme: dark }
@@ -61,7 +65,7 @@ class Bar {
     viewer.after(this.bar);
   }
 
-  /** Shows the connection, or a message of the program. */
+  /** Shows that state `number` is current, with the program's message or the word "Live". */
   live(number: number, message: string): void {
     this.viewer.dataset.state = String(number);
     delete this.viewer.dataset.waits;
@@ -72,10 +76,10 @@ class Bar {
   waits(): void {
     this.viewer.dataset.waits = "";
     this.bar.className = "live waits";
-    this.say("lumistack live does not answer: it has ended, or starts again. This is its last state");
+    this.say("lumistack live does not answer; it has ended or is starting again. The picture shows its last state");
   }
 
-  /** Adds a switch with a key. */
+  /** Adds a check box that a key also switches. */
   toggle(label: string, title: string, key: string, changed: (on: boolean) => void): void {
     const box = document.createElement("input");
     box.type = "checkbox";
@@ -90,13 +94,13 @@ class Bar {
     });
   }
 
-  /** Unchanged words are not repeated to screen readers. */
+  /** Shows a text. An unchanged text is not set again, so that screen readers do not repeat it. */
   private say(text: string): void {
     if (this.text.textContent !== text) this.text.textContent = this.text.title = text;
   }
 }
 
-/** The view as a tracked head: mouse, finger, keys and tilt move it. */
+/** Sends the view to the program, which treats it as the position of a tracked head. */
 class Guest {
   private on = false;
   private running = false;
@@ -115,13 +119,14 @@ class Guest {
 
   private async run(): Promise<void> {
     this.running = true;
-    // A view that swings by itself is no viewer.
+    // A head does not swing by itself. An assignment to the slope ends the swing, even if the value
+    // stays the same.
     this.viewer.slope = this.viewer.slope;
     let sent: { x: number; y: number; at: number } | undefined;
     for (; this.on; await rest(LOOK_MS)) {
       const [x, y] = this.viewer.slope;
       const at = performance.now();
-      // A hidden page has no viewer.
+      // A hidden page has no viewer, which a message without a position reports.
       if (document.hidden) {
         if (sent) await this.send("");
         sent = undefined;
@@ -136,7 +141,7 @@ class Guest {
   }
 
   private async send(view: string): Promise<void> {
-    // A failure is that of the next request of a state, which reports it.
+    // A failure is ignored here: the next request of a state fails too, and shows it.
     await fetch(`.look?viewer=${this.word}${view}`, { cache: "no-store", keepalive: true }).catch(() => undefined);
   }
 }
@@ -158,7 +163,7 @@ async function follow(viewer: LumistackViewer, bar: Bar): Promise<never> {
       }
       if (number > 0) bar.live(number, message);
     } catch {
-      // The program has ended, or will restart: the current content stays.
+      // The program has ended or restarts. The viewer keeps the current content.
       bar.waits();
       await rest(AGAIN_MS);
     }
@@ -172,10 +177,11 @@ function taken(frame: ArrayBuffer): [Head, ArrayBuffer[]] {
   return [head, head.files.map((bytes) => frame.slice(at, (at += bytes)))];
 }
 
-/** The files of a preview, in the form of dropped files. */
+/** Converts preview.json and its files to the form of dropped files: path → file. */
 function previewOf(json: string, files: readonly ArrayBuffer[]): Map<string, File> {
   const preview = JSON.parse(json) as { files: { path: string }[]; poster?: string; around?: unknown };
-  // Pictures for the time of loading are not needed, since all patterns are present.
+  // The poster and the small views are shown while patterns load, but here all patterns are
+  // present.
   delete preview.poster;
   delete preview.around;
   const named = preview.files.map(({ path }, i) => [path, new File([files[i]!], path)] as const);
@@ -187,7 +193,7 @@ await customElements.whenDefined("lumistack-viewer");
 const viewer = document.querySelector("lumistack-viewer");
 if (viewer) {
   const bar = new Bar(viewer);
-  // Without the word a tracker moves the viewer already.
+  // Without this parameter the page must not move the viewer: a tracker does.
   const word = new URL(import.meta.url).searchParams.get("viewer");
   if (word !== null) {
     const guest = new Guest(viewer, word);

@@ -12,22 +12,20 @@ import type { Stage } from "./stage.js";
 import { stream } from "./stream.js";
 
 export interface LoaderEvents {
-  /** The current content is removed before another one is loaded. */
+  /** Called before new content is shown: the current content is removed. */
   clear(): void;
-  /** The content is known; a stack has neither its simulator nor its files yet. */
+  /** Called with the new content. A stack of patterns has neither simulator nor files yet. */
   shown(content: Content): void;
-  /**
-   * Pictures until the patterns have arrived: one from the middle, as an address, or small ones
-   * around it.
-   */
+  /** Called with the address of the poster, which is shown until the patterns have arrived. */
   poster(address: string): void;
+  /** Called with the small views, in which the user can look around meanwhile. */
   around(views: Surroundings): void;
-  /** The simulator has started. */
+  /** Called when the simulator has started. */
   opened(content: Content, engine: Engine): void;
-  /** Fraction of all bytes that has arrived, 0..1. */
+  /** Called with the fraction of all bytes that has arrived, 0..1. */
   progress(share: number): void;
   part(content: StackContent, file: FileInfo): void;
-  /** Everything has arrived or failed. */
+  /** Called when every file has arrived or failed, with the errors of those that failed. */
   finished(content: StackContent, failed: readonly Problem[]): void;
   problem(problem: Problem): void;
 }
@@ -35,7 +33,7 @@ export interface LoaderEvents {
 export class Loader {
   private loading: AbortController | undefined;
   private decoding: AbortController | undefined;
-  /** Resolved with the first picture, and with the last file. */
+  /** Resolved when the first picture is shown, and when the last file has arrived. */
   firstPicture = deferred();
   everything = deferred();
 
@@ -44,13 +42,16 @@ export class Loader {
     private readonly events: LoaderEvents,
   ) {}
 
-  /** `module` is the URL of the WebAssembly file, if it is not beside the script. */
+  /**
+   * Loads a preview. `module` is the URL of the WebAssembly file; null if the file is beside the
+   * script.
+   */
   async preview(source: Source, module: string | null): Promise<void> {
     const { events } = this;
     const { signal } = this.begin();
     events.clear();
     events.progress(0);
-    // The module is loaded at the same time as preview.json.
+    // Start the module now, so that it loads at the same time as preview.json.
     const starting = Engine.start(module);
     const stop = (): void => void starting.then((engine) => engine.stop()).catch(() => undefined);
     starting.catch(() => undefined);
@@ -59,7 +60,7 @@ export class Loader {
       if (signal.aborted) return stop();
       const content = read(json);
       if (!content) {
-        // The simulator finds the reason.
+        // The simulator's own check of the text throws the reason.
         const engine = await starting;
         await openPreview(engine, json).finally(() => engine.stop());
         throw new Error("preview.json: expected a preview, found something else");
@@ -69,7 +70,7 @@ export class Loader {
       const engine = await starting;
       if (signal.aborted) return stop();
       await content.open(engine, this.stage);
-      // Small pictures are loaded before the large ones.
+      // Wait for the poster and the small views, so that they load before the large patterns.
       await early;
       if (signal.aborted) return;
       events.opened(content, engine);
@@ -89,8 +90,8 @@ export class Loader {
   }
 
   /**
-   * Shows a stack that is computed elsewhere and complete from the start. The current content stays
-   * until the simulator has it.
+   * Shows a stack of patterns whose pictures are all in `codes`. The current content is removed
+   * only after the simulator has started.
    */
   async stack(json: string, codes: Uint8Array<ArrayBuffer>, module: string | null): Promise<void> {
     const { events } = this;
@@ -142,8 +143,8 @@ export class Loader {
   }
 
   /**
-   * Loads the pictures that are shown before the patterns; without them the viewer waits for the
-   * patterns.
+   * Loads the poster and the small views, which are shown until the patterns have arrived. A
+   * failure is ignored.
    */
   private async early(source: Source, { info }: StackContent, signal: AbortSignal): Promise<void> {
     const { events } = this;
@@ -161,7 +162,7 @@ export class Loader {
   }
 }
 
-/** Undefined if the text is no preview. */
+/** Reads a preview; returns undefined if the text is no preview. */
 function read(json: string): StackContent | undefined {
   try {
     return new StackContent(json);

@@ -1,10 +1,11 @@
-// Draws while the picture moves and after changes, but not out of sight.
+// Draws the picture repeatedly while it moves, and once after each change. Out of sight it draws
+// nothing.
 import type { Motion } from "./motion.js";
 
 export interface Loop {
   /** True if there is a picture to draw. */
   can(): boolean;
-  /** Advances playback. `on`: it continues; `changed`: the picture has changed. */
+  /** Advances the frames of slow motion. `on`: they continue; `changed`: another frame is shown. */
   play(dtS: number): { on: boolean; changed: boolean };
   draw(): void;
 }
@@ -27,19 +28,19 @@ export class Ticker {
     this.wake();
   }
 
-  /** Starts the loop, since motion may have begun. */
+  /** Starts the loop if it does not run, since motion may have begun. */
   wake(): void {
     if (this.request !== 0 || !this.visible) return;
     this.last = performance.now();
     this.ask();
   }
 
-  /** Draws the next picture at once. */
+  /** Draws the next picture now, without waiting for the browser's next frame. */
   now(): void {
     this.tick(performance.now());
   }
 
-  /** Sets whether the element is within the window; out of sight nothing is drawn. */
+  /** Sets whether the element is in sight; out of sight nothing is drawn. */
   show(visible: boolean): void {
     if (visible === this.visible) return;
     this.visible = visible;

@@ -1,41 +1,43 @@
-// The viewing position: a spring follows pointer, touch, keys, tilt and an idle swing.
+// The viewing position. It follows a goal like a mass on a spring. Pointer, touch, keys, tilt and
+// the swing of an idle view set the goal.
 import type { Slope } from "./state.js";
 
-/** Stiffness of the spring, s⁻², and its damping relative to critical. */
+/** Stiffness of the spring per mass, s⁻², and its damping as a fraction of critical damping. */
 const STIFFNESS = 130;
 const DAMPING = 0.92;
-/** Limit of the viewing position, in half widths of the zone. */
+/** Largest slope of the view, in half widths of the zone. */
 export const REACH = 1.4;
-/** Seconds without input before the view swings, and seconds per swing. */
+/** Seconds without input before the view swings, and seconds of one swing to and fro. */
 const IDLE_S = 4;
 const PERIOD_S = 8;
-/** Amplitude of the swing, in half widths of the zone. */
+/** Amplitudes of the swing along x and y, in half widths of the zone. */
 const SWING: Slope = [0.78, 0.3];
-/** Seconds of inertia after a flick. */
+/** At the end of a flick the goal is the position that its speed would reach in this time, s. */
 const FLING_S = 0.22;
 
 export class Motion {
-  /** The eye's position, and its goal. */
+  /** The eye's position as a slope. */
   private at: [number, number] = [0, 0];
   private speed: [number, number] = [0, 0];
   private last: Slope = [0, 0];
+  /** The slope towards which the spring pulls the eye. */
   private goal: [number, number] = [0, 0];
   private zone: Slope = [1, 1];
-  /** Starts as if idle for long. */
+  /** Seconds since the last input. It starts at the limit, so that the view swings at once. */
   private quietS = IDLE_S;
   private phaseS = 0;
   private held = false;
   private swinging = false;
-  /** True if the view may swing when idle. */
+  /** True if the view swings when idle. */
   swing = true;
-  /** True if the user prefers less motion: no spring, and no swing without a request. */
+  /** True if the user prefers less motion: the eye then jumps to its goal without the spring. */
   calm = false;
   /** True until the user has moved the view. */
   fresh = true;
   /** Seconds since the start of a recorded turn. */
   private turnS: number | undefined;
   private turnLengthS = 0;
-  /** Position of the eye before the turn; it returns there. */
+  /** The goal before a recorded turn, to which the eye returns after the turn. */
   private home: [number, number] = [0, 0];
 
   setZone(zone: Slope): void {
@@ -46,18 +48,18 @@ export class Motion {
     return [this.at[0], this.at[1]];
   }
 
-  /** True if the next step may change the view. */
+  /** True if the next call of `step` may change the slope. */
   get active(): boolean {
     const restless = [0, 1].some((i) => Math.abs(this.goal[i]! - this.at[i]!) > 2e-5 || Math.abs(this.speed[i]!) > 2e-5);
     return restless || this.swinging || this.turnS !== undefined;
   }
 
-  /** Seconds until the swing begins; undefined without a swing. */
+  /** Seconds until the swing begins; undefined if none will begin. */
   get untilSwingS(): number | undefined {
     return this.swing && !this.held && !this.swinging ? Math.max(IDLE_S - this.quietS, 0) : undefined;
   }
 
-  /** Moves to a slope, within the limit. */
+  /** Moves the eye to a slope, limited to REACH half widths of the zone. */
   lookTo(slope: Slope): void {
     this.input();
     for (const i of [0, 1] as const) {
@@ -71,7 +73,7 @@ export class Motion {
     this.lookTo([this.goal[0] + step[0], this.goal[1] + step[1]]);
   }
 
-  /** Jumps to a slope and stays there. */
+  /** Moves the eye to a slope at once, and ends the swing. */
   standAt(slope: Slope): void {
     this.swing = false;
     this.input();
@@ -79,7 +81,7 @@ export class Motion {
     this.settle();
   }
 
-  /** A finger or button is down: no swing until its release. */
+  /** Called when a finger or button is pressed: the view does not swing until its release. */
   hold(): void {
     this.held = true;
     this.input();
@@ -90,7 +92,7 @@ export class Motion {
     if (fling && !this.calm) this.lookTo([this.at[0] + this.speed[0] * FLING_S, this.at[1] + this.speed[1] * FLING_S]);
   }
 
-  /** Records input of the user. */
+  /** Records input that moves the view: a swing and a turn end, and the idle time restarts. */
   input(): void {
     this.fresh = false;
     this.quietS = 0;
@@ -98,19 +100,22 @@ export class Motion {
     this.turnS = undefined;
   }
 
-  /** Records input that does not move the view. */
+  /** Records input that does not move the view: a swing ends, and the idle time restarts. */
   touched(): void {
     this.fresh = false;
     this.quietS = 0;
     this.swinging = false;
   }
 
-  /** Starts to swing now. */
+  /** Lets the swing begin at the next step, without the idle time. */
   swingNow(): void {
     this.quietS = IDLE_S;
   }
 
-  /** One turn around the zone that starts and ends at its left; then the eye returns. */
+  /**
+   * Starts one turn of `lengthS` seconds around the zone, which begins and ends at its left. After
+   * it the eye returns to its previous goal.
+   */
   startTurn(lengthS: number): void {
     this.input();
     this.home = [this.goal[0], this.goal[1]];
@@ -152,7 +157,7 @@ export class Motion {
     this.goal = this.turnAt(this.phaseS / PERIOD_S - 0.25);
   }
 
-  /** A point of a flat ellipse; `turn` counts rounds and starts at the left. */
+  /** A point of a flat ellipse around the zone's middle. `turn` counts rounds from its left end. */
   private turnAt(turn: number): [number, number] {
     const angle = 2 * Math.PI * turn;
     return [-Math.cos(angle) * SWING[0] * this.zone[0], Math.sin(angle) * SWING[1] * this.zone[1]];
@@ -181,7 +186,7 @@ export class Motion {
   }
 }
 
-/** The tilt of a phone as a slope; the pose at the start is the middle. */
+/** Converts the tilt of a phone to a slope. The phone's pose at the start gives the slope 0. */
 export class Tilt {
   private rest: { beta: number; gamma: number } | undefined;
   private listener: ((event: DeviceOrientationEvent) => void) | undefined;
@@ -195,7 +200,10 @@ export class Tilt {
     return this.listener !== undefined;
   }
 
-  /** Call it from a click: some browsers ask the user. False if the user or the device refuses. */
+  /**
+   * Starts to report slopes; returns false if the user or the device refuses. The call must come
+   * from a click, since some browsers then request the user's permission.
+   */
   async start(report: (slope: Slope) => void): Promise<boolean> {
     const asks = DeviceOrientationEvent as unknown as { requestPermission?: () => Promise<string> };
     if (asks.requestPermission && (await asks.requestPermission()) !== "granted") return false;
@@ -222,14 +230,15 @@ export class Tilt {
 
   private slopeOf(beta: number, gamma: number): Slope {
     this.rest ??= { beta, gamma };
-    // The middle slowly follows the present pose, so that the user may lie down.
+    // The pose of slope 0 slowly follows the current pose, so that the user may change position.
     this.rest.beta += (beta - this.rest.beta) * 0.004;
     this.rest.gamma += (gamma - this.rest.gamma) * 0.004;
     const tan = (degrees: number): number => Math.tan((Math.min(Math.max(degrees, -60), 60) * Math.PI) / 180);
     const side = -tan(gamma - this.rest.gamma);
     const tip = tan(beta - this.rest.beta);
     const turned = ((screen.orientation?.angle ?? 0) * Math.PI) / 180;
-    // After a rotation by 90° anticlockwise, the device's right points up and its top to the left.
+    // Rotate the slope from the device's axes to those of the screen. With the device turned by 90°
+    // anticlockwise, its right edge points up and its top points to the left.
     return [side * Math.cos(turned) - tip * Math.sin(turned), tip * Math.cos(turned) + side * Math.sin(turned)];
   }
 }

@@ -1,13 +1,13 @@
-// Draws pictures: the display's view through WebGL2 where that is fast, all others by the
-// processor.
+// Draws pictures. WebGL2 draws the views of the display if it is faster than the processor. The
+// processor draws everything else.
 //
-// Every picture has one pixel per pixel of the light field, and the page scales it. So both
-// renderers give the same picture.
+// A view has one pixel per pixel of the light field with either renderer, and the page scales it.
+// So both renderers give the same picture.
 import type { Viewer } from "../pkg/lumistack_web.js";
 import { explode, type Stack } from "./explode.js";
 import type { Path, Slope } from "./state.js";
 
-/** A picture to draw. */
+/** A picture to draw; `field` is the size of the light field in pixels. */
 export type Scene = { field: Size } & (
   | { kind: "view"; slope: Slope }
   | { kind: "split"; slope: Slope; view: readonly [number, number]; at: number }
@@ -18,11 +18,11 @@ export type Scene = { field: Size } & (
 );
 
 /**
- * "auto": WebGL2, unless it runs in software or is slower than the processor; "rest": no context
- * until the next request.
+ * The wanted renderer. "auto" is WebGL2, unless it runs in software or is slower than the
+ * processor. "rest" releases the graphics context until another renderer is wanted.
  */
 export type Wish = Path | "auto" | "rest";
-/** Columns and rows. */
+/** Columns and rows of pixels. */
 export type Size = readonly [number, number];
 
 /** Message to the page: the current renderer, and the reason if it is not the requested one. */
@@ -31,13 +31,13 @@ export interface PathChange {
   why?: string;
 }
 
-/** Milliseconds of a picture through WebGL2 above which the processor is measured too. */
+/** If WebGL2 takes more milliseconds for a picture, the processor's time is measured too. */
 const SLOW_MS = 60;
-/** Number of pictures through WebGL2 that are measured. */
+/** Number of pictures whose time through WebGL2 is measured. */
 const TESTS = 2;
-/** Names of drivers that draw by the processor. */
+/** Parts of the names of drivers that draw by the processor. */
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
-/** Milliseconds after which a lost context is abandoned and a new canvas tried. */
+/** Milliseconds to wait for the restoration of a lost context before a new canvas is used. */
 const RESTORE_MS = 2500;
 
 export class Painter {
@@ -47,7 +47,7 @@ export class Painter {
   private readonly masks = new Map<string, OffscreenCanvas>();
   private latest: OffscreenCanvas | undefined;
   private wish: Wish = "cpu";
-  /** Pictures that are still to be measured. */
+  /** Number of pictures that remain to be measured. */
   private untested = 0;
 
   constructor(
@@ -63,7 +63,7 @@ export class Painter {
     else this.post({ path: "cpu" });
   }
 
-  /** Drops the masks, since the patterns have changed. */
+  /** Removes the stored pictures of masks after the patterns have changed. */
   forget(): void {
     this.masks.clear();
   }
@@ -111,19 +111,22 @@ export class Painter {
     return this.put(this.viewer.render(x, y), field);
   }
 
-  /** True if WebGL2 is fast on this machine. Some browsers draw it in software without a notice. */
+  /**
+   * Returns true if WebGL2 drew the picture since `start` faster than the processor does. Some
+   * browsers run WebGL2 in software and do not report it.
+   */
   private isFast(start: number, x: number, y: number): boolean {
     this.gl!.context.readPixels(0, 0, 1, 1, WebGL2RenderingContext.RGBA, WebGL2RenderingContext.UNSIGNED_BYTE, new Uint8Array(4));
     const took = performance.now() - start;
     this.untested--;
-    // The first picture compiles shaders.
+    // The limit for the first picture is ten times larger, since the driver compiles the shaders.
     if (took < (this.untested > 0 ? 10 : 1) * SLOW_MS) return true;
     const again = performance.now();
     this.viewer.render(x, y);
     return took < performance.now() - again;
   }
 
-  /** Takes a context; false if there is no suitable one. */
+  /** Takes a WebGL2 context; returns false if the browser has no suitable one. */
   private enter(): boolean {
     const canvas = new OffscreenCanvas(1, 1);
     const auto = this.wish === "auto";
@@ -136,8 +139,8 @@ export class Painter {
         if (this.gl?.canvas !== canvas) return;
         this.viewer.detach();
         this.gl = undefined;
-        this.post({ path: "cpu", why: "The browser took the graphics context away: the processor draws until it is back." });
-        // A context that is not restored is replaced.
+        this.post({ path: "cpu", why: "The browser took the graphics context away. The processor draws until it is back." });
+        // If the browser does not restore the context, use a new one.
         setTimeout(again, RESTORE_MS);
       });
       const again = (): void => {
@@ -147,7 +150,7 @@ export class Painter {
       this.gl = { canvas, context };
       this.latest = canvas;
       this.untested = auto ? TESTS : 0;
-      // Lets tests take the context away.
+      // Tests read this variable of the thread to take the context away.
       Object.assign(self, { context });
       return true;
     } catch (error) {
@@ -168,7 +171,7 @@ export class Painter {
     const key = `${layer}/${frame}`;
     let mask = this.masks.get(key);
     if (!mask) {
-      // Only one frame's masks are shown at a time.
+      // The picture shows the masks of one frame, so those of other frames are removed.
       if (this.masks.size >= layers.length) this.masks.clear();
       const { cols, rows } = layers[layer]!;
       mask = new OffscreenCanvas(cols, rows);
@@ -191,12 +194,12 @@ export class Painter {
 }
 
 /**
- * True if a driver's name shows that it draws in software: not every browser counts that as a
- * caveat.
+ * Returns true if the driver's name shows that it draws in software. Some browsers give such a
+ * context in spite of `failIfMajorPerformanceCaveat`.
  */
 function isSoftware(context: WebGL2RenderingContext): boolean {
   let name = String(context.getParameter(context.RENDERER));
-  // Some browsers hide the driver's name behind an extension.
+  // Safari gives the driver's name only through an extension.
   const named = name === "WebKit WebGL" ? context.getExtension("WEBGL_debug_renderer_info") : null;
   if (named) name = String(context.getParameter(named.UNMASKED_RENDERER_WEBGL));
   return SOFTWARE.test(name);
@@ -206,7 +209,7 @@ function imageOf(rgba: Uint8ClampedArray, [cols, rows]: Size): ImageData {
   return new ImageData(rgba as Uint8ClampedArray<ArrayBuffer>, cols, rows);
 }
 
-/** The bytes of a picture. */
+/** Reads the RGBA bytes of a picture and releases it. */
 export function pixelsOf(picture: ImageBitmap): ImageData {
   const context = new OffscreenCanvas(picture.width, picture.height).getContext("2d", { willReadFrequently: true })!;
   context.drawImage(picture, 0, 0);

@@ -1,4 +1,4 @@
-// An error for the user: the message, and a possible remedy.
+// Errors for the user, which consist of a message and a possible remedy.
 
 export class Problem extends Error {
   constructor(
@@ -12,7 +12,7 @@ export class Problem extends Error {
   }
 }
 
-/** Converts any error to one with advice. */
+/** Converts any error to a Problem; `advice` is the remedy of an error that has none. */
 export function problemOf(error: unknown, advice: string): Problem {
   // Scripts that are loaded later have a class of their own.
   if (error instanceof Error && error.name === "Problem") return error as Problem;

@@ -1,10 +1,10 @@
-// A quilt of what is shown: the views of one row, for lenticular displays.
+// Makes a quilt for lenticular displays: views of the display along one row of slopes.
 import { toPng } from "./capture.js";
 import type { Info } from "./info.js";
 import type { Views } from "./others.js";
 import type { Slope } from "./state.js";
 
-/** The layout without a known panel: that of the smallest lenticular displays. */
+/** Columns and rows of tiles without a known panel, as the smallest lenticular displays use them. */
 const [COLUMNS, ROWS] = [8, 6];
 
 /** Columns and rows of views. */
@@ -14,9 +14,10 @@ export interface Layout {
 }
 
 /**
- * Slopes of `count` views from left to right, each at the centre of its part of the zone; on the
- * central row of the target's views, the upper of two. View i is at (i + ½) / count · A − ½ in
- * units of the target's A views across, as in the quilts of the command.
+ * Returns the slopes of `count` views from left to right, on the central row of the target's views;
+ * of two central rows on the upper one. The zone is divided into `count` equal parts, and each view
+ * is at the centre of its part. If the target has A views per row, view i is at the index
+ * (i + ½) / count · A − ½ among them, as in the quilts of the command.
  */
 export function slopesAcross({ views }: Pick<Info, "views">, count: number): Slope[] {
   const start = Math.floor((views.rows - 1) / 2) * views.cols;

@@ -1,9 +1,9 @@
-// The contact sheet of the layers mode: every layer's mask in every frame, and the backlight's.
+// The contact sheet of the mode "layers": thumbnails of every mask of every layer and backlight.
 import type { Info } from "./info.js";
 
 const THUMB_PX = 46;
 
-/** Draws a mask in its own size. */
+/** Draws the mask of a layer in a frame, in the mask's own size. */
 export type DrawMask = (layer: number, frame: number) => Promise<ImageBitmap>;
 
 export class Sheet {
@@ -22,7 +22,7 @@ export class Sheet {
     box.addEventListener("keydown", (event) => this.key(event));
   }
 
-  /** Lays out empty cells for a stack. */
+  /** Makes an empty cell for every mask of a stack. */
   setUp(mask: DrawMask, info: Info): void {
     this.mask = mask;
     this.info = info;
@@ -51,12 +51,12 @@ export class Sheet {
     this.box.replaceChildren();
   }
 
-  /** Drops the thumbnails, since the patterns have changed. */
+  /** Removes the thumbnails after the patterns have changed. */
   forget(): void {
     this.drawn.clear();
   }
 
-  /** Marks the current mask and draws the thumbnails that are ready. */
+  /** Marks the selected mask, and draws the thumbnails of the frames in `ready`. */
   show(layer: number, frame: number, ready: readonly number[]): void {
     for (const [key, cell] of this.cells) {
       const chosen = key === `${layer}/${frame}`;
@@ -117,7 +117,7 @@ export class Sheet {
   }
 }
 
-/** Rows of the sheet: the front layer on top, the backlight at the bottom. */
+/** Rows of the sheet from top to bottom: the layers from front to rear, then the backlight. */
 function rowNames(info: Info): { layer: number; name: string; detail: string }[] {
   const count = info.layers.length;
   const rows = info.layers.map((layer, i) => ({
@@ -140,7 +140,7 @@ export function sizeOf(info: Info, layer: number): [number, number] {
   return [found.cols, found.rows];
 }
 
-/** Index of the last mask: the backlight's, if it has one. */
+/** Index of the last row of masks: the backlight's if it is directional, else the last layer's. */
 export function lastMask(info: Info): number {
   return Math.max(info.layers.length - (info.directional && info.backlight ? 0 : 1), 0);
 }

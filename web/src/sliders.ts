@@ -1,4 +1,5 @@
-// The sliders for the display's construction and the eye; their ranges depend on the display.
+// The sliders for the eye and for errors of the display's construction. Their ranges depend on the
+// display.
 import type { Info } from "./info.js";
 import { DEFAULTS, type State } from "./state.js";
 
@@ -9,7 +10,7 @@ interface Slider {
   words(value: number, info: Info): string;
 }
 
-/** Farthest eye of the slider; the step after it is the eye of the patterns. */
+/** Largest distance of the slider. One step farther it selects the target's own projection. */
 const EYE_MOST_MM = 3000;
 
 const SLIDERS: readonly Slider[] = [
@@ -44,7 +45,7 @@ export class Sliders {
       this.input(slider).addEventListener("input", (event) => {
         const value = Number((event.target as HTMLInputElement).value);
         const state = this.state();
-        // At the end of its range the gain is 1/β, and follows it.
+        // At the end of the range the gain is null, which stands for 1/β of the current display.
         if (slider.key === "gain") state.gain = this.info && value > 0.9995 / this.info.brightness ? null : value;
         else if (slider.key === "eyeMm") state.eyeMm = value > EYE_MOST_MM ? null : value;
         else state[slider.key] = value;
@@ -89,7 +90,7 @@ export class Sliders {
     }
     const changed = SLIDERS.some(({ key }) => state[key] !== DEFAULTS[key]);
     (this.button() as HTMLButtonElement).disabled = !changed;
-    // A link to a display with errors opens the sliders that show them.
+    // A link may set errors of the construction. Then the sliders are opened, so that they show.
     if (changed) (this.root.querySelector("#build") as HTMLDetailsElement).open = true;
   }
 
@@ -102,7 +103,7 @@ export class Sliders {
   }
 }
 
-/** Paints a slider's track from its zero (or its least value) to its thumb. */
+/** Paints a slider's track from the value 0 to its thumb; from the left end if 0 is not inside. */
 export function paintTrack(input: HTMLInputElement): void {
   const [min, max, value] = [Number(input.min), Number(input.max), Number(input.value)];
   const share = (at: number): number => (max > min ? ((at - min) / (max - min)) * 100 : 0);
@@ -124,7 +125,7 @@ function shiftRange(info: Info): { min: number; max: number; step: number } {
   return { min: -most, max: most, step: most / 50 };
 }
 
-/** The next lower 1, 2 or 5 times a power of ten. */
+/** Returns the largest number of the form 1, 2 or 5 times a power of ten, up to `value`. */
 function nice(value: number): number {
   if (!(value > 0)) return 1;
   const power = 10 ** Math.floor(Math.log10(value));

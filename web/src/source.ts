@@ -6,13 +6,13 @@ export interface Source {
   json(): Promise<string>;
   /** Reads a file that preview.json names. */
   bytes(path: string, signal: AbortSignal): Promise<Uint8Array<ArrayBuffer>>;
-  /** An address for a picture that preview.json names. */
+  /** Returns an address for a picture that preview.json names, for the attribute `src` of images. */
   address(path: string): Promise<string>;
 }
 
 declare global {
   interface Window {
-    /** Path → base64, for a preview in a single file; "wasm" is the module. */
+    /** Path → content in base64, in a page that contains its preview; "wasm" is the module. */
     LUMISTACK_INLINE?: Record<string, string>;
   }
 }
@@ -25,8 +25,8 @@ export function fromBase64(text: string): Uint8Array<ArrayBuffer> {
 }
 
 /**
- * A preview beside its preview.json on a server; paths are relative to the parent of that file's
- * folder.
+ * A preview on a server. Paths of its files are relative to the parent of the folder that contains
+ * preview.json.
  */
 export class ServerSource implements Source {
   private readonly url: URL;
@@ -57,18 +57,18 @@ export class ServerSource implements Source {
       throw url.protocol === "file:"
         ? new Problem(
             `The browser does not load ${shortName(url)} from disk.`,
-            "Open preview.html instead, which holds everything in one file, or serve the folder with “lumistack preview”.",
+            "Open preview.html instead, which contains everything in one file, or serve the folder with “lumistack preview”.",
           )
-        : new Problem(`${shortName(url)} could not be fetched: no answer from ${url.host}.`, "See that the server still runs, then load this page again.");
+        : new Problem(`${shortName(url)} could not be fetched: no answer from ${url.host}.`, "Check that the server is running, then load this page again.");
     }
     if (response.ok) return response;
     throw response.status === 404
       ? new Problem(`${shortName(url)} is missing: ${url.host} answers 404.`, REWRITE)
-      : new Problem(`${shortName(url)} could not be fetched: ${url.host} answers ${response.status}.`, "See what the server says, then load this page again.");
+      : new Problem(`${shortName(url)} could not be fetched: ${url.host} answers ${response.status}.`, "Check the server's messages, then load this page again.");
   }
 }
 
-/** A preview inside the page. */
+/** A preview that the page contains. */
 export class InlineSource implements Source {
   constructor(
     private readonly files: Record<string, string>,
@@ -90,13 +90,13 @@ export class InlineSource implements Source {
   }
 }
 
-/** The source for the attribute `src`. */
+/** Returns the source that the attribute `src` names: content of the page, or a server's file. */
 export function sourceOf(src: string): Source {
   const inline = window.LUMISTACK_INLINE;
   return inline && src in inline ? new InlineSource(inline, src) : new ServerSource(src);
 }
 
-/** A preview among dropped files: path → file, with preview.json at `json_path`. */
+/** A preview among dropped files, given by path. */
 export class FilesSource implements Source {
   private readonly base: string;
 
@@ -128,7 +128,10 @@ export class FilesSource implements Source {
     return file;
   }
 
-  /** The folder stack/ may have been dropped alone, or its files without a folder. */
+  /**
+   * Finds a file beside preview.json by its name. The user may have dropped the folder stack/
+   * alone, or its files without a folder.
+   */
   private beside(path: string): File | undefined {
     const folder = this.jsonPath.replace(/[^/]*$/, "");
     return this.files.get(folder + path.replace(/^.*\//, ""));

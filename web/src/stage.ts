@@ -1,32 +1,32 @@
-// The canvases, which show the pictures of the simulator's thread.
+// The canvases of the viewer. They show the pictures that the simulator's thread draws.
 import type { Engine } from "./engine.js";
 import type { Scene, Size } from "./painter.js";
 import type { Path } from "./state.js";
 
 /**
- * A picture of a stack, or one between the views of a light field, 0..1 from the left and from the
- * top.
+ * A picture to show: of a stack of patterns, or between the views of a light field. The position
+ * (u, v) between the views is 0..1 from the left and from the top.
  */
 export type Shot = Scene | { kind: "between"; u: number; v: number };
 
 export interface StageEvents {
-  /** A picture is on the canvas. */
+  /** Called when a picture is on the canvas. */
   shown(): void;
   failed(error: unknown): void;
 }
 
-/** Larger drawing buffers give no visible detail and cost time. */
+/** Largest side of a drawing buffer, pixels. A larger one costs time and shows no more detail. */
 const MOST_PX = 2400;
 
 export class Stage {
   readonly main = canvas("main");
-  /** The target of the side-by-side comparison. */
+  /** Shows the target in the side-by-side comparison. */
   readonly aside = canvas("aside");
   path: Path = "cpu";
   private engine: Engine | undefined;
   private size: Size = [1, 1];
   private busy = false;
-  /** The next picture to draw; newer requests replace it. */
+  /** The picture to draw after the current one; a newer request replaces it. */
   private next: Shot | undefined;
 
   constructor(
@@ -40,7 +40,7 @@ export class Stage {
     this.engine = engine;
   }
 
-  /** Drops the engine; the canvas keeps its content. */
+  /** Disconnects the simulator; the canvas keeps its content. */
   release(): void {
     this.engine = undefined;
     this.next = undefined;
@@ -53,7 +53,7 @@ export class Stage {
     this.size = [Math.max(Math.round(width * scale), 1), Math.max(Math.round(height * scale), 1)];
   }
 
-  /** Draws a picture and shows it, unless a newer request replaces it before it is begun. */
+  /** Draws and shows a picture, unless a newer request arrives before the drawing begins. */
   draw(shot: Shot): void {
     if (this.busy) this.next = shot;
     else void this.drawNow(shot);
@@ -79,18 +79,18 @@ export class Stage {
     this.busy = false;
   }
 
-  /** The bytes of a picture, in its own size. */
+  /** RGBA bytes of a picture, in its own size. */
   async pixels(shot: Shot): Promise<ImageData> {
     if (!this.engine) return new ImageData(1, 1);
     return shot.kind === "between" ? this.engine.call("between", [shot.u, shot.v]) : this.engine.call("pixels", [shot, this.size]);
   }
 
-  /** A picture, and the target beside it. */
+  /** Draws a picture; of the side-by-side comparison two: the display's and the target's. */
   async pictures(shot: Shot): Promise<ImageBitmap[]> {
     return this.engine ? paint(this.engine, shot, this.size) : [];
   }
 
-  /** A picture as a new canvas; both halves of a side-by-side comparison. */
+  /** Draws a picture on a new canvas; of the side-by-side comparison both pictures. */
   async still(shot: Shot): Promise<HTMLCanvasElement> {
     const out = document.createElement("canvas");
     const pictures = await this.pictures(shot);

@@ -5,18 +5,18 @@ import type { FileInfo } from "./info.js";
 import { problemOf, REWRITE, type Problem } from "./problem.js";
 import type { Source } from "./source.js";
 
-/** Requests in flight; browsers open six connections to a host. */
+/** Number of requests at the same time; browsers open at most six connections to a host. */
 const PARALLEL = 6;
 
 export interface Sink {
   /** Fraction of all bytes that has arrived, 0..1. */
   progress(share: number): void;
-  /** A file has become part of the picture. */
+  /** Called when the simulator has decoded a file. */
   part(file: FileInfo): void;
   problem(problem: Problem, file: FileInfo): void;
 }
 
-/** Resolves when every file has arrived or failed. */
+/** Loads all files into the simulator; resolves when every file has arrived or failed. */
 export async function stream(source: Source, engine: Engine, files: readonly FileInfo[], sink: Sink, signal: AbortSignal): Promise<void> {
   const weight = (file: FileInfo): number => file.bytes ?? 1;
   const total = files.reduce((sum, file) => sum + weight(file), 0);

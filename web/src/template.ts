@@ -1,4 +1,4 @@
-// The element's markup. Icons are drawn on a grid of 20 × 20.
+// The markup inside the element. Icons have 20 × 20 units.
 
 const icon = (path: string): string =>
   `<svg viewBox="0 0 20 20" aria-hidden="true" fill="none" stroke="currentColor" stroke-width="1.5" stroke-linecap="round" stroke-linejoin="round">${path}</svg>`;
@@ -55,7 +55,7 @@ export const TEMPLATE = `
   </div>
   <div class="dock" id="dock">
     <div class="group" data-for="slow">
-      <button type="button" class="tool" id="step-back" aria-label="Frame before" title="Frame before (,)">${ICONS.back}</button>
+      <button type="button" class="tool" id="step-back" aria-label="Previous frame" title="Previous frame (,)">${ICONS.back}</button>
       <button type="button" class="tool" id="play" aria-label="Pause">${ICONS.pause}</button>
       <button type="button" class="tool" id="step-on" aria-label="Next frame" title="Next frame (.)">${ICONS.on}</button>
       <output class="count" id="frame-count"></output>
@@ -91,13 +91,13 @@ export const TEMPLATE = `
     </div>
     <details class="part" id="build">
       <summary>How it is built</summary>
-      ${range("gain", "Adaptation", "The eye’s gain; at 1/β it is adapted.")}
-      ${range("gap", "Gap error", "Added between any two layers.")}
+      ${range("gain", "Adaptation", "Multiplies the light; 1/β is an adapted eye.")}
+      ${range("gap", "Gap error", "Added to every gap between layers.")}
       ${range("shiftx", "Misalignment across", "Offset of the front layer to the right.")}
       ${range("shifty", "Misalignment upwards", "Offset of the front layer upwards.")}
       ${range("black", "Black level", "Light that a closed pixel lets through.")}
-      ${range("pupil", "Pupil", "Its diameter: views mix, depth blurs.")}
-      ${range("eye", "Eye distance", "Near by, one sees several views.")}
+      ${range("pupil", "Pupil", "Diameter of the pupil; a wide one mixes views.")}
+      ${range("eye", "Eye distance", "A near eye sees several views at once.")}
       <div class="row"><button type="button" class="text" id="reset">As designed</button></div>
     </details>
     <footer id="footer"></footer>

@@ -19,19 +19,19 @@ const methods = {
   put(index: number, bytes: ArrayBuffer): void {
     viewer!.put(index, new Uint8Array(bytes));
   },
-  /** Replaces all pictures at once. */
+  /** Replaces the codes of all pictures at once. */
   exchange(codes: Uint8Array): void {
     viewer!.exchange(codes);
     painter!.forget();
   },
-  /** Replaces every file in one call, so that no picture mixes new and old ones. */
+  /** Replaces all files in one call, so that no drawn picture mixes old and new patterns. */
   renew(files: readonly ArrayBuffer[]): void {
     files.forEach((bytes, index) => viewer!.put(index, new Uint8Array(bytes)));
   },
   options(json: string): void {
     viewer!.set_options(json);
   },
-  /** Takes a graphics context, or releases it. */
+  /** Takes a graphics context, or releases it, as the wish demands. */
   attach(wish: Wish): void {
     painter!.attach(wish);
   },
@@ -53,7 +53,7 @@ const methods = {
   openQuilt(picture: ImageData, cols: number, rows: number): void {
     field = LightField.from_quilt(new Uint8Array(picture.data.buffer), picture.width, picture.height, cols, rows);
   },
-  /** The picture between the views, 0..1 from the left and from the top. */
+  /** The picture at the position (u, v) between the views, 0..1 from the left and from the top. */
   between(u: number, v: number): ImageData {
     return new ImageData(new Uint8ClampedArray(field!.render(u, v)), field!.cols(), field!.rows());
   },

@@ -4,13 +4,11 @@ import type { Slope } from "./state.js";
 import { REACH } from "./motion.js";
 
 const SVG = "http://www.w3.org/2000/svg";
-/**
- * Width of the drawing in its own units, and its least height; it reaches a little farther than the
- * eye.
- */
+/** Width of the drawing, and limits of its height, in units of its `viewBox`. */
 const WIDTH = 240;
 const LEAST_HEIGHT = 64;
 const MOST_HEIGHT = 150;
+/** Half width of the drawing in half widths of the zone: a little more than the eye's largest slope. */
 const SHOWN = REACH * 1.06;
 
 export class ZoneMap {
@@ -19,7 +17,7 @@ export class ZoneMap {
   private readonly inner: SVGElement;
   private zone: Slope = [1, 1];
   private height = MOST_HEIGHT;
-  /** Units per slope, the same for x and y. */
+  /** Units of the drawing per unit of slope, the same for x and y. */
   private scale = 1;
   private inside = true;
 
@@ -37,7 +35,7 @@ export class ZoneMap {
     this.listen();
   }
 
-  /** Draws the zone of a display; a light field without geometry has only rows and columns. */
+  /** Draws the viewing zone of a display or light field, and the slopes of its views. */
   show(info: Pick<Info, "views" | "zone">): void {
     this.zone = zoneSlope(info as Info);
     const [zoneX, zoneY] = this.zone;
@@ -101,7 +99,7 @@ export function isInside([x, y]: Slope, zone: Slope): boolean {
   return Math.abs(x) <= zone[0] * 1.0001 && Math.abs(y) <= zone[1] * 1.0001;
 }
 
-/** "4.2° right, 1.0° up". */
+/** Describes a slope in words: "4.2° right, 1.0° up", or "straight ahead". */
 export function inWords([x, y]: Slope): string {
   const degrees = (tangent: number): number => Math.round(((Math.atan(Math.abs(tangent)) * 180) / Math.PI) * 10) / 10;
   const parts: string[] = [];

@@ -1,7 +1,7 @@
-// What the canvas shows is what the Rust forward model says, on the graphics processor and without it.
+// The canvas agrees with the forward model in Rust, both with WebGL2 and with the processor.
 //
-// The references are written by `cargo xtask web` into tests/fixtures: one folder per display, each a preview and the views L̃/β of
-// lumistack-display's own simulator at nine slopes.
+// `cargo xtask web` writes the references into tests/fixtures, one folder per display. A folder contains a preview, and the views L̃/β that the
+// simulator of lumistack-display computes at nine slopes.
 import assert from "node:assert/strict";
 import { existsSync, readdirSync, readFileSync } from "node:fs";
 import { dirname, join } from "node:path";
@@ -12,7 +12,7 @@ import { complete, launch, LINEAR, open, pixels, site } from "./browser.mjs";
 const FIXTURES = process.env.LUMISTACK_FIXTURES ?? join(dirname(fileURLToPath(import.meta.url)), "fixtures");
 /** Displays that must be among the fixtures. */
 const CASES = ["uniform3", "directional", "mixed", "layers8"];
-/** PSNR of what is on the canvas against the reference; 8 bits of sRGB alone leave some 56 dB. */
+/** Least PSNR of the canvas against the reference. Rounding to 8 bits of sRGB alone gives about 56 dB. */
 const LEAST_DB = 45;
 
 let browser;
@@ -22,7 +22,7 @@ before(async () => {
 });
 after(() => browser?.close());
 
-test("every kind of display is among the references", () => {
+test("the references contain every kind of display", () => {
   const found = readdirSync(FIXTURES);
   for (const name of CASES) assert.ok(found.includes(name), `${name} is missing among ${found.join(", ")}`);
 });
@@ -35,7 +35,7 @@ for (const name of CASES) {
       assert.equal(slopes.length, 9);
       const server = await site(folder);
       const query = `?renderer=${renderer}`;
-      // Without gain nothing is brighter than white, so that no error hides in what is clipped.
+      // With gain 1 no value exceeds white. So no error is hidden by clipping.
       const plain = await open(browser, `${server.url}/${query}#gain=1`);
       const adapted = await open(browser, `${server.url}/${query}`);
       try {
@@ -67,7 +67,10 @@ for (const name of CASES) {
   }
 }
 
-/** PSNR with peak 1 of what is shown, divided by `scale`, against L̃/β, clipped at `white`; and mean and deviation of the picture. */
+/**
+ * Compares a picture with the reference L̃/β. `db` is the PSNR with peak 1 of the picture's linear values, divided by `scale`, against the
+ * reference, clipped at `white`. `mean` and `deviation` are those of the picture.
+ */
 function compare(rgba, reference, scale, white) {
   let [squares, sum, sum2] = [0, 0, 0];
   for (let p = 0; p < reference.length / 3; p++) {

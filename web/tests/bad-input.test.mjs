@@ -1,4 +1,4 @@
-// Whatever is wrong: a message that says what and what to do, and never a blank canvas.
+// Bad input and missing graphics: a message states the problem and a remedy, and the canvas is never blank.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { complete, launch, open, pixels, site, text } from "./browser.mjs";
@@ -29,13 +29,13 @@ async function isPicture(page) {
   return new Set(data.filter((_, i) => i % 4 !== 3)).size > 1;
 }
 
-/** Nothing can be shown: a card in place of the picture. */
+/** Checks that files that cannot be shown give a card with a message and advice in place of the picture. */
 async function refuses(files, what, advice, options) {
   const { page, error } = await shown(files, options);
   assert.match(error ?? "", what);
   assert.match((await text(page, "#card")) ?? "no card", what);
   assert.match((await text(page, "#card .advice")) ?? "", advice);
-  assert.equal(await text(page, "#picture"), undefined, "a canvas shows beside the message");
+  assert.equal(await text(page, "#picture"), undefined, "a canvas is visible beside the message");
   await page.context().close();
 }
 
@@ -59,7 +59,7 @@ test("no WebAssembly module", async () => {
   server.state.hook = undefined;
 });
 
-test("a mask is missing: the other frame is shown, and it is said", async () => {
+test("a mask is missing: the other frame is shown, with a message", async () => {
   const { page, error } = await shown(altered(good, { "stack/layer1_frame1.png": undefined }));
   assert.equal(error, undefined);
   assert.match(await text(page, "#notice"), /layer1_frame1\.png is missing.*1 of 2 frames/);
@@ -67,7 +67,7 @@ test("a mask is missing: the other frame is shown, and it is said", async () => 
   await page.context().close();
 });
 
-test("a mask is cut off: the other frame is shown, and it is said", async () => {
+test("a mask is cut short: the other frame is shown, with a message", async () => {
   const path = "stack/layer0_frame1.png";
   const { page, error } = await shown(altered(good, { [path]: good.get(path).subarray(0, 60) }));
   assert.equal(error, undefined);
@@ -77,7 +77,7 @@ test("a mask is cut off: the other frame is shown, and it is said", async () => 
   await page.context().close();
 });
 
-/** Runs in the page: what the simulator's thread starts with. */
+/** A script for the page that puts the text `before` in front of the script of the simulator's thread. */
 const inThread = (before) => `window.Blob = class extends Blob {
   constructor(parts, options) {
     super(options?.type === "text/javascript" ? [${JSON.stringify(before)}, ...parts] : parts, options);
@@ -87,7 +87,7 @@ const NO_WEBGL = `{
   const real = OffscreenCanvas.prototype.getContext;
   OffscreenCanvas.prototype.getContext = function (kind, ...rest) { return /webgl/.test(kind) ? null : real.call(this, kind, ...rest); };
 }`;
-/** WebGL2 that does not say that it is software, and takes its time. */
+/** Makes WebGL2 slow, and hides that it runs in software. */
 const SLOW_WEBGL = `{
   const real = OffscreenCanvas.prototype.getContext;
   OffscreenCanvas.prototype.getContext = function (kind, options) { return real.call(this, kind, { ...options, failIfMajorPerformanceCaveat: false }); };
@@ -103,10 +103,10 @@ const path = (page) => page.evaluate(() => document.querySelector("lumistack-vie
 
 for (const [name, init] of [
   ["no WebGL", inThread(NO_WEBGL)],
-  ["WebGL in software, which says so", undefined],
+  ["WebGL in software, which the browser reports", undefined],
   ["WebGL that is slower than the processor", inThread(SLOW_WEBGL)],
 ]) {
-  test(`${name}: the processor draws the same picture, and it is said`, async () => {
+  test(`${name}: the processor draws the same picture, and the footer states it`, async () => {
     const reference = await shown(good, {}, "?renderer=webgl2");
     const wanted = await pixels(reference.page, [0.125, 0]);
     assert.equal(await path(reference.page), "webgl2");
@@ -123,7 +123,7 @@ for (const [name, init] of [
   });
 }
 
-test("a lost context: the processor draws until it is back", async () => {
+test("a lost context: the processor draws until the browser restores the context", async () => {
   const { page, error } = await shown(good, {}, "?renderer=webgl2");
   assert.equal(error, undefined);
   const before = await pixels(page, [0.125, 0]);
@@ -142,7 +142,7 @@ test("a lost context: the processor draws until it is back", async () => {
   await page.context().close();
 });
 
-test("a context that never comes back: a new canvas takes over", async () => {
+test("a context that is never restored: a new canvas replaces it", async () => {
   const { page } = await shown(good, {}, "?renderer=webgl2");
   const before = await pixels(page, [0.125, 0]);
   await page.workers()[0].evaluate(() => {
@@ -156,7 +156,7 @@ test("a context that never comes back: a new canvas takes over", async () => {
   await page.context().close();
 });
 
-test("the address holds nonsense: the defaults stand", async () => {
+test("invalid values in the address: the defaults are used", async () => {
   const { page, error } = await shown(good, {}, "#mode=sideways&x=NaN&gap=1e99&split=-3&frame=77&layer=9&gain=-1&rate=0");
   assert.equal(error, undefined);
   assert.equal(await page.evaluate(() => document.querySelector("lumistack-viewer").mode), "perceived");

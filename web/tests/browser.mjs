@@ -1,4 +1,4 @@
-// The browser and the server of the tests.
+// Helpers of the tests: the browser, the server, and the state of a page.
 import { existsSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
@@ -7,7 +7,7 @@ import { serve } from "./server.mjs";
 
 const WEB = dirname(dirname(fileURLToPath(import.meta.url)));
 export const DIST = join(WEB, "dist");
-/** Screenshots for people to look at. */
+/** Folder of the screenshots, which no test reads. */
 export const SHOTS = process.env.LUMISTACK_WEB_SHOTS ?? join(WEB, "shots");
 
 const ARGUMENTS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"];
@@ -18,7 +18,7 @@ export async function launch() {
   return chromium.launch({ executablePath: path, headless: true, args: ARGUMENTS });
 }
 
-/** Serves the built page with a preview: a folder, or files in memory (path → bytes) that may be exchanged. */
+/** Serves the built page with a preview: a folder, or files in memory (path → bytes) that a test may exchange. */
 export async function site(preview) {
   const memory = preview instanceof Map ? preview : undefined;
   const state = { files: memory, hook: undefined };
@@ -34,16 +34,16 @@ export async function site(preview) {
   return { ...server, state };
 }
 
-/** A page whose console errors are collected in `page.trouble`. */
+/** Opens a page. `page.trouble` collects the errors and warnings of its console. */
 export async function open(browser, url, options = {}) {
   const { init, ...rest } = options;
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, reducedMotion: "reduce", ...rest });
-  // machines that test compile beside, and draw in software
+  // The time limit is long, since a test machine may also compile, and draws in software.
   context.setDefaultTimeout(120_000);
   const page = await context.newPage();
   page.trouble = [];
   page.on("console", (message) => {
-    // The driver's remark on reading pixels back is about these tests alone.
+    // The driver warns of the tests' own reads of pixels.
     if (/GPU stall due to ReadPixels/.test(message.text())) return;
     if (message.type() === "error" || message.type() === "warning") page.trouble.push(message.text());
   });
@@ -54,7 +54,7 @@ export async function open(browser, url, options = {}) {
   return page;
 }
 
-/** Waits until the element has loaded everything; the error's message where it cannot. */
+/** Waits until the element has loaded everything. Returns the message if that fails, else undefined. */
 export function complete(page) {
   return page.evaluate(() =>
     document.querySelector("lumistack-viewer").complete.then(
@@ -64,7 +64,7 @@ export function complete(page) {
   );
 }
 
-/** The picture on show, as {width, height, data: Buffer of RGBA}. */
+/** The current picture as {width, height, data: Buffer of RGBA}, seen from `slope` if it is given. */
 export async function pixels(page, slope) {
   const { width, height, text } = await page.evaluate(async (at) => {
     const viewer = document.querySelector("lumistack-viewer");
@@ -77,13 +77,13 @@ export async function pixels(page, slope) {
   return { width, height, data: Buffer.from(text, "base64") };
 }
 
-/** sRGB code → linear. */
+/** The linear value of each sRGB code. */
 export const LINEAR = Float64Array.from({ length: 256 }, (_, code) => {
   const v = code / 255;
   return v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
 });
 
-/** What a part of the element's shadow says, when it is visible. */
+/** The text of a part of the element; undefined if the part is not visible. */
 export function text(page, selector) {
   return page.evaluate((within) => {
     const element = document.querySelector("lumistack-viewer").shadowRoot.querySelector(within);

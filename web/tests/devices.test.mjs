@@ -1,4 +1,4 @@
-// Fingers, the tilt of a phone, and an element that nobody sees.
+// Touch, the tilt of a phone, and an element that is out of sight.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { complete, launch, open, site, text } from "./browser.mjs";
@@ -6,7 +6,7 @@ import { SCENE, twoSquares } from "./fixture.mjs";
 
 const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true };
 const ZONE = Math.tan(((SCENE.fovDeg / 2) * Math.PI) / 180);
-/** A slope that has come to rest, tangent. */
+/** Largest difference of a slope at rest from its expected value. */
 const AT_REST = 1e-3;
 
 let browser;
@@ -24,14 +24,14 @@ const slope = (page) => page.evaluate(() => document.querySelector("lumistack-vi
 const shadow = (page, script) => page.evaluate(`(${script})(document.querySelector("lumistack-viewer").shadowRoot)`);
 const near = (found, wanted, by = AT_REST) => assert.ok(found.every((v, i) => Math.abs(v - wanted[i]) <= by), `the eye is at ${found}, expected ${wanted}`);
 
-/** The middle of a part and its size, CSS pixels of the window. */
+/** The centre and the size of a part of the element, CSS pixels of the window. */
 const box = (page, selector) =>
   page.evaluate((within) => {
     const { x, y, width, height } = document.querySelector("lumistack-viewer").shadowRoot.querySelector(within).getBoundingClientRect();
     return { x: x + width / 2, y: y + height / 2, width, height };
   }, selector);
 
-/** One finger from a place by (dx, dy) in steps; the last of them wait, so that nothing is flung. */
+/** Drags one finger from a place by (dx, dy) in steps. Without `fling` it rests before its release, so that no inertia follows. */
 async function drag(page, from, [dx, dy], fling = false) {
   const touch = await page.context().newCDPSession(page);
   const send = (type, points) => touch.send("Input.dispatchTouchEvent", { type, touchPoints: points });
@@ -44,17 +44,17 @@ async function drag(page, from, [dx, dy], fling = false) {
   await send("touchEnd", []);
 }
 
-test("a finger turns the display: to the left shows it from the right, downwards from above", async () => {
+test("a drag to the left shows the display from the right, and a drag downwards from above", async () => {
   const page = await open(browser, server.url, PHONE);
   assert.equal(await complete(page), undefined);
   const stage = await box(page, "#stage");
-  // a third of the stage's width crosses half the zone
+  // A drag over 0.32 of the stage's width crosses half the zone.
   await drag(page, stage, [-0.16 * stage.width, 0.08 * stage.width]);
   await page.waitForTimeout(300);
   const [x, y] = await slope(page);
   near([x, y], [0.5 * ZONE, 0.25 * ZONE], 0.02);
-  assert.equal(await page.evaluate(() => scrollY), 0, "the page scrolled with the finger");
-  // the same way back
+  assert.equal(await page.evaluate(() => scrollY), 0, "the drag scrolled the page");
+  // The opposite drag moves the view back.
   await drag(page, stage, [0.16 * stage.width, -0.08 * stage.width]);
   await page.waitForTimeout(300);
   near(await slope(page), [0, 0], 0.02);
@@ -62,7 +62,7 @@ test("a finger turns the display: to the left shows it from the right, downwards
   await page.context().close();
 });
 
-test("a flick carries on, unless one prefers less motion, and stays within reach", async () => {
+test("after a flick the view moves on, up to its limit, unless the user prefers less motion", async () => {
   const rest = [];
   for (const reducedMotion of ["no-preference", "reduce"]) {
     const page = await open(browser, `${server.url}/#swing=0`, { ...PHONE, reducedMotion });
@@ -81,7 +81,7 @@ test("a flick carries on, unless one prefers less motion, and stays within reach
   assert.ok(flung > still + 0.005, `a flick went to ${flung}, a drag to ${still}`);
 });
 
-test("a finger on the pad goes where it points", async () => {
+test("a finger on the map of the zone moves the eye to its position", async () => {
   const page = await open(browser, server.url, PHONE);
   assert.equal(await complete(page), undefined);
   await shadow(page, `(root) => root.querySelector("#pad").scrollIntoView({ block: "center" })`);
@@ -104,18 +104,18 @@ test("a finger turns the exploded stack", async () => {
   await page.context().close();
 });
 
-test("tilting the phone moves the eye, from the pose at the start", async () => {
+test("the tilt of the phone relative to its pose at the start moves the eye", async () => {
   const page = await open(browser, server.url, PHONE);
   assert.equal(await complete(page), undefined);
   const device = await page.context().newCDPSession(page);
   const pose = (beta, gamma) => device.send("DeviceOrientation.setDeviceOrientationOverride", { alpha: 0, beta, gamma });
-  assert.ok(await text(page, "#tilt"), "no button for tilt on a phone");
+  assert.ok(await text(page, "#tilt"), "the phone's page has no button for tilt");
   await pose(40, 0);
   await page.tap("#tilt");
   await page.waitForTimeout(300);
   assert.equal(await shadow(page, `(root) => root.querySelector("#tilt").ariaPressed`), "true");
   near(await slope(page), [0, 0]);
-  // its right edge towards the viewer shows what is seen from the left; its top towards the viewer what is seen from below
+  // The second pose shows the display from the left, the third from above.
   await pose(40, 10);
   await page.waitForTimeout(700);
   near(await slope(page), [-Math.tan((10 * Math.PI) / 180), 0], 0.01);
@@ -125,12 +125,12 @@ test("tilting the phone moves the eye, from the pose at the start", async () => 
   await page.tap("#tilt");
   await pose(40, -20);
   await page.waitForTimeout(500);
-  assert.ok((await slope(page))[0] < 0.02, "the tilt is still followed");
+  assert.ok((await slope(page))[0] < 0.02, "the view still follows the tilt");
   assert.deepEqual(page.trouble, []);
   await page.context().close();
 });
 
-test("a phone that tells no pose says so", async () => {
+test("a phone that reports no pose gives a message", async () => {
   const page = await open(browser, server.url, PHONE);
   assert.equal(await complete(page), undefined);
   await page.tap("#tilt");
@@ -140,7 +140,7 @@ test("a phone that tells no pose says so", async () => {
   await page.context().close();
 });
 
-test("an element out of sight draws nothing, and goes on when it is seen", async () => {
+test("an element out of sight stops its frames, and continues in sight", async () => {
   const page = await open(browser, `${server.url}/#mode=slow&rate=8`, { reducedMotion: "no-preference" });
   assert.equal(await complete(page), undefined);
   await page.evaluate(() => {
@@ -159,15 +159,15 @@ test("an element out of sight draws nothing, and goes on when it is seen", async
   };
   await page.evaluate(() => scrollTo(0, 0));
   await page.waitForTimeout(300);
-  assert.equal(await seen(), 1, "frames go on out of sight");
+  assert.equal(await seen(), 1, "frames change out of sight");
   await page.evaluate(() => document.querySelector("lumistack-viewer").scrollIntoView());
   await page.waitForTimeout(300);
-  assert.ok((await seen()) > 1, "frames stand still in sight");
+  assert.ok((await seen()) > 1, "frames do not change in sight");
   assert.deepEqual(page.trouble, []);
   await page.context().close();
 });
 
-test("an element out of sight gives its graphics context back, keeps its picture, and takes another when it is seen", async () => {
+test("an element out of sight releases its graphics context and keeps its picture; in sight it takes a new context", async () => {
   const page = await open(browser, `${server.url}/?renderer=webgl2`);
   assert.equal(await complete(page), undefined);
   await page.evaluate(() => {

@@ -1,4 +1,4 @@
-// Firefox, driven by WebDriver BiDi: the page that solves makes there what it makes in Chromium, and the viewer shows it.
+// The page that solves in Firefox, driven by WebDriver BiDi: it computes and shows the same patterns as in Chromium.
 import assert from "node:assert/strict";
 import { existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
@@ -29,15 +29,15 @@ after(async () => {
   await server?.close();
 });
 
-/** PSNR that the page computes, and a seen picture. */
+/** Waits until the work is done. Returns the PSNR that the page computes, and a seen picture. */
 async function solved(page, wait) {
   await wait(() => document.documentElement.dataset.stage === "done");
-  // The last patterns are shown after they are reported.
+  // The page shows the last patterns a little after it reports the end.
   await page.evaluate(() => new Promise((resolve) => setTimeout(resolve, 1000)));
   return { psnr: await page.evaluate(() => document.documentElement.dataset.psnr), seen: await pixels(page, [0.05, -0.03]) };
 }
 
-test("the page that solves makes in Firefox what it makes in Chromium", { skip }, async () => {
+test("the page that solves computes the same patterns in Firefox and in Chromium", { skip }, async () => {
   const page = await firefox.newPage();
   page.setDefaultTimeout(120_000);
   const trouble = [];
@@ -51,7 +51,7 @@ test("the page that solves makes in Firefox what it makes in Chromium", { skip }
   await page.setViewport({ width: 390, height: 844 });
   await page.screenshot({ path: join(SHOTS, "firefox-phone.png") });
   assert.deepEqual(trouble, []);
-  // the same module computes the same in any browser
+  // A WebAssembly module gives the same results in every browser.
   const other = await open(chromium, `${server.url}/solve.html${HASH}`);
   const ours = await solved(other, (done) => other.waitForFunction(done));
   assert.equal(theirs.psnr, ours.psnr);

@@ -1,4 +1,4 @@
-// The first seconds: a poster at once, small views to look around in, a hint, motion by itself, and then the picture.
+// The first seconds of a page: a poster at once, small views to look around in, a hint, a swinging view, and then the picture.
 import assert from "node:assert/strict";
 import { cpSync, existsSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
@@ -9,7 +9,7 @@ import { complete, DIST, launch, open, pixels, site, text } from "./browser.mjs"
 import { altered, png, SCENE, twoSquares } from "./fixture.mjs";
 
 const FIXTURES = process.env.LUMISTACK_FIXTURES ?? join(dirname(fileURLToPath(import.meta.url)), "fixtures");
-/** Milliseconds that a page may not be held up for. */
+/** Duration of a task, ms, above which the browser reports it as long. */
 const LONG_MS = 50;
 const HALF = Math.tan(((SCENE.fovDeg / 2) * Math.PI) / 180);
 const RED = [220, 30, 30];
@@ -19,7 +19,7 @@ let browser;
 let server;
 before(async () => {
   browser = await launch();
-  // The poster is red, the views from the left green and those from the right blue: each is told apart from the black and white picture.
+  // The poster is red, the small view from the left green, that from the right blue. The picture of the patterns is black and white.
   const { cols, rows } = SCENE;
   const around = { path: "stack/around.jpg", cols, rows, slope_x: [-HALF, HALF], slope_y: [0] };
   const files = altered(
@@ -34,7 +34,7 @@ after(async () => {
   await server?.close();
 });
 
-/** Holds the patterns back until `go` is called. */
+/** Delays the server's answers for the patterns. Returns a function that sends them. */
 function hold(matching = /layer/) {
   const waiting = [];
   let open = false;
@@ -51,7 +51,7 @@ function hold(matching = /layer/) {
   };
 }
 
-/** Colour in the middle of the picture, as it is on the screen. */
+/** Colour of the screen at a point in the upper half of the picture. */
 async function middle(page) {
   const box = await page.evaluate(() => {
     const { x, y, width, height } = document.querySelector("lumistack-viewer").shadowRoot.querySelector("#shown").getBoundingClientRect();
@@ -68,7 +68,7 @@ async function middle(page) {
 const near = (found, wanted, by = 12) => assert.ok(found.every((v, i) => Math.abs(v - wanted[i]) <= by), `${found}, expected ${wanted}`);
 const mark = (page, name) => page.waitForFunction((wanted) => performance.getEntriesByName(wanted).length > 0, name);
 
-test("the poster, then small views for who moves, then the picture, which nothing interrupts", async () => {
+test("the poster is shown first, small views after a move, and then the picture, without a gap", async () => {
   const go = hold();
   const page = await open(browser, server.url);
   await mark(page, "lumistack-interactive");
@@ -78,7 +78,7 @@ test("the poster, then small views for who moves, then the picture, which nothin
   assert.equal(await text(page, "#caption"), "Two squares in depth.");
   assert.match(await text(page, "#nudge"), /Move the mouse/);
   assert.equal(await page.evaluate(() => document.querySelector("lumistack-viewer").shadowRoot.querySelector("#build").open), false);
-  // from the right, then halfway
+  // The view from the right is blue, the one from the middle a blend of both.
   await page.evaluate((slope) => void (document.querySelector("lumistack-viewer").slope = slope), [HALF, 0]);
   await page.waitForTimeout(150);
   near(await middle(page), RIGHT);
@@ -86,7 +86,7 @@ test("the poster, then small views for who moves, then the picture, which nothin
   await page.evaluate(() => void (document.querySelector("lumistack-viewer").slope = [0, 0]));
   await page.waitForTimeout(150);
   near(await middle(page), LEFT.map((v, i) => (v + RIGHT[i]) / 2));
-  // what is on the screen between then and the picture: never black
+  // Count the animation frames in which neither the small views nor the picture cover the stage.
   await page.evaluate(() => {
     const root = document.querySelector("lumistack-viewer").shadowRoot;
     window.bare = 0;
@@ -103,12 +103,12 @@ test("the poster, then small views for who moves, then the picture, which nothin
   await mark(page, "lumistack-first-picture");
   await page.waitForTimeout(500);
   near(await middle(page), [255, 255, 255]);
-  assert.equal(await page.evaluate(() => window.bare), 0, "for a moment nothing was shown");
+  assert.equal(await page.evaluate(() => window.bare), 0, "in some animation frames nothing was shown");
   assert.deepEqual(page.trouble, []);
   await page.context().close();
 });
 
-test("a picture that never becomes whole takes the poster's place all the same", async () => {
+test("a picture without all its frames also replaces the poster", async () => {
   const files = server.state.files;
   server.state.files = altered(files, { "stack/layer0_frame1.png": undefined });
   const page = await open(browser, server.url);
@@ -119,7 +119,7 @@ test("a picture that never becomes whole takes the poster's place all the same",
   server.state.files = files;
 });
 
-test("a poster that is missing is not missed", async () => {
+test("a preview whose poster cannot be loaded is shown without it", async () => {
   const files = server.state.files;
   server.state.files = altered(files, { "stack/poster.jpg": undefined, "stack/around.jpg": undefined });
   const page = await open(browser, server.url);
@@ -130,7 +130,7 @@ test("a poster that is missing is not missed", async () => {
   server.state.files = files;
 });
 
-test("the view moves by itself at once and until somebody moves; not for who prefers less motion", async () => {
+test("the view swings at once until the user moves it, unless the user prefers less motion", async () => {
   for (const reducedMotion of ["no-preference", "reduce"]) {
     const page = await open(browser, server.url, { reducedMotion });
     assert.equal(await complete(page), undefined);
@@ -150,8 +150,8 @@ test("the view moves by itself at once and until somebody moves; not for who pre
   }
 });
 
-test("no task holds the page up while patterns are unpacked and pictures drawn", async () => {
-  // ten times the pixels of a phone's picture in noise, which takes longest to unpack
+test("no task blocks the page while patterns are decoded and pictures drawn", async () => {
+  // Large masks of noise take longest to decode.
   const [cols, rows, frames] = [640, 400, 4];
   let seed = 1;
   const noise = () => (seed = (seed * 48271) % 2147483647) & 255;
@@ -179,17 +179,17 @@ test("no task holds the page up while patterns are unpacked and pictures drawn",
     },
   });
   assert.equal(await complete(page), undefined);
-  // other work of a busy machine counts as well, so that the worst of a few rounds would be its: what counts is what is usual
+  // Other work of the machine also makes tasks long, so two long tasks are allowed.
   await page.waitForTimeout(1500);
   const { long, moved } = await page.evaluate(() => ({ long: window.long, moved: document.querySelector("lumistack-viewer").slope }));
   console.log(`  long tasks: ${long.map((ms) => ms.toFixed(0)).join(", ") || "none"} ms`);
-  assert.ok(Math.hypot(...moved) > 1e-3, "nothing moved");
+  assert.ok(Math.hypot(...moved) > 1e-3, "the view did not swing");
   assert.ok(long.filter((ms) => ms > 2 * LONG_MS).length === 0 && long.length <= 2, `long tasks of ${long} ms`);
   await page.context().close();
   await large.close();
 });
 
-test("a page opened from its folder says what to do, over its poster", async () => {
+test("a page that is opened from its folder states a remedy", async () => {
   const folder = mkdtempSync(join(tmpdir(), "lumistack-folder-"));
   cpSync(DIST, join(folder, "app"), { recursive: true });
   writeFileSync(join(folder, "index.html"), readFileSync(join(DIST, "index.html")));
@@ -201,7 +201,7 @@ test("a page opened from its folder says what to do, over its poster", async () 
   rmSync(folder, { recursive: true });
 });
 
-test("the poster of a site that the plugin wrote shows before any script runs", { skip: !existsSync(FIXTURES) && "no fixtures" }, async () => {
+test("the poster of a site that the plugin wrote is visible without scripts", { skip: !existsSync(FIXTURES) && "no fixtures" }, async () => {
   const folder = join(FIXTURES, "uniform3");
   const { serve } = await import("./server.mjs");
   const written = await serve({ "/": folder });
@@ -210,14 +210,14 @@ test("the poster of a site that the plugin wrote shows before any script runs", 
   const before = await page.locator('img[slot="poster"]').boundingBox();
   assert.ok(before.width > 800 && before.height > 500, `${before.width} × ${before.height}`);
   await page.context().close();
-  // and stands where the picture will be
+  // Without scripts the poster is at the place and of the size that it has with them.
   for (const viewport of [{ width: 1440, height: 900 }, { width: 390, height: 844 }]) {
     const [bare, full] = await Promise.all([false, true].map(async (javaScriptEnabled) => {
       const page = await (await browser.newContext({ javaScriptEnabled, viewport, reducedMotion: "reduce" })).newPage();
       await page.goto(written.url);
       if (javaScriptEnabled) await page.evaluate(() => document.querySelector("lumistack-viewer").complete);
       const { x, y, width, height } = await page.locator('img[slot="poster"]').boundingBox();
-      // without the script the picture lies within its box, as large as it fits
+      // The image of 60 × 40 pixels is centred in its box, as large as it fits.
       const scale = Math.min(width / 60, height / 40);
       await page.context().close();
       return [x + (width - 60 * scale) / 2, y + (height - 40 * scale) / 2, 60 * scale, 40 * scale];

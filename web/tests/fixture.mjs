@@ -1,4 +1,4 @@
-// Small previews made here: files in memory, path → bytes.
+// Makes small previews in memory: path → bytes.
 import { deflateSync } from "node:zlib";
 
 const CRC = Array.from({ length: 256 }, (_, n) => {
@@ -18,7 +18,7 @@ function chunk(type, data) {
   return out;
 }
 
-/** An 8-bit RGB picture; `at(row, col)` gives [r, g, b], 0..255. */
+/** Encodes an RGB picture of 8 bits as PNG; `at(row, col)` returns [r, g, b], 0..255. */
 export function png(cols, rows, at) {
   const raw = Buffer.alloc(rows * (1 + cols * 3));
   for (let r = 0; r < rows; r++) for (let c = 0; c < cols; c++) raw.set(at(r, c), r * (1 + cols * 3) + 1 + c * 3);
@@ -34,7 +34,7 @@ export const SCENE = {
   cols: 64,
   rows: 40,
   pitchMm: 1,
-  /** A dark square on each layer: [row, column] of its centre, half its width, the layer's distance. */
+  /** A dark square on each layer: row and column of its centre, half its width in pixels, and the layer's position d in mm. */
   far: { row: 12, col: 20, half: 3, dMm: -24 },
   near: { row: 26, col: 44, half: 3, dMm: 24 },
   fovDeg: 40,
@@ -42,7 +42,7 @@ export const SCENE = {
   frames: 2,
 };
 
-/** A clear stack of two layers with a dark square on each: what lies at d moves by −d·s on the display's plane. */
+/** Two clear layers with a dark square on each. From a slope s, a square at position d appears moved by −d·s on the display plane. */
 export function twoSquares() {
   const { cols, rows, pitchMm, far, near, fovDeg, views, frames } = SCENE;
   const files = new Map();
@@ -87,7 +87,7 @@ export function twoSquares() {
   return files;
 }
 
-/** A copy with some files exchanged (bytes, or undefined to leave one out) and preview.json edited. */
+/** Copies a preview with changed files (bytes, or undefined to omit a file) and an edited preview.json. */
 export function altered(files, changes, edit = (preview) => preview) {
   const out = new Map(files);
   for (const [path, bytes] of Object.entries(changes)) bytes === undefined ? out.delete(path) : out.set(path, bytes);

@@ -1,4 +1,4 @@
-// Folders as people drop and choose them: through the browser's own drag and drop, and its dialog for folders.
+// Opens folders by the browser's own drag and drop, and by its dialog for folders.
 import assert from "node:assert/strict";
 import { mkdirSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
@@ -23,7 +23,7 @@ after(async () => {
   rmSync(folder, { recursive: true });
 });
 
-/** Writes files below a folder of their own; gives its path. */
+/** Writes files into a new folder; returns the folder's path. */
 function write(name, files) {
   for (const [path, bytes] of files) {
     mkdirSync(dirname(join(folder, name, path)), { recursive: true });
@@ -32,20 +32,20 @@ function write(name, files) {
   return join(folder, name);
 }
 
-/** Drags files and folders of the disk over the picture and lets them go. */
+/** Drops files and folders of the disk on the picture. */
 async function drop(...paths) {
   const mouse = await page.context().newCDPSession(page);
   const data = { items: [], files: paths, dragOperationsMask: 1 };
   const send = (type) => mouse.send("Input.dispatchDragEvent", { type, x: 500, y: 400, data });
   await send("dragEnter");
   await send("dragOver");
-  assert.ok(await text(page, "#drop"), "nothing says that one may drop here");
+  assert.ok(await text(page, "#drop"), "the invitation to drop is missing");
   await send("drop");
   await page.waitForTimeout(700);
   assert.equal(await text(page, "#drop"), undefined, "the invitation to drop stays");
 }
 
-/** Patterns and preview as a run has them. */
+/** Files of a run folder with patterns and a preview. */
 function run(title) {
   const preview = JSON.parse(twoSquares().get("stack/preview.json").toString());
   const files = new Map([["report.html", "<p>report"], ["job.toml", ""], ["layers/stack.json", "{}"], ["target/view_00_00.exr", "x"]]);
@@ -74,10 +74,10 @@ test("the preview's folder, dropped", async () => {
   assert.equal(await text(page, "#title"), "Alone");
 });
 
-test("a folder of views with what else lies there, dropped", async () => {
+test("a folder of views that also contains other files, dropped", async () => {
   const colour = (row, col) => [40 + 50 * row, 40 + 50 * col, 90];
   const files = new Map([["parameters.cfg", "[extrinsics]"], ["lightfield.json", "{}"]]);
-  // more entries than one call of readEntries gives
+  // The folder has more entries than one call of readEntries returns.
   for (let row = 0; row < 3; row++) for (let col = 0; col < 40; col++) files.set(`view_${row}_${col}.png`, png(12, 8, () => colour(row, col / 10)));
   await drop(write("garden", files));
   assert.equal(await text(page, "#title"), "garden");
@@ -88,7 +88,7 @@ test("a folder of views with what else lies there, dropped", async () => {
   assert.deepEqual(page.trouble, []);
 });
 
-test("a quilt of the disk, dropped: its shape is what its name says, not what its pixels say", async () => {
+test("a quilt of the disk, dropped: its name states the aspect ratio of a view", async () => {
   const colours = [[200, 40, 40], [40, 200, 40], [40, 40, 200], [200, 200, 40], [40, 200, 200], [200, 40, 200]];
   const quilt = png(60, 40, (r, c) => colours[(r < 20 ? 3 : 0) + Math.floor(c / 20)]);
   await drop(join(write("quilts", new Map([["walk_qs3x2a2.png", quilt]])), "walk_qs3x2a2.png"));
@@ -97,7 +97,7 @@ test("a quilt of the disk, dropped: its shape is what its name says, not what it
   const edge = Math.tan((17.5 * Math.PI) / 180);
   near(colourAt(await pixels(page, [-edge, 0])), colours[0]);
   near(colourAt(await pixels(page, [edge, 0])), colours[5]);
-  // an even picture fills its place to the edges: nothing of the ground shows within
+  // The canvas has the aspect ratio 2 of the name, and the picture fills it to the edges.
   const { width, height, shot } = await page.evaluate(async () => {
     const { width, height } = document.querySelector("lumistack-viewer").shadowRoot.querySelector("canvas.main").getBoundingClientRect();
     const all = await document.querySelector("lumistack-viewer").pixels();
@@ -108,7 +108,7 @@ test("a quilt of the disk, dropped: its shape is what its name says, not what it
   assert.deepEqual(page.trouble, []);
 });
 
-test("a run without a preview, dropped: it is said what to do", async () => {
+test("a run without a preview, dropped: a message states the remedy", async () => {
   const title = await text(page, "#title");
   await drop(write("bare", new Map([["layers/stack.json", "{}"], ["layers/layer_0.npy", "x"]])));
   assert.match(await text(page, "#notice"), /no preview.*lumistack preview/);

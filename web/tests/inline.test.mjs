@@ -1,4 +1,4 @@
-// A preview in a single file that is opened from disk, and the page served from disk without a server.
+// A preview in a single file that is opened from disk, and an element that leaves the page and returns.
 import assert from "node:assert/strict";
 import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
@@ -16,13 +16,13 @@ after(async () => {
   rmSync(folder, { recursive: true });
 });
 
-test("one file holds page, module and preview", async () => {
+test("one file contains page, module and preview", async () => {
   const dist = (name) => readFileSync(join(DIST, name));
   const inline = { wasm: dist("lumistack_web_bg.wasm").toString("base64") };
   for (const [path, bytes] of twoSquares()) inline[path] = bytes.toString("base64");
   const tags = {};
   tags['<script type="module" src="app/viewer.js"></script>'] = `<script>window.LUMISTACK_INLINE=${JSON.stringify(inline)}</script><script type="module">${dist("viewer.js")}</script>`;
-  // what the plugin leaves out of a single file
+  // The plugin omits this part of the page from a single file.
   let html = dist("index.html").toString().replace(/<!--folder-->[^]*<!--\/folder-->/, "");
   for (const [tag, replacement] of Object.entries(tags)) {
     assert.equal(html.split(tag).length, 2, `index.html has ${tag} once`);
@@ -40,11 +40,11 @@ test("one file holds page, module and preview", async () => {
   await page.context().close();
 });
 
-test("what the script holds can stand inside a page", () => {
+test("the script contains no text that would end a script element", () => {
   assert.doesNotMatch(readFileSync(join(DIST, "viewer.js"), "utf8"), /<\/script|<!--/i);
 });
 
-test("an element taken out of the page and put back shows its preview again", async () => {
+test("an element that is removed from the page and inserted again shows its preview", async () => {
   for (const [path, bytes] of twoSquares()) {
     mkdirSync(join(folder, "site", dirname(path)), { recursive: true });
     writeFileSync(join(folder, "site", path), bytes);

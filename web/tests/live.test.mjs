@@ -1,4 +1,4 @@
-// `lumistack live`, whose binary LUMISTACK_BIN names: the page follows commands and files without being loaded again, and Ctrl-C leaves a run folder.
+// `lumistack live`: the page follows commands and files without a reload, and Ctrl-C leaves a run folder. LUMISTACK_BIN names the program.
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
@@ -9,10 +9,10 @@ import { after, before, test } from "node:test";
 import { launch, open, pixels, SHOTS } from "./browser.mjs";
 
 const BINARY = process.env.LUMISTACK_BIN;
-const skip = !BINARY && "LUMISTACK_BIN names no lumistack (`cargo xtask web test` does)";
-/** Longest wait for a picture, milliseconds: the machine may compile beside. */
+const skip = !BINARY && "LUMISTACK_BIN is not set (`cargo xtask web test` sets it)";
+/** Longest wait for a picture, milliseconds. It is long, since the machine may compile meanwhile. */
 const PATIENCE_MS = 60_000;
-/** Small and quick: a few views of a few pixels. */
+/** Options of a small display, so that the tests are quick. */
 const SMALL = ["--resolution", "64x40", "--frames", "2", "--views", "3x3", "--zone-samples", "36"];
 
 const folder = mkdtempSync(join(tmpdir(), "lumistack-live-"));
@@ -23,7 +23,7 @@ let browser;
 let live;
 let address;
 
-/** A card of one colour that gives its own light, half as wide as the window. */
+/** A glTF document with a card that emits light of one colour. */
 function card(red, green, blue) {
   const corners = new Float32Array([-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, -1, 0, 1, 1, 0, -1, 1, 0]);
   const data = Buffer.from(corners.buffer).toString("base64");
@@ -65,17 +65,17 @@ after(async () => {
 });
 
 const say = (command) => live.stdin.write(`${JSON.stringify(command)}\n`);
-/** The middle of the picture, red, green and blue. */
+/** Red, green and blue of the picture's middle pixel. */
 const middle = async (page) => {
   const { width, height, data } = await pixels(page, [0, 0]);
   return [...data.subarray(4 * (Math.floor(height / 2) * width + Math.floor(width / 2)))].slice(0, 3);
 };
 async function until(what, is) {
   for (const end = Date.now() + PATIENCE_MS; Date.now() < end; await new Promise((resolve) => setTimeout(resolve, 100))) if (await is()) return;
-  assert.fail(`waited in vain for ${what}`);
+  assert.fail(`the time is over without ${what}`);
 }
 
-test("the page follows files and commands without being loaded again", { skip }, async () => {
+test("the page follows files and commands without a reload", { skip }, async () => {
   const page = await open(browser, address);
   await page.evaluate(() => (window.same = true));
   const number = () => page.evaluate(() => Number(document.querySelector("lumistack-viewer").dataset.state ?? 0));
@@ -96,7 +96,7 @@ test("the page follows files and commands without being loaded again", { skip },
   assert.ok((await number()) > first);
   await page.screenshot({ path: join(SHOTS, "live-green.png") });
 
-  // a file that cannot be read: a message, and the display stays
+  // A file that cannot be read gives a message, and the patterns stay.
   const words = () => page.locator(".live p").textContent();
   await until("no message", async () => (await words()) === "Live");
   writeFileSync(scene, card(1, 0, 0).slice(0, -40));
@@ -116,8 +116,8 @@ test("the page follows files and commands without being loaded again", { skip },
   await until("another display", () => states.some((event) => event.event === "state" && event.start === "fresh" && event.number > first));
   await until("its page", async () => (await page.evaluate(() => document.querySelector("lumistack-viewer").shadowRoot.textContent)).includes("3 frames"));
   say({ set: { "display.frame": 3 } });
-  await until("a word about a key that is none", () => states.some(({ event, message }) => event === "refused" && message.includes("did you mean `frames`?")));
-  assert.equal(await page.evaluate(() => window.same), true, "the page was loaded again");
+  await until("an error about the unknown key", () => states.some(({ event, message }) => event === "refused" && message.includes("did you mean `frames`?")));
+  assert.equal(await page.evaluate(() => window.same), true, "the page was reloaded");
   assert.deepEqual(page.trouble, []);
   await page.context().close();
 });
@@ -130,20 +130,20 @@ test("the view acts as a tracked head while the switch is on", { skip }, async (
   const box = await page.locator("lumistack-viewer #stage").boundingBox();
   await page.mouse.move(box.x + 0.7 * box.width, box.y + 0.4 * box.height);
   await new Promise((resolve) => setTimeout(resolve, 1000));
-  assert.equal(zone(), 1, "the view moves no viewer by itself");
+  assert.equal(zone(), 1, "the view moved the viewer before the switch was on");
   await page.getByLabel("The display follows my view").check();
   await until("rays near the view", () => zone() === 0);
-  // a mouse at rest is a viewer who stands still, for longer than a tracker may be silent
+  // A mouse at rest still counts as a viewer, for longer than a tracker may be silent.
   await new Promise((resolve) => setTimeout(resolve, 2500));
   assert.equal(zone(), 0);
   await page.screenshot({ path: join(SHOTS, "live-follows.png") });
-  // the key is the same switch
+  // The key F also operates the switch.
   await page.keyboard.press("f");
   assert.equal(await page.getByLabel("The display follows my view").isChecked(), false);
   await until("the whole zone", () => zone() === 1);
   await page.keyboard.press("f");
   await until("rays near the view again", () => zone() === 0);
-  // a page that is closed has no viewer
+  // A page that is closed has no viewer, so the whole zone counts again.
   await page.close();
   await until("the whole zone again", () => zone() === 1);
   assert.deepEqual(page.trouble, []);
@@ -158,7 +158,7 @@ test("states have rising numbers, and Ctrl-C leaves a run folder", { skip }, asy
   live.kill("SIGINT");
   assert.equal(await ended, 0);
   console.log(`ended with its report after ${Date.now() - started} ms`);
-  await until("a word about the end", async () => (await words()).includes("does not answer"));
+  await until("a message about the end of the program", async () => (await words()).includes("does not answer"));
   await page.screenshot({ path: join(SHOTS, "live-ended.png") });
   await page.context().close();
   const numbers = states.filter(({ event }) => event === "state").map(({ number }) => number);

@@ -1,4 +1,4 @@
-// Every mode, by mouse and by keyboard, without a word on the console; screenshots of all of them for people to look at.
+// Every mode, by mouse and by keyboard, without messages on the console; screenshots of all modes.
 import assert from "node:assert/strict";
 import { existsSync, mkdirSync } from "node:fs";
 import { dirname, join } from "node:path";
@@ -8,7 +8,7 @@ import { complete, launch, open, pixels, SHOTS, site, text } from "./browser.mjs
 import { twoSquares } from "./fixture.mjs";
 
 const FIXTURES = process.env.LUMISTACK_FIXTURES ?? join(dirname(fileURLToPath(import.meta.url)), "fixtures");
-/** A richer picture for the screenshots: a preview folder. */
+/** A preview folder with a richer picture, for the screenshots. */
 const SHOWN = process.env.LUMISTACK_WEB_SHOWN ?? join(FIXTURES, "uniform3");
 const MODES = [["perceived"], ["slow"], ["exploded"], ["compare", "slider"], ["compare", "side"], ["compare", "error"], ["layers"]];
 
@@ -26,7 +26,7 @@ after(async () => {
 const viewer = (page, action, argument) => page.evaluate(`(${action})(document.querySelector("lumistack-viewer"), ${JSON.stringify(argument ?? null)})`);
 
 for (const renderer of ["webgl2", "cpu"]) {
-  test(`every mode clicked through on ${renderer}`, async () => {
+  test(`every mode shows a picture after a click, on ${renderer}`, async () => {
     const page = await open(browser, `${server.url}/?renderer=${renderer}`);
     assert.equal(await complete(page), undefined);
     for (const [mode, comparison] of MODES) {
@@ -42,7 +42,7 @@ for (const renderer of ["webgl2", "cpu"]) {
   });
 }
 
-test("keys choose modes, look around, step frames and layers", async () => {
+test("keys choose modes, look around and step through frames", async () => {
   const page = await open(browser, server.url);
   assert.equal(await complete(page), undefined);
   const slope = () => viewer(page, "(v) => v.slope");
@@ -65,7 +65,7 @@ test("keys choose modes, look around, step frames and layers", async () => {
   await page.context().close();
 });
 
-test("everything that can be pressed is reached by Tab and has a name", async () => {
+test("the Tab key reaches every control, and every control has a name", async () => {
   const page = await open(browser, server.url);
   assert.equal(await complete(page), undefined);
   for (const mode of ["perceived", "slow", "exploded", "compare", "layers"]) {
@@ -93,7 +93,7 @@ test("everything that can be pressed is reached by Tab and has a name", async ()
   await page.context().close();
 });
 
-test("the address keeps the state, and a link brings it back", async () => {
+test("the address contains the state, and a link restores it", async () => {
   const page = await open(browser, server.url);
   assert.equal(await complete(page), undefined);
   await page.click('input[name="mode"][value="compare"]');
@@ -115,7 +115,7 @@ test("the address keeps the state, and a link brings it back", async () => {
   }
 });
 
-test("what a badly built display shows differs, and the reset brings the designed one back", async () => {
+test("errors of the construction change the picture, and the reset restores it", async () => {
   const page = await open(browser, server.url);
   assert.equal(await complete(page), undefined);
   const designed = await pixels(page, [0.1, 0]);
@@ -130,7 +130,7 @@ test("what a badly built display shows differs, and the reset brings the designe
   await page.context().close();
 });
 
-test("the view swings when idle, unless one prefers less motion", async () => {
+test("the view swings when idle, unless the user prefers less motion", async () => {
   for (const [reducedMotion, swings] of [["no-preference", true], ["reduce", false]]) {
     const page = await open(browser, server.url, { reducedMotion });
     assert.equal(await complete(page), undefined);
@@ -155,7 +155,7 @@ test("a picture and a video of a turn are saved", async () => {
   await page.context().close();
 });
 
-test("a screen reader is told where one stands", async () => {
+test("a screen reader receives the viewing position", async () => {
   const page = await open(browser, server.url);
   assert.equal(await complete(page), undefined);
   await viewer(page, "(v) => void (v.slope = [0.1, 0])");

@@ -1,4 +1,4 @@
-// Files that are dropped on the page: a preview, a quilt, the views of a light field, and what is none of them.
+// Files that are dropped on the page: a preview, a quilt, the views of a light field, and files of other kinds.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { complete, launch, open, pixels, site, text } from "./browser.mjs";
@@ -16,7 +16,7 @@ after(async () => {
   await server?.close();
 });
 
-/** Drops files (path → bytes) on the element, as a browser does. */
+/** Drops files (path → bytes) on the element by the event that a browser sends. */
 async function drop(files) {
   const list = [...files].map(([name, bytes]) => ({ name, data: Buffer.from(bytes).toString("base64") }));
   await page.evaluate(async (dropped) => {
@@ -32,7 +32,7 @@ const flat = (colour) => png(24, 16, () => colour);
 const colourAt = ({ width, height, data }) => [...data.subarray(((height >> 1) * width + (width >> 1)) * 4, ((height >> 1) * width + (width >> 1)) * 4 + 3)];
 const near = (found, wanted) => assert.ok(found.every((v, i) => Math.abs(v - wanted[i]) <= 3), `${found}, expected ${wanted}`);
 
-test("a preview by its files", async () => {
+test("the files of a preview without their folder", async () => {
   page = await open(browser, server.url);
   await complete(page);
   const preview = JSON.parse(twoSquares().get("stack/preview.json").toString());
@@ -44,7 +44,7 @@ test("a preview by its files", async () => {
   assert.deepEqual(page.trouble, []);
 });
 
-test("a quilt, its first view at the bottom left", async () => {
+test("a quilt, whose first view is at the bottom left", async () => {
   const colours = [[200, 40, 40], [40, 200, 40], [40, 40, 200], [200, 200, 40]];
   // 2 × 2 tiles of 24 × 16: views 0 and 1 below, 2 and 3 above.
   const quilt = png(48, 32, (r, c) => colours[(r < 16 ? 2 : 0) + (c < 24 ? 0 : 1)]);
@@ -58,7 +58,7 @@ test("a quilt, its first view at the bottom left", async () => {
   assert.deepEqual(page.trouble, []);
 });
 
-test("the views of a light field, rows from the top", async () => {
+test("the views of a light field, whose rows count from the top", async () => {
   const colour = (row, col) => [60 + 60 * row, 60 + 60 * col, 90];
   const views = new Map();
   for (let row = 0; row < 3; row++) for (let col = 0; col < 3; col++) views.set(`view_${row}_${col}.png`, flat(colour(row, col)));
@@ -72,10 +72,10 @@ test("the views of a light field, rows from the top", async () => {
   assert.deepEqual(page.trouble, []);
 });
 
-test("what cannot be shown is refused, and what was there stays", async () => {
+test("files that cannot be shown are refused, and the current picture stays", async () => {
   const title = await text(page, "#title");
   for (const [files, what] of [
-    [[["notes.txt", "hello"]], /None of the 1 files/],
+    [[["notes.txt", "hello"]], /no picture among the dropped files \(1\)/],
     [[["picture.png", flat([1, 2, 3])]], /single picture/],
     [[["view_00_00.exr", "x"], ["view_00_01.exr", "x"]], /OpenEXR/],
     [[["view_0_0.png", flat([9, 9, 9])], ["view_0_1.png", png(8, 8, () => [0, 0, 0])]], /8 × 8 pixels/],
@@ -88,7 +88,7 @@ test("what cannot be shown is refused, and what was there stays", async () => {
   }
 });
 
-test("back to a preview: the modes are there again", async () => {
+test("a preview after a light field has its modes again", async () => {
   await drop(new Map([...twoSquares()].map(([path, bytes]) => [path.replace("stack/", ""), bytes])));
   assert.equal(await complete(page), undefined);
   assert.equal(await text(page, "#title"), "Two squares");

@@ -1,4 +1,4 @@
-// The package as others get it: packed from what is committed alone, imported with its types, bundled, and shown.
+// The npm package: packed from the committed files alone, imported with its types, bundled, and shown.
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
 import { copyFileSync, cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
@@ -16,7 +16,7 @@ const folder = mkdtempSync(join(tmpdir(), "lumistack-package-"));
 const user = join(folder, "user");
 const run = (cwd, ...args) => execFileSync(args[0], args.slice(1), { cwd, encoding: "utf8", stdio: ["ignore", "pipe", "inherit"], shell: process.platform === "win32" });
 before(() => {
-  // what a clone has: neither the module's glue nor installed packages
+  // A clone has only committed files: neither pkg/ nor node_modules/.
   const clone = join(folder, "clone");
   for (const path of run(WEB, "git", "ls-files").trim().split("\n")) {
     mkdirSync(dirname(join(clone, path)), { recursive: true });
@@ -29,7 +29,7 @@ before(() => {
 });
 after(() => rmSync(folder, { recursive: true }));
 
-test("types say what there is, and nothing else", () => {
+test("the types accept valid code and reject an invalid mode", () => {
   const check = (name, text) => {
     writeFileSync(join(user, name), text);
     const options = ["--noEmit", "--strict", "--target", "es2022", "--module", "esnext", "--moduleResolution", "bundler", "--lib", "es2023,dom"];
@@ -81,7 +81,7 @@ test("the examples in plain HTML, React and Vue show a preview and follow their 
   }
 });
 
-test("the package holds what it needs and no sources", () => {
+test("the package contains all exported files and no sources", () => {
   const { exports, types } = JSON.parse(readFileSync(join(user, "node_modules/lumistack-viewer/package.json"), "utf8"));
   for (const path of [types, exports["."].types, exports["."].default, exports["./lumistack_web_bg.wasm"]]) {
     assert.ok(readFileSync(join(user, "node_modules/lumistack-viewer", path)).length > 0, path);

@@ -1,4 +1,4 @@
-// Near and far things move in opposite directions, by as much as the geometry says.
+// Near and far objects move in opposite directions, by the distances that the geometry gives.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { complete, launch, open, pixels, site, text } from "./browser.mjs";
@@ -15,7 +15,7 @@ after(async () => {
   await server?.close();
 });
 
-/** Centre [row, col] of what is dark in the rows `from` to `to`. */
+/** Centroid [row, col] of the dark pixels in the rows `from` to `to`. */
 function darkCentre({ width, data }, from, to) {
   let [weight, row, col] = [0, 0, 0];
   for (let r = from; r < to; r++) {
@@ -26,23 +26,23 @@ function darkCentre({ width, data }, from, to) {
       col += c * dark;
     }
   }
-  assert.ok(weight > 0, `nothing dark in rows ${from} to ${to}`);
+  assert.ok(weight > 0, `no dark pixel in rows ${from} to ${to}`);
   return [row / weight, col / weight];
 }
 
 for (const renderer of ["webgl2", "cpu"]) {
-  test(`on ${renderer}, what lies at d moves by −d·s`, async () => {
+  test(`on ${renderer}, a square at position d moves by −d·s`, async () => {
     const page = await open(browser, `${server.url}/?renderer=${renderer}`);
     assert.equal(await complete(page), undefined);
     const { far, near, pitchMm, rows } = SCENE;
-    // Whole pixels of shift: a slope of k·pitch/d; up is a smaller row.
+    // A slope of k·pitch/d moves the near square by k whole pixels. Rows count from the top.
     for (const [kx, ky] of [[0, 0], [3, 0], [-3, 0], [0, 2], [0, -2], [5, 1]]) {
       const slope = [(kx * pitchMm) / near.dMm, (ky * pitchMm) / near.dMm];
       const shown = await pixels(page, slope);
       const half = rows / 2;
       const [farRow, farCol] = darkCentre(shown, 0, half);
       const [nearRow, nearCol] = darkCentre(shown, half, rows);
-      // near: x − d·s = col − kx; far, at −d: col + kx.
+      // The near square moves by −kx columns. The far one, at −d, moves by +kx columns.
       const off = [nearCol - (near.col - kx), nearRow - (near.row + ky), farCol - (far.col + kx), farRow - (far.row - ky)];
       assert.ok(off.every((value) => Math.abs(value) < 0.02), `at ${slope}: off by ${off.map((v) => v.toFixed(3))} pixels`);
     }
@@ -50,7 +50,7 @@ for (const renderer of ["webgl2", "cpu"]) {
   });
 }
 
-test("the mouse to the right moves near things to the left and far things to the right", async () => {
+test("if the mouse moves to the right, near objects move to the left and far objects to the right", async () => {
   const page = await open(browser, server.url);
   assert.equal(await complete(page), undefined);
   const box = await page.evaluate(() => {

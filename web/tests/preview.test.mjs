@@ -1,4 +1,4 @@
-// `lumistack preview`, whose binary LUMISTACK_BIN names: the page in a browser, and that it loads itself anew when the patterns change.
+// `lumistack preview`: its page in a browser, which reloads itself when the patterns change. LUMISTACK_BIN names the program.
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { cpSync, existsSync, mkdtempSync, readFileSync, renameSync, rmSync, writeFileSync } from "node:fs";
@@ -11,8 +11,8 @@ import { complete, launch, open, pixels, text } from "./browser.mjs";
 
 const BINARY = process.env.LUMISTACK_BIN;
 const FIXTURES = process.env.LUMISTACK_FIXTURES ?? join(dirname(fileURLToPath(import.meta.url)), "fixtures");
-const skip = !BINARY ? "LUMISTACK_BIN names no lumistack (`cargo xtask web test` does)" : !existsSync(FIXTURES) ? "no fixtures (`cargo xtask web fixtures`)" : false;
-/** The page asks once a second, and the server looks once a second. */
+const skip = !BINARY ? "LUMISTACK_BIN is not set (`cargo xtask web test` sets it)" : !existsSync(FIXTURES) ? "no fixtures (`cargo xtask web fixtures`)" : false;
+/** Longest time until a reload, ms. The page requests the stamp once a second, and the server checks the folder once a second. */
 const RELOAD_MS = 5000;
 
 const folder = mkdtempSync(join(tmpdir(), "lumistack-preview-"));
@@ -36,13 +36,13 @@ after(async () => {
   rmSync(folder, { recursive: true });
 });
 
-/** Exchanges a file as the program does: written beside its place and renamed. */
+/** Replaces a file as the program does: writes a new file and renames it. */
 function exchange(path, bytes) {
   writeFileSync(join(folder, ".new"), bytes);
   renameSync(join(folder, ".new"), join(folder, "site", path));
 }
 
-test("the page loads itself anew when the patterns change, and stays where one looked from", { skip }, async () => {
+test("the page reloads itself when the patterns change, and keeps mode and viewing position", { skip }, async () => {
   const page = await open(browser, address);
   assert.equal(await complete(page), undefined);
   await page.evaluate(() => {
@@ -53,9 +53,9 @@ test("the page loads itself anew when the patterns change, and stays where one l
   });
   await page.waitForTimeout(700);
   const before = await pixels(page);
-  // nothing changes: nothing is loaded
+  // Without a change the page does not reload.
   await page.waitForTimeout(2500);
-  assert.equal(await page.evaluate(() => window.still), true, "the page loaded itself without need");
+  assert.equal(await page.evaluate(() => window.still), true, "the page reloaded itself without a change");
 
   const preview = JSON.parse(readFileSync(join(folder, "site/stack/preview.json"), "utf8"));
   const [first, other] = preview.files.filter((file) => file.kind === "layer" && file.layer === 0);
@@ -75,7 +75,7 @@ test("the page loads itself anew when the patterns change, and stays where one l
   await page.context().close();
 });
 
-test("a server that ends leaves the page as it is, without a word on the console beyond the browser's own", { skip }, async () => {
+test("the page stays the same after the server ends, and its console has only the browser's own errors", { skip }, async () => {
   const page = await open(browser, address);
   assert.equal(await complete(page), undefined);
   const before = await pixels(page, [0.03, 0]);

@@ -1,11 +1,11 @@
-// A static server on the loopback address for the tests; a hook may answer in its place.
+// A server of files on the loopback address for the tests.
 import { createReadStream, existsSync, statSync } from "node:fs";
 import { createServer } from "node:http";
 import { extname, join, normalize } from "node:path";
 
 const TYPES = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".json": "application/json", ".png": "image/png", ".wasm": "application/wasm" };
 
-/** `roots`: URL prefix → folder, the longest that fits; `hook(path, response)` returns true when it has answered. */
+/** Serves files. `roots` maps URL prefixes to folders; the longest prefix of a path counts. `hook(path, response)` returns true if it has answered itself. */
 export async function serve(roots, hook = () => false) {
   const server = createServer((request, response) => {
     const path = decodeURIComponent(new URL(request.url, "http://localhost").pathname);

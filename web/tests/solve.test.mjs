@@ -1,4 +1,4 @@
-// The page that solves: a scene becomes patterns that the viewer shows and the command reads; what is wrong with a file is said as the command says it.
+// The page that solves: its patterns, its saved files, and its errors agree with those of the command.
 import assert from "node:assert/strict";
 import { execFileSync, spawnSync } from "node:child_process";
 import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
@@ -14,11 +14,14 @@ import { stripes } from "./stripes.mjs";
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const SCENES = join(dirname(fileURLToPath(import.meta.url)), "../../scenes");
 const BIN = process.env.LUMISTACK_BIN;
-/** Root mean square difference of the patterns of page and command: what is left is the rounding of other instructions, and of views in the command's cache. */
+/**
+ * Largest root mean square difference of the patterns of page and command. It is above 0, since the two use other instructions, and the command's
+ * cache rounds views.
+ */
 const SAME = 2e-3;
-/** PSNR of page and command may differ by this much, dB. */
+/** Largest difference of the PSNR of page and command, dB. */
 const SAME_DB = 0.01;
-/** A seen picture through patterns of 8 bits against one through the patterns themselves, codes. */
+/** Largest difference of a seen picture in codes, since the page shows patterns of 8 bits and the command simulates unrounded patterns. */
 const ROUNDING = 3;
 
 let browser;
@@ -72,7 +75,7 @@ async function save(at, name) {
   return run;
 }
 
-/** Saves a quilt, and compares two of its tiles with the picture on show from there. */
+/** Saves a quilt, and compares its first and last tiles with the viewer's pictures from the same slopes. */
 async function savedQuilt(at) {
   const [download] = await Promise.all([at.waitForEvent("download"), at.click("#quilt")]);
   assert.equal(download.suggestedFilename(), "letters_qs8x6a1.6.png");
@@ -81,11 +84,11 @@ async function savedQuilt(at) {
     const context = new OffscreenCanvas(picture.width, picture.height).getContext("2d", { willReadFrequently: true });
     context.drawImage(picture, 0, 0);
     const [width, height] = [picture.width / 8, picture.height / 6];
-    // the first one is at the bottom left, the last one at the top right
+    // View 0 is at the bottom left, view 47 at the top right.
     return { width, height, tiles: [[0, 5], [7, 0]].map(([col, row]) => [...context.getImageData(col * width, row * height, width, height).data]) };
   }, readFileSync(await download.path(), "base64"));
   assert.deepEqual([views.width, views.height], [96, 60]);
-  // 48 views of the zone: the outermost ones are half a part inside its edge
+  // The zone is divided into 48 parts, and the outermost views are half a part inside its edge.
   const { slope_x, slope_y } = await at.evaluate(() => JSON.parse(document.querySelector("lumistack-viewer").content.json).target);
   const step = slope_x[1] - slope_x[0];
   const edge = slope_x.at(-1) + step / 2 - (step * slope_x.length) / 96;
@@ -113,14 +116,14 @@ async function savedTurn(at) {
   assert.ok(width >= 960 && Math.abs(width / height - 1.6) < 0.02, `${width} × ${height}`);
 }
 
-test("a built-in scene becomes the patterns that the command makes", { skip: !BIN && "LUMISTACK_BIN names no program" }, async () => {
+test("a built-in scene becomes the patterns that the command makes", { skip: !BIN && "LUMISTACK_BIN is not set" }, async () => {
   const at = await page("#scene=letters&preset=paper-three-layer&cols=96&frames=3&zone_samples=100&iterations=6");
   await stage(at, "done");
   const psnr = Number(await at.evaluate(() => document.documentElement.dataset.psnr));
   const run = await save(at, "letters");
   assert.match(execFileSync(BIN, ["info", run], { encoding: "utf8" }), /96/);
 
-  // The viewer shows what the command simulates.
+  // The viewer's picture agrees with the command's simulation.
   await at.waitForFunction(() => !document.querySelector("main").classList.contains("idle"));
   const slope = [3, -2].map((degrees) => Math.tan((degrees * Math.PI) / 180));
   const shown = await pixels(at, slope);
@@ -136,7 +139,7 @@ test("a built-in scene becomes the patterns that the command makes", { skip: !BI
   const far = simulated.filter((code, i) => Math.abs(code - shown.data[i]) > ROUNDING).length;
   assert.ok(far < 0.01 * simulated.length, `${far} of ${simulated.length} values differ`);
 
-  // The same job on the command line.
+  // The command computes the same patterns from the saved job.
   for (const name of ["letters.gltf", "letters.bin", "charts.png", "graph-paper.png", "sky.hdr"]) cpSync(join(SCENES, "letters", name), join(run, name));
   const out = join(folder, "command");
   execFileSync(BIN, ["run", join(run, "job.toml"), "-o", out], { stdio: "pipe" });
@@ -150,10 +153,10 @@ test("a built-in scene becomes the patterns that the command makes", { skip: !BI
   await at.context().close();
 });
 
-test("patterns show while they form, stop, go on, and take another display", async () => {
+test("the page shows intermediate patterns, stops, continues, and solves for another display", async () => {
   const at = await page("#preset=paper-three-layer&cols=96&frames=2&zone_samples=400&iterations=2");
   await shot(at, "empty");
-  // Decoders are loaded when a scene has something to decode, once.
+  // The module of decoders is loaded once, since this scene has pictures to decode.
   let decoders = 0;
   at.on("request", (request) => (decoders += request.url().endsWith("lumistack_web_decoders_bg.wasm")));
   await at.click("text=Letters");
@@ -163,12 +166,12 @@ test("patterns show while they form, stop, go on, and take another display", asy
   await at.waitForFunction(() => /Stopped/.test(document.querySelector("#status").textContent));
   const share = await at.evaluate(() => document.querySelector("#bar").value);
   await at.waitForTimeout(400);
-  assert.equal(await at.evaluate(() => document.querySelector("#bar").value), share, "nothing goes on while it is stopped");
+  assert.equal(await at.evaluate(() => document.querySelector("#bar").value), share, "the work continued although it was stopped");
   await shot(at, "stopped");
   await at.click("#pause");
   await stage(at, "done");
   const before = await pixels(at, [0, 0]);
-  assert.ok(before.data.some((value, i) => i % 4 < 3 && value > 60), "something is seen");
+  assert.ok(before.data.some((value, i) => i % 4 < 3 && value > 60), "the picture is dark");
   await shot(at, "done");
   await savedQuilt(at);
   await savedTurn(at);
@@ -186,7 +189,7 @@ test("patterns show while they form, stop, go on, and take another display", asy
   await at.context().close();
 });
 
-test("a broken file is told as the command tells it, and the page goes on", { skip: !BIN && "LUMISTACK_BIN names no program" }, async () => {
+test("a broken file gives the command's error, and the page stays usable", { skip: !BIN && "LUMISTACK_BIN is not set" }, async () => {
   const at = await page("#cols=96");
   const broken = {
     "short.glb": Buffer.from("glTF\u0002\0\0\0\u0040\0\0\0", "latin1"),
@@ -203,7 +206,7 @@ test("a broken file is told as the command tells it, and the page goes on", { sk
     assert.equal(status, 1);
     assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
   }
-  // A picture that ends too early: its decoder is another module.
+  // A picture that is cut short is an error of the module of decoders.
   const letters = join(folder, "cut");
   cpSync(join(SCENES, "letters"), letters, { recursive: true });
   writeFileSync(join(letters, "charts.png"), readFileSync(join(SCENES, "letters/charts.png")).subarray(0, 400));
@@ -215,7 +218,7 @@ test("a broken file is told as the command tells it, and the page goes on", { sk
   assert.match(said, /readable Png/);
   await shot(at, "broken");
   await at.setInputFiles("#files", { name: "words.txt", mimeType: "text/plain", buffer: Buffer.from("a") });
-  assert.match(await problem(at), /nothing to solve among the one file.*Drop a \.glb/);
+  assert.match(await problem(at), /nothing to solve in this file.*Drop a \.glb/);
   await at.evaluate(() => (location.hash = ""));
   await at.click("text=Dandelion");
   await at.waitForFunction(() => performance.getEntriesByName("lumistack-first-patterns").length > 0);
@@ -235,7 +238,7 @@ function apart(a, b) {
   return Math.sqrt(squares / count);
 }
 
-test("light fields are solved as the command solves them", { skip: !BIN && "LUMISTACK_BIN names no program" }, async () => {
+test("patterns of light fields agree with those of the command", { skip: !BIN && "LUMISTACK_BIN is not set" }, async () => {
   const array = join(folder, "stripes.npy");
   stripes(array);
   const at = await page("#preset=paper-three-layer&cols=96&frames=2&iterations=5");
@@ -253,13 +256,13 @@ test("light fields are solved as the command solves them", { skip: !BIN && "LUMI
   const command = join(folder, "array-command");
   execFileSync(BIN, ["run", join(ours, "job.toml"), "-o", command], { stdio: "pipe" });
   assert.ok(apart(ours, command) < SAME, `${apart(ours, command)}`);
-  // The command's folder of OpenEXR pictures has rounded values.
+  // The command's folder of OpenEXR pictures has rounded values, so the tolerance is larger.
   const views = join(folder, "array-views");
   cpSync(join(command, "target"), views, { recursive: true });
   const again = await solved(() => at.setInputFiles("#folder", views), "views");
   assert.match(readFileSync(join(again, "job.toml"), "utf8"), /light_field = "array-views"/);
   assert.ok(apart(again, ours) < 0.01, `${apart(again, ours)}`);
-  // The page's own quilt: its 48 views are more than those of the array.
+  // The page also solves the quilt of 48 views that it saves itself.
   const [download] = await Promise.all([at.waitForEvent("download"), at.click("#quilt")]);
   const quilt = join(folder, download.suggestedFilename());
   await download.saveAs(quilt);
@@ -269,7 +272,7 @@ test("light fields are solved as the command solves them", { skip: !BIN && "LUMI
   execFileSync(BIN, ["run", join(third, "job.toml"), "-o", known], { stdio: "pipe" });
   assert.ok(apart(third, known) < SAME, `${apart(third, known)}`);
 
-  // Errors are those of the command.
+  // Errors of light fields are those of the command.
   const few = join(folder, "few");
   mkdirSync(few);
   writeFileSync(join(few, "cut.npy"), readFileSync(array).subarray(0, 5000));
@@ -288,7 +291,7 @@ test("light fields are solved as the command solves them", { skip: !BIN && "LUMI
   await at.context().close();
 });
 
-test("axe finds nothing, on a desk and on a phone, in dark and light", async () => {
+test("axe finds no violation on a desk, on a phone and in forced colours", async () => {
   for (const [name, options] of [
     ["desk", { colorScheme: "light" }],
     ["phone", { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true, deviceScaleFactor: 2 }],
@@ -304,7 +307,7 @@ test("axe finds nothing, on a desk and on a phone, in dark and light", async () 
       name,
     );
     await shot(at, name);
-    // By keyboard alone: every control is reached. The sliders are folded.
+    // Unfold the sliders; then the Tab key reaches every control.
     await at.focus("#built summary");
     await at.keyboard.press("Enter");
     await at.evaluate(() => document.activeElement.blur());

@@ -1,7 +1,7 @@
 // A light field for the tests of the page that solves.
 import { writeFileSync } from "node:fs";
 
-/** Stripes at two depths, an array of 3 × 5 views. */
+/** Writes an array of 3 × 5 views of stripes at two depths, as .npy. */
 export function stripes(path) {
   const [rows, cols, height, width] = [3, 5, 40, 64];
   const values = new Float32Array(rows * cols * height * width * 3);

@@ -1,4 +1,4 @@
-// Parts of the page that need no browser: the state in the address, names of views, and the motion of the eye.
+// Parts of the page that need no browser: the state in the address, names of views, the motion of the eye, slopes of a quilt.
 import assert from "node:assert/strict";
 import { join } from "node:path";
 import { test } from "node:test";
@@ -10,7 +10,7 @@ async function source(name) {
   return import(`data:text/javascript;base64,${Buffer.from(outputFiles[0].contents).toString("base64")}`);
 }
 
-test("a state comes back from its address", async () => {
+test("an address restores its state", async () => {
   const { DEFAULTS, fromHash, toHash } = await source("state.ts");
   assert.equal(toHash(DEFAULTS, undefined), "");
   assert.deepEqual(fromHash(""), { state: { ...DEFAULTS }, slope: undefined });
@@ -19,27 +19,27 @@ test("a state comes back from its address", async () => {
   assert.deepEqual(back, { state, slope: [0.1, -0.2] });
 });
 
-test("nonsense in an address is ignored, and values stay in range", async () => {
+test("invalid values in an address are ignored, and others are limited to their range", async () => {
   const { DEFAULTS, fromHash } = await source("state.ts");
   const { state, slope } = fromHash("#mode=x&split=9&pupil=-1&gap=abc&frame=2.4&x=&rate=Infinity&gain=0");
   assert.deepEqual(state, { ...DEFAULTS, split: 1, frame: 2 });
   assert.equal(slope, undefined);
 });
 
-test("views are ordered by what their names say", async () => {
+test("names of views determine their order", async () => {
   const { gridOf } = await source("drop.ts");
   const grid = (names) => gridOf(names.map((name) => [`some/folder/${name}`, name])).map((row) => row.join(" "));
   assert.deepEqual(grid(["view_01_00.png", "view_00_01.png", "view_00_00.png", "view_01_01.png"]), ["view_00_00.png view_00_01.png", "view_01_00.png view_01_01.png"]);
   assert.deepEqual(grid(["out_00_01_-3.5_2.1_.png", "out_00_00_-3.5_9.9_.png", "out_00_02_1_1_.png"]), ["out_00_00_-3.5_9.9_.png out_00_01_-3.5_2.1_.png out_00_02_1_1_.png"]);
   const cams = Array.from({ length: 9 }, (_, i) => `input_Cam${String(i).padStart(3, "0")}.png`);
   assert.deepEqual(grid([...cams].reverse()), [cams.slice(0, 3).join(" "), cams.slice(3, 6).join(" "), cams.slice(6).join(" ")]);
-  // Numbers by their value, and no square: one row.
+  // Three views are no square, so they form one row, in the order of their numbers.
   assert.deepEqual(grid(["frame10.jpg", "frame9.jpg", "frame11.jpg"]), ["frame9.jpg frame10.jpg frame11.jpg"]);
-  // A hole in the grid: not read as one.
+  // A grid with a hole is not a grid, so its views form one row.
   assert.deepEqual(grid(["view_0_0.png", "view_0_1.png", "view_1_0.png"]), ["view_0_0.png view_0_1.png view_1_0.png"]);
 });
 
-test("the eye follows without overshooting far, comes to rest, and stays within reach", async () => {
+test("the eye reaches its goal with little overshoot, comes to rest, and stays within its limit", async () => {
   const { Motion, REACH } = await source("motion.ts");
   const motion = new Motion();
   motion.swing = false;
@@ -55,7 +55,7 @@ test("the eye follows without overshooting far, comes to rest, and stays within 
   assert.ok(most < 0.102, `it went to ${most}`);
 });
 
-test("the swing begins where the eye is, stays in the zone, and ends when one moves", async () => {
+test("the swing begins at the eye's position, stays in the zone, and ends when the user moves the view", async () => {
   const { Motion } = await source("motion.ts");
   const motion = new Motion();
   motion.setZone([0.2, 0.1]);
@@ -76,7 +76,7 @@ test("the swing begins where the eye is, stays in the zone, and ends when one mo
   assert.deepEqual(motion.slope, [0, 0]);
 });
 
-test("a recorded turn begins and ends at the left, and the eye goes back to where it was", async () => {
+test("a recorded turn begins and ends at the left, and the eye returns to its position", async () => {
   const { Motion } = await source("motion.ts");
   const motion = new Motion();
   motion.swing = false;
@@ -96,7 +96,7 @@ test("a recorded turn begins and ends at the left, and the eye goes back to wher
   assert.deepEqual(motion.slope, [0.05, 0.02]);
 });
 
-test("who prefers less motion is taken there at once", async () => {
+test("if the user prefers less motion, the view jumps to its goal", async () => {
   const { Motion } = await source("motion.ts");
   const motion = new Motion();
   motion.calm = true;
@@ -106,15 +106,15 @@ test("who prefers less motion is taken there at once", async () => {
   assert.deepEqual(motion.slope, [0.1, 0.05]);
 });
 
-test("a quilt's views are at the centres of their parts of the zone", async () => {
+test("each view of a quilt is at the centre of its part of the zone", async () => {
   const { slopesAcross } = await source("quilt.ts");
   const across = [-0.2, -0.1, 0, 0.1, 0.2];
   const slopes = [0.1, 0, -0.1].flatMap((y) => across.map((x) => [x, y]));
   const near = (found, expected) => found.forEach(([x, y], i) => assert.ok(Math.abs(x - expected[i]) < 1e-12 && y === 0, `${x} ${y}`));
-  // as many views as the target has: its own
+  // With as many views as the target has per row, the slopes are the target's.
   near(slopesAcross({ views: { rows: 3, cols: 5, slopes } }, 5), across);
   near(slopesAcross({ views: { rows: 3, cols: 5, slopes } }, 2), [-0.125, 0.125]);
-  // more views reach beyond the centres of the outermost ones
+  // With more views, the outermost slopes are farther out than the target's.
   near(slopesAcross({ views: { rows: 3, cols: 5, slopes } }, 10), across.flatMap((x) => [x - 0.025, x + 0.025]));
   near(slopesAcross({ views: { rows: 1, cols: 1, slopes: [[0, 0]] } }, 2), [0, 0]);
 });

@@ -1,16 +1,16 @@
-"""Renders the scenes of `cargo xtask bench agreement` with Mitsuba 3, and tests for equal means in every pixel.
+"""Renders the scenes of `cargo xtask bench agreement` with Mitsuba 3, and tests whether Lumistack's pictures have the same means.
 
-agreement.py FOLDER
+usage: agreement.py FOLDER
 
-Both renderers make independent batches. Three tests compare them:
+Each renderer makes several independent pictures of every scene, called batches. Three tests compare them:
 
 - Welch's t of the two means per pixel and channel, two-sided
 - the mean over all pixels of a picture
 - the mean of t^2 over pixels (grey), which detects small differences in many pixels
 
-A correct pair fails one run in 1000: FALSE_ALARM_RATE is divided by the number of tests (Bonferroni). A relative
-difference of SYSTEMATIC is allowed. It covers float32, and the masking-shadowing term: Mitsuba multiplies the terms of both
-directions, whereas our path tracer uses the joint term.
+If both renderers are correct, a run of this script still fails by chance with the probability FALSE_ALARM_RATE. Each test
+gets this rate divided by the number of tests (Bonferroni). A relative difference of SYSTEMATIC is allowed, for two reasons:
+float32, and the masking-shadowing term, where Mitsuba multiplies the terms of both directions and Lumistack uses the joint term.
 """
 
 import json
@@ -54,7 +54,7 @@ def incomplete_beta(a, b, x):
 
 
 def t_p(t, freedom):
-    """Probability of a larger |t|."""
+    """Probability that chance gives a larger |t|."""
     return incomplete_beta(0.5 * freedom, 0.5, freedom / (freedom + t * t))
 
 
@@ -142,7 +142,8 @@ def compare(ours, theirs):
         error = np.sqrt((a.var(0, ddof=1) + b.var(0, ddof=1)) / count)
         excess = np.maximum(np.abs(difference) - granted, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            # values without noise agree if they differ by at most SYSTEMATIC
+            # without noise (error 0), t is 0 where the difference is at most SYSTEMATIC, and
+            # otherwise infinite
             return np.where(excess > 0.0, excess / error, 0.0), error, difference
 
     freedom = count - 1
@@ -168,7 +169,7 @@ def main():
     folders = sorted(path for path in root.iterdir() if (path / "scene.json").exists())
     limit = FALSE_ALARM_RATE / (TESTS_PER_SCENE * len(folders))
     failed = False
-    print(f"Mitsuba {mi.__version__}; a p below {limit:.1e} fails, which a correct pair does in one run of {1 / FALSE_ALARM_RATE:.0f}")
+    print(f"Mitsuba {mi.__version__}; a p below {limit:.1e} fails; by chance this happens in one run of {1 / FALSE_ALARM_RATE:.0f}")
     print(f"{'scene':30} {'mean':>9} {'largest t':>10} {'p pixels':>10} {'p mean':>10} {'p squares':>10}")
     for folder in folders:
         spec, scene = load(folder)

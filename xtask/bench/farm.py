@@ -1,4 +1,5 @@
-"""Runs a sequence on one and on two workers: time, prediction, kills of workers and client, a full disk. `cargo xtask bench farm` runs it."""
+"""Computes a sequence on one and on two workers. Compares the times with the predicted ones, and checks that the files are the same
+after kills of workers and of the client, and after a full disk. `cargo xtask bench farm` runs it."""
 
 from __future__ import annotations
 
@@ -40,7 +41,7 @@ turn_deg = {turn}
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    """Reads the files of a run, without caches and reports, which contain times."""
+    """Reads the files of a run, except caches, reports (which contain times) and the job file."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_file() and "cache" not in path.relative_to(folder).parts)
     kept = (path for path in files if not path.name.startswith("report.") and path.name != "job.toml")
     return {str(path.relative_to(folder)): path.read_bytes() for path in kept}
@@ -61,7 +62,7 @@ def timed(job: Path, folder: Path, workers: int, options: list[str]) -> float:
 
 
 def kill_often(job: Path, folder: Path, options: list[str], count: int) -> int:
-    """Kills workers at random times, and once the client with all its children. Returns the number of kills."""
+    """Runs the job while workers are killed at random times, and once the client with all its children. Returns the number of kills."""
     chance = random.Random(7)
     words = [*PROGRAM, "--threads", "1", "farm", str(job), "-o", str(folder), *options]
     first = subprocess.Popen(words, env={**os.environ, "LUMISTACK_PYTHON": sys.executable}, process_group=0, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
@@ -92,7 +93,8 @@ def kill_often(job: Path, folder: Path, options: list[str], count: int) -> int:
 
 
 def seams(place: Path, job: Path, times: int) -> dict[str, Any]:
-    """Measures error and flicker at the seams of a sequence in four chunks, relative to the whole chain."""
+    """Measures how much splitting a sequence into four chunks costs: the worst changes of `psnr_view` and `psnr_change` at the first
+    time step of a chunk, relative to the sequence solved as one chain, for several numbers of warm-up steps."""
 
     def report(folder: Path, *options: str) -> list[dict[str, Any]]:
         subprocess.run([*PROGRAM, "run", str(job), "-o", str(folder), *options], check=True, capture_output=True)
@@ -106,7 +108,7 @@ def seams(place: Path, job: Path, times: int) -> dict[str, Any]:
         if warm_up > chunk:
             continue
         folder = place / f"chunks-{warm_up}"
-        # both runs have the same views
+        # the copy contains the rendered views, so that both runs have the same
         subprocess.run(["cp", "-r", str(place / "plain"), str(folder)], check=True)
         cut = report(folder, "--chunk-times", str(chunk), "--warm-up-times", str(warm_up))
         starts = range(chunk, times, chunk)
@@ -117,21 +119,21 @@ def seams(place: Path, job: Path, times: int) -> dict[str, Any]:
 
 
 def full_disk(job: Path, expected: dict[str, bytes], options: list[str]) -> str:
-    """Runs into a file system that is too small, then enlarges it and runs again; needs root."""
+    """Runs in a file system that is too small, which must fail; then enlarges it and runs again. Needs root."""
     with tempfile.TemporaryDirectory() as place:
         mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", place]
         if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
-            return "left out: it takes root to mount a small file system"
+            return "skipped: mounting a small file system needs root"
         try:
             try:
                 lumistack.farm.run(job, Path(place) / "run", options=options, workers=2, threads=1)
-                raise SystemExit("a run fits where it cannot")
+                raise SystemExit("the run succeeded although the file system is too small for it")
             except FarmError as error:
                 message = str(error)
             subprocess.run(["mount", "-o", "remount,size=2g", place], check=True)
             outcome = lumistack.farm.run(job, Path(place) / "run", options=options, workers=2, threads=1)
             assert results(Path(place) / "run") == expected, "bytes differ after a full disk"
-            return f"{message[:160]} ... then {outcome.before} units from before, equal bytes"
+            return f"{message[:160]} ... The second run reused {outcome.before} units; equal bytes"
         finally:
             subprocess.run(["umount", "-l", place], check=False)
 
@@ -145,7 +147,7 @@ def main() -> int:
     given = parser.parse_args()
     size: dict[str, Any] = {"cols": 40, "rows": 26, "samples": 8, "times": 12} if given.quick else {"cols": 84, "rows": 52, "samples": 32, "times": 48}
     size["times"], size["samples"] = given.times or size["times"], given.samples or size["samples"]
-    # some 0.4° between time steps
+    # 0.4° from each time step to the next
     size["turn"] = 0.4 * (size["times"] - 1)
     figures: dict[str, Any] = dict(size)
     with tempfile.TemporaryDirectory() as name:

@@ -1,4 +1,5 @@
-"""Tests `lumistack live` under random edits: states, memory, Ctrl-C. `cargo xtask bench live` runs it."""
+"""Sends random edits to `lumistack live`, and checks the states that two pages get, the memory, and the reaction to Ctrl-C.
+`cargo xtask bench live` runs it."""
 
 from __future__ import annotations
 
@@ -20,8 +21,10 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-# Largest growth of memory after the first third of the edits, as a fraction of the memory then.
+# Largest growth of memory from a third of the edits to the end, as a fraction of the earlier
+# memory.
 GROWTH = 0.10
+# Longest time from Ctrl-C to the last state.
 FREEZE_S = 0.3
 
 
@@ -48,7 +51,7 @@ def edit(random: random.Random) -> dict[str, Any]:
 
 
 class Watcher(threading.Thread):
-    """A page that requests every state, and checks that each is complete."""
+    """Requests states as a page does, and checks that each is complete."""
 
     def __init__(self, address: str) -> None:
         super().__init__(daemon=True)
@@ -135,7 +138,7 @@ def main() -> None:
         whole = time.monotonic() - stopped
         wrong = [text for watcher in watchers for text in watcher.wrong]
         first, second = (watcher.seen for watcher in watchers)
-        wrong += [f"state {number}: two pages got two" for number in first.keys() & second.keys() if first[number] != second[number]]
+        wrong += [f"state {number}: two pages got different contents" for number in first.keys() & second.keys() if first[number] != second[number]]
         early, late = statistics.median(memory[15:20]), statistics.median(memory[-5:])
         states = [event for event in events if event["event"] == "state"]
         print(f"{edits} edits in {seconds:.0f} s: {len(states)} states, {len(first)} and {len(second)} seen by two pages")
@@ -145,7 +148,7 @@ def main() -> None:
         if late > (1 + GROWTH) * early:
             wrong.append(f"memory grew by {late - early:.0f} MB")
         if frozen > FREEZE_S or code != 0:
-            wrong.append("Ctrl-C did not freeze the display in time, or ended with an error")
+            wrong.append("after Ctrl-C, states came for too long or the program ended with an error")
         if wrong:
             sys.exit("\n".join(wrong[:20]))
 

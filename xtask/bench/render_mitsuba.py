@@ -1,7 +1,8 @@
 """Renders the view in Mitsuba 3, `llvm_ad_rgb`. `view.py` describes the requests.
 
-Mitsuba compiles with the system's LLVM library. Versions before 16 fail on machines with AVX-512, so the newest
-is chosen. On Debian `apt-get install libllvm19` installs one. DRJIT_LIBLLVM_PATH selects another.
+Mitsuba compiles its kernels with the system's LLVM library. LLVM before version 16 fails on machines with AVX-512, so this
+script uses the newest library that it finds. On Debian `apt-get install libllvm19` installs one. DRJIT_LIBLLVM_PATH
+selects another.
 """
 import glob
 import os
@@ -88,7 +89,8 @@ scene = mi.load_dict({
 sensors = {
     sampler: mi.load_dict(camera() | {"sampler": {"type": sampler, "sample_count": 16}}) for sampler in ("multijitter", "independent")
 }
-# Mitsuba counts the segments of a path: one more than its scattering vertices
+# max_depth counts the segments of a path. The path has the camera's segment, one for every bounce
+# after the first hit, and one to the light.
 integrator = mi.load_dict({"type": "path", "max_depth": view.BOUNCES_AFTER_FIRST_HIT + 2, "rr_depth": 1000})
 
 

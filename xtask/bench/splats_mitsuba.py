@@ -2,10 +2,11 @@
 
 splats_mitsuba.py FOLDER
 
-Mitsuba sorts the ellipsoids of every ray by their nearest points, and uses the peak of each Gaussian on the ray.
-Lumistack projects whole splats, sorts them by their centres, and filters by a pixel's box. In the cases `apart`
-neither matters, and pictures agree to LEAST_APART. Where thousands of splats overlap, the different orders limit
-the agreement to LEAST_CAPTURE. Mitsuba stops where 1 % of the light is transmitted.
+The two programs differ in three ways. Mitsuba sorts the ellipsoids on every ray by their nearest points, takes the largest
+value of each Gaussian along the ray, and stops where 1 % of the light is transmitted. Lumistack projects whole splats,
+sorts them by their centres, and filters by a pixel's box. In the cases named `apart`, which have separate splats, order and
+projection make no difference, so the pictures must agree to LEAST_APART dB. Where thousands of splats overlap, the different
+orders limit the agreement, so only LEAST_CAPTURE dB are required.
 """
 
 import json
@@ -17,7 +18,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-# must come before other uses of Mitsuba
+# Mitsuba requires this before any other call
 mi.set_variant("llvm_ad_rgb")
 
 LEAST_APART = 60.0

@@ -8,7 +8,7 @@ from worker import FLOOR, others
 
 
 def whole_arrays(target, layers, views):
-    """All frames in one array operation: the shortest way to write it."""
+    """Updates all frames in one array operation, which is the shortest code."""
     for n in range(len(layers)):
         above, below = np.zeros_like(layers[n]), np.zeros_like(layers[n])
         for field, at in views:
@@ -20,7 +20,7 @@ def whole_arrays(target, layers, views):
 
 
 def frame_by_frame(target, layers, views):
-    """A loop over frames, whose temporary arrays are small enough for a cache."""
+    """Updates one frame after another, so that the temporary arrays fit into the processor's cache."""
     frames = len(layers[0])
     for n in range(len(layers)):
         above, below = np.zeros_like(layers[n]), np.zeros_like(layers[n])

@@ -11,7 +11,7 @@ from worker import FLOOR, others
 
 
 def whole_arrays(target, layers, views):
-    """All frames in one tensor operation: the shortest way to write it."""
+    """Updates all frames in one tensor operation, which is the shortest code."""
     for n in range(len(layers)):
         above, below = torch.zeros_like(layers[n]), torch.zeros_like(layers[n])
         for field, at in views:
@@ -23,7 +23,7 @@ def whole_arrays(target, layers, views):
 
 
 def frame_by_frame(target, layers, views):
-    """A loop over frames, whose temporary tensors are small enough for a cache."""
+    """Updates one frame after another, so that the temporary tensors fit into the processor's cache."""
     frames = len(layers[0])
     for n in range(len(layers)):
         above, below = torch.zeros_like(layers[n]), torch.zeros_like(layers[n])

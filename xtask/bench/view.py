@@ -1,16 +1,16 @@
-"""The scene and the requests that the peers of `cargo xtask bench render` share.
+"""The scene and the requests that the peers of `cargo xtask bench render` share: other renderers, which are compared with Lumistack.
 
-A peer is a script that renders one view of a scene with diffuse surfaces. Its argument is a folder with
+The script of a peer renders one view of a scene with diffuse surfaces. Its argument is a folder with
 
     scene.json          meshes, camera, sky and rectangle light; whether this light must be exact
     N_positions.npy     vertices of mesh N in the world, N_triangles.npy its indices, N_uvs.npy texture coordinates (v downwards)
     image_N.png         textures, sRGB
 
-It answers requests, one line of text each, with one line of JSON each:
+It answers requests. A request is one line of text with fields separated by tabs; an answer is one line of JSON:
 
-    render SAMPLER SAMPLES SEED FILE    the picture goes to FILE as float32 [row][col][rgb], linear; {"seconds": time that the paths took}
+    render SAMPLER SAMPLES SEED FILE    writes the picture to FILE as linear float32 [row][col][rgb]; answers {"seconds": time for the paths}
 
-Paths: 4 bounces after the first hit, no Russian roulette, no clamping, box filter.
+All renderers trace paths of 4 bounces after the first hit, without Russian roulette or clamping, and use a box filter.
 """
 import json
 import sys
@@ -40,7 +40,7 @@ class View:
 
 
 def serve(name, samplers, render):
-    """Answers requests until the input ends. `render(sampler, samples, seed)` returns the seconds and the picture."""
+    """Answers requests until standard input ends. `render(sampler, samples, seed)` returns the seconds and the picture."""
     answer({"name": name, "samplers": samplers})
     for line in sys.stdin:
         _, sampler, samples, seed, path = line.rstrip("\n").split("\t")

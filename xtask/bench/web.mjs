@@ -1,7 +1,8 @@
-// Times of the simulator's page in headless Chromium: `node web.mjs FOLDER`, a folder with the site and references.json.
+// Measures the simulator's page in headless Chromium: `node web.mjs FOLDER`. The folder contains the site and references.json.
 //
-// From the start of the navigation: until the poster is painted, until one can look around, until the picture is that of the patterns. The longest task is that
-// of the page's own thread until two seconds after everything has arrived. Frame time: a picture drawn and read back by the simulator's thread; WebGL2 is a software one here.
+// Prints when the poster is painted, when the user can look around ("interactive"), and when the first picture of the patterns is shown. These times
+// count from the start of the navigation. "longest task" is the longest task of the page's main thread, until two seconds after all files have arrived. The time of a
+// frame includes drawing and reading back the picture in the simulator's thread. WebGL2 is drawn by software here.
 import { createReadStream, existsSync, statSync } from "node:fs";
 import { createServer } from "node:http";
 import { createRequire } from "node:module";
@@ -30,7 +31,7 @@ const browser = await chromium.launch({
 });
 const median = (values) => values.sort((a, b) => a - b)[values.length >> 1];
 
-/** Megabits per second and milliseconds of a mobile connection; none. */
+/** Networks to emulate: none, and a mobile connection. */
 const PROFILES = [["no limits", undefined], ["10 Mbit/s, 60 ms", { offline: false, latency: 60, downloadThroughput: 10e6 / 8, uploadThroughput: 5e6 / 8 }]];
 
 for (const [profile, limits] of PROFILES) {

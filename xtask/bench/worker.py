@@ -1,19 +1,22 @@
-"""The problem, its geometry and the requests that the peers of `cargo xtask bench factorize` share.
+"""The problem, its geometry and the requests that the peers of `cargo xtask bench factorize` share: array libraries, which are
+compared with Lumistack.
 
-A peer is a script that runs the paper's multiplicative update (eq. 16) on arrays of its library. Its argument is a
+The script of a peer runs the paper's multiplicative update (eq. 16) on arrays of its library. Its argument is a
 folder with
 
     problem.json    pixels, pitch, views, angles, distances of the layers, frames, brightness
     target.npy      L, [view_y][view_x][row][col][rgb]
     layer_N.npy     start of layer N, [frame][row][col][rgb]; layer 0 is the rearmost
 
-It answers requests, one line of text each, with one line of JSON each:
+It answers requests. A request is one line of text with fields separated by tabs; an answer is one line of JSON. VARIANT is the
+name of one way to write the update:
 
-    save VARIANT FOLDER     one update from the start; its masks go to FOLDER/layer_N.npy as float32
-    update VARIANT          one more update; {"seconds": time that it took}
+    save VARIANT FOLDER     makes one update from the start, and writes its masks to FOLDER/layer_N.npy as float32
+    update VARIANT          makes one more update
+    both answer {"seconds": time for the update}
 
-The geometry is derived again from the display's numbers, with oblique views and nearest sampling. Rays that leave a
-layer are ignored. So every view hits every layer in one rectangle of pixels, a slice of the arrays.
+The script computes the geometry itself from the display's numbers, with oblique views and nearest sampling. Rays that
+leave a layer are ignored. Therefore the pixels of a layer that a view uses form a rectangle, which is a slice of the arrays.
 """
 import json
 import math
@@ -22,11 +25,11 @@ import time
 
 import numpy as np
 
-FLOOR = 1e-4  # an exact 0 could never grow again
+FLOOR = 1e-4  # smallest mask: the update multiplies, so an exact 0 would stay 0
 
 
 class Problem:
-    """Arrays with colour and frame before rows and columns, which suits whole-array operations."""
+    """The arrays of the problem, with colour and frame before rows and columns, so that slices of rows and columns come last."""
 
     def __init__(self, folder):
         with open(f"{folder}/problem.json") as file:
@@ -64,10 +67,10 @@ def others(layers, at, n):
 
 
 def serve(name, threads, variants, array, numpy):
-    """Answers requests until the input ends.
+    """Answers requests until standard input ends.
 
-    `variants` are updates by name, each with the arguments target, layers (changed in place) and views. `array` and
-    `numpy` convert NumPy arrays to the library's and back.
+    `variants` are functions by name that make one update. Their arguments are target, layers (changed in place) and
+    views. `array` and `numpy` convert NumPy arrays to the library's and back.
     """
     problem = Problem(sys.argv[1])
     target = array(problem.target)

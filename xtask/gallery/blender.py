@@ -3,7 +3,7 @@
     python blender.py FOLDER/ours.json [threads]
 
 Reads FOLDER/ours.json and environment.exr. Writes FOLDER/blender-a.exr and blender-b.exr (half of the samples each,
-different seeds), FOLDER/covered.npy (covered share of every pixel) and FOLDER/blender.json.
+different seeds), FOLDER/covered.npy (for every pixel the fraction that surfaces cover) and FOLDER/blender.json.
 
 glTF's y up becomes Blender's z up: (x, y, z) -> (x, -z, y). Lights are imported as "Unitless" (COMPAT): W/sr for candela, W/m^2 for lux,
 as in Lumistack's path tracer. Two deviations of the importer from the format are corrected, so that only the rendering
@@ -86,7 +86,7 @@ def render(ours, folder, threads):
 
 
 def rest():
-    """Hides animations from the importer, so that nodes, joints and morph targets keep the values of the file's nodes."""
+    """Removes animations before the import, so that nodes, joints and morph targets keep the values that the file's nodes give."""
     from io_scene_gltf2.io.imp.gltf2_io_gltf import glTFImporter
 
     read = glTFImporter.read
@@ -114,7 +114,8 @@ def default_material():
 def absorption():
     """Corrects the absorption of glass.
 
-    Cycles absorbs density * (1 - color); the importer sets these to 1/attenuationDistance and attenuationColor.
+    Cycles absorbs density * (1 - color). The importer sets density = 1/attenuationDistance and color = attenuationColor, but
+    glTF wants -ln(attenuationColor)/attenuationDistance.
     """
     for material in bpy.data.materials:
         for node in material.node_tree.nodes if material.use_nodes else []:

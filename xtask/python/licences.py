@@ -1,4 +1,7 @@
-"""Adds a text to the licences of a wheel: licences.py WHEEL TEXT."""
+"""Adds the file TEXT to the licences in a wheel.
+
+usage: licences.py WHEEL TEXT
+"""
 
 import base64
 import csv

@@ -1,6 +1,6 @@
-"""Packs a wheel from a `.dist-info` folder, the package's Python sources and a module that is built already.
+"""Packs a wheel from a `.dist-info` folder, the package's Python sources and a compiled module. Prints the wheel's path.
 
-pack.py DIST_INFO SOURCES MODULE OUT: MODULE becomes `lumistack/_lumistack.abi3.so`; prints the wheel's path.
+usage: pack.py DIST_INFO SOURCES MODULE OUT     (in the wheel, MODULE is `lumistack/_lumistack.abi3.so`)
 """
 
 import base64

@@ -1,8 +1,7 @@
-"""Builds the documentation as a web site: build.py FOLDER [--displays].
+"""Builds the documentation as a web site in FOLDER. A link to a missing page or heading is an error.
+With --displays, every page links to the gallery, which displays.py adds.
 
-With --displays every page links to the gallery, which displays.py adds.
-
-Links between pages are checked; a link to a missing page or heading is an error.
+usage: build.py FOLDER [--displays]
 """
 
 import html
@@ -81,7 +80,7 @@ PAGE = """<!doctype html>
 
 
 def slug(text: str, separator: str) -> str:
-    """Makes the anchor of a heading as forges do."""
+    """Makes the anchor of a heading as GitHub and other forges do."""
     return re.sub(r"[^\w\- ]", "", text.lower()).strip().replace(" ", separator)
 
 
@@ -148,7 +147,8 @@ class Site:
             extension_configs={"toc": {"slugify": slug}},
         )
         text = (ROOT / path).read_text()
-        # on forges a list may follow a line of text without an empty line between
+        # Forges accept a list directly after a line of text. This Markdown library needs an empty
+        # line between, which is added.
         text = re.sub(r"(?m)^(?!\s*(?:[*-]|\d+\.) |\s*$|\s+)(.+)\n(?=[*-] |\d+\. )", r"\1\n\n", text)
         body = maker.convert(text)
         self.anchors[path] = set(re.findall(r'id="([^"]+)"', body))

@@ -1,5 +1,5 @@
-//! Timings of release builds, in comparison with other programs: factorizer, solvers, path tracer,
-//! outputs and more.
+//! Measures release builds, and compares parts of them with other programs, for example the
+//! factorizer and the path tracer.
 
 use std::path::{Path, PathBuf};
 
@@ -22,60 +22,60 @@ cargo xtask bench [what]
       --no-peers     without NumPy and PyTorch
       --rounds N     number of times that every case is timed, at least 3; default 9
       --json FILE    also write every measured time, as JSON
-  convergence   PSNR after 1 to 500 iterations of every solver, start and number of coarser levels, beside
-                reference figures
+  convergence   PSNR after 1 to 500 iterations of every solver, start and number of coarser levels, next to
+                reference values
       --quick        50 iterations at most
       --json FILE    also as JSON
-  gpu           the paper's case with 12 frames on a graphics processor, or an adapter in software where there is none: updates per second
-                compared with the processor, bytes and arithmetic compared with the adapter's limits
+  gpu           the paper's case with 12 frames on a graphics processor, or on an adapter in software if there is none: updates per
+                second compared with the processor; transferred bytes and arithmetic compared with the adapter's limits
       --quick        a sixteenth of the pixels
       NAME           an adapter whose name contains this
   stream        a display whose target does not fit into memory: 3840×2160 pixels, 9×9 views, 3 layers, 12 frames
   outputs       memory of the outputs `images` and `web_simulator` with 4 and with 12 frames of three 4K layers
   render [scene.gltf]   the path tracer on two cores: rays per second of the tree compared with Embree, and one view of diffuse
                 scenes compared with Mitsuba 3 and Blender's Cycles at equal scene, camera, light and bounces: time, samples per
-                second, mean squared error × time; memory. Scenes: the one named, or FlightHelmet where LUMISTACK_ASSETS
-                has it, and still-life (about 3 minutes each with peers)
-      --full         twice the resolution, more samples in the references: 25 minutes each
+                second, mean squared error × time; memory. Scenes: the given one; by default still-life, and FlightHelmet if
+                LUMISTACK_ASSETS has it (about 3 minutes each with the other renderers)
+      --full         twice the resolution, more samples in the references (25 minutes each)
       --no-peers     only our own measurements
-  big [scene.gltf]      a scene of 1,100 copies, 100 million triangles with FlightHelmet, in the memory of one
+  big [scene.gltf]      1,100 copies of a scene, which share its memory; with FlightHelmet they are 100 million triangles
   field [scene.gltf]    light fields with averaged shared light, compared with the same views rendered one by one: processor time at equal
-                squared error, including bias; 5×5 and 13×13 views over 20°, a quilt's 45, many copies. Then both filters compared with
-                unfiltered views in equal time, with 4, 16 and 64 samples. Scenes as for `render` (some ten minutes)
-  splats        13×13 views of a million Gaussian splats: all together, one by one, and by a naive renderer (some minutes); then
-                views compared with Mitsuba's, which traces rays through the same Gaussians
+                squared error, including bias. Cases: 5×5 and 13×13 views over 20°, the 45 views of a quilt, many copies. Then both filters
+                compared with unfiltered views in equal time, with 4, 16 and 64 samples. Scenes as for `render` (some ten minutes)
+  splats        13×13 views of a million Gaussian splats: rendered all together, one by one, and by a naive renderer (some minutes).
+                Then views are compared with Mitsuba's, which traces rays through the same Gaussians
       --agreement    only the comparison with Mitsuba
-  agreement     the path tracer compared with Mitsuba 3 on scenes that both can represent exactly: a test per pixel of
-                converged renders, a table, and an error if they differ (some minutes); then FlightHelmet and OpenChessSet as diffuse
-                scenes with their textures against Mitsuba and Cycles: means within 0.3 %, relative RMSE below 3 %
+  agreement     the path tracer compared with Mitsuba 3 on scenes that both can represent exactly: a test of every pixel of
+                converged renders, a table, and an error if they differ (some minutes). Then FlightHelmet and OpenChessSet, as diffuse
+                scenes with their textures, compared with Mitsuba and Cycles: means within 0.3 %, relative RMSE below 3 %
       --quick        a quarter of the samples
-  design        predicted quality of 40 random designs compared with their solved quality, and 100 small designs in a sweep that is killed again and
-                again, which must end with the same bytes (a minute or two)
-  farm          a sequence of 48 time steps on one and on two workers: time compared with the prediction, twenty kills of workers and one of the client,
-                a full disk if the user is root; the bytes must equal those of one machine (some ten minutes)
+  design        predicted quality of 40 random designs compared with their solved quality. Then a sweep of 100 small designs, which is killed and
+                continued repeatedly, must end with the same bytes as one that ran without a break (a minute or two)
+  farm          a sequence of 48 time steps on one and on two workers: time compared with the prediction. Then with twenty kills of workers, one
+                kill of the client, and for root a full disk; the bytes must equal those of one machine (some ten minutes)
       --quick        12 small time steps (two minutes)
-      --times N, --samples N     instead of 48 time steps and 32 samples per pixel
+      --times N, --samples N     numbers of time steps and of samples per pixel; default 48 and 32
       --json FILE    also as JSON
   film          patterns of 30,000 × 54,000 pixels, written tile by tile, and a film of them by `transparencies`, each in a process with a gigabyte of
                 memory (some ten minutes, 25 GB of disk in the folder for temporary files)
       COLUMNS ROWS   a film of another size
-  zone [scene.gltf]     quality over the whole zone of displays that choose their views, compared with displays of 5×5 views; whole runs in turn:
-                quality, wall and processor time. Scenes: the ones named, or still-life, glass, letters (directional) and, where
+  zone [scene.gltf]     quality over the whole zone of displays that choose their views, compared with displays of 5×5 views, in whole runs:
+                quality, wall and processor time. Scenes: the given ones; by default still-life, glass, letters (directional) and, if
                 LUMISTACK_ASSETS has them, FlightHelmet and 2CylinderEngine (about 4 minutes each)
       --rounds N     number of runs of each; default 1
       --large        a zone of 50° × 20°, 840×525 pixels, the directional prototype
       --views        one scene with different numbers of views and equal samples
       --iterations   one scene with different numbers of iterations
-  live          `lumistack live` under 1,000 random edits in five minutes: two pages must receive complete states with rising numbers, memory
+  live          `lumistack live` with 1,000 random edits in five minutes: two pages must receive complete states with rising numbers, memory
                 must not grow, and Ctrl-C must freeze the display immediately. Needs Linux
       --quick        100 edits in half a minute
   web           the simulator's page in headless Chromium, 420×262 pixels, 3 layers, 6 frames: time to the first picture
                 and per frame, through WebGL2 and on the processor
-  fuzz          random changes to files of every kind that is read, whole and packed, from our own corpora and those of
-                other projects; any end except a value or an error message is a failure. Needs a C++ compiler, uses a nightly Rust if there is one; fetches
-                cargo-fuzz
+  fuzz          random changes to files of every kind that is read, whole and packed, from our own corpora and those of other
+                projects. A reader must return a value or an error message; a crash or a hang is a failure. Needs a C++ compiler, uses a
+                nightly Rust if there is one, and fetches cargo-fuzz
       --minutes N    time for each target; default 10
-      --target NAME  one only: load (glTF and its pictures), light_field, quilt, npy, picture, obj, splats, display, job, stack, calibration
+      --target NAME  only this target: load (glTF and its pictures), light_field, quilt, npy, picture, obj, splats, display, job, stack, calibration
 
 NumPy and PyTorch are fetched into target/python-bench at the first `factorize` (on x86-64 Linux 3 GB to fetch and
 6 GB on disk, since PyTorch's package contains libraries for graphics processors). If they cannot be installed, the benchmark reports it
@@ -200,7 +200,7 @@ fn convergence(options: &[&str]) -> Option<Outcome> {
     Some(example("lumistack-factorizer", "bench_convergence", &passed))
 }
 
-/// Finds or makes a Python with Mitsuba.
+/// Finds a Python with Mitsuba, or makes one.
 fn mitsuba() -> Outcome<PathBuf> {
     let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
     let python = given.clone().unwrap_or_else(|| tools::root().join("target/python-bench/bin/python"));
@@ -227,7 +227,7 @@ fn agreement(samples: &str) -> Outcome {
     tools::run(command(&python).arg(tools::root().join("xtask/bench/agreement.py")).arg(&folder))
 }
 
-/// Python and script of every library that can be installed.
+/// Returns the Python and the script of every library for comparison that can be imported.
 fn peers() -> Vec<[PathBuf; 2]> {
     let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
     let python = given.clone().unwrap_or_else(|| tools::root().join("target/python-bench/bin/python"));
@@ -237,21 +237,20 @@ fn peers() -> Vec<[PathBuf; 2]> {
         let fetched = if there() || given.is_some() { Ok(()) } else { fetch(module, &python) };
         match fetched {
             Ok(()) if there() => peers.push([python.clone(), tools::root().join("xtask/bench").join(script)]),
-            Ok(()) => println!("bench: without {name}: {} cannot import it", python.display()),
-            Err(error) => println!("bench: without {name}: {error}"),
+            Ok(()) => println!("bench: {name} is not compared: {} cannot import it", python.display()),
+            Err(error) => println!("bench: {name} is not compared: {error}"),
         }
     }
     peers
 }
 
-/// Installs a library into the bench's own environment: PyTorch is large, and no test needs it.
+/// Installs a library into an environment that only benchmarks use, since PyTorch is large and no
+/// test needs it.
 fn fetch(module: &str, python: &Path) -> Outcome {
     if module == "numpy" {
-        tools::make_python(&tools::root().join("target/python-bench"), "to compare our speed with")?;
+        tools::make_python(&tools::root().join("target/python-bench"), "for comparing speed")?;
         return tools::install(python, &["numpy==2.*"]);
     }
-    println!(
-        "\nfetching: {module}, in target/python-bench (3 GB on x86-64 Linux; used only to compare our speed with)"
-    );
+    println!("\nfetching: {module}, in target/python-bench (3 GB on x86-64 Linux; used only for comparing speed)");
     tools::install(python, &["--no-cache-dir", "--only-binary=:all:", module])
 }

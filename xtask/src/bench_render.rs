@@ -4,18 +4,19 @@ use std::path::{Path, PathBuf};
 
 use crate::tools::{self, Outcome, absolute, command, example, output_of, text};
 
-/// The other renderers (peers): package for pip, module, and script that renders with it.
+/// The renderers for comparison, called peers: the package for pip, the Python module, and the
+/// script that renders with it.
 const MITSUBA: [&str; 3] = ["mitsuba==3.*", "mitsuba", "render_mitsuba.py"];
 const CYCLES: [&str; 3] = ["bpy==5.0.1", "bpy", "render_cycles.py"];
 const EMBREE: [&str; 2] = ["embreex==4.*", "embreex"];
 /// Scenes of other projects, in LUMISTACK_ASSETS.
 const FLIGHT_HELMET: &str = "gltf/FlightHelmet/FlightHelmet.gltf";
 const CHESS_SET: &str = "usd/OpenChessSet/chess_set.usda";
-/// Copies of FlightHelmet that make 1.4 and 100 million triangles.
+/// Numbers of copies; with FlightHelmet they give 1.4 and 100 million triangles.
 const COPIES: &str = "15";
 const MANY_COPIES: &str = "1100";
 
-/// Runs the benches of rays and of views; `None` if the options are wrong.
+/// Runs the benchmarks of rays and of views; `None` if the options are wrong.
 pub fn render(options: &[&str]) -> Option<Outcome> {
     let (mut full, mut with_peers, mut scenes) = (false, true, Vec::new());
     for &word in options {
@@ -56,8 +57,8 @@ pub fn render(options: &[&str]) -> Option<Outcome> {
     Some(run())
 }
 
-/// Compares converged pictures of FlightHelmet and OpenChessSet, diffuse with their textures, to
-/// those of Mitsuba and Cycles.
+/// Compares converged pictures of FlightHelmet and OpenChessSet with those of Mitsuba and Cycles.
+/// All surfaces are diffuse, with the textures of the files.
 pub fn agree(samples: &str) -> Outcome {
     let scenes: Vec<String> = [FLIGHT_HELMET, CHESS_SET].into_iter().filter_map(asset).collect();
     if scenes.is_empty() {
@@ -79,7 +80,7 @@ pub fn agree(samples: &str) -> Outcome {
     Ok(())
 }
 
-/// Runs the scene with many copies; `None` if the options are wrong.
+/// Runs the benchmark of a scene with many copies; `None` if the options are wrong.
 pub fn big(options: &[&str]) -> Option<Outcome> {
     let scene = match options {
         [] => default_scenes().swap_remove(0),
@@ -90,12 +91,13 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
     Some(example("lumistack-pathtracer", "bench_render", &words))
 }
 
-/// Views, zone in degrees, and samples of the measured light fields: that of the paper's
-/// prototypes, that of a display's native views, and a quilt.
+/// Views, zone in degrees, and samples of the measured light fields: one with the views of the
+/// paper's prototypes, one with a display's native views, and a quilt.
 const FIELDS: [[&str; 3]; 3] = [["5x5", "20", "16"], ["13x13", "20", "2"], ["1x45", "35", "4"]];
 
-/// Renders light fields view by view and with shared light: diffuse surfaces, the files' own
-/// materials, and many copies. Then compares views with filters and views without, in equal time.
+/// Renders light fields view by view and with shared light. The scenes have diffuse surfaces, the
+/// materials of their files, or many copies. Then it compares filtered and unfiltered views in
+/// equal time.
 pub fn field(options: &[&str]) -> Option<Outcome> {
     let mut scenes: Vec<String> = options.iter().map(|scene| absolute(scene)).collect();
     if options.iter().any(|word| word.starts_with("--")) {
@@ -131,7 +133,7 @@ pub fn field(options: &[&str]) -> Option<Outcome> {
     Some(run())
 }
 
-/// Prints the head of a table of light fields, whose last column has this name.
+/// Prints the head of the table of light fields; `last` is the name of its last column.
 fn head(last: &str) {
     println!(
         "\n| scene | views, zone | samples | light | CPU s | squared error | worst view | bias in it | mean | {last} |"
@@ -147,12 +149,12 @@ fn default_scenes() -> Vec<String> {
     scenes
 }
 
-/// Returns a file in LUMISTACK_ASSETS. If it is missing, a message is printed.
+/// Returns the path of a file in the folder LUMISTACK_ASSETS; prints a message if it is missing.
 pub fn asset(file: &str) -> Option<String> {
     let path = std::env::var_os("LUMISTACK_ASSETS").map(|assets| Path::new(&assets).join(file));
     let found = path.filter(|path| path.is_file());
     if found.is_none() {
-        println!("bench: without {file}: LUMISTACK_ASSETS names no folder that has it");
+        println!("bench: {file} is skipped: the folder in LUMISTACK_ASSETS does not have it");
     }
     found.map(|path| text(&path))
 }
@@ -167,27 +169,27 @@ fn python() -> Option<PathBuf> {
     let made = if imports(&python, "numpy") {
         Ok(())
     } else {
-        tools::make_python(&folder, "to compare our speed with")
-            .and_then(|()| tools::install(&python, &["numpy==1.26.*"]))
+        tools::make_python(&folder, "for comparing speed").and_then(|()| tools::install(&python, &["numpy==1.26.*"]))
     };
-    made.map_err(|error| println!("bench: without peers: {error}")).ok().map(|()| python)
+    made.map_err(|error| println!("bench: no other renderer is compared: {error}")).ok().map(|()| python)
 }
 
 fn imports(python: &Path, module: &str) -> bool {
     output_of(command(python).args(["-c", &format!("import {module}")])).is_some()
 }
 
-/// Returns whether a peer is available; installs it into the bench's own environment first.
+/// Returns true if a peer can be imported. If it cannot, this first tries to install it into the
+/// environment that only benchmarks use.
 fn has(python: &Path, [package, module]: &[&str; 2]) -> bool {
     if !imports(python, module) && std::env::var_os("LUMISTACK_BENCH_PYTHON").is_none() {
-        println!("\nfetching: {package}, in target/python-render-bench (used only to compare our speed with)");
+        println!("\nfetching: {package}, in target/python-render-bench (used only for comparing speed)");
         if let Err(error) = tools::install(python, &["--only-binary=:all:", package]) {
             println!("bench: {error}");
         }
     }
     let there = imports(python, module);
     if !there {
-        println!("bench: without {module}: {} does not import it", python.display());
+        println!("bench: {module} is not compared: {} cannot import it", python.display());
     }
     there
 }

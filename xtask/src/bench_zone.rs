@@ -12,8 +12,8 @@ use crate::tools::{Outcome, absolute, cargo, command, root, text};
 
 /// Samples per pixel, summed over all views, in every run.
 const SAMPLES: u32 = 400;
-/// Views, samples, filter and iterations of the displays for comparison: the defaults before
-/// displays chose their views.
+/// Views, samples, filter and iterations of the displays for comparison. They were the defaults
+/// before displays could choose their views.
 const FIXED: &str = "views = [5, 5]\n[render]\nsamples = 16\ndenoise = \"guided\"\n[factorize]\niterations = 50\n";
 /// Files of other projects, in LUMISTACK_ASSETS.
 const ASSETS: [&str; 2] = ["gltf/FlightHelmet/FlightHelmet.gltf", "gltf/2CylinderEngine/2CylinderEngine.glb"];
@@ -26,7 +26,7 @@ struct Case {
     preset: &'static str,
     resolution: [usize; 2],
     frames: usize,
-    /// Further keys of `[display]`.
+    /// Further lines for the table `[display]` of the job.
     display: &'static str,
 }
 
@@ -47,7 +47,7 @@ impl Case {
         Self { name: format!("{}, 840 × 525", self.name), resolution: [840, 525], ..self }
     }
 
-    /// Text of the job. It ends with `rest`: keys of `[display]`, then other tables.
+    /// Text of the job. It ends with `rest`: further keys of `[display]`, then other tables.
     fn job(&self, rest: &str) -> String {
         format!(
             "scene = {:?}\n[window]\nfit_depth = \"compress\"\n[display]\npreset = {:?}\nresolution = {:?}\nframes = {}\n{}\n{rest}",
@@ -60,7 +60,7 @@ impl Case {
 #[derive(Clone, Debug)]
 struct Run {
     report: Value,
-    /// Index of the target's light field.
+    /// The content of the target's `lightfield.json`.
     target: Value,
     wall: f64,
     cpu: f64,
@@ -71,7 +71,7 @@ impl Run {
         self.report[key].as_f64().unwrap_or(f64::NAN)
     }
 
-    /// Zone score, its worst tenth, SSIM and FLIP, as cells of a table.
+    /// Zone score, mean over its worst tenth, SSIM and FLIP, as cells of a table.
     fn quality(&self) -> String {
         let [ssim, flip] = ["ssim", "flip"].map(|key| self.report["zone"][key].as_f64().unwrap_or(f64::NAN));
         let [zone, worst] = ["psnr_zone", "psnr_zone_worst_tenth"].map(|key| self.number(key));
@@ -142,7 +142,8 @@ fn measure(cases: &[Case], kinds: &[&str], rounds: usize) -> Outcome {
     Ok(())
 }
 
-/// Runs displays that choose their views, and displays with 5 × 5 views, in turn.
+/// Compares displays that choose their views with displays of 5 × 5 views. The runs of both kinds
+/// alternate.
 fn beside_fixed(cases: &[Case], rounds: usize) -> Outcome {
     println!("\n| scene | views | psnr_zone | worst tenth | SSIM | FLIP | wall s | CPU s | render s | factorize s |");
     println!("|---|---|---|---|---|---|---|---|---|---|");
@@ -191,7 +192,7 @@ fn by_iterations(case: &Case) -> Outcome {
     println!("| iterations | psnr_zone | worst tenth | SSIM | FLIP | factorize s |\n|---|---|---|---|---|---|");
     for (i, iterations) in [1, 2, 4, 8, 16, 32, 64].into_iter().enumerate() {
         let rest = format!("[render]\nzone_samples = {SAMPLES}\n[factorize]\niterations = {iterations}\n");
-        // later runs reuse the views of the first
+        // later runs reuse the views of the first run
         let run = once(&case.job(&rest), i == 0)?;
         println!("| {iterations} | {} | {:.1} |", run.quality(), run.stage("factorize"));
     }
@@ -223,7 +224,7 @@ fn once(job: &str, fresh: bool) -> Outcome<Run> {
     Ok(Run { report: read("report.json")?, target: read("target/lightfield.json")?, wall, cpu })
 }
 
-/// Processor seconds of all child processes that have ended, where Linux reports them.
+/// Returns the processor seconds of all child processes that have ended; NaN except on Linux.
 fn cpu_of_children() -> f64 {
     /// Clock ticks per second, which Linux fixes for programs.
     const PER_SECOND: f64 = 100.0;

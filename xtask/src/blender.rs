@@ -1,13 +1,13 @@
-//! The Blender extension: its zip, validated by Blender's own tool. Its tests run in the module
-//! bpy, in an environment for each version.
+//! Builds the zip of the Blender extension, which Blender's own tool validates. Its tests run in
+//! the module bpy, which has an environment of its own for each version of Blender.
 
 use std::path::{Path, PathBuf};
 
 use crate::python;
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
-/// The version of Blender in CI, which also validates the zips, and the further versions of
-/// `--full`.
+/// The version of Blender that runs the tests and validates the zips, and the older versions that
+/// `--full` tests too.
 const BLENDER: &str = "5.0.1";
 const OLDER: [&str; 2] = ["4.5.15", "4.2.23"];
 /// The version of Python that all these versions need.
@@ -29,8 +29,9 @@ pub fn build(wheels: &[&str]) -> Outcome {
     extension(&python, &wheels, &there).map(|_| ())
 }
 
-/// Builds the extension from the artefacts of the workspace's tests, and runs its cases; with
-/// `full` in all versions of Blender. Skips with a message where bpy cannot be installed.
+/// Builds the extension with the module that the workspace's tests compile, and runs its cases.
+/// With `full` the cases run in all versions of Blender. Skips with a message if bpy cannot be
+/// installed.
 pub fn check(full: bool) -> Outcome {
     let python = match environment(BLENDER) {
         Ok(python) => python,
@@ -59,10 +60,10 @@ pub fn check(full: bool) -> Outcome {
 const PROGRAM: [(&str, &str); 2] =
     [("/usr/bin/blender", "blender"), ("/usr/lib/python3/dist-packages/numpy", "python3-numpy")];
 
-/// Fetches bpy, and Blender's program where it is missing.
+/// Fetches bpy, and Blender's program, if they are missing.
 ///
 /// # Errors
-/// When one of them cannot be installed.
+/// If one of them cannot be installed.
 pub fn fetch() -> Outcome {
     let python = environment(BLENDER)?;
     fetch_tools(&python)?;
@@ -174,17 +175,19 @@ fn extension(python: &Path, wheels: &[PathBuf], platforms: &[&str]) -> Outcome<P
     for wheel in wheels {
         std::fs::copy(wheel, source.join("wheels").join(name_of(wheel))).map_err(|error| io(wheel, error))?;
     }
-    // The manifest names platforms and wheels.
+    // Write platforms and wheels into the manifest.
     let manifest = source.join("blender_manifest.toml");
     let text = std::fs::read_to_string(&manifest).map_err(|error| io(&manifest, error))?;
     let version = env!("CARGO_PKG_VERSION");
     if !text.contains(&format!("version = \"{version}\"")) {
-        return Err(format!("plugins/blender/blender_manifest.toml: expected version {version}, the workspace's"));
+        return Err(format!(
+            "plugins/blender/blender_manifest.toml: expected the workspace's version, {version}, found another"
+        ));
     }
     let names: Vec<String> = wheels.iter().map(|wheel| format!("./wheels/{}", name_of(wheel))).collect();
     let lines = format!("platforms = {platforms:?}\nwheels = {names:?}\n\n[permissions]");
     std::fs::write(&manifest, text.replacen("[permissions]", &lines, 1)).map_err(|error| io(&manifest, error))?;
-    // Blender's own tool packs and validates the zips.
+    // Pack and validate the zips by Blender's own tool.
     let tool = "import glob, sysconfig; print(glob.glob(sysconfig.get_path('purelib') + '/bpy/*/scripts/addons_core/bl_pkg/cli/blender_ext.py')[0])";
     let tool = output_of(command(python).args(["-c", tool])).ok_or("this bpy has no tool for extensions")?;
     let tool = || {
@@ -212,17 +215,18 @@ fn name_of(wheel: &Path) -> String {
     wheel.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// This machine's platform by Blender's name.
+/// Blender's name of this machine's platform.
 fn machine() -> Outcome<&'static str> {
     let (system, machine) = (std::env::consts::OS, std::env::consts::ARCH);
     PLATFORMS
         .into_iter()
         .find(|platform| (platform.system, platform.machine) == (system, machine))
         .map(|platform| platform.name)
-        .ok_or_else(|| format!("{system} on {machine}: no platform of Blender's"))
+        .ok_or_else(|| format!("{system} on {machine}: Blender has no such platform"))
 }
 
-/// A platform of Blender: its name, Rust's names for it, and beginning and end of its wheels' tags.
+/// A platform: Blender's name for it, Rust's names for its system and machine, and the beginning
+/// and the end of the platform tags of its wheels.
 struct Platform {
     name: &'static str,
     system: &'static str,
@@ -239,7 +243,8 @@ const PLATFORMS: [Platform; 6] = [
     Platform { name: "windows-arm64", system: "windows", machine: "aarch64", tag: ["win", "_arm64"] },
 ];
 
-/// Returns the platforms of wheels of this version. Each platform may have only one wheel.
+/// Returns the platforms of wheels. All wheels must be of this version, and a platform may have
+/// only one wheel.
 fn platforms_of(wheels: &[PathBuf]) -> Outcome<Vec<&'static str>> {
     let mut found = Vec::new();
     for wheel in wheels {
@@ -261,7 +266,7 @@ fn platforms_of(wheels: &[PathBuf]) -> Outcome<Vec<&'static str>> {
             found.push(platform.name);
         }
         if found.len() == before {
-            return Err(format!("{}: {tag} is no platform of Blender's", wheel.display()));
+            return Err(format!("{}: {tag} is no platform of Blender", wheel.display()));
         }
     }
     Ok(found)
@@ -272,7 +277,7 @@ fn cases(python: &Path, zip: &Path, version: &str, names: &str) -> Outcome {
     let place = folder().join(format!("cases-{version}"));
     let mut cases = command(python);
     cases.arg("plugins/blender/tests/cases.py").arg(names).arg(zip).arg(&place);
-    // versions of Blender without OpenUSD use the OpenUSD of the other tests
+    // versions of Blender without OpenUSD use the Python of the other tests, which has it
     run(cases.env("LUMISTACK_PYTHON", tools::python()?))
 }
 

@@ -1,4 +1,4 @@
-//! All checks that must pass before a change lands.
+//! Runs all checks that must pass before a change is merged.
 
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
@@ -18,11 +18,11 @@ use crate::web;
 use crate::words;
 use crate::workflows;
 
-/// The Rust version whose lints must pass. A newer compiler may have lints that the code does not
-/// satisfy yet, so there they only warn.
+/// The Rust version whose lints must pass. A newer compiler may have further lints that the code
+/// does not satisfy yet, so with it lints only warn.
 const LINTED_WITH: &str = "1.95";
 
-/// The steps that have begun, with their seconds.
+/// The finished steps, with the seconds that each took.
 #[derive(Default)]
 struct Steps(Mutex<Vec<(&'static str, f64)>>);
 
@@ -76,7 +76,8 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     )?;
     steps.step("tests", || {
         let mut tests = command("cargo");
-        // tests of presentations do not run here, but alone in the step `panels`
+        // skip the tests of presentations: they run in the step `panels`, at the same time as no
+        // other step
         run(tests.arg("test").args(EVERYTHING).args(["--", "--skip", "show::"]).env("LUMISTACK_PYTHON", &python))
     })?;
     beside(
@@ -92,7 +93,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
             steps.step("blender", || blender::check(full))
         },
     )?;
-    // no other step runs at the same time, since this step counts refreshes
+    // run this step alone, since it counts refreshes, which other steps would delay
     steps.step("panels", || panels::check(full))?;
     if full {
         steps.step("slow tests", || {
@@ -104,7 +105,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     Ok(())
 }
 
-/// Runs both functions in parallel. Returns the result of the first, or the first error.
+/// Runs both functions in parallel. Returns the result of `waits`, or an error of either.
 fn beside<T: Send>(waits: impl FnOnce() -> Outcome<T> + Send, works: impl FnOnce() -> Outcome) -> Outcome<T> {
     std::thread::scope(|scope| {
         let waits = scope.spawn(waits);
@@ -152,7 +153,7 @@ fn wasm() -> Outcome {
         arguments.extend(["--package", name]);
     }
     cargo(&arguments)?;
-    // in the browser the solver's kernels use the vectors of WebAssembly
+    // also compile the factorizer with WebAssembly's vectors, which its kernels use in the browser
     arguments.truncate(5);
     arguments.extend(["--package", "lumistack-factorizer", "--config", SIMD128]);
     cargo(&arguments)

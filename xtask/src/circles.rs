@@ -1,9 +1,9 @@
-//! Finds cycles of files that use each other in a crate. A reader of one file of a cycle must read
-//! all others first.
+//! Finds cycles of files of a crate that use each other. Cycles are bad, since a reader who wants
+//! to understand one file of a cycle must also read all its other files.
 //!
-//! A file uses another one when its code names an item defined there. `use` declarations and whole
-//! paths are followed through re-exports to the definition. Re-exports, `mod` lines and tests are
-//! ignored.
+//! A file uses another file if its code names an item that the other file defines. `use`
+//! declarations and full paths are followed through re-exports to the definition. Re-exports, `mod`
+//! lines and tests do not count as uses.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use syn::visit::{self, Visit};
 use syn::{Attribute, File, Item, ItemMod, ItemUse, UseTree, Visibility};
 
-/// Path of a module from the crate's root.
+/// Path of a module or item from the crate's root.
 type Names = Vec<String>;
 
 /// One file, with its inline modules.
@@ -19,22 +19,22 @@ struct Source {
     path: PathBuf,
     /// Path of its module.
     module: Names,
-    /// Names that `use` declarations import, each with its whole path.
+    /// Names that `use` declarations import, each with its path from the crate's root.
     known: BTreeMap<String, Names>,
     /// Modules of glob imports.
     globs: Vec<Names>,
-    /// Whole paths that the code names.
+    /// Paths from the crate's root of all items that the code names.
     named: BTreeSet<Names>,
     /// Items that the file defines.
     defined: BTreeSet<String>,
 }
 
-/// Finds the cycles of the crate with this root file: the files of each, and a line for every use
-/// within it.
+/// Finds the cycles of the crate with the root file `root`. Each cycle is a list of its files, and
+/// a list with a line for every use within the cycle.
 pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let mut files = BTreeMap::new();
     read(root, Vec::new(), &mut files)?;
-    // For every file, find the files that it uses, with one name that it uses from each.
+    // For every file, find the files that it uses, each with one name of an item that it uses.
     let edges: BTreeMap<&Names, BTreeMap<Names, String>> = files
         .iter()
         .map(|(module, source)| {
@@ -57,7 +57,8 @@ pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let reach: BTreeMap<&Names, BTreeSet<Names>> = edges.keys().map(|module| (*module, reached(module))).collect();
     let folder = root.parent().unwrap_or(Path::new(""));
     let name = |module: &Names| files[module].path.strip_prefix(folder).unwrap_or(root).display().to_string();
-    // A file that reaches itself is in a cycle; all files of a cycle reach each other.
+    // A file that reaches itself is in a cycle. The cycle consists of the files that it reaches and
+    // that reach it.
     let mut circles = BTreeSet::new();
     for (module, seen) in reach.iter().filter(|(module, seen)| seen.contains(**module)) {
         let back = |other: &Names| seen.contains(other) && reach[other].contains(*module);
@@ -115,8 +116,8 @@ struct Reader {
 }
 
 impl Reader {
-    /// Returns the path from the crate's root that a path in the code means. `None` if it leads
-    /// outside of the crate or to an item of this file.
+    /// Converts a path in the code to one from the crate's root. Returns `None` if the path refers
+    /// to another crate or to an item of this file.
     fn whole(&self, path: &[String]) -> Option<Names> {
         let here = || self.source.module.iter().chain(&self.inner).cloned();
         let (first, rest) = path.split_first()?;
@@ -159,7 +160,7 @@ impl Reader {
 
     fn bring(&mut self, name: String, item: &str, before: &[String], exported: bool) {
         let path: Names = before.iter().cloned().chain([item.to_string()]).collect();
-        // `use child::Thing` of a module declared here
+        // `use child::Thing` also refers to a module that this file declares
         let whole = self.whole(&path).or_else(|| {
             let declared = before.first().is_some_and(|first| self.children.iter().any(|(child, _)| child == first));
             declared.then(|| self.source.module.iter().cloned().chain(path).collect())
@@ -230,7 +231,7 @@ impl<'ast> Visit<'ast> for Reader {
         self.take(&item.tree, &mut Vec::new(), !matches!(item.vis, Visibility::Inherited));
     }
 
-    /// `pub(crate)` names no item.
+    /// Ignores visibilities: `pub(crate)` contains a path, but names no item.
     fn visit_visibility(&mut self, _: &'ast Visibility) {}
 
     fn visit_path(&mut self, path: &'ast syn::Path) {
@@ -245,8 +246,8 @@ impl<'ast> Visit<'ast> for Reader {
     }
 }
 
-/// Finds the module whose file defines the item of a whole path; `None` for items outside the
-/// crate.
+/// Finds the module whose file defines the item with a path from the crate's root; `None` if it is
+/// not found in the crate.
 fn home_of(files: &BTreeMap<Names, Source>, path: &[String], depth: usize) -> Option<Names> {
     let module = (0..=path.len()).rev().map(|count| &path[..count]).find(|module| files.contains_key(*module))?;
     let source = &files[module];
@@ -256,7 +257,7 @@ fn home_of(files: &BTreeMap<Names, Source>, path: &[String], depth: usize) -> Op
             let from: Names = from.iter().chain(&path[module.len() + 1..]).cloned().collect();
             return home_of(files, &from, depth + 1);
         }
-        // if there is only one glob import, an unknown name comes from its module
+        // a name that is not found elsewhere comes from the module of the only glob import
         if let [glob] = source.globs.as_slice()
             && !source.defined.contains(name)
         {
@@ -267,7 +268,7 @@ fn home_of(files: &BTreeMap<Names, Source>, path: &[String], depth: usize) -> Op
     Some(module.to_vec())
 }
 
-/// Returns whether code is compiled for tests only.
+/// Returns true if attributes state that code is compiled only for tests.
 fn for_tests(attributes: &[Attribute]) -> bool {
     attributes.iter().any(|attribute| match &attribute.meta {
         syn::Meta::List(list) if list.path.is_ident("cfg") => list.tokens.to_string() == "test",

@@ -1,9 +1,10 @@
-//! Licences, sources, bans and security advisories of all dependencies, checked by cargo-deny with
+//! Checks licences, sources, bans and security advisories of all dependencies by cargo-deny with
 //! `deny.toml`.
 //!
-//! Advisories need the RustSec database, which is fetched where the network allows it. cargo-deny
-//! takes two minutes to build, so `ci` uses it only if it is installed. Database and tool are not
-//! in this repository. So their absence is not reported as a skipped check, which would fail on CI.
+//! Advisories need the RustSec database, which is fetched if the network allows it. cargo-deny
+//! takes two minutes to build, so `ci` uses it only if it is installed. If the database or the tool
+//! is missing, this is not reported as a skipped check, since CI would then fail for a reason
+//! outside of this repository.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +15,7 @@ pub fn check() -> Outcome {
     let program = found().map_or_else(install, Ok)?;
     let deny = |arguments: &[&str]| {
         let mut deny = command(&program);
-        // it expects cargo's subcommand as the first word
+        // cargo-deny expects the name of cargo's subcommand, `deny`, as its first argument
         deny.arg("deny").args(arguments);
         deny
     };
@@ -29,7 +30,7 @@ pub fn check() -> Outcome {
     tools::run(&mut deny(&["--offline", "check", "advisories"]))
 }
 
-/// Checks as a step of `ci`, which does not install the tool, since that takes too long.
+/// Runs the checks as a step of `ci`, if cargo-deny is installed already.
 pub fn in_ci() -> Outcome {
     if found().is_none() {
         println!("dependencies: not checked, since cargo-deny is not installed; `cargo xtask deny` installs it");

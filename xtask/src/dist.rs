@@ -1,4 +1,5 @@
-//! Releases: builds all files that users download into `target/dist`, and tests their installation.
+//! Builds the files of a release, which users download, into `target/dist`, and tests their
+//! installation.
 
 mod archive;
 mod build;
@@ -34,7 +35,8 @@ Without a PART it makes all parts. On Linux they are for x86-64 and ARM with a g
 Every part contains the licences of all dependencies. SHA256SUMS has the checksums of target/dist.
 ";
 
-/// The parts, in the order in which they are made: extensions contain wheels.
+/// The parts, in the order in which they are made. The extension comes after the wheels that it
+/// contains.
 const PARTS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "sbom"];
 
 /// Makes the parts that the arguments select; `None` if an argument is wrong.
@@ -65,7 +67,8 @@ fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
     if targets.is_empty() {
         targets = Target::of_this_machine()?;
     }
-    // Programs share manual pages and documents; the extension of Blender needs the wheels.
+    // Collect the files that the packages of all targets share, then make the parts. The extension
+    // of Blender needs the wheels.
     let wanted = |part: &str| parts.is_empty() || parts.contains(&part);
     let dist = folder();
     std::fs::create_dir_all(&dist).map_err(|error| format!("{}: {error}", dist.display()))?;

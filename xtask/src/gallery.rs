@@ -1,5 +1,5 @@
-//! The gallery: Lumistack's renders of glTF files next to Blender's, with the same file, camera and
-//! light, on one page.
+//! Makes the gallery: a page with Lumistack's renders of glTF files next to Blender's, with the
+//! same camera and light.
 
 use std::path::{Path, PathBuf};
 
@@ -58,7 +58,7 @@ fn build(scenes: &Path, out: &Path, options: &[&str], threads: &str) -> Outcome 
         cargo.env("RAYON_NUM_THREADS", threads);
         run(cargo.args(words))
     };
-    // Make Lumistack's renders, Blender's renders, then the page.
+    // Make Lumistack's renders, then Blender's renders, then the page.
     example(&[&["render", &scenes, &folder], options].concat())?;
     match blender() {
         Ok(python) => {
@@ -73,7 +73,7 @@ fn build(scenes: &Path, out: &Path, options: &[&str], threads: &str) -> Outcome 
             for entry in entries {
                 let mut blender = command(&python);
                 blender.arg(&script).arg(entry.join("ours.json")).arg(threads);
-                // if a file crashes Blender, the other files are rendered nevertheless
+                // a file that crashes Blender must not prevent the renders of other files
                 if !blender.output().is_ok_and(|output| output.status.success()) {
                     println!("gallery: Blender ended early on {}", entry.display());
                 } else {

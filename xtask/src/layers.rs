@@ -1,9 +1,9 @@
-//! Checks of the architecture: a crate depends only on crates of lower layers, and some
-//! dependencies are forbidden for almost all crates.
+//! Checks the architecture: a crate may depend only on crates of lower layers, and only certain
+//! crates may have certain external dependencies.
 //!
 //! Each crate states its layer in `[package.metadata.lumistack] layer = n`. Development
-//! dependencies are not restricted. Build dependencies are not in the program, so a crate may have
-//! build dependencies of its own layer.
+//! dependencies may be of any layer. Build dependencies may be of the crate's own layer, since they
+//! are not part of the program.
 //!
 //! Within a crate no two files may use each other, directly or through others.
 
@@ -21,7 +21,7 @@ const FORBIDDEN: [(&str, &[&str]); 3] = [
     ("libloading", &["lumistack-plugin-host"]),
 ];
 
-/// Crates that must compile to wasm32, and so use no file system, clock or terminal.
+/// Crates that must compile to wasm32. So they may not use a file system, a clock or a terminal.
 pub const PORTABLE: [&str; 11] = [
     "lumistack-simd",
     "lumistack-core",
@@ -36,7 +36,8 @@ pub const PORTABLE: [&str; 11] = [
     "lumistack-web-solver",
 ];
 
-/// Calls that portable crates must not make. They receive files and times as arguments.
+/// Items of the standard library that portable crates must not use. Files and times are passed to
+/// their functions as arguments.
 const NOT_PORTABLE: [&str; 4] = ["std::fs", "std::time::Instant", "std::time::SystemTime", "std::thread::spawn"];
 
 /// Checks the whole workspace.
@@ -67,7 +68,7 @@ pub fn check() -> Outcome {
                 && (*layer > layers[name] || (*layer == layers[name] && !at_build))
             {
                 problems.push(format!(
-                    "{name} (layer {}) depends on {to} (layer {layer}): expected a dependency of a lower layer",
+                    "{name} (layer {}) depends on {to} (layer {layer}): expected a dependency in a lower layer",
                     layers[name]
                 ));
             }
@@ -77,7 +78,7 @@ pub fn check() -> Outcome {
                 }
             }
         }
-        // Check for cycles of files, and for calls that wasm32 lacks.
+        // Check for cycles of files, and for items that wasm32 lacks.
         for target in package["targets"].as_array().into_iter().flatten() {
             let is_code = ["lib", "cdylib", "rlib", "bin"].iter().any(|kind| target["kind"][0] == **kind);
             let root = std::path::Path::new(target["src_path"].as_str().unwrap_or_default());
@@ -105,13 +106,13 @@ pub fn check() -> Outcome {
     }
 }
 
-/// Finds banned calls in the code before the tests of each file.
+/// Finds the items of [`NOT_PORTABLE`] in the code before the tests of each file.
 fn check_portable(folder: &std::path::Path, problems: &mut Vec<String>) -> Outcome {
     let entries = std::fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     for entry in entries {
         let path = entry.map_err(|error| error.to_string())?.path();
         if path.is_dir() {
-            // src/tests holds test modules, which do not run on wasm32
+            // src/tests contains test modules, which do not run on wasm32
             if path.file_name().is_some_and(|name| name != "tests") {
                 check_portable(&path, problems)?;
             }

@@ -1,10 +1,10 @@
-//! Compares the vector kernels of other machines with the same oracles: NEON under emulation, and
-//! simd128 in Node.js.
+//! Runs the tests of vector kernels for other machines, which compare the kernels with oracles:
+//! NEON of ARM under emulation, and simd128 of WebAssembly in Node.js.
 
 use crate::tools::{Outcome, apt, command, output_of, root, run, skipped};
 
-/// Requirements of a machine in addition to the Rust target: programs, each with the Debian
-/// packages that contain it.
+/// A machine, and the programs that its tests need in addition to the Rust target. Each program has
+/// the Debian package that contains it.
 struct Machine {
     target: &'static str,
     programs: &'static [(&'static str, &'static str)],
@@ -13,7 +13,8 @@ struct Machine {
     flags: &'static str,
 }
 
-/// Packages with kernels, their options, and words of the names of their tests.
+/// The packages with vector kernels, cargo's options for each, and a part of the names of its
+/// tests.
 const TESTS: [(&str, &[&str], &str); 3] = [
     ("lumistack-simd", &[], ""),
     ("lumistack-factorizer", &["--no-default-features"], "updates"),
@@ -70,7 +71,7 @@ impl Machine {
         let variable = |key: &str| format!("CARGO_TARGET_{}_{key}", self.target.to_uppercase().replace('-', "_"));
         let mut cargo = command("cargo");
         cargo.args(["test", "--target", self.target, "--package", package, "--lib"]).args(options);
-        // neither machine has threads
+        // run one test at a time, since neither machine has threads
         cargo.args(["--", "--test-threads=1", "--nocapture", names]);
         cargo.env(variable("RUNNER"), &self.runner).env("RUSTFLAGS", self.flags);
         if let Some(linker) = self.linker {

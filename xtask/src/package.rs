@@ -6,8 +6,8 @@ use serde_json::Value;
 
 use crate::tools::{Outcome, command, output_of, run};
 
-/// Packages every published crate without compiling it. Checks that the keys that registries need
-/// are there, and that no package lacks a file.
+/// Packages every published crate without compiling it. Fails if a key that registries need is
+/// missing, or if a package lacks a file.
 pub fn check() -> Outcome {
     let said = output_of(command("cargo").args(["metadata", "--format-version", "1", "--no-deps"]));
     let metadata: Value =

@@ -1,10 +1,9 @@
-//! The windows of `lumistack show`. They are behind a feature, since winit and wgpu compile slowly,
-//! and are tested on real compositors without hardware.
+//! Builds the windows of `lumistack show`, and tests them on real compositors without hardware. The
+//! windows are behind a feature of the crate, since winit and wgpu compile slowly.
 
 use crate::tools::{EVERYTHING, Outcome, apt, build_everything, command, run, skipped};
 
-/// Programs and their Debian packages: compositors with virtual outputs, programs that capture
-/// them, and more.
+/// Programs that the tests start, each with its Debian package.
 const NEEDED: [(&str, &str); 6] = [
     ("sway", "sway"),
     ("grim", "grim"),
@@ -21,10 +20,11 @@ const LIBRARIES: [(&str, &str); 4] = [
     ("/usr/share/doc/libxkbcommon-x11-0", "libxkbcommon-x11-0"),
 ];
 
-/// Numbers of repetitions with `full`: of starts of presentations, and of stalls of a solver.
+/// Numbers of repetitions with `full`: starts of presentations, and stalls of a solver.
 const FULL_TURNS: [&str; 2] = ["50", "5"];
 
-/// Builds and tests the windows. `full` repeats tests that might fail rarely (some minutes more).
+/// Builds and tests the windows. With `full`, tests whose failures would be rare are repeated,
+/// which takes some minutes more.
 pub fn check(full: bool) -> Outcome {
     if let Err(error) = fetch() {
         skipped("panels", &format!("not tested on every compositor: {error}"));
@@ -35,8 +35,8 @@ pub fn check(full: bool) -> Outcome {
     {
         let mut cargo = command("cargo");
         cargo.arg("test").args(EVERYTHING).args(["--test", binary]);
-        // One session runs at a time, since sessions share the processors, and some tests count
-        // refreshes.
+        // Run one session at a time, since some tests count refreshes, which other sessions would
+        // delay.
         cargo.args(["--", "--nocapture", "--test-threads=1"]).args(tests).env("LUMISTACK_SESSIONS", "1");
         if full {
             cargo.env("LUMISTACK_PANELS_TURNS", turns);

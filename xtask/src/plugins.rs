@@ -1,5 +1,5 @@
-//! Checks of plugins as shared libraries, of the samples for plugin authors, and of the pages about
-//! parameters.
+//! Checks plugins as shared libraries, the samples for authors of plugins, and the pages about the
+//! plugins' parameters.
 
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX, EXE_SUFFIX};
 use std::fmt::Write as _;
@@ -10,11 +10,11 @@ use serde_json::{Value, json};
 
 use crate::tools::{EVERYTHING, Outcome, build_everything, command, output_of, root, run as run_program};
 
-/// All plugins and their parameters, as `lumistack --json plugins` prints them.
+/// File with all plugins and their parameters, as `lumistack --json plugins` prints them.
 const DUMP: &str = "docs/plugins.json";
-/// A page for each plugin.
+/// Folder with a page for each plugin.
 const PAGES: &str = "docs/plugins";
-/// A crate outside the workspace, built as in the tutorial.
+/// The crate of the tutorial, which is outside the workspace.
 const SAMPLE: &str = "examples/rust-plugin";
 
 /// Builds and checks all plugins; `write` rewrites the committed pages.
@@ -46,7 +46,7 @@ pub fn run(write: bool) -> Outcome {
 
 /// Builds the tutorial's crate outside of the workspace, tests it, and copies its library.
 fn sample(target: &Path, folder: &Path) -> Outcome {
-    // the crate uses the workspace's versions of dependencies, so nothing is fetched
+    // use the workspace's lock file, so that cargo fetches no other versions of dependencies
     let lock = root().join(SAMPLE).join("Cargo.lock");
     fs::copy(root().join("Cargo.lock"), &lock).map_err(|error| format!("{}: {error}", lock.display()))?;
     for task in ["build", "test"] {
@@ -136,17 +136,17 @@ fn page(plugin: &Value) -> String {
         page.push_str("\nThere are no parameters.\n");
         return page;
     }
-    // a parameter that is a file has no default
+    // a parameter of the kind "file" has no default; its cell is empty
     let none = json!("");
-    page.push_str("\n| parameter | default | values | meaning |\n|---|---|---|---|\n");
+    page.push_str("\nThese are the parameters:\n\n| parameter | default | values | meaning |\n|---|---|---|---|\n");
     for param in params {
-        let unit = param["unit"].as_str().map_or(String::new(), |unit| format!(" {unit}"));
+        let unit = param["unit"].as_str().filter(|unit| *unit != "1").map_or(String::new(), |unit| format!(" {unit}"));
         let (values, meaning) = match text(param, "kind") {
             "bool" => ("`true`, `false`".into(), String::new()),
             "choice" => {
                 let options = || param["options"].as_array().into_iter().flatten();
                 let values = options().map(|option| format!("`{}`", text(option, "value"))).collect::<Vec<_>>();
-                // each help is a sentence, also if it is only a name
+                // end each help text with a full stop, also if it is only a name
                 let helps = options().map(|option| {
                     let help = text(option, "help").trim_end_matches('.');
                     format!("`{}`: {help}.", text(option, "value"))

@@ -1,9 +1,9 @@
-//! Windows and macOS: the command is type-checked for them on any machine. Tests that need no other
-//! program run on the systems themselves.
+//! Checks the command for Windows and macOS. Its types are checked on any machine. On these systems
+//! themselves, the tests that need no other program can run.
 
 use crate::tools::{self, Outcome, cargo};
 
-/// Systems with releases, in addition to Linux. Type checks do not need the systems' libraries.
+/// The systems with releases, except Linux. A check of types does not need their libraries.
 const TARGETS: [&str; 3] = ["x86_64-pc-windows-gnu", "x86_64-apple-darwin", "aarch64-apple-darwin"];
 
 /// Crates whose tests need neither Debian packages nor a display.

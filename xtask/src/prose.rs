@@ -1,28 +1,29 @@
-//! Prose in files: comments of sources, text of Markdown, messages of errors.
+//! Extracts the prose of files: comments in sources, text in Markdown, messages of errors.
 //!
-//! A block is one paragraph, list item, table cell, picture, trailing comment or message. Code is
-//! no prose: fenced code, indented code and doctests are left out, and a span in backticks counts
-//! as one word.
+//! A block is one paragraph, list item, table cell, picture, trailing comment or message. Fenced
+//! code, indented code and doctests are ignored, and a span in backticks counts as one word.
 
-/// One paragraph with its first line, counted from 1. Its lines are joined by `\n`.
+/// A block of prose. `line` is the number of its first line, from 1; `text` has its lines, joined
+/// by `\n`.
 #[derive(Debug, PartialEq)]
 pub struct Block {
     pub line: usize,
     pub text: String,
 }
 
-/// One sentence with the line that it begins on.
+/// A sentence, and the number of the line on which it begins.
 #[derive(Debug, PartialEq)]
 pub struct Sentence<'a> {
     pub line: usize,
     pub text: &'a str,
 }
 
-/// Words before a full stop that ends no sentence.
+/// Words after which a full stop does not end the sentence.
 const ABBREVIATIONS: [&str; 14] =
     ["e.g", "i.e", "eq", "eqs", "fig", "figs", "sec", "ch", "no", "vol", "p", "pp", "al", "vs"];
 
-/// Extracts the prose of a file; the name's ending selects the language. Other files have none.
+/// Extracts the prose of a file. The ending of its name selects the language; files of other
+/// languages have no prose.
 pub fn blocks(path: &str, text: &str) -> Vec<Block> {
     match path.rsplit_once('.').map(|(_, ending)| ending) {
         Some("rs") => c_like(text, &['"'], true),
@@ -65,7 +66,8 @@ pub fn sentences(block: &Block) -> Vec<Sentence<'_>> {
     found.into_iter().map(sentence).filter(|sentence| !words(sentence.text).is_empty()).collect()
 }
 
-/// The words of a text. A span in backticks is the word "`", and links lose their address.
+/// Returns the words of a text. A span in backticks becomes the word "`", and of a link only its
+/// text remains.
 pub fn words(text: &str) -> Vec<String> {
     let mut found = Vec::new();
     for (index, part) in text.split('`').enumerate() {
@@ -92,7 +94,7 @@ struct Collector {
 
 impl Collector {
     fn line(&mut self, number: usize, text: &str) {
-        // a gap in the numbers ends a comment
+        // a comment ends if the next comment is not on the next line
         if self.lines.last().is_some_and(|(last, _)| last + 1 != number) {
             self.end();
         }
@@ -103,7 +105,7 @@ impl Collector {
         self.blocks.extend(paragraphs(std::mem::take(&mut self.lines)));
     }
 
-    /// A text on its own: a trailing comment or a message.
+    /// Adds a text that is a block of its own: a trailing comment or a message.
     fn alone(&mut self, number: usize, text: &str) {
         self.end();
         self.line(number, text);
@@ -111,7 +113,7 @@ impl Collector {
     }
 }
 
-/// Splits lines of Markdown into paragraphs, items and cells, and drops code.
+/// Splits lines of Markdown into paragraphs, items and cells, and removes code.
 fn paragraphs(lines: Vec<(usize, String)>) -> Vec<Block> {
     let (mut blocks, mut open, mut fenced, mut in_list) = (Vec::<Block>::new(), false, false, false);
     let mut in_doctest = false;
@@ -121,7 +123,7 @@ fn paragraphs(lines: Vec<(usize, String)>) -> Vec<Block> {
             (fenced, open) = (!fenced, false);
             continue;
         }
-        // a doctest of Python ends with its output, at an empty line
+        // a doctest of Python includes its output, and ends at an empty line
         in_doctest = trimmed.starts_with(">>>") || (in_doctest && !trimmed.is_empty());
         if in_doctest {
             open = false;
@@ -156,7 +158,7 @@ fn paragraphs(lines: Vec<(usize, String)>) -> Vec<Block> {
     blocks
 }
 
-/// Comments of Rust, TypeScript and WGSL, and the messages of `#[error("...")]` in Rust.
+/// Extracts comments of Rust, TypeScript and WGSL, and messages of `#[error("...")]` in Rust.
 fn c_like(text: &str, quotes: &[char], rust: bool) -> Vec<Block> {
     let mut found = Collector::default();
     let (mut at, mut line, mut code) = (0, 1, String::new());
@@ -211,12 +213,12 @@ fn c_like(text: &str, quotes: &[char], rust: bool) -> Vec<Block> {
     found.blocks
 }
 
-/// True if code ends with `#[error(`.
+/// Returns true if the code so far ends with `#[error(`, so that a message follows.
 fn message_follows(code: &str) -> bool {
     code.trim_end().ends_with("#[error(")
 }
 
-/// Replaces `{...}` in a message by a code span.
+/// Replaces every `{...}` in a message by a span in backticks.
 fn placeholders(message: &str) -> String {
     let (mut text, mut depth) = (String::new(), 0);
     for letter in message.chars() {
@@ -235,7 +237,7 @@ fn placeholders(message: &str) -> String {
     text
 }
 
-/// The length of a string with its quotes, from its opening quote on.
+/// Returns the length of the string at the start of `text`, with its quotes.
 fn string(text: &str, quote: char) -> usize {
     let mut escaped = false;
     for (at, letter) in text.char_indices().skip(1) {
@@ -247,7 +249,7 @@ fn string(text: &str, quote: char) -> usize {
     text.len()
 }
 
-/// The length of a raw string of Rust, if one begins here.
+/// Returns the length of the raw string of Rust at the start of `text`, if there is one.
 fn raw_string(text: &str) -> Option<usize> {
     let inner = text.strip_prefix("br").or_else(|| text.strip_prefix('r'))?;
     let hashes = inner.len() - inner.trim_start_matches('#').len();
@@ -257,7 +259,8 @@ fn raw_string(text: &str) -> Option<usize> {
     Some(body.find(&close).map_or(text.len(), |end| start + end + close.len()))
 }
 
-/// The length of a character of Rust, or of the quote alone where a lifetime begins.
+/// Returns the length of the character literal of Rust at the start of `text`. For a lifetime it
+/// returns 1, the length of the quote.
 fn character(text: &str) -> usize {
     let mut letters = text.char_indices().skip(1);
     match (letters.next(), letters.next()) {
@@ -267,7 +270,7 @@ fn character(text: &str) -> usize {
     }
 }
 
-/// Comments and docstrings of Python.
+/// Extracts comments and docstrings of Python.
 fn python(text: &str) -> Vec<Block> {
     let mut found = Collector::default();
     let (mut at, mut line, mut code) = (0, 1, String::new());

@@ -1,5 +1,5 @@
-//! The Python package: built as a wheel, installed into `target/python`, tested there like a user's
-//! installation, and measured.
+//! Builds the Python package as a wheel, installs it into `target/python`, tests it there like a
+//! user's installation, and measures it.
 
 use std::path::{Path, PathBuf};
 
@@ -19,14 +19,14 @@ const TOOLS: [&str; 10] = [
     "moto[server]==5.*",
 ];
 
-/// Packages for pip that notebooks use; tests exchange arrays and plots with them.
+/// Packages for pip that notebooks use. Tests pass arrays and plots to them.
 const NOTEBOOKS: [&str; 4] = ["--only-binary=:all:", "matplotlib==3.*", "xarray", "pillow"];
 
 /// The oldest Python that the wheel supports.
 const OLDEST: (u32, u32) = (3, 11);
 
-/// Packs the wheel from the artefacts of the workspace's tests, installs it, and checks and
-/// measures it. Skips with a message where Python is too old or the tools cannot be fetched.
+/// Packs a wheel with the module that the workspace's tests compile, installs it, checks it and
+/// measures it. Skips with a message if Python is too old or the tools cannot be fetched.
 pub fn check() -> Outcome {
     let python = tools::python()?;
     if let Err(error) = fetch(&python) {
@@ -44,7 +44,7 @@ pub fn check() -> Outcome {
 /// Fetches the tools that build and check the package.
 ///
 /// # Errors
-/// Where this machine's Python is too old, or the tools cannot be installed.
+/// If this machine's Python is too old, or the tools cannot be installed.
 pub fn fetch(python: &Path) -> Outcome {
     if !is_new_enough(python) {
         return Err(format!("the package is for Python {}.{} and newer", OLDEST.0, OLDEST.1));
@@ -76,7 +76,7 @@ pub fn release() -> Outcome {
 /// Returns a Python with the release wheel, and with all tools that its checks need.
 ///
 /// # Errors
-/// Where the tools cannot be installed or the package does not build.
+/// If the tools cannot be installed, or the package does not build.
 pub fn release_environment() -> Outcome<PathBuf> {
     let python = tools::python()?;
     fetch(&python)?;
@@ -102,8 +102,8 @@ pub fn build(python: &Path) -> Outcome<PathBuf> {
     only_file(&folder)
 }
 
-/// Packs a wheel from the artefacts of the workspace's tests, which maturin would compile again
-/// with other features, and returns the wheel's path. maturin adds all files except the module.
+/// Packs a wheel with the module that the workspace's tests compile, and returns its path. maturin
+/// provides all other files of the wheel; it would compile the module again with other features.
 pub fn pack(python: &Path) -> Outcome<PathBuf> {
     tools::build_everything()?;
     let (info, folder) = (empty("target/wheels/info")?, empty("target/wheels/dev")?);
@@ -131,7 +131,7 @@ fn only_file(folder: &Path) -> Outcome<PathBuf> {
     files.next().map(|file| file.path()).ok_or_else(|| format!("maturin left nothing in {}", folder.display()))
 }
 
-/// Runs mypy over the examples and tests, and compares the stubs with the module.
+/// Checks the types of examples and tests by mypy, and compares the stub files with the module.
 fn types(python: &Path) -> Outcome {
     run(command(python).args(["-m", "mypy", "examples/python"]))?;
     run(command(python).args(["-m", "mypy", "crates/python/tests"]))?;

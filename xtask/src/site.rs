@@ -1,4 +1,4 @@
-//! The web site in `target/site`: the documentation, and the gallery of displays.
+//! Builds the web site in `target/site`: the documentation, and the gallery of displays.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! Running programs, and fetching the software that tests need.
+//! Runs programs, and fetches the software that tests need.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -9,7 +9,7 @@ pub type Outcome<T = ()> = Result<T, String>;
 
 /// The workspace's root folder.
 pub fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace").to_owned()
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask is a folder of the workspace").to_owned()
 }
 
 /// Runs cargo in the workspace.
@@ -24,28 +24,30 @@ pub const EVERYTHING: [&str; 3] = ["--workspace", "--features", "lumistack-plugi
 /// Builds all programs, the Python module and all examples into `target/debug`. The examples
 /// include the libraries of plugins.
 ///
-/// Examples may use development dependencies, as tests do. Without examples cargo would select
-/// fewer features than `cargo test`, and compile a third of the workspace again.
+/// Examples may use development dependencies, as tests do. So with examples cargo selects the same
+/// features as for `cargo test`. Without them it would compile a third of the workspace again.
 pub fn build_everything() -> Outcome {
     cargo(&[&["build", "--quiet"], &EVERYTHING[..], &["--lib", "--bins", "--examples"]].concat())
 }
 
-/// A program that runs in the workspace's root. Its tests add to the list of skipped checks.
+/// Returns a command for a program that runs in the workspace's root. Tests that it runs append to
+/// the list of skipped checks.
 pub fn command(program: impl AsRef<std::ffi::OsStr>) -> Command {
     let mut command = Command::new(program);
     command.current_dir(root()).env(SKIPPED, skip_list());
     command
 }
 
-/// Environment variable with the path of the list of skipped checks. `lumistack_testkit::skip` and
-/// the Python tests also write to this file.
+/// Environment variable with the path of the list of skipped checks, to which
+/// `lumistack_testkit::skip` and the Python tests also write.
 const SKIPPED: &str = "LUMISTACK_SKIPPED";
 
 fn skip_list() -> PathBuf {
     root().join("target/skipped.txt")
 }
 
-/// Returns whether this is continuous integration, where a skipped check is a failure.
+/// Returns true on continuous integration (the variable `CI` is set), where a skipped check is a
+/// failure.
 fn is_ci() -> bool {
     std::env::var("CI").is_ok_and(|value| !["", "0", "false"].contains(&value.as_str()))
 }
@@ -56,7 +58,7 @@ pub fn skipped(check: &str, why: &str) {
     let line = format!("{check}: {}", why.replace('\n', " "));
     println!("skipped: {line}");
     let list = std::fs::OpenOptions::new().create(true).append(true).open(skip_list());
-    // one write per line, since steps run in parallel
+    // write the line in one call, since steps that run in parallel write to the same file
     if let Err(error) = list.and_then(|mut list| list.write_all(format!("{line}\n").as_bytes())) {
         println!("{}: {error}", skip_list().display());
     }
@@ -70,12 +72,12 @@ pub fn forget_skipped() {
 /// Prints the checks that were skipped since [`forget_skipped`].
 ///
 /// # Errors
-/// On CI (`CI=true`), when a check was skipped.
+/// On CI (`CI=true`), if a check was skipped.
 pub fn account_of_skipped() -> Outcome {
     account(&std::fs::read_to_string(skip_list()).unwrap_or_default(), is_ci())
 }
 
-/// Prints a list of skipped checks, one a line.
+/// Prints a list of skipped checks, one on each line; on CI this is an error.
 fn account(list: &str, is_ci: bool) -> Outcome {
     let mut lines: Vec<&str> = list.lines().collect();
     lines.sort_unstable();
@@ -93,11 +95,11 @@ fn account(list: &str, is_ci: bool) -> Outcome {
     }
 }
 
-/// Installs Debian packages. Waits for other programs that install, and updates the package lists
-/// where they are missing or old.
+/// Installs Debian packages. Waits for other programs that install packages, and updates the
+/// package lists if they are missing or old.
 ///
 /// # Errors
-/// When they cannot be installed.
+/// If the packages cannot be installed.
 pub fn apt(packages: &[&str], purpose: &str) -> Outcome {
     if output_of(command("apt-get").arg("--version")).is_none() {
         return Err(format!("this machine has no apt-get to install {}", packages.join(", ")));
@@ -113,14 +115,14 @@ pub fn apt(packages: &[&str], purpose: &str) -> Outcome {
         if result.is_ok() || turn + 1 == TURNS {
             return result;
         }
-        // apt-get does not wait for the lock of the package lists
+        // wait here, since `apt-get update` does not wait until the lists' lock is free
         std::thread::sleep(std::time::Duration::from_secs(20 * turn));
         let _ = apt(&["update"]);
     }
     Ok(())
 }
 
-/// Number of attempts at an installation.
+/// Number of times that an installation is tried.
 const TURNS: u64 = 4;
 
 /// Runs a program to its end, and shows its output.
@@ -134,7 +136,7 @@ pub fn run(command: &mut Command) -> Outcome {
     }
 }
 
-/// Returns the output of a program; `None` when it fails.
+/// Returns the output of a program; `None` if it fails.
 pub fn output_of(command: &mut Command) -> Option<String> {
     let output = command.output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
@@ -154,9 +156,9 @@ const READERS: [&str; 3] = ["--only-binary=:all:", "pillow", "OpenEXR==3.*"];
 /// OpenUSD with its MaterialX plugin; tests of USD stages skip without it.
 const USD: [&str; 2] = ["--only-binary=:all:", "usd-exchange==3.*"];
 
-/// Finds or makes a Python with NumPy, in `target/python`. If wheels of them exist, it also has
-/// Pillow, OpenEXR, scikit-image, flip-evaluator and OpenUSD. With these packages tests check
-/// Lumistack's files and metrics.
+/// Finds or makes a Python environment with NumPy in `target/python`. It also has Pillow, OpenEXR,
+/// scikit-image, flip-evaluator and OpenUSD, if these can be installed. With these packages tests
+/// check Lumistack's files and metrics.
 pub fn python() -> Outcome<PathBuf> {
     let folder = root().join("target/python");
     let python = folder.join("bin/python");
@@ -200,8 +202,8 @@ pub fn install(python: &Path, packages: &[&str]) -> Outcome {
         install
     } else {
         let mut install = command(python);
-        // Python compiles a module when a check imports it; to compile all modules here would take
-        // as long as to unpack them
+        // do not compile all modules now, which would take as long as unpacking them; Python
+        // compiles a module when it is first imported
         install.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile"]);
         install
     };
@@ -228,8 +230,8 @@ fn venv(folder: &Path) -> Outcome {
     Ok(())
 }
 
-/// The program uv, in `target/uv`. It installs packages with a tenth of pip's processor time.
-/// `None` where it cannot be had; then pip installs them.
+/// Returns the program uv in `target/uv`, which installs packages with a tenth of pip's processor
+/// time. `None` if it cannot be installed; then pip installs packages.
 fn uv() -> Option<&'static Path> {
     static UV: OnceLock<Option<PathBuf>> = OnceLock::new();
     UV.get_or_init(|| {
@@ -241,7 +243,7 @@ fn uv() -> Option<&'static Path> {
             let python = folder.join("bin/python");
             let pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary=:all:", "uv"];
             if let Err(error) = venv(&folder).and_then(|()| run(command(python).args(pip))) {
-                println!("uv cannot be had, so pip installs packages: {error}");
+                println!("uv cannot be installed, so pip installs packages: {error}");
             }
         }
         works().then_some(uv)
@@ -249,7 +251,8 @@ fn uv() -> Option<&'static Path> {
     .as_deref()
 }
 
-/// Finds or installs `pdftoppm`, which renders the pages of PDF files; tests skip without it.
+/// Installs `pdftoppm`, which rasterizes the pages of PDF files, if it is missing. Tests skip
+/// without it.
 pub fn poppler() {
     if output_of(command("pdftoppm").arg("-v")).is_some() {
         return;
@@ -259,15 +262,16 @@ pub fn poppler() {
     }
 }
 
-/// Returns whether rustc can compile to wasm32; installs the target with rustup if it is missing.
+/// Returns true if rustc can compile to wasm32; first installs the target by rustup if it is
+/// missing.
 pub fn wasm_target() -> bool {
     rust_target("wasm32-unknown-unknown").is_ok()
 }
 
-/// Makes sure that rustc can compile to a target; installs it with rustup if it is missing.
+/// Installs a target of rustc by rustup if it is missing.
 ///
 /// # Errors
-/// Where the target cannot be installed.
+/// If the target cannot be installed.
 pub fn rust_target(triple: &str) -> Outcome {
     let installed = || {
         output_of(command("rustc").args(["--print", "target-libdir", "--target", triple]))
@@ -281,11 +285,10 @@ pub fn rust_target(triple: &str) -> Outcome {
     if installed() { Ok(()) } else { Err(format!("rustup ran, but the Rust target {triple} is not installed")) }
 }
 
-/// Makes sure that the sources of the standard library are there; installs them with rustup if they
-/// are missing.
+/// Installs the sources of Rust's standard library by rustup if they are missing.
 ///
 /// # Errors
-/// Where they cannot be installed.
+/// If they cannot be installed.
 pub fn rust_sources() -> Outcome {
     let installed = || {
         output_of(command("rustc").args(["--print", "sysroot"]))
@@ -296,7 +299,7 @@ pub fn rust_sources() -> Outcome {
     }
     println!("\nfetching: the sources of Rust's standard library");
     run(command("rustup").args(["component", "add", "rust-src"]))?;
-    if installed() { Ok(()) } else { Err("rustup gave no sources of the standard library".into()) }
+    if installed() { Ok(()) } else { Err("rustup ran, but the standard library's sources are not installed".into()) }
 }
 
 /// Runs an example of a package as a release build.
@@ -306,7 +309,7 @@ pub fn example(package: &str, name: &str, arguments: &[String]) -> Outcome {
     cargo(&words)
 }
 
-/// Makes a user's path absolute; it is relative to the folder in which the user works.
+/// Makes a path of the user absolute. Relative paths refer to the user's current folder.
 pub fn absolute(path: &str) -> String {
     std::path::absolute(path).map_or_else(|_| path.to_owned(), |path| text(&path))
 }

@@ -1,11 +1,11 @@
-//! Tests of USD with the oldest and the newest OpenUSD for this machine's Python. The other tests
-//! use the OpenUSD in `target/python`.
+//! Runs the tests of USD with the oldest and with the newest OpenUSD for this machine's Python. The
+//! other tests use the OpenUSD in `target/python`.
 
 use std::path::{Path, PathBuf};
 
 use crate::tools::{self, EVERYTHING, Outcome, command, install, make_python, output_of, run};
 
-/// Versions for pip. Python 3.11 has wheels from 24.3 on.
+/// Versions of OpenUSD for pip. For Python 3.11 there are wheels from version 24.3 on.
 const VERSIONS: [(&str, &str); 2] = [("oldest", "usd-core==24.3"), ("newest", "usd-core")];
 /// Tests that use OpenUSD.
 const TESTS: [&str; 5] = ["--test", "usd", "--", "stages::", "shading::"];
@@ -24,10 +24,10 @@ pub fn check() -> Outcome {
     Ok(())
 }
 
-/// Fetches the versions.
+/// Installs both versions of OpenUSD if they are missing.
 ///
 /// # Errors
-/// When a version cannot be installed.
+/// If a version cannot be installed.
 pub fn fetch() -> Outcome {
     let mut fetched = Ok(());
     for (name, package) in VERSIONS {
@@ -44,5 +44,5 @@ fn environment(name: &str, package: &str) -> Outcome<PathBuf> {
         make_python(&folder, "to test how USD is read")?;
         install(&python, &["--only-binary=:all:", package])?;
     }
-    if has(&python) { Ok(python) } else { Err(format!("it cannot be imported in {}", folder.display())) }
+    if has(&python) { Ok(python) } else { Err(format!("OpenUSD cannot be imported in {}", folder.display())) }
 }

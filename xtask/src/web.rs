@@ -1,11 +1,11 @@
-//! The simulator's module and page: built, optimized, measured, tested in a browser, and compared
-//! with the committed files.
+//! Builds the modules and pages of the browser simulator, measures them, tests them in a browser,
+//! and compares them with the committed files.
 //!
-//! `web/dist` is committed, so that the program writes previews on machines without a WebAssembly
-//! toolchain. It contains three hashes: of the modules' sources, of the other sources, and of its
-//! files. If one differs, the page was not rebuilt after a change, or was changed by hand. While
-//! all agree, tests use the committed files: a build of the same sources takes minutes and gives
-//! the same bytes.
+//! `web/dist` is committed, so that the program can write previews on machines without a
+//! WebAssembly toolchain. It contains three hashes: of the modules' sources, of the other sources,
+//! and of its files. If a hash differs, the page was not rebuilt after a change, or was changed by
+//! hand. If all agree, tests use the committed files, since a build of the same sources would take
+//! minutes and give the same bytes.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -20,8 +20,8 @@ struct Module {
     /// Name of the module and of the files around it.
     name: &'static str,
     profile: &'static str,
-    /// True if its standard library is compiled for it, without the messages of panics, which no
-    /// page shows.
+    /// True if the standard library is compiled for this module without the messages of panics,
+    /// which no page shows.
     bare: bool,
 }
 
@@ -31,16 +31,15 @@ const MODULES: [Module; 3] = [
     Module { package: "lumistack-web-solver", name: "lumistack_web_solver", profile: "web-solver", bare: true },
     Module { package: "lumistack-web-decoders", name: "lumistack_web_decoders", profile: "web-solver", bare: true },
 ];
-/// Folder of the modules and their glue; not committed.
+/// Folder of the modules and of the scripts that load them. It is not committed.
 const PACKAGE: &str = "web/pkg";
-/// Folder of the pages; committed.
+/// Folder of the pages. It is committed.
 const DIST: &str = "web/dist";
-/// Hashes of the modules' sources, of the pages' sources and of the files of `web/dist`, a line
-/// each.
+/// File with three lines: the hashes of the modules' sources, of the pages' sources and of the files
+/// of `web/dist`.
 const HASH: &str = "web/dist/sources.blake3";
-/// Files of each part, and their largest compressed size together, bytes. The viewer; its scripts
-/// for other displays; the page that solves; its module; the module that it loads for packed
-/// content and to save.
+/// The parts of the site: name, files, and the largest compressed size of these files together,
+/// bytes.
 const BUDGETS: [(&str, &[&str], usize); 5] = [
     ("page", &["index.html", "viewer.js", "lumistack_web_bg.wasm"], 150_000),
     ("other displays", &["bridge.js", "headset.js", "lenticular.js"], 8_000),
@@ -48,7 +47,7 @@ const BUDGETS: [(&str, &[&str], usize); 5] = [
     ("solver", &["lumistack_web_solver_bg.wasm"], 500_000),
     ("decoders", &["lumistack_web_decoders_bg.wasm"], 600_000),
 ];
-/// Sources of the modules, beside the lock entries of their dependencies.
+/// Sources of the modules, in addition to the lock file's entries of their dependencies.
 const MODULE_SOURCES: [&str; 19] = [
     "crates/core/src",
     "crates/display/src",
@@ -102,7 +101,7 @@ fn bundle() -> Outcome {
     measure()
 }
 
-/// Fails if the committed pages were not made from the present sources. Measures and tests the
+/// Fails if the committed pages were not made from the present sources. Then measures and tests the
 /// pages.
 pub fn check() -> Outcome {
     let (now, committed) = (hashes()?, fs::read_to_string(root().join(HASH)).unwrap_or_default());
@@ -120,7 +119,7 @@ pub fn check() -> Outcome {
     browser_tests()
 }
 
-/// The content of [`HASH`].
+/// Computes the content that [`HASH`] should have.
 fn hashes() -> Outcome<String> {
     let mut dist = Vec::new();
     collect(&root().join(DIST), &mut dist)?;
@@ -134,7 +133,7 @@ fn hashes() -> Outcome<String> {
 /// Fetches the browser and the npm packages.
 ///
 /// # Errors
-/// When they cannot be installed.
+/// If they cannot be installed.
 pub fn fetch() -> Outcome {
     npm_packages()?;
     firefox();
@@ -157,7 +156,8 @@ fn module(&Module { package: name_of_package, name, profile, bare }: &Module) ->
     let mut build = command("cargo");
     build.args(["build", "--quiet", "--profile", profile, "--target", WASM, "--package", name_of_package]);
     if bare {
-        // a third smaller; in the compiler that the workspace demands these options are unstable
+        // these options make the module a third smaller; RUSTC_BOOTSTRAP allows them, since the
+        // workspace's compiler still calls them unstable
         tools::rust_sources()?;
         flags.extend(["-Zunstable-options", "-Cpanic=immediate-abort"].map(str::to_owned));
         build.env("RUSTC_BOOTSTRAP", "1").arg("-Zbuild-std=std,panic_abort");
@@ -183,15 +183,15 @@ fn module(&Module { package: name_of_package, name, profile, bare }: &Module) ->
 }
 
 const WASM: &str = "wasm32-unknown-unknown";
-/// Flags of rustc: fixed-width vectors, which every browser has had since 2023, and messages
-/// without paths of the build machine.
+/// Flags of rustc. They enable fixed-width vectors, which every browser has had since 2023, and
+/// remove paths of the build machine from messages.
 fn rustflags() -> Vec<String> {
     let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
     let home = home.or_else(|| std::env::home_dir().map(|home| home.join(".cargo"))).unwrap_or_default();
     let registries = fs::read_dir(home.join("registry/src")).into_iter().flatten().flatten();
     let mut flags = vec!["-Ctarget-feature=+simd128".to_owned()];
-    // With the component rust-src, messages of the standard library would contain the paths of its
-    // sources on this machine.
+    // If the component rust-src is installed, messages of the standard library would contain paths
+    // of this machine.
     if let Some(sysroot) = output_of(command("rustc").args(["--print", "sysroot"])) {
         flags.push(format!("--remap-path-prefix={}/lib/rustlib/src/rust=std", sysroot.trim()));
     }
@@ -199,7 +199,7 @@ fn rustflags() -> Vec<String> {
     flags.sort();
     flags
 }
-/// Instructions that compiler and glue may use.
+/// Options of the optimizer that allow the WebAssembly instructions that the compiler uses.
 const FEATURES: [&str; 7] = [
     "--enable-bulk-memory",
     "--enable-nontrapping-float-to-int",
@@ -221,7 +221,7 @@ pub fn fixtures() -> Outcome {
 pub fn browser_tests() -> Outcome {
     let chromium = chromium()?;
     firefox();
-    // builds the program for `lumistack preview`
+    // build the program, whose `lumistack preview` and `lumistack live` the tests run
     tools::build_everything()?;
     let binary = target_folder()?.join("debug").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX));
     let mut tests = command("npm");
@@ -272,7 +272,7 @@ fn chromium() -> Outcome<PathBuf> {
     })
 }
 
-/// Installs Firefox if there is none. Its test names the places that it looks at, and the variable.
+/// Installs Firefox if its test would not find one.
 fn firefox() {
     let there = || {
         std::env::var_os("LUMISTACK_FIREFOX").is_some()
@@ -285,9 +285,8 @@ fn firefox() {
     }
 }
 
-/// Prints the sizes of the files of both pages. A size above a budget is an error. The size is that
-/// after compression with Brotli, which static hosts send to all current browsers; the size with
-/// gzip is printed too.
+/// Prints the sizes of all parts: plain, compressed with gzip, and compressed with Brotli. A size
+/// with Brotli above the budget is an error. Static hosts send Brotli to all current browsers.
 fn measure() -> Outcome {
     let script = "const z = require('zlib'), b = require('fs').readFileSync(process.argv[1]); \
         console.log(b.length, z.gzipSync(b, { level: 9 }).length, z.brotliCompressSync(b).length)";
@@ -311,8 +310,8 @@ fn measure() -> Outcome {
     Ok(())
 }
 
-/// Hash of the names and contents of the modules' sources, of the build profile, and of the lock
-/// entries of all their crates.
+/// Returns a hash of the names and contents of the modules' sources, of the build profile, and of
+/// the versions of all crates in the modules.
 fn module_hash() -> Outcome<String> {
     let mut files = Vec::new();
     for source in MODULE_SOURCES {
@@ -336,7 +335,7 @@ fn module_hash() -> Outcome<String> {
     Ok(hash.finalize().to_hex().to_string())
 }
 
-/// Hash of names, sizes and contents of files, in the order of their names.
+/// Returns a hash of the names, sizes and contents of files, in the order of their names.
 fn hash_of(mut files: Vec<PathBuf>) -> Outcome<blake3::Hasher> {
     files.sort();
     let mut hash = blake3::Hasher::new();
@@ -369,7 +368,8 @@ pub fn target_folder() -> Outcome<PathBuf> {
     folder.ok_or_else(|| "cargo metadata names no target folder".into())
 }
 
-/// Installs the npm packages of `web/package-lock.json` where they are missing or old.
+/// Installs the npm packages of `web/package-lock.json` if they are missing or older than that
+/// file.
 fn npm_packages() -> Outcome {
     let web = root().join("web");
     let (lock, installed) = (web.join("package-lock.json"), web.join("node_modules/.package-lock.json"));

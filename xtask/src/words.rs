@@ -1,4 +1,5 @@
-//! Plain words as a check: comments, docs and messages of errors follow `docs/GLOSSARY.md`.
+//! Checks that comments, docs and messages of errors use the words of `docs/GLOSSARY.md` and follow
+//! some rules of style.
 //!
 //! * No word of the glossary's column "not" occurs.
 //! * A sentence has at most 30 words.
@@ -21,14 +22,14 @@ const EXCEPTIONS: &[&str] = &[
     "web/dist",
 ];
 
-/// Largest number of words in a sentence; a longer sentence must be read twice. The style guide
-/// demands 25.
+/// Largest number of words in a sentence. The style guide demands at most 25; this check is more
+/// tolerant.
 const LONGEST_SENTENCE: usize = 30;
 
 /// Largest width of a line that has only a comment, characters.
 const WIDEST_COMMENT: usize = 100;
 
-/// First words that hide a sentence's subject.
+/// Words with which no sentence may begin, since they hide its subject.
 const NO_BEGINNING: [&str; 3] = ["what", "whether", "of"];
 
 /// Endings of the names of files that have prose.
@@ -43,7 +44,7 @@ struct Banned {
     instead: String,
 }
 
-/// Counts of one crate.
+/// Counts for one crate or top folder.
 #[derive(Default)]
 struct Sum {
     words: usize,
@@ -59,8 +60,8 @@ pub fn check(all: bool) -> Outcome {
         .ok_or("git ls-files failed")?;
     let banned = banned_words(&read(GLOSSARY)?);
 
-    // Read every file once, in the order of git, and count per crate. Exceptions have counts of
-    // their own.
+    // Read every file once, and count words and problems per crate. Exceptions have counts of their
+    // own.
     let mut crates = BTreeMap::<(String, bool), Sum>::new();
     let mut failed = 0;
     for path in files.lines().filter(|path| READ.iter().any(|ending| path.ends_with(&format!(".{ending}")))) {
@@ -81,7 +82,7 @@ pub fn check(all: bool) -> Outcome {
         let note = if *excepted { " (an exception)" } else { "" };
         println!("{:8} {:16.1} {:8}  {name}{note}", sum.words, sum.per_thousand(), sum.problems);
     }
-    // A crate may use `what` once, however short it is.
+    // A crate may use `what` once, even if it has fewer than 1000 words.
     let checked = crates.iter().filter(|((_, excepted), _)| !excepted);
     for ((name, _), sum) in checked.filter(|(_, sum)| sum.whats.len() > 1 && sum.per_thousand() > 1.0) {
         failed += 1;
@@ -153,7 +154,7 @@ fn problems_of(path: &str, text: &str, banned: &[Banned]) -> (Vec<String>, Sum) 
     let mut sum = Sum::default();
     for block in blocks(path, text) {
         sum.words += words(&block.text).len();
-        // The glossary's own tables contain the banned words.
+        // Skip the glossary's tables, which contain the banned words.
         if path == GLOSSARY && is_row(text, &block) {
             continue;
         }
@@ -193,7 +194,7 @@ fn problems_of_block(path: &str, block: &Block, banned: &[Banned], found: &mut V
 /// Finds lines that have only a comment and are too wide. Lines with an address, and rows of
 /// tables, cannot be broken, so they may be wide.
 fn wide_comments(path: &str, text: &str) -> impl Iterator<Item = (usize, String)> {
-    // a line that begins with `*` is a product in Rust, and a comment in TypeScript
+    // a line that begins with `*` is code in Rust and a comment in TypeScript
     let marks: &[&str] = match path.rsplit_once('.') {
         Some((_, "py")) => &["# "],
         Some((_, "ts")) => &["//", "* "],

@@ -26,15 +26,15 @@ Examples:
 /// Displays to analyze.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Analyze {
-    /// Presets (see `lumistack displays`), display files or run folders. Changes of a display
+    /// Presets (see `lumistack displays`), display files or run folders. Changes to a display
     /// follow its name after a colon: layers, frames, brightness, gap_mm, fov (HxV), lenslets (CxR)
     #[arg(required = true, value_name = "NAME|FILE|DIR[:KEY=VALUE,...]")]
     displays: Vec<Which>,
     /// A scene (or job) in which every display is placed, to compare the scene's depth with the
-    /// display's
+    /// display's depth of field
     #[arg(long, value_name = "SCENE|JOB", conflicts_with = "run")]
     scene: Option<PathBuf>,
-    /// A finished run; the depth of its scene is compared with every display's
+    /// A finished run; its scene's depth is compared with the depth of field of every display
     #[arg(long, value_name = "DIR")]
     run: Option<PathBuf>,
     #[command(flatten)]
@@ -44,8 +44,8 @@ pub(crate) struct Analyze {
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
     /// Solve every display for gratings at many depths and frequencies (up to a minute each).
-    /// Report the contrast, compared with the bound, by three measures: seen from the solver's
-    /// views, seen from the whole zone, and the same after a solve for more views
+    /// Report three contrasts, each compared with the bound. Two are seen from the solver's views
+    /// and from the whole zone. The third is seen from the whole zone after a solve for more views
     #[arg(long)]
     contrast: bool,
     /// Folder for analysis.json and the plots, as SVG and PNG
@@ -178,7 +178,7 @@ fn looked_at(
 ) -> Result<Scene, PipelineError> {
     let mut job = job_or_scene(scene)?;
     change_importer(&mut job.importer, files);
-    // measure the depth of the scene itself, which is not compressed for this display
+    // the depth of the scene itself is measured, so it must not be compressed for the display
     if job.window.fit_depth == FitDepth::Auto {
         job.window.fit_depth = FitDepth::Off;
     }
@@ -222,7 +222,7 @@ fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<V
     displays.iter().zip(all).map(measure).collect()
 }
 
-/// The frequency of half contrast at some depths: a line per choice of views.
+/// Formats the frequencies of half contrast at some depths, in one line per [`Achieved`].
 fn achieved(found: &[Contrast]) -> [String; 3] {
     let at = |[z, frequency]: &[f64; 2]| format!("{frequency:.2} at {z:.0} mm").replace('-', "−");
     let line = |head: &str, of: &str, achieved| {
@@ -233,11 +233,11 @@ fn achieved(found: &[Contrast]) -> [String; 3] {
     [
         line(
             "Achieved",
-            "half contrast, × the finest detail of the pixels, solved for more views",
+            "half contrast (1: the finest detail of the pixels), solved for more views, seen from the whole zone",
             Achieved::WithMoreViews,
         ),
         line("", "solved for its own views, seen from the whole zone", Achieved::InBetween),
-        line("", "seen from these views alone", Achieved::AtTheViews),
+        line("", "solved for its own views, seen from these views alone", Achieved::AtTheViews),
     ]
 }
 

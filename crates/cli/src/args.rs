@@ -91,8 +91,8 @@ pub(crate) enum Command {
     /// Print the contents of a scene, a light field, a layer stack, a run folder, a display or a
     /// job
     Info(Info),
-    /// Remove the files that stopped runs left in a run folder, and cached results of other
-    /// settings than the last run's; results stay
+    /// Remove files that stopped runs left in a run folder, and cached results that the last run
+    /// did not use. The results of the last run stay
     #[command(
         after_help = "Examples:\n  lumistack clean runs/still-life --dry-run     sizes of the files that would be removed, by kind\n  lumistack clean runs/*                        every run, sequence and sweep\n  lumistack clean runs/still-life --all         also all cached views: the next run with other settings renders them again"
     )]
@@ -157,8 +157,8 @@ pub(crate) enum Schema {
 pub(crate) enum Setup {
     /// Install a Python environment with OpenUSD in your data folder, for USD files
     ///
-    /// It is not needed if one of these Pythons has the package usd-core: that of the active
-    /// virtual environment, LUMISTACK_PYTHON, or the one on PATH.
+    /// It is not needed if a Python of yours has the package usd-core. The program tries the Python
+    /// of the active virtual environment, the one that LUMISTACK_PYTHON names, and the one on PATH.
     Usd {
         /// Install usd-exchange instead of usd-core: its OpenUSD also reads MaterialX files (.mtlx)
         #[arg(long)]
@@ -288,7 +288,8 @@ pub(crate) struct Preview {
 pub(crate) struct Info {
     /// The file or folder, or the name of a display preset
     pub(crate) file: PathBuf,
-    /// For a scene or a job: compare its depth with this display's; a preset or a display file
+    /// For a scene or a job: compare its depth with the depth of field of this display, a preset or
+    /// a display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Depth")]
     pub(crate) display: Option<OsString>,
     /// Camera, by name or number; its plane of focus becomes the display plane

@@ -39,7 +39,7 @@ pub(crate) struct Compare {
     /// display's centre, millimetres [default for the eye: 0,0,600]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     eye: Option<Numbers<3>>,
-    /// Focal length of the photograph's lens, as for a picture of 36 mm × 24 mm, millimetres (EXIF:
+    /// 35-mm equivalent focal length of the photograph's lens, millimetres (EXIF:
     /// FocalLengthIn35mmFilm). The camera's position is then computed from the corners. The
     /// photograph must not be cropped
     #[arg(long = "focal-35mm", value_name = "MM", requires = "corners", conflicts_with_all = ["eye", "view"])]
@@ -101,7 +101,8 @@ pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), Pipe
         say!("{:30} {text}", format!("{name} all over its zone:"));
     }
     say!("{:30} {} ({} directions)", "Second against the first:", text_of(&found.between), found.directions);
-    for (name, likeness) in [("First against its target", &found.first), ("Second against that target", &found.second)]
+    for (name, likeness) in
+        [("First against its target", &found.first), ("Second against first's target", &found.second)]
     {
         if let Some(likeness) = likeness {
             say!("{:30} {} (views: {})", format!("{name}:"), text_of(likeness), found.views);

@@ -17,7 +17,7 @@ pub(crate) struct Adapter {
     pub(crate) is_hardware: bool,
 }
 
-/// Finds all adapters, or returns the reason why it looks for none.
+/// Finds all adapters, or returns the reason why this program cannot search for adapters.
 #[cfg(feature = "gpu")]
 pub(crate) fn found() -> Result<Vec<Adapter>, String> {
     let of = |adapter: lumistack_pipeline::GpuAdapter| Adapter {
@@ -31,7 +31,7 @@ pub(crate) fn found() -> Result<Vec<Adapter>, String> {
     Ok(lumistack_pipeline::gpu_adapters().into_iter().map(of).collect())
 }
 
-/// Finds all adapters, or returns the reason why it looks for none.
+/// Finds all adapters, or returns the reason why this program cannot search for adapters.
 #[cfg(not(feature = "gpu"))]
 pub(crate) fn found() -> Result<Vec<Adapter>, String> {
     Err("this program is built without the feature `gpu`".into())

@@ -37,11 +37,11 @@ pub(crate) struct New {
     /// Name of the display
     #[arg(long)]
     pub(crate) name: Option<String>,
-    /// Gaps between neighbouring layers, from rear to front, millimetres: one fewer than there are
-    /// layers; 0 for a single layer
+    /// Gaps between neighbouring layers, from rear to front, millimetres. A display has one gap
+    /// fewer than layers; 0 stands for a single layer without a gap
     #[arg(long, value_name = "MM,...", value_delimiter = ',')]
     pub(crate) gaps_mm: Option<Vec<f64>>,
-    /// Columns and rows of every panel [default: those of the outputs]
+    /// Columns and rows of every panel [default: the size of the first output]
     #[arg(long, value_name = "CxR")]
     pub(crate) panel_resolution: Option<Size>,
     /// Pixel pitch of every panel, millimetres
@@ -59,14 +59,15 @@ pub(crate) struct New {
     /// Views of the light field [default: 5x5]
     #[arg(long, value_name = "HxV")]
     pub(crate) views: Option<Size>,
-    /// Full horizontal and vertical field of view, degrees [default: 20x20, or that of the lenses]
+    /// Full horizontal and vertical field of view, degrees [default: 20x20, or the field of view of
+    /// the lenses]
     #[arg(long, value_name = "HxV")]
     pub(crate) fov: Option<Angles>,
     /// Time-multiplexed frames M [default: as many as do not flicker: the refresh rate divided by
     /// 60, rounded down, at least 1]
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
-    /// Refresh rate of the panels, hertz [default: that of the outputs, or 60]
+    /// Refresh rate of the panels, hertz [default: the rate of the first output, or 60]
     #[arg(long, value_name = "HZ")]
     pub(crate) refresh_hz: Option<f64>,
     /// Brightness scale β [default: 0.2]
@@ -110,7 +111,7 @@ pub(crate) struct Calibrate {
     #[arg(long, value_name = "N=FILE", required = true)]
     pub(crate) photo: Vec<String>,
     /// Position of the camera's lens, the same as --eye-mm of `lumistack show`: X right, Y up, Z in
-    /// front, millimetres [default: that of `lumistack show`]
+    /// front, millimetres [default: the default of `lumistack show`]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) eye_mm: Option<Numbers<3>>,
     /// Report the result, but change no file
@@ -456,8 +457,9 @@ mod tests {
     #[test]
     fn answers_make_a_directional_display() {
         let folder = tempfile::tempdir().unwrap();
-        // name, lens pitch, gaps, outputs, resolution, a mistake, pitch, pixels, views, focal
-        // length, gap, and defaults
+        // Answers for name, lens pitch, gaps, outputs, resolution, panel pitch (a mistake, then a
+        // valid answer), pixels, views, focal length, gap and the rest. An empty line takes the
+        // default.
         let answers = "bench\n2.54\n\nDP-2,DP-1\n\nlarge\n0.2827 mm\n\n\n2.85\n8.5\n\n\n\n\n";
         let display = made(folder.path(), &[], &outputs(), Some(answers)).unwrap();
         let Backlight::Lenslets(backlight) = &display.backlight else { panic!("directional") };

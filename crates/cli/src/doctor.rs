@@ -27,7 +27,7 @@ enum Found {
     Good(String),
     /// It works, but not well: its state, and how to improve it.
     Poor(String, String),
-    /// It is missing: the places where it was looked for, and how to get it.
+    /// It is missing: the places that were searched, and how to get it.
     Missing(String, String),
 }
 
@@ -65,10 +65,9 @@ fn parts(found: &Found) -> (&'static str, &str, Option<&str>) {
 }
 
 fn look(registry: &Registry, cancel: &Cancel) -> Result<Vec<Finding>, PipelineError> {
-    let python =
-        "`lumistack setup usd` installs OpenUSD, or name a Python that has it in LUMISTACK_PYTHON: docs/USD.md";
+    let python = "`lumistack setup usd` installs OpenUSD, or set LUMISTACK_PYTHON to a Python that has it: docs/USD.md";
     let blender =
-        "install Blender 4.2 or newer from blender.org, or name its program in LUMISTACK_BLENDER: docs/BLENDER.md";
+        "install Blender 4.2 or newer from blender.org, or set LUMISTACK_BLENDER to its program: docs/BLENDER.md";
     let found = [
         ("program", program_itself()),
         ("processor", processor()),
@@ -171,7 +170,7 @@ fn denoiser() -> Found {
     match oidn_version() {
         Ok(version) => Found::Good(version),
         Err(_) => {
-            let help = "`pip install pyoidn`, or name the program `oidnDenoise` in LUMISTACK_OIDN; the other filters need no other program";
+            let help = "`pip install pyoidn`, or set LUMISTACK_OIDN to the program `oidnDenoise`; the other filters need no other program";
             Found::Missing("Open Image Denoise is not on PATH".into(), help.into())
         }
     }

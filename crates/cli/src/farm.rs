@@ -108,8 +108,8 @@ enum What {
         #[arg(long, value_name = "/HERE=/THERE")]
         map: Vec<Map>,
     },
-    /// Print this program's version and fingerprint (a hash of the code that results depend on);
-    /// all workers of a run need the same
+    /// Print this program's version and fingerprint (a hash of the code that results depend on).
+    /// All workers of a run need the same version and fingerprint
     Code,
 }
 
@@ -142,8 +142,8 @@ struct EngineArgs {
     /// s3://bucket/shots
     #[arg(long, value_name = "URL")]
     store: Option<String>,
-    /// Folder of this machine whose files are also copied to the store, such as the scene's; the
-    /// flag may be given several times
+    /// Folder of this machine whose files are also copied to the store, such as the scene's folder;
+    /// the flag may be given several times
     #[arg(long, value_name = "DIR", requires = "store")]
     send: Vec<PathBuf>,
 }
@@ -338,7 +338,7 @@ fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
     let count = graph.units.len();
     let folder = dir.display();
     let predicted = predictions.iter().map(text).collect::<Vec<_>>().join(", ");
-    say!("{count} units in {folder}; predicted time on so many workers: {predicted}");
+    say!("{count} units in {folder}; predicted time by number of workers: {predicted}");
 }
 
 /// Ends the process when standard input ends, since then the worker that started it is gone. This

@@ -23,7 +23,7 @@ pub(crate) struct DisplayArgs {
     /// A preset (see `lumistack displays`) or a display file
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) display: Option<OsString>,
-    /// Columns and rows of the light field; the masks' resolutions scale along
+    /// Columns and rows of the light field; the masks' resolutions change by the same factor
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
     /// Time-multiplexed frames M
@@ -42,8 +42,8 @@ pub(crate) struct RenderArgs {
     /// correct too), or columns and rows
     #[arg(long, value_name = "auto|CxR")]
     pub(crate) views: Option<Views>,
-    /// Paths per pixel, summed over all views; auto: as many as improve the display's picture
-    /// [default: auto]
+    /// Paths per pixel, summed over all views. With auto, about as many as still improve the
+    /// display's picture [default: auto]
     #[arg(long, value_name = "auto|N")]
     pub(crate) zone_samples: Option<lumistack_pipeline::ZoneSamples>,
     /// Paths per pixel of each view, instead of --zone-samples
@@ -51,10 +51,10 @@ pub(crate) struct RenderArgs {
     pub(crate) samples: Option<u32>,
     /// Program that renders the views: lumistack, blender or auto. Blender renders .blend scenes
     /// with the file's own engine and settings. With auto, lumistack renders, unless a .blend scene
-    /// has content that it does not support
+    /// has content that lumistack does not support
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
-    /// Largest number of bounces of a path, that at the first hit included; 0 shows only emission
+    /// Largest number of bounces of a path; the first hit counts as a bounce. 0 shows only emission
     #[arg(long, value_name = "N")]
     pub(crate) max_bounces: Option<u32>,
     /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, light
@@ -72,10 +72,10 @@ pub(crate) struct RenderArgs {
     /// front, or another side if the front shows hardly anything]
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
     pub(crate) look_from: Option<Numbers<2>>,
-    /// Hide content that is farther in front of the window than this distance: auto, off, or scene
-    /// units. Auto is the near plane of the window's camera. If the job gives the window by
-    /// numbers, it is the distance where the display shows hardly any detail. Otherwise nothing is
-    /// hidden
+    /// Hide content that is farther in front of the window than this distance: auto, off, or a
+    /// number of scene units. Auto takes the near plane of the window's camera. If the job gives
+    /// the window by numbers, auto takes the distance at which the display shows hardly any detail.
+    /// Otherwise auto hides nothing
     #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
     pub(crate) near: Option<lumistack_pipeline::Near>,
     /// Show light sources that have a surface [default: as the file states, otherwise no]
@@ -85,8 +85,8 @@ pub(crate) struct RenderArgs {
     /// --animation; USD: the first time code; .blend: the saved frame]
     #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
     pub(crate) time_s: Option<f64>,
-    /// Animation, by name or number [default: all together, or the first if two move the same
-    /// object]
+    /// Animation, by name or number [default: all animations together, or only the first if two of
+    /// them move the same object]
     #[arg(long, value_name = "NAME|N")]
     pub(crate) animation: Option<String>,
     /// glTF: name or number of the material variant. USD: SET=VARIANT on every prim that has the
@@ -99,7 +99,7 @@ pub(crate) struct RenderArgs {
     /// Centre and radius of a sphere, scene units; splats whose centres lie outside are left out
     #[arg(long, value_name = "X,Y,Z,R", allow_hyphen_values = true)]
     pub(crate) crop_sphere: Option<Numbers<4>>,
-    /// Environment map (Radiance HDR or EXR) instead of the scene's
+    /// Environment map (Radiance HDR or EXR) that replaces the scene's environment
     #[arg(long, value_name = "FILE")]
     pub(crate) environment: Option<PathBuf>,
     /// Factor on the light of the environment or the studio light
@@ -121,8 +121,9 @@ pub(crate) struct RenderArgs {
     pub(crate) tone: Option<String>,
     /// Bring the scene into the display's depth of field: auto, off, move or compress. With move,
     /// the window moves along its normal. With compress, it moves, and depth is compressed if the
-    /// scene still does not fit. Auto acts as compress if the scene does not fit; but a window that
-    /// the job places stays, and a given depth scale stays. Without HOW: move
+    /// scene still does not fit. Auto acts as compress if the scene does not fit, but keeps a
+    /// window that the job places and a given depth scale. In a sweep auto acts as off. Without
+    /// HOW: move
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
     /// Factor on the parallax between views, and thereby on depth
@@ -159,7 +160,7 @@ pub(crate) struct FactorizeArgs {
     pub(crate) iterations: Option<u32>,
     #[arg(long, value_name = "NAME", help = format!("Solver: {}", either(solver_names())))]
     pub(crate) solver: Option<String>,
-    /// Device that solves: auto, cpu, gpu, or gpu:NAME with a name that `lumistack devices` lists
+    /// Device that solves: auto, cpu, gpu or gpu:NAME. `lumistack devices` lists the names
     /// [default: auto, which uses a graphics processor if there is one]
     #[arg(long, value_name = "DEVICE")]
     pub(crate) device: Option<String>,
@@ -469,8 +470,8 @@ pub(crate) fn job_of(input: &Path, args: &JobArgs) -> Result<(Job, PathBuf), Pip
     Ok((job, folder))
 }
 
-/// Returns the error with its place "job" replaced by the job file or the command line, which holds
-/// the value.
+/// Replaces the place "job" of an error: by the job file, or by the command line if `input` is a
+/// scene.
 pub(crate) fn in_place(error: PipelineError, input: &Path) -> PipelineError {
     match error {
         PipelineError::Value(value) if value.place == Place::Job => {
@@ -481,7 +482,7 @@ pub(crate) fn in_place(error: PipelineError, input: &Path) -> PipelineError {
     }
 }
 
-/// Converts the geometry flags to those of a job.
+/// Converts the geometry options to the form that the pipeline reads.
 pub(crate) fn geometry(args: &GeometryArgs) -> GeometryFlags {
     GeometryFlags {
         grid: args.grid.as_deref().map(|grid| match grid {

@@ -170,7 +170,7 @@ fn choices(contents: &SceneContents) -> Value {
     }
 }
 
-/// Compares a scene's depth with a display's, and measures the scene's memory.
+/// Compares a scene's depth with a display's depth of field, and measures the scene's memory.
 fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     let mut job = job_or_scene(&args.file)?;
     let display = DisplayArgs { display: args.display.clone(), ..DisplayArgs::default() };
@@ -182,7 +182,7 @@ fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value,
     let Prediction { depth, coverage, memory } = predict(&job, registry, task)?;
     let mut figures = depth.to_json();
     if let Some(figures) = figures.as_object_mut() {
-        // histograms are for plots; the report has them
+        // histograms are too long for this list; report.json of a run has them
         figures.retain(|key, _| !key.ends_with("histogram"));
     }
     let megabytes = |bytes: usize| format!("{:.1} MB", bytes as f64 / 1e6);
@@ -208,8 +208,8 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     let job = match Job::load(path) {
         Ok(job) => job,
         Err(job_error) => {
-            // Neither kind of file can be read. A file with [[layers]] is taken as a display, any
-            // other as a job, and the error of that kind is reported.
+            // The file is neither a valid job nor a valid display. A file with [[layers]] counts as
+            // a display, any other file as a job, and the error for this kind is reported.
             return match presets::load_file(path) {
                 Ok(found) => Ok(display(&found)),
                 Err(display_error) => {

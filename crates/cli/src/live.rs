@@ -66,12 +66,12 @@ pub(crate) struct Live {
     /// Do not open the browser
     #[arg(long)]
     pub(crate) no_open: bool,
-    /// Also show it, in a build with panels: outputs (one surface per panel), span (as show --span)
-    /// or window (a preview, as show --preview)
+    /// Also show the display outside of the browser, in a build with panels. MODE is outputs (one
+    /// surface per panel), span (as show --span) or window (a preview, as show --preview)
     #[arg(long, value_name = "MODE", value_parser = ["outputs", "span", "window"])]
     pub(crate) show: Option<String>,
-    /// Largest number of iterations between two states shown; fewer if they would take longer than
-    /// 0.3 s
+    /// Largest number of iterations from one shown state to the next. It is reduced if the
+    /// iterations would take longer than 0.3 s
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub(crate) updates: u32,
     /// Read the input as a video: a folder of light fields, one per time step, in the order of
@@ -81,8 +81,8 @@ pub(crate) struct Live {
     /// Time steps per second
     #[arg(long, value_name = "HZ", default_value_t = 24.0, requires = "times", help_heading = "Video")]
     pub(crate) rate: f64,
-    /// Largest delay of a time step, in time steps. If the delay is greater, playback skips to the
-    /// present; skipped time steps are counted
+    /// Largest delay of playback, in time steps. If the delay is greater, playback skips to the
+    /// present time step; skipped time steps are counted
     #[arg(long, value_name = "N", default_value_t = 3, requires = "times", help_heading = "Video")]
     pub(crate) most_late: usize,
     /// UDP port of this machine to which OpenTrack sends the head's position
@@ -174,7 +174,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     // A thread that waits for a line of input cannot be ended, so it is detached.
     let requests = shared.requests.clone();
     std::thread::spawn(move || read_commands(std::io::stdin().lock(), &requests, json));
-    // A tracker, or the mouse in the window, moves the viewer already.
+    // The page moves the viewer only if no tracker and no mouse in the window does.
     let is_tracked = args.opentrack.is_some() || args.mouse;
     let guest = (!is_tracked).then(|| Guest::new(&shared.requests, args.head_mm.0[2])).transpose()?;
     let feed = PageFeed::new(&shared.states, &shared.messages, (&site, &title), guest, registry, work);
@@ -322,7 +322,8 @@ fn show(
     std::thread::scope(|scope| {
         scope.spawn(move || {
             while !(stop_of_thread.is_cancelled() || shared.is_stopped() || shared.requests.is_stopped()) {
-                // without motion of the mouse the viewer stands still
+                // A mouse that rests sends no events. Its position is repeated, so that the
+                // tracker follows a head that stands still.
                 if let Some(head_mm) = *lock(head_of_thread) {
                     see(head_mm);
                 }

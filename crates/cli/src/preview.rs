@@ -80,8 +80,8 @@ fn announced(args: &Preview, site: &Path, json: bool, task: Task<'_>) -> Result<
     Ok(server)
 }
 
-/// Finds the preview to serve for a folder: the folder itself, the first preview among a run's
-/// outputs, or a preview to be written for a run.
+/// Finds the preview to serve for a folder. It is the folder itself, or the first preview among a
+/// run's outputs. For a run without previews, a preview must be written.
 fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if dir.join(PREVIEW_JSON).is_file() {
         return Ok(Source { site: dir.to_owned(), run: None, seen: Mutex::default() });
@@ -122,7 +122,7 @@ fn outputs_of(run: &Path) -> Vec<PathBuf> {
     sites
 }
 
-/// Finds the first preview among a run's outputs; the end of a run names it.
+/// Finds the first preview among a run's outputs, for the hint that a run prints at its end.
 pub(crate) fn written_preview(run: &Path) -> Option<PathBuf> {
     outputs_of(run).into_iter().next()
 }
@@ -131,8 +131,8 @@ impl Source {
     /// Writes the preview of a run if it is missing or shows other patterns.
     fn refresh(&self, registry: &Registry, task: Task<'_>) -> Result<(), PipelineError> {
         let Some(run) = &self.run else { return Ok(()) };
-        // Compare contents at the first call, and later only after the length or time of a file has
-        // changed, to a newer or an older time.
+        // Contents are compared at the first call, and later only if the length or the time of a
+        // file differs from the last comparison.
         let before = files_of(run, &self.site);
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         if seen.as_ref() == Some(&before) {

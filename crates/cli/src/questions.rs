@@ -16,7 +16,7 @@ pub(crate) fn asks(questions: bool, no_questions: bool) -> bool {
 pub(crate) struct Questions<'a> {
     /// Name of the command, for errors.
     pub(crate) command: &'static str,
-    /// Source of the answers; without it there are no questions.
+    /// Source of the answers; `None` if no questions may be put.
     pub(crate) input: Option<&'a mut dyn BufRead>,
 }
 

@@ -1,12 +1,12 @@
-//! Serves a folder's files on the loopback interface: no file outside of the folder, and to no
-//! other machine.
+//! Serves the files of a folder on the loopback interface. Other machines cannot connect, and files
+//! outside of the folder are not served.
 //!
-//! It answers `GET` and `HEAD` only, and closes the connection after every response.
+//! The server answers `GET` and `HEAD` only, and closes the connection after every response.
 //!
-//! Every connection has its own thread; there are at most [`MOST`]. A request has a head of at most
-//! 16 KiB, received within 5 s, and no body. So a client that sends slowly or does not read delays
-//! no other client. When there are too many connections, the oldest without a complete request is
-//! closed first.
+//! Every connection has its own thread; there are at most [`MOST`] connections. A request has a
+//! head of at most 16 KiB, received within 5 s, and no body. So a client that sends slowly or does
+//! not read delays no other client. When there are too many connections, the oldest one without a
+//! complete request is closed first.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -86,11 +86,11 @@ pub(crate) trait Feed: Sync {
     /// The script that requests states.
     fn script(&self) -> &'static str;
     /// Waits for a state newer than the query's, or for a timeout. Returns the response, or `None`
-    /// without a state.
+    /// if there is no such state.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
     /// The word that a query of [`look`](Self::look) must have; `None` where pages move no viewer.
     fn word(&self) -> Option<&str>;
-    /// Moves the viewer of a page. Returns whether the query is right.
+    /// Moves the viewer of a page. Returns whether the query is valid.
     fn look(&self, query: &str) -> bool;
 }
 
@@ -102,7 +102,8 @@ const SCRIPT: &str = "/.live.js";
 const STATES: &str = "/.live";
 /// Path to which the script sends its viewing position.
 const LOOK: &str = "/.look";
-/// The beginning of the element that shows a preview: as the page has it, and without an address.
+/// The beginning of the element that shows a preview. A live display replaces the first text, which
+/// the page contains, by the second, which names no preview.
 const ELEMENT: [&str; 2] = ["<lumistack-viewer src=\"stack/preview.json\"", "<lumistack-viewer"];
 
 /// Serves requests until `tick` returns `None`. `tick` is called about five times a second, and
@@ -432,8 +433,8 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
         .map_or_else(|_| missing(), |(file, length)| Reply { status: 200, kind, content: Content::File(file, length) })
 }
 
-/// Finds the file of a request's path. `None` for paths that leave the folder, also by links, and
-/// for anything but a regular file.
+/// Finds the file of a request's path. `None` for paths that leave the folder, even through links,
+/// and for anything but a regular file.
 fn file_of(root: &Path, path: &str) -> Option<PathBuf> {
     let decoded = percent_decode_str(path.strip_prefix('/')?).decode_utf8().ok()?;
     let relative =
@@ -530,7 +531,7 @@ mod tests {
             assert_eq!(get(&root, "/link.txt").0, 404);
             std::os::unix::fs::symlink(folder.path(), root.join("up")).unwrap();
             assert_eq!(get(&root, "/up/secret.txt").0, 404);
-            assert_eq!(get(&root, "/up/site/index.html").0, 200, "back inside");
+            assert_eq!(get(&root, "/up/site/index.html").0, 200, "the path leads back into the folder");
         }
     }
 
@@ -641,7 +642,7 @@ mod tests {
                 let stuck: Vec<TcpStream> = (0..200)
                     .map(|_| {
                         let mut stream = connect(port);
-                        // the server may have closed it already
+                        // the server may have closed the connection already
                         let _ = stream.write_all(start.as_bytes());
                         stream
                     })

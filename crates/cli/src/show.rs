@@ -83,8 +83,8 @@ pub(crate) struct Show {
     /// save, look X Y, report, quit
     #[arg(long)]
     pub(crate) control: bool,
-    /// CSV file to write, with a line per submitted frame: number of the refresh, position in the
-    /// cycle of frames, number of the layer stack, seconds
+    /// CSV file to write, with a line per submitted frame. The columns are the number of the
+    /// refresh, the position in the cycle of frames, the number of the layer stack, and seconds
     #[arg(long, value_name = "FILE")]
     pub(crate) log: Option<PathBuf>,
 }
@@ -153,13 +153,13 @@ fn subject(args: &Show, dir: &Path) -> Result<Subject, PipelineError> {
         subject.file = Some(path.clone());
     }
     if args.fit {
-        // the panels differ from those of the file, so their shifts must not be saved to it
+        // the panels are not the file's panels, so their shifts must not be saved to the file
         subject.file = None;
     }
     Ok(subject)
 }
 
-/// Returns the display with the panels' calibration of another file for the same layers.
+/// Returns the display with the calibration of `measured`, which must have the same layers.
 fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Display, PipelineError> {
     let fits = |display: &Display| {
         let masks: Vec<_> = display.layers.iter().map(|layer| (layer.resolution, layer.pitch_mm.to_bits())).collect();
@@ -169,7 +169,7 @@ fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Disp
         let expected = "the layers and lenslets that the patterns were made for";
         return Err(PipelineError::value(path, "layers", expected, "others"));
     }
-    // distances and frames must stay those of the patterns
+    // distances and frames must stay as they are in the patterns' display
     let mut display = display.clone();
     for (own, measured) in display.layers.iter_mut().zip(&measured.layers) {
         own.panel.clone_from(&measured.panel);
@@ -205,7 +205,7 @@ fn params(args: &Show) -> Result<Value, PipelineError> {
         }
     };
     set("hold", args.hold.map(Value::from));
-    // for the presenter 0 means "not set", so the options refuse it
+    // for the presenter 0 means "not set", so the options refuse 0
     for (flag, value) in [("--duration-s", args.duration_s), ("--eye-mm", args.eye_mm.map(|eye| eye.0[2]))] {
         if let Some(found) = value.filter(|value| *value <= 0.0) {
             return Err(PipelineError::value(flag, "value", "a number above 0", found.to_string()));

@@ -36,19 +36,21 @@ pub(crate) struct Sweep {
     /// memory, without running it
     #[arg(long)]
     plan: bool,
-    /// Plots of the table [default: few]. With few, maps over one pair of axes, and one plot of
-    /// curves for every other axis, six plots at most. The pair is the first that varies of M and
-    /// N, M and β, N and β. With all, maps over each of these pairs, and curves along every axis
+    /// Plots of PSNR [default: few]. Few draws maps over two axes, and one plot of curves along
+    /// every other axis, at most six plots. The two axes are the first pair of these that both
+    /// vary: frames and layers, frames and brightness, layers and brightness. All draws maps over
+    /// each of these pairs, and curves along every axis
     #[arg(long, value_enum)]
     plots: Option<PlotsArg>,
     #[command(flatten)]
     axes: Axes,
     #[command(flatten)]
     search: Search,
-    /// Display to vary instead of the job's: a preset (see `lumistack displays`) or a display file
+    /// Display to vary instead of the job's display: a preset (see `lumistack displays`) or a
+    /// display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Display")]
     display: Option<std::ffi::OsString>,
-    /// Columns and rows of the light field; the masks' resolutions scale along
+    /// Columns and rows of the light field; the masks' resolutions change by the same factor
     #[arg(long, value_name = "CxR", help_heading = "Display")]
     resolution: Option<Size>,
     #[command(flatten)]
@@ -65,7 +67,7 @@ enum PlotsArg {
     All,
 }
 
-/// The axes of a sweep. A list of numbers is such as 1..5 or 1,2,4..8, or with a step 0.1..1:0.1.
+/// The axes of a sweep. Examples of a list of numbers: 1..5; 1,2,4..8; with a step, 0.1..1:0.1.
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Axes")]
 struct Axes {
@@ -171,7 +173,7 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     let table = job.sweep.get_or_insert_default();
     let Axes { displays, layers, frames, brightness, gap_mm, fov, lenslets } = &args.axes;
     if !displays.is_empty() {
-        // paths on the command line are relative to the working folder, not to the job
+        // paths on the command line are relative to the working folder, not to the job's folder
         table.displays = displays.iter().map(|name| typed(name)).collect();
     }
     if let Some(layers) = layers {

@@ -8,12 +8,12 @@ use std::mem::MaybeUninit;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Size of a large page on most machines, bytes. Arrays smaller than two large pages are left
-/// alone.
+/// Size of a large page on most machines, bytes. No large pages are requested for arrays smaller
+/// than two of them.
 const LARGE_PAGE: usize = 2 << 20;
 
-/// Requests large pages from the system; it gives them on Linux alone, if some are free. Call it
-/// for untouched memory, such as the spare capacity of a new [`Vec`] or a large `vec![0; n]`: the
+/// Requests large pages from the system, which gives them only on Linux, if some are free. Call it
+/// for untouched memory, such as the spare capacity of a new [`Vec`] or a large `vec![0; n]`. The
 /// system assigns pages at the first write.
 pub fn prefer_large_pages<T>(memory: &[T]) {
     if size_of_val(memory) >= 2 * LARGE_PAGE {
@@ -34,12 +34,12 @@ pub fn in_large_pages<T: Copy>(values: Vec<T>) -> Vec<T> {
 
 /// Limits how much of a mapped file is in memory.
 ///
-/// Users announce the bytes that they use next. After `limit` bytes all pages are released: the
+/// Callers announce the bytes that they use next. After `limit` bytes all pages are released. The
 /// system keeps them in its cache if it has room, and maps them again at their next use.
 ///
-/// So the pages in memory are at most the limit, and what each thread uses at a time. The system
-/// maps up to [`NEIGHBOURS`](Self::NEIGHBOURS) bytes around a byte that is read. Systems other than
-/// Linux decide themselves which pages are in memory.
+/// So the pages in memory take at most the limit, plus the bytes that all threads use at a time.
+/// The system maps up to [`NEIGHBOURS`](Self::NEIGHBOURS) bytes around a byte that is read. Systems
+/// other than Linux decide themselves which pages are in memory.
 #[derive(Debug)]
 pub struct Window {
     start: usize,
@@ -55,8 +55,9 @@ impl Window {
     /// Limits a mapping to `limit` bytes.
     ///
     /// # Safety
-    /// `memory` is a whole mapping of a file that is shared with the file. Released pages then
-    /// have the same values when they are mapped again. It exists as long as the window.
+    /// `memory` is a whole mapping of a file, and all writes to it go to the file. Released pages
+    /// then have the same values when they are mapped again. The mapping exists as long as the
+    /// window.
     pub unsafe fn new(memory: &[u8], limit: usize) -> Self {
         Self { start: memory.as_ptr() as usize, length: memory.len(), limit, announced: AtomicUsize::new(0) }
     }
@@ -132,7 +133,7 @@ impl<T: Plain> Array<T> {
         storage(count * size_of::<T>()).map(Self::Paged)
     }
 
-    /// All values, and the window to announce those that are used next.
+    /// All values, and the window, to which the values that are used next must be announced.
     #[inline(always)]
     pub fn all(&self) -> (&[T], Option<&Window>) {
         match self {
@@ -151,7 +152,7 @@ impl<T: Plain> Array<T> {
         }
     }
 
-    /// Some values, which are announced.
+    /// Returns some values, and announces them to the window.
     #[inline(always)]
     pub fn part(&self, range: std::ops::Range<usize>) -> &[T] {
         let (values, window) = self.all();

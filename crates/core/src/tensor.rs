@@ -26,7 +26,7 @@ pub trait Lend: Send + Sync {
     /// All values, row-major.
     fn values(&self) -> &[f32];
 
-    /// The limit of what is in memory, if the values are in a file.
+    /// The window that limits the bytes in memory, if the values are in a file.
     fn window(&self) -> Option<&Window> {
         None
     }

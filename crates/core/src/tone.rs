@@ -1,7 +1,7 @@
-//! Tone curves map exposed scene-linear radiance to the range of a display, 0..1. Both are linear
-//! light.
+//! Tone curves map exposed scene-linear radiance to the range of a display, 0..1. Radiance and
+//! result are linear light.
 //!
-//! One curve is applied to all views of a light field. It acts on a ray's radiance alone, so a
+//! One curve is applied to all views of a light field. It depends only on a ray's radiance, so a
 //! point of the scene keeps its colour from view to view.
 //!
 //! * [`ToneCurve::Linear`]: min(x, 1), channel by channel.
@@ -26,7 +26,7 @@
 
 use crate::colour::luminance;
 
-/// A tone curve. It is applied to all views of a light field alike.
+/// A tone curve. One curve is applied to all views of a light field.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ToneCurve {
     /// Clips at 1.
@@ -158,16 +158,16 @@ fn sigmoid(x: f32) -> f32 {
     scale * t / (1.0 + t.abs().powf(POWER)).powf(1.0 / POWER) + y0
 }
 
-/// Turns the hue (of the hexcone) of `rgb` by the fraction 1 − [`HUE_AFTER`] towards the hue of the
-/// colour `before`.
+/// Turns the hue of `rgb`, in the hexcone of HSV, towards the hue of the colour `before`. The turn
+/// is the fraction 1 − [`HUE_AFTER`] of their difference.
 fn with_hue_of(rgb: [f32; 3], before: [f32; 3]) -> [f32; 3] {
     let (low, high) = (rgb[0].min(rgb[1]).min(rgb[2]), rgb[0].max(rgb[1]).max(rgb[2]));
     let (Some(after), Some(before)) = (hue(rgb), hue(before)) else { return rgb };
-    // the shorter way round
+    // the turn goes the shorter way round the circle of hues
     let turn = (before - after + 9.0).rem_euclid(6.0) - 3.0;
     let hue = (after + (1.0 - HUE_AFTER) * turn).rem_euclid(6.0);
-    // a channel falls from the top to the bottom of the range between 1 and 2 sextants from its own
-    // hue
+    // a channel has the value `high` up to 1 sextant from its own hue; it falls to `low` from 1 to
+    // 2 sextants
     [0.0, 2.0, 4.0].map(|own: f32| {
         let distance = ((hue - own + 9.0).rem_euclid(6.0) - 3.0).abs();
         low + (high - low) * (2.0 - distance).clamp(0.0, 1.0)
@@ -209,8 +209,8 @@ mod tests {
 
     /// Tolerance against reference values of 4 decimals.
     const ROUNDED: f32 = 1e-4;
-    /// Tolerances of the equations against Blender's table. Greys differ by the table's
-    /// interpolation alone, colours also by its treatment of the gamut.
+    /// Tolerances of the equations against Blender's table. Greys differ only by the table's
+    /// interpolation, colours also by its treatment of the gamut.
     const TABLE_GREY: f32 = 1e-3;
     const TABLE_COLOUR: f32 = 0.03;
 
@@ -282,7 +282,7 @@ mod tests {
             for i in 1..=60_000 {
                 let exposed = i as f32 / 10_000.0;
                 let shown = curve.apply([exposed; 3]);
-                // never steeper than 2
+                // the slope is never above 2, except for rounding
                 let step = shown[1] - last[1];
                 assert!((-1e-6..=2.1e-4).contains(&step), "{name}: from {last:?} to {shown:?} at {exposed}");
                 assert!(shown.iter().all(|v| (v - shown[1]).abs() < 2e-3), "{name}: a grey stays grey: {shown:?}");

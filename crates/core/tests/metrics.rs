@@ -12,8 +12,8 @@ use serde_json::Value;
 const SSIM: f64 = 1e-5;
 const FLIP_MEAN: f64 = 1e-4;
 const FLIP_PIXEL: f64 = 1e-3;
-/// Tolerance between the recorded values and those that the reference tools give on any machine:
-/// the digits that are recorded.
+/// Tolerance between the recorded values and the values of the reference tools on any machine: the
+/// precision of the recorded digits.
 const SAME_FIGURE: f64 = 1e-5;
 
 #[test]

@@ -1,6 +1,6 @@
-//! Limits of a display that follow from its geometry alone: bound on depth of field, spectral
+//! Limits of a display that follow only from its description: bound on depth of field, spectral
 //! support, viewing zone, frame rate and brightness. If there is a scene, its depths are compared
-//! with them.
+//! with these limits.
 
 mod plots;
 mod text;
@@ -78,7 +78,7 @@ pub struct Closed {
     pub largest_difference: f64,
     /// Depth at which `largest_difference` is found, millimetres.
     pub at_mm: f64,
-    /// General bound over closed form, minus 1, far from the display.
+    /// General bound divided by the closed form, minus 1, far from the display.
     pub difference_far: f64,
     /// Points of the closed form: [z in millimetres, bound].
     pub bound: Vec<[f64; 2]>,
@@ -93,8 +93,8 @@ pub struct Zone {
     pub views: [usize; 2],
     /// Slope between neighbouring views.
     pub step: [f64; 2],
-    /// Distance from which on an eye on the axis sees the whole display within the zone,
-    /// millimetres. For pinhole views, their own viewing distance.
+    /// Smallest distance at which an eye on the axis sees the whole display within the zone,
+    /// millimetres. For pinhole views it is the viewing distance of the views.
     pub whole_from_mm: f64,
     /// Width and height of the zone at the distance `at_mm`, millimetres.
     pub width_mm: [f64; 2],
@@ -141,8 +141,8 @@ pub struct Scene {
     pub sentence: String,
     /// Fraction of hits within the depth of field.
     pub inside: Option<f64>,
-    /// 2nd, 25th, 50th, 75th and 98th percentile of depth. Each is [depth in millimetres, bound
-    /// there divided by the highest frequency of the pixels].
+    /// 2nd, 25th, 50th, 75th and 98th percentile of depth. Each is [depth in millimetres, bound at
+    /// this depth divided by the highest frequency of the pixels].
     pub percentiles: Vec<[f64; 2]>,
     /// Bars of the depth histogram: [from, to in millimetres, fraction of the hits].
     pub shares: Vec<[f64; 3]>,
@@ -267,7 +267,7 @@ impl Zone {
         let step = [0, 1].map(|axis| 2.0 * half[axis] / display.views()[axis] as f64);
         let pinholes = field.distance_mm.filter(|_| field.projection == ProjectionKind::Perspective);
         // From a distance D on, the rays from the eye to both edges have slopes of at most
-        // tan(α/2). An axis with a single direction has no such distance.
+        // tan(α/2). An axis with a single direction requires no distance.
         let whole = [0, 1].map(|axis| if half[axis] > 0.0 { 0.5 * size[axis] / half[axis] } else { 0.0 });
         let whole_from_mm = pinholes.unwrap_or(whole[0].max(whole[1]));
         let at_mm = pinholes.unwrap_or(2.0 * whole_from_mm);

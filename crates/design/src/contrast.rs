@@ -17,7 +17,7 @@
 //! It is 1 for an exact grating and 0 for grey. Axes are measured separately, on a strip of one row
 //! of pixels and of views. The three channels have three phases φ_0, a third of a period apart, and
 //! the result is their mean. The bound of [`Display::spatial_cutoff`] limits the frequencies that
-//! any factors could show; the contrast is that of one solver with M frames.
+//! any factors could show. The contrast is the result of one solver with M frames.
 //!
 //! There are three measures ([`Achieved`]).
 //!
@@ -29,8 +29,8 @@
 //!   [`angular_footprint`](Display::angular_footprint), as many as the bound can use. This measures
 //!   the hardware; *in between* measures the display with its own number of views.
 //!
-//! Contrast over rays in between obeys the bound, except in narrow zones: if a grating moves by at
-//! most [`HALF_SINC`] periods over the zone. Then even a picture that is the same for all slopes
+//! Contrast over rays in between obeys the bound, except in narrow zones, over which a grating
+//! moves by at most [`HALF_SINC`] periods. There, even a picture that is the same for all slopes
 //! has half of the grating's contrast.
 
 use std::f64::consts::TAU;
@@ -48,7 +48,7 @@ use lumistack_plot::{self as plot, Axes, Curve, PlotError};
 
 /// Largest number of columns of a strip.
 const MOST_COLS: usize = 96;
-/// Contrast from which on a grating is regarded as shown.
+/// Smallest contrast at which a grating is regarded as shown.
 pub const SHOWN: f64 = 0.5;
 /// Rays per pixel of the measures over the whole zone.
 pub const POINTS: usize = 3;
@@ -251,7 +251,7 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     strip.field.views = Views::Fixed([views, 1]);
     strip.field.fov_deg = [display.field.fov_deg[axis], 0.0];
     for layer in &mut strip.layers {
-        // no wider than the layer itself, no narrower than the rays require
+        // as wide as the rays require, but no wider than the layer itself
         let needed = ((width_mm + 2.0 * layer.d_mm.abs() * half) / layer.pitch_mm).ceil() as usize + 2;
         layer.resolution = [needed.min(layer.resolution[axis]).max(1), 1];
         layer.offset_mm = [layer.offset_mm[axis], 0.0];
@@ -445,7 +445,7 @@ mod tests {
     }
 
     /// Over the whole emission no display exceeds its bound by more than the term for narrow zones,
-    /// `alike`. At the target views alone, each of these displays does.
+    /// `alike`. At the target views, each of these displays exceeds it.
     #[test]
     fn the_bound_holds_for_all_that_is_emitted() {
         // the half-contrast frequency is interpolated between two measured frequencies

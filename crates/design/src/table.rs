@@ -28,7 +28,7 @@ pub struct Design {
     pub thickness_mm: f64,
     /// Number of panels: the layers, and the panel behind the lenslets.
     pub panels: usize,
-    /// Refresh rate from which on the display does not flicker, hertz; 0 for a static display.
+    /// Lowest refresh rate at which the display does not flicker, hertz; 0 for a static display.
     pub refresh_hz: f64,
     /// Values of the patterns per ray of the light field: degrees of freedom. With 1 or more, each
     /// ray could have a value of its own.
@@ -74,21 +74,21 @@ pub struct Row {
     /// pictures.
     #[serde(default)]
     pub psnr_zone_db: Option<f64>,
-    /// The PSNR of `psnr_zone_db` for the worst tenth of the directions, dB.
+    /// As `psnr_zone_db`, but over the worst tenth of the directions, dB.
     #[serde(default)]
     pub psnr_zone_worst_tenth_db: Option<f64>,
     /// PSNR of L̃/β against L, dB, at most [`MOST_DB`].
     pub psnr_view_db: f64,
     /// PSNR of L̃ against βL, dB.
     pub psnr_raw_db: f64,
-    /// PSNR of L̃/β at views between those of the target, dB, if such views are known.
+    /// PSNR of L̃/β at views between the target's views, dB; `None` if these views are not known.
     pub psnr_between_db: Option<f64>,
     /// For several time steps, the PSNR of L̃/β against L of the worst one, dB. The values above
     /// are over all time steps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_worst_db: Option<f64>,
-    /// For a job with several nodes, the results of each. The values above are those of the first
-    /// node.
+    /// For a job with several nodes, the results of each. The fields above have the results of the
+    /// first node.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeRow>,
 }
@@ -106,19 +106,19 @@ impl Row {
 pub struct NodeRow {
     /// Name of the node.
     pub id: String,
-    /// As in [`Row`].
+    /// Defined as in [`Row`].
     #[serde(default)]
     pub psnr_zone_db: Option<f64>,
-    /// As in [`Row`].
+    /// Defined as in [`Row`].
     #[serde(default)]
     pub psnr_zone_worst_tenth_db: Option<f64>,
-    /// As in [`Row`].
+    /// Defined as in [`Row`].
     pub psnr_view_db: f64,
-    /// As in [`Row`].
+    /// Defined as in [`Row`].
     pub psnr_raw_db: f64,
-    /// As in [`Row`].
+    /// Defined as in [`Row`].
     pub psnr_between_db: Option<f64>,
-    /// As in [`Row`].
+    /// Defined as in [`Row`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_worst_db: Option<f64>,
 }
@@ -126,8 +126,8 @@ pub struct NodeRow {
 /// Largest PSNR in the table. An exact display has an infinite PSNR, which JSON cannot store.
 pub const MOST_DB: f64 = 200.0;
 
-/// The table as CSV: a line of names, then a line per row. With several time steps there is a
-/// column for the worst one, with several nodes there are columns for each.
+/// The table as CSV: a line of names, then a line per row. Several time steps add a column for the
+/// worst one. Several nodes add columns for each node.
 pub fn csv(rows: &[Row]) -> String {
     let mut text = String::from(
         "display,layers,frames,brightness,gap_mm,fov_x_deg,fov_y_deg,lenslets_x,lenslets_y,thickness_mm,panels,refresh_hz,values_per_ray,\

@@ -47,8 +47,8 @@ impl Display {
     }
 
     /// The same display for a light field that already exists. Masks take the light field's
-    /// resolution and size. The field of view becomes the angle at which the views' bins are as
-    /// wide as the light field's. Lenslets scale with the masks. Distances and frames stay the
+    /// resolution and size. The field of view is chosen such that the display's views are as far
+    /// apart as the light field's. Lenslets scale with the masks. Distances and frames stay the
     /// same.
     ///
     /// The backlight's bins follow the views per axis: the number of bins per view stays the same.
@@ -98,7 +98,7 @@ impl Display {
     ) -> Result<(usize, f64), DisplayError> {
         let half = |fov_deg: f64| (0.5 * fov_deg.to_radians()).tan();
         let own_bins = own.views[axis] as f64;
-        // views that the display chooses follow its bins, not the other way round
+        // if the display chooses its own number of views, take one view per bin
         let own_views = match self.field.views {
             Views::Fixed(views) => views[axis] as f64,
             Views::Auto | Views::Step(_) => own_bins,
@@ -114,7 +114,7 @@ impl Display {
         let slopes = if axis == 0 { &geometry.grid.slope_x } else { &geometry.grid.slope_y };
         let outermost = slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
         // A pinhole sees the field's edges under other slopes than its centre, so the bins must
-        // reach farther by this difference. A lens array that repeats its bins needs no more.
+        // reach farther by this difference. A lens array that repeats its bins needs no such reach.
         let fan = match (geometry.grid.projection, own.outside_bins) {
             (Projection::Perspective { distance_mm }, OutsideBins::Dark) => {
                 0.5 * geometry.size_mm()[axis] / distance_mm
@@ -123,7 +123,7 @@ impl Display {
         };
         let width = geometry.grid.bin_width()[axis];
         if width == 0.0 {
-            // a single view has no directions to separate: it takes the bins of one view, over all
+            // a single view has one direction, so it gets as many bins as one view, spread over all
             // of its rays
             let bins = (own_bins / own_views).round().max(1.0) as usize;
             let reach = outermost + fan;
@@ -137,8 +137,9 @@ impl Display {
         let needed = 2.0 * reach / bin;
         let mut bins = (needed - 1e-6).ceil().max(1.0);
         if (fineness - 1.0).abs() < 1e-6 {
-            // bin centres are at whole multiples of the bin's width for an odd number of bins, at
-            // half ones for an even number. Choose the number that puts views at bin centres.
+            // Bin centres are at whole multiples of the bin's width for an odd number of bins, and
+            // at half-integer multiples for an even one. Choose the number that puts views at bin
+            // centres.
             let from_whole = slopes[0] / bin - (slopes[0] / bin).round();
             let odd = from_whole.abs() <= 0.25;
             if (bins % 2.0 == 1.0) != odd {
@@ -188,7 +189,7 @@ impl Display {
     }
 }
 
-/// Full angle of a slope `half` to both sides, degrees.
+/// Full angle, in degrees, between the slopes −`half` and `half`.
 fn full_angle_deg(half: f64) -> f64 {
     2.0 * half.atan().to_degrees()
 }

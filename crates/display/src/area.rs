@@ -3,10 +3,10 @@
 //!
 //! Layers consist of squares of constant value. So along an axis the layer pixel that a ray reads
 //! changes only where the ray crosses an edge. Each axis of a field pixel is cut at all these
-//! edges: those of every layer, of the lenslets and of their bins. All rays between two cuts read
-//! the same values. So one ray represents them, with the width of the part as its weight. The map
-//! is separable, and hence so are the parts: a pixel's area is the product of its parts along x and
-//! along y. Thus the mean over the area is exact.
+//! edges: the edges of every layer, of the lenslets and of their bins. All rays between two cuts
+//! read the same values. So one ray represents them, with the width of the part as its weight. The
+//! map is separable, so the parts are separable too: a pixel's area is the product of its parts
+//! along x and along y. Thus the mean over the area is exact.
 
 use crate::raymap::{Axis, AxisRay};
 use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};
@@ -96,7 +96,7 @@ fn cut_at_whole_numbers(cuts: &mut Vec<f64>, place: [f64; 2], count: usize) {
     for edge in first as u64..=last as u64 {
         let t = (edge as f64 - place[0]) / (place[1] - place[0]);
         if t > 0.0 && t < 1.0 {
-            // cuts are few, and the library's sort would take much of the browser's module
+            // cuts are few, and the library's sort would add much code to the browser's module
             let at = cuts.iter().take_while(|cut| **cut < t).count();
             cuts.insert(at, t);
         }

@@ -12,18 +12,19 @@
 //! symmetric band of weights. Then the map is D·K, and its transpose K·D.
 //!
 //! The simple version makes two passes over the plane, with a loop over the weights for each pixel.
-//! Departures from it:
+//! Departures from the simple version:
 //!
 //! 1. The rows are summed into one line with zeros on both sides, and the second pass runs along
 //!    that line immediately. So the plane is read and written once, and no pixel tests for the
 //!    border.
 //! 2. Sums of [`LANES`] neighbouring pixels stay in registers during the loop over the weights.
 //!
-//! 840 × 525 pixels take 0.3 ms at σ = 1 and 1.9 ms at σ = 8 on a Zen 5 core. Not used:
+//! 840 × 525 pixels take 0.3 ms at σ = 1 and 1.9 ms at σ = 8 on a Zen 5 core. Two variants are not
+//! used:
 //!
-//! * 16 lanes: five times slower, since the compiler unrolls instead of using vectors.
-//! * Copies for AVX2 and AVX-512: faster by 20 and 30 %, not worth a second instruction set here.
-//!   Without fused multiply-adds every machine computes the same bytes.
+//! * 16 lanes are five times slower, since the compiler unrolls instead of using vectors.
+//! * Separate functions for AVX2 and AVX-512 are 20 and 30 % faster, which is not worth a second
+//!   instruction set here. Without fused multiply-adds every machine computes the same bytes.
 
 /// Number of neighbouring pixels whose sums are kept in registers.
 const LANES: usize = 32;
@@ -99,7 +100,7 @@ impl PointSpread {
         self.taps.len() / 2
     }
 
-    /// Scales the pixels so near to an end of a line that the point spread reaches over the end.
+    /// Scales the pixels near the ends of a line, where the point spread reaches past the end.
     fn scale_ends(&self, line: &mut [f32]) {
         let count = line.len();
         let left = self.radius().min(count);

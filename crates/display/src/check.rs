@@ -2,7 +2,7 @@
 
 use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel, Views};
 
-/// Tolerance: rows that were normalized in another program still sum to one.
+/// Tolerance of row sums: a program that wrote the file may have rounded the entries.
 const ROW_SUM_ROUNDING: f64 = 1e-6;
 
 impl Display {
@@ -23,7 +23,7 @@ impl Display {
             let ok = (1..=1 << 16).contains(&cols) && (1..=1 << 16).contains(&rows);
             check(ok, key, "1 to 65536 per axis", format!("[{cols}, {rows}]"))
         };
-        // the display as a whole
+        // values of the display as a whole
         check(self.schema == Self::SCHEMA, "schema", Self::SCHEMA, self.schema.clone())?;
         check(self.version == 1, "version", "1", self.version.to_string())?;
         check((1..=1000).contains(&self.frames), "frames", "1 to 1000", self.frames.to_string())?;

@@ -11,8 +11,8 @@
 //! (26) a layer on a lens array   1/(2Δx) + ω0     if |z| ≤ Δx/(Δs + 2ΔxΔsω0),      else 1/(2|z|Δs)
 //! ```
 //!
-//! [`Display::spatial_cutoff`] is the general form and needs none of the assumptions. If they hold,
-//! both forms agree.
+//! [`Display::spatial_cutoff`] is the general form and needs none of the assumptions. If the
+//! assumptions hold, the two forms agree.
 
 use crate::{Backlight, Display};
 
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
     use crate::LensletBacklight;
 
-    /// Largest relative difference between the general form and the closed ones.
+    /// Largest allowed relative difference between the general form and the closed forms.
     const AGREEMENT: f64 = 1e-6;
 
     /// A random display for which the closed form of a kind is exact.

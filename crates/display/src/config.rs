@@ -41,7 +41,7 @@ pub struct Display {
     /// Interpolation between the pixel centres of a layer.
     #[serde(default)]
     pub sampling: Sampling,
-    /// Rule for a ray that leaves a layer.
+    /// Rule for a ray that misses a layer.
     #[serde(default)]
     pub missing: Missing,
     /// The light field.
@@ -185,7 +185,7 @@ impl Display {
         Ok(FieldGeometry { grid, ..self.field_pixels() })
     }
 
-    /// The light field's pixels with one straight view.
+    /// The light field's pixels with a single view along z.
     pub fn field_pixels(&self) -> FieldGeometry {
         FieldGeometry {
             rows: self.field.resolution[1],

@@ -30,7 +30,7 @@ impl Display {
 
     /// The depths, [low, high] in millimetres, at which frequencies up to `cutoff` (cycles per
     /// millimetre) can be shown; `None` if there are none. A single layer without directional
-    /// backlight shows them in its own plane alone: low = high.
+    /// backlight shows them only in its own plane: low = high.
     pub fn depths_shown(&self, cutoff: f64) -> Option<[f64; 2]> {
         let [x, y] = [0, 1].map(|axis| range(&self.generators(axis), cutoff));
         let ([x_low, x_high], [y_low, y_high]) = (x?, y?);
@@ -140,7 +140,7 @@ mod tests {
         assert!((found - expected).abs() <= 1e-9 * expected.abs().max(1.0), "{found} instead of {expected}");
     }
 
-    /// Equations (24) and (25); ω0 is 1 cycle per millimetre at a pitch of 0.5 mm.
+    /// Equations (24) and (25) of the paper. ω0 is 1 cycle per millimetre at a pitch of 0.5 mm.
     #[test]
     fn two_and_three_layers_have_the_papers_bounds() {
         let gap = 40.0;
@@ -160,7 +160,7 @@ mod tests {
         assert!(two.depth_of_field(0.2).is_none(), "finer than both layers together");
     }
 
-    /// Equations (23) and (26), whose lens array is at z = 0.
+    /// Equations (23) and (26) of the paper. Their lens array is at z = 0.
     #[test]
     fn a_directional_backlight_has_the_papers_bounds() {
         let (lenslet, views, fov) = (2.5, 5, 48.0f64);
@@ -173,7 +173,7 @@ mod tests {
             let near = f64::abs(z) <= lenslet / (step + 2.0 * lenslet * step * own);
             close(display.spatial_cutoff(z), if near { barrier + own } else { 0.5 / (f64::abs(z) * step) });
         }
-        // half a cycle per view is a disparity of one pixel
+        // at the finest detail, a shift of half a cycle per view is a disparity of one pixel
         let [low, high] = display.depth_of_field(0.5).unwrap();
         close(high, 0.5 / step);
         close(low, -0.5 / step);

@@ -43,7 +43,7 @@ impl LightField {
     /// Joins geometry and values.
     ///
     /// # Errors
-    /// If the geometry is invalid, or its shape is not that of the values.
+    /// If the geometry is invalid, or the values have another shape than the geometry.
     pub fn new(geometry: FieldGeometry, radiance: Tensor<5>) -> Result<Self, GridError> {
         geometry.check()?;
         let expected = Self::shape_of(&geometry);

@@ -1,5 +1,5 @@
-//! The forward model: the light that a display emits. The equations are those of [`Formation`],
-//! separately for each colour channel.
+//! The forward model: the light that a display emits. [`Formation`] has the equations, which hold
+//! for each colour channel separately.
 //!
 //! Rays read the stored values after the response of the layers' hardware
 //! ([`LayerStack::effective`]). A [`Simulator`] computes these values once and then renders any
@@ -24,7 +24,7 @@ pub const LEAST_SHARE: f32 = 0.5;
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmittedView {
     /// Emitted radiance L̃, `[row][col][rgb]`; divided by the stack's brightness it is the picture
-    /// of an adapted viewer. Rays that leave the display are 0.
+    /// of an adapted viewer. The radiance of rays that miss the display is 0.
     pub radiance: Tensor<3>,
     /// True for a valid ray, `[row][col]` row-major: false if the ray misses the display under the
     /// display's [`Missing`] rule.
@@ -35,11 +35,11 @@ pub struct EmittedView {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenView {
     /// Mean of the emitted radiance L̃ over the area of the pixel with valid rays,
-    /// `[row][col][rgb]`; 0 if there is no such area. Divided by the stack's brightness it is the
-    /// picture of an adapted viewer.
+    /// `[row][col][rgb]`. It is 0 if no ray of the pixel is valid. Divided by the stack's
+    /// brightness it is the picture of an adapted viewer.
     pub radiance: Tensor<3>,
-    /// Fraction of the pixel's area with valid rays, 0..1, `[row][col]` row-major. Rays of the rest
-    /// miss the display under its [`Missing`] rule.
+    /// Fraction of the pixel's area with valid rays, 0..1, `[row][col]` row-major. The rays of the
+    /// remaining area miss the display under its [`Missing`] rule.
     pub share: Vec<f32>,
 }
 
@@ -160,7 +160,8 @@ impl<'a> Lines<'a> {
         Self { simulator, map, view, reads, formed: vec![0.0; cols * 3], sum: vec![0.0; cols * 3] }
     }
 
-    /// Mean over the frames of the emission of a row's rays, `[col][rgb]`, both valid and invalid.
+    /// Returns the emission along the rays of a row, averaged over the frames, `[col][rgb]`.
+    /// Invalid rays are included.
     fn emitted(&mut self, row: usize) -> &[f64] {
         let Self { simulator, map, view, reads, formed, sum } = self;
         let (stack, formation) = (&simulator.stack, simulator.display.formation);
@@ -224,7 +225,7 @@ enum Reads<'a> {
     Taps(&'a [Tap]),
 }
 
-/// Rays `first` to before `end` read neighbouring single pixels, the first of which is `from`.
+/// The rays `first..end` read neighbouring single pixels, from pixel `from` on.
 #[derive(Clone, Copy)]
 struct Run {
     first: usize,
@@ -386,7 +387,8 @@ mod tests {
         assert!(clear.radiance.data().iter().any(|v| (*v - 0.25).abs() < 1e-6), "one layer missed");
     }
 
-    /// Runs and taps give the same bits, for both samplings, on and off the pixels' grid.
+    /// Runs and taps give the same bits, for both samplings, if rays hit pixel centres and if they
+    /// do not.
     #[test]
     fn whole_lines_are_read_as_single_pixels_are() {
         let (cols, rows, mut lines, mut taps) = (13, 4, 0, 0);

@@ -117,9 +117,9 @@ impl Layer {
         [(self.black_level * self.peak) as f32, self.peak as f32]
     }
 
-    /// The 2^bits values that a mask pixel can take, rising; the first and the last are those of
-    /// [`range`](Self::range). `None` for a continuous range. The values are the same for all
-    /// channels, since `bits` allows only one transfer function for all.
+    /// The 2^bits values that a mask pixel can take, in rising order, from the lower to the upper
+    /// end of [`range`](Self::range). `None` for a continuous range. The values are the same for
+    /// all channels, since `bits` allows only one transfer function for all.
     pub fn levels(&self) -> Option<Vec<f32>> {
         let codes = 1u32 << self.bits?.clamp(1, Self::MAX_BITS);
         let level = |code: u32| {
@@ -170,8 +170,8 @@ mod tests {
                 let layer = Layer { bits: Some(bits), transfer: transfer.clone(), ..limited() };
                 let levels = layer.levels().unwrap();
                 assert_eq!(levels.len(), 1 << bits);
-                // gamma 2.2: the first of 2¹⁶ steps above black are smaller than the spacing of f32
-                // there
+                // with gamma 2.2 and 16 bits, the first steps above black are smaller than the
+                // spacing of f32 near black
                 let rise = |pair: &[f32]| if bits < 16 { pair[0] < pair[1] } else { pair[0] <= pair[1] };
                 assert!(levels.windows(2).all(rise), "{transfer:?}, {bits} bits");
                 assert_eq!([levels[0], levels[levels.len() - 1]], layer.range());

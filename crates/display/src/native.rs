@@ -5,9 +5,10 @@ use crate::{Backlight, Display, GridError, Projection, ViewGrid, Views};
 
 /// Largest number of views per axis that [`Views::Auto`] chooses.
 const MOST_AUTO: usize = 101;
-/// Views per bin of a directional backlight. A bin shows the mean of its directions. Zone scores of
-/// letters on `paper-directional`: 22.5 dB for one view per bin, 24.1 dB for three views. One view
-/// that is the mean over the bin scores 22.9 dB.
+/// Views per bin of a directional backlight. A bin shows the mean over its directions, which one
+/// view does not represent. Zone scores of the scene with letters on the display
+/// `paper-directional`: one view per bin gives 22.5 dB, three views give 24.1 dB. One view that is
+/// the mean over the bin gives 22.9 dB.
 const VIEWS_PER_BIN: f64 = 3.0;
 
 /// The native angular step of a display per axis (x, y); `None` without parallax. It is the
@@ -18,8 +19,8 @@ const VIEWS_PER_BIN: f64 = 3.0;
 ///
 /// Suppose that all layers have one pitch, and distances that are multiples of one distance. At
 /// multiples of this step, every layer is then shifted by whole pixels. There one ray per pixel is
-/// exact for the pixel's area. Between two neighbouring multiples, the seen picture is a mixture of
-/// the same products of layer pixels as at those two.
+/// exact for the pixel's area. Between two neighbouring multiples, two neighbouring layers combine
+/// only pairs of pixels that they also combine at one of the two multiples.
 pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
     let gaps =
@@ -72,7 +73,7 @@ impl Display {
         }
         let step = |every: f64| {
             [0, 1].map(|axis| match native[axis] {
-                // then the outermost of three views are inside of the zone
+                // with this bound, the outermost of three views are inside the zone
                 Some(native) if half[axis] > 0.0 => (every * native).min(0.8 * half[axis]),
                 _ => 0.0,
             })

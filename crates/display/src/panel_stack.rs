@@ -69,8 +69,8 @@ impl PanelStack {
     /// If a value is invalid.
     pub fn display(&self) -> Result<Display, DisplayError> {
         let &Self { panel_resolution: resolution, panel_pitch_mm: pitch_mm, panel_pixels: scale, .. } = self;
-        // distances, with the stack's middle at z = 0; the middle one of an odd number of layers is
-        // moved there
+        // compute distances with the stack's middle at z = 0; if the number of layers is odd, move
+        // the middle layer to z = 0
         let depth_mm: f64 = self.gaps_mm.iter().sum();
         let mut d_mm = vec![-depth_mm / 2.0];
         self.gaps_mm.iter().for_each(|gap| d_mm.push(d_mm[d_mm.len() - 1] + gap));
@@ -83,7 +83,7 @@ impl PanelStack {
         let plain = Display::uniform(mask, pitch_mm * scale as f64, self.views, self.fov_deg, &d_mm, self.frames);
         let (refresh_hz, brightness) = (self.refresh_hz, self.brightness);
         let mut display = Display { name: self.name.clone(), refresh_hz, brightness, ..plain };
-        // outputs go to panels from the rearmost on, which is the backlight's if there is one
+        // outputs are assigned from rear to front; the panel of a backlight is the rearmost one
         let mut names = self.outputs.iter().cloned().map(Some).chain(std::iter::repeat(None));
         let mut panel = || Some(Panel { output: names.next().flatten(), ..Panel::default() });
         if let Some(lenses) = &self.lenses {

@@ -1,7 +1,7 @@
 //! Intersections of the rays of a light field with the layers and the backlight.
 //!
-//! A ray of field column c at slope s hits layer n at pixel position u, computed in f64. Rows are
-//! alike, with y down:
+//! A ray of field column c at slope s hits layer n at pixel position u, computed in f64. The
+//! formula for rows is the same, with y down:
 //!
 //! ```text
 //! u = (x_c + d_n·s − o_n)/p_n + (W_n−1)/2
@@ -12,7 +12,7 @@
 
 use crate::{Backlight, Display, FieldGeometry, Layer, LensletBacklight, OutsideBins, Sampling};
 
-/// Intersection of one axis of a ray with a layer: value = (1 − t)·f(first) + t·f(second).
+/// Intersection of a ray with a layer, along one axis: value = (1 − t)·f(first) + t·f(second).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tap {
     /// Pixel index, or [`Tap::MISSED`].
@@ -33,9 +33,9 @@ impl Tap {
         self.first == Self::MISSED
     }
 
-    /// The pixel or pixels around position `u` (in pixels, 0 = centre of the first) of an axis of
-    /// `count` pixels. The layer ends half a pixel outside its outermost centres, with any
-    /// sampling.
+    /// The pixel or pixels around position `u` on an axis of `count` pixels. `u` is in pixels, and
+    /// is 0 at the centre of the first pixel. The layer ends half a pixel outside its outermost
+    /// pixel centres, with any sampling.
     fn at(u: f64, count: usize, sampling: Sampling) -> Self {
         let nearest = (u + 0.5).floor();
         if !(nearest >= 0.0 && nearest < count as f64) {
@@ -151,14 +151,14 @@ pub struct RayMap {
 }
 
 impl RayMap {
-    /// Computes the tables, of A_x·W and A_y·H entries per layer.
+    /// Computes the tables. Each layer has A_x·W entries along x and A_y·H entries along y.
     pub fn new(display: &Display, geometry: &FieldGeometry) -> Self {
         let [x, y] = [Axis::X, Axis::Y].map(|axis| axis.centres(geometry));
         Self::of_rays(display, display.sampling, [(&x, geometry.cols), (&y, geometry.rows)])
     }
 
-    /// Tables of any rays. Per axis (x, y), `rays` has the rays of all views, and how many of them
-    /// belong to one view.
+    /// Tables of any rays. Per axis (x, y), `rays` has the rays of all views, and the number of
+    /// rays per view.
     pub(crate) fn of_rays(display: &Display, sampling: Sampling, rays: [(&[AxisRay], usize); 2]) -> Self {
         let layers = display
             .layers
@@ -341,7 +341,7 @@ mod tests {
         for view in 0..geometry.grid.slope_y.len() {
             assert!(map.y(view).iter().all(|tap| !matches!(tap, BacklightTap::Lit { bin, .. } if *bin != view as u32)));
         }
-        // outside the bins: dark, or the neighbour's picture
+        // outside the bins a ray reads 0, or the picture of the neighbouring lenslet
         let steep = geometry.with_grid(ViewGrid::single(Projection::Oblique, [1.1 * (10f64.to_radians()).tan(), 0.0]));
         let near = LensletBacklight { d_mm: -1.0, ..backlight };
         assert_eq!(backlight_taps(&near, &Axis::X.centres(&steep), Axis::X)[geometry.cols - 1], BacklightTap::Dark);

@@ -6,8 +6,8 @@
 //! ```
 //!
 //! The filters belong to the mask's columns. The blur is a Gaussian along both axes that keeps
-//! constant planes constant. On a `mono` layer the three stored channels are equal: there A maps
-//! one unknown per pixel to three channels.
+//! constant planes constant. On a `mono` layer the three stored channels are equal, so A maps one
+//! value per pixel to three channels.
 
 use lumistack_core::Tensor;
 
@@ -27,8 +27,8 @@ pub struct Response {
 const IDENTITY: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 impl Layer {
-    /// The hardware's response to this layer's values. `None` if rays read the stored values and
-    /// every channel is free.
+    /// The hardware's response to this layer's values. `None` if rays read the stored values and no
+    /// channels are tied.
     pub fn response(&self) -> Option<Response> {
         let response = Response::of(self);
         (response.is_tied() || !response.is_identity()).then_some(response)
@@ -46,7 +46,7 @@ impl Response {
         }
     }
 
-    /// True if the three channels of a pixel are one unknown.
+    /// True if the three channels of a pixel share one value.
     pub fn is_tied(&self) -> bool {
         self.tied
     }

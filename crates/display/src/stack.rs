@@ -83,8 +83,8 @@ impl LayerStack {
     }
 
     /// Checks that the stack has the shapes of the display and values in 0..1. A layer with limited
-    /// hardware has a narrower [range](crate::Layer::range), which patterns from elsewhere may
-    /// ignore.
+    /// hardware has a narrower [range](crate::Layer::range). The values may lie outside of this
+    /// range, since other programs may have made the patterns.
     ///
     /// # Errors
     /// On the first array or value that does not fit.

@@ -17,7 +17,7 @@ pub struct StackIndex {
     pub layer_axes: Vec<String>,
     /// Axes of the backlight's array.
     pub emission_axes: Vec<String>,
-    /// Values are amounts of light, not code values.
+    /// True: values are amounts of light, not code values.
     pub linear: bool,
     /// Frames M of one period; the display emits the mean of its frames.
     pub frames: usize,

@@ -60,9 +60,9 @@ impl Display {
         corners
     }
 
-    /// Width of slopes per axis (x, y) over which light may be gathered: δs of the module. This
-    /// loses no detail that the display can show far from itself. The width is at most the whole
-    /// field of view, as for a single layer.
+    /// Width of slopes per axis (x, y) over which light may be gathered: δs of the module.
+    /// Gathering over this width loses no detail that the display can show far from itself. The
+    /// width is at most the whole field of view, as for a single layer.
     pub fn angular_footprint(&self) -> [f64; 2] {
         [0, 1].map(|axis| {
             let generators = self.generators(axis);

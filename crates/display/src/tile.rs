@@ -1,5 +1,5 @@
-//! A display cut into tiles: the pixels that a tile decides, the rays through these pixels, and the
-//! other pixels that those rays hit.
+//! A display cut into tiles: the pixels that a tile decides, the rays through these pixels, and all
+//! other pixels that these rays hit.
 //!
 //! ```text
 //! held   ┌───────────────────────┐   hit by rays through free pixels; fixed in a solve
@@ -44,7 +44,7 @@ pub struct TilePart {
 /// A tile of a display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tile {
-    /// Field pixels of the tile. It takes their rays of all views.
+    /// Field pixels of the tile. The tile has the rays of all views through these pixels.
     pub field: Region,
     /// Pixels on the layers, rear to front, then on the lenslets.
     pub parts: Vec<TilePart>,
@@ -193,7 +193,7 @@ impl AxisCut {
         let field = even(&self.rays(&free, &middle), self.pixels);
         let held = self.parts.iter().zip(&free).map(|(part, free)| {
             let held = hull(free, &part.hits(&field));
-            // a layer that no ray of the tile hits still has one pixel there
+            // if no ray of the tile hits a layer, the tile still holds one pixel of it
             let held =
                 if held.is_empty() { held.start.min(part.count - 1)..held.start.min(part.count - 1) + 1 } else { held };
             even(&held, part.count)
@@ -217,7 +217,7 @@ impl AxisPart {
         (pixel.ceil().max(0.0) as usize).min(self.count)
     }
 
-    /// The range of field pixels whose rays read pixels of a range after the blur.
+    /// The range of field pixels whose rays depend on pixels of a range, with the blur included.
     fn rays(&self, range: &Range<usize>) -> Range<usize> {
         if range.is_empty() {
             return 0..0;
@@ -300,7 +300,7 @@ impl Tile {
             layer.resolution = [held.cols.len(), held.rows.len()];
             layer.offset_mm = [0, 1].map(|axis| layer.offset_mm[axis] + centre_mm[axis] - field_mm[axis]);
             (layer.panel_resolution, layer.panel_pitch_mm) = (None, None);
-            // stripes continue where the tile begins
+            // the stripes of colour filters continue as in the whole display
             let stripes = layer.filters.len();
             if stripes > 0 {
                 layer.filters.rotate_left(held.cols.start % stripes);
@@ -322,7 +322,7 @@ impl Tile {
     pub fn geometry(&self, whole: &FieldGeometry) -> FieldGeometry {
         let mut grid = whole.grid.clone();
         if let Projection::Perspective { distance_mm } = grid.projection {
-            // the same eyes, relative to the tile's centre
+            // the eyes stay where they are, so their positions relative to the tile's centre change
             let [x, y] = centre_mm(&self.field, [whole.rows, whole.cols], whole.pitch_mm);
             grid.slope_x.iter_mut().for_each(|slope| *slope -= x / distance_mm);
             grid.slope_y.iter_mut().for_each(|slope| *slope -= y / distance_mm);
@@ -331,8 +331,8 @@ impl Tile {
         FieldGeometry { rows, cols, pitch_mm: whole.pitch_mm, grid }
     }
 
-    /// Where the tile's rays hit its pixels: a section of the whole display's map, so nothing is
-    /// rounded anew.
+    /// Where the tile's rays hit its pixels: a section of the whole display's map, so no position
+    /// is rounded a second time.
     pub fn map(&self, whole: &RayMap) -> RayMap {
         let tap = |tap: &Tap, first: usize| {
             let shifted = |pixel: u32| pixel.wrapping_sub(first as u32);
@@ -367,7 +367,7 @@ impl Tile {
     /// The radiance of the tile's rays.
     ///
     /// # Panics
-    /// If the light field is not that of the tiling.
+    /// If `whole` is not the light field that was divided into tiles.
     pub fn light_field(&self, whole: &LightField) -> LightField {
         let geometry = self.geometry(whole.geometry());
         let mut target = LightField::black(geometry).expect("a tile has pixels");
@@ -432,9 +432,9 @@ impl LayerStack {
 }
 
 impl LayerStack {
-    /// Copies the pixels that this stack shares with another section of the same patterns. Per
-    /// layer and for the lenslets, `regions` are this stack's pixels within the whole, and `others`
-    /// those of `other`.
+    /// Copies the pixels that this stack shares with another section of the same patterns.
+    /// `regions` are the pixels of this stack within the whole display, one region per layer and
+    /// one for the lenslets. `others` are the pixels of `other`.
     pub fn paste(&mut self, regions: &[Region], other: &Self, others: &[Region]) {
         for (n, (to, from)) in self.layers.iter_mut().zip(&other.layers).enumerate() {
             paste(to.data_mut(), &regions[n], from.data(), &others[n]);

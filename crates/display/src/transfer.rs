@@ -1,15 +1,15 @@
 //! Transfer functions from linear values to a panel's code values and back: standard curves, or
 //! measurements of the panel.
 //!
-//! A measured table holds pairs (code, amount of light), each in any unit: the first pair is the
-//! darkest state and the last the brightest, and
+//! A measured table holds pairs (code, amount of light), each in any unit. The first pair is the
+//! darkest state, the last pair the brightest. Both are scaled to 0..1:
 //!
 //! ```text
 //! code → (code − code_first) / (code_last − code_first)
 //! light → (light − light_first) / (light_last − light_first)
 //! ```
 //!
-//! with straight lines between the pairs. `black_level` and `peak` hold the brightness of the
+//! Between the pairs the function is linear. `black_level` and `peak` hold the brightness of the
 //! darkest and the brightest state, not this table.
 
 use lumistack_core::colour::{srgb_decode, srgb_encode};
@@ -35,7 +35,7 @@ pub enum Transfer {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "one for all channels, or three: red, green, blue")]
 pub enum Channels<T> {
-    /// The same for all channels.
+    /// One value for all channels.
     Same(T),
     /// Red, green, blue.
     Rgb([T; 3]),

@@ -1,4 +1,4 @@
-//! A display with other values: the axes along which designs are compared.
+//! Changes of a display's values: the axes along which designs are compared.
 
 use serde::{Deserialize, Serialize};
 

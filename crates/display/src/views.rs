@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::{GridError, Projection, ViewGrid};
 
 /// Fraction of a step by which the outermost view may be outside of the zone. So the zone's rim is
-/// at most three quarters of a step from it.
+/// at most three quarters of a step from that view.
 const BEYOND: f64 = 0.25;
 /// Tolerance for quotients that are whole numbers up to rounding.
 const ROUNDING: f64 = 1e-9;
@@ -20,8 +20,8 @@ const ROUNDING: f64 = 1e-9;
 /// `[horizontal, vertical]`, or `{ step = [x, y] }`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Views {
-    /// As many views as make a display right between them too: at multiples of its [native
-    /// step](crate::native_step).
+    /// Views at multiples of the display's [native step](crate::native_step). A display that is
+    /// right at these views is also right between them.
     #[default]
     Auto,
     /// A number of views, [horizontal, vertical], at the centres of equal bins of the zone, as in
@@ -91,7 +91,7 @@ impl<'de> Deserialize<'de> for Views {
     }
 }
 
-/// The three forms.
+/// Describes the three forms in which files state views.
 impl JsonSchema for Views {
     fn schema_name() -> Cow<'static, str> {
         "Views".into()
@@ -116,7 +116,7 @@ impl<'de> Visitor<'de> for Form {
     }
 
     fn visit_str<E: Error>(self, name: &str) -> Result<Views, E> {
-        // `5x3` is for the command line alone: files have the other forms for that
+        // `5x3` is allowed only on the command line; files state the same numbers as a list
         if name == "auto" { Ok(Views::Auto) } else { Err(E::invalid_value(Unexpected::Str(name), &self)) }
     }
 

@@ -45,8 +45,8 @@ impl Weights {
     /// are solved too.
     ///
     /// # Errors
-    /// If the geometry is invalid, or an eye is not in front of the display. If σ is not above 0,
-    /// or a weight or the floor is negative or not finite.
+    /// If the geometry is invalid, or an eye is not in front of the display. Also if σ is not above
+    /// 0, or if a weight or the floor is negative or not finite.
     pub fn eye_boxes(geometry: &FieldGeometry, boxes: &[EyeBox], floor: f32) -> Result<Self, WeightError> {
         let check = |ok: bool, expected: String, found: String| {
             if ok { Ok(()) } else { Err(WeightError { expected, found }) }
@@ -90,8 +90,8 @@ impl Weights {
     /// Checks shape and values.
     ///
     /// # Errors
-    /// If the shape is not that of the geometry, a value is negative, infinite or NaN, or all are
-    /// 0.
+    /// If the weights have another shape than the geometry, a value is negative, infinite or NaN,
+    /// or all values are 0.
     pub fn check(&self, geometry: &FieldGeometry) -> Result<(), WeightError> {
         let [view_rows, view_cols] = geometry.grid.views();
         let (shape, expected, data) = match self {

@@ -59,7 +59,7 @@ impl Zone {
                     ViewGrid::single(*projection, [(2.0 * u - 1.0) * x, (2.0 * v - 1.0) * y])
                 }
                 Self::Eyes(boxes) => {
-                    // each box in turn; within a box, equal areas of its disc
+                    // take the boxes in turn; within a box, directions are uniform over its disc
                     let EyeBox { eye_mm: [x, y, z], sigma_mm, .. } = boxes[i % boxes.len()];
                     let [u, v] = point(i / boxes.len());
                     let (radius, angle) = (EYE_BOX_SIGMAS * sigma_mm * u.sqrt(), std::f64::consts::TAU * v);
@@ -143,8 +143,8 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// PSNR with peak 1, dB. An error that noise leaves at 0 or below is taken as the square of a tenth
-/// of a 16-bit step.
+/// PSNR with peak 1, dB. The smallest error is the square of a tenth of a 16-bit step, since noise
+/// may make an error 0 or negative.
 fn psnr(mse: f64) -> f64 {
     const LEAST: f64 = 1.5e-6 * 1.5e-6;
     -10.0 * mse.max(LEAST).log10()

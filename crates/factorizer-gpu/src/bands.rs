@@ -2,7 +2,7 @@
 //!
 //! Buffers hold whole channels. A dispatch writes some lines, and binds windows of the buffers that
 //! it reads for these lines. The windows hold the field rows whose rays read the lines, and the
-//! lines of other factors that those rays read. A band whose windows are too large is halved.
+//! lines of other factors that these rays read. A band whose windows are too large is halved.
 
 use std::ops::Range;
 
@@ -11,7 +11,7 @@ use crate::tables::Tables;
 /// The windows of one dispatch; ranges are in 4-byte words of a channel's buffers.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Band {
-    /// Lines of a factor, or field rows.
+    /// Lines of a factor; field rows, if errors are computed.
     pub(crate) lines: Range<usize>,
     pub(crate) own: Range<u64>,
     pub(crate) target: Range<u64>,

@@ -141,7 +141,7 @@ impl Gpu {
             let (sender, receiver) = std::sync::mpsc::channel();
             staging.map_async(wgpu::MapMode::Read, 0..len, move |result| drop(sender.send(result)));
             self.wait();
-            // another thread that waits may run the callback, slightly later
+            // if another thread waits too, it may run the callback, slightly later
             let mapped = receiver.recv_timeout(CALLBACK_TIMEOUT).map_err(|_| "the device does not answer".to_owned());
             match mapped.and_then(|result| result.map_err(|error| error.to_string())) {
                 Ok(()) => match staging.get_mapped_range(0..len) {

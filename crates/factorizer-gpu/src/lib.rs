@@ -9,7 +9,7 @@
 //!                                          one thread per field pixel: errors of all views
 //! ```
 //!
-//! The schedule of updates is the processor's: this crate only implements
+//! Updates run in the same order as on the processor: this crate only implements
 //! [`lumistack_factorizer::device::Updater`]. Every shader is generated for the problem's N and M,
 //! so sums stay in registers (`text.rs`). The results equal the processor's up to rounding. They
 //! are the same in every run on one device and driver.

@@ -1,4 +1,4 @@
-//! The patterns of a run on a device. The updates of [`Updater`] are dispatches.
+//! The patterns of a run on a device. Each update of [`Updater`] is a dispatch of shaders.
 
 use std::sync::Arc;
 
@@ -38,7 +38,7 @@ pub(crate) struct State {
     /// Distance of the parameters of successive dispatches, bytes.
     params_stride: u64,
     sums: wgpu::Buffer,
-    /// Bound instead of buffers that a program does not use.
+    /// Buffers that are bound where a program needs none.
     unused: [wgpu::Buffer; 3],
     /// Number of workgroups of the last dispatch; their results are in `sums`.
     found: usize,
@@ -270,7 +270,7 @@ impl State {
     }
 }
 
-/// Number of words of `Params` in front of those of the factors.
+/// Number of words of `Params` in front of the words of the factors.
 const PARAMS: usize = 23;
 
 impl Updater for State {
@@ -311,7 +311,8 @@ impl Updater for State {
     }
 
     fn save(&mut self, _: usize) {
-        // after an update, the previous values are in the buffer that the next update overwrites
+        // nothing to copy: an update leaves the previous values in the buffer that the next update
+        // overwrites
     }
 
     fn restore(&mut self, n: usize) {

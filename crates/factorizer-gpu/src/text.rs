@@ -10,8 +10,8 @@
 //! //@ include coefficients
 //! ```
 //!
-//! Each block ends at its `//@ end`. So N and M become constants of the program, loops over them
-//! are unrolled, and sums stay in registers.
+//! Each block ends at its `//@ end`. N and M are constants of the generated program, so its loops
+//! over them are unrolled, and sums stay in registers.
 
 use std::fmt::Write;
 
@@ -22,10 +22,10 @@ const READ: &str = include_str!("shaders/read.wgsl");
 const UPDATE: &str = include_str!("shaders/update.wgsl");
 const ERRORS: &str = include_str!("shaders/errors.wgsl");
 
-/// Number of bindings in front of those of the factors.
+/// Number of bindings in front of the factors' bindings.
 pub(crate) const FIRST_FACTOR: usize = 7;
 
-/// The properties that a program is generated for.
+/// The properties on which the text of a program depends.
 pub(crate) struct Program<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) weighted: bool,

@@ -31,12 +31,12 @@ const DETERMINED: f32 = 0.1;
 const ROUNDS: usize = 4;
 /// Number of updates of a whole run.
 const UPDATES: usize = 10;
-/// Seeds of the random problems; the same for all tests, so that they share programs.
+/// Seed of the random problems. All tests use this seed, so that they share compiled programs.
 const SEED: u64 = 4;
-/// Tolerance for the device, as a multiple of the processor's own difference between runs whose
-/// starts and targets differ by a rounding.
+/// The device's emission may differ from the processor's by this multiple of the processor's own
+/// difference. That is the difference between runs whose starts and targets differ by a rounding.
 const OWN_ROUNDING: f32 = 4.0;
-/// Number of runs by which the processor's own difference is measured.
+/// Number of runs of the processor by which its own difference is measured.
 const NUDGES: u32 = 4;
 /// Largest number of runs that may need the tolerance [`OWN_ROUNDING`].
 const MOST_LED_ELSEWHERE: usize = 8;
@@ -92,7 +92,7 @@ fn influence(owned: &Owned, stack: &LayerStack, tensor: usize, index: usize) -> 
 }
 
 /// Changes values by a rounding, up or down at random. If all values changed by one common factor,
-/// the first exact step would undo it, and later steps would show nothing.
+/// the first exact step would undo the change, and later steps would show nothing.
 fn nudge(values: &mut [f32], state: &mut u32) {
     for value in values {
         *state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -101,7 +101,7 @@ fn nudge(values: &mut [f32], state: &mut u32) {
     }
 }
 
-/// Runs of the processor whose starts and targets differ by rounding alone.
+/// Runs of the processor whose starts and targets differ only by rounding.
 fn own_runs(kind: Kind, name: &str, start: &LayerStack) -> Vec<LayerStack> {
     let own_run = |number: u32| {
         let (mut state, mut owned, mut start) = (number, random(kind, SEED), start.clone());
@@ -134,14 +134,14 @@ fn begin_of(name: &str, problem: &Problem, start: LayerStack) -> Begin {
     catch.0.into_inner().unwrap().unwrap()
 }
 
-/// True if two sums of errors are equal within the tolerance. They are parts of `sum`, which covers
-/// `values` values.
+/// True if two results `a` and `b` are equal within the tolerance. Each is a part of the sum `sum`,
+/// which has `values` terms.
 fn are_near(a: f64, b: f64, sum: f64, values: usize) -> bool {
     (a - b).abs() <= OBJECTIVE_TOLERANCE * sum + OBJECTIVE_PER_VALUE * values as f64
 }
 
-/// Compares updates one by one. On both devices, each starts from the processor's patterns before
-/// it, so that rounding does not accumulate.
+/// Compares updates one by one. On both devices, each update starts from the processor's patterns
+/// after the previous update, so that rounding does not accumulate.
 #[test]
 fn one_update_equals_the_processors() {
     let Some(device) = device() else { return };
@@ -175,7 +175,7 @@ fn one_update_equals_the_processors() {
                     state.apply(n, Rule::KktResidual, None, false);
                     let seen = if plan.sees_all_rays(n) { update.error } else { 0.0 };
                     let probed = state.outcome().gain;
-                    // each result with the sum that it is a part of
+                    // pair each result with the sum of which it is a part
                     let sums = [(errors.weighted, errors.weighted), (errors.plain, errors.plain), (seen, seen)];
                     let parts = [(update.gain, update.error), (probed, errors.weighted.max(probed))];
                     (sums.into_iter().chain(parts).collect::<Vec<_>>(), [read, stepped])
@@ -216,7 +216,7 @@ fn one_update_equals_the_processors() {
 /// Compares whole runs.
 ///
 /// Single updates agree far better. Later updates depend on values that rounding has decided, so a
-/// few runs end at other patterns. So do the processor's own runs from a start that differs by
+/// few runs end at other patterns. The processor's own runs also do so if their starts differ by
 /// rounding.
 #[test]
 fn ten_updates_equal_the_processors() {

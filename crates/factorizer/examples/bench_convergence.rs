@@ -1,14 +1,14 @@
-//! Prints the PSNR of every solver, start and number of coarser levels after several numbers of
-//! iterations, next to reference values.
+//! Prints the PSNR of every combination of solver, start and number of coarser levels, after
+//! several numbers of iterations. Reference values stand below.
 //!
 //! ```text
 //! cargo run --release -p lumistack-factorizer --example bench_convergence --
 //!     [--quick] [--json FILE]
 //! ```
 //!
-//! The light field `main_5x5_160x100_fov20` comes from the folder in `LUMISTACK_LIGHTFIELDS`
-//! (default `../shared/lightfields` next to the workspace). A second light field is computed in
-//! closed form, so every machine has at least one. `--quick` stops after 50 iterations.
+//! The light field `main_5x5_160x100_fov20` comes from the folder in `LUMISTACK_LIGHTFIELDS`. The
+//! default is the folder `shared/lightfields` next to the workspace. A second light field is
+//! computed in closed form, so every machine has at least one. `--quick` stops after 50 iterations.
 
 #[path = "bench_factorize/scene.rs"]
 mod scene;
@@ -33,8 +33,8 @@ const WIDTH_MM: f64 = 473.76;
 const RESOLUTION: [usize; 2] = [160, 100];
 const FIELD: &str = "main_5x5_160x100_fov20";
 
-/// Values of an independent implementation on the same light field: iterations and PSNR (dB,
-/// `psnr_view`).
+/// Results of an independent implementation on the same light field: pairs of the number of
+/// iterations and the PSNR (dB, `psnr_view`).
 type Figures = &'static [(u32, f64)];
 
 /// A display, its light field, and reference values.
@@ -106,7 +106,7 @@ fn bench(quick: bool, json: Option<&str>) -> Outcome {
     Ok(())
 }
 
-/// All displays with all brightnesses.
+/// Returns the displays with their light fields and reference values.
 fn groups() -> Outcome<Vec<Group>> {
     let mut groups = Vec::new();
     let folder = std::env::var_os("LUMISTACK_LIGHTFIELDS").map_or_else(
@@ -205,14 +205,14 @@ struct Row {
     start: LayerStack,
     /// PSNR after each number of iterations.
     figures: Vec<f64>,
-    /// Mean time of an update.
+    /// Mean time of an update, milliseconds.
     update_ms: f64,
 }
 
-/// Iterates, and returns PSNR after the given numbers of iterations.
+/// Iterates, and returns the PSNR after the given numbers of iterations.
 ///
-/// A display may allow no coarser level. The start then equals that of the row `before`, so its
-/// values are repeated without a new run.
+/// If the display allows no coarser level, the start equals that of the previous row `before`. The
+/// result is then a copy of that row's values, without a new run.
 fn curve(group: &Group, settings: Settings, iterations: &[u32], before: Option<&Row>) -> Outcome<Row> {
     let problem = Problem { display: &group.display, target: &group.target, weights: &Weights::Uniform };
     let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -261,7 +261,8 @@ fn figure(figures: Figures, iterations: u32) -> Option<f64> {
     figures.iter().find(|(at, _)| *at == iterations).map(|(_, psnr)| *psnr)
 }
 
-/// Prints the differences of the paper's rule and the default to the references, and to each other.
+/// Prints by how many dB the paper's rule and the default settings differ from their references and
+/// from each other.
 fn print_verdict(group: &Group, rows: &[Row], iterations: &[u32]) {
     let find = |wanted: fn(&Settings) -> bool| rows.iter().find(|row| wanted(&row.settings));
     let (Some(paper), Some(default)) = (find(is_paper), find(is_default)) else { return };

@@ -1,11 +1,11 @@
-//! Work in bands: on all threads of the current rayon pool, or on one.
+//! Distributes work over all threads of the current rayon pool. Without rayon, one thread does it.
 //!
-//! Every band owns its part of the output and works in a fixed order, so results do not depend on
-//! the number of threads.
+//! A band is one part of the output, and one thread computes it in a fixed order. So results do not
+//! depend on the number of threads.
 
 /// Calls `work(scratch, index, chunk)` for every chunk of `data`.
 ///
-/// `init` makes a `scratch`, which later chunks reuse in an undefined order.
+/// `init` makes a `scratch` value, which any later chunks may reuse.
 pub(crate) fn for_each_chunk<T: Send, S>(
     data: &mut [T],
     chunk: usize,
@@ -40,7 +40,7 @@ pub(crate) fn map<T: Send + Clone + Default, S>(
 
 /// True if `holds` is true of every part of `data`.
 pub(crate) fn all<T: Sync>(data: &[T], holds: impl Fn(&[T]) -> bool + Sync + Send) -> bool {
-    /// Values of one part.
+    /// Number of values of one part.
     const PART: usize = 1 << 16;
     #[cfg(feature = "parallel")]
     {

@@ -1,9 +1,10 @@
 //! The block-exact solver: updates the M values of a pixel together.
 //!
-//! With all other factors fixed, L̃ is linear in a pixel's values f = (f_1 … f_M). They minimize
+//! With all other factors fixed, L̃ is linear in a pixel's values f = (f_1 … f_M). P_m is the
+//! product of the other factors in frame m. An update minimizes, over the box of allowed values,
 //!
 //! ```text
-//! Σ_{r through the pixel} w (βL − (1/M) Σ_m P_m f_m)²   over the box.
+//! Σ_{r through the pixel} w (βL − (1/M) Σ_m P_m f_m)²
 //! ```
 //!
 //! This is a least-squares problem of M unknowns. Its Gram matrix and right-hand side are sums over
@@ -86,8 +87,8 @@ impl Method for Extrapolated {
     }
 }
 
-/// The extrapolation's factor (β_k of Ang and Gillis), its bound, and the rates at which both
-/// change.
+/// The extrapolation's factor (β_k of Ang and Gillis), its bound, and the rates at which factor and
+/// bound change.
 #[derive(Clone, Copy, Debug)]
 struct Extrapolation {
     factor: f32,
@@ -101,8 +102,8 @@ struct Extrapolation {
 
 impl Default for Extrapolation {
     fn default() -> Self {
-        // Measured: an initial extrapolation factor of 0.5 costs 0.6 dB at 5 iterations and gains
-        // 0.02 dB at 500. Faster growth causes too many restarts.
+        // In measurements, an initial extrapolation factor of 0.5 costs 0.6 dB at 5 iterations and
+        // gains 0.02 dB at 500. Faster growth causes too many restarts.
         Self { factor: 0.35, bound: 1.0, grow: 1.05, grow_bound: 1.01, shrink: 1.5, error: f64::INFINITY }
     }
 }

@@ -1,7 +1,8 @@
 //! Sums of one block of a line, with the terms of each view in buffers, for any number of frames
 //! and factors. [`step`](crate::step) defines the terms a_m and e and the sums n, d, r and G.
 //!
-//! [`registers`](crate::registers) has faster functions for common cases and shares the types here.
+//! [`registers`](crate::registers) has faster functions for common cases and uses the types of this
+//! file.
 
 use lumistack_simd::{Kernel, Lanes, MAX_LANES, prefetch_far};
 
@@ -27,11 +28,11 @@ pub(crate) struct Buffers {
     pub(crate) block: Block,
     /// a_m of a group of views, `[view][frame][lane]`.
     pub(crate) products: Aligned,
-    /// e (or βL) of a group of views, `[view][lane]`.
+    /// e of a group of views, or βL for the paper's rule, `[view][lane]`.
     pub(crate) errors: Aligned,
     /// L̃ of a group of views, `[view][lane]`.
     pub(crate) emitted: Aligned,
-    /// f/M.
+    /// f/M of the block's pixels.
     pub(crate) scaled: Aligned,
     /// Σ w e² per lane.
     pub(crate) squares: Vector,
@@ -62,7 +63,7 @@ pub(crate) struct SumParams {
 
 /// One block of a line: the pixels x to x + lanes. Its sums and values go to `buffers`.
 ///
-/// If the block overlaps a view's valid range, it is within that view's padded rows.
+/// A block that overlaps a view's valid range must lie within that view's padded rows.
 pub(crate) struct BlockOfLine<'a> {
     pub(crate) rays: &'a LineRays<'a>,
     pub(crate) x: usize,
@@ -76,7 +77,8 @@ pub(crate) struct BlockOfLine<'a> {
 impl BlockOfLine<'_> {
     /// Copies the block's values f, and f/M, and prefetches rows.
     ///
-    /// `in_registers`: the caller prefetches some rows view by view, so this leaves them out.
+    /// With `in_registers` the caller prefetches some rows view by view, so this function leaves
+    /// these rows out.
     ///
     /// # Safety
     /// The machine has V.
@@ -127,10 +129,11 @@ impl Kernel for ByBuffers {
     }
 }
 
-/// Writes a_m, e (or βL) and L̃ of one view in the block, times √w, to position `to` of the
-/// buffers; returns e √w.
+/// Writes a_m, e and L̃ of one view in the block, times √w, to position `to` of the buffers. The
+/// paper's rule gets βL instead of e. Returns e √w.
 ///
-/// `OWN`: each view reads other values of the factor under update, as under bilinear sampling.
+/// With `OWN`, each view reads different values of the factor under update, as under bilinear
+/// sampling.
 ///
 /// # Safety
 /// The machine has V, and x lies within the rows of the view.
@@ -146,7 +149,8 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     let (frames, others) = (buffers.block.frames, rays.others_of(view));
     // SAFETY: guaranteed by the caller
     unsafe {
-        // f/M comes from the block, or along the rays if each view reads other values
+        // if each view reads different values, f/M is read along the rays; otherwise it comes from
+        // the block
         let products = &mut buffers.products[to * frames * V::COUNT..(to + 1) * frames * V::COUNT];
         let scaled = if OWN {
             Scaled::<V, OWN> {
@@ -157,7 +161,7 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
         } else {
             Scaled { first: buffers.scaled.as_ptr(), stride: V::COUNT, mean: V::splat(1.0) }
         };
-        // a_m and L̃; up to three other factors have separate loops
+        // compute a_m and L̃; there are separate loops for one, two and three other factors
         let emitted = match others {
             [a] => products_of::<V, OWN, 1>(rays, [a], x, frames, weight, products, scaled),
             [a, b] => products_of::<V, OWN, 2>(rays, [a, b], x, frames, weight, products, scaled),
@@ -184,8 +188,8 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     }
 }
 
-/// f/M of the factor under update, frame by frame: from the block, or along the rays if each view
-/// reads other values.
+/// f/M of the factor under update, frame by frame. If each view reads different values, they are
+/// read along the rays; otherwise they come from the block.
 #[derive(Clone, Copy)]
 struct Scaled<V, const OWN: bool> {
     first: *const f32,
@@ -233,7 +237,7 @@ unsafe fn products_of<V: Lanes, const OWN: bool, const K: usize>(
     }
 }
 
-/// βL of one view in the block.
+/// Returns βL of one view in the block.
 ///
 /// # Safety
 /// The machine has V, and x lies within the row.
@@ -257,7 +261,7 @@ pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, params: SumPara
     }
 }
 
-/// The buffered views and their frames.
+/// The numbers of buffered views and of frames.
 #[derive(Clone, Copy)]
 pub(crate) struct Group {
     pub(crate) frames: usize,
@@ -266,7 +270,8 @@ pub(crate) struct Group {
     pub(crate) add: bool,
 }
 
-/// Adds up a group of views. With `SHARED` each view is multiplied by its share in the line.
+/// Adds up the terms of a group of views. With `SHARED`, the terms of each view are multiplied by
+/// the view's share in the line.
 ///
 /// # Safety
 /// The machine has V, and the buffers hold as many views as the group.
@@ -281,7 +286,7 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
     let (frames, tiles) = (group.frames, Tiles::<SHARED> { group, shares, products, errors, emitted });
     // SAFETY: guaranteed by the caller
     unsafe {
-        // sum r and the diagonal, or n and d, for as many frames at a time as registers hold
+        // sum r and the diagonal of G, or n and d, for as many frames at a time as registers hold
         if sums != Sums::Gram {
             let mut m = 0;
             while m < frames {
@@ -300,7 +305,8 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
             }
             return;
         }
-        // sum G: first the tiles of 3×3 frames along the diagonal with r, then the rest
+        // sum G: first the tiles of 3×3 frames along the diagonal together with r, then the rest of
+        // G
         for m in (0..frames).step_by(3) {
             match frames - m {
                 1 => tiles.diagonal::<V, 1>(m, block),
@@ -315,7 +321,7 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
 /// The buffers of a block's views, to be summed.
 pub(crate) struct Tiles<'a, const SHARED: bool> {
     pub(crate) group: Group,
-    /// The weight of each view; empty without `SHARED`.
+    /// The share of each view in the line; empty without `SHARED`.
     pub(crate) shares: &'a [f32],
     pub(crate) products: &'a [f32],
     pub(crate) errors: &'a [f32],
@@ -323,7 +329,7 @@ pub(crate) struct Tiles<'a, const SHARED: bool> {
 }
 
 impl<const SHARED: bool> Tiles<'_, SHARED> {
-    /// `value` times the view's weight.
+    /// Returns `value` times the view's share in the line.
     #[inline(always)]
     unsafe fn shared<V: Lanes>(&self, view: usize, value: V) -> V {
         // SAFETY: guaranteed by the caller
@@ -373,7 +379,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         }
     }
 
-    /// Sums r of frames m..m + R, and the upper triangle of G among them.
+    /// Sums r of frames m..m + R, and the upper triangle of G between these frames.
     #[inline(always)]
     unsafe fn diagonal<V: Lanes, const R: usize>(&self, m: usize, block: &mut Block) {
         let at = |i: usize, k: usize| (m + i) * self.group.frames + m + k;

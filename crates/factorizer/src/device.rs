@@ -1,7 +1,7 @@
 //! The interface of devices that hold and update patterns: this machine's processor, or another.
 //!
-//! Solvers are schedules: they choose the factor to update, the extrapolation, and restarts. They
-//! call an [`Updater`], which computes, and never read its patterns.
+//! A solver is a schedule: it chooses the factor to update, the extrapolation, and restarts. It
+//! calls an [`Updater`], which does the computation, and never reads the updater's patterns.
 //! [`Processor`](crate::Processor) is the executor of this crate. Another executor gets the same
 //! [`Plan`], whose tables define the pixels that every ray reads. It returns the same results up to
 //! rounding.
@@ -46,8 +46,8 @@ pub struct Begin {
     pub tries_local: bool,
 }
 
-/// Smallest fraction of the error that an update must leave, if the remaining error is computed as
-/// error − gain. The gain's terms are f32, so a smaller remainder would be only rounding.
+/// The remaining error is computed as error − gain only if it exceeds this fraction of the error.
+/// The gain's terms are f32, so a smaller difference would be mostly rounding.
 const LEAST_LEFT: f64 = 0.01;
 
 /// The patterns of a run, on any device.
@@ -81,7 +81,7 @@ pub trait Updater {
     /// Restores the saved values of factor `n`.
     fn restore(&mut self, n: usize);
 
-    /// Sums the squared errors of the values that rays read.
+    /// Sums the squared errors over all rays, at the values that rays read.
     fn errors(&mut self) -> ErrorSum;
 
     /// Exchanges the extrapolated patterns and the last iterate; does nothing without an
@@ -137,12 +137,12 @@ pub trait Updater {
 
     /// Computes the objective after an update of factor `n` from the update's outcome.
     ///
-    /// This needs exact steps: every weighted ray reads one pixel of the factor, and all weights
-    /// are equal. Otherwise the result is `None`.
+    /// This needs exact steps: layers attenuate, every weighted ray reads one pixel of the factor,
+    /// and all weights are equal. Otherwise the result is `None`.
     fn objective_after(&self, n: usize, outcome: Outcome) -> Option<Objective> {
         let (plan, map) = (self.plan(), &self.plan().maps[n]);
         let stored_is_read = self.display().layers.get(n).is_none_or(|layer| layer.response().is_none());
-        // in a tile with fixed pixels, not every ray reads a pixel that has made a step
+        // in a tile with fixed pixels, some rays read a pixel that made no step
         let all_step = map.complete && plan.free(n).is_none();
         let exact = plan.is_product() && map.nearest && all_step && stored_is_read;
         // a remainder much smaller than the error is only rounding

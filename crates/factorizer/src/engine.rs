@@ -36,7 +36,7 @@ pub struct Engine {
     display: Display,
     /// Values that rays read: layers rear to front, then the backlight.
     factors: Vec<Factor>,
-    /// Per factor, the stored values, if a response makes rays read other values.
+    /// Per factor, its response and stored values, if the response makes rays read other values.
     stored: Vec<Option<(Response, Factor)>>,
     /// Per factor, the levels of its values and the frames confined to them.
     pub(crate) levels: Vec<Option<Levels>>,
@@ -47,11 +47,13 @@ pub struct Engine {
     /// Box [low, high] of each factor's values.
     ranges: Vec<[f32; 2]>,
     fast: bool,
-    /// Read before every line. After it is set, the remaining lines keep their values.
+    /// The flag that cancels updates. It is read before every line; once it is set, the remaining
+    /// lines keep their values.
     pub(crate) cancel: Cancel,
     tries_local: bool,
     outcome: Outcome,
-    /// The values saved by [`Updater::save`]: those that rays read, and the stored ones.
+    /// The values that [`Updater::save`] saved: the values that rays read, and the stored values if
+    /// they differ.
     saved: Option<(Aligned, Option<Aligned>)>,
 }
 
@@ -135,7 +137,7 @@ impl Engine {
         &self.factors[n].row(channel, line, frame)[layout.pad..layout.pad + layout.cols()]
     }
 
-    /// Selects the instruction set; `fast` permits the fast kernel.
+    /// Selects the instruction set. `fast` permits the fast kernel for factors at constant shifts.
     pub fn use_kernel(&mut self, backend: lumistack_simd::Backend, fast: bool) {
         Arc::make_mut(&mut self.plan).use_backend(backend);
         self.fast = fast;
@@ -150,7 +152,8 @@ impl Engine {
         Ok(Self::begin(prepared.into_begin(floor, false)))
     }
 
-    /// Factor on all sums of weighted errors.
+    /// Factor from sums of weighted errors to the objective. Weights in the sums are relative to
+    /// the largest weight.
     pub fn weight_scale(&self) -> f64 {
         self.plan.target.weight_scale
     }
@@ -168,7 +171,8 @@ impl Engine {
         if self.stored[n].is_some() {
             return self.update_stored(n, rule, extrapolation, local);
         }
-        // update in place if no other line of the factor is read; otherwise into the spare storage
+        // update in place if no other line of the factor is read; otherwise write into the spare
+        // storage
         let in_place = self.is_fast(n);
         let mut values = std::mem::take(&mut self.factors[n].values);
         if !in_place {
@@ -190,7 +194,7 @@ impl Engine {
         outcome
     }
 
-    /// Updates a factor whose stored values differ from those that rays read.
+    /// Updates a factor whose stored values differ from the values that rays read.
     fn update_stored(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool) -> Outcome {
         let layout = self.plan.maps[n].layout.clone();
         // collect the sums of all pixels that rays read
@@ -199,7 +203,7 @@ impl Engine {
         let mut effective = self.factors[n].values.clone();
         let outcome = self.update_lines(n, rule, None, local, &mut effective, Some(&mut sums));
         let Some((response, stored)) = &mut self.stored[n] else { return outcome };
-        // apply the adjoint, which gives the sums of the stored pixels, then step those pixels
+        // apply the adjoint, which gives the sums of the stored pixels, then step the stored pixels
         let adjoint = AdjointSums::of(response, &layout, rule.sums(), &sums);
         let limits = (rule == Rule::Darken).then(|| unlit::limits(&self.plan, n));
         let steps = Steps::new(&self.plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
@@ -221,7 +225,7 @@ impl Engine {
             },
         );
         let gain: f64 = lines.iter().map(|line| line.outcome.gain).sum();
-        // tied channels are one unknown, whose gain is computed three times
+        // tied channels share one value, whose gain is computed three times
         let gain = if response.is_tied() { gain / 3.0 } else { gain };
         respond::respond(response, stored, &mut self.factors[n].values);
         Outcome { error: outcome.error, gain }
@@ -241,7 +245,7 @@ impl Engine {
         let (plan, factors, fast) = (&self.plan, &self.factors, self.is_fast(n));
         let layout = &plan.maps[n].layout;
         let latest = extrapolation.map(|_| &mut self.latest[n]);
-        // a later step needs the sums of every line
+        // if the sums are stored, a later step needs the sums of every line
         let all = sums.is_some();
         // split the factor into lines, which threads share
         let mut lines = lines_of(layout, values, extrapolation.zip(latest), sums);
@@ -395,7 +399,7 @@ impl Updater for Engine {
     }
 
     /// As [`download`](Updater::download), but into the memory of the previous iterate if there is
-    /// one. New memory costs more than the copy.
+    /// one. Allocation of new memory would take longer than the copy.
     fn into_stack(mut self: Box<Self>) -> Result<LayerStack, FactorizeError> {
         if self.latest.is_empty() {
             return Ok(self.download());
@@ -449,7 +453,7 @@ struct Line<'a> {
     outcome: Outcome,
 }
 
-/// Splits a factor's storage, and everything that belongs to it, into lines.
+/// Splits a factor's values, its last iterate and its sums into lines.
 fn lines_of<'a>(
     layout: &Layout,
     values: &'a mut [f32],

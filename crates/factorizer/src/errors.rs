@@ -81,8 +81,8 @@ impl RowErrors<'_> {
 /// Number of blocks whose squares are summed in f32 before the sum goes into an f64 sum.
 const BLOCKS_PER_SUM: usize = 4;
 
-/// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where every factor is at a constant
-/// shift. [`Plan::shifted`] must hold.
+/// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where all rays of a view read each
+/// factor at a constant shift. [`Plan::shifted`] must hold.
 struct Shifted;
 
 impl Kernel for Shifted {
@@ -135,7 +135,7 @@ unsafe fn squared_shifted<V: Lanes>(
                     _ => emitted_by::<V, 3>(&lines, m, col, emitted),
                 };
             }
-            // the error βL − L̃, and 0 after the last ray
+            // L̃ − βL, and 0 after the last ray
             let wanted = match target {
                 Row::Half(row) => V::load_half(row[PAD + col..][..V::COUNT].as_ptr()),
                 Row::Float(row) => V::load(row[PAD + col..][..V::COUNT].as_ptr()),
@@ -190,7 +190,7 @@ unsafe fn emitted_by<V: Lanes, const R: usize>(lines: &[Line], m: usize, col: us
     }
 }
 
-/// Squared errors of a run, added in eight interleaved `f64` sums.
+/// Sums the squared errors of consecutive rays of a field row, in eight interleaved `f64` sums.
 struct Squared;
 
 impl Kernel for Squared {

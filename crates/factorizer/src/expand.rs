@@ -24,11 +24,12 @@ pub(crate) struct Rays<'a> {
 ///
 /// * Attenuating layers: a_m = Π_{k≠own} f_k.
 /// * Emitting layers: a_m = 1.
-/// * Polarization-rotating layers: L̃ = (1/M) Σ_m b sin²((π/2) s_m) with the sum s_m of all layers.
-///   So a_m = b (π/2) sin(π s_m) for a layer, and a_m = sin²((π/2) s_m) for the backlight.
+/// * Polarization-rotating layers: L̃ = (1/M) Σ_m b sin²((π/2) s_m). s_m is the sum of all layers'
+///   values in frame m, and b the backlight. So a_m = b (π/2) sin(π s_m) for a layer, and a_m =
+///   sin²((π/2) s_m) for the backlight.
 ///
-/// The curvature along the values of a rotating layer is at most (π/2)² M (1 + 2 max|e|), since
-/// ‖sin‖² ≤ M and |cos| ≤ 1.
+/// The curvature along the values of a rotating layer is at most (π/2)² M (1 + 2 max|e|). The
+/// reason: Σ_m sin²(π s_m) ≤ M, |cos(π s_m)| ≤ 1 and b ≤ 1.
 pub(crate) fn coefficients(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     match plan.formation {
         Formation::Attenuating => {
@@ -63,7 +64,8 @@ fn rotate(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scra
     let (values, emitted) = (&mut values[..len], &mut emitted[..len]);
     emitted.fill(0.0);
     let (layers, backlight) = (0..plan.layers, (plan.layers < factors.len()).then_some(plan.layers));
-    // per frame: the sum of rotations s_m, the backlight b, then a_m and the contribution to L̃
+    // for each frame, compute the sum of rotations s_m, the backlight b, then a_m and the
+    // contribution to L̃
     for frame in 0..plan.frames {
         let phase = &mut phase[frame * plan.cols..][..len];
         phase.fill(0.0);

@@ -1,13 +1,14 @@
 //! Storage of one factor: a layer, or the directional backlight as one more layer.
 //!
 //! The order is `values[channel][line][frame][x]`. One line is contiguous over all frames. So a
-//! band of lines is a slice for one thread, and the rows that a row of rays reads are neighbours.
+//! thread gets a band of lines as one slice, and a ray's values of all frames are near one another.
 //!
 //! Lines are padded by at least [`PAD`] values on both sides, and an extra line follows the last.
 //! Padding holds the value of a miss, so inner loops have no branch for misses.
 //!
 //! The backlight has R × C lenslets per angular bin. Its line is bin_y·R + lenslet row, and its
-//! column is bin_x·C + lenslet column. So its map is separable too.
+//! column is bin_x·C + lenslet column. So its map is separable into lines and columns, like the map
+//! of a layer.
 
 use crate::aligned::Aligned;
 use crate::bands;

@@ -31,10 +31,11 @@ pub struct Settings {
     pub iterations: u32,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// Kind of start, unless a warm start is given; `None` chooses by solver.
+    /// Kind of start, unless a warm start is given. With `None` the solver determines the kind.
     pub start: Option<StartKind>,
     /// Number of coarser levels at which a run begins, each at half the resolution of the next.
-    /// Levels that are too small are left out; `None` chooses by solver. A warm start uses none.
+    /// Levels that are too small are left out. With `None` the solver determines the number. A warm
+    /// start has no coarser levels.
     pub coarse_levels: Option<u32>,
     /// Number of iterations at each coarser level.
     pub coarse_iterations: u32,
@@ -45,8 +46,8 @@ pub struct Settings {
     /// weight and read one pixel per layer. Otherwise an evaluation costs about a third of an
     /// iteration.
     pub report_every: u32,
-    /// Re-optimizes patterns of layers with few bits on their panels' levels; otherwise the
-    /// patterns stay continuous.
+    /// True to re-optimize patterns of layers with few bits on the levels of their panels.
+    /// Otherwise the patterns stay continuous.
     pub levels: bool,
 }
 
@@ -91,16 +92,16 @@ impl Settings {
 
 /// The objective after some iterations.
 ///
-/// Before the last iteration, a solver that extrapolates may report the extrapolated point of its
-/// last step instead of the iterate that it would return.
+/// Before the last iteration, a solver that extrapolates may report the objective of its
+/// extrapolated patterns, not of its last iterate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Iteration {
     /// Number of iterations done.
     pub iteration: u32,
     /// Σ w (βL − L̃)² over all rays and channels.
     pub objective: f64,
-    /// PSNR of L̃/β against L over all rays with w > 0, dB; NaN without such a ray, infinite if
-    /// exact.
+    /// PSNR of L̃/β against L over all rays with w > 0, dB. It is NaN if no ray has w > 0, and
+    /// infinite if the emission is exact.
     pub psnr_view: f64,
 }
 
@@ -115,7 +116,7 @@ pub struct Factorization {
     pub settings: Settings,
     /// KKT residual before quantization; see [`crate::Run::kkt_residual`].
     pub kkt_residual: f64,
-    /// PSNR lost by few levels; `None` if no layer has few bits.
+    /// PSNR lost by few levels; `None` if no layer has few bits, or without [`Settings::levels`].
     pub levels: Option<LevelsLoss>,
 }
 
@@ -133,8 +134,8 @@ pub struct LevelsLoss {
 /// Factorizes a light field.
 ///
 /// `warm` replaces the start of the settings: patterns of the same display, for example of the
-/// previous time step. `on_iteration` receives every evaluation of the objective, including that of
-/// the start.
+/// previous time step. `on_iteration` receives every evaluation of the objective, including the
+/// evaluation of the start.
 ///
 /// # Errors
 /// If the problem, the settings or the warm start are unusable, if no ray has a weight above 0, or
@@ -216,8 +217,9 @@ fn solve(
                 task.cancel.check()?;
             }
             let mut note = String::new();
-            // The last step may have found an objective already. It may be that of the extrapolated
-            // patterns, so after the last iteration the returned patterns are evaluated.
+            // The last step may already have found an objective. But this may be the objective of
+            // the extrapolated patterns. So the returned patterns are evaluated after the last
+            // iteration.
             if iteration == settings.iterations || iteration % settings.report_every.max(1) == 0 {
                 let known = run.known_objective().filter(|_| iteration < settings.iterations);
                 let objective = known.unwrap_or_else(|| run.objective());
@@ -265,7 +267,8 @@ fn start_run(
         // a warm start replaces the start of the settings; otherwise solve coarser levels first
         Some(warm) => {
             warm.check(display)?;
-            // equal frames stay equal; in a tile with fixed pixels that may be intended
+            // Equal frames stay equal, so the user is warned. In a tile with fixed pixels they may
+            // be intended.
             if display.frames > 1 && plan.free(0).is_none() && frames_are_equal(warm) {
                 let message = "all frames are equal and will stay equal: more frames than one have no effect";
                 task.warn("warm start", message);
@@ -283,7 +286,7 @@ fn start_run(
 
 /// A factorization for callers that read the patterns between iterations.
 ///
-/// After the same number of iterations, its patterns are those of [`factorize`] before
+/// After the same number of iterations, its patterns equal the patterns of [`factorize`] before
 /// re-optimization on few levels.
 pub struct Ongoing(Box<dyn Iterated>);
 
@@ -332,17 +335,17 @@ impl Ongoing {
     }
 }
 
-/// Returns whether a warm start is nearer to the target than the start by `fresh`, including its
-/// coarse levels.
+/// Returns whether a warm start is nearer to the target than the start by the settings `fresh`,
+/// which includes coarser levels.
 ///
 /// If the warm start has the lower objective, the answer is yes. Otherwise both starts take one
-/// iteration of `warm_solver`, and the warm start must then lead by 1 dB. The objectives of the
-/// starts themselves mislead: patterns of moved content begin far off and improve quickly. The cost
-/// is a fresh start, and sometimes two iterations.
+/// iteration of `warm_solver`, and the answer is yes if the warm start then leads by 1 dB. The
+/// objectives of the starts themselves mislead: patterns of moved content begin far off and improve
+/// quickly. The cost is a fresh start, and sometimes two iterations.
 ///
-/// Measured on a plane of waves and on a striped card (64 × 40 pixels, 5 × 3 views, 4 frames),
-/// moved by 0 to 20 pixels. A start that led by 1 dB after one iteration was never more than 1.4 dB
-/// behind after five.
+/// This was measured on a plane of waves and on a striped card, moved by 0 to 20 pixels (64 × 40
+/// pixels, 5 × 3 views, 4 frames). A start that led by 1 dB after one iteration was never more than
+/// 1.4 dB behind after five.
 ///
 /// # Errors
 /// If the problem, the settings or the warm start are unusable, or when cancelled.

@@ -14,7 +14,7 @@
 //! step f_n[j][..][x] by r and G
 //! ```
 //!
-//! Departures:
+//! Departures from the simple version:
 //!
 //! 1. **Blocks.** Columns are processed in blocks of one vector, and a block sums all views before
 //!    the next begins. Its values stay in the first-level cache, and accumulators stay in
@@ -27,16 +27,17 @@
 //!    6 frames. Then the sums are made tile by tile, each in registers. So any number of frames
 //!    runs the same code, and 12 frames spill as little as 6. Groups leave room in the first-level
 //!    cache.
-//! 4. **Prefetch.** An update reads frames × layers × view rows, and all views of the target, side
-//!    by side. Hardware prefetchers do not follow so many rows. So each view prefetches a few rows
-//!    two vectors ahead, and its row of the target into the second-level cache alone.
+//! 4. **Prefetch.** An update reads frames × layers × view rows rows of factors, and all views'
+//!    rows of the target, side by side. Hardware prefetchers do not follow so many rows. So each
+//!    view prefetches a few rows of factors two vectors ahead. It prefetches its row of the target
+//!    into the second-level cache only.
 //! 5. **Target.** The target is read in 16 bits if half floats hold it exactly. √w multiplies a_m
 //!    and e, so that no sum needs w.
 //! 6. **Masks.** A block is masked if it crosses the border of the valid rays or if rays have
-//!    weights. Padding makes the loads of such a block legal.
+//!    weights. Padding makes the loads of a masked block legal.
 //! 7. **Expanded factors.** A factor that is not at a constant shift is first expanded along the
 //!    rays, which puts it at shift 0. Examples are a lenslet grid and a layer of another pitch.
-//!    Rows are kept from line to line as long as they read the same lenslets.
+//!    Expanded rows are reused for the next lines as long as the rays read the same lenslets.
 //! 8. **Functions.** Each case of rule, frames, factors and masking is a separate function, which
 //!    is chosen once per update and called once per block.
 //!
@@ -44,12 +45,12 @@
 //!
 //! * Buffers alone took 1.3 times as long as registers for the multiplicative rule, and 1.2 times
 //!   as long for the block-exact rule.
-//! * A prefetch of all 60 rows at the start of a block took 4 % longer.
-//! * A view of a block takes 45 to 54 cycles. If no load straddles cache lines, it takes 48 instead
-//!   of 54. If in addition all view rows read one line, it takes 38. With everything in the
-//!   first-level cache it would take 26.
-//! * Aligned loads with a permutation took 63 cycles, groups of one to three view rows 58 to 75,
-//!   and lines in steps of a view's shift 60.
+//! * An update with a prefetch of all 60 rows at the start of a block took 4 % longer.
+//! * The sums of one view in a block take 45 to 54 cycles. If no load straddles cache lines, they
+//!   take 48 instead of 54. If in addition all view rows read one line, they take 38. With
+//!   everything in the first-level cache they would take 26.
+//! * Three variants took longer. Aligned loads with a permutation took 63 cycles, and groups of one
+//!   to three view rows 58 to 75. Lines in steps of a view's shift took 60.
 //! * Tiles of fewer columns, vectors of AVX2 with the registers of AVX-512, and two chains for the
 //!   sum over frames changed nothing.
 //! * A single function for all cases, inlined, was 400 kB of code and took four times as long to
@@ -75,7 +76,7 @@ pub(crate) struct GatherFunctions {
     lanes: usize,
     /// For blocks in which all rays of every view are valid and have weight 1.
     whole: Function<ByBuffers>,
-    /// For all other blocks.
+    /// For blocks in which some rays are invalid or have another weight.
     masked: Function<ByBuffers>,
     step: StepFunctions,
 }

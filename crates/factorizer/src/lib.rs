@@ -21,10 +21,10 @@
 //!     ──▶ respond (blur, crosstalk, tied channels) ──▶ step (the rule)
 //! ```
 //!
-//! [`factorize`] runs a solver; [`solvers`] lists them. [`held_bytes`] computes the memory in
-//! addition to the target. The target is read once and may be in a mapped file. [`ChannelRun`]
-//! solves one colour channel whose target stays in that file. For a given seed and instruction set,
-//! results are the same bytes on any number of threads.
+//! [`factorize`] runs a solver; [`solvers`] lists them. [`held_bytes`] bounds the memory that a
+//! factorization takes in addition to the caller's target. The target is read once and may be in a
+//! mapped file. [`ChannelRun`] solves one colour channel whose target stays in its file. For a
+//! given seed and instruction set, results are the same bytes on any number of threads.
 
 mod aligned;
 mod bands;

@@ -16,9 +16,9 @@ pub(crate) struct LineOf {
 /// Error and gain of an update, with weights relative to the largest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// Σ w e² over the rays through the line, before the step. A ray through several pixels is
-    /// weighted by their shares. Rays that miss the factor may be included or not, so this is the
-    /// whole sum only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
+    /// Σ w e² over the rays through the line, before the step. If a ray reads several lines, each
+    /// line gets its share of w e². Rays that miss the factor may be left out, so this is the whole
+    /// sum only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
     pub error: f64,
     /// Lower bound of the decrease of Σ w e² by the step; 0 if the rule does not compute it.
     /// [`Rule::KktResidual`] and [`Rule::Darken`] return their result here.
@@ -31,7 +31,7 @@ impl Outcome {
     }
 }
 
-/// A line's values and the limits of their step. x is an index into padded storage; frames are
+/// A line's values and the constraints of its step. x is an index into padded storage; frames are
 /// `stride` apart.
 pub(crate) struct LineStep<'a> {
     pub(crate) rule: Rule,
@@ -49,12 +49,13 @@ pub(crate) struct LineStep<'a> {
     pub(crate) values: &'a mut [f32],
     /// The extrapolation's factor β_k, and the line of the last iterate.
     pub(crate) extrapolation: Option<(f32, &'a mut [f32])>,
-    /// Destination of the sums, if they are stored instead of a step: `[quantity][x]` in the order
-    /// of [`Sums`]. A later step then needs the sums of other lines too.
+    /// Destination of the sums, `[quantity][x]` in the order of [`Sums`]. If it is given, the line
+    /// stores its sums and does not step, since a later step needs the sums of other lines too.
     pub(crate) sums: Option<&'a mut [f32]>,
 }
 
-/// The functions that follow the sums, for one instruction set, rule and number of frames.
+/// The functions that are called after the sums, for one instruction set, rule and number of
+/// frames.
 pub(crate) struct StepFunctions {
     lanes: usize,
     step: StepFunction,
@@ -217,7 +218,8 @@ impl Kernel for Put {
     }
 }
 
-/// Stores the first `room` lanes. The values after the last column are padding, which rays read.
+/// Stores the first `room` lanes. The values after the last column are padding, which must not
+/// change, since rays that miss the factor read it.
 #[inline(always)]
 unsafe fn put<V: Lanes>(vector: V, to: &mut [f32], room: usize) {
     // SAFETY: the machine has V; lengths are checked

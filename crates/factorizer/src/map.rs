@@ -10,7 +10,8 @@ use crate::factor::{Layout, PAD};
 /// Weights of neighbouring pixels that differ by less are taken as equal; a mask value changes by
 /// no more than this difference.
 const SAME_WEIGHT: f32 = 1e-6;
-/// Shorter pieces of equal shift are read by table, since a separate loop would not pay.
+/// Smallest length of a piece of equal shift that has a separate loop. Shorter pieces are read
+/// through the tables of pixel indices.
 const SHORTEST_PIECE: usize = 8;
 /// Number of rays, weighted by their shares, up to which a pixel's sums stay in f32.
 ///
@@ -29,14 +30,15 @@ pub(crate) struct FactorMap {
     pub(crate) y: Vec<Vec<LineTap>>,
     /// Per view row, the field rows whose rays read each line.
     rays: Vec<RaysOfLine>,
-    /// Per view row and line, the field rows whose rays read this line first and the next one
-    /// second, with the weight of the second.
+    /// Per view row and line, the field rows whose rays read between this line and the next line,
+    /// with the weight of the next line.
     after: Vec<RaysOfLine>,
     /// True if so few rays read each pixel that sums in f32 are precise.
     pub(crate) short_sums: bool,
     /// True if every ray reads one pixel, at the field column plus a constant of the view.
     pub(crate) shifted: bool,
-    /// True if each view column's rays read at a constant shift; rows may be mixed.
+    /// True if the rays of each view column read columns at a constant shift. They may still read a
+    /// mixture of two lines.
     pub(crate) columns_shifted: bool,
     /// True if every ray reads a single pixel.
     pub(crate) nearest: bool,
@@ -57,7 +59,7 @@ pub(crate) struct ColumnTaps {
     pub(crate) shift: Option<isize>,
 }
 
-/// Consecutive field columns that read a factor alike.
+/// Consecutive field columns whose rays read a factor in the same way.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Piece {
     pub(crate) cols: Range<usize>,
@@ -69,9 +71,9 @@ pub(crate) struct Piece {
 pub(crate) enum Access {
     /// Each ray reads its own column plus `by`, mixed with the next pixel by the weight `t`.
     Shift { by: isize, t: f32 },
-    /// Each ray reads one pixel, by table.
+    /// Each ray reads one pixel, whose index is in the table.
     Indexed,
-    /// Each ray reads two pixels, by table.
+    /// Each ray reads two pixels, whose indices are in the table.
     Mixed,
 }
 
@@ -84,7 +86,8 @@ pub(crate) struct LineTap {
     pub(crate) t: f32,
 }
 
-/// The field rows whose rays read each line, for one view row. At equal pitch a line has up to two.
+/// The field rows whose rays read each line, for one view row. If layer and field have the same
+/// pitch, a line has up to two field rows.
 #[derive(Clone, Debug)]
 struct RaysOfLine {
     /// Line j has `entries[starts[j]..starts[j + 1]]`.
@@ -123,10 +126,10 @@ impl FactorMap {
         let pad = (PAD + before as usize).next_multiple_of(PAD);
         // The stride is an odd number of cache lines. If the rows of all frames lie a multiple of 4
         // KiB apart, they share the same sets of the first-level cache. An update then takes 1.7
-        // times as long. A multiple of 1 KiB costs a fifth.
+        // times as long. If they lie a multiple of 1 KiB apart, it takes a fifth longer.
         let stride = ((pad + cols + after as usize + PAD).div_ceil(LINE) | 1) * LINE;
         let layout = Layout { bins: raw.bins, size: raw.size, frames, pad, stride, outside: raw.outside };
-        // where rays read; the line after the last stands for a miss
+        // list where rays read; the line after the last one stands for a miss
         let x: Vec<_> = raw.x.iter().zip(&shifts).map(|(taps, shift)| ColumnTaps::new(taps, *shift, pad)).collect();
         let y: Vec<Vec<LineTap>> = raw
             .y
@@ -225,12 +228,12 @@ fn pieces(taps: &[Option<Tap>], pad: isize) -> Vec<Piece> {
     let mut even: Vec<Piece> = Vec::new();
     for col in 0..taps.len() {
         match even.last_mut() {
-            // t is the weight at the piece's first column, so differences do not add up
+            // the piece keeps the `t` of its first column, so small differences do not add up
             Some(piece) if alike(piece.access, access(col)) => piece.cols.end = col + 1,
             _ => even.push(Piece { cols: col..col + 1, access: access(col) }),
         }
     }
-    // short pieces are read by table, and neighbouring tables become one
+    // short pieces are read through the tables, and neighbouring pieces of this kind become one
     let mut pieces: Vec<Piece> = Vec::new();
     for mut piece in even {
         if let Access::Shift { t, .. } = piece.access
@@ -286,7 +289,8 @@ pub(crate) struct RawMap {
 
 /// Pixel index minus field column, if it is the same for all rays of the runs that hit the factor.
 ///
-/// `None` if it differs, or if the same shift would put a ray that misses inside the factor.
+/// `None` if it differs between rays, or if with this shift a ray that misses the factor would read
+/// inside of it.
 fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<isize> {
     let mut counted = runs.iter().flat_map(Clone::clone);
     let shift = counted.clone().find_map(|c| taps[c].map(|tap| tap.first as isize - c as isize))?;

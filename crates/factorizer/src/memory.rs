@@ -6,13 +6,13 @@ use lumistack_display::{Backlight, Display, FieldGeometry, Sampling};
 use crate::factor::PAD;
 use crate::step::Sums;
 
-/// Size of the tables of one factor, per field column of a view column or field row of a view row,
-/// bytes.
+/// Bytes of one factor's tables for one field column of a view column, or for one field row of a
+/// view row.
 ///
 /// The tables hold the positions where rays hit the factor, once as floats and once for the
 /// kernels.
 const TABLE_BYTES: u64 = 96;
-/// Size of everything else, which is small, bytes.
+/// Bytes of everything else, which is small.
 const SMALL: u64 = 1 << 20;
 
 /// Upper bound of the bytes that [`factorize`](crate::factorize()) holds at any time, on `threads`
@@ -29,12 +29,12 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
     4 * target_bytes(geometry) / 3 + bytes_beside_target(display, geometry, threads)
 }
 
-/// As [`held_bytes`], if the caller's target is in a file. Then the factorizer's copy is in a file,
-/// too, of which about `window` bytes may be in memory.
+/// As [`held_bytes`], if the caller's target is in a file. The factorizer's copy is then also in a
+/// file. About `window` bytes of that file may be in memory.
 pub fn paged_bytes(display: &Display, geometry: &FieldGeometry, threads: usize, window: u64) -> u64 {
     /// Bytes of a small page.
     const PAGE: u64 = 4096;
-    /// References to the rows of a line while they are sorted.
+    /// Bytes of the references to a field row of a view in three channels, while rows are sorted.
     const PLACES: u64 = 96;
     let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
     let (views, rows, threads) = (view_rows * view_cols, geometry.rows as u64, threads as u64);
@@ -66,8 +66,8 @@ fn bytes_beside_target(display: &Display, geometry: &FieldGeometry, threads: usi
         4 * 3 * frames * (factor_rows + 1) * (factor_cols + 2 * reach + 6 * pad)
     };
     let patterns: u64 = factors.iter().map(|&(size, reach)| padded(size, reach)).sum();
-    // a layer with a response keeps the sums of all its pixels, once as rays read it and once as it
-    // is stored
+    // a layer with a response keeps two sets of sums: one of the pixels that rays read, and one of
+    // the stored pixels
     let summed = |(n, &(size, reach)): (usize, &([u64; 2], u64))| match display.layers.get(n) {
         Some(layer) if layer.response().is_some() => {
             2 * padded(size, reach) * Sums::Gram.count(display.frames) as u64 / frames
@@ -77,8 +77,8 @@ fn bytes_beside_target(display: &Display, geometry: &FieldGeometry, threads: usi
     let sums: u64 = factors.iter().enumerate().map(summed).sum();
     // tables of the rays
     let tables = TABLE_BYTES * factors.len() as u64 * (view_cols * cols + view_rows * rows);
-    // factors without a constant shift keep values along rays: a row for every field row that reads
-    // a line or is next to it
+    // For each factor without a constant shift, every thread keeps values along rays. They take at
+    // most three rows per view row, for the field rows around a line.
     let longest = factors.iter().map(|([factor_cols, _], reach)| factor_cols + 2 * reach).max().unwrap_or(0).max(cols);
     let lines = 3 * view_rows * frames * (longest + 6 * pad) * 4;
     let expanded = match (&display.backlight, display.sampling) {
@@ -86,9 +86,10 @@ fn bytes_beside_target(display: &Display, geometry: &FieldGeometry, threads: usi
         (Backlight::Uniform, _) => lines * 2 * factors.len() as u64,
         (Backlight::Lenslets(_), _) => lines * (2 * factors.len() as u64 + view_cols * (factors.len() as u64 - 1)),
     };
-    // A coarser level has a quarter of the pixels, so all levels take 4/3 of the finest. The four
-    // times of the factors are: the values that rays read, those before an extrapolation, the
-    // stored ones and a spare. The patterns are held as tensors before and after the run.
+    // A coarser level has a quarter of the pixels, so all levels take 4/3 of the finest. Four
+    // copies of the factors are held: the values that rays read, the values before an
+    // extrapolation, the stored values and a spare copy. The patterns are also held as tensors
+    // before and after the run.
     4 * (4 * patterns + sums + tables) / 3 + 2 * patterns + threads * expanded + SMALL
 }
 

@@ -155,7 +155,7 @@ impl Plan {
         self.maps.len()
     }
 
-    /// True if the outcome of an update of factor `n` covers all rays.
+    /// True if an update of factor `n` reports the error of all rays.
     pub fn sees_all_rays(&self, n: usize) -> bool {
         self.maps[n].complete
     }
@@ -182,7 +182,8 @@ impl Plan {
         self.free(n).is_none_or(|free| free.rows.contains(&(line % rows)))
     }
 
-    /// The columns of factor `n` that may not change, `[x]` of its padded lines; `None` if all may.
+    /// For each column of factor `n`'s padded lines, `[x]`, true if it may not change; `None` if
+    /// all may.
     pub(crate) fn fixed_columns(&self, n: usize) -> Option<Vec<bool>> {
         let (free, layout) = (self.free(n)?, &self.maps[n].layout);
         let mut fixed = vec![true; layout.stride];

@@ -40,7 +40,7 @@ impl<'a> Prepared<'a> {
         Ok(Self { plan, display: problem.display, patterns: Patterns::Stack(start), executor })
     }
 
-    /// Starts the run on its executor. `floor` and `tries_local` are those of [`Self::into_begin`].
+    /// Starts the run on its executor. [`Self::into_begin`] describes `floor` and `tries_local`.
     pub(crate) fn begin(self, floor: f32, tries_local: bool) -> Result<Box<dyn Updater>, FactorizeError> {
         let executor = self.executor;
         executor.begin(self.into_begin(floor, tries_local))

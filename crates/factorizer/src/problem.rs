@@ -60,7 +60,8 @@ impl Problem<'_> {
         let layers = (0..self.display.layers.len()).map(|n| LayerStack::layer_shape(self.display, n).to_vec());
         let emission = LayerStack::emission_shape(self.display).map(|shape| shape.to_vec());
         let values: u128 = layers.chain(emission).map(|shape| shape.iter().map(|&n| n as u128).product::<u128>()).sum();
-        // the input patterns, padded working copies and one spare copy are in f32
+        // four copies must fit, with 4 bytes per value: the input, two working copies and a spare
+        // one
         let bytes = 4 * 4 * values;
         if bytes > isize::MAX as u128 { Err(FactorizeError::TooLarge { values }) } else { Ok(()) }
     }
@@ -98,7 +99,7 @@ pub enum FactorizeError {
         /// Number of values over all layers, frames and channels.
         values: u128,
     },
-    /// No ray has a weight above 0, so no patterns are better than others.
+    /// No ray with a weight above 0 hits all layers, so all patterns are equally good.
     #[error(
         "no ray with a weight above 0 hits all layers: expected layers and weights with which the display shows some of the target"
     )]
@@ -127,8 +128,8 @@ pub enum FactorizeError {
         /// The reason.
         why: String,
     },
-    /// The file for the solver's copy of a target that is in a file cannot be written.
-    #[error("the solver's copy of the light field, in a file: {why}")]
+    /// The target is in a file, and the file for the solver's copy of it cannot be written.
+    #[error("cannot write the file with the solver's copy of the light field: {why}")]
     Storage {
         /// The system's reason.
         why: String,

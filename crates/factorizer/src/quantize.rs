@@ -1,11 +1,12 @@
 //! Patterns for panels of few bits: confines one mask at a time to the panel's levels, and lets the
-//! others compensate.
+//! other masks compensate for its error.
 //!
 //! The masks are confined frame by frame and layer by layer to the levels that the panel can show
-//! ([`lumistack_display::Layer::levels`]). After each mask, its layer is updated. A coordinate step
-//! goes to the level nearest to its minimum, which is exact for a parabola. Free frames and later
-//! layers then reduce the error. Confined masks still move from level to level, so a few last
-//! iterations gain more. Once all masks are confined, the objective never rises.
+//! ([`lumistack_display::Layer::levels`]). After each mask is confined, its layer is updated. A
+//! coordinate step goes to the level nearest to its minimum. That is the best level, since the
+//! objective is a parabola along a coordinate. Free frames and later layers then reduce the error.
+//! Confined masks still move from level to level, so a few last iterations gain more. Once all
+//! masks are confined, the objective never rises.
 
 use lumistack_core::Task;
 use lumistack_display::{Display, LayerStack};
@@ -55,7 +56,7 @@ pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, F
     let (frames, layers) = (display.frames, &display.layers);
     let mut engine = Engine::begin(prepared.into_begin(0.0, false));
     engine.cancel = task.cancel.clone();
-    // all frames of the layers with few bits begin free
+    // at first, no frame of the layers with few bits is confined
     let few: Vec<usize> = (0..layers.len()).filter(|&n| layers[n].bits.is_some()).collect();
     for &n in &few {
         let values = layers[n].levels();

@@ -51,9 +51,9 @@ impl<'a, T> Place<'a, T> {
 
 /// One view's rays through the line.
 pub(crate) struct View<'a> {
-    /// x of the valid rays.
+    /// Range of x in which the view's rays are valid.
     valid: Range<usize>,
-    /// √w.
+    /// √w of the rays; `None` if all weights are 1.
     weights: Option<Place<'a, f32>>,
 }
 
@@ -82,7 +82,7 @@ pub(crate) enum TargetRow<'a> {
 /// Number of rows that each view prefetches. A prefetch of all rows together would stall the loads.
 const PREFETCHED: usize = 3;
 
-/// The rows along one view's rays.
+/// The rows that one view's rays read.
 pub(crate) struct RowsOfView<'a, const K: usize> {
     pub(crate) view: &'a View<'a>,
     pub(crate) target: &'a TargetRow<'a>,
@@ -91,7 +91,7 @@ pub(crate) struct RowsOfView<'a, const K: usize> {
 }
 
 impl<const K: usize> RowsOfView<'_, K> {
-    /// Prefetches the values at x of those rows that this view prefetches.
+    /// Prefetches the values at x of the rows that are assigned to this view.
     #[inline(always)]
     pub(crate) fn prefetch(&self, x: usize) {
         for row in self.ahead {
@@ -111,7 +111,7 @@ pub(crate) struct LineRays<'a> {
     /// Per other factor, the distance from one frame to the next, in values.
     pub(crate) strides: Vec<usize>,
     /// Per view, where its rays read the line's own factor, in all frames. Empty if all views read
-    /// it at the same place.
+    /// the same columns of it.
     pub(crate) own: Vec<Place<'a, f32>>,
     pub(crate) own_stride: usize,
     /// Rows to prefetch, as pointers to x = 0: the line's own rows, and the other factors' rows.
@@ -159,7 +159,7 @@ impl LineRays<'_> {
         }
     }
 
-    /// An empty list that keeps the storage of this one.
+    /// Empties the list, and keeps its storage for the next list.
     pub(crate) fn emptied(self) -> LineRays<'static> {
         LineRays {
             views: emptied(self.views),
@@ -249,8 +249,8 @@ impl<'a> Left<'a> {
 
     /// The line of factor `k` that a row of rays reads, for all frames.
     ///
-    /// Call it for every factor in turn, since mixed lines are taken in order. A factor under
-    /// update in place has no values; its line is empty.
+    /// Call it for every factor in turn, since mixed lines are taken in order. If factor `k` is
+    /// being updated in place, it has no values here, and its line is empty.
     fn line(&mut self, plan: &Plan, factors: &'a [Factor], k: usize, channel: usize, rays: RowOfRays) -> &'a [f32] {
         let (map, factor) = (&plan.maps[k], &factors[k]);
         let tap = map.y[rays.view_y][rays.row];
@@ -367,14 +367,14 @@ pub(crate) fn rays_through<'a>(
     let map = &plan.maps[at.factor];
     rays.others_per_view = factors.len() - 1;
     let others = || (0..factors.len()).filter(|&k| k != at.factor);
-    // all views of a factor have one stride, so a factor is expanded for all views or for none
+    // A factor has one stride for all views. So it is expanded for all views or for none.
     let is_there = |k: usize| plan.maps[k].columns_shifted;
     let layout = |k: usize| &plan.maps[k].layout;
     rays.strides.extend(others().map(|k| if is_there(k) { layout(k).stride } else { expanded_stride(plan) }));
     let elsewhere = others().filter(|&k| !is_there(k)).count();
     rays.ahead.extend(own);
-    // list the field rows whose rays read the line, and mix the lines of other factors between
-    // which these rays read
+    // list the field rows whose rays read the line; where these rays read between two lines of
+    // another factor, mix these two lines
     spare.rows.clear();
     for view_y in 0..plan.views[0] {
         let of_line = map.rays_of_line(view_y, at.line).iter();

@@ -14,8 +14,8 @@ pub(crate) struct Pairs<const M: usize, const K: usize, const MASKED: bool, cons
 
 /// Sums r of all frames, and G.
 ///
-/// G's tiles along the diagonal are summed together, the rest from buffered a_m. `MASKED` as in
-/// [`Pairs`].
+/// G's tiles along the diagonal are summed together, the rest from buffered a_m. `MASKED` has the
+/// same meaning as in [`Pairs`].
 pub(crate) struct Gram<const M: usize, const K: usize, const MASKED: bool>;
 
 /// Number of registers that [`Pairs`] needs: two accumulators and a_m per frame, and a few more.
@@ -67,7 +67,7 @@ impl<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool> K
                     below[m] = products[m].mul_add(if DIAGONAL { products[m] } else { emitted }, below[m]);
                 }
             }
-            // the block gets n and d, or r and the diagonal
+            // the block gets n and d, or r and the diagonal of G
             for m in 0..M {
                 store(above[m], &mut buffers.block.residual, m * V::COUNT);
                 store(below[m], &mut buffers.block.emitted, m * V::COUNT);
@@ -85,7 +85,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
     unsafe fn run<V: Lanes>(mut at: BlockOfLine<'_>) {
         // SAFETY: guaranteed by the caller
         unsafe {
-            // as in `Pairs`
+            // with too few registers, buffers are faster
             if registers_for_gram(M) > V::REGISTERS {
                 return V::call::<ByBuffers>(at);
             }
@@ -97,7 +97,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
             let views = rays.views.len();
             let mut first = 0;
             // views go in groups whose a_m fit the buffer. Sums wait in memory between groups,
-            // since the call at the end of this loop saves no registers
+            // since the function called at the end of this loop may overwrite all registers
             loop {
                 let add = first > 0;
                 let mut squares = if add { load::<V>(all, 0) } else { V::splat(0.0) };

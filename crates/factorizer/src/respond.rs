@@ -12,8 +12,8 @@
 //! ```
 //!
 //! The bound equals the change at d = 0 and is separable over the stored pixels. So the usual step
-//! on Aᵀr and Aᵀ(ρG) never raises the objective. Without blur and crosstalk (tied channels with
-//! filters) the bound is exact. The multiplicative rule takes Aᵀn and Aᵀd.
+//! on Aᵀr and Aᵀ(ρG) never raises the objective. The bound is exact if channels are only tied or
+//! filtered, without blur and crosstalk. The multiplicative rule takes Aᵀn and Aᵀd.
 
 use lumistack_display::Response;
 
@@ -39,14 +39,16 @@ impl AdjointSums {
         let filters: Vec<[f32; 3]> = (0..cols).map(|col| response.filter(col)).collect();
         let mix = response.mix();
         let mut scratch = Vec::new();
-        // blur the filter of each channel, the same in every row; mixed over channels it gives ρ
+        // Blur the filter of each channel, which is the same in every row. Mixed over channels, the
+        // blurred filters give ρ.
         let passed = [0, 1, 2].map(|c: usize| {
             let filter: Vec<f32> = filters.iter().map(|filter| filter[c]).collect();
             let mut blurred = vec![0.0; cols];
             response.blur(1, cols, &filter, &mut blurred, &mut scratch);
             blurred
         });
-        // Aᵀ: mix the channels, blur by the adjoint, then filter; entries of G also carry ρ
+        // apply Aᵀ: mix the channels, blur by the adjoint, then filter; entries of G are also
+        // multiplied by ρ
         let plane_of = |quantity: usize| -> [Vec<f32>; 3] {
             let bounded = needed != Sums::Ratio && quantity >= layout.frames;
             let (mut mixed, mut plane, mut scratch) = (vec![0.0; rows * cols], vec![0.0; rows * cols], Vec::new());
@@ -67,7 +69,7 @@ impl AdjointSums {
                 let columns = filters.iter().cycle();
                 plane.iter().zip(columns).map(|(&value, filter)| value * filter[to]).collect::<Vec<f32>>()
             });
-            // tied channels are one variable, so their sums add up
+            // tied channels share one value, so their sums are added
             if response.is_tied() {
                 let [red, green, blue] = &stored;
                 let sum: Vec<f32> = red.iter().zip(green).zip(blue).map(|((r, g), b)| r + g + b).collect();

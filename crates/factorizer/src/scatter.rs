@@ -1,11 +1,11 @@
-//! Lines of one factor that rays read anywhere: between pixels, several field pixels per pixel, or
-//! at another pitch.
+//! Updates the lines of a factor that is not at a constant shift. Rays read it between pixels,
+//! several field pixels share one of its pixels, or it has another pitch.
 //!
-//! A ray reads the factor between lines j and j + 1, and there between columns i and i + 1. So it
-//! adds the sums of [`gather`](crate::gather) to four pixels, by the shares (1 − t_y, t_y) and (1 −
-//! t_x, t_x). Done ray by ray, these additions would take most of the time, nine times that of a
+//! A ray reads the factor between lines j and j + 1, and between columns i and i + 1. So it adds
+//! the sums of [`gather`](crate::gather) to four pixels, by the shares (1 − t_y, t_y) and (1 − t_x,
+//! t_x). If these additions were done ray by ray, an update would take nine times as long as at a
 //! constant shift. But all views of a view column have the same t_x and read the same columns. So
-//! their sums are added up first, and distributed to the columns once:
+//! the sums of these views are added up first, and distributed to the columns once:
 //!
 //! ```text
 //! for every line j, for every view column:
@@ -38,8 +38,8 @@ use crate::rays::{LineRays, RowOfRays, Spare, expanded_stride, rays_of_column};
 use crate::step::{Rule, Sums};
 use crate::vector;
 
-/// Number of lines per band. Two bands sum the rays between the last line of one band and the first
-/// of the next.
+/// Number of lines per band. The rays between the last line of a band and the first line of the
+/// next band are summed by both bands.
 pub(crate) const BAND: usize = 16;
 
 /// Number of rows of rays that are summed in f32 before these sums are added to f64 sums. Pixels
@@ -89,7 +89,8 @@ pub(crate) struct Scratch {
     buffers: Buffers,
     rays: LineRays<'static>,
     spare: Spare,
-    /// The sums of one view column by field columns, low and high: `[quantity][x]`.
+    /// The sums of one view column by field columns, `[quantity][x]`: low sums for this line, high
+    /// sums for the next line.
     columns: [Vec<f32>; 2],
     /// The sums of this line and of the next line.
     lines: [LineSums; 2],
@@ -151,9 +152,9 @@ impl ScatterBand<'_> {
         Outcome { error: line.error, gain }
     }
 
-    /// Adds the rays between a line and the next to the sums of both.
+    /// Adds the rays between a line and the next line to the sums of these two lines.
     ///
-    /// With `high_alone`, the caller needs the sums of the next line alone.
+    /// With `high_alone`, the caller needs only the sums of the next line.
     fn add_rays(&mut self, at: LineOf, needed: Sums, high_alone: bool) {
         let (plan, factors, functions) = (self.plan, self.factors, self.functions);
         let Scratch { buffers, rays, spare, columns, lines, shares } = &mut *self.scratch;
@@ -167,7 +168,7 @@ impl ScatterBand<'_> {
                 shares.push([1.0 - t, t]);
             }
         }
-        // without a share in the next line there are no high sums
+        // if no row of rays has a share in the next line, there are no high sums
         let is_high = shares.iter().any(|[_, high]| *high > 0.0);
         if shares.is_empty() || high_alone && !is_high {
             return;
@@ -177,7 +178,8 @@ impl ScatterBand<'_> {
         let together = if map.short_sums { GROUP } else { SHORT_ROWS };
         let params = SumParams { brightness: plan.target.brightness, sums: needed };
         spare.mix_lines(plan, factors, at.channel);
-        // sum, per view column, by field columns, then by the pixels that these read
+        // for each view column, sum by field columns; then add these sums to the pixels that the
+        // field columns read
         for view_x in 0..plan.views[1] {
             for run in &plan.runs[view_x] {
                 let list = rays_of_column(std::mem::take(rays), plan, factors, at, (view_x, run), spare);
@@ -192,7 +194,7 @@ impl ScatterBand<'_> {
                         let squares = unsafe { (functions.block)(block) };
                         lines.iter_mut().zip(squares).for_each(|(line, squares)| line.error += squares);
                     }
-                    // high sums follow low sums in the same way
+                    // add the low sums to this line, then the high sums to the next line
                     for (columns, line) in columns.iter().zip(&mut *lines).take(if is_high { 2 } else { 1 }) {
                         let (x, columns) = (&map.x[view_x], (&columns[..], field_stride));
                         // SAFETY: the kernels have no requirements
@@ -230,7 +232,7 @@ struct ColumnBlock<'a> {
     field_stride: usize,
 }
 
-/// Sums a block's rays by their shares; returns Σ w e² for the line and for the next.
+/// Sums a block's rays by their shares; returns Σ w e² for the line and for the next line.
 struct Apart;
 
 impl Kernel for Apart {

@@ -22,7 +22,7 @@ pub(crate) struct Scratch {
     pub(crate) weighted: Vec<f32>,
     /// r and the upper triangle of G, or n and d: `[quantity][x]`.
     pub(crate) sums: Vec<f32>,
-    /// The same sums in f64 if a pixel may get many rays; otherwise empty.
+    /// The sums of `sums` in f64 if a pixel may get many rays; otherwise empty.
     pub(crate) long_sums: Vec<f64>,
     pub(crate) block: Block,
 }

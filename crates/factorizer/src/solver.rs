@@ -28,16 +28,15 @@ pub trait Solver: Sync {
 pub trait Run {
     /// Runs one iteration: updates every factor once.
     ///
-    /// # Errors
     /// When cancelled; the patterns so far remain usable. The check is made per line of a factor,
-    /// or per factor on a device. Also if the device is lost, and the patterns with it.
+    /// or per factor on a device. A lost device is an error too; its patterns are then lost.
     fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError>;
 
     /// Computes the objective of the current patterns.
     fn objective(&mut self) -> Objective;
 
-    /// The objective that the last step obtained from its own sums; it may be that of the
-    /// extrapolated patterns.
+    /// The objective that the last step obtained from its own sums. This may be the objective of
+    /// the extrapolated patterns.
     ///
     /// `None` if the sums do not contain it, or after a restart. [`Self::objective`] computes it in
     /// any case.
@@ -51,13 +50,12 @@ pub trait Run {
     fn kkt_residual(&mut self) -> f64;
 
     /// Ends a run: sets unlit values to the darkest that the hardware shows. Returns the KKT
-    /// residual, see [`kkt_residual`](Self::kkt_residual).
-    ///
-    /// Almost no light reaches an unlit value, so the objective does not determine it. A real layer
-    /// is not quite black and would leak light there. The light of a value is the light that the
-    /// other layers transmit in its frame, over its rays. A value is unlit if this is at most 10⁻⁴
-    /// of the brightness (root mean square). Pixels without a weighted ray keep their values, since
-    /// views between those of the target may see them.
+    /// residual, see [`kkt_residual`](Self::kkt_residual). Almost no light reaches an unlit value,
+    /// so the objective does not determine it. A real layer is not quite black and would leak light
+    /// there. The light of a value is the light that the other layers transmit to its pixel in its
+    /// frame. A value is unlit if the root mean square of this light over its rays is at most 10⁻⁴
+    /// of the brightness. Pixels without a weighted ray keep their values, since views between the
+    /// target's views may see them.
     fn darken_unlit(&mut self) -> f64;
 
     /// Number of rays with w > 0 that hit all layers.
@@ -80,6 +78,6 @@ pub struct Objective {
     /// Σ w (βL − L̃)² over all rays and channels (eq. 27).
     pub value: f64,
     /// PSNR of L̃/β against L with a peak of 1, dB. It covers all rays with w > 0 and all channels,
-    /// and is NaN without such a ray.
+    /// and is NaN if there is no such ray.
     pub psnr_view: f64,
 }

@@ -21,8 +21,9 @@ pub enum StartKind {
     /// ranges gain a few tenths of a dB in the first updates and change the ranking of no solver.
     #[default]
     Random,
-    /// The same noise, blurred by 1.5 pixels and stretched to the same range. Neighbouring rays
-    /// then see nearly the same values, so the first updates need not smooth the patterns.
+    /// The noise of [`Self::Random`], blurred by 1.5 pixels and stretched to its full range.
+    /// Neighbouring rays then see nearly the same values, so the first updates need not smooth the
+    /// patterns.
     Smooth,
     /// The value at which N equal factors emit the mean of βL over the pixel's rays, times smooth
     /// noise per frame. If layers attenuate, it is the N-th root of the mean.

@@ -24,8 +24,8 @@ use crate::vector::{Vector, load as get, store as put};
 pub enum Rule {
     /// f ← clamp(f·n/d): the paper's rule (eq. 16).
     ///
-    /// n is summed separately instead of as r + d. Values may shrink by orders of magnitude in one
-    /// step, and must keep their relative precision.
+    /// n is summed directly, not computed as r + d. Values may shrink by orders of magnitude in one
+    /// step and must keep their relative precision, which the sum r + d would lose.
     Multiplicative,
     /// Sweeps of exact coordinate steps on the quadratic within the box.
     Block {
@@ -67,8 +67,8 @@ pub(crate) enum Sums {
 }
 
 impl Sums {
-    /// Number of sums per pixel: M of r or n first, then the others. For G only its upper triangle
-    /// is included.
+    /// Number of sums per pixel. The M sums r or n come first, then d, the diagonal of G or the
+    /// upper triangle of G.
     pub(crate) fn count(self, frames: usize) -> usize {
         if self == Self::Gram { frames + frames * (frames + 1) / 2 } else { 2 * frames }
     }
@@ -88,12 +88,13 @@ pub(crate) struct Levels {
 pub(crate) enum Freedom {
     /// Any value in the box.
     Free,
-    /// Levels alone.
+    /// Only the levels of the factor.
     Levels,
 }
 
-/// Smallest diagonal entry of a Gram matrix. A smaller one belongs to a pixel that almost no light
-/// reaches. Its value is arbitrary until [`Rule::Darken`] darkens it.
+/// Smallest diagonal entry of a Gram matrix; smaller entries are replaced by it. They belong to
+/// pixels that almost no light reaches, whose values are arbitrary until [`Rule::Darken`] darkens
+/// them.
 const LEAST_CURVATURE: f32 = 1e-30;
 
 /// Sums and values of one vector of pixels, `[frame][lane]`.
@@ -105,7 +106,7 @@ pub(crate) struct Block {
     pub(crate) emitted: Aligned,
     /// G, `[frame][frame][lane]`; the upper triangle is the input.
     pub(crate) gram: Aligned,
-    /// f.
+    /// f, the values of the pixels.
     pub(crate) values: Aligned,
     /// r before the step.
     before: Aligned,
@@ -148,10 +149,10 @@ impl Block {
 
     /// Coordinate descent with values and r in registers.
     ///
-    /// Every coordinate step waits for the previous one: 5 instructions' latencies through
-    /// registers, three times as long through memory. Two vectors side by side do not fit into
-    /// registers and gained nothing. An update of each frame's best value instead of r saved 6 % of
-    /// an update, but lost digits if G is nearly singular.
+    /// Every coordinate step waits for the previous one. That takes the latency of 5 instructions
+    /// through registers, and three times as long through memory. Two vectors side by side do not
+    /// fit into registers and gained nothing. An update of each frame's best value instead of r
+    /// saved 6 % of an update, but lost digits if G is nearly singular.
     #[inline(always)]
     unsafe fn descend_in_registers<V: Lanes, const M: usize>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
         let n = V::COUNT;
@@ -213,7 +214,7 @@ impl Block {
                 put(get::<V>(&self.residual, m * n), &mut self.before, m * n);
                 put(V::splat(0.0), &mut self.change, m * n);
             }
-            // the sweeps, as in registers
+            // the sweeps, as in `descend_in_registers`
             for _ in 0..sweeps {
                 for m in 0..frames {
                     let f = get::<V>(&self.values, m * n);
@@ -232,7 +233,7 @@ impl Block {
                     }
                 }
             }
-            // the gain, as in registers
+            // the gain, as in `descend_in_registers`
             let mut gain = V::splat(0.0);
             for m in 0..frames {
                 let both = get::<V>(&self.before, m * n).add(get::<V>(&self.residual, m * n));
@@ -332,8 +333,8 @@ pub(crate) struct Step<'a> {
     pub(crate) levels: Option<&'a Levels>,
 }
 
-/// Steps the values of a block by its sums and writes the gain to the block. The block's number of
-/// frames must be that of the function.
+/// Steps the values of a block by its sums and writes the gain to the block. The block must have
+/// the number of frames for which the function was made.
 pub(crate) type StepFunction = for<'a> unsafe fn(Step<'a>);
 
 /// Returns the function for an instruction set, a rule and a number of frames. `levels`: some

@@ -47,7 +47,7 @@ impl Estimate {
         if let Backlight::Lenslets(b) = &display.backlight {
             patterns += layer([b.lenslets[0] * b.views[0], b.lenslets[1] * b.views[1]]);
         }
-        // the rest is ray tables, and the buffers of a line per thread
+        // all other memory: ray tables, and every thread's buffers for a line
         let tables = display.layers.len() as u64 * (view_rows as u64 * rows + view_cols as u64 * cols) * 32;
         Self { target: 2 * views * rows * cols, patterns, working: tables + (64 << 20) }
     }

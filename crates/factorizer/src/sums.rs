@@ -21,7 +21,7 @@ use crate::step::Sums;
 /// One line and its update.
 pub(crate) struct SumLine<'a, 'b> {
     pub(crate) plan: &'a Plan,
-    /// The line's own factor is read too, if layers are mixed with their neighbours.
+    /// All factors; the line's own factor is read too, since L̃ is computed from all of them.
     pub(crate) factors: &'a [Factor],
     pub(crate) at: LineOf,
     /// True for the curvature at the current point instead of its upper bound. This matters only if
@@ -105,7 +105,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                     // polarization: the curvature that G does not bound goes to the diagonal
                     if !bounded {
                         if local {
-                            // |∂²L̃/∂u²| = (π²/2) M |cos|, times |e|
+                            // |e ∂²L̃/∂u²| ≤ (π²/2) M |e|, since |cos| ≤ 1
                             let most = FRAC_PI_2 * PI * frames as f32;
                             curvature.iter_mut().zip(&*e).for_each(|(value, e)| *value = most * e.abs());
                         }

@@ -2,8 +2,8 @@
 //!
 //! A target in memory is `[channel][view][row][x]`. A target in a file is
 //! `[channel][row][view][x]`, since the rays through a line of a layer are in a band of rows. So
-//! updates read the file from one end to the other, and only a band is in memory. A target in
-//! memory in that order made updates 1.3 times as slow for 13 × 13 views.
+//! updates read the file from one end to the other, and only a band is in memory. In memory, the
+//! order of files made updates take 1.3 times as long for 13 × 13 views.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -55,7 +55,7 @@ impl Order {
         if radiance.storage().is_some() { Self::Rows } else { Self::Views }
     }
 
-    /// Position of a row, where a channel has this number of views and of rows per view.
+    /// Position of a row in a channel of `views` views, each of `rows` rows.
     #[inline(always)]
     fn index(self, [views, rows]: [usize; 2], view: usize, row: usize) -> usize {
         match self {
@@ -154,8 +154,9 @@ impl Target {
 
     /// The target of coarser pixels: means over the fine ones, for the given views.
     ///
-    /// `pixels` has rows and columns; a coarse pixel is the weighted mean of three fine ones per
-    /// axis. Half floats are rounded to half floats again, since only a start depends on them.
+    /// `pixels` = [rows, columns] lists the three fine pixels per axis whose weighted mean is a
+    /// coarse pixel. Half floats are rounded to half floats again, since only a start depends on
+    /// them.
     pub(crate) fn averaged(&self, functions: &RowFunctions, views: &[usize], pixels: &[Vec<Cover>; 2]) -> Self {
         let [rows, cols] = [&pixels[0], &pixels[1]];
         let (stride, fine_cols) = (PAD + cols.len() + PAD, self.stride - 2 * PAD);
@@ -218,7 +219,7 @@ impl Target {
         matches!(self.weights, RayWeights::Uniform)
     }
 
-    /// True if L may hold infinite values or NaN; half floats hold finite values alone.
+    /// True if L may hold infinite values or NaN; half floats hold only finite values.
     pub(crate) fn may_be_infinite(&self) -> bool {
         matches!(self.values, Radiance::Float(_))
     }
@@ -283,7 +284,7 @@ fn rows_of<T: Plain>(
     let (green, blue) = rest.split_at_mut(lines * stride);
     let channels = red.chunks_exact_mut(stride).zip(green.chunks_exact_mut(stride)).zip(blue.chunks_exact_mut(stride));
     let mut places: Vec<_> = channels.map(|((red, green), blue)| [red, green, blue]).collect();
-    // in the order of the given values, since those may be in a file as well
+    // visit the rows in the order of the given values, since these values may be in a file too
     let order = Order::of(radiance);
     let place = |line| std::mem::take(&mut places[order.index([views, rows], line / rows, line % rows)]);
     let mut places: Vec<_> = (0..lines).map(place).collect();
@@ -326,7 +327,8 @@ impl Kernel for Halve {
     #[inline(always)]
     unsafe fn run<V: Lanes>((pixels, [red, green, blue]): Self::Args<'_>) -> bool {
         let pixels = pixels.as_chunks::<3>().0;
-        // zeros, and values that are normal in both formats, without branches
+        // convert zeros and values that are normal numbers in both formats, without branches; note
+        // if there are other values
         let mut others = 0;
         let mut simple = |value: f32| {
             let (sign, bits) = ((value.to_bits() >> 16 & 0x8000) as u16, value.to_bits() & 0x7fff_ffff);
@@ -361,7 +363,7 @@ fn exact_halves(pixels: &[[f32; 3]], rows: [&mut [u16]; 3]) -> bool {
 fn half_from_float(value: f32) -> Option<u16> {
     let bits = value.to_bits();
     let (sign, exponent, mantissa) = ((bits >> 16 & 0x8000) as u16, (bits >> 23 & 0xff) as i32, bits & 0x7f_ffff);
-    // f32 has 13 more mantissa bits; below 2^-14 a half float has one fewer per power of two
+    // f32 has 13 more mantissa bits; below 2^-14 a half float loses one bit more per power of two
     let lost = 13 + (113 - exponent).max(0);
     match exponent {
         0 if mantissa == 0 => Some(sign),
@@ -415,7 +417,7 @@ mod tests {
         let halve =
             |pixel: [f32; 3], rows: [&mut [u16]; 3]| unsafe { Backend::best().function::<Halve>()((&pixel, rows)) };
         for bits in 0..=u16::MAX {
-            // by the definition of the format
+            // the value by the definition of the half-float format
             let (exponent, mantissa) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
             let magnitude = match exponent {
                 0 => mantissa / 1024.0 * 2f64.powi(-14),

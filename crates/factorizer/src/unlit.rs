@@ -16,8 +16,8 @@ use crate::plan::Plan;
 
 /// Largest root mean square of a_m over the rays of an unlit pixel, relative to the brightness β.
 ///
-/// The full range of such a value changes the seen picture by at most a third of the smallest step
-/// of an 8-bit sRGB picture.
+/// The full range of an unlit value changes the seen picture by at most a third of the smallest
+/// step in 8-bit sRGB.
 const UNLIT: f64 = 1e-4;
 
 /// Smallest value of a warm start. An exact step moves a value to its minimum however small a_m is,
@@ -26,8 +26,8 @@ const LIFTED: f32 = 1e-4;
 
 /// Per pixel of factor `n`, the largest Σ w a_m² of an unlit pixel: (UNLIT β)² Σ w over its rays.
 ///
-/// The order is `[line][x]` as the factor's lines are stored. It is negative for pixels without
-/// rays.
+/// The order is `[line][x]` as the factor's lines are stored. The limit of a pixel without rays is
+/// negative.
 pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
     let map = &plan.maps[n];
     let stride = map.layout.stride;

@@ -125,8 +125,8 @@ fn a_solve_holds_no_more_than_is_said_before() {
         let in_memory = LightField::new(field.geometry().clone(), radiance).unwrap();
         assert!(solve(&in_memory) == solved, "{name}: other patterns than from memory");
         let said = held_bytes(&display, field.geometry(), rayon::current_num_threads());
-        assert!(held <= said, "{name}: {held} bytes held, {said} said");
-        assert!(said <= 4 * held, "{name}: {said} bytes said, {held} held");
+        assert!(held <= said, "{name}: {held} bytes were held, held_bytes returned {said}");
+        assert!(said <= 4 * held, "{name}: held_bytes returned {said}, only {held} bytes were held");
         let whole = 4 * field.radiance().data().len() as u64;
         assert!(name != "many views" || held < whole, "{held} bytes held, the whole light field would be {whole}");
     }

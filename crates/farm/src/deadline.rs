@@ -1,6 +1,6 @@
 //! Deadline 10: a job per group with the plugin CommandLine, and a script that submits the jobs in
-//! order. A job lists the jobs that it depends on, by ids that Deadline returns when it receives
-//! them. So the ids cannot be written in advance.
+//! order. A job lists the ids of the jobs that it depends on. Deadline returns an id only when it
+//! receives a job, so the exported files cannot contain the ids.
 
 use std::fmt::Write;
 
@@ -9,7 +9,7 @@ use serde_json::json;
 use crate::file::{File, limit_seconds, plain};
 use crate::graph::{Graph, Group};
 
-/// A script that submits the jobs, and fills in the ids of the jobs that each depends on.
+/// A script that submits the jobs. It adds the ids of the jobs on which each job depends.
 const SUBMIT: &str = include_str!("deadline.py");
 
 pub(crate) fn export(graph: &Graph) -> Vec<File> {
@@ -59,7 +59,7 @@ fn job_info(graph: &Graph, group: &Group<'_>) -> String {
 
 fn plugin_info(graph: &Graph, group: &Group<'_>) -> String {
     let words = graph.command(&group.id_with("<STARTFRAME>"));
-    // Deadline has its own marks for quotes; paths of run folders do not contain these marks
+    // Deadline marks quotes with `<QUOTE>`; paths of run folders do not contain this mark
     let word = |word: &String| match word.contains(' ') {
         true => format!("<QUOTE>{}<QUOTE>", one_line(word)),
         false => one_line(word),

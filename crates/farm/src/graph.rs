@@ -24,7 +24,7 @@ pub enum Kind {
     Results,
     /// A design of a sweep.
     Design,
-    /// All remaining steps of the run, and a check that the run is complete.
+    /// All remaining steps of the run. They include a check that the run is complete.
     Finish,
 }
 
@@ -57,7 +57,7 @@ pub struct Unit {
     pub inputs: Vec<String>,
     /// Ids of the plan's steps that this unit executes.
     pub steps: Vec<String>,
-    /// If the step is cut into blocks: number of this block, from 1, and number of blocks.
+    /// If the step is cut into blocks: [number of this block from 1, number of blocks].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub block: Option<[usize; 2]>,
     /// If the unit is a tile: number of the round, from 1. Tiles exchange their borders between
@@ -79,15 +79,15 @@ pub struct Graph {
     pub name: String,
     /// The run folder, absolute.
     pub folder: String,
-    /// Beginning of the command line of a unit, such as `lumistack farm unit`. The run folder and
-    /// the unit's id follow it.
+    /// Beginning of a unit's command line, for example `lumistack farm unit`. The run folder and
+    /// the unit's id follow.
     pub command: Vec<String>,
     /// The units, in an order in which each comes after its inputs.
     pub units: Vec<Unit>,
 }
 
-/// Units whose ids differ only in the number of the block. A unit without blocks is a group by
-/// itself.
+/// Units whose ids differ only in the number of the block. A unit that is no block is a group of
+/// its own.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Group<'a> {
     /// Common beginning of the units' ids.

@@ -6,9 +6,9 @@
 //!               ─▶ OpenJD, Flamenco, OpenCue, Deadline
 //! ```
 //!
-//! A unit is a command that reads from one shared folder and publishes into it. It publishes the
-//! same bytes if it runs twice, or runs again after it was killed. The crate contains the graph of
-//! units, but nothing about their work, and opens no files.
+//! A unit is a command that reads from one shared folder and publishes into it. If it runs twice,
+//! or again after it was killed, it publishes the same bytes. The crate contains the graph of
+//! units, but no code for their work, and opens no files.
 
 mod deadline;
 mod export;

@@ -1,12 +1,13 @@
-//! GNU make: a target per unit. `make -j N` executes N units in parallel. With `-k`, make continues
-//! with other units after one fails.
+//! GNU make: a target per unit. `make -j N` executes N units in parallel. With `-k`, make executes
+//! other units after one has failed.
 
 use std::fmt::Write;
 
 use crate::file::{File, line};
 use crate::graph::Graph;
 
-/// Quotes a line of a recipe: make expands `$`, and a newline would end the line.
+/// Quotes a line of a recipe. A `$` is doubled, since make would expand it. A newline becomes a
+/// space, since it would end the line.
 fn recipe(command: &str) -> String {
     command.replace('$', "$$").replace('\n', " ")
 }

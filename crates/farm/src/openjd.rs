@@ -51,7 +51,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
     vec![File::new("template.json", text + "\n")]
 }
 
-/// Turns a group into steps; each has a name and ids of units. A group with more than
+/// Converts a group to steps; each step has a name and the ids of its units. A group with more than
 /// [`MOST_TASKS`] units becomes several steps.
 fn parts<'a>(group: &Group<'a>, number: usize) -> Vec<(String, Vec<&'a str>)> {
     let ids: Vec<&str> = group.units.iter().map(|unit| unit.id.as_str()).collect();

@@ -4,10 +4,11 @@
 //! length of a path = Σ (seconds + overhead) from a unit to the end
 //! a free worker takes the ready unit with the longest path
 //! ```
+//! With many workers, the makespan approaches the length of the longest path. With one worker, it
+//! is the sum over all units.
 //!
-//! With many workers the makespan approaches the longest path, with one worker it is the sum of all
-//! units. Memory and transfers are not modelled: the measured time of a unit includes reading from
-//! the shared folder.
+//! Memory and transfers are not modelled. The measured time of a unit includes its reads from the
+//! shared folder.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -27,8 +28,8 @@ pub struct Prediction {
     pub busy: f64,
 }
 
-/// For each unit, the length of its path: seconds from its start to the end of the last unit that
-/// depends on it.
+/// Returns the length of the path of each unit: seconds from the unit's start to the end of the
+/// last unit that depends on it.
 pub fn paths(graph: &Graph, overhead_seconds: f64) -> Vec<f64> {
     let mut after = vec![0.0f64; graph.units.len()];
     let mut paths = vec![0.0; graph.units.len()];
@@ -98,8 +99,8 @@ mod tests {
         assert_eq!(paths(&graph, 0.0)[0], longest);
         assert_eq!(predict(&graph, 1000, 0.0).makespan_seconds, longest);
         assert_eq!(predict(&graph, 1, 0.5).makespan_seconds, sum + 0.5 * graph.units.len() as f64);
-        // place, the views of each time step in pairs, both light fields in parallel, the
-        // factorizations one after the other, finish
+        // the order is: place; the views of each time step in pairs; both light fields in parallel;
+        // the factorizations one after the other; finish
         assert_eq!(predict(&graph, 2, 0.0).makespan_seconds, 1.0 + 8.0 + 8.0 + 1.0 + 2.0 + 2.0 + 1.0);
     }
 }

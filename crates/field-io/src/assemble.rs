@@ -1,5 +1,5 @@
-//! Assembles a light field in memory or in a file from a source: selects views, focuses, crops and
-//! reduces, checks values.
+//! Assembles a light field in memory or in a file from a source. Views are selected, focused,
+//! cropped and reduced, and their values are checked.
 //!
 //! A camera at position p (in steps, right and up) sees content of disparity k (pixels per step)
 //! shifted by k·p pixels. The shift is to the left and downwards, relative to the central camera.
@@ -32,7 +32,7 @@ const STILL_PX: f64 = 0.5;
 /// A view of the source that is not kept, and lies between two kept ones.
 #[derive(Clone, Debug)]
 pub struct LeftOut {
-    /// Direction of the view, as a grid with this view alone.
+    /// Direction of the view, as a grid that has only this view.
     pub grid: ViewGrid,
     /// Linear radiance, `[row][col][rgb]`, with the pixels of the kept views.
     pub radiance: Vec<f32>,
@@ -100,7 +100,7 @@ pub(crate) fn assemble(
     // Reserve a place for the result, and read views one at a time.
     let place = reading.paging.and_then(|paging| paging(&geometry));
     let mut all = match place {
-        // memory is reserved here and touched later: a header may claim any size
+        // memory is only reserved here and touched later, since a header may claim any size
         None => FieldWriter::Held { geometry: geometry.clone(), values: reserved(&path, count)? },
         Some(_) => FieldWriter::begin(geometry.clone(), place)?,
     };
@@ -189,8 +189,8 @@ fn left_out(
 /// (√5 − 1)/2.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// For every kept view row and view column, the rows and columns that are averaged into it, with
-/// weights: [view rows, view columns].
+/// The views that are averaged into every kept view, with their weights. The first list has a row
+/// for every kept view row, the second list one for every kept view column.
 fn averaged(
     source: &Source,
     flags: &GeometryFlags,
@@ -247,7 +247,8 @@ struct Window {
     corner: [f64; 2],
     size: [f64; 2],
     out_size: [usize; 2],
-    /// Offset of the corner, for each view column and for each view row.
+    /// Offsets of the corner: x for each view column in `shift[0]`, y for each view row in
+    /// `shift[1]`.
     shift: [Vec<f64>; 2],
 }
 

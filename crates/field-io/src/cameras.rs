@@ -209,7 +209,8 @@ struct Centres {
 }
 
 impl Centres {
-    /// Computes the centres. `None` if a name has no centre, or those of rows or columns coincide.
+    /// Computes the centres. `None` if a name has no centre, or if two rows or two columns have the
+    /// same centre.
     fn new(names: &BTreeMap<(u32, u32), (CameraName, PathBuf)>, rows: &[u32], cols: &[u32]) -> Option<Self> {
         let mut sums = (vec![0.0; cols.len()], vec![0.0; rows.len()]);
         for ((row, col), (name, _)) in names {

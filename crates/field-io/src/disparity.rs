@@ -56,7 +56,7 @@ pub(crate) fn motion(first: &[f32], second: &[f32], size: [usize; 2], axis: usiz
     Some(Motion { low: percentile(10), median: percentile(50), high: percentile(90) })
 }
 
-/// √luminance, in lines parallel to the motion.
+/// √luminance of a picture, in lines parallel to the motion.
 struct Lines {
     length: usize,
     values: Vec<f32>,

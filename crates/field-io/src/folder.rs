@@ -74,7 +74,7 @@ struct ViewEntry {
     eye_mm: Option<[f64; 3]>,
 }
 
-/// Keys of the index in addition to those of [`GeometryJson`].
+/// Keys of the index in addition to the keys of [`GeometryJson`].
 #[derive(Deserialize)]
 struct Listing {
     schema: String,
@@ -143,13 +143,14 @@ fn write_view_as(
     write_exr(&path, [geometry.cols, geometry.rows], rgb, precision)
 }
 
-/// Writes a subset of the views, [view_y, view_x], each once, as [`write_field`] does but in this
-/// precision. Files have the same names as in the folder of the whole field.
+/// Writes a subset of the views, as [`write_field`] does but with the given precision. `views`
+/// lists each view [view_y, view_x] once. Files have the same names as in the folder of the whole
+/// field.
 ///
 /// A selection of whole rows and columns is a complete light field. Its index has the slopes of
-/// these only, and `info.part_of` lists them and the total number of rows and columns. For another
-/// selection, the index has the slopes of all views and `"partial": true`, and readers refuse the
-/// folder.
+/// these rows and columns only. `info.part_of` lists these rows and columns, and the total number
+/// of each. For another selection, the index has the slopes of all views and `"partial": true`, and
+/// readers refuse the folder.
 ///
 /// # Errors
 /// If a value is not finite, or the files cannot be written.

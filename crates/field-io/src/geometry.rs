@@ -16,8 +16,8 @@ use crate::FieldError;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GeometryFlags {
-    /// Projection of one view's rays. `distance_mm` alone implies perspective if the files do not
-    /// define it.
+    /// Projection of one view's rays. `distance_mm` alone implies perspective if the files state no
+    /// projection.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub grid: Option<ProjectionKind>,
     /// [horizontal, vertical] full angle of the kept views, degrees.
@@ -143,7 +143,7 @@ impl GeometryJson {
     }
 }
 
-/// Relates the pixels of the result to those of the files.
+/// Relates the pixels of the result to the pixels of the files.
 pub(crate) struct Pixels {
     /// [columns, rows] of the result.
     pub(crate) size: [usize; 2],

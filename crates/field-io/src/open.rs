@@ -35,8 +35,8 @@ pub fn open(
 /// [`Reading::most_left_out`].
 ///
 /// # Errors
-/// Those of [`open`], if a prefilter is requested without a footprint, and if the file of a large
-/// light field cannot be written.
+/// The errors of [`open`]. Also if a prefilter is requested without a footprint, or if the file of
+/// a large light field cannot be written.
 pub fn open_for(
     path: &Path,
     flags: &GeometryFlags,
@@ -52,7 +52,7 @@ pub fn open_for(
 /// The geometry of the light field that [`open`] would return, without reading all pictures.
 ///
 /// # Errors
-/// The errors of [`open`], except those of pixel values.
+/// The errors of [`open`], except errors of pixel values.
 pub fn geometry_of(
     path: &Path,
     flags: &GeometryFlags,

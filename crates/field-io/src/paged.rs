@@ -1,7 +1,7 @@
 //! Light fields larger than memory, in an unnamed file of which few pages are in memory.
 //!
-//! Views are written one by one, and read like memory. Arrays of similar size that follow from such
-//! a light field have a place beside it ([`Tensor::storage`]).
+//! Views are written one by one, and read like memory. Arrays of similar size that are computed
+//! from such a light field have a place in the same folder ([`Tensor::storage`]).
 
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Write};
@@ -69,7 +69,7 @@ impl FieldWriter {
     /// Returns the light field, once all views are written. `path` names it in errors.
     ///
     /// # Errors
-    /// Those of [`Paged::finish`].
+    /// The errors of [`Paged::finish`].
     pub fn finish(self, path: &Path) -> Result<LightField, FieldError> {
         let (geometry, values) = match self {
             Self::Paged(paged) => return paged.finish(),
@@ -95,7 +95,7 @@ pub struct Paged {
 
 impl Paged {
     /// Creates the file on the disk of a folder. Later, `limit` bytes of the light field may be in
-    /// memory, and as much of every array beside it.
+    /// memory, and `limit` bytes of every array that is stored beside it.
     ///
     /// # Errors
     /// If the file cannot be created.
@@ -144,7 +144,8 @@ pub fn storage(folder: &Path, limit: usize) -> Storage {
     let folder = folder.to_owned();
     Arc::new(move |bytes| {
         let mut file = tempfile::tempfile_in(&folder)?;
-        // writing zeros takes the room now: a full disk is an error here, and a crash later
+        // zeros are written so that a full disk is an error here; without them it would be a crash
+        // later
         io::copy(&mut io::repeat(0).take(bytes as u64), &mut file)?;
         // SAFETY: the file has no name, so no other process writes it
         let map = unsafe { MmapMut::map_mut(&file) }?;

@@ -9,8 +9,8 @@
 //! δs is the [`angular_footprint`](lumistack_display::Display::angular_footprint) and Δs the step
 //! of the given views, per axis. A view represents its bin of slopes. Footprints of at most one bin
 //! have no effect, since radiance between the views is unknown. With more views the result
-//! approaches that of the path tracer's `angular_filter = "display"`. For δs = nΔs, a plane at z
-//! with a grating of frequency ω keeps this factor of its contrast:
+//! approaches the result of the path tracer's `angular_filter = "display"`. For δs = nΔs, a plane
+//! at z with a grating of frequency ω keeps this factor of its contrast:
 //!
 //! ```text
 //! sin(πω|z|nΔs)/(n sin(πω|z|Δs)) → sinc(ω z δs)

@@ -62,7 +62,7 @@ impl std::fmt::Debug for Source {
 }
 
 impl Source {
-    /// Reverses the order of views along those of the axes (x, y) for which `mirror` is true.
+    /// Reverses the order of views along each axis (x, y) for which `mirror` is true.
     pub(crate) fn mirror(&mut self, mirror: [bool; 2]) {
         if mirror == [false; 2] {
             return;

@@ -75,7 +75,7 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
 /// Reads a stack.
 ///
 /// Arrays of a gigabyte and more stay in their files, and the system reads the pages in use. Until
-/// the stack is dropped such a file may be replaced, but not changed in place.
+/// the stack is dropped, these files may be replaced, but not changed in place.
 ///
 /// # Errors
 /// If a file is missing, damaged or of another shape than the index declares, or a value is not in

@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 pub use std::fs::File;
 
 pub(crate) fn open(path: &Path) -> io::Result<File> {
-    // before it is opened: to open a pipe waits for a writer, to open a device may already do
-    // something
+    // check before opening: opening a pipe waits for a writer, and opening a device may have an
+    // effect
     check_kind(fs::metadata(path)?.file_type())?;
     let file = File::open(path)?;
-    // the path may lead elsewhere by now
+    // check again: the path may lead to another file by now
     check_kind(file.metadata()?.file_type())?;
     Ok(file)
 }

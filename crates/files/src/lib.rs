@@ -6,8 +6,8 @@
 //! contains inside the folder of that file. Every reader of the workspace that has a path goes
 //! through this crate.
 //!
-//! A page has no file system. There, files that were dropped are held in memory (`hold`), and the
-//! same readers read them.
+//! A web page has no file system. Files that were dropped on the page are held in memory (`hold`),
+//! and the same readers read them.
 
 #[cfg(not(target_arch = "wasm32"))]
 mod disk;
@@ -94,7 +94,8 @@ pub fn read_at_most(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     }
     let mut bytes = Vec::new();
     bytes.try_reserve_exact(usize::try_from(length).map_err(|_| too_large(length))?)?;
-    // limit the read too: files of the system state no length, and other files may grow
+    // limit the read too: files of the system, as in /proc, state no length, and other files may
+    // grow
     file.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > most { Err(too_large(bytes.len() as u64)) } else { Ok(bytes) }
 }
@@ -115,8 +116,8 @@ pub fn read_text(path: &Path) -> io::Result<String> {
 #[derive(Clone, Debug)]
 pub struct Folder {
     base: PathBuf,
-    /// Folders that names may not leave, without links: the file's folder, and the folder of the
-    /// target if the file is a link. Empty if names may lead anywhere.
+    /// Folders that names may not leave, with all links resolved: the file's folder, and the folder
+    /// of the target if the file is a link. Empty if names may lead anywhere.
     inside: Vec<PathBuf>,
 }
 
@@ -127,7 +128,7 @@ pub enum Refusal {
     Io(io::Error),
     /// The name leads out of the folder.
     Outside {
-        /// The path that the name leads to, without links.
+        /// The path that the name leads to, with all links resolved.
         found: PathBuf,
         /// The folder that the name may not leave.
         folder: PathBuf,
@@ -276,7 +277,7 @@ mod tests {
             assert_eq!(Folder::anywhere(&scene).read(name, 1).unwrap(), b"x", "{name}");
         }
         assert!(matches!(folder.read("none.png", 1).unwrap_err(), Refusal::Io(_)));
-        // a scene that is itself a link to a file in the folder of its textures
+        // the scene may itself be a link into the folder with its textures
         symlink(&scene, outer.path().join("alias.gltf")).unwrap();
         let folder = Folder::around(&outer.path().join("alias.gltf")).unwrap();
         assert!(folder.resolve(absolute).is_ok() && folder.resolve(root.join("textures/b.png")).is_ok());

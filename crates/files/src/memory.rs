@@ -13,7 +13,7 @@ thread_local! {
     static FILES: RefCell<BTreeMap<PathBuf, Arc<[u8]>>> = const { RefCell::new(BTreeMap::new()) };
 }
 
-/// Replaces all files by these.
+/// Replaces all files in memory by `files`.
 pub fn hold(files: impl IntoIterator<Item = (String, Vec<u8>)>) {
     let files = files.into_iter().map(|(path, bytes)| (plain(Path::new(&path)), bytes.into())).collect();
     FILES.set(files);
@@ -67,7 +67,7 @@ pub(crate) fn list(folder: &Path) -> io::Result<Vec<PathBuf>> {
         let below = files.keys().filter_map(|file| file.strip_prefix(&within).ok());
         below.filter_map(|rest| rest.components().next()).map(|name| folder.join(name)).collect()
     });
-    // files of one folder follow each other
+    // files of one subfolder are next to one another, so its name is kept once
     names.dedup();
     Ok(names)
 }

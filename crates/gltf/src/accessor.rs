@@ -17,7 +17,7 @@ use crate::error::Fault;
 /// take no space in the file, so a small file could require any amount of memory.
 const MAX_IMPLICIT_COUNT: u64 = 1 << 24;
 
-/// The form that an accessor must have where it is used.
+/// The types and component types that an accessor may have where it is used.
 pub(crate) struct Format {
     pub(crate) types: &'static [Type],
     pub(crate) components: &'static [ComponentType],
@@ -147,7 +147,7 @@ impl<'a> Accessor<'a> {
         Ok(out)
     }
 
-    /// As [`floats`](Self::floats), but refuses NaN and infinity.
+    /// Returns the same as [`floats`](Self::floats), but refuses NaN and infinity.
     pub(crate) fn finite<const N: usize>(
         &self,
         document: &Document<'_>,
@@ -225,8 +225,8 @@ impl<'a> Accessor<'a> {
         if self.normalized { (value / largest).max(-1.0) } else { value }
     }
 
-    /// Treats integers as normalized. Some writers do not set `normalized` although glTF allows
-    /// nothing else there.
+    /// Treats integers as normalized. glTF requires `normalized` for these attributes, but some
+    /// writers do not set it.
     pub(crate) fn assume_normalized(mut self) -> Self {
         self.normalized = true;
         self
@@ -252,7 +252,7 @@ impl<'a> Elements<'a> {
         let mut stride = view.stride.unwrap_or(size);
         if stride != size && !may_stride {
             // glTF allows no stride here. Most readers apply a stride under which the elements fit
-            // into the view, and so does this one. Any other stride has no effect.
+            // into the view, and so does this reader. Any other stride has no effect.
             let room = (length as u64).saturating_sub(offset);
             let needed = (count as u64 - 1).saturating_mul(stride as u64).saturating_add(size as u64);
             let followed = stride > size && needed <= room;

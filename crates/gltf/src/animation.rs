@@ -215,8 +215,8 @@ fn times(document: &Document<'_>, channel: &Channel) -> Result<Vec<f32>, Fault> 
     }
 }
 
-/// The key at or before a time, the fraction u of the time to the next key, and the time between
-/// both keys in seconds.
+/// The key at or before a time. The interval from this key to the next one is `gap_s` seconds long,
+/// and its fraction `share` (u) has passed.
 struct KeyInterval {
     key: usize,
     share: f64,
@@ -265,8 +265,8 @@ fn values<const N: usize>(
         let expected = format!("{} × {per_key} elements (keys of the input × elements per key)", times.len());
         return Err(Fault::new(place, expected, accessor.count));
     }
-    // step `part` of the values at a key; for a cubic spline these are in-tangent, value and
-    // out-tangent
+    // `part` selects one group of the values at a key; the three groups of a cubic spline are
+    // in-tangent, value and out-tangent
     let read = |key: usize, part: usize| -> Result<Vec<[f64; N]>, Fault> {
         let first = key * per_key + part * group;
         let selection = Selection::Some((first as u32..(first + group) as u32).collect());

@@ -2,8 +2,8 @@
 //! structure, and the first defect of data that the scene does not use.
 //!
 //! A file that ends early, or whose scene has lost its nodes, may have no defect in the data that
-//! is read. A defect of the other data helps to find out why the scene is empty. Reading that data
-//! takes no more memory than any scene may.
+//! its scene uses. A defect in other data then helps to find out why the scene is empty. Reading
+//! that data takes at most the memory that any scene may take.
 
 use std::collections::HashSet;
 
@@ -23,7 +23,7 @@ use crate::{animation, lights_cameras, options};
 /// The requirement of every scene.
 const EXPECTED: &str = "at least one triangle with area";
 
-/// Format of an accessor of any use.
+/// Format that fits every accessor.
 const ANY: Format = Format {
     types: &[Type::Scalar, Type::Vec2, Type::Vec3, Type::Vec4, Type::Mat2, Type::Mat3, Type::Mat4],
     components: &[
@@ -50,7 +50,7 @@ pub(crate) fn nothing_to_show(document: &Document<'_>, nodes: &Nodes) -> Fault {
     Fault::new(nodes.place(), EXPECTED, format!("{found}{defect}"))
 }
 
-/// Extends the error of a scene whose triangles have no area.
+/// Adds causes to the message for a scene whose triangles have no area.
 pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) -> String {
     let left_out = left_out(document).map(|reason| format!("; {reason}")).unwrap_or_default();
     match triangles {
@@ -60,7 +60,8 @@ pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) ->
     }
 }
 
-/// The first primitive that was left out, with its reason, and the number of all that were.
+/// The first primitive that was left out, with its reason, and the number of all primitives that
+/// were left out.
 fn left_out(document: &Document<'_>) -> Option<String> {
     let (first, count) = &*document.left_out.borrow();
     let first = first.as_ref()?;

@@ -140,7 +140,7 @@ fn syntax_fault(text: &[u8], error: &serde_json::Error) -> Fault {
     Fault::new(format!("line {} column {}", error.line(), error.column()), "valid JSON", format!("an error: {message}"))
 }
 
-/// Splits serde's sentence into the expected and the found part.
+/// Splits the message of serde into the expected and the found part.
 fn structure_fault(place: String, message: &str) -> Fault {
     if let Some(field) = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
         return Fault::new(format!("{place}/{field}"), "a value", "nothing");

@@ -146,7 +146,8 @@ impl<'a> Document<'a> {
         self.max_decoded_bytes.saturating_sub(self.decoded_bytes.get())
     }
 
-    /// Decodes the packed content at `place`; `wanted` takes its kind of answer.
+    /// Decodes the packed content at `place`. `wanted` takes the result, and returns `None` for a
+    /// result of another kind.
     pub(crate) fn unpack<T>(
         &self,
         place: &str,
@@ -160,7 +161,7 @@ impl<'a> Document<'a> {
         })
     }
 
-    /// A part of a buffer. `place` holds the fields `buffer` and `byteLength`.
+    /// A part of a buffer. `place` is the object with the fields `buffer` and `byteLength`.
     pub(crate) fn range(
         &self,
         buffer: json::Index<json::Buffer>,

@@ -55,7 +55,7 @@ impl<'d> Fields<'d> {
         self.read(key, "a text", Value::as_str)
     }
 
-    /// A whole number.
+    /// A member that is a whole number; `None` if the member is absent.
     pub(crate) fn count(&self, key: &str) -> Result<Option<u64>, Fault> {
         self.read(key, "a whole number", Value::as_u64)
     }
@@ -65,7 +65,7 @@ impl<'d> Fields<'d> {
         self.read(key, "an index", |value| value.as_u64().map(|index| json::Index::new(index as u32)))
     }
 
-    /// As [`index`](Self::index), but an error if the member is absent.
+    /// Returns the same as [`index`](Self::index), but an error if the member is absent.
     pub(crate) fn needed_index<T>(&self, key: &str) -> Result<json::Index<T>, Fault> {
         self.index(key)?.ok_or_else(|| Fault::new(self.place(key), "an index", "nothing"))
     }

@@ -26,7 +26,8 @@ pub(crate) struct Images {
 enum Waiting {
     /// A picture.
     Picture { content: Content, place: String, usage: Use },
-    /// Roughness from the alpha of the image at a position, which holds glossiness, times a factor.
+    /// Roughness: 1 − `factor` times the alpha of the image at the position `from`, which holds
+    /// glossiness.
     Roughness { from: usize, factor: f32 },
 }
 
@@ -37,7 +38,7 @@ enum Content {
 }
 
 impl Images {
-    /// Index of an image of the file, whose header is read at first use.
+    /// Returns the index of an image of the file, whose header is read at first use.
     pub(crate) fn texture(
         &mut self,
         document: &Document<'_>,
@@ -136,7 +137,7 @@ fn read(document: &Document<'_>, uri: &str, place: &str) -> Result<Vec<u8>, Faul
     Ok(bytes)
 }
 
-/// Reads the size of a picture from its header, and counts its texels.
+/// Reads the size of a picture from its header, and counts the memory of its texels.
 fn size(document: &Document<'_>, usage: Use, bytes: &[u8], place: &str) -> Result<[usize; 2], Fault> {
     document.task.cancel.check()?;
     let header = document.unpack(place, &Packed::Size(usage, bytes), |unpacked| match unpacked {

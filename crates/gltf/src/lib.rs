@@ -84,7 +84,8 @@ pub trait AssetResolver {
     /// `max_bytes` is an error too, and must be found before the file is read.
     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String>;
 
-    /// Decodes packed content. A page whose decoders are another module passes it on.
+    /// Decodes packed content. A web page whose decoders are in another module passes the content
+    /// to that module.
     ///
     /// # Errors
     /// When the content is broken.

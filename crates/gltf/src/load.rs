@@ -33,10 +33,11 @@ pub fn load(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'
     load_with(name, bytes, resolver, &LoadOptions::default(), task)
 }
 
-/// As [`load`], at a time of an animation, and in a variant of materials.
+/// Loads a file like [`load`], at a time of an animation, and in a variant of materials.
 ///
 /// # Errors
-/// As [`load`], and when the file does not have the animation or the variant.
+/// The same errors as [`load`]. It is also an error if the file does not have the animation or the
+/// variant.
 pub fn load_with(
     name: &str,
     bytes: &[u8],
@@ -61,7 +62,7 @@ pub struct Contents {
 /// Lists the animations and variants of a file.
 ///
 /// # Errors
-/// As [`load`], for the objects that have to be read for the list.
+/// The same errors as [`load`], for the objects that have to be read for the list.
 pub fn contents(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Contents, GltfError> {
     let warnings = InFile { name, inner: task.warnings };
     let task = Task { warnings: &warnings, ..task };
@@ -126,8 +127,8 @@ fn load_scene(
     task.cancel.check()?;
     let triangles: usize = parts.meshes.iter().map(|mesh| mesh.triangles.len()).sum();
     parts.validate(task).map_err(|mut error| {
-        // at an error of the whole scene, the validator's place is the file's name, with which the
-        // message begins anyway; the list of nodes is more exact
+        // For an error of the whole scene, the validator's place is the file's name, with which the
+        // message begins anyway. The list of nodes is a more exact place.
         if error.place == name {
             error.place = nodes.place();
             error.found = cause::no_area(&document, &error.found, triangles);
@@ -157,14 +158,14 @@ fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, F
     Ok(used)
 }
 
-/// Reads every mesh that the scene shows once, and places it wherever a node shows it.
+/// Reads every mesh that the scene shows, each only once, and places it wherever a node shows it.
 fn place_meshes(
     document: &Document<'_>,
     nodes: &Nodes,
     materials: &mut Materials,
     parts: &mut SceneParts,
 ) -> Result<(), Fault> {
-    // by mesh; also by node, if the node's skin or weights give the mesh a shape of its own
+    // by mesh; also by node, if the node's skin or weights give the mesh another shape
     let mut loaded: HashMap<(usize, Option<usize>), Range<usize>> = HashMap::new();
     let mut loaded_splats: HashMap<usize, Vec<(usize, DAffine3)>> = HashMap::new();
     let mut default_material = None;
@@ -238,7 +239,7 @@ fn read_splats(
     Ok(found)
 }
 
-/// A mesh in the shape in which one node, or all nodes that share it, show it.
+/// A mesh with one shape. One node shows it in this shape, or all nodes that share the mesh do.
 struct Shape<'a> {
     /// The node's weights of morph targets, if it has any.
     weights: Option<&'a [f32]>,

@@ -49,7 +49,7 @@ impl Loader<'_, '_> {
     fn material(&mut self, source: &json::Material, place: &str) -> Result<(Material, [u32; 2]), Fault> {
         let pbr = &source.pbr_metallic_roughness;
         let extensions = source.extensions.clone().unwrap_or_default();
-        // factors
+        // read the factors
         let strength = extensions.emissive_strength.map_or(1.0, |strength| strength.emissive_strength.0);
         let emission = Vec3::from(source.emissive_factor.0) * strength;
         if !(emission.is_finite() && emission.min_element() >= 0.0) {
@@ -75,7 +75,7 @@ impl Loader<'_, '_> {
             material.attenuation_distance = volume.attenuation_distance.0;
         }
 
-        // textures
+        // read the textures
         let pbr_place = format!("{place}/pbrMetallicRoughness");
         let base_color = pbr.base_color_texture.as_ref().map(|info| plain(info, &pbr_place, "baseColorTexture"));
         material.base_color_texture = self.texture_use(base_color)?;

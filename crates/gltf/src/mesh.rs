@@ -206,7 +206,7 @@ fn select_used_vertices(triangles: &mut [[u32; 3]], count: usize) -> Selection {
         return Selection::All;
     }
     for vertex in corners {
-        // found, since `used` holds all of the corners
+        // the search succeeds, since `used` holds all of the corners
         *vertex = used.binary_search(vertex).unwrap_or_default() as u32;
     }
     Selection::Some(used)

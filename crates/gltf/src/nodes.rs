@@ -37,8 +37,8 @@ impl Nodes {
     }
 }
 
-/// Reads the hierarchy of the default scene. That is the scene that the file chooses, or its first
-/// scene. Without scenes it consists of all nodes.
+/// Reads the hierarchy of the default scene. That is the scene that the file chooses, or else its
+/// first scene. A file without scenes shows all of its nodes.
 pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> Result<Nodes, Fault> {
     let mut parents = parents(document)?;
     let root = &document.root;
@@ -89,9 +89,9 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
 }
 
 /// True if a node that the scene lists becomes a root of the scene. A scene should not list a node
-/// that has a parent, but many readers show it. If the scene shows an ancestor too, the node stays
-/// with its parent. Otherwise it is shown without its parents. `known` caches the results for
-/// ancestors.
+/// that has a parent, but many readers show such a node. If the scene shows an ancestor too, the
+/// node stays with its parent. Otherwise it is shown without its parents. `known` caches the
+/// results for ancestors.
 fn adopt(
     document: &Document<'_>,
     node: usize,
@@ -118,7 +118,7 @@ fn adopt(
     }
     path.into_iter().for_each(|ancestor| known[ancestor] = Some(shown));
     if shown {
-        document.task.warn(place, format!("{found}; it is shown there"));
+        document.task.warn(place, format!("{found}; it stays a child of that node"));
         return false;
     }
     document.task.warn(place, format!("{found}, which the scene does not show; it is shown without its parent"));
@@ -141,7 +141,7 @@ fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
                 None => parents[child.value()] = Some(parent),
                 Some(first) => {
                     let found = format!("node {}, which is a child of node {first}", child.value());
-                    document.task.warn(place, format!("expected nodes with one parent, found {found}; it stays there"));
+                    document.task.warn(place, format!("expected one parent, found {found}; it keeps this parent"));
                 }
             }
         }

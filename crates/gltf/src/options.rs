@@ -8,8 +8,8 @@ pub(crate) const MAX_SIDE: u32 = 1 << 15;
 /// Largest unpacked view, bytes.
 pub(crate) const MAX_VIEW_BYTES: u64 = 2 << 30;
 
-/// Choices of [`load_with`](crate::load_with). The default is the scene as its nodes stand, with
-/// its default materials.
+/// Choices of [`load_with`](crate::load_with). By default, nodes keep their own transforms and
+/// weights, and the default materials are used.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadOptions {
     /// Time at which animations are sampled, in seconds. Outside of their range animations keep

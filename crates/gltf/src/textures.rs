@@ -30,7 +30,7 @@ pub(crate) struct Loader<'d, 'f> {
     pub(crate) roughness_images: HashMap<(usize, u32), usize>,
 }
 
-/// A reference to a texture, of any of glTF's kinds.
+/// A reference to a texture, converted from any of glTF's kinds.
 pub(crate) struct Reference {
     pub(crate) index: json::Index<json::Texture>,
     pub(crate) uv_set: u32,
@@ -73,7 +73,7 @@ impl<'d, 'f> Loader<'d, 'f> {
         }
         let place = format!("/textures/{}", index.value());
         let better = ["KHR_texture_basisu", "EXT_texture_webp"].map(|name| format!("{place}/extensions/{name}/source"));
-        // the picture of the extension if there is one; `source` is for readers without the
+        // use the picture of the extension if there is one; `source` is for readers without the
         // extension
         let image = match better.iter().find_map(|place| Some((document.json(place)?.as_u64()?, place))) {
             Some((source, place)) => self.images.texture(document, json::Index::new(source as u32), place)?,

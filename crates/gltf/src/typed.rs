@@ -1,9 +1,9 @@
 //! From JSON to typed values, with the place of an error as a JSON pointer.
 //!
-//! This is the deserializer of `serde_json::Value` with places, and readers of values of one kind
-//! only, so that no type compiles the others. A wrapper around that one
-//! (`serde_path_to_error`) compiles every reader of every type once more, which was a twelfth of a
-//! module for the web.
+//! This deserializer is like that of `serde_json::Value`, but it records the place of an error. Its
+//! readers accept values of one kind only, so no type compiles the readers of other kinds. The
+//! alternative is `serde_path_to_error`, a wrapper around the deserializer of `serde_json`. It
+//! compiles every reader of every type once more, which was a twelfth of a module for the web.
 
 use std::fmt::{Display, Write};
 
@@ -20,7 +20,7 @@ use serde_json::{Value, map};
 pub(crate) struct Mistyped {
     /// JSON pointer.
     pub(crate) place: String,
-    /// serde's sentence.
+    /// The description of the error by serde.
     pub(crate) message: String,
 }
 
@@ -51,7 +51,7 @@ impl Error for Mistyped {
 
     fn invalid_type(found: Unexpected<'_>, expected: &dyn Expected) -> Self {
         let mut message = String::from("invalid type: ");
-        // serde knows no null
+        // serde names a null "unit value", so its message is replaced
         let written = match found {
             Unexpected::Unit => write!(message, "null, expected {expected}"),
             found => write!(message, "{found}, expected {expected}"),
@@ -129,7 +129,7 @@ impl<'v> Deserializer<'v> for Typed<'v> {
         }
     }
 
-    /// Only from objects, as glTF has them; serde would take an array of the members, too.
+    /// Reads objects only, as glTF has them; serde would also accept an array of the members.
     fn deserialize_struct<V: Visitor<'v>>(
         self,
         _: &'static str,
@@ -162,7 +162,8 @@ impl<'v> Deserializer<'v> for Typed<'v> {
     }
 
     fn deserialize_newtype_struct<V: Visitor<'v>>(self, name: &'static str, visitor: V) -> Result<V::Value, Mistyped> {
-        // extras keep their text, which their own deserializer alone can give them
+        // Extras keep their JSON text. Only the deserializer of `serde_json` itself can provide the
+        // text.
         if name.starts_with("$serde_json") {
             return self.0.deserialize_newtype_struct(name, visitor).map_err(Mistyped::custom);
         }

@@ -1,9 +1,9 @@
 //! Decoders of packed content, by libraries in pure Rust: pictures, Draco, meshopt, splats.
 //!
 //! The reader of glTF passes [`Packed`] content to
-//! [`AssetResolver::unpack`](crate::AssetResolver::unpack), whose default is [`unpack`] here. If
-//! a page has its decoders in a second module, it passes the content on as bytes:
-//! [`to_bytes`](Packed::to_bytes), there [`answer`], and [`answered`] again.
+//! [`AssetResolver::unpack`](crate::AssetResolver::unpack), whose default is [`unpack`] here. A web
+//! page may have its decoders in a second module. Then [`to_bytes`](Packed::to_bytes) makes a
+//! request, [`answer`] answers it in the second module, and [`answered`] reads the answer.
 
 mod draco;
 mod kinds;
@@ -40,8 +40,8 @@ pub fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
     contained(packed, decode)
 }
 
-/// Runs the decoder of a library. Its panic says that the content is broken in a way that the
-/// library does not look for; our own code has none.
+/// Runs the decoder of a library. A panic of the library means that the content is broken in a way
+/// that the library does not check. Our own code does not panic.
 fn contained<T>(packed: &Packed<'_>, decode: impl FnOnce() -> Result<T, Unsound>) -> Result<T, Unsound> {
     std::panic::catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| Err(packed.stopped()))
 }
@@ -51,8 +51,8 @@ fn splats(found: Result<read::Found, read::ReadError>) -> Result<Unpacked, Unsou
     found.map(Unpacked::Splats).map_err(unsound)
 }
 
-/// Decodes packed content that came as bytes; the answer is bytes too. `None` if they are none of
-/// [`Packed::to_bytes`].
+/// Decodes packed content that came as bytes; the answer is bytes too. `None` if the bytes do not
+/// come from [`Packed::to_bytes`].
 pub fn answer(request: &[u8]) -> Option<Vec<u8>> {
     wire::request(request, |packed| wire::answer(&unpack(packed)))
 }

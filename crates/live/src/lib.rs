@@ -5,11 +5,13 @@
 //!  (a thread)                (a thread)          (a thread each, which never wait for the solver)
 //! ```
 //!
-//! A [`Mailbox`] holds only the newest value, so no thread works on an old value and nothing piles
-//! up. A [`State`] is numbered, complete and never changed. A [`Solver`] starts from the previous
-//! patterns, moved along with the content where that is closer ([`motion`]). A [`Tracker`] turns
-//! positions of viewers into weights. A [`Player`] schedules the time steps of a video. The crate
-//! reads no clock and no file: times are arguments.
+//! A [`Mailbox`] holds only the newest value, so no thread works on an old value, and values do not
+//! accumulate. A [`State`] is numbered and complete, and never changes. A [`Solver`] starts from
+//! the previous patterns, or from patterns that are moved with the content if these are closer
+//! ([`motion`]). A [`Tracker`] converts positions of viewers to weights. A [`Player`] schedules the
+//! time steps of a video.
+//!
+//! The crate reads no clock and no file: times are arguments.
 
 mod mailbox;
 pub mod motion;

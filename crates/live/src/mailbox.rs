@@ -5,8 +5,8 @@ use std::time::Duration;
 
 /// The newest value of a series, for any number of readers.
 ///
-/// Posting and reading exchange a pointer, so no thread waits for the work of another. A value that
-/// is replaced before it is read is dropped.
+/// Posting and reading exchange only a pointer, so a thread never waits for another thread's work.
+/// If a value is replaced before any thread reads it, the value is dropped.
 #[derive(Debug)]
 pub struct Mailbox<T> {
     newest: Mutex<Held<T>>,
@@ -26,7 +26,7 @@ impl<T> Default for Mailbox<T> {
 }
 
 impl<T> Mailbox<T> {
-    /// Replaces the value. Returns its number; the first is 1.
+    /// Replaces the value. Returns the number of the new value; the first number is 1.
     pub fn post(&self, value: T) -> u64 {
         let value = Some(Arc::new(value));
         let mut held = self.held();
@@ -34,18 +34,18 @@ impl<T> Mailbox<T> {
         let (number, before) = (held.number, std::mem::replace(&mut held.value, value));
         drop(held);
         self.posted.notify_all();
-        // freed outside of the lock, since freeing patterns takes time
+        // drop the old value outside of the lock, since freeing patterns takes time
         drop(before);
         number
     }
 
-    /// Returns the newest value with its number, if it is newer than number `seen`. A new reader
+    /// Returns the newest value with its number, if this number is above `seen`. A new reader
     /// passes 0.
     pub fn after(&self, seen: u64) -> Option<(u64, Arc<T>)> {
         newer(&self.held(), seen)
     }
 
-    /// Waits for [`after`](Self::after) up to a limit.
+    /// Waits until [`after`](Self::after) returns a value, but at most for `limit`.
     pub fn wait_after(&self, seen: u64, limit: Duration) -> Option<(u64, Arc<T>)> {
         let held = self.posted.wait_timeout_while(self.held(), limit, |held| held.number <= seen);
         newer(&held.unwrap_or_else(PoisonError::into_inner).0, seen)

@@ -6,33 +6,34 @@
 //! f_n(x) ← f_n(x − v_n(x))
 //! ```
 //!
-//! P_n is the content as layer n sees it: sharp where it lies near the layer. The motion v_n is
-//! found per block, from the pixels around it, and is smooth between blocks. The patterns f_n move
-//! in every frame; values from outside the border come from fresh patterns.
+//! P_n is the content as layer n sees it; content near the layer is sharp. The motion v_n is found
+//! per block, from the pixels in and around the block, and is interpolated between blocks. The
+//! patterns f_n of every frame move. Pixels whose source is outside the border get values of fresh
+//! patterns.
 //!
-//! The method needs only light fields, so it serves scenes and given light fields alike. Content
-//! that turns or moves in depth moves differently on every layer, and differently from place to
-//! place.
+//! The method needs only light fields, so it works for scenes and for given light fields. Content
+//! that turns or moves in depth has a different motion on every layer and at every place.
 
 use lumistack_display::{BacklightTap, Display, FieldGeometry, LayerStack, LightField, RayMap, Region, spread};
 
-/// Most views per axis whose rays are averaged.
+/// Largest number of views per axis whose rays are averaged.
 const VIEWS: usize = 5;
 /// Edge of a block, pixels.
 const BLOCK: usize = 16;
-/// Pixels around a block that are compared too: a block that holds only an edge cannot show motion
-/// along the edge.
+/// Width of the border around a block that is compared too, pixels. A block that contains only an
+/// edge cannot show motion along this edge.
 const AROUND: usize = 4;
-/// Longest motion along an axis, pixels; a multiple of [`COARSE`].
+/// Longest motion along an axis, pixels. It is a multiple of [`COARSE`].
 const FARTHEST: i32 = 32;
 /// Step of the first search, pixels.
 const COARSE: i32 = 2;
-/// Best matches of the first search that the second search refines.
+/// Number of best matches of the first search that the second search refines.
 const KEPT: usize = 8;
-/// λ: the gain in squared difference that a match needs per pixel of motion.
+/// The factor λ: each pixel of motion must reduce the mean squared difference by this much.
 const COST: f32 = 2e-6;
 
-/// The content as every layer sees it, then as the lenslets of a directional backlight see it.
+/// The content as every layer sees it. If the backlight is directional, the last plane is the
+/// content as its lenslets see it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Planes(Vec<Plane>);
 
@@ -49,7 +50,7 @@ struct Plane {
 pub struct Flow {
     rows: usize,
     cols: usize,
-    /// Blocks along rows and columns.
+    /// Number of blocks along a column and along a row.
     blocks: [usize; 2],
     /// [right, down] in pixels, per block.
     shifts: Vec<[i32; 2]>,
@@ -75,8 +76,8 @@ impl Planes {
         Self(planes)
     }
 
-    /// Computes the motion from these planes to later ones of the same display. `None` where
-    /// nothing moves or the displays differ.
+    /// Computes the motion from these planes to later planes of the same display. `None` if nothing
+    /// moves, or if the displays differ.
     pub fn flows_to(&self, later: &Self) -> Option<Vec<Flow>> {
         let sizes = |planes: &Self| planes.0.iter().map(|plane| [plane.rows, plane.cols]).collect::<Vec<_>>();
         if sizes(self) != sizes(later) {
@@ -88,7 +89,7 @@ impl Planes {
     }
 }
 
-/// Returns the pixel that a ray hits.
+/// Returns the index of the pixel that a ray hits; `None` if the ray misses the layer.
 fn pixel(first: u32) -> Option<usize> {
     (first != lumistack_display::Tap::MISSED).then_some(first as usize)
 }
@@ -101,8 +102,8 @@ fn lenslet(tap: BacklightTap) -> Option<usize> {
 }
 
 impl Plane {
-    /// Averages a light field on a plane. For a view, `along` returns the plane's row of each row
-    /// of the field, and likewise the columns.
+    /// Averages a light field on a plane. For a view, `along` returns the plane's row for each row
+    /// of the field, and the plane's column for each column.
     fn of(field: &LightField, [rows, cols]: [usize; 2], along: impl Fn([usize; 2]) -> [Vec<Option<usize>>; 2]) -> Self {
         let FieldGeometry { grid, cols: field_cols, .. } = field.geometry();
         let [view_rows, view_cols] = grid.views().map(|count| spread(count, VIEWS));
@@ -122,7 +123,7 @@ impl Plane {
         Self { rows, cols, grey }
     }
 
-    /// Value at a pixel; outside the border that of the nearest pixel.
+    /// Returns the value at a pixel. Outside the border, returns the value of the nearest pixel.
     fn at(&self, row: i32, col: i32) -> f32 {
         let row = row.clamp(0, self.rows as i32 - 1) as usize;
         let col = col.clamp(0, self.cols as i32 - 1) as usize;
@@ -142,7 +143,8 @@ impl Flow {
         self.shifts.iter().any(|shift| *shift != [0, 0])
     }
 
-    /// Motion [right, down] at a pixel in whole pixels, linear between the centres of blocks.
+    /// Returns the motion [right, down] at a pixel, in whole pixels. It is interpolated linearly
+    /// between the centres of blocks.
     pub fn at(&self, row: usize, col: usize) -> [i32; 2] {
         let place = |at: usize, blocks: usize| {
             let at = ((at as f32 + 0.5) / BLOCK as f32 - 0.5).clamp(0.0, (blocks - 1) as f32);
@@ -158,7 +160,7 @@ impl Flow {
     }
 }
 
-/// Finds the motion [right, down] that takes a block of `before` to a block of `after`.
+/// Finds the motion [right, down] by which a block of `after` matches `before` best.
 fn best_shift(before: &Plane, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2] {
     let span =
         |from: usize, count: usize| (from.saturating_sub(AROUND) as i32)..((from + BLOCK + AROUND).min(count) as i32);
@@ -183,8 +185,8 @@ fn best_shift(before: &Plane, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2]
         every(far, step).flat_map(move |d| every(far, step).map(move |r| [right + r, down + d]))
     };
     let still = ([0, 0], error([0, 0], f32::INFINITY));
-    // Coarse search. It keeps several matches: waves match in several places, and a coarse step
-    // next to the right one may be worse than a wrong one.
+    // Search with coarse steps, and keep several matches. Waves match in several places, and a
+    // coarse step next to the true motion may match worse than a wrong motion.
     let mut near = vec![still];
     for shift in around([0, 0], FARTHEST, COARSE) {
         let worst = if near.len() < KEPT { f32::INFINITY } else { near[KEPT - 1].1 };
@@ -194,7 +196,7 @@ fn best_shift(before: &Plane, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2]
             near.truncate(KEPT);
         }
     }
-    // Fine search around each of them.
+    // Search with fine steps around each of these matches.
     let mut best = still;
     for shift in near.iter().flat_map(|(shift, _)| around(*shift, COARSE - 1, 1)) {
         let found = error(shift, best.1);
@@ -219,11 +221,11 @@ fn smoothed([rows, cols]: [usize; 2], shifts: &[[i32; 2]]) -> Vec<[i32; 2]> {
     (0..shifts.len()).map(one).collect()
 }
 
-/// Moves patterns along the flows, in every frame. Values that come in across the border are taken
+/// Moves patterns along the flows, in every frame. Values that enter across the border are taken
 /// from `fresh`.
 ///
 /// # Panics
-/// If the flows are not those of the patterns' planes, or the patterns have different shapes.
+/// If the patterns have different shapes, or the flows do not belong to the patterns' planes.
 pub fn moved(stack: &LayerStack, flows: &[Flow], fresh: &LayerStack) -> LayerStack {
     let mut out = fresh.clone();
     let layers = out.layers.iter_mut().zip(&stack.layers).map(|(to, from)| (to.data_mut(), from.data()));
@@ -244,14 +246,15 @@ pub fn moved(stack: &LayerStack, flows: &[Flow], fresh: &LayerStack) -> LayerSta
 }
 
 impl Flow {
-    /// Share of a region's pixels whose values come from outside the border, 0..1.
+    /// Fraction of a region's pixels whose values enter across the border, 0..1.
     pub(crate) fn new_share(&self, region: &Region) -> f64 {
         let pixels = region.rows.clone().flat_map(|row| region.cols.clone().map(move |col| [row, col]));
         let new = pixels.filter(|[row, col]| self.source(*row, *col).is_none()).count();
         new as f64 / (region.rows.len() * region.cols.len()).max(1) as f64
     }
 
-    /// Number of the pixel from which a pixel takes its value; `None` outside the border.
+    /// Index of the pixel from which a pixel takes its value; `None` if this source is outside the
+    /// border.
     fn source(&self, row: usize, col: usize) -> Option<usize> {
         let [right, down] = self.at(row, col);
         let back =

@@ -16,25 +16,27 @@ use lumistack_factorizer::{AUTO, FactorizeError, Problem, Settings, factorize_on
 use crate::Target;
 use crate::motion::{Flow, Planes, moved};
 
-/// Solver of a warm start where the settings leave it open. Extrapolation would overshoot in a few
-/// updates from patterns of another target.
+/// The solver of a warm start if the settings have the solver `auto`. With few iterations from
+/// patterns of another target, extrapolation would overshoot.
 const WARM_SOLVER: &str = "block-exact";
 
-/// A warm start of at least this PSNR, dB, is used without a comparison with a fresh start, which
-/// takes longer than a step.
+/// A warm start with at least this PSNR, dB, is used without a comparison with a fresh start. The
+/// comparison takes longer than a step.
 const GOOD_DB: f64 = 20.0;
 
-/// Width of the strips of new content that are solved ahead, field pixels.
+/// Width of the strips of new content that are solved before the whole display, pixels of the light
+/// field.
 const STRIP: usize = 16;
 
-/// Share of new pixels above which a strip is solved ahead.
+/// A strip is solved before the whole display if more than this fraction of its pixels is new.
 const NEW: f64 = 0.25;
 
-/// Iterations of a strip ahead of the whole display. Measured at 10 pixels per time step on 160
-/// columns, where four cost less than an update: they gain 1 dB, eight another 0.4 dB.
+/// Number of iterations of a strip, before the whole display is solved. Measured at 10 pixels per
+/// time step on 160 columns. Four cost less than one iteration of the whole display and gain 1 dB;
+/// eight gain another 0.4 dB.
 const AHEAD: u32 = 4;
 
-/// The start of a step's patterns.
+/// The patterns from which a step starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Start {
     /// Fresh factors.
@@ -52,7 +54,7 @@ pub struct Solved {
     pub stack: LayerStack,
     /// PSNR in dB of L̃/β against L over all rays with a weight.
     pub psnr_view: f64,
-    /// The start of the updates.
+    /// The start of the step's iterations.
     pub start: Start,
 }
 
@@ -65,13 +67,13 @@ pub struct Solver {
 /// The result of the previous step.
 struct Last {
     target: Arc<Target>,
-    /// The target's content as the layers see it.
+    /// The target's content as every layer sees it.
     planes: Planes,
     stack: LayerStack,
 }
 
 impl Solver {
-    /// Makes a solver with the settings of a fresh start; their number of iterations is ignored.
+    /// Makes a solver with these settings for a fresh start. Their number of iterations is ignored.
     pub fn new(settings: Settings) -> Self {
         Self { settings, last: None }
     }
@@ -81,12 +83,12 @@ impl Solver {
         self.settings = settings;
     }
 
-    /// Makes `updates` towards a target on an executor. The patterns become the start of the next
-    /// step.
+    /// Executes `updates` iterations towards a target on an executor. The next step starts from the
+    /// resulting patterns.
     ///
     /// # Errors
-    /// If target, weights and settings do not fit each other, if the executor fails, or when
-    /// cancelled. The next start then stays the same.
+    /// If target, weights and settings do not match, if the executor fails, or when cancelled.
+    /// After an error, the next step starts from the same patterns as this one.
     pub fn step(
         &mut self,
         executor: &dyn Executor,
@@ -99,10 +101,11 @@ impl Solver {
         let fresh = Settings { iterations: updates, report_every: u32::MAX, ..self.settings.clone() };
         let rule = if fresh.solver == AUTO { WARM_SOLVER.into() } else { fresh.solver.clone() };
         let warm = Settings { solver: rule, ..fresh.clone() };
-        // A display of another shape makes the previous patterns useless.
+        // If the display has other shapes, the previous patterns cannot be used.
         let last = self.last.take_if(|last| last.stack.check(&target.display).is_err());
         drop(last);
-        // Choose the start: the same content keeps its patterns, new content compares.
+        // Choose the start. The same content keeps its patterns; for new content, possible starts
+        // are compared.
         let same_content = self.last.as_ref().is_some_and(|last| last.target.content == target.content);
         let planes = match &mut self.last {
             Some(last) if same_content => last.planes.clone(),
@@ -121,8 +124,8 @@ impl Solver {
     }
 }
 
-/// Chooses the start for new content; `None` for fresh patterns. The comparison with fresh patterns
-/// uses the processor.
+/// Chooses the start for new content; `None` stands for fresh patterns. The comparison with fresh
+/// patterns is computed on the processor.
 fn nearest_start(
     executor: &dyn Executor,
     problem: &Problem<'_>,
@@ -149,8 +152,8 @@ fn nearest_start(
     }
 }
 
-/// Returns patterns before any update, and their PSNR. Without `stack` they are those of a fresh
-/// start.
+/// Returns patterns before the first iteration, and their PSNR. Without `stack`, these are the
+/// patterns of a fresh start.
 fn at_start(
     executor: &dyn Executor,
     problem: &Problem<'_>,
@@ -163,9 +166,9 @@ fn at_start(
     Ok((done.stack, done.history.last().map_or(f64::NEG_INFINITY, |start| start.psnr_view)))
 }
 
-/// Solves the strips of the display that new content has entered, on the processor. Their patterns
-/// are fresh and do not fit those beside them, which the updates of the whole display repair
-/// slowly. Patterns outside of a strip stay as they are.
+/// Solves the strips of the display that new content has entered, on the processor. The patterns of
+/// a strip are fresh, so they do not match the patterns beside it. Iterations of the whole display
+/// would mend this only slowly. Patterns outside of the strips do not change.
 ///
 /// # Errors
 /// If a strip cannot be solved, or when cancelled.
@@ -183,7 +186,7 @@ fn with_border(
         let tiles: Vec<Tile> = (0..tiling.count()).map(|number| tiling.tile(number)).collect();
         let is_new = |tile: &&Tile| tile.parts.iter().zip(flows).any(|(part, flow)| flow.new_share(&part.own) > NEW);
         let new: Vec<&Tile> = tiles.iter().filter(is_new).collect();
-        // where most of the display is new, strips cost as much as the whole
+        // if most strips are new, solving them costs as much as solving the whole display
         if 2 * new.len() > tiles.len() {
             continue;
         }
@@ -207,7 +210,7 @@ fn with_border(
     Ok(stack)
 }
 
-/// All pixels of a tile's display.
+/// Returns all pixels of each layer of a tile's display.
 fn whole(tile: &Tile) -> Vec<Region> {
     tile.whole.iter().map(|&[rows, cols]| Region { rows: 0..rows, cols: 0..cols }).collect()
 }

@@ -11,11 +11,11 @@ pub struct Target {
     pub display: Arc<Display>,
     /// The light field, linear, 0..1.
     pub field: LightField,
-    /// Weights of its rays while no viewer is tracked.
+    /// Weights of the light field's rays while no viewer is tracked.
     pub weights: Weights,
-    /// Number of the content. Light fields of the same content differ by their noise alone.
+    /// Number of the content. Light fields with the same number differ only in their noise.
     pub content: u64,
-    /// Renderings of all views so far; 1 for a given light field.
+    /// Number of passes, each of which added paths to all views; 1 for a given light field.
     pub passes: u32,
 }
 
@@ -25,12 +25,12 @@ pub struct Target {
 pub struct State {
     /// The patterns.
     pub stack: LayerStack,
-    /// The light field that they were solved for.
+    /// The light field for which the patterns were solved.
     pub target: Arc<Target>,
-    /// Weights that they were solved with.
+    /// Weights with which the patterns were solved.
     pub weights: Arc<Weights>,
     /// PSNR in dB of L̃/β against L over all rays with a weight.
     pub psnr_view: f64,
-    /// Updates since the content changed.
+    /// Number of iterations since the content changed.
     pub updates: u32,
 }

@@ -1,32 +1,33 @@
-//! Tracked viewers: positions of their eyes, predicted positions, and the weights of rays that
-//! follow.
+//! Tracked viewers: positions of their eyes, predicted positions, and weights of rays that follow
+//! the viewers.
 //!
 //! ```text
 //! eye(t) = eye + velocity · (t − seen + latency)
 //! w(ray) = s + (1 − s) · (floor + Σ exp(−½ (r/σ)²))
 //! ```
 //!
-//! latency: from the tracker to the patterns on the display. s: share of the whole zone, 0 while
-//! viewers are tracked.
+//! `latency` is the time from the tracker's measurement to the patterns on the display. `s` is the
+//! weight of the whole zone: 0 while viewers are tracked, 1 without viewers.
 
 use std::time::Duration;
 
 use lumistack_display::{EyeBox, FieldGeometry, WeightError, Weights};
 use thiserror::Error;
 
-/// Time without a report from the tracker, after which the whole zone fades in.
+/// If the tracker is silent for longer than this, the whole zone fades in.
 pub const SILENCE: Duration = Duration::from_secs(1);
-/// Duration of the fade.
+/// Duration of the fade from tracked viewers to the whole zone.
 pub const FADE: Duration = Duration::from_secs(1);
-/// Longest prediction: the error of a constant velocity grows with time.
+/// Longest time over which a position is predicted. The prediction assumes a constant velocity, so
+/// its error grows with time.
 const MOST_AHEAD: Duration = Duration::from_millis(250);
-/// Time over which the velocity is averaged, since trackers are noisy.
+/// Time over which a velocity is averaged, since positions of trackers are noisy.
 const VELOCITY_TIME: Duration = Duration::from_millis(100);
-/// A position that moves farther between two reports belongs to another viewer, mm.
+/// If a position moves farther between two reports, mm, it belongs to another viewer.
 const JUMP_MM: f64 = 300.0;
-/// Weight of rays far from all viewers while they are tracked.
+/// Weight of rays far from all viewers while viewers are tracked.
 pub const FLOOR: f64 = 0.002;
-/// Default σ, mm: eyes are some 64 mm apart.
+/// Default σ, mm. The two eyes of a viewer are about 64 mm apart.
 pub const SIGMA_MM: f64 = 40.0;
 
 /// Positions and velocities of the tracked heads.
@@ -42,12 +43,12 @@ struct Head {
     velocity_mm_s: [f64; 3],
 }
 
-/// The directions that matter at a point in time.
+/// The directions that matter at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Boxes {
-    /// Points midway between the eyes of all viewers, display space, mm.
+    /// For each viewer, the point midway between the eyes, display space, mm.
     pub heads_mm: Vec<[f64; 3]>,
-    /// Share of the whole zone, 0..1.
+    /// Weight of the whole zone, 0..1.
     pub zone: f64,
 }
 
@@ -62,7 +63,7 @@ pub struct HeadError {
 }
 
 impl Tracker {
-    /// Takes the positions of all viewers: points midway between their eyes, display space, mm
+    /// Receives the positions of all viewers: points midway between their eyes, display space, mm
     /// (right, up, to the viewer). An empty list means that there is no viewer.
     ///
     /// # Errors
@@ -82,8 +83,8 @@ impl Tracker {
         Ok(())
     }
 
-    /// Predicts the viewers at `latency` after `now`. Returns the whole zone where no viewer was
-    /// seen for a while.
+    /// Predicts the positions of the viewers at the time `now` + `latency`. Returns the whole zone
+    /// if there is no viewer, or if the tracker has been silent for long.
     pub fn boxes(&self, now: Duration, latency: Duration) -> Boxes {
         let Some(seen) = self.seen else { return Boxes { heads_mm: Vec::new(), zone: 1.0 } };
         let silent = now.saturating_sub(seen);
@@ -91,7 +92,7 @@ impl Tracker {
         let ahead = (silent + latency).min(MOST_AHEAD).as_secs_f64();
         let at = |head: &Head| {
             let [x, y, z] = [0, 1, 2].map(|i| head.at_mm[i] + ahead * head.velocity_mm_s[i]);
-            // the prediction must not pass through the display
+            // a head that approaches the display must not be predicted inside or behind it
             [x, y, z.max(0.5 * head.at_mm[2])]
         };
         if zone == 1.0 || self.heads.is_empty() {
@@ -106,7 +107,7 @@ fn near(a: [f64; 3], b: [f64; 3]) -> bool {
 }
 
 impl Head {
-    /// Velocity after a report, averaged over [`VELOCITY_TIME`].
+    /// Returns the velocity after a report. It is averaged over [`VELOCITY_TIME`].
     fn velocity_to(&self, at_mm: [f64; 3], passed: Duration) -> [f64; 3] {
         let passed = passed.as_secs_f64();
         if passed <= 0.0 {
@@ -121,7 +122,7 @@ impl Head {
 }
 
 impl Boxes {
-    /// Weights of a light field's rays. `whole` are the weights of the whole zone.
+    /// Returns the weights of a light field's rays. `whole` are the weights for the whole zone.
     ///
     /// # Errors
     /// If the geometry is invalid.
@@ -134,8 +135,8 @@ impl Boxes {
         Weights::eye_boxes(geometry, &boxes.collect::<Vec<_>>(), floor as f32)
     }
 
-    /// Returns whether the weights of `other` are good enough: no viewer is farther off than
-    /// `tolerance_mm`.
+    /// Returns true if the weights of `other` are good enough: every viewer differs by at most
+    /// `tolerance_mm` along each axis.
     pub fn is_like(&self, other: &Self, tolerance_mm: f64) -> bool {
         let close = |(a, b): (&[f64; 3], &[f64; 3])| (0..3).all(|i| (a[i] - b[i]).abs() <= tolerance_mm);
         self.zone == other.zone
@@ -147,10 +148,10 @@ impl Boxes {
 /// Bytes of an OpenTrack packet.
 const PACKET: usize = 48;
 
-/// Reads the head's position from an OpenTrack packet ("UDP over network"). It holds six
-/// little-endian doubles: x, y, z in centimetres and yaw, pitch, roll in degrees. `centre_mm` is
-/// the position in display space where OpenTrack was centred. x goes to the viewer's right, y up, z
-/// away from the display.
+/// Reads the position of the head from an OpenTrack packet ("UDP over network"). The packet has six
+/// little-endian doubles: x, y, z in centimetres, then yaw, pitch, roll in degrees. `centre_mm` is
+/// the position in display space at which OpenTrack was centred. In the packet, x points to the
+/// viewer's right, y up, and z away from the display.
 ///
 /// # Errors
 /// If the packet has another length, or its position is not finite.

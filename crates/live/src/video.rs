@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-/// Plays time steps in order at a rate. Time steps that would come too late are skipped and
+/// Plays time steps in order at a rate. Time steps that would be shown too late are skipped and
 /// counted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Player {
@@ -11,7 +11,7 @@ pub struct Player {
     most_late: usize,
     next: usize,
     begun: Option<Duration>,
-    /// Number of skipped time steps.
+    /// Number of time steps that were skipped.
     pub dropped: usize,
 }
 
@@ -20,21 +20,21 @@ pub struct Player {
 pub enum Due {
     /// Show this time step, counted from 0.
     Time(usize),
-    /// Call again after this long.
+    /// Nothing is due; call again after this time.
     Wait(Duration),
-    /// All time steps are over.
+    /// The video has ended.
     End,
 }
 
 impl Player {
-    /// Plays `count` time steps at `rate_hz` > 0. A time step is shown at most `most_late` steps
-    /// after it was due.
+    /// Plays `count` time steps at `rate_hz` > 0. A time step is shown at most `most_late`
+    /// intervals after it was due.
     pub fn new(count: usize, rate_hz: f64, most_late: usize) -> Self {
         Self { count, rate_hz, most_late, next: 0, begun: None, dropped: 0 }
     }
 
-    /// Returns the next action of a caller that is ready at `now`, on any clock. The first call
-    /// starts the video.
+    /// Returns the next action for a caller that is ready at the time `now`. Any clock may be used.
+    /// The first call starts the video.
     pub fn next(&mut self, now: Duration) -> Due {
         let begun = *self.begun.get_or_insert(now);
         let newest = (now.saturating_sub(begun).as_secs_f64() * self.rate_hz + EARLY).floor() as usize;
@@ -55,5 +55,5 @@ impl Player {
     }
 }
 
-/// A time step may be early by this share of the interval, so that rounding does not delay it.
+/// A time step may be early by this fraction of the interval, so that rounding does not delay it.
 const EARLY: f64 = 1e-6;

@@ -29,8 +29,8 @@ use lumistack_scene::{
 const SKY: [usize; 2] = [1024, 512];
 /// Largest number of scattering events of a path; the one at the first hit counts.
 const MAX_BOUNCES: u32 = 6;
-/// Texels per edge of the floor's texture. Each is several pixels wide, so that no renderer filters
-/// the texture.
+/// Number of texels per edge of the floor's texture. Each texel is several pixels wide, so that no
+/// renderer filters the texture.
 const TEXELS: usize = 6;
 
 /// A surface, in terms that all renderers have.
@@ -118,7 +118,7 @@ fn floor_texels() -> Vec<[f32; 3]> {
 
 fn scenes() -> Vec<SceneSpec> {
     let white = Vec3::splat(0.8);
-    // seen from +z; the floor is a panel that leans back by 40°
+    // The camera is on +z. The floor is a panel that leans back by 40°.
     let lean = Mat3::from_rotation_x(-0.7);
     let floor = |surface| (panel(Vec3::new(0.0, 0.0, -0.6), lean * Vec3::X * 2.5, lean * Vec3::Y * 2.5), surface);
     // the lamp's front, u × v, faces down and away from the camera; a black panel right behind it
@@ -329,8 +329,8 @@ fn describe(spec: &SceneSpec, arguments: &Arguments, folder: &Path) -> Result<()
         Sky::Constant(value) => write!(text, "], \"sky\": {value}}}")?,
         Sky::Map => {
             text += "], \"sky\": \"sky.f32\"}";
-            // rows from +y to −y, both ends included; columns of equal angles from −z over −x, as
-            // in the script that reads them
+            // Rows go from +y to −y, with both ends included. Columns have equal angles, from −z
+            // over +x. The script that reads them has the same order.
             let [width, height] = SKY;
             let texel = |k: usize| {
                 let phi = std::f32::consts::TAU * ((k % width) as f32 + 0.5) / width as f32;

@@ -6,8 +6,9 @@
 //! ```
 //!
 //! The window comes from the file's first camera, or is framed on the scene. A scene without light
-//! gets a white sky. The views are an N × N grid over 20° × 20°, oblique, on a window 474 mm wide.
-//! Only the corners and the centre are written, but all views are timed.
+//! gets a white sky. The views are an N × N grid over 20° × 20° with oblique projection, on a
+//! window 474 mm wide. Only the views at the corners and in the centre are written, but all are
+//! timed.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

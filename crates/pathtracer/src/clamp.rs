@@ -7,8 +7,8 @@ use lumistack_core::colour::luminance;
 
 use crate::settings::Settings;
 
-/// Sums are whole numbers of the limit over this number, since whole numbers add up to the same sum
-/// in any order.
+/// Sums are whole numbers, in units of the limit divided by this number. Whole numbers add up to
+/// the same sum in any order.
 const PARTS: f64 = 65536.0;
 
 /// Light that a limit removed from one view.

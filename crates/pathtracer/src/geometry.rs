@@ -4,9 +4,9 @@
 //! mesh. A mesh that is placed often is kept once, in its own space around its centre, with a
 //! transform per instance. So memory grows with unique geometry only.
 //!
-//! Render space is the scene moved to the centre of its bounds and scaled by a power of two to a
-//! half diagonal of 1 to 2. So 32-bit rounding is relatively the same for scenes of any size and
-//! position.
+//! Render space is the scene moved to the centre of its bounds and scaled by a power of two. The
+//! scene's half diagonal is 1 to 2 there. So 32-bit rounding is relatively the same for scenes of
+//! any size and position.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -18,8 +18,9 @@ use lumistack_simd::prefetch;
 
 use crate::bvh::{Hit, NO_INSTANCE, Placement};
 
-/// Rays start off a surface by this fraction of the largest coordinate of its triangle. The
-/// distance is about 16 times the rounding error of a point interpolated from three vertices.
+/// Rays start at this distance from a surface, as a fraction of the largest coordinate of its
+/// triangle. The distance is about 16 times the rounding error of a point interpolated from three
+/// vertices.
 const OFFSET_SHARE: f32 = 4e-6;
 /// Scenes of up to this number of triangles, with all instances included, share no meshes (see
 /// [`Sharing::Auto`]). Such scenes need at most some 150 MB.
@@ -85,15 +86,15 @@ struct Record {
     /// Index of the instance; for shared triangles the first instance of their mesh.
     instance: u32,
     triangle_in_mesh: u32,
-    /// [`SWAPPED`], [`COLORED`], [`FLAT`].
+    /// Any of [`SWAPPED`], [`COLORED`] and [`FLAT`].
     flags: u32,
 }
 
-/// Two corners are exchanged, since the instance mirrors.
+/// Marks a triangle of which two corners are exchanged, since the instance mirrors the mesh.
 const SWAPPED: u32 = 1;
-/// The mesh has vertex colours.
+/// Marks a triangle of a mesh with vertex colours.
 const COLORED: u32 = 2;
-/// All vertex normals equal the geometric normal.
+/// Marks a triangle whose vertex normals all equal the geometric normal.
 const FLAT: u32 = 4;
 /// Cosine from which on two normals are treated as equal.
 const SAME_NORMAL: f32 = 1.0 - 1e-6;
@@ -180,7 +181,7 @@ impl Geometry {
             });
         }
         geometry.loose = 0..geometry.records.len();
-        // per mesh: its tree and the map from the tree's space to the mesh
+        // for each mesh: the index of its tree, and the scale and the centre of the tree's space
         let mut trees: Vec<Option<(usize, f64, DVec3)>> = vec![None; scene.meshes.len()];
         for (index, instance) in scene.instances.iter().enumerate() {
             if !shares[instance.mesh] {
@@ -319,8 +320,8 @@ impl Geometry {
         let record = &self.records[hit.triangle as usize];
         let instance = &self.instances[hit.instance as usize];
         let placement = &self.placements[instance.placement as usize];
-        // a position is a sum of turned corners and the instance's translation; the offset covers
-        // the rounding of the terms and of the sum
+        // The position is a sum of two terms: a mean of the turned corners, and the instance's
+        // translation. The offset covers the rounding error of the turned corners and of the sum.
         let turned = record.corners.map(|corner| placement.render_from_tree * corner);
         let corners = turned.map(|corner| corner + placement.translation);
         let (normal, doubled_area) = normal_and_doubled_area(corners);
@@ -345,7 +346,7 @@ fn normal_and_doubled_area([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
     (if doubled_area > 0.0 { cross / doubled_area } else { Vec3::Z }, doubled_area)
 }
 
-/// √(area in texture space / area).
+/// √(area in texture space / area in the space of the corners).
 fn uv_per_length([a, b, c]: [Vec2; 3], doubled_area: f32) -> f32 {
     ((b - a).perp_dot(c - a) / doubled_area.max(f32::MIN_POSITIVE)).abs().sqrt()
 }
@@ -456,10 +457,10 @@ impl SurfacePoint<'_> {
         if normal.dot(self.geometric_normal) > 0.0 { normal } else { self.geometric_normal }
     }
 
-    /// The point's position on a smooth surface through the corners with their normals, moved to
-    /// the side of the normal. `side` is 1 on the front and −1 on the back. The surface may bulge
-    /// as far as each corner's tangent plane (Hanika 2021, "Hacking the shadow terminator", Ray
-    /// Tracing Gems II).
+    /// The point, moved along normals onto a smooth surface through the corners. It moves only to
+    /// the front if `side` is 1, and only to the back if `side` is −1. The surface may bulge as far
+    /// as each corner's tangent plane (Hanika 2021, "Hacking the shadow terminator", Ray Tracing
+    /// Gems II).
     pub(crate) fn smooth_position(&self, side: f32) -> Vec3 {
         let bulge = |k: usize| {
             let (corner, normal) = match self.placed {

@@ -1,6 +1,6 @@
 //! Elementary functions without library calls: faster, and with equal results on every platform.
 
-/// Sine and cosine of an angle in turns, −1..1; absolute error below 1e-6.
+/// Sine and cosine of an angle of −1..1 turns; absolute error below 1e-6.
 #[inline]
 pub(crate) fn sin_cos_turns(turns: f32) -> (f32, f32) {
     // nearest quarter turn, and the remainder of at most an eighth of a turn
@@ -35,8 +35,8 @@ pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
 }
 
 /// Maps the unit square to the unit disc, equal areas to equal areas (concentric map of Shirley,
-/// Chiu 1997). Both halves of the map are computed alike and exchanged at the end, since no branch
-/// predictor can guess the half.
+/// Chiu 1997). One formula serves both halves of the map, and x and y are exchanged at the end. A
+/// branch would be slower, since no branch predictor can guess the half.
 #[inline]
 pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
     let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);

@@ -37,8 +37,8 @@ impl Normals {
         Self { mapped, smooth: if self.alpha2 == 0.0 { mapped } else { turn(self.smooth) }, alpha2: self.alpha2 }
     }
 
-    /// Fraction of the light from `direction` that the bumps do not shadow; θ is its angle to the
-    /// smooth normal:
+    /// Fraction of the light from `direction` that the bumps do not shadow. With the angle θ
+    /// between `direction` and the smooth normal, it is:
     ///
     /// ```text
     /// 2 cos θ / (cos θ + √(cos² θ + α² sin² θ))
@@ -80,7 +80,8 @@ mod tests {
             }
         }
         assert!(steep.unshadowed(from(70.0)) < mild.unshadowed(from(70.0)));
-        // tan² = 1 makes α² = 1/8, and θ = 45°: 2 / (1 + √1.125)
+        // an angle of 45° gives α² = tan² 45° / 8 = 1/8, and light at θ = 45° keeps 2 / (1 +
+        // √1.125)
         let even = Normals::new(from(45.0), Vec3::Z);
         assert!((even.unshadowed(from(45.0)) - 2.0 / (1.0 + 1.125f32.sqrt())).abs() < 1e-5);
         assert_eq!(Normals::new(Vec3::X, Vec3::X).unshadowed(Vec3::Z), 1.0, "vertex normals alone");

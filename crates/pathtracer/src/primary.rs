@@ -28,16 +28,16 @@ use crate::tracer::Cone;
 const BOUNDS_MARGIN: f64 = 1e-5;
 /// Width of the texture footprint, as a fraction of the pixel's width. Samples are spread over the
 /// pixel, so each needs to cover only a fraction of it: each of 16 samples covers a quarter of its
-/// width. Half the pixel's width dims small letters, and trades variance (up to 3 %) for blur. A
-/// display shows that dimmer target better (still life: 36.8 dB instead of 36.2 dB), but with less
-/// detail: its gradients have 12 % less energy.
+/// width. A footprint of half the pixel's width dims small letters, and trades variance (up to 3 %)
+/// for blur. A display shows that dimmer target better (still life: 36.8 dB instead of 36.2 dB),
+/// but with less detail: its gradients have 12 % less energy.
 const FOOTPRINT_SHARE: f64 = 0.25;
 
 /// The rays of one view.
 pub(crate) struct PrimaryRays<'a> {
     geometry: &'a FieldGeometry,
     view: [usize; 2],
-    /// Full width of the range of slopes per axis, 0 for a point.
+    /// Full width of the range of slopes per axis, 0 for a single slope.
     slope_width: [f64; 2],
     /// True if the range is the ellipse of those widths, not the rectangle.
     round: bool,
@@ -211,7 +211,7 @@ impl PixelRays {
 
 /// True if a line intersects the box −`half`..`half`.
 fn passes_through(origin: DVec3, direction: DVec3, half: DVec3) -> bool {
-    // without 0 · ∞: a line parallel to a pair of planes is between them all the way, or never
+    // Avoids 0 · ∞: a line parallel to a pair of planes is between them everywhere or nowhere.
     let across = direction.cmpeq(DVec3::ZERO);
     if (across & origin.abs().cmpgt(half)).any() {
         return false;
@@ -259,8 +259,8 @@ mod tests {
     }
 
     /// Rays of random windows that are far from the scene, near it or inside it. Each ray is the
-    /// line through its point of the display plane with its slope, and starts in front of the
-    /// bounds or at the eye. If it intersects the bounds, its pixel is `in_bounds`.
+    /// line through its point of the display plane with its slope. It starts in front of the bounds
+    /// or at the eye. If it intersects the bounds, its pixel is `in_bounds`.
     #[test]
     fn rays_are_lines_of_the_display() {
         let mut stream = Stream::new(4);
@@ -305,7 +305,7 @@ mod tests {
                 let aside = (origin - on_plane).cross(direction).length();
                 let size = origin.length() + on_plane.length();
                 assert!(aside < 1e-6 * size, "{aside} of {size}");
-                // position of the start along the display's axis
+                // z of the ray's start in display space
                 let z = map.inverse_point(space.centre + origin / space.scale).z;
                 let rounded = 1e-6 * size / (space.scale * map.scale);
                 if let Projection::Perspective { distance_mm } = projection {

@@ -87,13 +87,13 @@ pub struct Memory {
     pub triangles: usize,
     /// Number of triangles that are kept. In large scenes a mesh that is placed often is kept once.
     pub unique_triangles: usize,
-    /// Bytes of the tree's nodes, leaves and instances.
+    /// Number of bytes of the tree's nodes, leaves and instances.
     pub tree_bytes: usize,
-    /// Bytes of corners, transforms and references to the scene.
+    /// Number of bytes of corners, transforms and references to the scene.
     pub geometry_bytes: usize,
-    /// Bytes of the scene's meshes and images.
+    /// Number of bytes of the scene's meshes and images.
     pub scene_bytes: usize,
-    /// Bytes of the textures' coarser levels: up to a third of the images.
+    /// Number of bytes of the textures' coarser levels: up to a third of the images.
     pub texture_bytes: usize,
 }
 
@@ -209,8 +209,8 @@ impl Renderer {
         self
     }
 
-    /// Rays that miss the scene see the environment, even if the scene has a backdrop. This is for
-    /// comparisons with renderers without backdrops.
+    /// Makes rays that miss the scene see the environment, even if the scene has a backdrop. This
+    /// is for comparisons with renderers without backdrops.
     #[must_use]
     pub fn without_backdrop(mut self) -> Self {
         self.backdrop = None;
@@ -310,7 +310,7 @@ impl Renderer {
     /// Fraction of the window, 0..1, in which the central rays of a view hit a surface.
     ///
     /// # Errors
-    /// As [`hit_mask`](Self::hit_mask).
+    /// The same errors as [`hit_mask`](Self::hit_mask).
     pub fn coverage(
         &self,
         window: &Window,
@@ -402,7 +402,7 @@ impl Renderer {
                 }
                 if sample.is_finite() {
                     if FIRST {
-                        // a limit dims diffuse and other light by the same factor
+                        // `Settings::clamp` dims diffuse and other light by the same factor
                         let kept = if sample == traced { 1.0 } else { sample.max_element() / traced.max_element() };
                         sums.add_diffuse(kept * first[index].diffuse);
                     }
@@ -419,7 +419,7 @@ impl Renderer {
         let count = f64::from(finite.max(1));
         let variance = |c: usize| match finite {
             0 | 1 => f32::NAN,
-            // equal samples may give a sum slightly below 0, by rounding
+            // for equal samples, rounding may give a difference slightly below 0
             _ => ((squares[c] - sum[c] * sum[c] / count).max(0.0) / (count * (count - 1.0))) as f32,
         };
         let pixel = PixelMean {
@@ -601,8 +601,8 @@ mod tests {
 
     /// Instances that share a tree show the same scene as copies in one tree. The same random
     /// numbers make the same paths except where rounding decides, so the pictures differ far less
-    /// than by noise. Transparent surfaces draw other numbers, so those pictures differ by the
-    /// noise.
+    /// than by noise. A transparent surface draws other numbers if its tree is shared, so its
+    /// pictures differ by the noise.
     #[test]
     fn shared_and_copied_meshes_look_the_same() {
         let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -633,8 +633,8 @@ mod tests {
             let noise = square(&copied, &other_noise);
             let share = if alpha_mode == AlphaMode::Opaque { 0.05 } else { 1.3 };
             assert!(square(&copied, &shared) < share * noise, "{} against noise {noise}", square(&copied, &shared));
-            // the noise of the difference of two means, five standard errors; the three channels of
-            // a pixel are one sample
+            // The bound is five standard errors of the difference of two means. The three channels
+            // of a pixel are one sample.
             let bound = 5.0 * (noise / (copied.data().len() / 3) as f64).sqrt();
             assert!((mean(&copied) - mean(&shared)).abs() < bound, "{} and {}", mean(&copied), mean(&shared));
             assert!(mean(&copied) > 0.1);

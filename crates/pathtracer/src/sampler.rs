@@ -15,9 +15,10 @@ use lumistack_core::seed;
 /// Number of scrambled sequences in the bank. Two pairs of a path use different sequences if they
 /// are less than this apart.
 const PATTERNS: usize = 64;
-/// Length of the longest sequence in the bank; further samples start over with another hash.
+/// Length of the longest sequence in the bank; further samples use the sequence again with another
+/// hash.
 const LONGEST: u32 = 4096;
-/// Odd step that spreads pairs over hashes (2⁶⁴ / golden ratio).
+/// Odd step between the hash inputs of successive pairs (2⁶⁴ / golden ratio).
 const PAIR_STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 /// Fixed seed of the bank; the job's seed enters by the pixel's hash.
 const BANK_SEED: u64 = 0x5eed_ba17;
@@ -69,8 +70,8 @@ impl SampleBank {
     }
 
     /// The numbers for sample `first` and the following samples of the pixel with this hash. All
-    /// samples of one [`Draws`] must be within one pass of the bank's sequence. They are if `first`
-    /// is a multiple of a power of two, and no more samples than that power follow.
+    /// samples of one [`Draws`] must be within one pass of the bank's sequence. This is so if
+    /// `first` is a multiple of a power of two, and at most that number of samples are drawn.
     pub(crate) fn draws(&self, pixel: u64, first: u32) -> Draws<'_> {
         let pixel = if first < self.length { pixel } else { seed::derive(pixel, &[u64::from(first / self.length)]) };
         Draws { bank: self, pixel, first: first & (self.length - 1) }

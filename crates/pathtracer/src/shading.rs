@@ -11,7 +11,7 @@ use crate::geometry::{SurfacePoint, bend_normal};
 use crate::normals::Normals;
 use crate::texture::{Encoding, Slot, Textures};
 
-/// Footprint for textures that must not be filtered, such as alpha: it is compared with a
+/// Footprint for textures that must not be filtered, such as alpha. Alpha is compared with a
 /// threshold, and a mean of alphas would change the result.
 const FINEST: f32 = 0.0;
 
@@ -104,7 +104,7 @@ impl Materials {
         flags
     }
 
-    /// Fraction of the surface that exists, 0..1.
+    /// Opaque fraction of the surface by its alpha, 0..1.
     pub(crate) fn coverage(&self, index: usize, point: &SurfacePoint<'_>) -> f32 {
         match self.scene.materials[index].alpha_mode {
             AlphaMode::Opaque => 1.0,
@@ -187,7 +187,7 @@ impl Materials {
             thickness_nm: film.thickness_nm[0]
                 + (film.thickness_nm[1] - film.thickness_nm[0]) * texel(&slots.film_thickness).y,
         });
-        // the blue channel is 1 too if there is no texture
+        // without a texture, `texel` returns 1 in the blue channel too
         let anisotropy = material.anisotropy.map_or(0.0, |stretch| stretch.strength * texel(&slots.anisotropy).z);
         Extras {
             specular: material.specular * texel(&slots.specular).w,
@@ -240,7 +240,7 @@ impl Materials {
         frame
     }
 
-    /// [`Frame::diffuse`] alone.
+    /// The normals of [`Frame::diffuse`] alone.
     #[inline]
     pub(crate) fn diffuse_normals(
         &self,

@@ -5,10 +5,12 @@
 //! w = p² / (p_b² + p_l²)
 //! ```
 //!
-//! T is the throughput, E the emission of the hit surface, and the second term is one sampled
-//! light. In the power heuristic w, the numerator is the density of the technique that made the
-//! sample. Alpha of mode `Blend` is decided by chance along scattered rays, and multiplied along
-//! shadow rays. Both have the right mean.
+//! T is the throughput, f the scattering function, and E the emission of the hit surface. The
+//! second term is one sampled light with the radiance L_l and the visibility V. The density of
+//! scattered directions is p_b, the density of light sampling is p_l. In the power heuristic w, the
+//! numerator is the squared density of the technique that made the sample. Alpha of mode `Blend` is
+//! decided by chance along scattered rays, and multiplied along shadow rays. Both have the right
+//! mean.
 //!
 //! The samples of a pixel are traced together, one vertex of all paths at a time. First rays are
 //! close together and traverse the tree as a beam. Random numbers of a vertex share their hash.
@@ -17,7 +19,7 @@
 //! Measured on FlightHelmet with 16 samples per pixel:
 //!
 //! * Rays take half of the time. The rest is spent on waiting for memory and on branches rather
-//!   than on arithmetic: the whole program compiled for AVX2 with FMA was no faster.
+//!   than on arithmetic. The whole program compiled for AVX2 with FMA was no faster.
 //! * Nearly all variance of a diffuse scene comes from the first scattered direction. Four jointly
 //!   stratified points of lights at the first hit instead of one lowered the squared error by 7 %
 //!   and cost 80 % more time.
@@ -42,15 +44,16 @@ use crate::sampler::{Draws, Pair};
 use crate::settings::Settings;
 use crate::shading::Materials;
 
-/// Pairs of random numbers that the primary ray uses: position in the pixel, slope in the bin.
+/// Number of pairs of random numbers that the primary ray uses: position in the pixel, slope in the
+/// bin.
 pub(crate) const PRIMARY_PAIRS: u64 = 2;
-/// Pairs of random numbers per vertex of a path: the scattered direction; the point of a light;
-/// roulette, and the choice between reflection and refraction.
+/// Number of pairs of random numbers per vertex of a path. They choose the scattered direction; the
+/// point of a light; roulette, and reflection or refraction.
 const VERTEX_PAIRS: u64 = 3;
 /// First of the pairs that decide whether a surface with alpha is there. There is one pair for each
 /// bounce and triangle, so that successive surfaces decide independently.
 const ALPHA_PAIRS: u64 = 1 << 62;
-/// Odd step that spreads the instances over these pairs.
+/// Odd step that spreads the instances over the pairs from [`ALPHA_PAIRS`] on.
 const INSTANCE_STEP: u64 = 0x2545_f491_4f6c_dd1d;
 /// The pair that chooses a wavelength.
 const WAVE_PAIR: u64 = ALPHA_PAIRS - 1;
@@ -69,13 +72,13 @@ pub(crate) struct Cone {
     pub(crate) spread: f32,
 }
 
-/// The material scatters by Lambert's law alone, see [`is_lambertian`].
+/// Marks a material that scatters by Lambert's law alone, see [`is_lambertian`].
 const LAMBERTIAN: u8 = 1;
-/// The material may emit light.
+/// Marks a material that may emit light.
 const EMISSIVE: u8 = 2;
-/// The material shows its colour and scatters nothing.
+/// Marks a material that shows its colour and scatters nothing.
 const UNLIT: u8 = 4;
-/// The material represents a light source that viewers do not see, so first hits pass through it.
+/// Marks a material of a light source that viewers do not see, so first hits pass through it.
 const UNSEEN: u8 = 8;
 
 /// Properties of a material that the path loop reads at every hit, in one byte.
@@ -113,8 +116,8 @@ struct Path {
     radiance: Vec3,
     throughput: Vec3,
     cone: Cone,
-    /// The last vertex that changed the path's direction: its receiver, and its density for the
-    /// heuristic.
+    /// The last vertex that changed the path's direction, as a receiver of light, and the density
+    /// of the direction that was chosen there.
     scattered_at: Receiver,
     scattered_pdf: f32,
     /// True if no event has changed the path's direction since the viewer.
@@ -152,7 +155,7 @@ pub(crate) struct Guide {
     pub(crate) normal: Vec3,
     /// Fraction of the reflectance that depends on the viewer's direction, 0..1.
     pub(crate) gloss: f32,
-    /// Squared roughness of the lobe of that reflectance.
+    /// Squared roughness of the lobe that depends on the viewer's direction.
     pub(crate) alpha: f32,
 }
 
@@ -520,8 +523,8 @@ impl Tracer<'_> {
         let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine, parts) else {
             return;
         };
-        // hard light ends where the smooth surface turns away, not where its triangles do; no other
-        // technique finds this light, so the weights stay right
+        // The light of punctual lights ends where the smooth surface turns away, not where its
+        // triangles do. No other technique finds this light, so the weights stay right.
         let is_hard = light.inverse_pdf == 0.0 && vertex.may_bulge(surface);
         let (value, scatter_pdf) = if is_hard {
             surface.evaluate_above(vertex.smooth_normal(), light.direction)
@@ -563,7 +566,7 @@ impl Tracer<'_> {
         if coverage <= 0.0 || coverage >= 1.0 {
             return coverage > 0.0;
         }
-        // the number is 0 without an instance
+        // `instance` is 0 for a hit without an instance
         let instance = u64::from(hit.instance.wrapping_add(1)).wrapping_mul(INSTANCE_STEP);
         let pair = (u64::from(bounce) << 32) + u64::from(hit.triangle);
         draws.pair((ALPHA_PAIRS + pair) ^ instance).of(index)[0] < coverage
@@ -710,8 +713,8 @@ impl Vertex<'_> {
     }
 }
 
-/// The power heuristic for a sample. `ratio` is the density with which another technique finds it,
-/// over the density of its own technique.
+/// The power heuristic for a sample. `ratio` is the density with which another technique finds the
+/// sample, divided by the density of the sample's own technique.
 #[inline]
 fn heuristic(ratio: f32) -> f32 {
     1.0 / (1.0 + ratio * ratio)

@@ -39,13 +39,13 @@ pub struct RunComparison {
     pub second_zone: Option<ZoneLikeness>,
     /// Number of directions of the first run's viewing zone whose seen pictures were compared.
     pub directions: usize,
-    /// The second run compared with the first, over these directions.
+    /// The second run compared with the first run, over these directions.
     pub between: Likeness,
     /// Number of views of the first run's target that were compared; 0 without a target.
     pub views: usize,
     /// The first run compared with its target.
     pub first: Option<Likeness>,
-    /// The second run compared with the same target.
+    /// The second run compared with the target of the first run.
     pub second: Option<Likeness>,
     /// Written pictures.
     #[serde(serialize_with = "lumistack_core::path_text::told_each")]
@@ -71,7 +71,7 @@ pub fn compare_runs(
         let of = |g: &FieldGeometry| format!("{} × {} pixels of {} mm", g.cols, g.rows, g.pitch_mm);
         return Err(PipelineError::value(second, "field", of(&own), of(&other)));
     }
-    // Views and directions are those of the first run: of its target or, without one, of its
+    // Views and directions come from the target of the first run or, without a target, from its
     // display.
     let target = target_of(first)?;
     let geometry = match &target {
@@ -80,8 +80,8 @@ pub fn compare_runs(
     };
     let simulators = [&a, &b].map(|run| Simulator::new(&run.display, &run.stack));
     let shape = [geometry.rows, geometry.cols];
-    // If the job has expected eye positions, they limit the zone. In a folder of saved patterns
-    // there may be no job; then the zone is the whole zone of the display.
+    // If the job has expected eye positions, they limit the zone. A folder of saved patterns may
+    // have no job; then the zone is the whole zone of the display.
     let zone = match Job::load(&first.join("job.toml")) {
         Ok(job) => score::zone_of(&job, &a.display, &geometry),
         Err(_) => Zone::of_grid(&geometry.grid, Some(a.display.field.fov_deg)),
@@ -209,7 +209,8 @@ fn add_moved(sum: &mut Tensor<3>, view: &Tensor<3>, [down, right]: [f64; 2]) {
 mod tests {
     use super::*;
 
-    /// A dot on the front layer is sharp in focus. Out of focus it is a disc of the pupil's size.
+    /// The front layer has one black pixel. An eye that focuses on this layer sees a dark dot. An
+    /// eye that focuses on the rear layer sees the dot blurred, and therefore brighter.
     #[test]
     fn focus_is_sharp_where_it_lies() {
         let mut display = Display::uniform([41, 41], 1.0, [3, 3], [20.0, 20.0], &[0.0, 60.0], 1);

@@ -68,7 +68,7 @@ pub enum PipelineError {
         /// The folder.
         folder: PathBuf,
     },
-    /// The worker has another build, whose results may differ from those of other workers.
+    /// The worker has another build, so its results may differ from the other workers' results.
     #[error(
         "{}: expected the program that planned the run ({plan}), found another ({worker}); install the same build on all workers, or plan the run again",
         folder.display()
@@ -81,8 +81,8 @@ pub enum PipelineError {
         /// Version and code hash of the worker.
         worker: String,
     },
-    /// A file is in the way that Lumistack did not write, or that was changed since Lumistack wrote
-    /// it.
+    /// The output would replace a file that Lumistack did not write, or that was changed since
+    /// Lumistack wrote it.
     #[error(
         "{}: expected no file, or one that Lumistack wrote, found {}; {work} into this folder would replace it; move it away, or choose another folder with -o",
         path.display(), if *changed { "a file that was changed since Lumistack wrote it" } else { "something else" }
@@ -90,7 +90,7 @@ pub enum PipelineError {
     Foreign {
         /// The file or folder.
         path: PathBuf,
-        /// The work that would replace it.
+        /// The work that would replace the file.
         work: &'static str,
         /// True if Lumistack wrote the file and it was changed since.
         changed: bool,
@@ -277,7 +277,7 @@ impl PipelineError {
         Self::Command(Box::new(error))
     }
 
-    /// True if the cause is this machine, so that another machine may do the work.
+    /// True if the error comes from this machine, so that another machine may succeed.
     pub fn is_machine_specific(&self) -> bool {
         matches!(self, Self::NoFarmPlan { .. } | Self::OtherCode { .. })
     }
@@ -380,7 +380,7 @@ pub fn read_to_string(path: &Path) -> Result<String, PipelineError> {
     lumistack_files::read_text(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })
 }
 
-/// The line of the error, with marks under the error's position.
+/// Returns the line of the error, with marks under the error's position.
 fn excerpt(text: &str, error: &ConfigError) -> String {
     let Some(line) = text.lines().nth(error.line.saturating_sub(1)) else { return String::new() };
     let length = error.span.len().clamp(1, line.chars().count().saturating_sub(error.column - 1).max(1));

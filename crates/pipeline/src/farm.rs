@@ -3,16 +3,15 @@
 //! ```text
 //! cache/farm/plan.json           the job, its units, and the fingerprint of the code
 //!                                that planned them
-//! cache/farm/done/ID.json        record of a finished unit, written last; it only saves
-//!                                time
+//! cache/farm/done/ID.json        record of a finished unit, written after its results
 //! ```
 //!
 //! A unit checks that its worker has the same code as the plan, and waits for its input units. Then
 //! it executes its steps and records that it is done.
 //!
-//! Units share the lock of the run folder. While a unit writes the light field, patterns or results
-//! of a time step or node, it alone holds the lock of that folder. The last unit, a whole run,
-//! alone holds the lock of the run folder.
+//! Units share the lock of the run folder. A time step or a node has a folder with a lock of its
+//! own. A unit holds this lock alone while it writes results there. The last unit executes a whole
+//! run, and alone holds the lock of the run folder.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -124,15 +123,16 @@ impl FarmPlan {
     }
 }
 
-/// Maps a path of the planning machine to a path of this machine. `maps` are pairs of folders, on
-/// the planning machine and here. The first pair whose folder there contains the path is used.
+/// Maps a path of the planning machine to a path of this machine. `maps` are pairs of a folder on
+/// the planning machine and a folder on this machine. The first pair whose first folder contains
+/// the path is used.
 fn mapped(path: &Path, maps: &[(PathBuf, PathBuf)]) -> PathBuf {
     let found = maps.iter().find_map(|(there, here)| Some(here.join(path.strip_prefix(there).ok()?)));
     found.unwrap_or_else(|| path.to_owned())
 }
 
 /// Plans a job for many machines in the job's run folder. Checks the job and locks the folder as a
-/// run does. Units that are done in the same plan stay done.
+/// run does. If the folder has the same plan already, its finished units stay finished.
 ///
 /// # Errors
 /// The errors of a run before its first step.
@@ -154,7 +154,8 @@ pub fn farm_plan(
     let owned = folder::lock(dir, work_of(&job), &job, registry, task)?;
     Executor::new(&plan, registry, None, task).check()?;
     for part in &plan.parts {
-        // Check that the folder of a time step has no other owner and no files of other programs.
+        // Check that no other process uses the folder of a time step, and that it has no files of
+        // other programs.
         if matches!(part.kind, PartKind::Time(_)) && job.sweep.is_none() {
             drop(folder::lock(&dir.join(&part.folder), Work::Run, &part.job, registry, task)?);
         }
@@ -168,8 +169,8 @@ pub fn farm_plan(
         job: job.to_toml(),
         folder: Some(job.folder.clone()),
     };
-    // The id does not depend on estimates. These differ between machines, and results do not depend
-    // on them.
+    // The id does not depend on estimates. Estimates differ between machines, and results do not
+    // depend on them.
     let ids: Vec<_> = made.units.iter().map(|unit| (&unit.id, &unit.inputs, &unit.steps)).collect();
     let all = serde_json::to_string(&(&made.job, &made.code, ids)).expect("plans serialize");
     made.id = hash(all.as_bytes())[..DIGITS].to_owned();
@@ -186,7 +187,6 @@ pub fn farm_plan(
 
 /// Executes a unit of the plan in a run folder. If the unit is already done, it returns
 /// immediately, unless it is the last unit, which checks the whole run.
-///
 /// `maps` are pairs of folders, on the planning machine and on this machine, by which the job's
 /// paths are mapped. A unit waits up to `patience` for its input units, since a network file system
 /// may show files late.
@@ -213,7 +213,8 @@ pub fn farm_unit(
     let Some(unit) = farm.units.iter().find(|unit| unit.id == id) else {
         return Err(PipelineError::value(dir, "unit", "the id of a unit of the plan", format!("`{id}`")));
     };
-    // A farm manager may execute a unit twice.
+    // A farm manager may execute a unit twice. The second execution returns the record of the
+    // first.
     let is_last = unit.id == FINISH;
     let before = || farm.done(dir, id).filter(|_| !is_last).map(|done| UnitDone { cached: true, ..done });
     if let Some(done) = before() {

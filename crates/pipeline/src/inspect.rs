@@ -17,7 +17,7 @@ pub fn describe_light_field(path: &Path, flags: &GeometryFlags, task: Task<'_>) 
     lumistack_field_io::describe(path, flags, task).map_err(field_error)
 }
 
-/// Loads the built-in plugins and, with the feature `dynamic`, plugins of libraries. These are
+/// Loads the built-in plugins and, with the feature `dynamic`, plugins of libraries. Libraries are
 /// searched in `paths`, in the environment variable `LUMISTACK_PLUGIN_PATH`, and in the user's data
 /// folder.
 ///
@@ -33,8 +33,8 @@ pub fn plugins(paths: &[PathBuf]) -> Result<Registry, PipelineError> {
     Ok(registry)
 }
 
-/// Plugins as JSON, with their parameters and origins, and errors of libraries that do not load.
-/// All plugins if `ids` is empty.
+/// Returns plugins as JSON, with their parameters and origins, and errors of libraries that do not
+/// load. Returns all plugins if `ids` is empty.
 ///
 /// # Errors
 /// If no plugin has one of the ids, or its library cannot be used.
@@ -49,7 +49,7 @@ pub fn plugin_list(registry: &Registry, ids: &[String]) -> Result<serde_json::Va
     Ok(serde_json::json!({ "plugins": plugins, "failed": failed }))
 }
 
-/// The plugins of `ids` and their origins; all plugins if `ids` is empty.
+/// Returns the plugins of `ids` and their origins; all plugins if `ids` is empty.
 fn chosen<'a>(registry: &'a Registry, ids: &[String]) -> Result<Vec<(&'a PluginInfo, &'a Origin)>, PipelineError> {
     if ids.is_empty() {
         return Ok(registry.entries().collect());
@@ -61,12 +61,13 @@ fn chosen<'a>(registry: &'a Registry, ids: &[String]) -> Result<Vec<(&'a PluginI
     ids.iter().map(one).collect()
 }
 
-/// Errors of libraries that could not be loaded, for the list of all plugins.
+/// Returns errors of libraries that could not be loaded, for the list of all plugins.
 fn failed(registry: &Registry, ids: &[String]) -> Vec<String> {
     if ids.is_empty() { registry.failed().iter().map(ToString::to_string).collect() } else { Vec::new() }
 }
 
-/// Plugins as text. If plugins are requested by id, the options of their parameters are included.
+/// Describes plugins as text. If plugins are requested by id, the options of their parameters are
+/// included.
 ///
 /// # Errors
 /// The errors of [`plugin_list`].
@@ -95,7 +96,7 @@ pub fn plugin_text(registry: &Registry, ids: &[String]) -> Result<String, Pipeli
     Ok(text.trim_end().to_string())
 }
 
-/// The values of a parameter in its unit, and its default.
+/// Returns the allowed values of a parameter in its unit, and its default.
 fn values_of(param: &Param) -> String {
     let unit = param.unit.as_ref().filter(|unit| *unit != "1").map_or(String::new(), |unit| format!(" {unit}"));
     let default = match param.default_value() {

@@ -32,7 +32,7 @@ pub use lumistack_shot::{
     ZoneSamples,
 };
 
-/// Maximum number of automatic views if Blender may render them, which takes minutes per view.
+/// Maximum number of automatic views if Blender may render them. Blender takes minutes per view.
 const MOST_OF_BLENDER: usize = 25;
 
 /// A job file.
@@ -60,7 +60,7 @@ pub struct Job {
     /// Seed of all random numbers.
     #[serde(default = "default_seed")]
     pub seed: u64,
-    /// Geometry of a light field. A value here overrides that of the light field's files.
+    /// Geometry of a light field. A value here overrides the value in the light field's files.
     #[serde(default, skip_serializing_if = "is_default")]
     pub geometry: GeometryFlags,
     /// The display.
@@ -113,13 +113,13 @@ pub struct Job {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PoseJob {
-    /// Time at which animations are sampled, seconds. Before the beginning of an animation its
-    /// first values are used, after its end its last. Default: the scene without animation; with
+    /// Time at which animations are sampled, seconds. An animation keeps its first values before
+    /// its beginning, and its last values after its end. Default: the scene without animation; with
     /// `animation`, time 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_s: Option<f64>,
-    /// Name or number of the animation. Default: all together, or the first if two move the same
-    /// object.
+    /// Name or number of the animation. Default: all animations together, or the first one if two
+    /// of them move the same object.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub animation: Option<String>,
     /// Name or number of glTF's material variant.
@@ -259,7 +259,7 @@ impl Job {
         own.into_iter().chain(of_nodes).flatten()
     }
 
-    /// Returns the display of the job, with automatic views chosen.
+    /// Returns the display of the job. If its views are automatic, their number is chosen.
     ///
     /// # Errors
     /// If the preset is unknown, the file does not parse, or a changed value is out of range.
@@ -269,15 +269,15 @@ impl Job {
         Ok(display.with_views_chosen(most))
     }
 
-    /// Maximum number of views that a display chooses: limited by time. If Blender may render them,
-    /// that is minutes a view.
+    /// Returns the maximum number of views that a display may choose, which limits the time. It is
+    /// lower if Blender may render the views, since Blender takes minutes per view.
     pub(crate) fn most_views(&self, display: &Display) -> usize {
         let [cols, rows] = display.field.resolution;
         let most = RenderJob::most_chosen_views(cols * rows);
         if self.may_render_in_blender() { most.min(MOST_OF_BLENDER) } else { most }
     }
 
-    /// The job, with values for those automatic settings that depend on the display's views.
+    /// Returns the job with values for those automatic settings that depend on the display's views.
     ///
     /// A display that does not load changes nothing here: [`Self::resolve_display`] returns its
     /// error.
@@ -292,8 +292,8 @@ impl Job {
         job
     }
 
-    /// Returns the denoiser. `auto` lets views share light if the number of views is automatic too,
-    /// unless Blender may render them.
+    /// Returns the denoiser. `auto` selects shared light if the number of views is automatic too,
+    /// unless Blender may render them. Otherwise it selects no denoiser.
     pub(crate) fn denoise_for(&self, display: &Display) -> Denoise {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         match self.render.denoise {
@@ -309,7 +309,7 @@ impl Job {
         self.render.engine == Engine::Blender || is_file && self.render.engine == Engine::Auto
     }
 
-    /// Checks ranges of values, and that no two keys exclude each other.
+    /// Checks ranges of values, and that the job has no two keys that exclude each other.
     ///
     /// # Errors
     /// For the first wrong value.
@@ -326,7 +326,7 @@ impl Job {
             [] => return fail("scene", Self::INPUTS, "none".into()),
             several => return fail("scene", Self::INPUTS, several.join(" and ")),
         }
-        // Ranges of single values. The types allow any number, also NaN.
+        // Check ranges of single values. The types allow any number, also NaN.
         if let Some(time_s) = self.source.as_ref().map(|source| source.time_s).filter(|time_s| !time_s.is_finite()) {
             return fail("source.time_s", "a finite time", time_s.to_string());
         }

@@ -8,10 +8,10 @@
 //! Every arrow is a stage (`stage/`). The plan of a job (`plan/`) lists stages as steps, which work
 //! in a run folder (`store/`).
 //!
-//! * A job with `[[nodes]]` solves several displays for one light field. Patterns and report of
-//!   each are in `nodes/ID/`.
-//! * A sequence has these steps for each time step. Every time step starts from the patterns of the
-//!   previous one.
+//! * A job with `[[nodes]]` solves several displays for one light field. The folder `nodes/ID/` has
+//!   the patterns and the report of one display.
+//! * A sequence has these stages for each time step. The solver starts every time step from the
+//!   patterns of the previous one.
 //! * A sweep solves many designs, for the light fields of a still, a sequence or a graph.
 
 mod compare;
@@ -75,8 +75,8 @@ pub use store::clean::{Cleaned, Freed, clean};
 pub use store::settings::with_new_seal;
 pub use view_options::{ExtraChannel, ViewOptions, ViewSelection};
 
-/// Sets the number of worker threads of the program. Results do not depend on it. Call this before
-/// any other work.
+/// Sets the number of worker threads of the program. Results do not depend on this number. Call
+/// this function before any other work.
 ///
 /// # Errors
 /// If work has already started.

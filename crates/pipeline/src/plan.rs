@@ -10,8 +10,8 @@
 //! ```
 //!
 //! A plan is data: it can be printed with estimates ([`estimate`]) and executed ([`execute`]).
-//! Other processes can execute single steps. A step reads its inputs from the run folder if they
-//! are not in memory.
+//! Another process can execute a single step, since a step reads its inputs from the run folder if
+//! they are not in memory.
 
 pub(crate) mod estimate;
 pub(crate) mod execute;

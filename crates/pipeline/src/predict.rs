@@ -30,7 +30,7 @@ pub fn predict(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Predict
     predict_on(job, &job.resolve_display()?, registry, task)
 }
 
-/// As [`predict`], for another display than that of the job.
+/// Predicts like [`predict`], for another display than the job's.
 ///
 /// # Errors
 /// The errors of [`predict`].

@@ -24,8 +24,8 @@ pub struct RefusedOutput {
 }
 
 /// Opens every output of a job with its display, as a run does before it renders, and returns the
-/// refused outputs. For a sequence only the first time step is checked, since all have the same
-/// geometry.
+/// refused outputs. For a sequence only the first time step is checked, since all time steps have
+/// the same geometry.
 ///
 /// # Errors
 /// If a display of the job is wrong, its light field cannot be opened, or when cancelled.
@@ -36,8 +36,8 @@ pub fn refused_outputs(job: &Job, registry: &Registry, task: Task<'_>) -> Result
         None => job,
     };
     let own = job.resolve_display()?;
-    // A light field from files has its own geometry; for scenes and sources it is that of the
-    // display.
+    // A light field from files has its own geometry. The light field of a scene or a source has the
+    // geometry of the display.
     let (display, geometry) = match (&job.scene, &job.light_field) {
         (None, Some(path)) => {
             let geometry = lumistack_field_io::geometry_of(path, &job.geometry, &field_defaults(&own), task);
@@ -49,7 +49,7 @@ pub fn refused_outputs(job: &Job, registry: &Registry, task: Task<'_>) -> Result
             (own, geometry)
         }
     };
-    // When an output is opened, its plugin checks display and parameters, and writes nothing.
+    // A plugin checks display and parameters when its output is opened, and writes nothing yet.
     let mut refused = Vec::new();
     for (output, display) in outputs_on(&job, &display, &geometry)? {
         match output::open(&output, &display, registry, task) {

@@ -35,7 +35,7 @@ pub fn render_views(
     };
     let mut job = job.clone();
     if !options.only.is_empty() && job.render.denoise == Denoise::Auto {
-        // The denoiser needs all views, but the options select some.
+        // A denoiser needs all views, but the options may select only some.
         job.render.denoise = Denoise::Off;
     }
     let job = &plugin_files::resolved(&job, registry)?;
@@ -46,8 +46,8 @@ pub fn render_views(
     // Refuse wrong options before the scene is loaded, which may take minutes.
     options.check(job, geometry.grid.iter().count())?;
     options.chosen(geometry.grid.views())?;
-    // Run the stages. Views that only a report needs are not rendered: held-out views, and views
-    // outside the zone.
+    // Run the stages. Held-out views and views outside the zone are not rendered, since only a
+    // report needs them.
     let cache = target_dir.join("cache");
     let ingested = ingest::load_scene(scene, &job.pose, &job.importer, registry, &job.light, Some(&cache), task)?;
     let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
@@ -61,8 +61,8 @@ pub fn render_views(
     let exposed = expose::run(shot, &traced, options.linear, task)?;
     let budget = depth::budget(&traced.depths, &display, &geometry, &placement);
     warn_of_depth(&budget, task);
-    // Automatic exposure depends on the rendered views. So views of one light field that are
-    // rendered separately may differ in exposure.
+    // Automatic exposure depends on the rendered views. So if the views of a light field are
+    // rendered in several calls, their exposures may differ.
     let all = geometry.grid.iter().count();
     if traced.views.len() < all && !options.linear && job.light.automatic_exposure {
         let count = traced.views.len();

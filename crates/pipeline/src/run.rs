@@ -44,7 +44,8 @@ pub struct Summary {
     pub psnr_held_out: Option<f64>,
     /// PSNR of L̃/β against L at views outside the viewing zone, dB.
     pub psnr_outside: Option<f64>,
-    /// Results of each node, if the job has several. The scores above are those of the first node.
+    /// Results of each node, if the job has nodes. The scores above are the scores of the first
+    /// node.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeSummary>,
     /// The scene's depth compared with the display's depth of field, as in report.json. `None`
@@ -86,8 +87,8 @@ pub struct SequenceSummary {
     /// Flicker: PSNR of the change of the emission between time steps, against the change of the
     /// target, dB. Higher values mean less flicker. `None` for a single time step.
     pub psnr_change: Option<f64>,
-    /// The PSNR of `psnr_change`, over rays along which the target is constant. `None` if there are
-    /// none.
+    /// The PSNR of `psnr_change`, but only over rays along which the target is constant. `None` if
+    /// there are no such rays.
     pub psnr_still: Option<f64>,
 }
 
@@ -112,17 +113,17 @@ pub fn run(
     run_in(job, run_dir, registry, command, start, task)
 }
 
-/// Runs a job after its units of work: reuses their results and makes all others.
+/// Runs a job after its units of work: reuses the results of the units and makes all other results.
 ///
 /// # Errors
-/// The errors of [`run`] or [`sweep`], and if an output failed.
+/// The errors of [`run`] or [`sweep`], and an error if an output failed.
 pub(crate) fn run_finished(
     job: &Job,
     run_dir: &Path,
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
-    // A worker that seemed lost may still run its unit, so wait until the folder is free.
+    // A worker that is regarded as lost may still run its unit, so wait until the folder is free.
     drop(lock_for_unit(run_dir, Hold::Alone, UNIT_LIMIT, task)?);
     if job.sweep.is_some() {
         return sweep(job, run_dir, registry, task).map(|_| ());
@@ -155,7 +156,7 @@ fn run_in(
 /// folder; other processes may have made them.
 ///
 /// # Errors
-/// The errors of [`run`], and if the plan has no such step.
+/// The errors of [`run`], and an error if the plan has no such step.
 pub fn run_step(
     job: &Job,
     run_dir: &Path,
@@ -168,8 +169,8 @@ pub fn run_step(
     Executor::new(&of_run(job, run_dir)?, registry, None, task).execute_alone(step)
 }
 
-/// Solves the designs of a job with `[sweep]` into `dir`: all of them, or those that a search
-/// selects. A row of the table has the scores over all time steps, and those of every node.
+/// Solves the designs of a job with `[sweep]` into `dir`: all designs, or those that a search
+/// selects. A row of the table has the scores over all time steps, and the scores of every node.
 ///
 /// # Errors
 /// If a design is wrong, or a stage fails or is cancelled. Finished designs are kept, and the next
@@ -185,8 +186,8 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
     sweep::execute(&plan, &designs, job, registry, task)
 }
 
-/// The plan of a job in a run folder, with keys, cached results, and estimates of time and memory.
-/// Writes nothing.
+/// Returns the plan of a job in a run folder, with keys, cached results, and estimates of time and
+/// memory. Writes nothing.
 ///
 /// # Errors
 /// If the job or a design of its sweep is wrong.
@@ -272,7 +273,8 @@ fn summary(context: &mut Context<'_>, job: &Job) -> Summary {
         }
         return summary;
     }
-    // A still has a report for each display. The scores of the first one are those of the run.
+    // A still has a report for each display. The scores of the first display are the scores of the
+    // run.
     let displays = if job.nodes.is_empty() { vec![0] } else { plan.within(0).collect() };
     let reports = displays.into_iter().filter_map(|part| Some((part, &context.states[part].reported.as_ref()?.report)));
     for (number, (part, report)) in reports.enumerate() {

@@ -21,12 +21,12 @@ fn made<T: JsonSchema>(title: &str) -> Schema {
     schema
 }
 
-/// The schema of display files.
+/// Returns the schema of display files.
 pub fn display() -> Schema {
     made::<Display>("Lumistack display")
 }
 
-/// The schema of job files, with the parameters of all loaded plugins.
+/// Returns the schema of job files, with the parameters of all loaded plugins.
 pub fn job(registry: &Registry) -> Schema {
     let mut schema = made::<Job>("Lumistack job");
     for definition in ["ImporterJob", "SourceJob", "NodeJob", "OutputJob"] {
@@ -39,7 +39,8 @@ pub fn job(registry: &Registry) -> Schema {
     schema
 }
 
-/// A rule for the tables of one plugin: a table with the plugin's id has the plugin's parameters.
+/// Returns a rule of the schema: if the key `plugin` has this plugin's id, the table has the
+/// plugin's parameters.
 fn parameters(info: &PluginInfo) -> Value {
     let properties: Map<String, Value> =
         info.schema.params.iter().map(|param| (param.name.clone(), parameter(param))).collect();
@@ -65,8 +66,8 @@ fn parameter(param: &Param) -> Value {
     schema
 }
 
-/// Adapts schemas of Rust types for editors of files: removes links of documentation, null, and
-/// sizes of integers.
+/// Adapts schemas of Rust types for editors of files. Removes links to Rust documentation, null
+/// values, and sizes of integers.
 struct Editors;
 
 impl Transform for Editors {
@@ -74,7 +75,7 @@ impl Transform for Editors {
         if let Some(text) = schema.get("description").and_then(Value::as_str).map(plain) {
             let _ = schema.insert("description".into(), text.into());
         }
-        // `format` has the size of an integer in memory, which an author need not know.
+        // `format` states the size of an integer in memory, which an author of files need not know.
         let _ = schema.remove("format");
         // TOML has no null: optional keys are absent instead.
         if let Some(kinds) = schema.get_mut("type").and_then(Value::as_array_mut) {
@@ -146,8 +147,8 @@ mod tests {
         }
     }
 
-    /// A schema that allows everything would accept valid files too, so this test looks for
-    /// restrictions.
+    /// A schema without restrictions would also accept valid files, so this test checks that
+    /// restrictions exist.
     #[test]
     fn a_table_of_a_job_knows_its_keys_and_its_plugins() {
         let schema = job(&Registry::built_in().unwrap());

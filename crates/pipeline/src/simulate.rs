@@ -18,7 +18,7 @@ use crate::store::lock::lock_preview;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// Name of the folder of a run's preview, and of its stamp.
+/// Name of the folder of a run's preview, and also of the stamp of the preview.
 const PREVIEW: &str = "preview";
 
 /// A finished run: its display and patterns.
@@ -47,7 +47,7 @@ pub enum Viewpoint {
     Slope([f64; 2]),
     /// An eye in display space, millimetres: right, up, in front.
     Eye([f64; 3]),
-    /// This many parallel projections next to each other, over the horizontal field of view.
+    /// This many parallel projections next to each other, spread over the horizontal field of view.
     Sweep(usize),
 }
 
@@ -136,7 +136,7 @@ pub fn update_preview(dir: &Path, registry: &Registry, task: Task<'_>) -> Result
     Ok(true)
 }
 
-/// Hash of all inputs of a run's preview.
+/// Computes a hash of all inputs of a run's preview.
 fn preview_key(dir: &Path, registry: &Registry) -> Result<String, PipelineError> {
     let mut key = KeyBuilder::new(PREVIEW, code::PLUGINS);
     key.add("plugin", plugin_key(registry, "web_simulator", &serde_json::Map::new())?.as_bytes());
@@ -165,7 +165,7 @@ pub fn picture_from(
     viewpoint: Viewpoint,
     raw: bool,
 ) -> Result<Tensor<3>, PipelineError> {
-    // Check the viewpoint, and simulate the display from there.
+    // Check the viewpoint, and simulate the display from this viewpoint.
     let scale = if raw { 1.0 } else { (1.0 / stack.brightness) as f32 };
     let simulator = Simulator::new(display, stack);
     let mut picture = match viewpoint {
@@ -232,7 +232,7 @@ fn share_outside_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
     Some(outside as f64 / (PROBES * PROBES) as f64)
 }
 
-/// Number of points of the display per axis at which the slope to the viewer is tested.
+/// Number of points of the display per axis whose rays to the viewer are tested.
 const PROBES: usize = 32;
 
 /// Rounds degrees to one digit, for messages.
@@ -247,7 +247,7 @@ fn strip(display: &Display, simulator: &Simulator<'_>, count: usize) -> Result<T
     let half_width = (0.5 * display.field.fov_deg[0].to_radians()).tan();
     let views: Vec<Tensor<3>> = (0..count)
         .map(|i| {
-            // Slopes of a grid of `count` views: the centres of its bins.
+            // The slopes are the centres of `count` equal bins of the field of view.
             let slope = (2.0 * i as f64 + 1.0 - count as f64) / count as f64 * half_width;
             simulator.from_slope([slope, 0.0]).radiance
         })
@@ -301,11 +301,11 @@ mod tests {
         assert_eq!(share(Viewpoint::Angle([9.9, 0.0])), 0.0);
         assert_eq!(share(Viewpoint::Angle([10.1, 0.0])), 1.0);
         assert_eq!(share(Viewpoint::Angle([0.0, -30.0])), 1.0);
-        // The example in the help of the command. A nearer eye sees the display's sides too
-        // obliquely.
+        // The first eye position is the example in the help of the command. The second eye is
+        // nearer, so it sees the sides of the display from outside of the zone.
         assert_eq!(share(Viewpoint::Eye([100.0, 0.0, 2000.0])), 0.0);
         let near = share(Viewpoint::Eye([100.0, 0.0, 600.0]));
-        // the zone's part of the display: |x - 100| <= 105.8 of ±237.5, |y| <= 105.8 of ±148.4
+        // part of the display inside the zone: |x - 100| <= 105.8 of ±237.5, |y| <= 105.8 of ±148.4
         assert!((near - (1.0 - (211.6 / 475.0) * (211.6 / 296.9))).abs() < 0.05, "{near}");
         assert_eq!(share_outside_zone(&display, Viewpoint::Sweep(3)), None);
         let mut perspective = display.clone();

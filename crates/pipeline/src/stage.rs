@@ -73,8 +73,8 @@ pub(crate) const TRACE: StageInfo = StageInfo {
     name: "trace",
     label: Some("render"),
     reads: |job| {
-        // Filters that need the same kind of views share cached views: halves, split views, or
-        // whole views.
+        // Filters that need the same kind of views share cached views. The kinds are halves, split
+        // views, and whole views.
         let denoise = job.render.denoise;
         let kept = [denoise.takes_halves(), denoise == Denoise::Shared];
         let render = RenderJob { denoise: Denoise::Off, ..job.render.clone() };

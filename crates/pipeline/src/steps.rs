@@ -57,7 +57,7 @@ pub fn render_field(
     // Place the window, then trace, denoise and expose as a run does.
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let placement = place::place(ingested, &job.window, display, &geometry, Some(cache_dir), task)?;
-    // There is no report here, so views that only a report needs are not rendered.
+    // This function makes no report, so it renders no views that only a report needs.
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
     job.render.denoise = job.denoise_for(display);
@@ -67,7 +67,7 @@ pub fn render_field(
     let (traced, _) = trace::run(shot, &ViewOptions::default(), cache_dir, task)?;
     denoise::run(shot, &traced.fields, task)?;
     let rendered = expose::run(shot, &traced, false, task)?;
-    // Depth and references are for a report of the caller.
+    // Return depth and references, from which the caller can make a report.
     let depth = depth::budget(&traced.depths, display, &geometry, &placement);
     warn_of_depth(&depth, task);
     let (exposure, tone) = (rendered.tone_mapping.exposure, rendered.tone_mapping.curve.name());
@@ -80,7 +80,8 @@ pub fn render_field(
 }
 
 /// Reads a light field of any kind, without rounding. Size and angles come from the file, or else
-/// from `display`. If `flags` omit views, some of these are returned as references for scores.
+/// from `display`. If `flags` select only some views, some of the other views are returned as
+/// references for scores.
 ///
 /// # Errors
 /// If the light field cannot be read, or its geometry is incomplete.
@@ -104,7 +105,7 @@ pub fn open_field(
     Ok((field, references))
 }
 
-/// Returns a light field after a change of exposure, in stops, and a tone curve. The tone curve is
+/// Returns a copy of a light field with an exposure, in stops, and a tone curve. The tone curve is
 /// `linear`, which clips to 0..1, `khronos-neutral` or `agx`.
 ///
 /// # Errors
@@ -122,14 +123,14 @@ pub fn expose_field(field: &LightField, exposure_ev: f64, tone: &str) -> Result<
     Ok(field)
 }
 
-/// Shape and values of an array of weights; `None` to use the weights of the job.
+/// Shape and values of an array of weights. `None` stands for the weights of the job.
 pub type WeightsFrom = Option<(Vec<usize>, Vec<f32>)>;
 
-/// Returns the weights of an array, `[view_y][view_x]` or `[view_y][view_x][row][col]`, or those of
-/// the job's expected eyes.
+/// Returns the weights in an array, `[view_y][view_x]` or `[view_y][view_x][row][col]`. Without an
+/// array, returns the weights of the job's expected eyes.
 ///
 /// # Errors
-/// If the weights do not match the light field, or both are given.
+/// If the weights do not match the light field, or the job has eyes and there is an array.
 pub fn weights_of(job: &FactorizeJob, array: WeightsFrom, target: &LightField) -> Result<Weights, PipelineError> {
     match array {
         Some(_) if !job.eyes.is_empty() => {
@@ -140,8 +141,8 @@ pub fn weights_of(job: &FactorizeJob, array: WeightsFrom, target: &LightField) -
     }
 }
 
-/// Factorizes a light field. Files that the job names are not read. `on_iteration` is called for
-/// every evaluation of the objective.
+/// Factorizes a light field. Files that the job names are not read. `on_iteration` is called
+/// whenever the objective is evaluated.
 ///
 /// # Errors
 /// If display, light field, weights and settings do not match, or the task is cancelled.
@@ -206,11 +207,12 @@ pub struct ReportOn<'a> {
 /// If the input does not match, a file cannot be written, or the task is cancelled.
 pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Result<Value, PipelineError> {
     check_folder(folder)?;
-    // Values out of range may dominate all scores, so the report must warn about them.
+    // Values outside 0..1 may dominate all scores, so the report must warn about them.
     let out_of_range = OutOfRange::of(on.target).map(|out_of_range| out_of_range.message(read::REMEDY_IN_PYTHON));
     let warnings: Vec<_> =
         out_of_range.into_iter().map(|message| Warning { place: "light field".into(), message }).collect();
-    // The zone score needs references, which exist only for rendered scenes or with views left out.
+    // The zone score needs references. Only rendered scenes, and light fields with left-out views,
+    // have them.
     let zone = on.references.map(|references| references.measure(on.display, on.stack, task)).transpose()?;
     let report = lumistack_report::build(
         &ReportInput {

@@ -21,22 +21,24 @@ pub struct ViewOptions {
 /// An additional channel of a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExtraChannel {
-    /// Depth z of the first hit nearest to a pixel's centre, in display space, millimetres.
+    /// Depth z of a first hit, in display space, millimetres. Among a pixel's hits, this is the hit
+    /// nearest to the pixel's centre.
     Depth,
-    /// Shading normal of the first hits.
+    /// Mean shading normal of the first hits.
     Normal,
-    /// Albedo of the first hits.
+    /// Mean albedo of the first hits.
     Albedo,
-    /// Variance of the radiance.
+    /// Variance of a view's radiance.
     Variance,
     /// Fraction of a pixel's samples that hit a surface.
     Coverage,
 }
 
-/// A selection of views by row and column, as in the names of their files.
+/// A selection of views by row and column. Rows and columns have the numbers in the names of the
+/// views' files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ViewSelection {
-    /// First and last row, then first and last column; `None` selects all.
+    /// First and last row, then first and last column; `None` selects all rows or columns.
     axes: [Option<[usize; 2]>; 2],
 }
 
@@ -143,8 +145,8 @@ impl ViewOptions {
         Ok(())
     }
 
-    /// The views to render, `[view_y, view_x]`, in row order. `views` is [number of rows, number of
-    /// columns].
+    /// Returns the views to render, `[view_y, view_x]`, in row order. `views` is [number of rows,
+    /// number of columns].
     pub(crate) fn chosen(&self, views: [usize; 2]) -> Result<Vec<[usize; 2]>, PipelineError> {
         for ViewSelection { axes } in &self.only {
             for (axis, (name, count)) in axes.iter().zip([("row", views[0]), ("column", views[1])]) {

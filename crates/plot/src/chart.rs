@@ -15,8 +15,8 @@ pub(crate) fn described(svg: &str, label: &str) -> String {
     svg.replacen("xmlns=", &format!("role=\"img\" aria-label=\"{label}\" xmlns="), 1)
 }
 
-/// A range that contains all values, widened by a fraction of its width on both sides. It is never
-/// empty; `None` if there are no values.
+/// Returns a range that contains all values, widened by a fraction of its width on both sides. The
+/// range is never empty. `None` if there are no values.
 pub(crate) fn ends(values: impl Iterator<Item = f64>, widen: f64) -> Option<[f64; 2]> {
     let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
     let width = high - low;

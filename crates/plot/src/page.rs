@@ -25,8 +25,7 @@ pub struct Bars<'a> {
     pub shares: &'a [f64],
 }
 
-/// Draws a line through finite points. The last value, in decibels, is written next to the line's
-/// end.
+/// Draws a line through finite points, and writes the last value, in decibels, at the line's end.
 /// `labels` name the horizontal and the vertical axis.
 ///
 /// # Errors
@@ -35,7 +34,7 @@ pub fn line(points: &[(f64, f64)], labels: [&str; 2]) -> Result<String, PlotErro
     let none = || PlotError::new("no point");
     let x = ends(points.iter().map(|p| p.0), 0.0).ok_or_else(none)?;
     let y = ends(points.iter().map(|p| p.1), 0.06).ok_or_else(none)?;
-    // if all positions are whole, such as numbers of time steps or iterations, their labels are too
+    // if all positions are whole, such as numbers of iterations, their labels have no decimals
     let whole = points.iter().all(|(x, _)| x.fract() == 0.0);
     let x_digits = if whole && points.len() > 1 { 0 } else { decimals(x) };
     let x_labels = if whole { ((x[1] - x[0]) as usize + 1).min(8) } else { 8 };
@@ -51,7 +50,8 @@ pub fn line(points: &[(f64, f64)], labels: [&str; 2]) -> Result<String, PlotErro
     })
 }
 
-/// Draws bars in percent, a band from x to x behind the bars, and vertical lines in front of them.
+/// Draws bars in percent. `band` is the range on the horizontal axis of a band behind the bars;
+/// `lines` are positions of vertical lines in front of the bars.
 ///
 /// # Errors
 /// If the plot cannot be drawn.

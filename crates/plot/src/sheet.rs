@@ -81,8 +81,8 @@ const LEGEND: u32 = 214;
 /// steps are not visible.
 const FINE: u32 = 4;
 
-/// Draws curves in front of bars `[from, to, height as a fraction of the axis]` and in front of
-/// levels (name, y).
+/// Draws curves in front of bars `[from, to, height as a fraction of the axis]`, and in front of
+/// horizontal lines at `levels` (name, y).
 ///
 /// # Errors
 /// If there is nothing to draw.
@@ -330,7 +330,7 @@ fn heat(share: f64) -> RGBColor {
     RGBColor(r, g, b)
 }
 
-/// The pieces of a polyline between two heights, clipped at both.
+/// Cuts a polyline into the pieces that lie between two heights.
 fn inside(points: &[[f64; 2]], [low, high]: [f64; 2]) -> Vec<Vec<(f64, f64)>> {
     let mut parts: Vec<Vec<(f64, f64)>> = Vec::new();
     let mut part: Vec<(f64, f64)> = Vec::new();
@@ -341,7 +341,7 @@ fn inside(points: &[[f64; 2]], [low, high]: [f64; 2]) -> Vec<Vec<(f64, f64)>> {
     }
     for pair in points.windows(2) {
         let ([x0, y0], [x1, y1]) = (pair[0], pair[1]);
-        // parameter of the point of the segment at height y
+        // position of height y on the segment, 0 at its start and 1 at its end
         let at = |y: f64| if y1 == y0 { f64::NAN } else { (y - y0) / (y1 - y0) };
         let (a, b) = (at(low).min(at(high)), at(low).max(at(high)));
         let (from, to) = if y1 == y0 {

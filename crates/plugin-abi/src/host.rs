@@ -29,7 +29,7 @@ pub struct HostServices {
     pub context: *const c_void,
     /// Reports a message; `level` is one of [`level`].
     pub log: unsafe extern "C" fn(context: *const c_void, level: u32, message: Str),
-    /// Starts a stage of `total` steps of kind `unit` ("files").
+    /// Starts a stage of `total` steps; `unit` names them, such as "files".
     pub progress_begin: unsafe extern "C" fn(context: *const c_void, stage: Str, total: u64, unit: Str),
     /// Reports finished steps. `note` is a short value to show next to the progress bar, or empty.
     pub progress_advance: unsafe extern "C" fn(context: *const c_void, steps: u64, note: Str),
@@ -52,9 +52,9 @@ pub struct HostServices {
     pub file_abort: unsafe extern "C" fn(context: *const c_void, file: u64, error: *const ErrorSink) -> Status,
     /// Computes the seen picture of a submitted layer stack from one viewpoint.
     ///
-    /// The result is emitted linear radiance `[row][col][rgb]`: the mean over the area of each of
-    /// the target's pixels, not divided by the stack's brightness. `data` is the argument of
-    /// `submit`. The plugin releases the plane.
+    /// The result is emitted linear radiance `[row][col][rgb]`, not divided by the stack's
+    /// brightness. Each value is the mean over the area of a pixel of the target. `data` is the
+    /// argument of `submit`. The plugin releases the plane.
     pub simulate: unsafe extern "C" fn(
         context: *const c_void,
         data: *const Data,

@@ -98,7 +98,7 @@ pub struct SourceVtable {
     /// Size of this struct in bytes.
     pub size: usize,
     /// Makes the light field of one time step. It should have the display's geometry; the host
-    /// accepts others. `host` offers the same as for importers.
+    /// accepts other geometries. `host` offers messages, progress and cancellation, but no files.
     pub make: Option<
         unsafe extern "C" fn(
             host: *const HostServices,
@@ -158,8 +158,8 @@ pub struct StackSink {
     ///
     /// * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
     ///   solved first.
-    /// * `kkt_residual`: root mean square of the emission's change in a further exact step. The
-    ///   older key `unsettled` is accepted too.
+    /// * `kkt_residual`: root mean square, over all values, of the emission's change by a further
+    ///   exact update of that value. The older key `unsettled` is accepted too.
     /// * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
     ///   bits, or null.
     pub solution: unsafe extern "C" fn(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status,
@@ -173,7 +173,7 @@ pub struct NodeVtable {
     pub size: usize,
     /// Makes the patterns of one time step. `data` is a light field of the display's geometry; its
     /// description has the further keys for nodes that [`Data::description_json`] lists. `host`
-    /// offers the same as for importers.
+    /// offers messages, progress and cancellation, but no files.
     pub make: Option<
         unsafe extern "C" fn(
             host: *const HostServices,

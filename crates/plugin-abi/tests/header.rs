@@ -52,7 +52,7 @@ fn generated() -> String {
             export.rename.insert((*name).into(), full.join("_"));
         }
     }
-    // cbindgen must list these by name, since no other listed type contains them
+    // cbindgen finds types through other types; no other type contains these, so they are named
     let items = ["Descriptor", "OutputVtable", "ImporterVtable", "SourceVtable", "NodeVtable"];
     export.include = items.map(String::from).to_vec();
     export.exclude = vec!["ENTRY_PREFIX".into()];
@@ -80,7 +80,7 @@ fn generated() -> String {
     without_links(&text.replace("LumistackStatus_", "LUMISTACK_STATUS_"))
 }
 
-/// Comments without the links of Rust's documentation: [`a`](b::a) and [`a`] become `a`.
+/// Replaces the links of Rust's documentation in comments: [`a`](b::a) and [`a`] become `a`.
 fn without_links(text: &str) -> String {
     let (mut plain, mut rest) = (String::new(), text);
     while let Some(start) = rest.find("[`") {

@@ -19,8 +19,8 @@ use serde_json::json;
 
 type Outcome = Result<(), Box<dyn Error>>;
 
-/// Limit on a process's memory, cached pages of files included, bytes. It is below a gigabyte,
-/// since the system does not count pages that other processes share.
+/// Limit on a process's memory, cached pages of files included, bytes. The limit is below a
+/// gigabyte, since the system may charge shared pages, such as libraries, to another process.
 const LIMIT: u64 = 900 << 20;
 /// Pixels per side of a tile.
 const TILE: usize = 2048;
@@ -38,7 +38,8 @@ fn main() -> Outcome {
     }
 }
 
-/// Two films. The front film is small, since one large film is enough for the measurement.
+/// Makes a display of two films. The front film has few pixels, since one large film is enough for
+/// the measurement.
 fn display(size: &[&str]) -> Result<Display, Box<dyn Error>> {
     let [cols, rows] = size else { return Err("expected columns and rows".into()) };
     let resolution = [cols.parse()?, rows.parse()?];
@@ -49,7 +50,8 @@ fn display(size: &[&str]) -> Result<Display, Box<dyn Error>> {
     Ok(display)
 }
 
-/// Stripes that slowly turn, with noise. Neither compression nor a cache makes this content cheap.
+/// Returns a pixel's value: stripes with noise, whose slope changes slowly from row to row. Such
+/// content compresses badly, and no tile equals another.
 fn value(row: usize, col: usize, channel: usize) -> f32 {
     let noise = lumistack_core::seed::unit_f32(lumistack_core::seed::mix((row * 131_071 + col * 3 + channel) as u64));
     let stripe = ((row * row / 9973 + 7 * col) % 512) as f32 / 512.0;
@@ -145,12 +147,12 @@ struct Group(PathBuf);
 impl Group {
     fn new() -> Option<Self> {
         let name = format!("lumistack-film-{}", std::process::id());
-        // paths of version 2 of control groups, and of version 1
+        // root folder and file of the limit, for version 2 of control groups and for version 1
         let kinds = [("/sys/fs/cgroup", "memory.max"), ("/sys/fs/cgroup/memory", "memory.limit_in_bytes")];
         kinds.into_iter().find_map(|(root, limit)| {
             let group = Self(Path::new(root).join(&name));
             std::fs::create_dir(&group.0).ok()?;
-            // in a folder that is no control group, the file is missing
+            // opening the file fails if the new folder is no control group
             let file = std::fs::OpenOptions::new().write(true).open(group.0.join(limit));
             std::io::Write::write_all(&mut file.ok()?, LIMIT.to_string().as_bytes()).ok()?;
             Some(group)

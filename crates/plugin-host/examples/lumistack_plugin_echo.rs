@@ -1,5 +1,5 @@
-//! A presenter that echoes its input as events, for the tests of the host: compiled into them, and
-//! loaded as a library.
+//! A presenter that echoes its input as events. The tests of the host compile it in, and also load
+//! it as a library.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Mutex, PoisonError};

@@ -1,4 +1,4 @@
-//! A plugin with selectable faults, for the tests of the host: compiled into them, and loaded as a
+//! A plugin with selectable faults. The tests of the host compile it in, and also load it as a
 //! library.
 
 use std::thread;
@@ -63,7 +63,7 @@ impl OutputPlugin for Faulty {
                     while !self.host.is_cancelled() {
                         thread::sleep(Duration::from_millis(1));
                     }
-                    // commits despite the cancellation
+                    // the fault: the plugin commits the file although it was cancelled
                     file.commit()?;
                 }
                 _ => file.commit()?,

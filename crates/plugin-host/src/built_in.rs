@@ -7,8 +7,8 @@ use lumistack_plugin::Export;
 /// Hash of the sources of `lumistack-plugin`, the plugins' side of the interface, for cache keys.
 pub const PLUGIN_FINGERPRINT: &str = lumistack_plugin::FINGERPRINT;
 
-/// Builds the list of compiled-in plugins and the hashes of their crates' sources. A line names the
-/// feature that enables a crate, and the module that ends with `export_plugin!`.
+/// Builds the list of compiled-in plugins and the hashes of their crates' sources. Each line of the
+/// call names the feature that enables a crate, and the module that ends with `export_plugin!`.
 macro_rules! plugins {
     ($($feature:literal: $krate:ident $(:: $module:ident)*;)*) => {
         pub(crate) static BUILT_IN: &[(&LazyLock<Export>, &str)] = &[$(
@@ -18,7 +18,8 @@ macro_rules! plugins {
     };
 }
 
-// An explicit list, since registration by linker section silently drops crates without references.
+// The list is explicit: registration through linker sections silently drops crates that no code
+// refers to.
 plugins! {
     "baselines": lumistack_plugin_baselines::directional_sequence;
     "baselines": lumistack_plugin_baselines::integral_imaging;

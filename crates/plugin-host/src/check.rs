@@ -30,7 +30,7 @@ pub fn check_output(
     opened.map(drop).map_err(|error| HostError::of_plugin(PluginKind::Output, id, error))
 }
 
-/// A host that refuses all files.
+/// Services for an output that is opened only as a check: they refuse all files.
 struct Unused<'a> {
     task: Task<'a>,
     port: Port,
@@ -86,7 +86,8 @@ mod tests {
         assert!(error.contains("`view_row`"), "{error}");
         let error = check("quilt", json!({"columns": 4}), &display).unwrap_err();
         assert!(error.contains("both or neither"), "{error}");
-        // a stack can be simulated at every tile's viewpoint, a light field has only its own views
+        // A layer stack can be simulated at every tile's viewpoint. A light field has only its own
+        // views.
         let views = json!({"columns": 7, "rows": 1, "missing_views": "refuse"});
         assert_eq!(check("quilt", views.clone(), &display), Ok(()));
         let error = check_output(&registry, "quilt", &views, &display, Port::LightField, task).unwrap_err();

@@ -30,8 +30,8 @@ struct Files {
 
 struct OpenFile {
     name: String,
-    /// Path of the open file, in the folder of the committed files. Its name starts with a dot,
-    /// which no name of a plugin's file may do.
+    /// Path of the open file, in the folder of the committed files. The file's name starts with a
+    /// dot, so no file that a plugin names can have it.
     path: PathBuf,
     writer: BufWriter<File>,
 }
@@ -77,7 +77,7 @@ impl Services for DiskHost<'_> {
     }
 
     fn file_open(&self, path: &str) -> Result<u64, PluginError> {
-        // stops plugins that never check for cancellation
+        // this check also stops plugins that never check for cancellation themselves
         self.task.cancel.check()?;
         path_parts(path)?;
         let mut files = self.files();
@@ -101,7 +101,8 @@ impl Services for DiskHost<'_> {
 
     fn file_commit(&self, file: u64) -> Result<(), PluginError> {
         let OpenFile { name, path, writer } = self.files().open.remove(&file).ok_or_else(|| not_open(file))?;
-        // synced before the rename, so that a final name never belongs to a partial file
+        // the file is synced before the rename, so that a final name never belongs to a partial
+        // file
         let written = writer.into_inner().map_err(io::IntoInnerError::into_error).and_then(|file| file.sync_all());
         written.map_err(cannot("write", &name))?;
         let target = path_parts(&name)?.iter().fold(self.folder.clone(), |path, part| path.join(part));

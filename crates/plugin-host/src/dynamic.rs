@@ -24,7 +24,7 @@ use crate::{LoadError, Origin, Registry};
 
 /// Environment variable that adds search paths, separated as in `PATH`.
 const VARIABLE: &str = "LUMISTACK_PLUGIN_PATH";
-/// Stem of a plugin library's file name, before the id.
+/// Part of a plugin library's file name between the system's prefix and the plugin's name.
 const STEM: &str = "lumistack_plugin_";
 
 /// Search paths for plugins, in the order of these fields. If several plugins have one id, the
@@ -42,8 +42,9 @@ pub struct PluginPaths {
 }
 
 impl PluginPaths {
-    /// The paths of the command line, then those of the environment variable
-    /// `LUMISTACK_PLUGIN_PATH`, then the folder `lumistack/plugins` in the user's data folder.
+    /// Returns the search paths in order. The paths `given` on the command line come first, then
+    /// the paths in the environment variable `LUMISTACK_PLUGIN_PATH`. The folder
+    /// `lumistack/plugins` in the user's data folder is the last.
     pub fn of_system(given: &[PathBuf]) -> Self {
         Self::of(given, var_os(VARIABLE), user_data())
     }
@@ -93,7 +94,7 @@ impl Registry {
                 }
             };
             for file in files {
-                // one path named twice is no conflict
+                // a path that is named twice is loaded once
                 let real = fs::canonicalize(&file).unwrap_or_else(|_| file.clone());
                 if !seen.contains(&real) {
                     seen.push(real);
@@ -117,7 +118,8 @@ impl Registry {
     }
 }
 
-/// The file itself, or the plugin libraries in a folder, sorted by name.
+/// Returns `place` if it is a file. If it is a folder, returns its plugin libraries, sorted by
+/// name.
 fn libraries(place: &Path) -> std::io::Result<Vec<PathBuf>> {
     if !fs::metadata(place)?.is_dir() {
         return Ok(vec![place.into()]);
@@ -153,7 +155,7 @@ pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
     // preconditions.
     let library = unsafe { Shared::new(path) }
         .map_err(|error| LoadError::Open { path: path.into(), reason: loader_message(&error) })?;
-    // never unloaded, also after an error
+    // the library is never unloaded, also after an error
     let library: &'static Shared = Box::leak(Box::new(library));
     let symbol = format!("{ENTRY_PREFIX}{id}");
     // SAFETY: a function of this name is a plugin's entry, by the convention of the interface.
@@ -176,8 +178,9 @@ fn loader_message(error: &libloading::Error) -> String {
     std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string)
 }
 
-/// The plugins that a file exports, if it is a shared library for this machine. The file is checked
-/// here because system loaders report "no such file" for some other kinds.
+/// Returns the ids of the plugins that a file exports, if it is a shared library for this machine.
+/// The file's kind is checked here, since system loaders report "no such file" for some files of
+/// other kinds.
 fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     let read = |source| LoadError::Read { path: path.into(), source };
     let other = |found: String| LoadError::NotALibrary { path: path.into(), found };
@@ -187,8 +190,8 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     }
     let data = ReadCache::new(file);
     match FileKind::parse(&data) {
-        // the file contains a library per machine, of which the loader selects one; it is taken as
-        // a single plugin with the file's name
+        // The file contains one library per machine, and the loader selects one of them. It counts
+        // as one plugin, whose id is the file's name.
         Ok(FileKind::MachOFat32 | FileKind::MachOFat64) => return Ok(vec![name]),
         Ok(_) => {}
         Err(_) => return Err(other("a file of another kind".into())),

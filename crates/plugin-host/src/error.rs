@@ -116,7 +116,7 @@ pub enum LoadError {
         /// The system's error.
         source: io::Error,
     },
-    /// The file's name is not that of a plugin library.
+    /// The file does not have the name of a plugin library.
     #[error("{}: expected a file named `{expected}`", path.display())]
     Name {
         /// The file.

@@ -11,8 +11,8 @@
 //! ([`import_scene`], [`make_field`], [`make_stack`]).
 //!
 //! With the feature `dynamic` the registry also loads plugins from shared libraries; see
-//! [`PluginPaths`]. They use the same descriptor and functions as compiled-in plugins, in a child
-//! process; see [`Launcher`].
+//! [`PluginPaths`]. Such plugins have the same descriptor and functions as compiled-in plugins, but
+//! run in a child process; see [`Launcher`].
 //!
 //! If a plugin fails, panics, is cancelled or names a file outside its folder, the output's folder
 //! stays unchanged and the program continues. The same holds if a plugin in a library crashes or

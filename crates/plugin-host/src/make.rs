@@ -78,7 +78,7 @@ fn make<T>(
     Ok(made)
 }
 
-/// A host that refuses all files.
+/// Services for importers, sources and nodes: they refuse all files.
 struct TaskHost<'a> {
     kind: PluginKind,
     id: &'a str,

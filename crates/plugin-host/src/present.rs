@@ -100,7 +100,7 @@ fn forward_input(
     }
 }
 
-/// A host without files, which forwards events and warnings.
+/// Services for a presenter: they forward events and warnings, and refuse all files.
 struct ForwardingHost<'a> {
     on_output: &'a (dyn Fn(PresenterOutput<'_>) + Sync),
     task: Task<'a>,

@@ -94,8 +94,8 @@ pub(crate) fn publish(staging: Staging, plugin: &str, files: &[String]) -> Resul
     let listing_path = staging.path.join(LISTING);
     fs::write(&listing_path, text).map_err(HostError::io(&listing_path, "write"))?;
 
-    // This removes the output's folder if it is empty. Then, and if the folder is missing, a single
-    // rename suffices.
+    // `remove_dir` removes only an empty folder. If the output's folder was empty or is missing, a
+    // single rename suffices.
     match fs::remove_dir(out_dir) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => merge(&staging, files),
         _ => fs::rename(&staging.path, out_dir).map_err(HostError::io(out_dir, "move the output into place")),
@@ -172,8 +172,8 @@ impl Moves {
 
     fn undo(self) {
         for (from, to) in self.done.into_iter().rev() {
-            // The rename succeeded in the other direction just before. If it fails now, the other
-            // files are still restored.
+            // The opposite rename has just succeeded. If this rename fails, the other files are
+            // still restored.
             let _ = fs::rename(to, from);
         }
         for folder in self.made.into_iter().rev() {

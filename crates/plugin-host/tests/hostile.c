@@ -95,7 +95,7 @@ static void at(const char *when) {
     if (!strncmp(fault, when, length) && fault[length] == ':') misbehave(fault + length + 1);
 }
 
-/* Copies the word after "fault":" */
+/* Stores the host's services, and copies the value of the parameter `fault` */
 static LumistackStatus started(const LumistackHostServices *services, LumistackStr params) {
     host = services;
     const char *key = "\"fault\":\"";

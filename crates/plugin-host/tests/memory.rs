@@ -69,7 +69,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        // both blocks exist while one is copied into the other
+        // the old and the new block exist together while bytes are copied
         took(size);
         // SAFETY: guaranteed by the caller.
         let moved = unsafe { System.realloc(block, layout, size) };
@@ -87,7 +87,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Writes a stack with one output; prints both peaks.
+/// Writes a stack with one output; prints the peaks of `resident` and `alive`.
 #[test]
 #[ignore = "run by the test below, in processes of its own"]
 fn writes_a_4k_stack() {

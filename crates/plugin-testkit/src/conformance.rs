@@ -87,16 +87,16 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
     can_be_abandoned(plugin, samples.first())
 }
 
-/// Checks that two builds of one plugin have equal descriptions and produce equal bytes. Compared
-/// are all samples with default parameters and with all switches on, and one sample at the ends of
-/// every parameter's range. Returns the number of compared files, stacks, light fields or
+/// Checks that two builds of one plugin have equal descriptions and produce equal bytes. It
+/// compares all samples with default parameters and with all switches on, and one sample at the
+/// ends of every parameter's range. Returns the number of compared files, stacks, light fields or
 /// documents.
 ///
 /// # Errors
 /// The first difference.
 pub fn same_outputs(plugin: &Plugin, other: &Plugin, at_default: &[&str]) -> Result<usize, Broken> {
     let description = |plugin: &Plugin| serde_json::to_value(plugin.info()).unwrap_or_default();
-    require("describes itself alike", description(plugin) == description(other), || {
+    require("both builds describe themselves alike", description(plugin) == description(other), || {
         format!("{}\n{}", description(plugin), description(other))
     })?;
     if plugin.info().kind != PluginKind::Output {
@@ -152,8 +152,8 @@ fn described(plugin: &Plugin) -> Result<(), Broken> {
     Ok(())
 }
 
-/// All switches that the plugin accepts together: each in turn is switched on if the plugin accepts
-/// the combination.
+/// Returns all switches that the plugin accepts together, with choices at their last option. Each
+/// parameter in turn is changed if the plugin accepts it with the earlier changes.
 fn everything(plugin: &Plugin, sample: &Sample, at_default: &[&str]) -> Option<Value> {
     let mut on = Map::new();
     for param in varied(plugin, at_default) {
@@ -236,7 +236,7 @@ fn reports_failing_host(plugin: &Plugin, sample: &Sample, params: &Value) -> Res
         let host = MemoryHost::failing_at(append);
         let result = write(plugin, &host, params, sample);
         let description = matches!(&result, Err(PluginError::Failed(text)) if text.contains("no space left"));
-        require("passes on why the host could not write", description, || format!("append {append}: {result:?}"))?;
+        require("reports why the host cannot write", description, || format!("append {append}: {result:?}"))?;
         closed(&host, "the disk was full")?;
     }
     Ok(())
@@ -283,7 +283,7 @@ fn can_be_abandoned(plugin: &Plugin, sample: Option<&Sample>) -> Result<(), Brok
     closed(&host, "nothing was submitted")
 }
 
-/// One still, from open to finish.
+/// Writes one still, from open to finish.
 fn write(plugin: &Plugin, host: &MemoryHost, params: &Value, sample: &Sample) -> Result<(), PluginError> {
     let output = Output::open(plugin, host, params, &sample.display)?;
     let data: OutputData<'_> = sample.data();
@@ -293,7 +293,7 @@ fn write(plugin: &Plugin, host: &MemoryHost, params: &Value, sample: &Sample) ->
 
 fn appends(plugin: &Plugin, sample: &Sample, params: &Value) -> usize {
     let host = MemoryHost::new();
-    // other checks detect failures
+    // failures are detected by other checks, so the result is ignored
     let _ = write(plugin, &host, params, sample);
     host.appends()
 }

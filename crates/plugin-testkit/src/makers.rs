@@ -115,7 +115,7 @@ fn maker_conformance<T: PartialEq>(
     // Check reproducibility, cancellation and all parameter ranges on every supported display.
     for (display, made) in &served {
         let again = rule("works twice", make(plugin, &MemoryHost::new(), &defaults, display))?;
-        require("makes the same again", again == *made, || format!("{} layers", display.layers.len()))?;
+        require("results are reproducible", again == *made, || format!("{} layers", display.layers.len()))?;
         let host = MemoryHost::new();
         host.cancel();
         let result = make(plugin, &host, &defaults, display);
@@ -156,7 +156,7 @@ pub(crate) fn importer_conformance(plugin: &Plugin) -> Result<(), Broken> {
     let missing = |_: &str| Err(PluginError::Failed("no such file".into()));
     let result = import(plugin, &MemoryHost::new(), &defaults, &file, &missing);
     let reported = matches!(&result, Err(PluginError::Failed(text)) if text.contains("no such file"));
-    require("passes on why a file cannot be read", reported, || format!("{result:?}"))?;
+    require("reports why a file cannot be read", reported, || format!("{result:?}"))?;
     bad_parameters_are_refused(plugin, |params| {
         import(plugin, &MemoryHost::new(), params, &file, &|_| Ok(Vec::new())).err()
     })
@@ -179,7 +179,7 @@ pub fn import_conformance(plugin: &Plugin, file: &str, files: &[(&str, &[u8])]) 
         let gltf = made.starts_with(b"glTF\x02\0\0\0") || serde_json::from_slice::<Value>(&made).is_ok();
         require("makes a glTF document", gltf, || format!("{} bytes", made.len()))?;
         let again = rule("works twice", import(plugin, &MemoryHost::new(), &params, file, &read))?;
-        require("makes the same again", again == made, || params.clone())?;
+        require("results are reproducible", again == made, || params.clone())?;
     }
     let defaults = rule("has default parameters", resolved(plugin, &json!({})))?;
     let host = MemoryHost::new();
@@ -218,13 +218,13 @@ pub(crate) fn same(plugin: &Plugin, other: &Plugin, params: &Value) -> Result<us
             }
             PluginKind::Importer | PluginKind::Output => true,
         };
-        require("makes the same", equal, || format!("{params}, {} layers", display.layers.len()))?;
+        require("results are equal", equal, || format!("{params}, {} layers", display.layers.len()))?;
     }
     if plugin.info().kind == PluginKind::Importer {
         let file = format!("a.{}", plugin.info().extensions[0]);
         for bytes in garbage() {
             let of = |plugin| import(plugin, &MemoryHost::new(), &params, &file, &|_| Ok(bytes.clone()));
-            require("makes the same", of(plugin) == of(other), || format!("{params}, {} bytes", bytes.len()))?;
+            require("results are equal", of(plugin) == of(other), || format!("{params}, {} bytes", bytes.len()))?;
             count += 1;
         }
     }

@@ -76,7 +76,7 @@ impl MemoryHost {
         self.state().messages.clone()
     }
 
-    /// Names of the stages begun, and the number of them still open.
+    /// Names of the stages begun, and the number of stages still open.
     pub fn stages(&self) -> (Vec<String>, i64) {
         let state = self.state();
         (state.stages.clone(), state.depth)

@@ -35,7 +35,7 @@ pub(crate) fn bad_parameters_are_refused(
         let given = Value::Object(Map::from_iter([(name.clone(), value.clone())]));
         let result = refusal(&given.to_string());
         let named = matches!(&result, Some(PluginError::Refused(text)) if text.contains(&name));
-        require("refuses bad parameters by name", named, || format!("{given}: {result:?}"))?;
+        require("names the parameter when it refuses a bad value", named, || format!("{given}: {result:?}"))?;
     }
     require("refuses what is not JSON", refusal("{").is_some(), || "accepted `{`".into())
 }

@@ -56,7 +56,7 @@ impl Sample {
     }
 }
 
-/// All samples; select those of a port by [`Sample::port`].
+/// All samples; [`Sample::port`] states the port of each.
 pub fn samples() -> Vec<Sample> {
     let layered = three_layers();
     let directional = one_directional_layer();

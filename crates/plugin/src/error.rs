@@ -34,8 +34,8 @@ impl PluginError {
         Self::Refused(format!("display `{}`: expected {expected}, found {found}", display.name))
     }
 
-    /// The error of a write through a library. The host's own error (see
-    /// [`OutputFile`](crate::OutputFile)) is returned unchanged.
+    /// Converts the error of a library that writes to an [`OutputFile`](crate::OutputFile). If the
+    /// host caused the error, the host's own error is returned.
     pub fn from_io(doing: &str, error: std::io::Error) -> Self {
         match error.downcast::<Self>() {
             Ok(own) => own,

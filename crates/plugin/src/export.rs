@@ -84,8 +84,8 @@ pub fn entry_of(plugin: &'static LazyLock<Export>) -> *const Descriptor {
     catch_unwind(|| &raw const *plugin.descriptor()).unwrap_or(std::ptr::null())
 }
 
-/// Checks a plugin id, which ends the entry symbol and the file name: lower-case letters, digits
-/// and underscores, a letter first.
+/// Checks a plugin id, with which the entry symbol ends. It has lower-case letters, digits and
+/// underscores, and begins with a letter.
 pub const fn is_plugin_id(id: &str) -> bool {
     let id = id.as_bytes();
     let mut i = 0;

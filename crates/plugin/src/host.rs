@@ -128,15 +128,15 @@ impl Host {
                     ask();
                 }
             });
-            // dropped after a panic, too; otherwise the scope would wait for ever
+            // `_done` is dropped after a panic too; otherwise the scope would wait for ever
             let _done = Done { done: &done, checker: checker.thread().clone() };
             work(Task { progress: &forward, warnings: &forward, cancel: &cancel })
         })
     }
 
     /// Creates a file. `path` is relative to the output's folder, with `/` between names. The file
-    /// is written through [`io::Write`]. It appears after it is committed and the output has
-    /// finished; dropping it before the commit discards it.
+    /// is written through [`io::Write`]. A committed file appears when the output has finished;
+    /// dropping a file before the commit discards it.
     ///
     /// # Errors
     /// If the path is absolute or leaves the folder, or the host cannot write.

@@ -88,7 +88,7 @@ impl<'a> Input<'a> {
 }
 
 impl PluginError {
-    /// Data of a port that the plugin does not accept.
+    /// The error for data of a port that the plugin does not accept.
     pub fn unexpected(data: &Input<'_>) -> Self {
         Self::Refused(format!("data of port {} are not accepted", data.port()))
     }
@@ -233,7 +233,7 @@ impl FieldInput<'_> {
 
     /// Weights of the rays.
     pub(crate) fn weights(&self) -> Result<Weights, PluginError> {
-        let wrong = |error: &dyn std::fmt::Display| PluginError::Failed(format!("weights: {error}"));
+        let wrong = |error: &dyn std::fmt::Display| PluginError::Failed(format!("data from the host: {error}"));
         let FieldGeometry { rows, cols, grid, .. } = &self.geometry;
         let [views_y, views_x] = grid.views();
         let weights = match &self.weights {

@@ -1,5 +1,5 @@
-//! Picture of the panel behind a lens array, such that the array emits given light fields: PAPER
-//! sections 3.3 and 5.1.2.
+//! Computes the picture of the panel behind a lens array from the emission that the array must
+//! show: PAPER sections 3.3 and 5.1.2.
 //!
 //! The panel is in the lenses' focal plane. Light of a point at offset u from a lens's axis leaves
 //! that lens as a parallel beam of slope
@@ -46,13 +46,13 @@ pub struct LensletPanel {
 pub struct Spot {
     /// [row, column] of the lens, from the top left.
     pub lenslet: [usize; 2],
-    /// [row, column] of the angular bin, from the topmost and leftmost slope.
+    /// [row, column] of the angular bin; bin (0, 0) has the topmost and leftmost slopes.
     pub bin: [usize; 2],
 }
 
 impl LensletPanel {
-    /// The array of the display file, in front of a panel. Without a measured focal length, f = p /
-    /// (2 tan(α/2)): the horizontal bins then fill the width of the panel behind one lens.
+    /// The lenslet array of a display file, in front of a panel. Without a measured focal length, f
+    /// = p / (2 tan(α/2)): the horizontal bins then fill the width of the panel behind one lens.
     pub fn new(backlight: &LensletBacklight, resolution: [usize; 2], pitch_mm: f64) -> Self {
         let lens = backlight.lens.clone().unwrap_or_default();
         let fitting_mm = backlight.pitch_mm / (2.0 * (0.5 * backlight.fov_deg[0].to_radians()).tan());
@@ -74,7 +74,7 @@ impl LensletPanel {
     pub fn spot(&self, [x_mm, y_mm]: [f64; 2]) -> Option<Spot> {
         let (sin, cos) = self.rotation_deg.to_radians().sin_cos();
         let [dx, dy] = [x_mm - self.offset_mm[0], y_mm - self.offset_mm[1]];
-        // along the array's own axes, y down like its rows
+        // coordinates along the array's axes; y points down, as the numbers of its rows do
         let own = [cos * dx + sin * dy, sin * dx - cos * dy];
         let mut lens = [0usize; 2];
         let mut u = [0.0; 2];
@@ -104,13 +104,13 @@ impl LensletPanel {
         Some(Spot { lenslet: [lens[1], lens[0]], bin: [bin[1], bin[0]] })
     }
 
-    /// The panel's picture `[row][col][rgb]` of an emission
+    /// Returns the panel's picture `[row][col][rgb]` for an emission
     /// `planes[bin_y · bins_x + bin_x][lenslet_row][lenslet_col][rgb]`. A pixel is the mean of
-    /// `samples` × `samples` points, which antialiases borders of bins and lenses. One sample is
-    /// the pixel's centre.
+    /// `samples` × `samples` points, which antialiases borders of bins and lenses. With one sample,
+    /// the point is the pixel's centre.
     ///
     /// # Panics
-    /// If the size of `planes` is not that of the emission.
+    /// If `planes` does not have the shape of the emission.
     pub fn picture(&self, planes: &[Vec<f32>], samples: usize) -> Vec<f32> {
         let [cols, rows] = self.resolution;
         let lens_cols = self.lenslets[0];
@@ -217,7 +217,8 @@ mod tests {
                 if !(col >= 0.0 && row >= 0.0 && col < built.resolution[0] as f64 && row < built.resolution[1] as f64) {
                     continue;
                 }
-                // light of a point behind a neighbouring lens leaves through that lens
+                // A point behind a neighbouring lens belongs to the neighbour's picture, so the
+                // ray is skipped.
                 let u = [0, 1].map(|i| on_panel[i] - centre[i]);
                 let own = [u[0] * angle.cos() + u[1] * angle.sin(), u[1] * angle.cos() - u[0] * angle.sin()];
                 if own.iter().any(|u| u.abs() > 0.5 * built.lens_pitch_mm) {
@@ -231,8 +232,8 @@ mod tests {
             }
             let share = same as f64 / all as f64;
             println!("{rotation_deg}°, {offset_mm:?}: {share:.4} of the rays");
-            // a bin is 7.2 fine pixels wide, with half a pixel of rounding at each border, on both
-            // axes
+            // Bins are 7.2 fine pixels wide on both axes. Rounding the position to a pixel
+            // changes the bin of some rays near a border.
             assert!(share > 0.85, "{share}");
         }
     }

@@ -23,11 +23,11 @@ pub trait ImporterPlugin: 'static {
     /// File extensions that it reads: lower case, without the dot.
     const EXTENSIONS: &'static [&'static str];
 
-    /// The schema's parameters as a struct, with a field of the same name for each.
+    /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
     /// The plugin's parameters. They are checked before `import`, which receives a value of the
-    /// right type and in range for each.
+    /// right type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Reads the file `file`, and others in its folder, through `assets`. Returns a glTF 2.0
@@ -44,11 +44,11 @@ pub trait SourcePlugin: 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
 
-    /// The schema's parameters as a struct, with a field of the same name for each.
+    /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
     /// The plugin's parameters. They are checked before `make`, which receives a value of the right
-    /// type and in range for each.
+    /// type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Makes the light field of one time step: linear radiance, finite and at least 0. Its geometry
@@ -64,11 +64,11 @@ pub trait NodePlugin: 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
 
-    /// The schema's parameters as a struct, with a field of the same name for each.
+    /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
     /// The plugin's parameters. They are checked before `make`, which receives a value of the right
-    /// type and in range for each.
+    /// type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Solves the layer stack of one time step. The stack must match the display, with values in

@@ -26,7 +26,7 @@ pub struct Step {
     pub iteration: u32,
     /// The objective that the solver minimizes.
     pub objective: f64,
-    /// PSNR of the displayed light field against the target, dB; NaN if unknown.
+    /// PSNR of the emitted light field against the target, dB; NaN if unknown.
     pub psnr_view: f64,
 }
 
@@ -39,12 +39,12 @@ pub struct Solution {
     pub start: String,
     /// Number of coarser resolutions, each half the next finer one, that were solved first.
     pub coarse_levels: u32,
-    /// KKT residual: root mean square change of the emission by one further exact step.
-    /// The older key `unsettled` is accepted too.
+    /// KKT residual: root mean square, over all values, of the emission's change by a further exact
+    /// update of that value. The older key `unsettled` is accepted too.
     #[serde(alias = "unsettled")]
     pub kkt_residual: f64,
-    /// PSNR in dB for panels of few bits: of continuous, rounded and re-optimized masks. `None` for
-    /// panels of many bits.
+    /// PSNR in dB for panels of few bits: with continuous, rounded and re-optimized masks. `None`
+    /// for panels of many bits.
     pub levels: Option<[f64; 3]>,
 }
 
@@ -82,7 +82,8 @@ impl NodeInput<'_> {
         self.field.weights()
     }
 
-    /// Layer stack to start from, such as that of the previous time step; `None` if there is none.
+    /// Layer stack to start from, such as the stack of the previous time step; `None` if the host
+    /// gives none.
     ///
     /// # Errors
     /// If the host cannot lend it.

@@ -27,11 +27,11 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// True for a presenter, which runs until the user closes it; see [`run`](Self::run).
     const PRESENTS: bool = false;
 
-    /// The schema's parameters as a struct, with a field of the same name for each.
+    /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
     /// The plugin's parameters. They are checked before `open`, which receives a value of the right
-    /// type and in range for each.
+    /// type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Opens an output. As a check, a host may open and drop an output before it begins to make the

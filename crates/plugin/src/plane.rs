@@ -15,7 +15,7 @@ pub struct PlaneView<'a> {
 }
 
 impl PlaneView<'_> {
-    /// Checks a plane that the other side filled in, and releases it if it is of another kind.
+    /// Checks a plane that the other side filled in. If the check fails, releases the plane.
     ///
     /// # Errors
     /// If it does not have three axes of `f32`, or has no data.

@@ -71,7 +71,7 @@ pub enum Kind {
         default: String,
     },
     /// The path of a file that the plugin reads; empty for none. Hosts make the path absolute. A
-    /// text that begins with `{` is the content itself.
+    /// value that begins with `{` is the file's content instead of a path.
     File,
 }
 

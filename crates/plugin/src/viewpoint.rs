@@ -1,4 +1,4 @@
-//! Viewpoints on the display.
+//! Viewpoints from which a display is seen.
 
 /// A viewpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -18,10 +18,10 @@ use crate::json::{map_of, parsed, table, to_python};
 ///
 /// * `what`: name of a preset (displays() lists them), path of a display file (.toml), a mapping
 ///   with the keys of such a file, or another Display; by default "paper-three-layer"
-/// * resolution: (columns, rows) of the light field; the layers' resolutions scale along, sizes in
-///   millimetres stay
-/// * views: (horizontal, vertical) number of views; "auto": as many as the display needs to be
-///   right also between them; {"step": (x, y)}: views at multiples of these slopes
+/// * resolution: (columns, rows) of the light field; the layers' resolutions change by the same
+///   factor, and sizes in millimetres stay
+/// * views: (horizontal, vertical) number of views; "auto": enough that directions between the
+///   views are correct too; {"step": (x, y)}: views at multiples of these slopes
 /// * fov_deg: (horizontal, vertical) field of view, full angles in degrees, 0 to less than 180
 /// * frames: time-multiplexed frames M, 1 to 1000
 /// * brightness: brightness scale β, above 0 and at most 1: the display emits β times the target
@@ -114,7 +114,8 @@ impl Display {
         (view_rows, view_cols, field.resolution[1], field.resolution[0], 3)
     }
 
-    /// Slopes of the view columns, left to right, and of the view rows, y up, top to bottom.
+    /// Slopes of the view columns from left to right, and of the view rows from top to bottom. A
+    /// slope above 0 points to the right or up.
     #[getter]
     fn slopes(&self, py: Python<'_>) -> PyResult<(Vec<f64>, Vec<f64>)> {
         let place = PathBuf::from(&self.0.name);
@@ -176,7 +177,7 @@ impl Display {
             if self.0.backlight == lumistack_display::Backlight::Uniform { "" } else { ", directional backlight" };
         let frames = self.0.frames;
         format!(
-            "<lumistack.Display \"{}\": {layers} layers, {frames} frames, {x}×{y} views of {cols}×{rows}{backlight}>",
+            "<lumistack.Display \"{}\", layers={layers}, frames={frames}, views={x}×{y} of {cols}×{rows}{backlight}>",
             self.0.name
         )
     }

@@ -15,15 +15,14 @@ use serde_json::{Map, Value};
 /// is in use. Other layouts and byte orders, float64 and float16 are copied. uint8 and uint16 are
 /// sRGB codes and become linear. Other types raise TypeError.
 ///
-/// The geometry is that of a display whose light field has the array's shape, or is given by
-/// numbers:
+/// The geometry comes from a display whose light field has the array's shape, or from numbers:
 ///
 /// * display: a Display, or an argument for Display()
 /// * pitch_mm: pixel pitch on the display plane, millimetres, above 0
 /// * fov_deg: (horizontal, vertical) field of view, full angles in degrees, 0 to less than 180;
 ///   views are at the centres of equal bins
-/// * slope_x, slope_y: instead of fov_deg, the slopes of view columns (left to right) and rows (y
-///   up, top to bottom)
+/// * slope_x, slope_y: instead of fov_deg, the slopes of the view columns from left to right, and
+///   of the view rows from top to bottom. Slopes above 0 point to the right or up
 /// * distance_mm: viewing distance of perspective views, millimetres; without it the views are
 ///   parallel projections
 ///
@@ -39,9 +38,9 @@ pub(crate) struct LightField {
     pub(crate) field: Arc<Field>,
     /// The display for which the light field was rendered.
     pub(crate) display: Option<Arc<Description>>,
-    /// Settings with which it was rendered.
+    /// Settings with which the light field was rendered.
     pub(crate) info: Map<String, Value>,
-    /// References all over the viewing zone, if they were rendered.
+    /// Reference pictures from directions all over the viewing zone, if they were rendered.
     pub(crate) references: Option<Arc<References>>,
 }
 

@@ -98,11 +98,11 @@ impl LightField {
     /// * views: (columns, rows), number of views to keep
     /// * quilt and tiles: (columns, rows) of views in a quilt or in a picture of tiles
     /// * resolution: (columns, rows) to which every view is reduced
-    /// * focus_px: disparity of content that appears on the display plane: pixels by which it moves
-    ///   to the left from one view to the next on the right
+    /// * focus_px: pixels by which content that appears on the display plane moves to the left from
+    ///   one view to the next view on the right
     /// * mirror: (x, y), True reverses the order of views on that axis
     ///
-    /// Without any of these, size and angles are those of `display`. If `views` leaves out views of
+    /// Without any of these, size and angles come from `display`. If `views` leaves out views of
     /// the file, psnr_zone() and report() use some of them as references.
     /// `callback(stage, fraction)` receives progress.
     #[classmethod]
@@ -166,7 +166,7 @@ impl LightField {
         Array::numpy(py, Part::Field(self.field.clone()))
     }
 
-    /// The same without NumPy: memoryview(light_field.array).
+    /// All values for use without NumPy: memoryview(light_field.array) shares their memory.
     #[getter]
     fn array(&self) -> Array {
         Array::new(Part::Field(self.field.clone()))
@@ -190,7 +190,7 @@ impl LightField {
         self.field.geometry().grid.slope_x.clone()
     }
 
-    /// Slopes of the view rows, y up, top to bottom.
+    /// Slopes of the view rows from top to bottom; a slope above 0 points up.
     #[getter]
     fn slope_y(&self) -> Vec<f64> {
         self.field.geometry().grid.slope_y.clone()
@@ -230,7 +230,7 @@ impl LightField {
         Field::AXES.len()
     }
 
-    /// Number of view rows, as for the array.
+    /// Number of view rows, the length of the array's first axis.
     fn __len__(&self) -> usize {
         self.field.radiance().shape()[0]
     }

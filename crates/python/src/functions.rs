@@ -33,14 +33,14 @@ use crate::work::{command, long};
 /// keys (docs/JOB.md); defaults() returns the defaults:
 ///
 /// * samples: paths per pixel of each view, 1 to 65536
-/// * zone_samples: instead of samples, paths per pixel, summed over all views; "auto": as many as
-///   improve the display's picture
+/// * zone_samples: instead of samples, paths per pixel, summed over all views; "auto": about as
+///   many as still improve the display's picture
 /// * max_bounces: bounces of a path, the one at the first hit included, 0 to 1024
 /// * clamp: largest value of a single path
 /// * denoise: "auto", "off", "shared", "guided" or "oidn"
 /// * angular_filter: "point", "bin" or "display"
 /// * lens_deg: aperture of a lens that is focused on the display plane, as the full angle seen from
-///   there, degrees, 0 to 90
+///   this plane, degrees, 0 to 90
 /// * camera: name or number of the camera whose plane of focus becomes the display plane
 /// * look_from: (azimuth, elevation) from which the scene is seen, degrees
 /// * fit_depth: "auto", "off", "move" or "compress"
@@ -52,8 +52,8 @@ use crate::work::{command, long};
 /// * seed: seed of all random numbers; the same seed gives the same values on any number of threads
 /// * zone_directions: number of directions all over the viewing zone, 32 to 4096, from which
 ///   references are rendered; psnr_zone() and report() score displays with them; 0 for none
-/// * cache: a folder for traced views, so that a later call continues one that was stopped; without
-///   it they are discarded
+/// * cache: a folder for traced views, so that a later call continues a call that was stopped;
+///   without a folder, traced views are discarded
 /// * callback: callback(stage, fraction) receives progress
 ///
 /// Returns a LightField for factorize(). Ctrl-C stops the call.
@@ -167,13 +167,13 @@ pub(crate) fn render(
 /// other arguments are optional and have the meaning of a job file's keys (docs/JOB.md); defaults()
 /// returns the defaults:
 ///
-/// * brightness: β, above 0 and at most 1, instead of the display's
-/// * frames: M, 1 to 1000, instead of the display's
+/// * brightness: β, above 0 and at most 1, instead of the display's brightness
+/// * frames: M, 1 to 1000, instead of the display's number of frames
 /// * solver: "auto", "multiplicative" (the paper's), "block-exact" or "extrapolated"
 /// * iterations: number of iterations; each updates every factor once
 /// * start: "auto", "random", "smooth" or "content"
 /// * coarse_levels, coarse_iterations: number of coarser levels, each at half the resolution of the
-///   next, and iterations at each of them
+///   next finer level, and iterations at each coarser level
 /// * levels: True re-optimizes masks of layers with few bits on the values that the panel can show
 /// * weights: an array ≥ 0, [view_y, view_x] or [view_y, view_x, row, col]
 /// * eyes: expected eyes, a list of {"eye_mm": (x, y, z), "sigma_mm": s, "weight": w}, instead of
@@ -267,11 +267,12 @@ pub(crate) fn factorize(
 /// The viewpoint is one of these arguments; the default is the slope (0, 0):
 ///
 /// * slope: (x, y), to the right and up; a parallel projection
-/// * angle_deg: (x, y), the same in degrees
+/// * angle_deg: (x, y), angles to the right and up, degrees; a parallel projection
 /// * eye_mm: (x, y, z), right, up and in front of the display's centre, millimetres; a perspective
 ///   view
 ///
-/// The picture is that of an adapted viewer, L̃/β; with raw=True it is the emitted light L̃ itself.
+/// The picture is L̃/β, as an adapted viewer sees it; with raw=True it is the emitted light L̃
+/// itself.
 #[pyfunction]
 #[pyo3(signature = (stack, slope=None, *, angle_deg=None, eye_mm=None, raw=false))]
 pub(crate) fn simulate<'py>(
@@ -298,7 +299,7 @@ pub(crate) fn simulate<'py>(
 /// Writes patterns or a light field with an output plugin; plugins() lists them.
 ///
 /// * `what`: a LayerStack or a LightField
-/// * plugin: its id
+/// * plugin: id of the output plugin
 /// * folder: the destination, created if necessary
 /// * display: for a light field, the display that shows it
 /// * target: for patterns, the light field that they should show; some plugins compare it with the
@@ -384,9 +385,9 @@ pub(crate) fn report<'py>(
 /// Runs a whole job into a folder, like `lumistack run`. Finished results are kept, and the same
 /// call continues a run that was stopped.
 ///
-/// job: path of a job file, or a mapping with its keys (docs/JOB.md), with paths relative to the
-/// working folder; folder: the run's folder, by default runs/NAME. Returns the summary: report,
-/// psnr_view, psnr_raw, and so on.
+/// job: path of a job file, or a mapping with its keys (docs/JOB.md). Paths in a mapping are
+/// relative to the working folder. folder: the run's folder, by default runs/NAME. Returns the
+/// summary: report, psnr_view, psnr_raw, and so on.
 #[pyfunction]
 #[pyo3(signature = (job, folder=None, *, callback=None))]
 pub(crate) fn run<'py>(

@@ -43,8 +43,8 @@ pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<
         Ok(table) => return Ok(table),
         Err(error) => error.to_string(),
     };
-    // Most tables have defaults for all keys. So a table with only the wrong value has the same
-    // error, which finds its key.
+    // Most tables have defaults for all keys. So a table with only the wrong value gives the same
+    // error, and this key is named.
     let alone = |(key, value): (String, Value)| {
         let found = serde_json::from_value::<T>(Value::Object(Map::from_iter([(key.clone(), value)]))).err()?;
         (found.to_string() == error && !error.contains(&format!("`{key}`"))).then_some(key)

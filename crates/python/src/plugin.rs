@@ -1,4 +1,4 @@
-//! Plugins in libraries: each runs in a child process, which this Python's program executes.
+//! Plugins in libraries: each runs in a child process, whose program is this Python.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -15,7 +15,7 @@ use crate::error::raised;
 const BOOT: &str = "import sys; sys.path.insert(0, sys.argv[1]); from lumistack._lumistack import _plugin_child; \
                     sys.exit(_plugin_child(sys.argv[2:]))";
 
-/// Returns the plugins, which are searched once.
+/// Returns the plugins. The first call searches for them.
 pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
     static REGISTRY: OnceLock<Registry> = OnceLock::new();
     if let Some(registry) = REGISTRY.get() {

@@ -27,8 +27,9 @@ use crate::work::long;
 /// * callback: callback(stage, fraction) receives progress
 ///
 /// These keys of light belong to the scene: environment (a Radiance HDR or OpenEXR file),
-/// environment_strength, environment_rotation_deg, from_splats, visible and automatic. The last
-/// adds a studio light to a scene without light. The other keys are defaults for render().
+/// environment_strength, environment_rotation_deg, from_splats, visible and automatic. The key
+/// automatic adds a studio light to a scene without light. The other keys are defaults for
+/// render().
 ///
 /// The file is read once, and its acceleration structures are kept: render() may be called many
 /// times.
@@ -142,11 +143,11 @@ impl Scene {
     /// * scales [splat, xyz], standard deviations, not their logarithms
     /// * opacities [splat], 0 to 1
     /// * harmonics [splat, coefficient, rgb], 1, 4, 9 or 16 coefficients by degree and then order;
-    ///   a colour is ½ plus their sum
+    ///   a colour is ½ plus the sum of all coefficients times their spherical harmonics
     /// * encoding, "srgb" (the default, as captures are trained) or "linear"
     /// * scene_from_cloud [4, 4], a matrix of column vectors that places the cloud
     ///
-    /// light: as for a file; name: for messages.
+    /// light: as for a file; name: name of the scene in messages.
     ///
     /// >>> import numpy as np
     /// >>> red = [[[1.77, -1.77, -1.77]]]

@@ -58,7 +58,7 @@ pub(crate) fn from_python(name: &str, splats: &Bound<'_, PyAny>) -> PyResult<Sce
 const KEYS: [&str; 7] = ["positions", "rotations", "scales", "opacities", "harmonics", "encoding", "scene_from_cloud"];
 
 fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud, Affine3A)> {
-    // A misspelt key is an error, since optional keys have defaults.
+    // Unknown keys are refused: a misspelt optional key would silently get its default.
     for key in one.call_method0("keys")?.try_iter()? {
         let key: String = key?.extract()?;
         if !KEYS.contains(&key.as_str()) {

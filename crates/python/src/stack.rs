@@ -132,7 +132,7 @@ impl LayerStack {
         PyTuple::new(py, layers.collect::<PyResult<Vec<_>>>()?)
     }
 
-    /// The same arrays without NumPy: objects for memoryview(...).
+    /// The layers for use without NumPy: one object per layer, for memoryview(...).
     #[getter]
     fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let layers =
@@ -189,10 +189,10 @@ impl LayerStack {
         Ok(Some(dict))
     }
 
-    /// PSNR in dB, with peak 1, of the shown against the target light field over all rays with
-    /// weight; weights as for factorize().
+    /// PSNR in dB, with peak 1, of the emitted light field against the target light field. All rays
+    /// with a weight above 0 count; weights: as for factorize().
     ///
-    /// It compares L̃/β with L, as an adapted viewer sees them. With raw=True it compares L̃ with
+    /// It compares L̃/β, which an adapted viewer sees, with L. With raw=True it compares L̃ with
     /// βL, which gives a PSNR that is higher by −20 log10 β.
     #[pyo3(signature = (light_field, *, weights=None, raw=false))]
     fn psnr(
@@ -240,7 +240,7 @@ impl LayerStack {
     }
 
     /// Simulates the rays of a light field: returns L̃/β, or with raw=True L̃ itself, as a light
-    /// field. Rays that leave the display have the value 0.
+    /// field. Rays that miss the display have the value 0.
     #[pyo3(signature = (like, *, raw=false, callback=None))]
     fn views(
         &self,
@@ -333,7 +333,7 @@ impl LayerStack {
         let psnr = self.solved.as_ref().and_then(|solved| solved.steps.last());
         let psnr = psnr.map_or(String::new(), |step| format!(", {:.2} dB", step.psnr_view));
         let (layers, frames) = (self.stack.layers.len(), self.stack.frames());
-        format!("<lumistack.LayerStack for \"{}\": {layers} layers, {frames} frames{psnr}>", self.display.name)
+        format!("<lumistack.LayerStack for \"{}\", layers={layers}, frames={frames}{psnr}>", self.display.name)
     }
 
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
@@ -344,7 +344,7 @@ impl LayerStack {
     }
 }
 
-/// Returns the weight of every ray in `score`, `[view_y][view_x][row][col]`.
+/// Returns the weight that `score` gives to every ray, `[view_y][view_x][row][col]`.
 fn ray_weights(display: &Description, stack: &Stack, target: &Field, weights: &Weights) -> Tensor<4> {
     let geometry = target.geometry();
     let [view_rows, view_cols] = geometry.grid.views();

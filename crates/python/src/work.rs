@@ -134,7 +134,7 @@ struct State {
     stage: String,
     total: u64,
     done: u64,
-    /// Stages and fractions: of each stage only the newest fraction, and its end.
+    /// Stages and fractions for the callback: the newest fraction of each stage, and its end.
     news: Vec<(String, f64)>,
     warnings: Vec<Warning>,
     seen: Vec<Warning>,

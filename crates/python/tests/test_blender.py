@@ -39,7 +39,7 @@ def random_window(chance: random.Random) -> Window:
 
 @pytest.mark.parametrize("distance_mm", [None, 600.0, 200.0])
 def test_a_view_sees_what_lies_on_its_rays(distance_mm: float | None) -> None:
-    """Compares with the rays of the design, computed independently: (x, y, 0) + z (s, 1), and those
+    """Compares with the rays of the design, computed independently: (x, y, 0) + z (s, 1), and rays
     through an eye."""
     chance = random.Random(1)
     for _ in range(200):
@@ -73,7 +73,7 @@ def test_views_beyond_what_cameras_can_are_refused() -> None:
 
 def test_the_window_is_the_camera_frustum_at_its_focus() -> None:
     frame = [(0.6, 0.3, -1.0), (0.6, -0.3, -1.0), (-0.4, -0.3, -1.0), (-0.4, 0.3, -1.0)]
-    # Rotated by 90 degrees about z, and scaled, which has no effect.
+    # The camera is rotated by 90 degrees about z. It is also scaled by 2, which has no effect.
     matrix = [[0.0, -2.0, 0.0, 1.0], [2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 5.0], [0.0, 0.0, 0.0, 1.0]]
     window = window_of_camera(matrix, frame, False, 4.0, (400.0, 250.0))
     assert window.scale * 400.0 == pytest.approx(4.0)
@@ -97,7 +97,7 @@ def test_a_window_is_scaled_and_moved_in_its_plane() -> None:
         size, shift = chance.uniform(0.2, 3.0), (chance.uniform(-1, 1), chance.uniform(-1, 1))
         moved = window.resized(size, shift)
         width = window.size_mm[0]
-        # The position of one corner is computed in the original window.
+        # The expected position of one corner is computed in the original window.
         x, y = 0.5 * size * width + shift[0] * width, 0.5 * size * window.size_mm[1] + shift[1] * width
         assert moved.point((width / 2, window.size_mm[1] / 2, 0.0)) == pytest.approx(window.point((x, y, 0.0)))
         cage = numpy.array(outline.cage(size, shift, 7.0)).reshape(4, 4).T
@@ -294,7 +294,7 @@ def test_only_the_last_files_of_a_scene_stay(tmp_path: Path) -> None:
         for number in range(KEPT + 3):
             made.append(files.next())
             made[-1].write_text(str(number))
-            # A file that is taken back is no new one.
+            # The number of a file that is taken back is used again.
             files.next().write_text("the same")
             files.back()
         assert len(set(made)) == KEPT + 3
@@ -329,7 +329,7 @@ def test_a_live_display_follows_changes_and_ends_with_its_folder(tmp_path: Path)
     live.change({"display.bright": 0.3}, time.monotonic())
     refused = until(live, lambda state: state.problem != "")
     assert "did you mean `brightness`?" in refused.problem and live.is_shown and refused.content == 2
-    # The next change takes the message back.
+    # The next change clears the message.
     live.change({"display.brightness": 0.4}, time.monotonic())
     assert until(live, lambda state: state.content == 3).problem == ""
     assert until(live, lambda state: state.address != "").address.startswith("http://localhost:")
@@ -355,11 +355,11 @@ def test_a_live_display_ends_with_the_program_that_started_it(tmp_path: Path) ->
     )
     done = subprocess.run([sys.executable, "-c", text, *live_words(tmp_path)], capture_output=True, text=True)
     assert done.returncode == -signal.SIGKILL, done
-    # Its run folder is free again: until then another display refuses it.
+    # The run folder becomes free when the program ends; until then other displays refuse it.
     for _ in range(60):
         live = Live(live_words(tmp_path), os.environ)
         if until(live, lambda state: state.states > 0 or state.code is not None).code is None:
             live.end(60.0)
             return
         time.sleep(1.0)
-    raise AssertionError("it runs on")
+    raise AssertionError("the live display still runs after its caller was killed")

@@ -107,7 +107,7 @@ def test_workers_and_client_that_are_killed_cost_nothing_but_time(place: Path, j
     words = [*PROGRAM, "--json", "--threads", "1", "farm", str(job), "-o", str(folder), *BLOCKS]
     first = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env={**os.environ, "LUMISTACK_PYTHON": sys.executable}, process_group=0)
     assert first.stdout is not None
-    assert any(json.loads(line)["event"] == "done_unit" for line in first.stdout), "it ended before a unit was done"
+    assert any(json.loads(line)["event"] == "done_unit" for line in first.stdout), "the run ended before a unit was done"
     # Kill the client, its scheduler and its workers at the same time.
     os.killpg(first.pid, signal.SIGKILL)
     first.wait()

@@ -136,7 +136,7 @@ def test_a_notebook_shows_views_and_sliders(light_field: lumistack.LightField) -
     views = pictures(html)
     assert len(views) == 9 and views[0].shape == (16, 24, 3)
     expected = light_field[0, 0]
-    # IEC 61966-2-1.
+    # The transfer function of sRGB, IEC 61966-2-1.
     encoded = numpy.where(expected <= 0.0031308, 12.92 * expected, 1.055 * expected ** (1 / 2.4) - 0.055)
     assert numpy.abs(views[0] - 255 * encoded).max() < 0.51
     assert html.count('type="range"') == 2 and html.count("display:none") == 8

@@ -15,7 +15,7 @@ NOTEBOOKS = sorted((ROOT / "examples/notebooks").glob("*.ipynb"))
 def test_notebook(notebook: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
-    # paths of a notebook begin at its folder
+    # paths in a notebook are relative to its folder
     folder = tmp_path / "examples/notebooks"
     folder.mkdir(parents=True)
     (tmp_path / "scenes").symlink_to(ROOT / "scenes")

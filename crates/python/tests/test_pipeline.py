@@ -57,7 +57,8 @@ def test_patterns_show_what_the_forward_model_says(light_field: LightField, disp
 def test_a_picture_is_a_seen_view(light_field: LightField) -> None:
     stack = lumistack.factorize(light_field, iterations=3)
     views = stack.views(light_field).radiance
-    # Seen from slope 0, the layers are aligned, and a ray represents its pixel.
+    # At slope 0 the layers' pixels are aligned, so a pixel's central ray has the pixel's mean
+    # value.
     assert numpy.allclose(lumistack.simulate(stack), views[1, 1], atol=1e-6)
     slope = (light_field.slope_x[2], light_field.slope_y[0])
     seen = lumistack.simulate(stack, slope)

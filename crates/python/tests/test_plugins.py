@@ -1,4 +1,4 @@
-"""Plugins in libraries run in child processes, which this Python's program executes."""
+"""Plugins in libraries run in child processes, whose program is this Python."""
 
 from __future__ import annotations
 

@@ -110,8 +110,8 @@ def test_the_lock_is_released(slow: tuple[lumistack.LightField, lumistack.Displa
     with pytest.raises(StopIteration, match="counted"):
         lumistack.factorize(light_field, iterations=100000, callback=begin)
     alone, beside = counts
-    # Two solver threads on two cores leave this thread a third of a core; with the lock held it
-    # would be 0.
+    # The solver's threads leave this thread a part of a core. If the call held the lock, this
+    # thread would count nothing.
     assert beside > 0.1 * alone, counts
 
 

@@ -7,8 +7,8 @@
 //! ```
 //!
 //! DISPLAY is `layers:N:M` (N layers 40 mm apart, M frames), `lenslets:M` (one layer and a
-//! directional backlight) or `held-out:N:M`. With the last one, every second view is a target, and
-//! the views between these are held out.
+//! directional backlight) or `held-out:N:M`. With `held-out`, every second view is a target, and
+//! the views between the targets are held out.
 
 use std::error::Error;
 use std::path::Path;
@@ -109,7 +109,7 @@ fn read_field(path: &Path, pitch_mm: f64, fov_deg: f64) -> Result<LightField, Bo
     Ok(LightField::new(geometry, Tensor::from_vec(LightField::AXES, shape, npy.into_vec()?)?)?)
 }
 
-/// Every second view, and the views between these on both axes.
+/// Returns every second view, and the views between them on both axes.
 fn split(field: &LightField) -> Result<(LightField, Option<LightField>), Box<dyn Error>> {
     let pick = |first: usize| -> Result<LightField, Box<dyn Error>> {
         let all = field.geometry();

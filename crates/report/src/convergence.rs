@@ -2,10 +2,10 @@
 
 use crate::Iteration;
 
-/// The last iteration that was complete after a number of seconds.
+/// The last iteration that was complete at a number of seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Reached {
-    /// 1, 2 or 5 times a power of ten. In the last entry, the time of the solver's end.
+    /// 1, 2 or 5 times a power of ten. In the last entry, the time at which the solver ended.
     pub(crate) seconds: f64,
     pub(crate) iteration: u32,
     pub(crate) psnr_view: f64,
@@ -25,7 +25,7 @@ pub(crate) fn reached(history: &[Iteration]) -> Vec<Reached> {
             Some(Reached { seconds, iteration: it.iteration, psnr_view: it.psnr_view })
         })
         .collect();
-    // keep only the first of several round times with the same last iteration
+    // if several round times have the same last iteration, keep only the first of these times
     lines.dedup_by(|later, earlier| later.iteration == earlier.iteration && later.seconds != end.seconds);
     lines.drain(..lines.len().saturating_sub(LINES));
     lines

@@ -11,16 +11,16 @@ use crate::format::{self, figure};
 const BARS: usize = 60;
 /// Number of depths at which the bound on the spatial frequency is sampled.
 const CURVE_POINTS: usize = 241;
-/// Fraction of the depths that histograms omit at each end.
+/// Fraction of the depths that histograms omit at either end.
 const STRAY: f64 = 0.005;
-/// If a smaller fraction of hits is in the depth of field, the display does not suit the scene, or
-/// the window is misplaced.
+/// If a smaller fraction of hits is in the depth of field, the report gives advice. The display
+/// does not suit the scene, or the window is misplaced.
 const FEW: f64 = 0.75;
 
-/// Depth statistics of a scene on a display. Fractions are those of rays with a hit.
+/// Depth statistics of a scene on a display. Fractions are fractions of the rays with a hit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthBudget {
-    /// [low, high] depths between which the display shows the finest detail of the light field's
+    /// Depths [low, high] between which the display shows the finest detail of the light field's
     /// pixels, millimetres. `None` if there is no such depth.
     pub depth_of_field_mm: Option<[f64; 2]>,
     /// Fraction of hits in the depth of field, over all views, 0..1; NaN without hits.
@@ -42,8 +42,8 @@ pub struct DepthBudget {
     /// Fractions of hits by depth in millimetres, and by disparity in pixels.
     pub(crate) by_depth: Histogram,
     pub(crate) by_disparity: Histogram,
-    /// The bound on the spatial frequency by depth. Each point has z in millimetres, and the
-    /// highest frequency there divided by that of the light field's pixels.
+    /// The bound on the spatial frequency by depth. Each point has a depth z in millimetres, and
+    /// the highest frequency at z divided by the highest frequency of the light field's pixels.
     pub(crate) bound: Vec<(f64, f64)>,
     /// Distances of the layers, millimetres.
     pub(crate) layers_mm: Vec<f64>,
@@ -58,8 +58,8 @@ pub(crate) struct Histogram {
 }
 
 impl DepthBudget {
-    /// Measures depths in display space. `z_mm` has the depths of all views' rays, millimetres, NaN
-    /// without a hit, and `middle` those of the central view.
+    /// Measures depths in display space. `z_mm` has the depths of the rays of all views, in
+    /// millimetres; NaN without a hit. `middle` has the depths of the central view's rays.
     pub fn measure(display: &Display, geometry: &FieldGeometry, z_mm: &[f32], middle: &[f32]) -> Self {
         let depth_of_field_mm = display.depth_of_field(geometry.pitch_mm);
         let seen = |z_mm: &[f32]| -> Vec<f32> { z_mm.iter().copied().filter(|z| z.is_finite()).collect() };
@@ -67,7 +67,7 @@ impl DepthBudget {
             z_mm.iter().filter(|z| which(f64::from(**z))).count() as f64 / z_mm.len() as f64
         };
         let inside = |z: f64| depth_of_field_mm.is_some_and(|[low, high]| (low..=high).contains(&z));
-        // Collect the hits, and their disparities at the widest spacing of views.
+        // Collect the hits, and their disparities between views of the widest spacing.
         let (mut all, middle) = (seen(z_mm), seen(middle));
         let step = geometry.grid.bin_width().into_iter().fold(0.0, f64::max);
         let moves = |z: f64| geometry.disparity_px(z, step).abs();
@@ -75,7 +75,8 @@ impl DepthBudget {
         let at = |values: &mut [f32], share: f64| {
             if values.is_empty() { f64::NAN } else { f64::from(percentile(values, share)) }
         };
-        // Choose ranges of the histograms: without outliers, but with layers and depth of field.
+        // Choose the ranges of the histograms. They omit outliers, but include layers and depth of
+        // field.
         let (stray_low, stray_high) = (at(&mut all, STRAY), at(&mut all, 1.0 - STRAY));
         let layers_mm: Vec<f64> = display.layers.iter().map(|layer| layer.d_mm).collect();
         let shown = layers_mm.iter().copied().chain(depth_of_field_mm.into_iter().flatten());
@@ -135,7 +136,7 @@ impl DepthBudget {
         )
     }
 
-    /// Describes the changes by which the scene was made to fit.
+    /// Describes the changes of window and depth that made the scene fit.
     fn fitting(&self) -> String {
         let moved = self.moved_back_mm;
         let mut done = Vec::new();
@@ -200,7 +201,7 @@ impl Histogram {
 mod tests {
     use super::*;
 
-    /// Three layers, 40 mm apart. The 5 views over 20° have slopes 0.0705 apart.
+    /// Three layers, 40 mm apart. The slopes of the 5 views over 20° are 0.0705 apart.
     fn display() -> Display {
         Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2)
     }

@@ -1,5 +1,5 @@
 //! Formats numbers for readers. Units are in the surrounding text, unless the name or the comment
-//! of a function contains them.
+//! of a function names a unit.
 
 use serde_json::Value;
 
@@ -61,8 +61,8 @@ pub(crate) fn duration(seconds: f64) -> String {
     }
 }
 
-/// Round numbers of seconds without unnecessary digits: "20 ms", "0.5 s", "50 s"; longer times as
-/// [`duration`].
+/// Round numbers of seconds without unnecessary digits: "20 ms", "0.5 s", "50 s". Longer times have
+/// the format of [`duration`].
 pub(crate) fn duration_short(seconds: f64) -> String {
     match seconds {
         s if s < 0.0995 => format!("{} ms", number_short_round(1e3 * s)),
@@ -95,13 +95,13 @@ pub(crate) fn percent(share: f64) -> String {
     if share < 1.0 { format!("{:.1} %", (share * 100.0).min(99.9)) } else { "100 %".into() }
 }
 
-/// A number with a noun: "1 frame", "3 frames".
+/// A count with its noun: "1 frame", "3 frames".
 pub(crate) fn counted(count: usize, noun: &str) -> String {
     if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
 }
 
-/// A relative path as a link that cannot contain a scheme: bytes outside of the unreserved set are
-/// percent-encoded.
+/// Converts a relative path to a link. Bytes outside of the unreserved set are percent-encoded, so
+/// the link cannot contain a scheme.
 pub(crate) fn relative_href(path: &str) -> String {
     let mut href = String::from("./");
     for byte in path.trim_start_matches(['/', '\\']).bytes() {

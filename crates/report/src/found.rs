@@ -1,4 +1,4 @@
-//! Results of a run other than the scores of views.
+//! Results of a run that are not scores of views.
 
 use crate::light::Light;
 use crate::limits::Limit;

@@ -30,11 +30,11 @@ pub struct Solution {
     pub start: String,
     /// Number of coarser levels before the full resolution, each of half the resolution.
     pub coarse_levels: u32,
-    /// KKT residual: root mean square, over all values of the patterns, of the change of the
-    /// emission by one more exact coordinate step of a value.
+    /// KKT residual. One more exact coordinate step of a single value changes the emission. The
+    /// residual is the root mean square of this change over all values of the patterns.
     pub kkt_residual: f64,
     /// For layers of few bits, `psnr_view` (dB) of three stacks: continuous, rounded to the panels'
-    /// levels, and optimized again on these levels. The last is the result.
+    /// levels, and optimized again on these levels. The last stack is the result.
     pub levels: Option<[f64; 3]>,
 }
 
@@ -49,8 +49,8 @@ pub struct Stage {
     pub cached: bool,
 }
 
-/// How a denoiser changed one view or all views, in exposed radiance, over all channels. Pairs are
-/// a value and its standard error.
+/// Result of a denoiser on one view or on all views, in exposed radiance, over all channels. A pair
+/// is a value and its standard error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DenoisedView {
     /// Mean of the picture before the filter.
@@ -63,18 +63,18 @@ pub struct DenoisedView {
     pub mse_after: [f64; 2],
 }
 
-/// How a denoiser changed the target.
+/// Results of a denoiser on the target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Denoising<'a> {
     /// Name of the denoiser, for readers.
     pub name: &'a str,
-    /// The change of all views together.
+    /// The results over all views together.
     pub overall: DenoisedView,
-    /// The change of each view, in the order of the target's grid.
+    /// The results of each view, in the order of the target's grid.
     pub views: Vec<DenoisedView>,
     /// The central view before the filter, `[row][col][rgb]`, in the target's size and exposure.
     pub unbiased: &'a [f32],
-    /// The central view after the filter, in the same form.
+    /// The central view after the filter, in the same form as `unbiased`.
     pub filtered: &'a [f32],
 }
 
@@ -83,8 +83,8 @@ pub struct Denoising<'a> {
 pub struct ZoneFigures {
     /// Errors of seen pictures, for each direction.
     pub score: ZoneScore,
-    /// True if the references are views of a given light field that the solver did not use, instead
-    /// of renders.
+    /// True if the references are views of a given light field that the solver did not use. False
+    /// if they are renders.
     pub left_out: bool,
     /// Directions whose references have enough samples for SSIM, FLIP and pictures on the page.
     pub views: Vec<ZoneView>,
@@ -128,10 +128,11 @@ pub struct ReportInput<'a> {
     /// Weights of the target's rays.
     pub weights: &'a Weights,
     /// Held-out views, usually at [`lumistack_display::ViewGrid::in_between`]. Without them, views
-    /// between those of the target are only simulated.
+    /// between the target's views are only simulated.
     pub held_out: Option<&'a LightField>,
     /// Views outside of the target's outermost views, usually at
-    /// [`lumistack_display::ViewGrid::outside`]. Without them, such views are only simulated.
+    /// [`lumistack_display::ViewGrid::outside`]. Without them, views at these slopes are only
+    /// simulated.
     pub outside: Option<&'a LightField>,
     /// Quality of the display over its whole zone. `None` without reference pictures.
     pub zone: Option<&'a ZoneFigures>,
@@ -146,7 +147,7 @@ pub struct ReportInput<'a> {
     pub stages: &'a [Stage],
     /// The resolved job, with all defaults.
     pub settings: &'a serde_json::Value,
-    /// How a denoiser changed the target, if one was used.
+    /// Results of a denoiser on the target, if a denoiser was used.
     pub denoising: Option<&'a Denoising<'a>>,
     /// Facts about the scene (name, triangles, ...), if there is one.
     pub scene: Option<&'a serde_json::Value>,

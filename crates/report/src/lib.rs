@@ -1,5 +1,5 @@
-//! The report of a run: views of the display next to those of the target, as one HTML file, and
-//! scores.
+//! The report of a run: scores, and views of the display next to views of the target, as one HTML
+//! file.
 //!
 //! [`build`] simulates every target view once with the display's forward model and returns two
 //! texts. It writes no files, reads no clock and makes no network request. `report.html` is one
@@ -12,8 +12,8 @@
 //!                                      patterns pictures of the masks
 //! ```
 //!
-//! A sequence of time steps has another report, [`sequence()`], and so has a job with several
-//! displays, [`graph()`].
+//! A sequence of time steps has another report, [`sequence()`]. A job with several displays has the
+//! report [`graph()`].
 //!
 //! The main score is `psnr_zone`: PSNR of seen pictures in directions over the whole zone. It does
 //! not depend on the choice of target views.
@@ -82,7 +82,7 @@ pub use input::{
 pub use sequence::{SequenceFigures, SequenceInput, SequenceReport, SequenceSeries, SequenceTime, Thumbnail, sequence};
 
 /// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
-/// that this code affects.
+/// that these sources affect.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// Simulates the display and makes the report.

@@ -1,8 +1,8 @@
 //! Absolute brightness: the fraction of the backlight's luminance that a display emits.
 //!
 //! `emitted` is the mean luminance of L̃ over all rays that scores include, relative to a backlight
-//! of 1. For emissive layers it is relative to an emission of 1. `open` is the mean over the
-//! central view if all layers are fully open.
+//! of 1. For emissive layers it is relative to an emission of 1. `open` is the mean luminance of
+//! the picture from straight ahead if all layers are fully open.
 
 use lumistack_core::colour::luminance;
 use lumistack_core::metrics::Mean;
@@ -11,7 +11,7 @@ use lumistack_display::{Display, FieldGeometry, Formation, LayerStack, Projectio
 use crate::measure::FieldScore;
 use crate::{ReportInput, format};
 
-/// Luminances relative to that of the backlight.
+/// Luminances relative to the luminance of the backlight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Light {
     /// Mean of L̃.
@@ -33,7 +33,7 @@ pub(crate) fn light(input: &ReportInput, target: &FieldScore) -> Light {
 /// Mean luminance, seen from straight ahead, of a display with all pixels at their brightest.
 fn open(display: &Display, geometry: &FieldGeometry) -> f64 {
     let mut display = Display { frames: 1, ..display.clone() };
-    // a total rotation of 90° is the brightest, since more would darken again
+    // a total rotation of 90° is the brightest; a larger rotation would darken the pixel again
     let rotation: f64 = display.layers.iter().map(|layer| layer.peak).sum();
     let share = if display.formation == Formation::Polarization { (1.0 / rotation).min(1.0) } else { 1.0 };
     display.layers.iter_mut().for_each(|layer| layer.peak *= share);
@@ -65,7 +65,7 @@ impl Light {
             format::number(self.wanted),
             format::number(input.stack.brightness),
         );
-        // Name light that no pattern can emit, then a brightness that the display cannot reach.
+        // Name the light that no pattern can emit, then a brightness that the display cannot reach.
         let peaks: Vec<f64> = display.layers.iter().map(|layer| layer.peak).collect();
         if display.formation == Formation::Attenuating && self.open.is_finite() {
             text += &if self.open > 1.0 - 1e-6 {

@@ -1,9 +1,9 @@
-//! Limits of the result. They are measured on the solved stack by variants of the forward model,
-//! and by fractions of the squared error. Nothing is solved again.
+//! Limits of the result. They are measured on the solved stack, without another solve. Some are
+//! measured by variants of the forward model, others by fractions of the squared error.
 //!
-//! Each value in dB is the gain of psnr_view if one effect were absent and all else unchanged.
-//! Effects overlap, so the gains do not add up. Variants are simulated for the central view and the
-//! corners.
+//! Each value in dB is the gain of psnr_view if one effect were absent and everything else
+//! unchanged. Effects overlap, so the gains do not add up. Variants are simulated for the central
+//! view and the corner views.
 
 mod depth;
 mod hardware;

@@ -1,4 +1,4 @@
-//! Simulates every view once: the scores of the views, and the pictures of the page.
+//! Simulates every view once. Computes the scores of the views, and the pictures of the page.
 
 mod names;
 mod score;
@@ -28,15 +28,15 @@ pub(crate) struct Measured {
     pub(crate) outside: Option<FieldScore>,
     /// The central view, large.
     pub(crate) headline: Comparison,
-    /// The central view and the corners, the worst view, and views between and outside of the
-    /// target's.
+    /// The central view and the corner views, the worst view, and views between and outside of the
+    /// target's views.
     pub(crate) rows: Vec<Comparison>,
     /// Factor by which the pictures of `rows` are smaller than the views.
     pub(crate) rows_shrunk: usize,
     /// Factor by which the pictures of `headline` are smaller than the views.
     pub(crate) headline_shrunk: usize,
     pub(crate) sheets: Sheets,
-    /// True if some rays of the shown views are excluded from scores.
+    /// True if scores exclude some rays of the shown views.
     pub(crate) has_dropped_rays: bool,
 }
 
@@ -58,7 +58,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let mut sheets = SheetPair::new(input.target.geometry());
     let keep = outstanding_views(grid);
     let geometry = input.target.geometry();
-    // the explorer of views shows seen pictures
+    // the explorer of views shows seen pictures instead of the emission along rays
     let mut place = |view, _: &EmittedView| sheets.place(view, input, &judge.simulator.seen(geometry, view));
     let (target, mut shown) = field(&judge, input.target, input.weights, &keep, task, &mut place)?;
     if let Some(worst) = target.worst_view().filter(|worst| !keep.contains(worst)) {
@@ -71,8 +71,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     }
     let targets = shown.len();
     let zone = input.zone.map(|zone| zone_looks(&judge, zone, &mut shown));
-    // The large comparison shows a direction of the zone, if there is one, since its reference has
-    // more samples than a view of the target. `zone_looks` adds the median one last.
+    // The large comparison shows the median direction of the zone, if there is one. Its reference
+    // has more samples than a view of the target. `zone_looks` adds this direction last.
     let median_of_zone = (shown.len() > targets).then(|| shown.len() - 1);
     let mut others = |given: Option<&LightField>, grid: Option<ViewGrid>| -> Result<Option<FieldScore>, ReportError> {
         if let Some(given) = given {
@@ -88,7 +88,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let held_out = others(input.held_out, between)?;
     let outside = others(input.outside, grid.outside(1))?;
     let errors = |views: &[Shown]| picture::amplification(views.iter().flat_map(|view| view.errors.iter().flatten()));
-    // held-out views are often far worse, so a common scale would hide differences of target views
+    // held-out views are often far worse than target views, so a common scale would hide
+    // differences of target views
     let (amplification, other_amplification) = (errors(&shown[..targets]), errors(&shown[targets..]));
     let sizes: Vec<_> = shown.iter().flat_map(|view| [(view.simulated.rows, view.simulated.cols); 4]).collect();
     let (headline_shrunk, rows_shrunk) =
@@ -115,8 +116,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     })
 }
 
-/// Scores of those directions of the zone that have reference pictures. Shows the worst one and,
-/// last, the median one.
+/// Returns the scores of those directions of the zone that have reference pictures. Adds the worst
+/// direction and then the median direction to `shown`.
 fn zone_looks(judge: &Judge, zone: &ZoneFigures, shown: &mut Vec<Shown>) -> ZoneLooks {
     let mut views: Vec<_> = zone.views.par_iter().map(|view| (view, judge.zone_view(view))).collect();
     let looks = views.iter().fold(ZoneLooks::default(), |sum, (_, figures)| ZoneLooks {
@@ -131,7 +132,8 @@ fn zone_looks(judge: &Judge, zone: &ZoneFigures, shown: &mut Vec<Shown>) -> Zone
     looks
 }
 
-/// Scores of all views of a light field, and the views that `keep` lists, in its order.
+/// Returns the scores of all views of a light field, and the views that `keep` lists, in the order
+/// of `keep`.
 fn field(
     judge: &Judge,
     field: &LightField,
@@ -151,7 +153,7 @@ fn field(
     Ok((score, kept.into_iter().flatten().collect()))
 }
 
-/// Views that have no target.
+/// Simulates some views of a grid that has no target.
 fn simulated_only(judge: &Judge, grid: ViewGrid, task: Task) -> Result<Vec<Shown>, ReportError> {
     let geometry = judge.input.target.geometry().with_grid(grid);
     let map = RayMap::new(judge.input.display, &geometry);

@@ -1,5 +1,5 @@
-//! Pictures of the masks. For each layer: its mean over frames, its change, every frame, and
-//! close-ups. Also the emission of the backlight.
+//! Pictures of the masks and of the backlight's emission. A layer has pictures of its mean over
+//! frames, its change, every frame, and close-ups.
 
 mod place;
 
@@ -27,7 +27,7 @@ pub(crate) struct Patterns {
 /// Pictures of one layer.
 #[derive(Clone, Debug)]
 pub(crate) struct Sheet {
-    /// Mean over the frames. If there is only one frame, that frame.
+    /// Mean over the frames. If there is only one frame, this is the frame itself.
     pub(crate) mean: Embedded,
     /// Standard deviation over the frames times [`CHANGE`], if there are several frames.
     pub(crate) change: Option<Embedded>,
@@ -38,7 +38,7 @@ pub(crate) struct Sheet {
 }
 
 /// A section of a layer's green channel as grey, with stretched contrast. Channels are solved
-/// separately, so fine patterns of all three together resemble noise.
+/// separately, so a fine pattern of all three channels together resembles noise.
 #[derive(Clone, Debug)]
 pub(crate) struct CloseUp {
     pub(crate) window: Window,
@@ -60,12 +60,12 @@ pub(crate) struct Emission {
     pub(crate) bin: [usize; 2],
 }
 
-/// Factor on the standard deviation over frames. For values in 0..1, the deviation is at most ½, so
-/// the product is at most 1.
+/// Factor that multiplies the standard deviation over frames. For values in 0..1 the deviation is
+/// at most ½, so the product is at most 1.
 pub(crate) const CHANGE: f32 = 2.0;
 
-/// Maximum number of pixels of all single frames. As JPEG, noise-like masks of this size take about
-/// 4 MB of text.
+/// Maximum number of pixels of the pictures of all single frames. As JPEG, noise of this size takes
+/// about 4 MB of text.
 const BUDGET: usize = 2_400_000;
 /// Maximum number of pixels of the large pictures.
 const LARGE_BUDGET: usize = 1_400_000;
@@ -128,7 +128,8 @@ fn encode_sheet(
     task: Task,
 ) -> Result<Sheet, ReportError> {
     let [frames, rows, cols, _] = layer.shape();
-    // One loop over the frames gives their pictures, the mean and the standard deviation.
+    // One loop over the frames makes their pictures, and sums for the mean and the standard
+    // deviation.
     let (mut sum, mut squares) = (vec![0.0f32; rows * cols * 3], vec![0.0f32; rows * cols * 3]);
     let mut pictures = Vec::with_capacity(frames);
     for frame in 0..frames {
@@ -155,11 +156,13 @@ fn encode_sheet(
     })
 }
 
-/// The same section of every frame, and of the mean over frames, with one scale of grey.
+/// Makes a close-up of every frame, and of the mean over frames. All show the same section with one
+/// scale of grey.
 fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp, ReportError> {
     /// Fraction of the values that may be clipped at each end.
     const CLIPPED: f64 = 0.01;
-    /// A stretch by less than this would be invisible.
+    /// If the contrast could be stretched only by less than this, the difference would be
+    /// invisible.
     const LITTLE: f32 = 0.02;
     let [frames, rows, cols, _] = layer.shape();
     let part = |whole: &Linear| whole.cropped(window.row, window.col, window.rows, window.cols).green();
@@ -167,7 +170,7 @@ fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp,
         (0..frames).map(|frame| part(&Linear::new(rows, cols, layer.block([frame]), 1.0))).collect();
     let mut values: Vec<f32> = parts.iter().flat_map(|part| part.data.iter().copied()).collect();
     let [low, high] = [CLIPPED, 1.0 - CLIPPED].map(|share| percentile(&mut values, share));
-    // a section that is constant or fills the range stays unchanged
+    // do not stretch a section that is constant, or that already fills the range
     let worth_it = high - low > 1e-3 && (low > LITTLE || high < 1.0 - LITTLE);
     let stretch = if worth_it { [low, high] } else { [0.0, 1.0] };
     let embed = |part: &Linear| part.stretched(stretch).encoded().embedded(Encoding::Png);
@@ -188,7 +191,7 @@ fn encode_emission(
 ) -> Result<Emission, ReportError> {
     let [frames, bins_y, bins_x, rows, cols, _] = emission.shape();
     let bin = [bins_y / 2, bins_x / 2];
-    // with a single bin, the panel is the same picture
+    // if there is only one bin, the panel shows this picture already
     let central = (0..frames).filter(|_| bins_y * bins_x > 1).map(|frame| {
         Ok(Linear::new(rows, cols, emission.block([frame, bin[0], bin[1]]), 1.0).encoded().embedded(Encoding::Png)?)
     });

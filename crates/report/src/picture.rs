@@ -1,5 +1,5 @@
-//! Pictures of the page: linear light to 8-bit sRGB, maps of signed differences, reduction, data
-//! URIs.
+//! Pictures of the page. Converts linear light to 8-bit sRGB, draws maps of signed differences,
+//! reduces pictures, and makes data URIs.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -35,21 +35,21 @@ pub(crate) struct Embedded {
 /// File format of an embedded picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Encoding {
-    /// Lossless, for small groups of pictures.
+    /// Lossless; used for small groups of pictures.
     Png,
-    /// For large pictures, without chroma subsampling.
+    /// Lossy, without chroma subsampling; used for large pictures.
     Jpeg,
 }
 
-/// JPEG quality at which block artefacts are far smaller than the errors of a display.
+/// At this JPEG quality, block artefacts are far smaller than the errors of a display.
 const JPEG_QUALITY: u8 = 90;
 
-/// Number of pixels up to which a group of pictures is lossless. Noise, the worst case, takes 4 MB
-/// of text.
+/// A group of at most this many pixels is encoded without loss. Noise is the worst case, and takes
+/// 4 MB of text.
 const LOSSLESS_PIXELS: usize = 1_000_000;
 
 impl Encoding {
-    /// The encoding for a total number of pixels in a group of pictures.
+    /// Returns the encoding of a group of pictures with this total number of pixels.
     pub(crate) fn for_pixels(pixels: usize) -> Self {
         if pixels <= LOSSLESS_PIXELS { Self::Png } else { Self::Jpeg }
     }
@@ -62,7 +62,7 @@ impl Linear {
     }
 
     /// Replaces every block of `factor` × `factor` pixels by its mean, in linear light. Blocks at
-    /// the right and at the bottom may be smaller.
+    /// the right and bottom borders may be smaller.
     pub(crate) fn shrunk(&self, factor: usize) -> Self {
         if factor <= 1 {
             return self.clone();
@@ -87,7 +87,7 @@ impl Linear {
         Self { rows, cols, data }
     }
 
-    /// The section that begins at (row, col), of at most `rows` × `cols` pixels.
+    /// Returns the section that begins at (row, col). It has at most `rows` × `cols` pixels.
     pub(crate) fn cropped(&self, row: usize, col: usize, rows: usize, cols: usize) -> Self {
         let (rows, cols) = (rows.min(self.rows - row), cols.min(self.cols - col));
         let lines = (row..row + rows).flat_map(|r| &self.data[(r * self.cols + col) * 3..][..cols * 3]);
@@ -110,8 +110,8 @@ impl Linear {
     }
 }
 
-/// Signed error of every pixel, in linear light: simulated minus target, in the channel with the
-/// largest error. `None` for rays that scores exclude.
+/// Returns the signed error of every pixel in linear light: simulated minus target, in the channel
+/// with the largest error. `None` for rays that scores exclude.
 pub(crate) fn signed_error(simulated: &[f32], target: &[f32], counts: impl Fn(usize) -> bool) -> Vec<Option<f32>> {
     let pixels = simulated.chunks_exact(3).zip(target.chunks_exact(3)).enumerate();
     pixels
@@ -122,10 +122,11 @@ pub(crate) fn signed_error(simulated: &[f32], target: &[f32], counts: impl Fn(us
         .collect()
 }
 
-/// The largest amplification of 1, 2, 5, 10, ... at which 99 of 100 errors stay within the range of
-/// the colours.
+/// Returns the largest amplification of 1, 2, 5, 10, ... for which 99 of 100 errors stay within the
+/// range of the colours.
 pub(crate) fn amplification<'a>(errors: impl Iterator<Item = &'a Option<f32>>) -> u32 {
-    /// Smaller errors are regarded as this large, so that they are not amplified more.
+    /// Errors that are all smaller are amplified as if they were this large, so that noise does not
+    /// fill the picture.
     const SMALLEST: f32 = 1e-4;
     let mut sizes: Vec<f32> = errors.flatten().map(|e| e.abs()).filter(|e| e.is_finite()).collect();
     if sizes.is_empty() {
@@ -143,12 +144,12 @@ pub(crate) fn amplification<'a>(errors: impl Iterator<Item = &'a Option<f32>>) -
 pub(crate) const DIVERGING: [[u8; 3]; 5] =
     [[20, 64, 140], [103, 163, 214], [247, 247, 244], [240, 146, 88], [158, 22, 34]];
 
-/// Colours of a map of scores, from low to high: dark violet to yellow, with monotone lightness.
+/// Colours of a map of scores, from low to high: dark violet to yellow, with rising lightness.
 pub(crate) const SEQUENTIAL: [[u8; 3]; 5] =
     [[60, 16, 88], [62, 78, 140], [38, 140, 140], [96, 196, 100], [250, 228, 60]];
 
-/// Colours of a FLIP map, from no difference to the largest: matplotlib's magma at equal steps, as
-/// in the FLIP paper.
+/// Colours of a FLIP map, from no difference to the largest one. They are matplotlib's magma at
+/// equal steps, as in the FLIP paper.
 pub(crate) const MAGMA: [[u8; 3]; 9] = [
     [0, 0, 4],
     [28, 16, 68],
@@ -161,7 +162,7 @@ pub(crate) const MAGMA: [[u8; 3]; 9] = [
     [252, 253, 191],
 ];
 
-/// A colour of a map. `t` is clamped to 0..1, and NaN gives the middle.
+/// Returns a colour of a map. `t` is clamped to 0..1, and NaN gives the middle colour.
 pub(crate) fn map_colour(anchors: &[[u8; 3]], t: f32) -> [u8; 3] {
     let steps = anchors.len() - 1;
     let position = if t.is_nan() { 0.5 } else { t.clamp(0.0, 1.0) } * steps as f32;
@@ -183,7 +184,7 @@ pub(crate) fn flip_map(rows: usize, cols: usize, errors: &[Option<f32>]) -> Pict
     mapped(rows, cols, errors, &MAGMA, |error| error)
 }
 
-/// Values in the colours of a map. Rays that scores exclude become a grey checkerboard.
+/// Draws values in the colours of a map. Rays that scores exclude become a grey checkerboard.
 fn mapped(
     rows: usize,
     cols: usize,
@@ -199,8 +200,8 @@ fn mapped(
 }
 
 impl Picture {
-    /// Mean of every block of `factor` × `factor` code values, for pictures that are maps of
-    /// colours.
+    /// Replaces every block of `factor` × `factor` code values by its mean. This is for pictures
+    /// that are maps of colours.
     pub(crate) fn shrunk(&self, factor: usize) -> Self {
         if factor <= 1 {
             return self.clone();
@@ -214,7 +215,7 @@ impl Picture {
     /// If the encoder refuses the size.
     pub(crate) fn embedded(&self, encoding: Encoding) -> ImageResult<Embedded> {
         let (width, height, mut bytes) = (self.cols as u32, self.rows as u32, Vec::new());
-        // sizes in JPEG have 16 bits
+        // JPEG stores width and height in 16 bits
         let encoding = if width.max(height) > 65_500 { Encoding::Png } else { encoding };
         let mime =
             match encoding {
@@ -238,7 +239,8 @@ impl Picture {
     }
 }
 
-/// The smallest factor by which pictures of these sizes are reduced to `budget` pixels in total.
+/// Returns the smallest factor by which pictures of these sizes must be reduced to have at most
+/// `budget` pixels in total.
 pub(crate) fn shrink_factor(sizes: &[(usize, usize)], budget: usize) -> usize {
     let longest = sizes.iter().map(|(rows, cols)| *rows.max(cols)).max().unwrap_or(1);
     let total = |factor: usize| -> usize {

@@ -19,7 +19,7 @@ pub(crate) const AXES: [Axis; 2] = [
     Axis { label: "time since the solver's start, s", position: |it| it.seconds },
 ];
 
-/// Largest value that the plot of the bound shows.
+/// Largest value that the plot of the bound on the frequency shows.
 const MOST_DETAIL: f64 = 6.0;
 
 /// Draws `psnr_view` over an axis; `None` if there is no finite point.
@@ -61,13 +61,13 @@ pub(crate) fn disparities(budget: &DepthBudget) -> Result<String, ReportError> {
     shares(&budget.by_disparity, label, Some([0.0, 1.0]), &[])
 }
 
-/// The highest spatial frequency over depth, relative to that of the light field's pixels. A
-/// horizontal line marks the value 1.
+/// The highest spatial frequency over depth, relative to the highest frequency of the light field's
+/// pixels. A horizontal line marks the value 1.
 ///
 /// # Errors
 /// If the plot cannot be drawn.
 pub(crate) fn bound(budget: &DepthBudget) -> Result<String, ReportError> {
-    // near a single layer the bound is infinite
+    // near the depth of a single layer the bound is infinite
     let points: Vec<(f64, f64)> = budget.bound.iter().map(|(z, bound)| (*z, bound.min(MOST_DETAIL))).collect();
     Ok(page::against(&points, 1.0, ["depth, mm towards the viewer", "finest detail / that of the pixels"])?)
 }

@@ -1,9 +1,9 @@
 //! The report of a sequence: a page with error, flicker and cost of every time step.
 //!
 //! Flicker is the unwanted change between time steps. The error of a ray at time t is e_t = L̃_t/β
-//! − L_t. Flicker is the rms of e_t − e_(t−1) over rays and channels. `psnr_change` is −20·log10 of
-//! that rms, in dB: the PSNR of the displayed change against the change of the target. `psnr_still`
-//! includes only rays with a constant target.
+//! − L_t. Flicker is the rms of e_t − e_(t−1) over rays and channels. `psnr_change` is
+//! −20·log10(flicker) in dB: the PSNR of the displayed change against the change of the target.
+//! `psnr_still` includes only rays with a constant target.
 //!
 //! # report.json
 //!
@@ -14,7 +14,7 @@
 //! | `psnr_view`, `psnr_raw`, `psnr_change`, `psnr_still` | dB over all time steps; null without compared rays |
 //! | `brightness` | β |
 //! | `times` | list of `name` (its folder), `source`, `psnr_view`, `start`, `psnr_start` (before the first iteration), `psnr_change`, `psnr_still`, `still_share` (fraction of rays with a constant target), `iterations`, `seconds` of the solver, `cached`. `start` is `"warm"` from the stack of the previous time step, else the name of the fresh start. `psnr_change`, `psnr_still` and `still_share` are null at the first time step |
-//! | `nodes` | for a job with several nodes: list of `id` and the keys from `psnr_view` to `times` per node; those above are the first node's |
+//! | `nodes` | for a job with several nodes: list of `id` and the keys from `psnr_view` to `times` per node. The keys above then hold the values of the first node |
 //! | `settings`, `warnings` | the resolved job; list of `place`, `message` |
 
 use lumistack_core::Warning;
@@ -33,7 +33,8 @@ const THUMBNAIL: usize = 200;
 pub struct Thumbnail(Linear);
 
 impl Thumbnail {
-    /// Reduces `[row][col][rgb]` values of `size` = [rows, cols], and multiplies them by `scale`.
+    /// Makes a thumbnail of values `[row][col][rgb]` with `size` = [rows, cols], which are
+    /// multiplied by `scale`.
     ///
     /// # Panics
     /// If the number of values does not match the size.
@@ -58,12 +59,13 @@ pub struct SequenceTime {
     pub report: Option<String>,
     /// Error of L̃/β against L.
     pub error: SquaredError,
-    /// Error of the change of L̃/β since the previous time step against the change of L.
+    /// Error of the change since the previous time step: the change of L̃/β against the change of
+    /// L.
     pub change: Option<SquaredError>,
-    /// Error of the change over rays with a constant target, if there are any.
+    /// The error `change` over rays with a constant target, if there are such rays.
     pub still: Option<SquaredError>,
-    /// Start of the solver: "warm" from the patterns of the previous time step, otherwise the name
-    /// of a fresh start.
+    /// Start of the solver. It is "warm" if the solver started from the patterns of the previous
+    /// time step; otherwise it is the name of a fresh start.
     pub start: String,
     /// PSNR before the first iteration, dB; NaN if unknown.
     pub psnr_start: f64,
@@ -144,7 +146,7 @@ pub struct SequenceFigures {
     pub psnr_raw: f64,
     /// PSNR of the change of L̃/β against the change of L, dB; `None` for a single time step.
     pub psnr_change: Option<f64>,
-    /// PSNR of the change over rays with a constant target, dB; `None` if there are none.
+    /// `psnr_change` over rays with a constant target, dB; `None` if there are no such rays.
     pub psnr_still: Option<f64>,
 }
 

@@ -12,8 +12,8 @@ mod figures;
 
 use crate::{DenoisedView, Denoising, Iteration, Output, Report, ReportError, ReportInput, Solution, Stage, build};
 
-/// Tolerance of PSNR in report.json against that of the display crate, dB. Both sum in f64, in the
-/// same order.
+/// Tolerance of a PSNR in report.json against the PSNR of the display crate, dB. Both sum in f64,
+/// in the same order.
 const SAME_DB: f64 = 1e-9;
 
 /// A display of `layers` layers, `frames` frames and [horizontal, vertical] views.
@@ -80,7 +80,7 @@ fn built(input: &ReportInput) -> Result<Report, ReportError> {
     build(input, Task::quiet(&Collector::default(), &Cancel::default()))
 }
 
-/// Checks rules that hold for every page. Returns the number of embedded pictures.
+/// Checks rules that every page must obey. Returns the number of embedded pictures.
 fn check_page(html: &str) -> usize {
     check_balanced(html);
     check_links(html);
@@ -277,7 +277,7 @@ fn a_foreign_grid_is_laid_out_as_the_eye_moves() {
     let target = noisy_field(&display, Some(grid));
     let stack = noisy_stack(&display);
     let report = built(&plain(&display, &stack, &target)).unwrap();
-    // the top left cell of the page is the last view of the file
+    // the top left cell of the table is the last view of the file
     let cells = report.html.split("class=\"heat\"").nth(1).unwrap();
     let first = cells.split("<td").nth(1).unwrap().split(['>', '<']).nth(1).unwrap();
     let last_view = json_psnr(&report.json["views"]["psnr_view"][1][1]);
@@ -302,9 +302,9 @@ fn unusable_input_is_an_error() {
 
 #[test]
 fn large_displays_stay_small_files() {
-    /// A size that browsers and mail attachments support, bytes.
+    /// Browsers and mail attachments support at least this size, bytes.
     const LARGEST: usize = 15_000_000;
-    // the paper's prototype with masks of full size, filled with noise, which is the worst case for
+    // the paper's prototype with masks of full size; they are noise, which is the worst case for
     // every encoder
     let display = display(3, 12, [2, 2], [840, 525], "");
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));

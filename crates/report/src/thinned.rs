@@ -1,5 +1,5 @@
-//! Selects the views that are measured and shown individually. If there are hundreds of views, the
-//! report has pictures of some; the zone score measures the quality over the whole zone.
+//! Selects the views that are measured and shown one by one. If there are hundreds of views, the
+//! report has pictures of only some. The zone score measures the quality over the whole zone.
 
 use lumistack_core::Tensor;
 use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};
@@ -7,8 +7,8 @@ use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};
 /// Largest number of views per axis.
 const MOST: usize = 7;
 
-/// Evenly spread views of a light field, including the central and the outermost ones, and their
-/// weights. `None` if the light field has few enough views.
+/// Returns evenly spread views of a light field, including the central and the outermost views,
+/// with their weights. `None` if the light field has few enough views.
 pub(crate) fn thinned(field: &LightField, weights: &Weights) -> Option<(LightField, Weights)> {
     let geometry = field.geometry();
     let views = geometry.grid.views();

@@ -132,13 +132,14 @@ impl Default for Iridescence {
 /// Stretched reflection (`KHR_materials_anisotropy`).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Anisotropy {
-    /// Strength, 0..1: GGX α along the direction of stretch is mix(α, 1, strength²), and α across
-    /// it.
+    /// Strength, 0..1. Along the direction of stretch, GGX α becomes α + (1 − α) strength². Across
+    /// it, α stays.
     pub strength: f32,
     /// Angle from the tangent to the direction of stretch, counter-clockwise in tangent space.
     pub rotation_rad: f32,
-    /// Texture whose red and green channels are a direction in tangent space, 2·rg − 1, which the
-    /// angle then rotates. Its blue channel is a factor on the strength. Linear.
+    /// Texture whose red and green channels are a direction in tangent space, 2·rg − 1, which
+    /// `rotation_rad` then rotates. Its blue channel is a factor on the strength. All channels are
+    /// linear.
     pub texture: Option<TextureUse>,
 }
 
@@ -220,8 +221,8 @@ impl Material {
         .filter_map(|(slot, texture)| texture.map(|texture| (slot, texture)))
     }
 
-    /// The coordinate set that tangents must follow: the set of the normal map, or else of the
-    /// coat's normal map, or else of the anisotropy texture. `None` if the material needs no
+    /// The coordinate set that tangents must follow. It is the set of the normal map, or else of
+    /// the coat's normal map, or else of the anisotropy texture. `None` if the material needs no
     /// tangents.
     pub fn tangent_uv_set(&self) -> Option<usize> {
         let coat = self.clearcoat.as_ref().and_then(|coat| coat.normal_texture.as_ref());
@@ -302,9 +303,9 @@ pub enum Filter {
 pub struct Image {
     /// Name or path, for messages.
     pub name: String,
-    /// Columns, ≥ 1.
+    /// Number of columns, ≥ 1.
     pub width: usize,
-    /// Rows, ≥ 1.
+    /// Number of rows, ≥ 1.
     pub height: usize,
     /// Row-major texels.
     pub pixels: Pixels,

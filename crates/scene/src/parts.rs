@@ -125,7 +125,7 @@ pub enum Projection {
     Perspective {
         /// Full vertical angle of view.
         vertical_fov_rad: f32,
-        /// Width over height; `None` takes the display's.
+        /// Width over height; with `None` the view is as wide as the display's.
         aspect: Option<f32>,
     },
     /// Parallel projection.

@@ -131,8 +131,8 @@ impl Cloud {
         }
     }
 
-    /// Checks lengths, normalizes rotations, and drops splats that are not Gaussians, since
-    /// trainers write some.
+    /// Checks lengths, normalizes rotations, and drops splats that are not Gaussians. Files of some
+    /// trainers contain such splats.
     pub(crate) fn check(&mut self, task: Task<'_>) -> Result<(), SceneError> {
         if self.degree > MAX_DEGREE {
             let expected = format!("a degree of harmonics up to {MAX_DEGREE}");
@@ -214,12 +214,12 @@ impl Cloud {
         turned(&mut self.harmonics, values, &order);
     }
 
-    /// Bounds of the placed cloud without its floaters: of the bulk of its splats on every axis,
-    /// and of splats near it. For the bulk, splats are weighted by opacity × area.
+    /// Bounds of the placed cloud without its floaters. They hold the bulk of its splats on every
+    /// axis, and the splats near the bulk. To find the bulk, splats are weighted by opacity × area.
     pub(crate) fn seen_bounds(&self, scene_from_cloud: Affine3A) -> Bounds {
         let points: Vec<Vec3> = self.positions.iter().map(|p| scene_from_cloud.transform_point3(*p)).collect();
-        // area that a splat covers; the largest tenth of splats, which are sky and haze, has no
-        // more weight than the next ones
+        // The area that a splat covers. The largest tenth of the splats are sky and haze, so their
+        // areas count only as much as the largest of the other areas.
         let mut areas: Vec<f32> = self.scales.iter().map(|s| (s.x * s.y).max(s.y * s.z).max(s.z * s.x)).collect();
         let mut sorted = areas.clone();
         sorted.sort_by(f32::total_cmp);

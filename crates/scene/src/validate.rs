@@ -30,7 +30,8 @@ impl Deref for Scene {
 }
 
 impl Scene {
-    /// Bounds of all placed triangles, and of all splats except floaters; never empty.
+    /// Bounds of all placed triangles, and of all splats except stray ones far from the others;
+    /// never empty.
     pub fn bounds(&self) -> Bounds {
         self.bounds
     }
@@ -236,7 +237,7 @@ impl SceneParts {
     fn check_materials(&mut self, task: Task<'_>) -> Result<(), SceneError> {
         for (i, material) in self.materials.iter_mut().enumerate() {
             let place = format!("/materials/{i} ({})", material.name);
-            // indices of textures
+            // check the indices of textures
             for (slot, texture) in material.textures() {
                 index(&format!("{place} {slot}"), texture.texture, self.textures.len(), "texture")?;
                 index(&format!("{place} {slot} texCoord"), texture.uv_set, 2, "texture coordinate set (0 or 1)")?;
@@ -586,7 +587,7 @@ mod tests {
             parts.meshes[0].uvs[0] = vec![Vec2::ZERO; 3];
             validate(parts).0.unwrap().is_lit()
         };
-        assert!(with(1.0, 5.0), "the factor stands in the picture");
+        assert!(with(1.0, 5.0), "the picture exceeds white");
         assert!(with(5.0, 1.0));
         assert!(!with(5.0, 0.1) && !with(0.1, 5.0), "their product is below white");
     }

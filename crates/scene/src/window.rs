@@ -75,9 +75,9 @@ pub enum WindowError {
 const FRAMING_MARGIN: f64 = 0.02;
 
 impl Window {
-    /// The camera's plane of focus, as wide as the camera's frustum there. Without a focus distance
-    /// the plane passes through the centre of the scene's bounds. Objects in front of the camera's
-    /// near plane are not seen.
+    /// The camera's plane of focus, as wide as the camera's frustum at that distance. Without a
+    /// focus distance the plane passes through the centre of the scene's bounds. Objects in front
+    /// of the camera's near plane are not seen.
     ///
     /// # Errors
     /// If the rectangle is empty, infinite or behind the camera.
@@ -137,7 +137,8 @@ impl Window {
         })
     }
 
-    /// The same plane, scaled by `factor` around the point (x, y) of the window, in millimetres.
+    /// A window in the same plane. Its centre is the point (x, y) of this window, in millimetres,
+    /// and its size is this window's size times `factor`.
     #[must_use]
     pub fn scaled_about(&self, point_mm: [f64; 2], factor: f64) -> Self {
         let map = self.scene_from_display;

@@ -70,7 +70,7 @@ impl Depths {
         SeenDepth { rows: self.geometry.rows, cols: self.geometry.cols, z_mm }
     }
 
-    /// Returns whether the ray through a pixel of a finer geometry of the same size hits a surface.
+    /// Returns true if the ray through a pixel of a finer geometry of the same size hits a surface.
     pub fn is_surface(&self, view: [usize; 2], row: usize, col: usize, of: &FieldGeometry) -> bool {
         let place = |i: usize, from: usize, to: usize| ((2 * i + 1) * to / (2 * from)).min(to - 1);
         let (row, col) = (place(row, of.rows, self.geometry.rows), place(col, of.cols, self.geometry.cols));

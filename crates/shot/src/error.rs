@@ -70,7 +70,7 @@ impl From<RenderError> for ShotError {
 pub struct BadValue {
     /// File, option or object that holds the value.
     pub place: Place,
-    /// Key of the value there.
+    /// Key of the value in that place.
     pub key: String,
     /// Description of the values that are allowed.
     pub expected: String,

@@ -48,7 +48,7 @@ pub fn expose_over(
 /// surface.
 ///
 /// # Errors
-/// Those of `picture`.
+/// The errors of `picture`.
 pub fn brightest<'a, E>(
     geometry: &FieldGeometry,
     views: &[[usize; 2]],

@@ -16,11 +16,11 @@ use crate::renderer::SceneRenderer;
 use crate::surround;
 use crate::tone_mapping::automatic_tone_mapping;
 
-/// Columns and rows of the studio map. Few suffice, since the map is smooth.
+/// Numbers of columns and rows of the studio map. Small numbers suffice, since the map is smooth.
 const STUDIO: [usize; 2] = [128, 64];
-/// Columns and rows of the picture that measures whether lamps light a scene.
+/// Numbers of columns and rows of the picture that measures whether lamps light a scene.
 const PROBE: [usize; 2] = [96, 60];
-/// Paths per pixel of that picture.
+/// Number of paths per pixel of that picture.
 const PROBE_SAMPLES: u32 = 16;
 /// Surfaces darker than this after exposure are taken as unlit.
 const DARK: f64 = 0.02;
@@ -143,8 +143,8 @@ pub fn set_environment(parts: &mut SceneParts, image: Image, strength: Vec3, sce
     parts.environment = Some(Environment { image: parts.images.len() - 1, strength, scene_from_environment });
 }
 
-/// Lights a scene as a job says. `environment` says that the scene's environment came from the
-/// job's file, at the job's strength. Returns the scene, and whether it got the studio light.
+/// Lights a scene as a job says. `environment` is true if the scene's environment came from the
+/// job's file, at the job's strength. Returns the scene, and true if the studio light was added.
 ///
 /// # Errors
 /// When the scene cannot be rendered, or when cancelled.

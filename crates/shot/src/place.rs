@@ -1,7 +1,8 @@
 //! Places the display in the scene and fits the scene into its depth of field. The window moves
 //! along its normal. If that does not suffice, depth is compressed.
 //!
-//! The straight view stays the same. The window moves back by t and slopes are scaled by k. Then
+//! The view from straight ahead stays the same. The window moves back by t and slopes are scaled by
+//! k. Then
 //! content at depth z appears at
 //!
 //! ```text
@@ -9,7 +10,7 @@
 //! perspective:   z' with z'/(D − z') = k y/(D − y),   y = (z + t) D/(D + t)
 //! ```
 //!
-//! In perspective the eye stays, and the window scales to the eye's frustum.
+//! In perspective the eye stays at the distance D, and the window scales to the eye's frustum.
 //!
 //! By default this happens only if the scene does not fit. A window that the user placed stays in
 //! place, and depth is compressed about it: content in the display plane remains there.
@@ -31,7 +32,7 @@ use crate::job::{FitDepth, Near, WindowFrom, WindowJob};
 pub use crate::place::window::{Found, find_window};
 use crate::subject::Subject;
 
-/// Largest number of columns of the straight view by which depth is measured.
+/// Largest number of columns of the view from straight ahead by which depth is measured.
 const PROBE_COLS: usize = 210;
 /// Quantiles of the visible depths that must fit, so that a few stray surfaces are ignored.
 const ENDS: [f64; 2] = [0.02, 0.98];
@@ -58,18 +59,18 @@ pub struct Placement {
     pub depth_scale: f64,
     /// True if fitting changed the window or the scale.
     pub fitted: bool,
-    /// Azimuth and elevation of the viewer that framed the scene, degrees.
+    /// Azimuth and elevation of the viewer for whom the scene was framed, degrees.
     pub looked_from_deg: Option<[f64; 2]>,
 }
 
 /// The changes that fitting is allowed to make.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Means {
-    /// The window may move.
+    /// True if fitting may move the window.
     moves: bool,
-    /// Depth may be compressed.
+    /// True if fitting may compress depth.
     compresses: bool,
-    /// Fitting does nothing if the scene fits already.
+    /// True if fitting changes nothing when the scene fits already.
     at_need: bool,
 }
 
@@ -92,8 +93,8 @@ impl Means {
 /// Places the display in the scene and fits the scene's depth as the job says.
 ///
 /// # Errors
-/// Those of [`find_window`]. Also if the job demands compression, and the display's depth of field
-/// does not lie on both sides of z = 0.
+/// The same errors as [`find_window`]. It is also an error if the job demands compression, and the
+/// display's depth of field does not lie on both sides of z = 0.
 pub fn place<S: Subject>(
     subject: &S,
     job: &WindowJob,
@@ -125,7 +126,8 @@ pub fn place<S: Subject>(
         let found = format!("a depth of field from {low} to {high} mm");
         return Err(ShotError::job("window.fit_depth", expected, found).into());
     }
-    // Fit the depths of the straight view. The subject keeps the result, since the trace is slow.
+    // Fit the depths of the view from straight ahead. The subject keeps the result, since the trace
+    // is slow.
     let projection = geometry.grid.projection;
     let of = format!("{window:?} {projection:?} {low} {high} {means:?} {}", job.depth_scale);
     let fit: Fit = subject.remembered("fit", &of, || {
@@ -171,8 +173,8 @@ struct Fit {
 }
 
 /// Finds the movement and the scale that bring most of the sorted `depths` between `low` and
-/// `high`. Among equally good movements, it takes the one whose ends are at equal distances from
-/// the middle of that range.
+/// `high`. Among equally good movements, it takes the one that brings the middle of the depths
+/// nearest to the middle of that range.
 fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale: f64, means: Means) -> Fit {
     let stay = Fit { moved_back_mm: 0.0, depth_scale: scale };
     let (Some(&nearest), Some(&farthest)) = (depths.last(), depths.first()) else { return stay };
@@ -215,14 +217,14 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         let scale = scale_at(by);
         (ends.map(|end| shown(end, by, scale)).into_iter().sum::<f64>() - (low + high)).abs()
     };
-    // from the whole scene in front of the depth of field to the whole scene behind it
+    // the moves go from the whole scene in front of the depth of field to the whole scene behind it
     let (first, last) = ((low - nearest).min(0.0).max(least), (high - farthest).max(0.0).max(least));
     let at = |i: usize| first + (last - first) * i as f64 / (TRIED - 1) as f64;
     let moves = if means.moves { TRIED } else { 0 };
     let tried: Vec<(f64, f64, f64)> = (0..moves).map(at).chain([0.0]).map(|by| (by, share(by), scale_at(by))).collect();
     let most = tried.iter().fold(0.0, |most: f64, (_, share, _)| most.max(*share));
     let good = tried.iter().filter(|(_, share, _)| *share >= most - AS_GOOD);
-    // least compression first, then the most even position
+    // choose the least compression first, then the most even position
     let largest = good.clone().fold(0.0, |largest: f64, (_, _, scale)| largest.max(*scale));
     let good = good.filter(|(_, _, scale)| *scale >= largest * (1.0 - AS_GOOD));
     let best = good.min_by(|a, b| uneven(a.0).total_cmp(&uneven(b.0)));

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 use crate::error::ShotError;
 
-/// Rays per pixel and axis that find the surface at which splats end.
+/// Number of rays per pixel and axis that find the surface at which splats end.
 const CUTS: usize = 2;
 
 /// A scene prepared for rendering.
@@ -70,7 +70,7 @@ impl SceneRenderer {
     /// depths of each view, in order.
     ///
     /// # Errors
-    /// Those of [`depth`](Self::depth) and of `done`.
+    /// The errors of [`depth`](Self::depth) and of `done`.
     pub fn depths<E: From<ShotError> + From<Cancelled>>(
         &self,
         window: &Window,
@@ -123,7 +123,7 @@ impl SceneRenderer {
     /// are used; its slopes are ignored.
     ///
     /// # Errors
-    /// When the geometry is out of range, when cancelled, and those of `done`.
+    /// When the geometry is out of range, or when cancelled. Errors of `done` are returned too.
     pub fn splat_views<E: From<ShotError> + From<Cancelled>>(
         &self,
         window: &Window,

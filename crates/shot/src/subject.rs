@@ -26,7 +26,7 @@ pub trait Subject {
     /// it.
     ///
     /// # Errors
-    /// Those of `make`, and when the result cannot be written to the cache.
+    /// The errors of `make`. It is also an error if the result cannot be written to the cache.
     fn remembered<T: Serialize + DeserializeOwned>(
         &self,
         kind: &str,

@@ -38,7 +38,7 @@ pub struct ToneMapping {
 }
 
 impl ToneMapping {
-    /// Leaves radiance unchanged.
+    /// Leaves radiance in 0..1 unchanged, and clips greater values to 1.
     pub const NONE: Self = Self { exposure: 1.0, curve: ToneCurve::Linear };
 
     /// Chooses exposure and tone curve of a light field. `brightest` holds the brightest channel of
@@ -115,7 +115,7 @@ pub fn automatic_tone_mapping(scene: &Scene, brightest: &[(f32, bool)]) -> (f64,
     (exposure, curve)
 }
 
-/// Returns whether radiance is display-referred already: every surface is unlit and shows its base
+/// Returns true if radiance is display-referred already: every surface is unlit and shows its base
 /// colour, or splats bring their own light.
 fn is_display_referred(scene: &Scene) -> bool {
     if !scene.placed_clouds.is_empty() {
@@ -197,8 +197,8 @@ mod tests {
         assert!((exposure_of(&with, false, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
         with.extend(vec![(50.0, false); 40_000]);
         assert!((exposure_of(&with, false, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
-        // a speck in front of the sky does not decide alone, a speck in front of the studio's
-        // ground does
+        // A speck in front of the sky does not decide the exposure alone. A speck in front of the
+        // studio's ground does.
         let mut speck = surfaces(&[0.01; 10]);
         speck.extend(vec![(2.0, false); 10_000]);
         assert!((exposure_of(&speck, false, ToneCurve::Linear) * 2.0 - 0.95).abs() < 1e-3);

@@ -13,8 +13,8 @@ pub fn float_from_half(half: u16) -> f32 {
 #[inline(always)]
 pub fn nearest_half(value: f32) -> u16 {
     let magnitude = value.to_bits() & 0x7fff_ffff;
-    // a subnormal half float has the last bit 2⁻²⁴, as a float in 0.5..1 has, so adding 0.5 rounds
-    // to it
+    // The last bit of a subnormal half float is worth 2⁻²⁴, like that of a float in 0.5..1. So
+    // adding 0.5 rounds the value to a multiple of it.
     let subnormal = (f32::from_bits(magnitude) + 0.5).to_bits() & 0x7f_ffff;
     let normal = (magnitude.wrapping_sub(112 << 23) + 0xfff + (magnitude >> 13 & 1)) >> 13;
     let half = if magnitude < 113 << 23 { subnormal } else { normal };

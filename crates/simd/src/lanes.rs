@@ -35,7 +35,7 @@ pub trait Lanes: Copy {
     unsafe fn min(self, other: Self) -> Self;
     /// The greater value of each lane. The result for NaN is unspecified.
     unsafe fn max(self, other: Self) -> Self;
-    /// self · factor + addend. It is rounded once where the machine has an instruction for it,
+    /// self · factor + addend. It is rounded once if the instruction set has an instruction for it,
     /// otherwise twice.
     unsafe fn mul_add(self, factor: Self, addend: Self) -> Self;
     /// addend − self · factor, rounded as [`mul_add`](Self::mul_add).
@@ -56,7 +56,7 @@ pub trait Lanes: Copy {
     unsafe fn either(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// `self` where the mask is true, `other` elsewhere.
     unsafe fn where_else(self, mask: Self::Mask, other: Self) -> Self;
-    /// One bit per lane, lane 0 lowest.
+    /// The mask as one bit per lane; lane 0 is the lowest bit.
     unsafe fn bits(mask: Self::Mask) -> u32;
 
     /// Calls another kernel with the same vectors. The call is out of line, unless the compiler

@@ -3,7 +3,7 @@
 //! ```text
 //! Kernel::run::<V: Lanes>      written once
 //!     Backend::function        one small function per kernel and instruction set, for tables
-//!     Backend::call_eight      the same with vectors of exactly eight lanes, called directly
+//!     Backend::call_eight      a direct call, with vectors of exactly eight lanes
 //!     Lanes::call              from one kernel to another, out of line
 //! ```
 //!

@@ -1,4 +1,4 @@
-//! Arrays of eight values: the scalar twin.
+//! Vectors as arrays of eight values, in scalar code. The tests compare all other backends with it.
 
 use std::array::from_fn;
 
@@ -26,7 +26,8 @@ impl Portable {
     }
 }
 
-/// a · b + c, rounded twice as WebAssembly's vectors do, and once elsewhere.
+/// a · b + c. It is rounded twice on WebAssembly, like the products and sums of its vectors, and
+/// once on all other machines.
 #[inline(always)]
 fn fused(a: f32, b: f32, c: f32) -> f32 {
     if cfg!(target_arch = "wasm32") { a * b + c } else { a.mul_add(b, c) }

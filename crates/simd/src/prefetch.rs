@@ -1,7 +1,7 @@
 //! Requests for memory that will soon be read. A request may have no effect, and any address is
 //! allowed.
 
-/// Requests a cache line into all caches.
+/// Requests that a cache line be loaded into all caches.
 #[inline(always)]
 pub fn prefetch<T>(from: *const T) {
     // SAFETY: a prefetch may name any address, and every x86-64 has the instruction
@@ -14,8 +14,8 @@ pub fn prefetch<T>(from: *const T) {
     let _ = from;
 }
 
-/// Requests a cache line into the second-level cache and larger ones, but not into the first-level
-/// cache.
+/// Requests that a cache line be loaded into the second-level cache and larger ones, but not into
+/// the first-level cache.
 #[inline(always)]
 pub fn prefetch_far<T>(from: *const T) {
     // SAFETY: a prefetch may name any address, and every x86-64 has the instruction

@@ -1,4 +1,4 @@
-//! Compares every operation of every backend that this machine has with the scalar twin.
+//! Compares every operation of every backend that this machine has with plain scalar code.
 
 use crate::{Backend, Kernel, Lanes, MAX_LANES, float_from_half, nearest_half};
 
@@ -122,7 +122,7 @@ fn operands(seed: u32) -> Operands {
         state ^= state << 13;
         state ^= state >> 17;
         state ^= state << 5;
-        // 2^-20 to 2^20
+        // exponents from -20 to 20
         let exponent = 107 + state % 41;
         f32::from_bits((state & 0x8000_0000) | exponent << 23 | (state >> 8) & 0x7f_ffff)
     };
@@ -254,7 +254,8 @@ fn the_nearest_half_float_is_no_farther_than_its_neighbours() {
         let (low, high) = (float_from_half(bits), float_from_half(bits + 1));
         let middle = 0.5 * (low + high);
         let even = bits + bits % 2;
-        // an f32 has 13 more bits than a half float, so the middle and its neighbours are exact
+        // an f32 has 13 more bits than a half float, so the middle of two half floats and its
+        // neighbours are exact
         let around = [low, middle.next_down(), middle, middle.next_up(), high].map(nearest_half);
         assert_eq!(around, [bits, bits, even, bits + 1, bits + 1], "{bits}");
         assert_eq!(nearest_half(-low), bits | 0x8000);

@@ -108,7 +108,8 @@ fn apart() -> Cloud {
     cloud
 }
 
-/// Flat splats on three bumpy shells; their size is about their distance.
+/// Flat splats on three bumpy shells. Splats are about as large as the distance to their
+/// neighbours.
 fn capture(count: usize) -> Cloud {
     let mut next = random(7);
     let mut cloud = Cloud { degree: 1, ..Cloud::default() };

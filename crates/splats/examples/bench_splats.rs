@@ -93,8 +93,8 @@ fn main() {
     println!("peak memory {peak:.0} MB, agreement {:.1} dB", -10.0 * error.log10());
 }
 
-/// Splats on bumpy closed surfaces, similar to captures: flat, about as large as their distance,
-/// and some of them faint.
+/// Splats on bumpy closed surfaces, similar to captures. They are flat and about as large as the
+/// distance to their neighbours, and some of them are faint.
 fn scene(count: usize, degree: usize) -> Arc<Scene> {
     let mut state = 7u64;
     let mut next = || {

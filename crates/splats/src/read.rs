@@ -5,7 +5,7 @@
 //! |---|---|---|
 //! | `.ply` | the reference trainers, and PlayCanvas' compressed form | right, down, front |
 //! | `.spz` | Niantic, versions 1 to 4 | right, up, back |
-//! | SOG | PlayCanvas: `meta.json` with WebP pictures beside it, or all in one zip (`.sog`) | those of its `.ply` |
+//! | SOG | PlayCanvas: `meta.json` with WebP pictures beside it, or all in one zip (`.sog`) | those of the `.ply` that it was made from |
 
 mod found;
 mod ply;

@@ -39,7 +39,7 @@ pub fn ply(cloud: &Cloud) -> Vec<u8> {
     file
 }
 
-/// Fractional bits of positions in an `.spz` file.
+/// Number of fractional bits of positions in an `.spz` file.
 const FRACTION: u32 = 12;
 
 /// An `.spz` file of version 3: quantized, and compressed with gzip.

@@ -228,8 +228,8 @@ fn views_are_those_of_the_equations() {
     }
 }
 
-/// Rays without a projection of splats: the largest value of each Gaussian along a ray, averaged
-/// over the pixel's area.
+/// Compares views with rays that need no projection of splats: a ray takes the largest value of
+/// each Gaussian along it. The result is averaged over the pixel's area.
 ///
 /// The splats are not thinner than a pixel. For thinner splats, the mean of the product of
 /// transmittances would differ from the product of their means.

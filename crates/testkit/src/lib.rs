@@ -1,5 +1,4 @@
-//! Development only: statistical assertions, tolerance constants, image comparison with files on
-//! failure.
+//! Development only: tests with requirements that a machine may lack, and statistical assertions.
 
 pub mod skip;
 pub mod statistics;

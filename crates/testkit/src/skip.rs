@@ -31,7 +31,8 @@ pub fn runs_in(step: &str) {
     println!("not here: `cargo xtask {step}` runs this test");
 }
 
-/// As [`skipped`], for the test of this name.
+/// As [`skipped`], for the test `test`. `is_ci` and `list` come from the environment. Returns an
+/// error on CI.
 fn account(why: &str, test: Option<&str>, is_ci: bool, list: Option<&Path>) -> Result<(), String> {
     println!("skipped: {why}");
     if let Some(list) = list {

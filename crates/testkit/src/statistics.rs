@@ -11,7 +11,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 /// fail. Seeds are fixed, so a test that passed keeps passing until the code changes.
 pub const FALSE_ALARM_RATE: f64 = 1e-5;
 
-/// Cells of a chi-square test with a smaller expected count are pooled: with such counts the
+/// Cells of a chi-square test with a smaller expected count are pooled: with small counts the
 /// statistic does not follow the chi-square distribution.
 const LEAST_EXPECTED: f64 = 8.0;
 
@@ -103,8 +103,8 @@ pub fn chi_square_p(observed: &[u64], expected: &[f64]) -> f64 {
     if pooled_expected >= LEAST_EXPECTED {
         add(pooled_observed, pooled_expected);
     } else if pooled_observed > 0.0 {
-        // The pooled counts are too small for a cell of their own. Equal numbers are added to both,
-        // so that samples are still detected where hardly any are expected.
+        // The pooled cells expect too few samples for a term of their own. The same number is added
+        // to the observed and the expected count, so that an excess of samples is still detected.
         add(pooled_observed + LEAST_EXPECTED, pooled_expected + LEAST_EXPECTED);
     }
     assert!(cells >= 2, "a chi-square test needs two cells");

@@ -48,13 +48,13 @@ def main():
     os.replace(written, os.path.join(folder, "answer.json"))
     sys.stdout.flush()
     sys.stderr.flush()
-    # Exit at once: as a module, Blender may hang or crash when Python ends.
+    # Exit without Python's shutdown, in which Blender as a module may hang or crash.
     if "bpy" not in sys.modules or sys.modules["bpy"].app.module:
         os._exit(0)
 
 
 class Unfit(Exception):
-    """Another Blender may be able to read the file."""
+    """This Blender cannot read the file, but another one may."""
 
 
 class Refused(Exception):

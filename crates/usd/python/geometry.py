@@ -1,4 +1,4 @@
-"""Entries of meshes at a time, with references to arrays."""
+"""Makes the entries of meshes at one time code. An entry refers to arrays."""
 
 from pxr import UsdGeom, Vt
 
@@ -9,7 +9,7 @@ SINGLE = {"color3f": Vt.Vec3fArray, "color3d": Vt.Vec3dArray, "color3h": Vt.Vec3
 
 
 def value(attribute, time, writer):
-    """A reference to the array of an attribute, or None without a value."""
+    """Returns a reference to the array of an attribute; None if the attribute has no value."""
     array = attribute.Get(time) if attribute else None
     if array is None:
         return None
@@ -21,7 +21,7 @@ def value(attribute, time, writer):
 
 
 def mesh(prim, writer, time, pose=None):
-    """The entry of a `UsdGeomMesh`; a pose replaces the points and normals of the file."""
+    """The entry of a `UsdGeomMesh`; `pose` is None, or new (points, normals)."""
     points, normals = pose or (None, None)
     source = UsdGeom.Mesh(prim)
     entry = {
@@ -51,7 +51,8 @@ def mesh(prim, writer, time, pose=None):
             "corner_sharpnesses": value(source.GetCornerSharpnessesAttr(), time, writer),
         }
     if pose:
-        # The file's normals belong to the rest shape.
+        # The file's normals belong to the rest pose, so remove them. `normals` are the normals of
+        # the pose.
         entry["primvars"] = [primvar for primvar in entry["primvars"] if primvar["name"] != "normals"]
         if normals:
             entry["primvars"].append({"name": "normals", "interpolation": normals[0], "values": writer.array(normals[1])})

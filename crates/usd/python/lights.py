@@ -1,4 +1,4 @@
-"""Lights (UsdLux) at a time; colour and brightness are combined into one radiance.
+"""Reads lights (UsdLux) at one time code. Colour and brightness become one radiance.
 
 `radiance` is colour · colour temperature · intensity · 2^exposure, before any normalization. Sizes
 are in the light's space.
@@ -44,7 +44,7 @@ def light(prim, writer, time):
         return None
     entry = dict(emission(prim, writer, time), kind=kind)
     if kind == "distant":
-        # For distant lights the schema has a different default of the intensity.
+        # The schema gives distant lights another default intensity.
         entry["radiance"] = brightness(prim, time, 50000.0)
     for size, default in SIZES[kind].items():
         entry[size] = number(prim, size, time, default)
@@ -100,7 +100,7 @@ def brightness(prim, time, default):
 
 
 def value(prim, name, time):
-    """An input; in files from before 2021 its name has no prefix."""
+    """The value of a light's input. In files from before 2021 its name lacks the prefix `inputs:`."""
     for full in ("inputs:" + name, name):
         attribute = prim.GetAttribute(full)
         if attribute and attribute.HasValue():

@@ -3,7 +3,7 @@
 An input is `{"value": [..]}`, `{"primvar": name}`, or `{"texture": t}`. Component k of a texture is
 scale[k] · texel[channels[k]] + bias[k]. Its coordinates are the primvar `primvar` after
 `transform`: u' = t0 u + t2 v + t4, v' = t1 u + t3 v + t5, where v points up. Other operations of
-the graph cause a warning and are replaced by the nearest constant.
+the graph cause a warning, and inputs that depend on them keep their defaults.
 """
 
 import math
@@ -116,7 +116,7 @@ def widened(values, count):
 
 
 def fallback(found, count):
-    """The replacement for an unknown calculation: its input, if that is constant."""
+    """The replacement for an unknown calculation: its input if this is constant, or else None."""
     return None if found is None or "value" not in found else constant(widened(found["value"], count))
 
 
@@ -251,7 +251,7 @@ class Graph:
             "bias": [0.0] * count,
             "fallback": back,
             "wrap": [ADDRESS_MODES.get(mode, "repeat") for mode in modes],
-            # MaterialX converts only inputs that name a colour space, and only colours.
+            # MaterialX converts a picture only if the input names a colour space, and only colours.
             "color_space": self.color_space(shader, "raw") if "color" in kind else "raw",
         }
         texture["primvar"], transform = self.coordinates(shader.GetInput("texcoord"), 0)
@@ -291,8 +291,8 @@ class Graph:
             found = self.get(shader, "value") if name == "constant" else self.get(shader, "in")
             return found
         if name in FRAME:
-            # These nodes return vectors of the surface's own frame. Normals are relative to that
-            # frame anyway, so nothing is lost.
+            # These nodes return the surface's own normal or tangent. None keeps the default of an
+            # input, which is the same vector, so nothing is lost.
             return None
         if name in OPERATIONS:
             count = SIZES.get(parts[1].replace("FA", ""), 3)
@@ -406,7 +406,7 @@ class Graph:
         if found and "value" in found:
             return constant([min(max(v, a), b) for v, a, b in zip(widened(found["value"], count), low, high)])
         if found and "texture" in found:
-            # A clamp has no effect if its limits enclose the values of codes 0 and 1.
+            # A clamp has no effect if its limits enclose the values that the texels 0 and 1 give.
             pairs = zip(found["texture"]["scale"], found["texture"]["bias"], low, high)
             if all(a <= min(bias, scale + bias) and max(bias, scale + bias) <= b for scale, bias, a, b in pairs):
                 return found
@@ -447,8 +447,8 @@ class Graph:
         textures = [found["texture"] for found in parts if "texture" in found]
         if not textures:
             return constant([found["value"][0] for found in parts]) if all("value" in found for found in parts) else None
-        # Join channels of one picture with the same texture coordinates, as in a normal map with
-        # inverted green.
+        # Channels of one picture with the same texture coordinates become one texture. An example
+        # is a normal map with inverted green.
         first = textures[0]
         shared = ("image", "wrap", "color_space", "primvar", "transform")
         if any(texture[key] != first[key] for texture in textures for key in shared):
@@ -527,8 +527,8 @@ class Graph:
             if not all(scale):
                 return name, before
             cosine, sine = math.cos(turn), math.sin(turn)
-            # MaterialX: (uv − pivot) / scale, rotated by −rotate, − offset, + pivot.
-            # A positive angle turns the picture counter-clockwise.
+            # MaterialX subtracts the pivot, divides by the scale, rotates by −rotate, subtracts the
+            # offset, and adds the pivot. A positive angle turns the picture counter-clockwise.
             steps = (
                 [1.0, 0.0, 0.0, 1.0, -pivot[0], -pivot[1]],
                 [1.0 / scale[0], 0.0, 0.0, 1.0 / scale[1], 0.0, 0.0],
@@ -590,7 +590,7 @@ def composed(after, before):
 
 
 def rescaled(texture, scale, bias):
-    """scale · texture + bias."""
+    """The texture scale · texture + bias, component by component."""
     found = dict(texture)
     count = max(len(texture["channels"]), len(scale))
     for key in ("channels", "scale", "bias", "fallback"):

@@ -33,7 +33,7 @@ class Skeletons:
             writer.warn(root.GetPath(), "the root's skeletons cannot be read, so its shapes keep their rest pose: %s" % said(error))
 
     def key(self, prim):
-        """A key that is different for different poses of a shape."""
+        """A key of a shape's pose: two poses have different keys. None without a pose."""
         found = self.skinned.get(prim.GetPath())
         if found is None:
             return None

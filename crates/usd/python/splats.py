@@ -19,7 +19,7 @@ def is_field(prim):
 
 
 def known_bases(prim):
-    """The base types of the prim's type that this OpenUSD knows."""
+    """The base types of the prim's type; empty if this OpenUSD does not know the type."""
     kind = prim.GetPrimTypeInfo().GetSchemaType()
     return [Usd.SchemaRegistry.GetSchemaTypeName(base) for base in kind.GetAllAncestorTypes()] if kind else []
 
@@ -29,8 +29,8 @@ def is_shown(prim, writer):
     causes a warning."""
     purpose = prim.GetAttribute("purpose")
     if purpose and purpose.Get() in ("proxy", "guide"):
-        # An older OpenUSD does not compute the purpose of unknown types, so the prim's own value
-        # decides.
+        # An older OpenUSD does not compute the purpose of unknown types, so read the prim's own
+        # value.
         return False
     kernels = [kernel for kernel in schemas(prim) if "Kernel" in kernel and not kernel.endswith("BaseAPI")]
     if str(prim.GetTypeName()) == SPLAT or ELLIPSOID in kernels or SURFLET in kernels:

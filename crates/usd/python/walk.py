@@ -2,7 +2,7 @@
 
 Prototypes of native instancing and of point instancers are read once. A placement is a chain of
 links, innermost first: a point is transformed by the links from left to right (`p' = p · M`, row
-vectors as in USD). A link is one matrix, or an array of matrices that makes a copy for each.
+vectors as in USD). A link is one matrix, or an array of matrices, which makes one copy per matrix.
 """
 
 import array
@@ -123,7 +123,7 @@ def variant_sets(stage):
 
 
 def choose_variants(stage, wanted, writer):
-    """Selects variants: `set=variant` on every prim that has the set, `/prim{set=variant}` on one.
+    """Selects variants: `set=variant` on every prim with the set, `/prim{set=variant}` on one prim.
     """
     if not wanted:
         return
@@ -221,7 +221,7 @@ class Walker:
         self.writer.instances.append({"geometry": index, "materials": list(bound), "chain": chain})
 
     def single(self, kind, entry, links):
-        """Adds a light or a camera, which cannot be copied."""
+        """Adds a light or a camera. One inside a point instancer is left out with a warning."""
         if len(links) != 1:
             self.writer.warn(entry["place"], "a %s inside a point instancer is left out" % kind)
             return
@@ -269,8 +269,8 @@ class Walker:
         return placed
 
     def attempt(self, read, prim, *rest):
-        """The result of `read` for a prim. A prim with values of a wrong type is left out with a
-        warning, and does not remove other prims."""
+        """The result of `read` for a prim. If a value has a wrong type, the prim is left out with a
+        warning, and other prims stay."""
         try:
             return read(prim, *rest)
         except (Tf.ErrorException, TypeError, ValueError, OverflowError) as error:
@@ -385,7 +385,7 @@ class Walker:
         return False
 
     def point_instancer(self, prim, matrix):
-        """The prototypes of a point instancer, each with a link that contains its copies."""
+        """The prototypes of a point instancer, each with a link that has the matrices of its copies."""
         instancer = UsdGeom.PointInstancer(prim)
         place = prim.GetPath()
         if place in self.open_frames:
@@ -405,7 +405,7 @@ class Walker:
             found = "%d prototype indices and %d placements" % (len(indices), len(matrices))
             self.writer.warn(place, "expected as many placements as prototype indices, found %s; left out" % found)
             return []
-        # All prototypes share these arrays; each selects its own copies.
+        # All prototypes refer to these arrays. Each prototype selects its own copies from them.
         shared = {"matrices": self.writer.array(matrices), "prototypes": self.writer.array(indices)}
         mask = instancer.ComputeMaskAtTime(self.time)
         if mask and not all(mask):
@@ -438,7 +438,7 @@ def extended(links, matrix):
 
 
 def camera(prim, time):
-    """The entry of a camera; the unit of apertures and focal length is a tenth of the scene's."""
+    """The entry of a camera; apertures and focal length are in tenths of the scene's unit."""
     source = UsdGeom.Camera(prim)
     values = source.GetCamera(time)
     return {
@@ -448,6 +448,7 @@ def camera(prim, time):
         "aperture": [values.horizontalAperture, values.verticalAperture],
         "aperture_offset": [values.horizontalApertureOffset, values.verticalApertureOffset],
         "focus_distance": values.focusDistance,
-        # The schema's default, one unit, is left out, since the file does not set it.
+        # If the file sets no clipping range, there is no near plane. The schema's default of one
+        # unit is not used.
         "near": values.clippingRange.min if source.GetClippingRangeAttr().HasAuthoredValue() else None,
     }

@@ -2,8 +2,8 @@
 
 A file consists of the magic `LUMIPKG1`, the header's length as a little-endian u64, the header, and
 the arrays. Each array starts at a multiple of 64 bytes from the start of the file. The header
-refers to an array as `{"buffer": k, "type": "f32", "shape": [n, 3]}`. `buffers` lists their
-offsets, from the first multiple of 64 after the header, and their lengths.
+refers to an array as `{"buffer": k, "type": "f32", "shape": [n, 3]}`. `buffers` lists the offset
+and the length of each array. Offsets count from the first multiple of 64 after the header.
 """
 
 import json
@@ -47,7 +47,7 @@ class Writer:
         self._images = {}
 
     def array(self, values):
-        """A reference to an array with the buffer protocol. The array is kept, not copied."""
+        """A reference to an array that supports the buffer protocol. The array is kept, not copied."""
         view = memoryview(values)
         code = view.format
         if code in ("l", "L", "q", "Q"):
@@ -70,7 +70,7 @@ class Writer:
             self._files[os.path.abspath(path)] = True
 
     def image(self, key, make):
-        """The index of the image of a key; `make` creates the entry for a new key."""
+        """The index of the image with this key. `make` creates the image's entry if the key is new."""
         if key not in self._images:
             self.images.append(make())
             self._images[key] = len(self.images) - 1

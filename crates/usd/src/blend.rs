@@ -49,11 +49,11 @@ pub struct BlendContents {
     pub frames_per_second: f64,
     /// The render engine that the scene uses.
     pub engine: String,
-    /// Lines for the user about content that renders show and the export drops: one per kind, with
-    /// names.
+    /// Messages for the user about content that renders show but the export drops. There is one
+    /// message per kind of content, with the names of the objects.
     pub lost: Vec<String>,
-    /// The reason why the scene's engine cannot render on this machine. `None` if it can, or if the
-    /// export drops nothing.
+    /// The reason why the scene's engine cannot render on this machine. `None` if the engine can
+    /// render, or if the export drops nothing.
     pub unfit: Option<String>,
 }
 
@@ -85,7 +85,7 @@ pub struct BlendAccount {
     pub files: Vec<PathBuf>,
     /// Files to which the scene refers, but which do not exist.
     pub missing: Vec<PathBuf>,
-    /// Other input of the scene, whose changes cannot be detected.
+    /// Input of the scene, other than `files`, whose changes cannot be detected.
     pub untracked: Option<String>,
     /// Content that could not be exported: place and message.
     pub warnings: Vec<(String, String)>,
@@ -93,8 +93,8 @@ pub struct BlendAccount {
     pub contents: BlendContents,
 }
 
-/// Exports a file's scene in Blender. The time is in seconds after the scene's first frame; with
-/// `None` it is the saved frame. Warnings are in the account.
+/// Exports a file's scene in Blender. The time is in seconds after the scene's first frame; `None`
+/// stands for the saved frame. Warnings are in the account.
 ///
 /// # Errors
 /// If no Blender is found, Blender refuses the file or fails, or the task is cancelled.
@@ -106,9 +106,9 @@ pub fn hand_over(path: &Path, time_s: Option<f64>, task: Task<'_>) -> Result<Han
     Ok(HandedOver { glb, account })
 }
 
-/// Returns a text that identifies the Blender that would run, and the code that it would run. While
-/// this text and [`BlendAccount::program`] are unchanged, an export of an unchanged file gives the
-/// same result.
+/// Returns a text that identifies the Blender that would run, and the code that it would run. If
+/// this text, [`BlendAccount::program`] and the file are unchanged, an export gives the same
+/// result.
 pub fn blend_surroundings() -> String {
     let found: Vec<String> = candidates()
         .iter()
@@ -130,7 +130,7 @@ pub fn file_stamp(path: &Path) -> Option<[u64; 2]> {
 /// Lists the choices that a file offers.
 ///
 /// # Errors
-/// As [`hand_over`].
+/// The errors of [`hand_over`].
 pub fn blend_contents(path: &Path, task: Task<'_>) -> Result<BlendContents, UsdError> {
     let folder = temporary()?;
     Ok(ask(&Request::new(path, None, true)?, folder.path(), task.cancel)?.contents)
@@ -151,7 +151,7 @@ pub struct BlendViews {
     pub slopes: Vec<[f64; 2]>,
 }
 
-/// A window, as `Window::given` reads it.
+/// A window in the scene, with the arguments of `Window::given`.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlendWindow {
     /// The window's centre.
@@ -164,12 +164,12 @@ pub struct BlendWindow {
     pub width: f64,
 }
 
-/// Renders views at a time, with the file's own engine and settings. As soon as the linear OpenEXR
-/// file of a view is complete, `finished` is called with the view's number and that file. The file
-/// is removed after the call.
+/// Renders views at a time, with the file's own engine and settings. When the linear OpenEXR file
+/// of a view is complete, calls `finished` with the view's number and the file. Removes the file
+/// after the call.
 ///
 /// # Errors
-/// As for [`hand_over`].
+/// The errors of [`hand_over`].
 pub fn render_views(
     path: &Path,
     time_s: Option<f64>,
@@ -187,7 +187,7 @@ pub fn render_views(
                 break;
             }
             finished(next, &picture);
-            // A failed removal needs no report: on a full disk, the next picture fails.
+            // A failed removal is ignored. If the disk is full, writing the next picture fails.
             let _ = std::fs::remove_file(&picture);
             next += 1;
         }
@@ -235,7 +235,7 @@ struct Failure {
 
 /// The failure of one program.
 enum Failed {
-    /// The program cannot read the file, but another one may.
+    /// This program cannot read the file, but another one may.
     Unfit(String),
     Final(UsdError),
 }
@@ -300,12 +300,13 @@ fn ask_program(
 ) -> Result<BlendAccount, Failed> {
     let io = |place: &Path, source| Failed::Final(UsdError::Io { place: place.display().to_string(), source });
     let (boot, asked, answered) = (folder.join("blend.py"), folder.join("request.json"), folder.join("answer.json"));
-    // Write the script and the request into a folder, which is the program's only argument.
+    // Write the script and the request into a folder. The folder is the only argument of the
+    // script.
     std::fs::write(&boot, BOOT).map_err(|error| io(&boot, error))?;
     std::fs::write(&asked, serde_json::to_vec(request).expect("requests serialize"))
         .map_err(|error| io(&asked, error))?;
     let _ = std::fs::remove_file(&answered);
-    // Run the program; Blender needs flags to run a script, and to fail if the script fails.
+    // Run the program. Blender needs flags to run a script, and to fail if the script fails.
     let mut command = Command::new(program);
     if !is_python(program) {
         command.args(["-b", "--python-exit-code", "1", "--python"]);

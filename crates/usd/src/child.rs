@@ -1,8 +1,8 @@
 //! Runs the walker in the user's Python, and reads the package that it writes.
 //!
-//! The child's standard output is a file without a name, so no file is left when either process
-//! dies. The request is JSON and contains the walker's source. The end of standard error is kept
-//! for error messages.
+//! The child's standard output is a file without a name, so no file is left if the parent or the
+//! child dies. The request is JSON and contains the walker's source. The end of standard error is
+//! kept for error messages.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -65,9 +65,9 @@ impl Answer {
     }
 }
 
-/// The failure of one Python.
+/// The failure of one candidate.
 enum Failed {
-    /// The Python cannot read USD, but another one may.
+    /// This Python cannot read USD, but another one may.
     Unfit(String),
     Final(UsdError),
 }
@@ -118,8 +118,8 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
             request: &'a Request<'a>,
         }
         let text = serde_json::to_vec(&WithModules { modules: &MODULES, request }).expect("requests serialize");
-        // Write in a thread, since the text is longer than a pipe holds. A failed write needs no
-        // report here: the status of a child that has ended is checked later.
+        // Write in a thread, since the text is longer than a pipe holds. A write fails if the child
+        // has ended; its status is checked later.
         std::thread::spawn(move || input.write_all(&text));
     }
     // Wait for the end of the child; Ctrl-C reaches the child too.
@@ -295,8 +295,8 @@ mod tests {
         }
     }
 
-    /// This test sends no signal to a child: shells and test runners may have made it ignore the
-    /// signal.
+    /// This test sends no signal to a child, since a shell or a test runner may make the child
+    /// ignore it.
     #[test]
     fn ctrl_c_in_the_child_is_no_crash() {
         use std::os::unix::process::ExitStatusExt;

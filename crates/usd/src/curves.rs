@@ -1,8 +1,8 @@
 //! Curves as tubes and ribbons, points as balls (UsdGeomBasisCurves, UsdGeomPoints).
 //!
 //! A cubic segment is Σ bᵢ(t) pᵢ with the functions bᵢ of its basis. A pinned curve gets an extra
-//! point 2 p₀ − p₁ in front of the first point, so that it starts at p₀. A mirrored one follows the
-//! last point.
+//! point 2 p₀ − p₁ in front of the first point p₀, so that it starts at p₀. In the same way, it
+//! gets an extra point behind the last point.
 //!
 //! The frame of a sample follows from the previous sample without twist (double reflection, Wang et
 //! al. 2008). The twist that remains in a closed curve is spread over its length. Widths are
@@ -40,7 +40,7 @@ pub(crate) enum Wrap {
     Pinned,
 }
 
-/// Number of values of an attribute on curves.
+/// The number of values that an attribute has on curves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Interpolation {
     /// One value for all curves.
@@ -85,10 +85,10 @@ const MOST_TRIANGLES: usize = 2_000_000;
 const DETAIL: [(usize, usize); 4] = [(8, 12), (6, 8), (4, 5), (2, 3)];
 
 /// A curve that is shorter than this fraction of its largest coordinate is treated as a single
-/// point: its samples differ only by rounding.
+/// point, since its samples differ only by rounding.
 const ROUNDING: f32 = 1e-5;
 
-/// Control points of one sample, with their weights.
+/// The weighted control points whose sum is one sample.
 #[derive(Clone, Debug, Default)]
 struct Sample {
     /// Indices of points within the curve, with their weights.
@@ -165,12 +165,12 @@ fn weights(basis: Basis, t: f32) -> [f32; 4] {
     }
 }
 
-/// Samples from one end of a curve to the other. The last sample of a closed curve repeats the
-/// first.
+/// Returns samples from one end of a curve to the other. The last sample of a closed curve repeats
+/// the first sample.
 fn samples(curves: &Curves<'_>, count: usize, segments: usize, steps: usize) -> Vec<Sample> {
     let periodic = curves.wrap == Wrap::Periodic;
     let stride = if curves.basis == Basis::Bezier { 3 } else { 1 };
-    // index of the first of a segment's four points, relative to the segment
+    // offset from the start of a segment to the first of its four points
     let shift = match (curves.basis, curves.wrap) {
         (Basis::BSpline | Basis::CatmullRom, Wrap::Pinned) => -1,
         _ => 0,
@@ -264,8 +264,8 @@ fn sweep(curves: &Curves<'_>, mut place: Place<'_>, samples: &[Sample], sides: u
             sides + 1
         }
     };
-    // Data are constant around a rib. The vertices of caps follow those of the ribs, and have the
-    // data of the ends.
+    // Data are constant around a rib. The vertices of the caps come after the vertices of the ribs,
+    // and have the data of the curve's ends.
     let added = place.geometry.positions.len() - first;
     let sample_of = |vertex: usize| match vertex / count {
         rib if rib < samples.len() => &samples[rib],
@@ -300,7 +300,7 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     if !(total > ROUNDING * largest && total.is_finite()) {
         return None;
     }
-    // coincident points have the tangent of their neighbours
+    // if two points coincide, the point has the tangent of a neighbour
     let tangent = |i: usize| -> Option<Vec3> {
         let before = if i == 0 && closed {
             positions[last] - positions[last - 1]
@@ -444,8 +444,8 @@ pub(crate) fn ball(parts: u32) -> Geometry {
     geometry
 }
 
-/// Balls at points, each with its own colour; `face_of_triangle` is the index of the point. For
-/// points without own colours, instances of [`ball`] take less memory.
+/// Balls at points, each with its own colour; `face_of_triangle` is the index of the point. If all
+/// points have the same colour, instances of [`ball`] take less memory.
 pub(crate) fn colored_balls(
     points: &[Vec3],
     diameter: impl Fn(usize) -> f32,
@@ -492,7 +492,7 @@ mod tests {
         let geometry = tessellate(&curves(&points, &[3], Basis::Linear, Wrap::Nonperiodic));
         geometry.assert_sound();
         geometry.assert_closed();
-        // with twelve sides: the polygon's area is 12/2 r² sin 30°
+        // the cross-section has twelve sides and the area 12/2 r² sin 30°
         let base = 6.0 * 0.25 * 0.5;
         assert!((geometry.volume() - 3.0 * base).abs() < 1e-5, "{}", geometry.volume());
         assert!((geometry.area() - (2.0 * base + 3.0 * 12.0 * (PI / 12.0).sin())).abs() < 1e-5);
@@ -550,7 +550,7 @@ mod tests {
         }
         let flat: Vec<Vec3> = points.iter().map(|p| Vec3::new(p.x, p.y, 0.0)).collect();
         let torus = tessellate(&curves(&flat, &[24], Basis::CatmullRom, Wrap::Periodic));
-        // Pappus: 2π·2 times the polygon's area
+        // by Pappus's theorem, the volume is 2π·2 times the area of the cross-section
         assert!((torus.volume() / (4.0 * PI * 0.75) - 1.0).abs() < 0.01, "{}", torus.volume());
     }
 
@@ -618,7 +618,7 @@ mod tests {
             for wrap in [Wrap::Nonperiodic, Wrap::Periodic, Wrap::Pinned] {
                 for counts in [&[6][..], &[1, 2, 3], &[0, -4, 6], &[7], &[2, 2, 2], &[1; 6]] {
                     assert!(tessellate(&curves(&points, counts, basis, wrap)).triangles.is_empty());
-                    // points at which the curve turns back, and points that coincide
+                    // the curve turns back at some of these points, and some of them coincide
                     let bent: Vec<Vec3> = [0.0, 1.0, 1.0, 0.0, 0.0, 2.0].map(|x| Vec3::new(x, 0.0, 0.0)).to_vec();
                     let missing = Data { values: &[], width: 1, interpolation: Interpolation::Vertex };
                     for widths in [ONE, missing] {

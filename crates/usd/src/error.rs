@@ -93,8 +93,8 @@ pub enum UsdError {
     Cancelled(#[from] Cancelled),
 }
 
-/// Avoids naming the file twice, since OpenUSD's own messages often begin with the file, line and
-/// column.
+/// Adds the file's name to a message, unless the message begins with it. OpenUSD's own messages
+/// often begin with the file, line and column.
 fn refused(file: &str, message: &str) -> String {
     if message.starts_with(file) { message.to_owned() } else { format!("{file}: {message}") }
 }

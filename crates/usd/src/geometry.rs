@@ -1,4 +1,4 @@
-//! Triangles without a material and a placement in the scene.
+//! Triangles that have neither a material nor a placement in the scene.
 
 use glam::{Vec2, Vec3, Vec4};
 

@@ -44,8 +44,8 @@ impl Axis {
     }
 }
 
-/// A point of a profile: (distance from the spine, height), the normal in the same half plane, and
-/// v.
+/// A point of a profile: (distance from the spine, height); the normal, also as (outward, up); and
+/// the texture coordinate v.
 type Knot = (Vec2, Vec2, f32);
 
 /// Adds the surface of revolution of a profile. The profile runs from the top down.
@@ -61,7 +61,7 @@ fn revolve(geometry: &mut Geometry, profile: &[Knot]) {
         };
         for column in 0..columns {
             let lift = |v: Vec2, shift: f32| {
-                // the positions of the last column equal those of the first
+                // the positions of the last column equal the positions of the first column
                 let turn = ((column % TURN_PARTS as u32) as f32 + shift) / TURN_PARTS as f32;
                 let (sine, cosine) = (TAU * turn).sin_cos();
                 Vec3::new(v.x * cosine, v.x * sine, v.y)
@@ -247,12 +247,12 @@ mod tests {
         let geometry = capsule(top, bottom, height, Axis::Z);
         geometry.assert_sound();
         geometry.assert_closed();
-        // every vertex is on the hull: its support along its normal equals that of the larger ball
+        // along its normal, every vertex is as far out as the outermost point of both balls
         for (&position, &normal) in geometry.positions.iter().zip(&geometry.normals) {
             let support = (top + normal.z * 0.5 * height).max(bottom - normal.z * 0.5 * height);
             assert!((position.dot(normal) - support).abs() < 1e-5, "{position} {normal}");
         }
-        // a capsule whose one ball is inside the other
+        // a capsule in which one ball contains the other
         let ball = capsule(0.5, 3.0, 2.0, Axis::Z);
         assert!((ball.volume() / (4.0 / 3.0 * PI * 27.0) - 1.0).abs() < TESSELLATION);
         ball.assert_closed();
@@ -286,8 +286,8 @@ mod tests {
 
     #[test]
     fn textures_are_upright_and_not_mirrored() {
-        // Seen from outside, u × (−v) has the sense of the winding: the area in (u, −v) is positive
-        // everywhere.
+        // Seen from outside, u points right and −v points up. So a triangle that is
+        // counter-clockwise from outside has a positive area in (u, −v).
         for geometry in [
             sphere(1.0),
             cube(1.0),

@@ -53,8 +53,8 @@ pub use scene::scene_from_package;
 pub use setup::Setup;
 pub use there::{There, blender, openusd};
 
-/// Hash of this crate's sources, made at build. It is part of the key of every kept result that
-/// this code contributes to.
+/// Hash of this crate's sources, made at build. It is part of the key of every cached result to
+/// which this code contributes.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// Extensions of USD files.
@@ -104,7 +104,7 @@ pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded
 /// Lists the choices that a USD file offers.
 ///
 /// # Errors
-/// As for [`load`].
+/// The errors of [`load`].
 pub fn contents(path: &Path, task: Task<'_>) -> Result<Contents, UsdError> {
     let name = file_name(path)?;
     let request = child::Request { path: name, time_s: None, variants: &[], contents_only: true };

@@ -48,7 +48,7 @@ fn newell(ring: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     ring.zip(next).map(|(a, b)| (a - origin).cross(b - origin)).sum()
 }
 
-/// The vertices that have been made; those at one point form a linked list.
+/// The vertices that were added so far. The vertices at one point form a linked list.
 struct Vertices<'a> {
     polygons: &'a Polygons,
     geometry: Geometry,
@@ -56,8 +56,7 @@ struct Vertices<'a> {
     first: Vec<u32>,
     /// Next vertex at the same point, for every vertex.
     next: Vec<u32>,
-    /// True if no attribute varies between the corners at a point; then one vertex per point is
-    /// enough.
+    /// True if all corners at a point have equal attributes. Then one vertex per point is enough.
     single: bool,
 }
 
@@ -73,7 +72,8 @@ impl<'a> Vertices<'a> {
         Self { polygons, geometry: Geometry::default(), first, next: Vec::new(), single }
     }
 
-    /// The vertex for a corner. Equal corners at the same point share it.
+    /// Returns the vertex of a corner. Corners at one point share a vertex if their attributes are
+    /// equal.
     fn get(&mut self, at: Corner) -> u32 {
         let polygons = self.polygons;
         if self.single && self.first[at.point] != NONE {
@@ -101,7 +101,7 @@ impl<'a> Vertices<'a> {
             }
             known = self.next[i];
         }
-        // Without one, add a vertex at the head of the list.
+        // If no vertex matches, add one at the head of the list.
         let new = geometry.positions.len() as u32;
         geometry.positions.push(Vec3::from(polygons.points[at.point]));
         geometry.normals.extend(normal);
@@ -124,8 +124,8 @@ struct Cutter {
 }
 
 impl Cutter {
-    /// Triangles of the polygon through `ring`, as indices into `ring`; they keep the polygon's
-    /// orientation.
+    /// Returns the triangles of the polygon through `ring`, as indices into `ring`. The triangles
+    /// have the orientation of the polygon.
     fn cut(&mut self, points: &[[f32; 3]], ring: &[usize]) -> &[[usize; 3]] {
         let count = ring.len();
         self.triangles.clear();
@@ -141,7 +141,7 @@ impl Cutter {
         };
         let convex = (0..count).all(|i| turn(i) >= 0.0);
         if count == 4 && !convex {
-            // both triangles contain the concave corner
+            // the diagonal begins at the concave corner, so both triangles contain this corner
             let hub = if turn(1) < 0.0 || turn(3) < 0.0 { 1 } else { 0 };
             self.triangles.extend([[hub, hub + 1, hub + 2], [hub, hub + 2, (hub + 3) % 4]]);
             return &self.triangles;
@@ -260,7 +260,8 @@ mod tests {
         for (interpolation, count) in all {
             for indexed in [false, true] {
                 let values: Vec<[f32; 2]> = (0..count).map(|i| [i as f32, 0.5]).collect();
-                // in reverse order, so that an index differs from its value
+                // the indices are in reverse order, so that an index differs from the number of its
+                // element
                 let indices: Vec<u32> = (0..count as u32).rev().collect();
                 let attribute = Attribute { values, interpolation, indices: indexed.then_some(indices) };
                 let polygons = Polygons { uvs: [Some(attribute), None], ..pair() };

@@ -82,7 +82,7 @@ pub struct Note {
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Contents {
-    /// Variant sets, except those inside instances.
+    /// Variant sets, except variant sets inside instances.
     pub variant_sets: Vec<VariantSet>,
     /// Paths of cameras.
     pub cameras: Vec<String>,
@@ -287,13 +287,14 @@ pub(crate) struct SplatsEntry {
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Placement {
     pub(crate) geometry: usize,
-    /// Index of the material of the shape, then one per subset.
+    /// Index of the material of the shape, then the index of each subset's material; `None` without
+    /// a material.
     pub(crate) materials: Vec<Option<usize>>,
     /// Links of matrices, the innermost first.
     pub(crate) chain: Vec<Link>,
 }
 
-/// Matrices, each of which copies everything that is earlier in the chain.
+/// Matrices. For each matrix, there is one copy of everything that comes earlier in the chain.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Link {
     /// Matrices `[n][4][4]` for row vectors, as in USD: the translation is the last row.
@@ -379,8 +380,7 @@ impl<'a> Package<'a> {
         Ok(Self { header, buffers })
     }
 
-    /// The raw bytes of an array with rows of `width` elements, the number of rows, and the number
-    /// of bytes per element.
+    /// Returns the raw bytes of an array and its number of rows. A row has `width` elements.
     fn bytes(&self, array: &Array, width: usize, place: &str) -> Result<(&'a [u8], usize), Fault> {
         let fault = |expected: String, found: String| Fault::new(place, expected, found);
         let size = match array.kind.as_str() {
@@ -406,7 +406,7 @@ impl<'a> Package<'a> {
         Ok((bytes, rows))
     }
 
-    /// The rows of an array of `N` numbers each, converted to `f32`.
+    /// Returns the rows of an array, converted to `f32`. A row has `N` numbers.
     pub(crate) fn reals<const N: usize>(&self, array: &Array, place: &str) -> Result<Vec<[f32; N]>, Fault> {
         let (bytes, rows) = self.bytes(array, N, place)?;
         let values: Vec<f32> = match array.kind.as_str() {

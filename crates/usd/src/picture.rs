@@ -14,8 +14,8 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 const MOST_TEXELS_A_SIDE: u32 = 1 << 15;
 /// Largest memory that decoding one picture may take, in bytes.
 const MOST_BYTES: u64 = 2 << 30;
-/// Smallest size of a block of compressed pixels, in bytes. A header with more blocks than fit into
-/// the file is refused.
+/// Smallest size of a block of compressed pixels, bytes. If the header declares more blocks than
+/// fit into the file, the file is refused.
 const LEAST_BYTES_PER_BLOCK: usize = 8;
 /// Signature of OpenEXR.
 const EXR: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
@@ -63,7 +63,7 @@ impl Picture {
 
 fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
     use ImageFormat::{Hdr, Jpeg, Png, Tga, WebP};
-    // Find the format: by its signature, or TGA by the file's name.
+    // Find the format by the signature. TGA has none, so the file's name decides.
     let format = match image::guess_format(bytes) {
         Ok(format @ (Png | Jpeg | WebP | Hdr)) => format,
         Err(_) if name.to_ascii_lowercase().ends_with(".tga") => Tga,
@@ -110,8 +110,8 @@ fn exr(bytes: &[u8]) -> Result<Picture, String> {
     let broken = |error: exr::error::Error| format!("no readable OpenEXR picture ({error})");
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(broken)?;
     let header = meta.headers.first().ok_or("an OpenEXR file without a layer")?;
-    // For these two the decoder allocates memory by sizes in the compressed data, so a damaged file
-    // would end the program.
+    // For deep data and DWA compression, the decoder allocates memory by sizes in the compressed
+    // data. A damaged file could therefore end the program.
     if header.deep || matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
         let found = if header.deep { "deep data".to_owned() } else { header.compression.to_string() };
         return Err(format!("OpenEXR with {found}; none, RLE, ZIP, PIZ, PXR24 and B44 are read"));

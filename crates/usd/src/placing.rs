@@ -2,8 +2,8 @@
 
 use glam::{DAffine3, DMat4};
 
-/// Calls `found` with the products of one matrix per link, for every combination. `outer` is the
-/// leftmost factor.
+/// Calls `found` with every product that takes one matrix from each link. `outer` is the leftmost
+/// factor of all products.
 pub(crate) fn expand(outer: &DAffine3, links: &[Vec<DAffine3>], found: &mut dyn FnMut(DAffine3)) {
     let Some((last, inner)) = links.split_last() else { return found(*outer) };
     for matrix in last {
@@ -24,7 +24,7 @@ mod tests {
     fn chains_multiply_from_the_inside() {
         let translate = |x: f64| DAffine3::from_translation(glam::DVec3::new(x, 0.0, 0.0));
         let scale = |s: f64| DAffine3::from_scale(glam::DVec3::splat(s));
-        // two copies, each of which is then scaled about the origin
+        // two copies, which are then scaled about the origin by three factors
         let links = vec![vec![translate(1.0), translate(2.0)], vec![scale(10.0), scale(100.0), scale(1000.0)]];
         let mut found = Vec::new();
         expand(&translate(0.5), &links, &mut |matrix| found.push(matrix.translation.x));

@@ -37,7 +37,7 @@ pub(crate) enum Interpolation {
     Constant,
     /// Every face has a value.
     Uniform,
-    /// Every point has a value, which subdivision does not smooth.
+    /// Every point has a value. Subdivision does not smooth these values.
     Varying,
     /// Every point has a value.
     Vertex,
@@ -127,7 +127,7 @@ pub(crate) fn read(
         left_handed: entry.left_handed,
         ..Polygons::default()
     };
-    // these are in range, as checked above
+    // the conversions cannot fail, since the checks above limit all values
     polygons.counts = counts.into_iter().map(|count| count as i32).collect();
     polygons.corners = corners.into_iter().map(|point| point as i32).collect();
     polygons.holes = list(&entry.holes, "holeIndices")?.into_iter().filter_map(|face| face.try_into().ok()).collect();
@@ -150,8 +150,8 @@ struct Reader<'a, 'w> {
 }
 
 impl Reader<'_, '_> {
-    /// Reads a primvar. A primvar that does not fit the mesh is left out with a warning, as in
-    /// every USD program.
+    /// Reads a primvar. A primvar whose values do not match the mesh is left out with a warning, as
+    /// in every USD program.
     fn attribute<const N: usize>(&mut self, primvar: Option<&Primvar>) -> Option<Attribute<N>> {
         let primvar = primvar?;
         let attribute = self.fitting(primvar);
@@ -190,7 +190,7 @@ impl Reader<'_, '_> {
             }
         };
         let found = indices.as_ref().map_or(values.len(), Vec::len);
-        // a constant may be the first value of a longer list
+        // a constant may be the first value of a list with more values
         if found < elements || (found > elements && interpolation != Interpolation::Constant) {
             return Err(format!("a list of length {found}, but {} needs {elements}", primvar.interpolation));
         }

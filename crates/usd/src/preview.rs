@@ -1,9 +1,10 @@
 //! UsdPreviewSurface, version 2.6.
 //!
-//! The dielectric is like that of the scene: F₀ = ((1 − ior)/(1 + ior))² with F₉₀ = 1. In the
-//! specular workflow F₀ is `specularColor`, and the index of refraction is set to 0. Opacity is
-//! coverage: `opacityMode` "transparent", with which reflections do not fade, is read as
-//! "presence".
+//! The dielectric has the scene's formula F₀ = ((1 − ior)/(1 + ior))² with F₉₀ = 1. In the specular
+//! workflow F₀ is `specularColor`, and the index of refraction is set to 0.
+//!
+//! Opacity is coverage. With `opacityMode` "transparent" reflections would not fade with the
+//! opacity; this mode is read as "presence".
 
 use glam::Vec3;
 
@@ -34,8 +35,8 @@ pub(crate) fn build(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> &'static 
     let normal = inputs.get("normal", [0.0, 0.0, 1.0]);
     builder.coat(&weight, &coat_roughness, &normal);
     builder.material.normal_texture = builder.normal(&normal);
-    // read here so that no warning lists them: the path tracer computes occlusion, and the mode has
-    // no effect
+    // Read these inputs, so that no warning lists them. The path tracer itself computes occlusion,
+    // and the mode has no effect.
     inputs.number("occlusion", 1.0);
     inputs.text("opacityMode");
     &WITHOUT

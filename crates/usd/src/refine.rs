@@ -6,8 +6,8 @@ use crate::package::{Array, MeshEntry, Package, Subdivision};
 use crate::polygons::{Attribute, Interpolation, Polygons};
 use crate::subdivide::{Boundary, Cage, FaceVarying, Refinement, Scheme, level_for};
 
-/// The refined mesh with its normals. Also, for each of its faces, the face of the file that
-/// contains it.
+/// Returns the refined mesh with its normals. Also returns, for each refined face, the index of the
+/// file's face that contains it.
 pub(crate) fn refined(
     package: &Package<'_>,
     entry: &MeshEntry,

@@ -23,7 +23,8 @@ use crate::polygons::{self, Corner, Interpolation, Polygons, UvNames};
 use crate::texture::Textures;
 use crate::{mesh, refine, shapes, splats};
 
-/// Largest number of instances of meshes and clouds. Small files can define any number, by nesting.
+/// Largest number of instances of meshes and clouds. Nested copies in a small file can request any
+/// number.
 const MOST_INSTANCES: usize = 1 << 26;
 /// Albedo of a surface without a material and without a display colour, as in UsdPreviewSurface.
 const GREY: f32 = 0.18;
@@ -64,7 +65,8 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
             DAffine3::IDENTITY
         }
     };
-    // Convert materials first, since meshes depend on their texture coordinates.
+    // Convert materials first, since they determine the primvars that become texture coordinates of
+    // meshes.
     let mut assembly = Assembly {
         package,
         task,
@@ -95,8 +97,8 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
     }
     let parts = assembly.parts;
     parts.validate(task).map_err(|mut error| {
-        // The message begins with the file's name, so an error of the whole scene has the root as
-        // its place.
+        // The message begins with the file's name already. If this name is also the place of the
+        // error, the root becomes the place.
         if error.place == name {
             error.place = "/".into();
         }
@@ -118,8 +120,8 @@ struct Assembly<'a> {
     package: &'a Package<'a>,
     task: Task<'a>,
     parts: SceneParts,
-    /// Materials by their index in the package; `None` if the shader is unknown, and display
-    /// colours apply.
+    /// Materials by their index in the package; `None` if the shader is unknown, so that the
+    /// display colour applies.
     materials: Vec<Option<Bound>>,
     /// Materials for display colours, by the bits of the colour and true if it is transparent.
     plain: HashMap<([u32; 4], bool), usize>,
@@ -177,7 +179,7 @@ impl<'a> Assembly<'a> {
             }
             Shape::Points(entry) => (shapes::balls(self.package, entry, self.task)?, &entry.primvars),
         };
-        // A display colour of the whole shape applies if its vertices have none.
+        // If the vertices have no colours, a constant display colour of the whole shape applies.
         let constant = primvars.iter().filter(|primvar| primvar.interpolation == "constant").cloned().collect();
         let whole = MeshEntry { place: shape.place().to_owned(), primvars: constant, ..MeshEntry::default() };
         let whole = polygons::read(self.package, &whole, [None, None], &mut |_| {})?;
@@ -234,7 +236,8 @@ impl<'a> Assembly<'a> {
         if shown.is_empty() {
             return Ok(());
         }
-        // Compute the number of copies before any is made, since nested prototypes multiply.
+        // Compute the number of copies before any copy is made, since nested prototypes multiply
+        // it.
         let links = placement.chain.iter().map(|link| self.link(link, place)).collect::<Result<Vec<_>, _>>()?;
         let copies = links.iter().try_fold(1usize, |product, link| product.checked_mul(link.len()));
         let there = self.parts.instances.len() + self.parts.placed_clouds.len();
@@ -243,7 +246,7 @@ impl<'a> Assembly<'a> {
             let found = format!("more (levels of nested copies: {}); use fewer or less nested instancers", links.len());
             return Err(Fault::new(place, format!("at most {MOST_INSTANCES} instances and splat clouds"), found));
         }
-        // Add an instance per product of matrices.
+        // Add an instance for every product that takes one matrix from each link.
         let is_cloud = matches!(shape, Shape::Splats(_));
         let mut left_out = 0;
         expand(scene_from_stage, &links, &mut |scene_from_shape| {
@@ -312,7 +315,7 @@ impl<'a> Assembly<'a> {
         }
         match self.mesh_parts(entry, materials) {
             Err(Fault::Malformed { place, expected, found }) => {
-                // warn only, so that one broken mesh does not remove the others
+                // warn only, so that one broken mesh does not prevent other meshes
                 self.task.warn(place, format!("expected {expected}, found {found}; the mesh is left out"));
                 Ok(Vec::new())
             }
@@ -334,8 +337,8 @@ impl<'a> Assembly<'a> {
         }
         let mut made: Vec<([Option<String>; 2], Polygons, Geometry)> = Vec::new();
         let mut meshes = Vec::new();
-        // Convert the polygons once per pair of texture coordinate sets, and select the faces of
-        // each material.
+        // Convert the polygons once for each pair of texture coordinate sets. Then select the faces
+        // of each material.
         for slot in used {
             let bound = materials[slot].and_then(|material| self.materials[material].as_ref());
             let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
@@ -394,8 +397,8 @@ impl<'a> Assembly<'a> {
         })
     }
 
-    /// For every face 0, or 1 + the index of its subset; `None` without subsets. If subsets
-    /// overlap, the first one applies.
+    /// For every face, returns 1 + the index of its subset, or 0 for a face without a subset.
+    /// Returns `None` if the mesh has no subsets. If subsets overlap, the first one applies.
     fn slots(&self, entry: &MeshEntry) -> Result<Option<Vec<u32>>, Fault> {
         if entry.subsets.is_empty() {
             return Ok(None);

@@ -11,11 +11,11 @@ use crate::package::{Array, CurvesEntry, Package, PointsEntry, Primvar, SolidEnt
 use crate::polygons::UvNames;
 use crate::spacing::{self, Rule};
 
-/// Width of curves without widths: some ground stays visible between hairs.
+/// Width of curves without widths. With this rule, some ground stays visible between hairs.
 const CURVES: Rule = Rule { of_spacing: 0.25, largest: 0.005, smallest: 0.0001 };
-/// Width of points without widths: neighbouring points nearly touch.
+/// Width of points without widths. With this rule, neighbouring points nearly touch.
 const POINTS: Rule = Rule { of_spacing: 0.75, largest: 0.02, smallest: 0.0001 };
-/// Width of curves and points that have neither a spacing nor an extent.
+/// Width of curves and points that have neither neighbours nor an extent, scene units.
 const WIDTH: f32 = 1.0;
 /// Largest number of points of a prim that are shown: each becomes a ball of 128 triangles.
 const MOST_POINTS: usize = 1 << 18;
@@ -158,7 +158,8 @@ pub(crate) fn curves(
     }))
 }
 
-/// The middle point of every curve, since many roots may share one point.
+/// Returns the middle point of every curve. The spacing of curves is measured there, since many
+/// curves may begin at the same point.
 fn middles(points: &[Vec3], counts: &[i32]) -> Vec<Vec3> {
     let mut first = 0usize;
     let middle = |&count: &i32| {
@@ -191,7 +192,7 @@ pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) 
         task.warn(place, message);
         widths.push(width);
     }
-    // If a list is too short, its first value applies to all other points.
+    // If a list is too short, its first value applies to the points without a value.
     let colors = Owned::primvar(package, &entry.primvars, "displayColor", place).filter(|colors| colors.width >= 3);
     let each = |list: &[f32], i: usize| list.get(i).or(list.first()).copied();
     let color = |i: usize| {

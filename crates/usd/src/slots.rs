@@ -91,12 +91,12 @@ impl Inputs {
         }
     }
 
-    /// An input that must be constant; a texture is replaced by its fallback.
+    /// Returns an input that must be a constant number. Any other input is replaced by `default`.
     pub(crate) fn number(&self, name: &'static str, default: f32) -> f32 {
         self.get(name, [default]).number().unwrap_or(default)
     }
 
-    /// A colour that must be constant.
+    /// Returns a colour that must be constant. Any other input is replaced by `default`.
     pub(crate) fn color(&self, name: &'static str, default: [f32; 3]) -> Vec3 {
         match self.get(name, default) {
             Value::Constant(color) => color.into(),
@@ -109,9 +109,9 @@ impl Inputs {
         self.inputs.get(name)?.text.as_deref()
     }
 
-    /// Names of inputs that have no effect although they differ from their defaults. `known` lists
-    /// inputs without a counterpart, with the default of their first component. A texture also has
-    /// no effect where only a constant is supported.
+    /// Returns the names of inputs that have no effect although they differ from their defaults.
+    /// `known` lists inputs without a counterpart, with the default of their first component. The
+    /// names include textures where only a constant is supported.
     pub(crate) fn ignored(&self, known: &[(&'static str, f32)]) -> Vec<String> {
         let read = self.read.borrow();
         let matters = |name: &str, input: &Input| {
@@ -185,8 +185,8 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Converts a number to a factor and a texture, of which the slot reads one channel (0 red … 3
-    /// alpha).
+    /// Converts a number to a factor and a texture. The slot reads the texture's channel `channel`:
+    /// 0 for red to 3 for alpha.
     pub(crate) fn data(&mut self, value: &Value<1>, channel: usize) -> (f32, Option<TextureUse>) {
         match value {
             Value::Constant([value]) => (*value, None),
@@ -262,7 +262,7 @@ impl<'a> Builder<'_, 'a> {
         material.roughness = part(&rough).unwrap_or(material.roughness);
         material.metallic = part(&metal).unwrap_or(material.metallic);
         fn place(found: &Option<(Vec3, Source)>) -> Channel<'_> {
-            // a constant is the factor, so its channel of the texture is 1
+            // a constant is in the factor, so the texture's channel is 1
             found.as_ref().map_or(Channel::Constant(1.0), |(_, source)| Channel::Component(source, 0))
         }
         if rough.is_some() || metal.is_some() {
@@ -273,18 +273,19 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// A normal map: the shader's vector in tangent space, which is already decoded.
+    /// Returns a normal map. The shader's vector is in tangent space, and already decoded.
     pub(crate) fn normal(&mut self, value: &Value<3>) -> Option<TextureUse> {
         let Value::Texture(source) = value else { return None };
         let channels = [0, 1, 2].map(|k| Channel::Component(source, k));
         self.slot([channels[0], channels[1], channels[2], Channel::Unused], Kind::Normal)
     }
 
-    /// Sets the emission, a colour times a weight; one of both may be a texture.
+    /// Sets the emission, which is a colour times a weight. At most one of the two may be a
+    /// texture.
     pub(crate) fn emission(&mut self, color: &Value<3>, weight: &Value<1>) {
         let (color, factor) = match (color, weight) {
             (color, Value::Constant([factor])) => (color.clone(), *factor),
-            // the weight's texture, tinted by the colour
+            // the weight's texture is multiplied by the constant colour
             (Value::Constant(color), Value::Texture(source)) => (Value::Texture(tinted(source, *color)), 1.0),
             (color, Value::Texture(source)) => {
                 self.warn("an emission whose colour and weight are both pictures is not supported; the weight's fallback is used");
@@ -348,8 +349,8 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Sets the transmission: tinted at the surface, or by absorption if `depth` is above 0. The
-    /// mesh bounds a solid unless `thin`.
+    /// Sets the transmission. It is tinted at the surface, or by absorption if `depth` is above 0.
+    /// The mesh encloses a solid, unless `thin` is true.
     pub(crate) fn transmission(&mut self, weight: &Value<1>, color: Vec3, depth: f32, thin: bool) {
         let (factor, texture) = self.data(weight, 0);
         if factor <= 0.0 {
@@ -384,7 +385,7 @@ fn alpha_channel_is_unused(channel: &Channel<'_>) -> bool {
     matches!(channel, Channel::Unused)
 }
 
-/// A texture of one channel times a colour.
+/// Multiplies a texture of one channel by a colour.
 fn tinted(source: &Source, color: [f32; 3]) -> Source {
     let times = |list: &[f32]| color.iter().map(|part| part * list[0]).collect();
     Source {
@@ -396,7 +397,8 @@ fn tinted(source: &Source, color: [f32; 3]) -> Source {
     }
 }
 
-/// Splits a texture's scale into a factor and a texture without scale, if the factor is in range.
+/// Splits a texture's scale into a factor and a texture without scale. If the scale is not in
+/// range, the factor is 1 and the texture keeps its scale.
 fn factored(source: &Source, kind: Kind) -> (Vec3, Source) {
     let largest = if kind == Kind::Light { f32::MAX } else { 1.0 };
     let plain =

@@ -11,14 +11,14 @@ const ASKED: usize = 256;
 pub(crate) struct Rule {
     /// Fraction of the median distance between neighbours.
     pub(crate) of_spacing: f32,
-    /// The largest width, which also applies without neighbours.
+    /// The largest width. It also applies if there are no neighbours.
     pub(crate) largest: f32,
     /// The smallest width.
     pub(crate) smallest: f32,
 }
 
-/// Width of objects at `places`: a fraction of the median distance to the nearest other position,
-/// within bounds that follow from `points`. `None` if all points coincide.
+/// Returns the width of objects at `places`. It is a fraction of the median distance to the nearest
+/// other position, within bounds that follow from `points`. `None` if all points coincide.
 pub(crate) fn width(places: &[Vec3], points: &[Vec3], rule: Rule) -> Option<f32> {
     let finite = || points.iter().copied().filter(|point| point.is_finite());
     let low = finite().reduce(Vec3::min)?;
@@ -68,12 +68,12 @@ mod tests {
             let found = width(places, &long, RULE).unwrap();
             assert!((found / expected - 1.0).abs() < 1e-5, "{found}, not {expected}");
         };
-        // alone, or far from the neighbour: the bound applies
+        // a place alone, or far from its neighbour, gets the largest width
         is_about(&long[..1], 0.1);
         is_about(&long, 0.1);
-        // nearly coincident positions
+        // nearly coincident places get the smallest width
         is_about(&[Vec3::ZERO, Vec3::new(1e-9, 0.0, 0.0)], 0.001);
-        // coincident places have no spacing
+        // coincident places have no spacing, so they get the largest width
         is_about(&[Vec3::ONE; 9], 0.1);
         assert_eq!(width(&[Vec3::ONE; 9], &[Vec3::ONE; 9], RULE), None);
         assert_eq!(width(&[], &[Vec3::NAN], RULE), None);

@@ -159,9 +159,9 @@ impl<'a> Textures<'a> {
         name.unwrap_or("picture").to_owned()
     }
 
-    /// A texture with these channels, for coordinate set `uv_set`. `None` without a picture, or if
-    /// one cannot be read; callers then use its fallback. The placement is that of the first
-    /// component.
+    /// Returns a texture with these channels, for the coordinate set `uv_set`. `None` if no channel
+    /// has a picture, or if a picture cannot be read; callers then use the shader's fallback. If
+    /// placements differ, all channels use the placement of the first component.
     pub(crate) fn slot(
         &mut self,
         channels: [Channel<'_>; 4],
@@ -371,8 +371,8 @@ fn linear([r, g, b, a]: [f32; 4], space: Space) -> [f32; 4] {
     }
 }
 
-/// The codes of the decoded picture, if every channel is where the slot reads it, unscaled, and in
-/// the slot's encoding.
+/// Returns the codes of the decoded picture, if every channel is where the slot reads it, unscaled,
+/// and in the slot's encoding. `None` otherwise, and for pictures of floats.
 fn direct(channels: &[Channel<'_>; 4], kind: Kind, pictures: &[Option<Rc<Picture>>]) -> Option<Pixels> {
     let picture = pictures.iter().flatten().next()?;
     for (place, channel) in channels.iter().enumerate() {

@@ -17,7 +17,7 @@ const UP: [f32; 3] = [0.0, 0.0, 1.0];
 
 type Ignored = &'static [(&'static str, f32)];
 
-/// Diffuse colour, mixed with the colour that results from subsurface scattering.
+/// Returns the diffuse colour, mixed with the colour that results from subsurface scattering.
 fn with_subsurface(
     inputs: &Inputs,
     base: Value<3>,
@@ -68,8 +68,8 @@ pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -
     builder.film(1.0, inputs.number("thin_film_thickness", 0.0), inputs.number("thin_film_IOR", 1.5));
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission", [0.0]));
     builder.material.normal_texture = builder.normal(&normal);
-    // read here so that no warning lists them: they have no effect, or only together with inputs in
-    // the following list
+    // Read these inputs, so that no warning lists them. They have no effect, or have an effect only
+    // together with inputs in the following list.
     for name in ["subsurface_radius", "subsurface_scale", "subsurface_anisotropy", "tangent"] {
         inputs.text(name);
     }
@@ -163,7 +163,7 @@ pub(crate) fn gltf_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     builder.film(inputs.number("iridescence", 0.0), thickness_nm, inputs.number("iridescence_ior", 1.3));
     builder.emission(&inputs.get("emissive", [0.0; 3]), &inputs.get("emissive_strength", [1.0]));
     builder.material.normal_texture = builder.normal(&normal);
-    // read here so that no warning lists them, since they have no effect
+    // read these inputs, so that no warning lists them; they have no effect
     for name in ["occlusion", "tangent"] {
         inputs.text(name);
     }
@@ -176,8 +176,8 @@ pub(crate) fn unlit(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     builder.roughness(&Value::Constant([1.0]), &Value::Constant([0.0]));
     builder.specular(&Value::Constant([0.0]), &Value::Constant(WHITE), 1.5);
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission", [1.0]));
-    // read here so that no warning lists it: it has an effect only with the weight in the following
-    // list
+    // read this input, so that no warning lists it; it has an effect only with the weight in the
+    // following list
     inputs.text("transmission_color");
     &[("transmission", 0.0)]
 }

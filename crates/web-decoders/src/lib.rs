@@ -1,9 +1,9 @@
-//! Parts of the page that solves that most scenes do not need, or that are needed once. They decode
-//! pictures, packed meshes and captures, read light fields, and write the zip that is saved.
+//! Decoders of pictures, packed meshes and captures, readers of light fields, and the writer of the
+//! zip. The page that solves needs them rarely, or once.
 //!
-//! In the page they are a module of their own, which is loaded at its first use. A decoder that
-//! stops on broken content stops this module alone; the page starts it again. Natively the crate of
-//! the page that solves calls them directly.
+//! In the page this crate is a WebAssembly module of its own, which is loaded at its first use. If
+//! a decoder stops on damaged content, only this module stops. Natively, `lumistack-web-solver`
+//! calls this crate directly.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -18,14 +18,14 @@ use zip::write::SimpleFileOptions;
 #[cfg(target_arch = "wasm32")]
 mod shell;
 
-/// A light field's values that its files do not state, and its largest width in pixels.
+/// Values for a light field whose files do not state them, and the largest width of its views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wanted {
-    /// Width on the plane of zero parallax, mm.
+    /// Width of the light field's rectangle on the display plane, mm.
     pub width_mm: f64,
-    /// [horizontal, vertical] full angle of its views, degrees.
+    /// [horizontal, vertical] full angle that the views cover, degrees.
     pub fov_deg: [f64; 2],
-    /// Most columns of a view; views with more are reduced.
+    /// Largest number of pixel columns of a view; larger views are reduced to it.
     pub cols: usize,
 }
 
@@ -44,10 +44,10 @@ pub fn field(path: &str, wanted: &Wanted, task: Task<'_>) -> Result<LightField, 
     open(path, &GeometryFlags { resolution: reduced, ..GeometryFlags::default() }, &defaults, task)
 }
 
-/// Packs files as a zip, after `display.toml` with the display that is given as JSON.
+/// Packs `display.toml` and files, in this order, as a zip. `display` is the display as JSON.
 ///
 /// # Errors
-/// When the JSON is no display, or the zip becomes too large.
+/// If the JSON is no display, or the zip becomes too large.
 pub fn pack<'a>(display: &str, files: impl IntoIterator<Item = (&'a str, &'a [u8])>) -> Result<Vec<u8>, String> {
     let display: Display = serde_json::from_str(display).map_err(|error| format!("display: {error}"))?;
     let toml = display.to_toml();

@@ -1,4 +1,4 @@
-//! The functions that JavaScript sees.
+//! The functions and classes that JavaScript can call.
 
 use js_sys::Uint8Array;
 use lumistack_core::{Cancel, Collector, Task};
@@ -7,21 +7,23 @@ use wasm_bindgen::prelude::*;
 
 use crate::Wanted;
 
-/// Replaces the files that readers of light fields find.
+/// Replaces the files in memory that the readers of light fields read.
 #[wasm_bindgen]
 pub fn hold(names: Vec<String>, contents: Vec<Uint8Array>) {
     lumistack_files::hold(names.into_iter().zip(contents.iter().map(Uint8Array::to_vec)));
 }
 
-/// A light field that was read, for the solver's module.
+/// A light field, which the solver's module receives value by value.
 #[wasm_bindgen]
 pub struct Field {
     field: LightField,
-    /// Place and message of each warning, one after the other.
+    /// Warnings: the place and the message of each in turn.
     warnings: Vec<String>,
 }
 
-/// Reads a light field among the held files.
+/// Reads a light field from the files that [`hold`] received. `width_mm`, `fov_x_deg` and
+/// `fov_y_deg` apply if its files do not state them; views with more than `cols` columns are
+/// reduced.
 #[wasm_bindgen]
 pub fn field(path: &str, width_mm: f64, fov_x_deg: f64, fov_y_deg: f64, cols: usize) -> Result<Field, JsError> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -33,25 +35,25 @@ pub fn field(path: &str, width_mm: f64, fov_x_deg: f64, fov_y_deg: f64, cols: us
 
 #[wasm_bindgen]
 impl Field {
-    /// Rows of a view.
+    /// Pixel rows of a view.
     #[wasm_bindgen(getter)]
     pub fn rows(&self) -> usize {
         self.field.geometry().rows
     }
 
-    /// Columns of a view.
+    /// Pixel columns of a view.
     #[wasm_bindgen(getter)]
     pub fn cols(&self) -> usize {
         self.field.geometry().cols
     }
 
-    /// Pitch of its pixels, mm.
+    /// Pitch of the pixels on the display plane, mm.
     #[wasm_bindgen(getter)]
     pub fn pitch_mm(&self) -> f64 {
         self.field.geometry().pitch_mm
     }
 
-    /// Distance of perspective views, mm; nothing for parallel views.
+    /// Viewing distance of perspective views, mm; undefined for oblique views.
     #[wasm_bindgen(getter)]
     pub fn distance_mm(&self) -> Option<f64> {
         match self.field.geometry().grid.projection {
@@ -60,38 +62,39 @@ impl Field {
         }
     }
 
-    /// Slopes of view columns, left to right.
+    /// Slopes of the columns of views, from left to right.
     #[wasm_bindgen(getter)]
     pub fn slope_x(&self) -> Vec<f64> {
         self.field.geometry().grid.slope_x.clone()
     }
 
-    /// Slopes of view rows, top to bottom.
+    /// Slopes of the rows of views, from top to bottom.
     #[wasm_bindgen(getter)]
     pub fn slope_y(&self) -> Vec<f64> {
         self.field.geometry().grid.slope_y.clone()
     }
 
-    /// All values, `[view_y][view_x][row][col][rgb]`.
+    /// Linear values of all views, `[view_y][view_x][row][col][rgb]`.
     #[wasm_bindgen(getter)]
     pub fn radiance(&self) -> Vec<f32> {
         self.field.radiance().data().to_vec()
     }
 
-    /// Place and message of each warning, one after the other.
+    /// Warnings of the reader: the place and the message of each in turn.
     #[wasm_bindgen(getter)]
     pub fn warnings(&self) -> Vec<String> {
         self.warnings.clone()
     }
 }
 
-/// Decodes packed content that came as bytes; the answer is bytes too.
+/// Decodes packed content. Request and answer have the byte format of `lumistack_gltf::Packed`; the
+/// result is undefined if the request is malformed.
 #[wasm_bindgen]
 pub fn answer(request: &[u8]) -> Option<Vec<u8>> {
     crate::answer(request)
 }
 
-/// Packs files as a zip, after `display.toml` with the display that is given as JSON.
+/// Packs `display.toml` and files, in this order, as a zip. `display` is the display as JSON.
 #[wasm_bindgen]
 pub fn pack(display: &str, names: Vec<String>, contents: Vec<Uint8Array>) -> Result<Vec<u8>, JsError> {
     let contents: Vec<Vec<u8>> = contents.iter().map(Uint8Array::to_vec).collect();

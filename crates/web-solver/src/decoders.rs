@@ -1,5 +1,6 @@
-//! The decoders of packed content, the readers of light fields and the zip: a module of their own
-//! in a page, a crate elsewhere.
+//! Access to the decoders of packed content, the readers of light fields and the writer of the zip.
+//! In a page they are another WebAssembly module; natively they are the crate
+//! `lumistack-web-decoders`.
 
 #[cfg(target_arch = "wasm32")]
 pub(crate) use page::{field, pack, unpack};
@@ -7,14 +8,14 @@ pub(crate) use page::{field, pack, unpack};
 #[cfg(not(target_arch = "wasm32"))]
 pub(crate) use beside::{field, pack, unpack};
 
-/// A light field's values that its files do not state, and its largest width in pixels.
+/// Values for a light field whose files do not state them, and the largest width of its views.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Wanted {
-    /// Width on the plane of zero parallax, mm.
+    /// Width of the light field's rectangle on the display plane, mm.
     pub(crate) width_mm: f64,
-    /// [horizontal, vertical] full angle of its views, degrees.
+    /// [horizontal, vertical] full angle that the views cover, degrees.
     pub(crate) fov_deg: [f64; 2],
-    /// Most columns of a view; views with more are reduced.
+    /// Largest number of pixel columns of a view; larger views are reduced to it.
     pub(crate) cols: usize,
 }
 
@@ -28,7 +29,7 @@ mod beside {
     use super::Wanted;
     use crate::error::Error;
 
-    /// Packs files as a zip, after `display.toml` with the display that is given as JSON.
+    /// Packs `display.toml` and files, in this order, as a zip. `display` is the display as JSON.
     pub(crate) fn pack(display: &str, files: &[(String, Vec<u8>)]) -> Result<Vec<u8>, String> {
         decoders::pack(display, files.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice())))
     }
@@ -52,7 +53,7 @@ mod page {
     use super::Wanted;
     use crate::error::Error as Sentence;
 
-    // the worker loads the module at the first call
+    // `worker.ts` defines these functions; it loads the module of decoders at the first call
     #[wasm_bindgen]
     extern "C" {
         #[wasm_bindgen(catch, js_namespace = lumistack_decoders)]
@@ -94,7 +95,7 @@ mod page {
             expected: "the decoders of this page, lumistack_web_decoders_bg.wasm".into(),
             found: message(&error),
         };
-        // without an answer the module stopped on the content
+        // if there is no answer, the module stopped on damaged content
         let found = answer(&packed.to_bytes()).map_err(unreachable)?;
         found.as_deref().and_then(answered).unwrap_or_else(|| Err(packed.stopped()))
     }

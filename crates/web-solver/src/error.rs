@@ -7,7 +7,7 @@ use lumistack_gltf::GltfError;
 use lumistack_pathtracer::RenderError;
 use lumistack_shot::ShotError;
 
-/// A sentence that names the file, the place in it, the expected and the found value.
+/// A message for the user: the file, the place in it, the expected and the found value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error(pub(crate) String);
 

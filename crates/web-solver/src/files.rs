@@ -1,4 +1,4 @@
-//! Dropped files in memory, and the scene among them.
+//! The dropped files, in memory, and the reader of the scene among them.
 
 use std::collections::BTreeMap;
 
@@ -10,8 +10,8 @@ use lumistack_scene::Scene;
 use crate::decoders;
 use crate::error::Error;
 
-/// Limits on the decoded bytes of a scene and of its pictures. A wasm module has at most 4 GiB in
-/// total.
+/// Largest decoded size of a scene, and of its pictures, bytes. A WebAssembly module has at most
+/// 4 GiB of memory.
 const MOST_DECODED: u64 = 1 << 30;
 const MOST_PICTURES: u64 = 512 << 20;
 
@@ -31,10 +31,11 @@ impl Files {
         self.0.insert(path.into(), bytes);
     }
 
-    /// Reads the scene of one of the files: splats by the file's extension, else glTF.
+    /// Reads the scene from the file `path`. It is a capture of splats if the file's extension is
+    /// one of theirs, else glTF.
     ///
     /// # Errors
-    /// Those of the command: the place in the file, the expected and the found value.
+    /// The same errors as the command's: the place in the file, the expected and the found value.
     pub fn scene(&self, path: &str, task: Task<'_>) -> Result<Scene, Error> {
         let bytes = self.0.get(path).ok_or_else(|| Error::value(path, "a readable file", "none"))?;
         let (folder, name) = path.rsplit_once('/').map_or(("", path), |(folder, name)| (folder, name));
@@ -46,7 +47,7 @@ impl Files {
             return Ok(lumistack_gltf::load_with(name, bytes, &beside, &options, task)?);
         }
         let failed = |error: String| Error(format!("{name}: {error}"));
-        // a description of a capture names its pictures; other files are whole
+        // the JSON file of a capture refers to pictures beside it; other captures are single files
         let near = self.0.iter().filter_map(|(path, bytes)| Some((beside.name(path)?, bytes.as_slice())));
         let near = if extension == "json" { near.collect() } else { Vec::new() };
         let found = match decoders::unpack(&Packed::Capture(bytes, near)) {
@@ -69,7 +70,7 @@ impl Files {
 }
 
 impl<'a> Beside<'a> {
-    /// Name of a file, relative to the folder; `None` for files elsewhere.
+    /// Path of a file relative to the folder; `None` if it is outside the folder.
     fn name(&self, path: &'a str) -> Option<&'a str> {
         if self.folder.is_empty() { Some(path) } else { path.strip_prefix(self.folder)?.strip_prefix('/') }
     }

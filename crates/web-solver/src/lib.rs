@@ -1,14 +1,15 @@
-//! From a dropped file to patterns in small pieces. The command computes the same at once; a page
-//! must stay responsive.
+//! Computes patterns from a dropped file in small pieces, between which the page stays responsive.
+//! The final patterns are those of the command.
 //!
 //! ```text
 //! Files ──scene──▶ Scene ──subject──▶ Subject ──views──▶ light field ──work──▶ patterns
 //! ```
 //!
-//! [`Work::advance`] computes one piece: a view, or an iteration of the solver. First come noisy
-//! views of a few directions and their patterns. Then come views with all samples, and now and then
-//! patterns of the views so far. The last views and patterns are those that the command computes
-//! for the same job. [`patterns`] encodes them for the viewer, and as a zip for the command.
+//! [`Work::advance`] computes one piece: a view, or an iteration of the solver. First it computes
+//! noisy views of a few directions, and patterns for them. Then it renders all views with all their
+//! samples; three times meanwhile it solves for the views that exist. The last views and patterns
+//! are those that the command computes for the same job. [`patterns`] encodes patterns for the
+//! viewer, and as a zip for the command.
 
 mod decoders;
 mod error;

@@ -1,4 +1,4 @@
-//! Encodings of patterns for the viewer and for the command.
+//! Encodes patterns for the viewer and for the command.
 
 use lumistack_display::{Backlight, Display, LayerStack, Projection, StackIndex};
 use npyz::{DType, WriteOptions, WriterBuilder};
@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 use crate::decoders;
 use crate::error::Error;
 
-/// Encodes all masks of a stack as `[row][col][rgb]` in the order of [`preview`]'s files: value =
-/// code / 255.
+/// Encodes all masks of a stack, in the order of the files of [`preview`]. Each mask is
+/// `[row][col][rgb]` with value = code / 255.
 pub fn codes(display: &Display, stack: &LayerStack) -> Vec<u8> {
     let code = |value: &f32| (255.0 * value).round() as u8;
     let mut codes = Vec::new();
@@ -17,7 +17,7 @@ pub fn codes(display: &Display, stack: &LayerStack) -> Vec<u8> {
             codes.extend(layer.block([frame]).iter().map(code));
         }
         if let (Some(emission), Backlight::Lenslets(b)) = (&stack.emission, &display.backlight) {
-            // bins side by side, `[bin_y][lenslet_row][bin_x][lenslet_col]`
+            // the emission's axes are `[bin_y][lenslet_row][bin_x][lenslet_col]`
             for (bin_y, row) in (0..b.views[1]).flat_map(|bin_y| (0..b.lenslets[1]).map(move |row| (bin_y, row))) {
                 for bin_x in 0..b.views[0] {
                     codes.extend(emission.block([frame, bin_y, bin_x, row]).iter().map(code));
@@ -28,11 +28,11 @@ pub fn codes(display: &Display, stack: &LayerStack) -> Vec<u8> {
     codes
 }
 
-/// Writes the viewer's `preview.json` of a stack. The page passes the pictures in memory, so the
-/// named files do not exist.
+/// Writes the viewer's `preview.json` for patterns of a display. The page passes the pictures in
+/// memory, so the files that it names do not exist.
 ///
 /// # Errors
-/// When the views of the display are invalid.
+/// If the views of the display are invalid.
 pub fn preview(display: &Display, title: &str) -> Result<String, Error> {
     let geometry = display.geometry()?;
     let mut files = Vec::new();
@@ -79,11 +79,11 @@ pub fn preview(display: &Display, title: &str) -> Result<String, Error> {
     Ok(preview.to_string())
 }
 
-/// Packs a run folder of the patterns as a zip. The command reads `display.toml` and `layers/`;
-/// `job.toml` computes the same patterns again.
+/// Packs a run folder of the patterns as a zip. The command reads `display.toml` and `layers/`, and
+/// computes the same patterns again from `job`, the content of `job.toml`.
 ///
 /// # Errors
-/// When the zip becomes too large.
+/// If the zip becomes too large.
 pub fn zip(display: &Display, stack: &LayerStack, job: &str) -> Result<Vec<u8>, Error> {
     let failed = |error: &dyn std::fmt::Display| Error(format!("zip: {error}"));
     let index = StackIndex::of(display, stack);
@@ -114,7 +114,7 @@ fn npy(shape: &[usize], data: &[f32]) -> std::io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Values of a display to which the page sets its sliders, as JSON.
+/// Values of a display as JSON, to which the page sets its sliders.
 pub fn about(display: &Display) -> Value {
     let gaps = display.layers.windows(2).map(|pair| pair[1].d_mm - pair[0].d_mm);
     let count = display.layers.len().saturating_sub(1).max(1);

@@ -1,4 +1,4 @@
-//! The page's choices: a display and its variation.
+//! The settings of the page: a preset of a display, and changes to it.
 
 use lumistack_display::{Display, FieldGeometry, Variation, Views};
 use lumistack_factorizer::{ZONE_ITERATIONS, held_bytes};
@@ -8,12 +8,13 @@ use serde::{Deserialize, Serialize};
 use crate::decoders::Wanted;
 use crate::error::Error;
 
-/// Memory of a light field's views, MiB. With all that is computed from them they stay well below
-/// the memory of a module.
+/// Largest memory of a light field's views, MiB. Together with all data that is computed from them
+/// it is well below the memory of a WebAssembly module, 4 GiB.
 const FIELD_MIB: u64 = 256;
-/// Memory of a solve beside its views, bytes.
+/// Largest memory of a solve in addition to its views, bytes.
 const MOST_SOLVING: u64 = 700 << 20;
-/// Paths per pixel of all views together: the command's value where it measures nothing.
+/// Default for the paths per pixel of all views together: the command's value if it does not
+/// measure noise.
 const ZONE_SAMPLES: u32 = 800;
 /// Allowed columns of a light field.
 const COLS: std::ops::RangeInclusive<usize> = 16..=640;
@@ -21,40 +22,41 @@ const COLS: std::ops::RangeInclusive<usize> = 16..=640;
 /// A display that comes with the program.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Preset {
-    /// Its name.
+    /// Name of the display's file without its extension.
     pub name: String,
     /// The display.
     pub display: Display,
 }
 
-/// The displays that come with the program. They are JSON here, which the module reads anyway: a
-/// reader of TOML would be a tenth of it.
+/// The displays that come with the program. Here they are JSON, since a reader of TOML would be a
+/// tenth of the module.
 ///
 /// # Errors
-/// None: a test compares them with the files of the command.
+/// None occur: a test compares the presets with the display files of the command.
 pub fn presets() -> Result<Vec<Preset>, Error> {
     serde_json::from_str(include_str!("presets.json")).map_err(|error| Error(format!("presets: {error}")))
 }
 
-/// The page's choices, read from JSON. A missing key keeps the preset's value.
+/// The settings of the page, read from JSON. A missing key keeps the preset's value.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Name of a preset.
     pub preset: String,
-    /// Columns of the light field, 16 to 640. Masks scale with it; the width in millimetres stays.
+    /// Pixel columns of the light field, 16 to 640. The masks' resolution scales with it; the width
+    /// in millimetres stays the same.
     pub cols: usize,
     /// Number of layers.
     pub layers: Option<usize>,
-    /// Frames of a display.
+    /// Number of frames.
     pub frames: Option<usize>,
     /// Brightness β, above 0, at most 1.
     pub brightness: Option<f64>,
-    /// Gap of the layers, mm.
+    /// Gap between neighbouring layers, mm.
     pub gap_mm: Option<f64>,
     /// Paths per pixel of all views together, like the command's `render.zone_samples`.
     pub zone_samples: u32,
-    /// Iterations of the last solve; by default those of the command.
+    /// Iterations of the last solve; the default is the command's number.
     pub iterations: Option<u32>,
 }
 
@@ -82,11 +84,12 @@ impl Settings {
         serde_json::from_str(text).map_err(|error| Error(format!("settings: {error}")))
     }
 
-    /// Makes the chosen display, and resolves its choice of views.
+    /// Makes the chosen display. If the preset leaves the choice of views to the program, this also
+    /// chooses the views.
     ///
     /// # Errors
-    /// When there is no such preset, a value is out of range, or the display needs more memory than
-    /// a page has.
+    /// If there is no such preset, a value is out of range, or the display needs more memory than a
+    /// page has.
     pub fn display(&self) -> Result<Display, Error> {
         let preset = presets()?.into_iter().find(|preset| preset.name == self.preset);
         let preset = preset.ok_or_else(|| Error::value("preset", "the name of a preset", &self.preset))?;
@@ -105,24 +108,26 @@ impl Settings {
         Ok(display)
     }
 
-    /// Makes the chosen display for a light field, as the command does.
+    /// Adapts the chosen display to a light field, as the command does.
     ///
     /// # Errors
-    /// When the two do not fit each other, or need more memory than a page has.
+    /// If display and light field do not fit each other, or the adapted display needs more memory
+    /// than a page has.
     pub(crate) fn display_for(&self, geometry: &FieldGeometry) -> Result<Display, Error> {
         let display = self.display()?.adapted_to(geometry)?;
         affordable(&display)?;
         Ok(display)
     }
 
-    /// Values of a light field that its files need not state, as in the command, and the chosen
-    /// columns.
+    /// Values for a light field whose files do not state them: the display's, as in the command.
+    /// The largest width of its views is the chosen number of columns.
     pub(crate) fn wanted(&self, display: &Display) -> Wanted {
         Wanted { width_mm: display.field_pixels().size_mm()[0], fov_deg: display.field.fov_deg, cols: self.cols }
     }
 
-    /// Writes a job by which the command computes the same patterns, beside the scene's file and
-    /// `display.toml`. A light field has a `resolution`, [columns, rows].
+    /// Writes the job file by which the command computes the same patterns. The command expects
+    /// `display.toml` and the input `path` beside it. A light field has a `resolution`, [columns,
+    /// rows].
     pub fn job(&self, path: &str, resolution: Option<[usize; 2]>) -> String {
         let input = if resolution.is_some() { "light_field" } else { "scene" };
         let mut text = format!("{input} = {path:?}\n\n[display]\nfile = \"display.toml\"\n");
@@ -136,17 +141,18 @@ impl Settings {
         text
     }
 
-    /// Settings of the rendering of views.
+    /// The settings with which views are rendered.
     pub(crate) fn render(&self) -> RenderJob {
         RenderJob { zone_samples: ZoneSamples::Count(self.zone_samples), field_mib: FIELD_MIB, ..RenderJob::default() }
     }
 
-    /// Filter of the views of a display, as the command chooses it.
+    /// The noise filter for the views of a display, as the command chooses it.
     pub(crate) fn denoise(display: &Display) -> Denoise {
         if matches!(display.field.views, Views::Fixed(_)) { Denoise::Off } else { Denoise::Shared }
     }
 
-    /// Iterations of the last solve. Views that were given are fixed.
+    /// Iterations of the last solve. There are two defaults: one for fixed views, such as a given
+    /// light field, and one for views that the program chooses.
     pub(crate) fn iterations(&self, display: &Display) -> u32 {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         let default = if fixed { lumistack_factorizer::Settings::default().iterations } else { ZONE_ITERATIONS };
@@ -154,7 +160,7 @@ impl Settings {
     }
 }
 
-/// Fails if a display needs more memory than a page has.
+/// Returns an error if a display needs more memory than a page has.
 fn affordable(display: &Display) -> Result<(), Error> {
     let geometry = display.geometry()?;
     let bytes = held_bytes(display, &geometry, 1);

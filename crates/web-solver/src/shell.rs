@@ -1,5 +1,5 @@
-//! The classes that JavaScript sees. Every method passes its call on to the code beside it, which
-//! is tested natively.
+//! The functions and classes that JavaScript can call. They only call the other modules of this
+//! crate, which are tested natively.
 
 use js_sys::Uint8Array;
 use serde_json::json;
@@ -16,7 +16,7 @@ impl From<Error> for JsValue {
 
 type Thrown<T> = Result<T, JsValue>;
 
-/// Names, titles and values of the presets, as JSON.
+/// The presets as JSON: the name, the title, and the values for the sliders of each.
 #[wasm_bindgen]
 pub fn presets() -> String {
     let about = |Preset { name, display }: Preset| json!({"name": name, "title": display.name, "about": patterns::about(&display)});
@@ -42,7 +42,7 @@ impl Dropped {
     }
 }
 
-/// A solve under way.
+/// A solve in progress.
 #[wasm_bindgen]
 pub struct Solver {
     work: Work,
@@ -50,13 +50,14 @@ pub struct Solver {
 
 #[wasm_bindgen]
 impl Solver {
-    /// Solves one of the files, with settings as JSON.
+    /// Prepares to solve the scene in the file `path`. `settings` is JSON.
     #[wasm_bindgen(constructor)]
     pub fn new(files: Dropped, path: &str, settings: &str) -> Thrown<Solver> {
         Ok(Self { work: Work::new(files.0, path, Settings::from_json(settings)?)? })
     }
 
-    /// Solves a light field that the module of decoders holds, with settings as JSON.
+    /// Prepares to solve the light field `path` among the files in the module of decoders.
+    /// `settings` is JSON.
     pub fn of_field(path: &str, settings: &str) -> Thrown<Solver> {
         Ok(Self { work: Work::of_field(path, Settings::from_json(settings)?)? })
     }
@@ -82,17 +83,17 @@ impl Solver {
         .into()
     }
 
-    /// Share of the finished work, 0..1.
+    /// Finished fraction of the work, 0..1.
     pub fn share(&self) -> f64 {
         self.work.share()
     }
 
-    /// Number of stacks so far.
+    /// Number of times that new patterns were ready to show.
     pub fn shown(&self) -> u32 {
         self.work.shown()
     }
 
-    /// PSNR of the current patterns over the views that they were made for, dB; NaN before the
+    /// PSNR of the current patterns over the views for which they were solved, dB. NaN before the
     /// first patterns.
     pub fn psnr(&self) -> f64 {
         self.work.psnr()
@@ -103,7 +104,7 @@ impl Solver {
         self.work.warnings()
     }
 
-    /// The viewer's `preview.json` for patterns of this display.
+    /// The viewer's `preview.json` for patterns of the current display.
     pub fn preview(&self, title: &str) -> Thrown<String> {
         Ok(patterns::preview(self.work.display(), title)?)
     }
@@ -114,7 +115,7 @@ impl Solver {
         Uint8Array::from(codes.unwrap_or_default().as_slice())
     }
 
-    /// The current patterns as a zip.
+    /// A run folder of the current patterns as a zip.
     pub fn zip(&self) -> Thrown<Uint8Array> {
         let stack = self.work.stack().ok_or_else(|| Error::value("zip", "patterns", "none yet"))?;
         Ok(Uint8Array::from(patterns::zip(self.work.display(), stack, &self.work.job())?.as_slice()))

@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 
 use crate::error::Error;
 
-/// A scene and its renderer, without a cache: the page needs every result once.
+/// A lit scene and its renderer. Results are not cached, since the page needs each result only once.
 pub(crate) struct Held {
     pub(crate) scene: Arc<Scene>,
     pub(crate) renderer: SceneRenderer,
@@ -21,8 +21,8 @@ impl Held {
         Ok(Self { renderer: SceneRenderer::new(scene.clone(), task)?, scene })
     }
 
-    /// Returns whether the path tracer renders its views: it has surfaces, or a background behind
-    /// its splats.
+    /// Returns true if the path tracer renders the views of this scene: it has surfaces, or a
+    /// background behind its splats.
     pub(crate) fn is_traced(&self) -> bool {
         !self.scene.instances.is_empty() || self.scene.environment.is_some() || self.scene.backdrop.is_some()
     }

@@ -1,4 +1,4 @@
-//! The views that a display needs, rendered one by one, and the light field of the views so far.
+//! Renders the views that a display needs one by one, and makes a light field of rendered views.
 
 use std::borrow::Cow;
 
@@ -16,12 +16,12 @@ use crate::error::Error;
 use crate::settings::Settings;
 use crate::subject::Held;
 
-/// Stream of random numbers of the target, as in the command.
+/// Number of the stream of random numbers for the target's views, as in the command.
 const TARGET: u64 = 0;
 /// Seed of the job, as in the command.
 const SEED: u64 = 1;
 
-/// A selection of views: their rows and columns.
+/// A selection of views: all pairs of these rows and columns of the grid.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Picked {
     pub(crate) rows: Vec<usize>,
@@ -34,12 +34,12 @@ pub(crate) struct Views {
     placement: Placement,
     /// Geometry of the display's light field.
     geometry: FieldGeometry,
-    /// The same with the slopes at which the scene is traced.
+    /// `geometry` with the slopes at which the scene is traced, which differ by the depth scale.
     traced: FieldGeometry,
     paths: Paths,
     denoise: Denoise,
     light: LightJob,
-    /// Rendered views in the order of the grid; `None` for those to come.
+    /// Traced views in the order of the grid; `None` for views that are not traced yet.
     splits: Vec<Option<SplitView>>,
     splats: Vec<Option<Tensor<3>>>,
     /// Depths of all views, once they are traced.
@@ -53,7 +53,8 @@ impl Picked {
         Self { rows: (0..rows).collect(), cols: (0..cols).collect() }
     }
 
-    /// At most `most` rows and columns, evenly spread, with the outermost ones.
+    /// Picks at most `most` rows and at most `most` columns, evenly spread from the first to the
+    /// last.
     pub(crate) fn some(grid: &ViewGrid, most: usize) -> Self {
         let pick = |count: usize| match count.min(most) {
             1 => vec![count / 2],
@@ -63,7 +64,7 @@ impl Picked {
         Self { rows: pick(rows), cols: pick(cols) }
     }
 
-    /// The views, row by row.
+    /// The picked views as [view_y, view_x], row by row.
     pub(crate) fn views(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
         self.rows.iter().flat_map(|&y| self.cols.iter().map(move |&x| [y, x]))
     }
@@ -83,7 +84,7 @@ impl Views {
     /// Places the display in a lit scene.
     ///
     /// # Errors
-    /// When scene and display do not fit each other.
+    /// If scene and display do not fit each other.
     pub(crate) fn new(held: Held, display: &Display, settings: &Settings, task: Task<'_>) -> Result<Self, Error> {
         let geometry = display.geometry()?;
         let placement = place(&held, &WindowJob::default(), display, &geometry, task)?;
@@ -111,7 +112,7 @@ impl Views {
         })
     }
 
-    /// Returns the scene for another display.
+    /// Returns the scene, so that another display can be placed in it.
     pub(crate) fn into_held(self) -> Held {
         self.held
     }
@@ -133,10 +134,11 @@ impl Views {
         self.held.renderer.splats.is_some()
     }
 
-    /// Traces a view with `samples` paths per pixel, in place of its earlier trace.
+    /// Traces a view with `samples` paths per pixel. The result replaces an earlier one of the
+    /// view.
     ///
     /// # Errors
-    /// When it cannot be rendered.
+    /// If the view cannot be rendered.
     pub(crate) fn trace(&mut self, view: [usize; 2], samples: u32, task: Task<'_>) -> Result<(), Error> {
         let paths = Paths { samples, ..self.paths };
         let window = &self.placement.window;
@@ -149,7 +151,7 @@ impl Views {
     /// Renders the splats of some views.
     ///
     /// # Errors
-    /// When they cannot be rendered.
+    /// If they cannot be rendered.
     pub(crate) fn render_splats(&mut self, views: &[[usize; 2]], task: Task<'_>) -> Result<(), Error> {
         let slopes = slopes(&self.traced, views);
         let (held, window, traced) = (&self.held, &self.placement.window, &self.traced);
@@ -166,11 +168,11 @@ impl Views {
         y * self.geometry.grid.views()[1] + x
     }
 
-    /// Makes the light field of rendered views as the command does: shared light, splats, exposure
-    /// and tone curve, rounding.
+    /// Makes a light field of the picked views, as the command does. The steps are: average the
+    /// shared light, add splats, apply exposure and tone curve, round.
     ///
     /// # Errors
-    /// When depths cannot be traced.
+    /// If depths cannot be traced.
     pub(crate) fn field(&mut self, picked: &Picked, task: Task<'_>) -> Result<LightField, Error> {
         let (shown, traced) = (picked.of(&self.geometry), picked.of(&self.traced));
         let depths = self.depths_of(picked, &traced, task)?;
@@ -178,8 +180,8 @@ impl Views {
         let mut field = LightField::black(shown)?;
         let places: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
         let splits: Vec<&SplitView> = numbers.iter().filter_map(|&number| self.splits[number].as_ref()).collect();
-        // Radiance of surfaces, with light that is shared between views where the job's filter does
-        // so.
+        // Write the radiance of surfaces. With the filter `shared`, the diffuse light is averaged
+        // over the views.
         if splits.len() == numbers.len() {
             let shared = if self.denoise == Denoise::Shared {
                 let mut light = SharedLight::new(&traced);
@@ -196,7 +198,7 @@ impl Views {
                 field.view_mut(place).copy_from_slice(radiance.data());
             }
         }
-        // Splats before the surfaces; they have no noise.
+        // Draw splats in front of the surfaces; their views have no noise.
         if let Some(space) = Space::of(&self.held.scene) {
             for (&place, &number) in places.iter().zip(&numbers) {
                 if let Some(splats) = &self.splats[number] {
@@ -204,12 +206,12 @@ impl Views {
                 }
             }
         }
-        // One exposure and tone curve for all views.
+        // Apply one exposure and tone curve to all views.
         let picture = |view| Ok::<_, Error>(Cow::Borrowed(field.view(view)));
         let rays = brightest(field.geometry(), &places, &depths, picture)?;
         let tone_mapping = ToneMapping::choose(&self.light, &self.held.scene, &rays);
         tone_mapping.apply(&mut field);
-        // the command rounds to half floats; display-referred values cannot overflow them
+        // round to half floats as the command does; after the tone curve values cannot overflow
         field.radiance_mut().data_mut().iter_mut().for_each(|value| *value = float_from_half(nearest_half(*value)));
         Ok(field)
     }

@@ -1,4 +1,4 @@
-//! The work of a solve, piece by piece.
+//! Plans a solve as a queue of small pieces, and computes them one by one.
 
 use std::collections::VecDeque;
 
@@ -15,15 +15,17 @@ use crate::settings::Settings;
 use crate::subject::Held;
 use crate::views::{Picked, Views};
 
-/// Most rows and columns of views of the first patterns.
+/// Largest number of rows, and of columns, of the views for the first patterns.
 const FIRST: usize = 3;
-/// Iterations on unfinished views: they start from the last patterns.
+/// Iterations of a solve for unfinished views. Few suffice, since it starts from the last patterns.
 const WARM: u32 = 3;
-/// Later patterns of a light field are shown after so many iterations each.
+/// For a light field, patterns are shown after each of the first iterations, then after every so
+/// many.
 const FIELD_SHOWS: u32 = 4;
-/// Views of splats per piece: one sort of the splats serves several views.
+/// Views of splats per piece. One sort of the splats serves them all.
 const SPLAT_VIEWS: usize = 5;
-/// Number of updates of the patterns while views get all their samples.
+/// Number of parts into which the final rendering of views is divided. After every part but the
+/// last, the patterns are solved again.
 const REFRESHES: usize = 4;
 /// Seed of the solver, as in the command.
 const SEED: u64 = 1;
@@ -31,11 +33,11 @@ const SEED: u64 = 1;
 /// Progress of the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Reads the files; lights the scene and places the display.
+    /// Reads the files, lights the scene, and places the display.
     Scene,
-    /// Renders views, and solves patterns of the views so far.
+    /// Renders views, and meanwhile solves for the views that are rendered already.
     Views,
-    /// Solves patterns of the finished views.
+    /// Solves for the finished views.
     Patterns,
     /// No work remains.
     Done,
@@ -43,9 +45,9 @@ pub enum Stage {
 
 /// A piece of work.
 enum Piece {
-    /// Reads a light field, for which the display is adapted.
+    /// Reads a light field, and adapts the display to it.
     ReadField,
-    /// Starts a fresh solve of the light field that was read.
+    /// Starts a solve for the light field that was read.
     BeginField,
     Read,
     Light,
@@ -55,9 +57,11 @@ enum Piece {
         samples: u32,
     },
     Splats(Vec<[usize; 2]>),
-    /// Makes the light field of these views, and starts a solve from the current patterns.
+    /// Makes the light field of the picked views, and starts a solve for it from the current
+    /// patterns.
     Begin(Picked),
-    /// Makes the light field of all views, and starts a fresh solve, as the command does.
+    /// Makes the light field of all views, and starts a solve for it without a warm start, as the
+    /// command does.
     BeginAnew,
     Step,
     /// Updates the patterns to show.
@@ -70,7 +74,7 @@ pub struct Work {
     settings: Settings,
     display: Display,
     path: String,
-    /// Files of a scene; nothing for a light field, whose readers have their own.
+    /// Files of a scene. `None` for a light field, whose files are in the module of decoders.
     files: Option<Files>,
     scene: Option<Scene>,
     held: Option<Held>,
@@ -80,7 +84,7 @@ pub struct Work {
     run: Option<Ongoing>,
     target: Option<LightField>,
     stack: Option<LayerStack>,
-    /// Number of stacks shown so far.
+    /// Number of times that `stack` was set.
     shown: u32,
     psnr: f64,
     warnings: Collector,
@@ -88,19 +92,19 @@ pub struct Work {
 }
 
 impl Work {
-    /// Prepares the work on a scene, which is one of the files.
+    /// Prepares the work on the scene in the file `path`, one of `files`.
     ///
     /// # Errors
-    /// When the settings are invalid.
+    /// If the settings are invalid.
     pub fn new(files: Files, path: &str, settings: Settings) -> Result<Self, Error> {
         Self::begin(Some(files), path, settings)
     }
 
     /// Prepares the work on a light field: a file or folder of any kind that the command reads. In
-    /// a page it is among the files that the module of decoders holds.
+    /// a page the files are in the memory of the module of decoders.
     ///
     /// # Errors
-    /// When the settings are invalid.
+    /// If the settings are invalid.
     pub fn of_field(path: &str, settings: Settings) -> Result<Self, Error> {
         Self::begin(None, path, settings)
     }
@@ -133,7 +137,7 @@ impl Work {
     /// Restarts with another display; the scene stays in memory.
     ///
     /// # Errors
-    /// When the settings are invalid; the work then stays the same.
+    /// If the settings are invalid. The work then continues with the previous settings.
     pub fn change(&mut self, settings: Settings) -> Result<(), Error> {
         self.display = settings.display()?;
         self.settings = settings;
@@ -142,7 +146,7 @@ impl Work {
             self.held = Some(views.into_held());
         }
         self.pieces = match (&self.files, &self.held, &self.scene) {
-            // its geometry may follow from the display
+            // read the light field again, since its geometry may depend on the display
             (None, ..) => [Piece::ReadField].into(),
             (_, Some(_), _) => [Piece::Place].into(),
             (_, None, Some(_)) => [Piece::Light, Piece::Place].into(),
@@ -151,40 +155,40 @@ impl Work {
         Ok(())
     }
 
-    /// The chosen display; for a light field that was read, adapted to it.
+    /// The chosen display. Once a light field is read, it is adapted to the light field.
     pub fn display(&self) -> &Display {
         &self.display
     }
 
-    /// Writes the job by which the command computes the same patterns, beside the files and
-    /// `display.toml`.
+    /// Writes the job file by which the command computes the same patterns. The command expects
+    /// `display.toml` and the input's files beside it.
     pub fn job(&self) -> String {
         let resolution = self.files.is_none().then_some(self.display.field.resolution);
         self.settings.job(&self.path, resolution)
     }
 
-    /// The patterns to show; `None` before the first ones.
+    /// The current patterns; `None` before the first patterns.
     pub fn stack(&self) -> Option<&LayerStack> {
         self.stack.as_ref()
     }
 
-    /// Number of stacks so far.
+    /// Number of times that [`Self::stack`] changed to new patterns.
     pub fn shown(&self) -> u32 {
         self.shown
     }
 
-    /// PSNR of the current patterns over the views that they were made for, dB; NaN before the
+    /// PSNR of the current patterns over the views for which they were solved, dB. NaN before the
     /// first patterns.
     pub fn psnr(&self) -> f64 {
         self.psnr
     }
 
-    /// Warnings for the user since the last call; each text once.
+    /// Warnings for the user since the last call, each text once.
     pub fn warnings(&self) -> Vec<String> {
         self.warnings.take().iter().map(ToString::to_string).collect()
     }
 
-    /// Share of the finished work, 0..1.
+    /// Finished fraction of the planned pieces, 0..1. It is 0 until the scene is placed.
     pub fn share(&self) -> f64 {
         if self.planned == 0 { 0.0 } else { 1.0 - self.pieces.len() as f64 / self.planned as f64 }
     }
@@ -203,7 +207,7 @@ impl Work {
     /// Computes the next piece.
     ///
     /// # Errors
-    /// When the file is broken, or scene and display do not fit each other; the work then ends.
+    /// If the file is damaged, or scene and display do not fit each other. The work then ends.
     pub fn advance(&mut self) -> Result<(), Error> {
         let Some(piece) = self.pieces.pop_front() else { return Ok(()) };
         let done = self.work_on(piece);
@@ -304,8 +308,8 @@ fn begin(
     Ok(Ongoing::begin(&Problem { display, target, weights: &Weights::Uniform }, &settings, warm, task)?)
 }
 
-/// Plans all pieces after a light field is read: one solve, whose patterns are shown often at
-/// first, when they change most.
+/// Plans the pieces after a light field is read: a single solve. Its patterns are shown after each
+/// of the first iterations, in which they change most, and more rarely later.
 fn plan_field(iterations: u32) -> VecDeque<Piece> {
     let mut pieces = VecDeque::from([Piece::BeginField]);
     for iteration in 1..=iterations {
@@ -318,8 +322,8 @@ fn plan_field(iterations: u32) -> VecDeque<Piece> {
     pieces
 }
 
-/// Plans all pieces after the scene is placed: noisy views of a few directions, noisy views of all,
-/// views with all samples, the last solve.
+/// Plans the pieces after the scene is placed: noisy views of a few directions, noisy views of all
+/// directions, views with all their samples, and the last solve.
 fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
     let (first, all) = (Picked::some(views.grid(), FIRST), Picked::all(views.grid()));
     let mut pieces = VecDeque::new();
@@ -347,9 +351,9 @@ fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
         render(&mut pieces, &others, 1, true);
         refresh(&mut pieces, &all);
     }
-    // Then all samples, in parts.
+    // Then all views get all their samples, in parts.
     if traced && views.samples() > 1 {
-        // every part is spread over the zone
+        // each part takes every REFRESHES-th view, so that its views are spread over the zone
         let every: Vec<[usize; 2]> = all.views().collect();
         let parts = (0..REFRESHES).map(|part| every.iter().copied().skip(part).step_by(REFRESHES).collect::<Vec<_>>());
         for (number, part) in parts.enumerate() {

@@ -1,4 +1,4 @@
-//! The page's patterns agree with those of the command, and its zip is a run folder.
+//! The patterns of the page agree with those of the command, and the page's zip is a run folder.
 
 use std::io::{Cursor, Read as _};
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ fn files(folder: &Path) -> Files {
     files
 }
 
-/// Works to the end. Returns the number of stacks that were shown.
+/// Computes all pieces. Returns how often new patterns were ready to show.
 fn finish(work: &mut Work) -> u32 {
     let mut last = work.share();
     while work.stage() != Stage::Done {
@@ -45,17 +45,17 @@ fn unpacked(zip: Vec<u8>, folder: &Path) {
     }
 }
 
-/// Root mean square difference between the patterns of the page and of the command, which finds
-/// the files of a folder beside the job.
+/// Finishes `work`, and runs the command on its job with the files of `folder` beside it. Returns
+/// the root mean square difference of the two patterns.
 fn difference(folder: &Path, mut work: Work) -> f64 {
     let shown = finish(&mut work);
-    assert!(shown > 1, "{shown} stacks are shown on the way");
+    assert!(shown > 1, "new patterns were ready only {shown} times");
     let (display, stack) = (work.display(), work.stack().unwrap());
     let run = tempfile::tempdir().unwrap();
     unpacked(patterns::zip(display, stack, &work.job()).unwrap(), run.path());
     let read = lumistack_field_io::read_stack(&run.path().join("layers")).unwrap();
     assert_eq!(&read, stack);
-    // its job, beside the files
+    // put the scene's files beside the job
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_none_or(|extension| extension != "toml") {
@@ -81,7 +81,7 @@ fn difference(folder: &Path, mut work: Work) -> f64 {
 
 #[test]
 fn patterns_are_those_of_the_command() {
-    // the command's cache rounds views, which leaves a difference
+    // the command's cache rounds views, so a small difference remains
     for (folder, file) in [("letters", "letters.gltf"), ("dandelion", "dandelion.spz")] {
         let settings = Settings::from_json(CHOICE).unwrap();
         let work = Work::new(files(&scene(folder)), file, settings).unwrap();
@@ -90,7 +90,7 @@ fn patterns_are_those_of_the_command() {
     }
 }
 
-/// Two layers of stripes with parallax, as a quilt of 4 × 2 views.
+/// Writes a quilt of 4 × 2 views of stripes at two depths.
 fn quilt(path: &Path) {
     let [cols, rows] = [60, 40];
     let picture = image::RgbImage::from_fn(4 * cols, 2 * rows, |x, y| {
@@ -109,7 +109,7 @@ fn a_light_field_is_solved_as_the_command_solves_it() {
     let path = folder.path().join("stripes_qs4x2a1.5.png");
     quilt(&path);
     let settings = |more: &str| Settings::from_json(&format!(r#"{{"iterations": 5, "frames": 2, {more}}}"#)).unwrap();
-    // as it is, and reduced
+    // the views of 60 columns stay as they are, or are reduced to 48 columns
     for (cols, expected) in [(160, [60, 40]), (48, [48, 32])] {
         let settings = settings(&format!(r#""cols": {cols}"#));
         let work = Work::of_field(path.to_str().unwrap(), settings).unwrap();
@@ -120,7 +120,7 @@ fn a_light_field_is_solved_as_the_command_solves_it() {
         assert_eq!(finish(&mut work), 2);
         assert_eq!(work.display().field.resolution, expected);
     }
-    // its errors are those of the command
+    // errors of light fields are those of the command
     let work = Work::of_field(folder.path().join("none.npy").to_str().unwrap(), settings(r#""cols": 48"#));
     let error = work.unwrap().advance().unwrap_err().to_string();
     assert!(error.ends_with("none.npy: cannot read: No such file or directory (os error 2)"), "{error}");
@@ -131,7 +131,7 @@ fn another_display_takes_the_same_scene() {
     let quick =
         |more: &str| Settings::from_json(&format!(r#"{{"cols": 32, "zone_samples": 9, "iterations": 1{more}}}"#));
     let mut work = Work::new(files(&scene("letters")), "letters.gltf", quick("").unwrap()).unwrap();
-    // in the middle of the work
+    // change the settings after the first patterns
     while work.shown() == 0 {
         work.advance().unwrap();
     }
@@ -139,7 +139,7 @@ fn another_display_takes_the_same_scene() {
     assert!(work.stack().is_none() && work.stage() == Stage::Scene);
     finish(&mut work);
     assert_eq!((work.stack().unwrap().layers.len(), work.stack().unwrap().frames()), (2, 2));
-    // the result is the same as from scratch
+    // the result is that of a new solve with the changed settings
     let mut fresh =
         Work::new(files(&scene("letters")), "letters.gltf", quick(r#", "layers": 2, "frames": 2"#).unwrap()).unwrap();
     finish(&mut fresh);

@@ -1,23 +1,26 @@
-//! Encodes pictures by tables: `f32::powf` per pixel would take most of a frame's time.
+//! Encodes linear pictures as sRGB by tables. The formula's `f32::powf` for every pixel would take
+//! most of the time of a picture.
 
 use std::sync::LazyLock;
 
 use lumistack_core::colour::{srgb_code, srgb_decode};
 
-/// Number of bins of 0..1. The search for a value's code starts with the code of the value's bin.
+/// Number of equal bins of the range 0..1. The search for a value's code starts with the code of
+/// the lower end of the value's bin.
 const BINS: usize = 4096;
 
-/// sRGB codes of linear light; the same codes as [`srgb_code`].
+/// Converts linear values to sRGB codes; the codes are those of [`srgb_code`].
 pub(crate) struct Encoder {
     /// The code of each bin's lower end.
     start: Vec<u8>,
-    /// The smallest value with each code.
+    /// The smallest linear value of each code.
     least: [f32; 256],
 }
 
 pub(crate) static ENCODER: LazyLock<Encoder> = LazyLock::new(|| {
     let least = std::array::from_fn(|code| {
-        // bisect the bits of the value: they rise with the value, and the code does, too
+        // find the smallest value with this code by bisection over the bits of positive floats,
+        // which rise with their values; the code also rises with the value
         let (mut low, mut high) = (0u32, 1f32.to_bits());
         while low < high {
             let middle = low + (high - low) / 2;
@@ -29,7 +32,7 @@ pub(crate) static ENCODER: LazyLock<Encoder> = LazyLock::new(|| {
 });
 
 impl Encoder {
-    /// The code of a value.
+    /// Returns the sRGB code of a linear value; values outside 0..1 are clipped.
     #[inline]
     pub(crate) fn code(&self, linear: f32) -> u8 {
         if linear >= 1.0 {
@@ -44,21 +47,21 @@ impl Encoder {
     }
 }
 
-/// Linear light of each sRGB code.
+/// The linear value of each sRGB code.
 pub(crate) static DECODED: LazyLock<[f32; 256]> =
     LazyLock::new(|| std::array::from_fn(|code| srgb_decode(code as f32 / 255.0)));
 
-/// Opaque sRGB bytes `[r, g, b, 255]` of linear RGB.
+/// Converts linear values `[.., rgb]` to opaque sRGB bytes `[.., rgba]`.
 pub(crate) fn to_rgba(linear: &[f32]) -> Vec<u8> {
     let encoder = &*ENCODER;
     linear.chunks_exact(3).flat_map(|p| [encoder.code(p[0]), encoder.code(p[1]), encoder.code(p[2]), 255]).collect()
 }
 
-/// The error that is white in the error map.
+/// The error that has the last colour of the error map. Larger errors have the same colour.
 pub(crate) const HEAT_TOP: f32 = 0.25;
 
-/// Colours of the error map from 0 to [`HEAT_TOP`], evenly spaced, as sRGB codes. Their lightness
-/// rises monotonically.
+/// Colours of the error map, as sRGB codes, for evenly spaced errors from 0 to [`HEAT_TOP`]. Their
+/// lightness rises.
 const HEAT: [[f32; 3]; 6] = [
     [0.0, 0.0, 8.0],
     [66.0, 10.0, 104.0],
@@ -68,13 +71,13 @@ const HEAT: [[f32; 3]; 6] = [
     [252.0, 255.0, 214.0],
 ];
 
-/// The error map's colours as `#rrggbb`, evenly spaced from 0 to [`HEAT_TOP`].
+/// The error map's colours as `#rrggbb`, for evenly spaced errors from 0 to [`HEAT_TOP`].
 #[cfg(target_arch = "wasm32")]
 pub(crate) fn heat_stops() -> [String; HEAT.len()] {
     HEAT.map(|[r, g, b]| format!("#{:02x}{:02x}{:02x}", r as u8, g as u8, b as u8))
 }
 
-/// The colour of an error in the map.
+/// Returns the colour of an error, interpolated between the colours of the map.
 pub(crate) fn heat(error: f32) -> [u8; 3] {
     let place = (error / HEAT_TOP).clamp(0.0, 1.0) * (HEAT.len() - 1) as f32;
     let first = (place as usize).min(HEAT.len() - 2);

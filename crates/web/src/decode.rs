@@ -1,9 +1,9 @@
-//! Decodes PNG pictures of previews: 8 bits each for red, green and blue.
+//! Decodes the PNG pictures of previews, which have 8 bits each for red, green and blue.
 //!
-//! The crate `png` reads every kind of PNG, but would be a sixth of the module that every visitor
-//! loads. This decoder reads one kind, and the tests compare the two. Optional chunks are skipped.
-//! The checksum of the compressed stream covers every pixel, so the checksums of the chunks are not
-//! computed.
+//! The crate `png` reads every kind of PNG, but it would be a sixth of the module that every
+//! visitor loads. This decoder reads only one kind; the tests compare it with that crate. It skips
+//! optional chunks. It does not check the checksums of the chunks, since the checksum of the
+//! compressed stream covers every pixel.
 
 use miniz_oxide::inflate::decompress_to_vec_zlib_with_limit;
 
@@ -40,7 +40,8 @@ pub(crate) fn decode(file: &File, bytes: &[u8]) -> Result<Vec<u8>, Error> {
     if (rows, cols) != (file.rows, file.cols) {
         return Err(error(&format!("{} × {} pixels", file.cols, file.rows), format!("{cols} × {rows}")));
     }
-    // 8 bits, red green blue, the only compression, the only set of filters, rows in order
+    // 8 bits; red, green and blue; the only compression of PNG; its only set of filters; no
+    // interlacing
     if header[8..] != [8, 2, 0, 0, 0] {
         return Err(error("red, green and blue of 8 bits, not interlaced", format!("PNG of kind {:?}", &header[8..])));
     }
@@ -64,7 +65,7 @@ pub(crate) fn decode(file: &File, bytes: &[u8]) -> Result<Vec<u8>, Error> {
     Ok(codes)
 }
 
-/// Kind and data of the first chunk, and the bytes after it.
+/// Splits off the first chunk: returns its kind, its data, and the bytes after it.
 fn chunk(bytes: &[u8]) -> Option<(&[u8; 4], &[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk::<4>()?;
     let (kind, rest) = rest.split_first_chunk::<4>()?;
@@ -73,8 +74,9 @@ fn chunk(bytes: &[u8]) -> Option<(&[u8; 4], &[u8], &[u8])> {
     Some((kind, data, rest))
 }
 
-/// Adds to every byte the value that its filter predicts from the bytes on the left, above, and
-/// above on the left (PNG, section 9).
+/// Undoes the filter of a row (PNG, section 9). It adds to every byte the value that the filter
+/// predicts from the bytes on the left, above, and above on the left. Returns false if the filter
+/// does not exist.
 fn unfilter(filter: u8, coded: &[u8], above: &[u8], line: &mut [u8]) -> bool {
     let predict: fn(u8, u8, u8) -> u8 = match filter {
         0 => |_, _, _| 0,
@@ -91,7 +93,7 @@ fn unfilter(filter: u8, coded: &[u8], above: &[u8], line: &mut [u8]) -> bool {
     true
 }
 
-/// The neighbour that is nearest to left + above − corner.
+/// Returns the one of the three values that is nearest to left + above − corner.
 fn paeth(left: u8, above: u8, corner: u8) -> u8 {
     let [l, a, c] = [left, above, corner].map(i16::from);
     let (to_left, to_above, to_corner) = ((a - c).abs(), (l - c).abs(), (l + a - 2 * c).abs());
@@ -143,7 +145,7 @@ mod tests {
                     let part = Part::Emission { frame: 0 };
                     let file = File { path: "a.png".into(), part, rows, cols, bytes: 0 };
                     assert_eq!(decode(&file, &bytes).unwrap(), codes, "{rows} × {cols}, {filter:?}");
-                    // a file that is cut anywhere is an error, never a panic
+                    // a file that is cut short at any byte is an error
                     for end in 0..bytes.len() {
                         assert!(decode(&file, &bytes[..end]).is_err(), "{end} of {}", bytes.len());
                     }
@@ -152,7 +154,8 @@ mod tests {
         }
     }
 
-    /// A changed byte is an error, or has no effect if it is in a checksum or a comment.
+    /// A changed byte is an error, unless it is in a chunk's checksum or an optional chunk. Then it
+    /// has no effect.
     #[test]
     fn changed_bytes_never_give_another_picture() {
         let codes: Vec<u8> = (0..3 * 40).map(|i| (i * 37 % 256) as u8).collect();

@@ -1,5 +1,5 @@
-//! Shows a light field itself, without a simulated display: blends the four views nearest to a
-//! position in linear light.
+//! Shows a light field without a simulated display. The picture at a position between the views is
+//! a blend of the four nearest views in linear light.
 
 use crate::colour::{DECODED, ENCODER};
 use crate::{Error, err};
@@ -18,10 +18,11 @@ pub struct Field {
 }
 
 impl Field {
-    /// A light field before its first view arrives.
+    /// A light field without views, to which [`Self::put`] adds them. `size` is [rows, cols] of a
+    /// view, `views` is [rows, cols] of views.
     ///
     /// # Errors
-    /// If there are no pixels or views, or too many.
+    /// If there are no pixels or no views, or all views together exceed 1 GiB.
     pub fn new(size: [usize; 2], views: [usize; 2]) -> Result<Self, Error> {
         let bytes =
             [size[0], size[1], views[0], views[1]].iter().try_fold(4usize, |product, n| product.checked_mul(*n));
@@ -33,8 +34,8 @@ impl Field {
         Ok(Self { size, views, codes: vec![None; views[0] * views[1]] })
     }
 
-    /// Reads a quilt as one row of views. Its views run from left to right and from the bottom up,
-    /// with view 0 at the bottom left.
+    /// Reads a quilt of `cols` × `rows` tiles as one row of views. View 0 is the tile at the bottom
+    /// left; the views follow from left to right, then from the bottom up.
     ///
     /// # Errors
     /// If a view would have no pixel, or the bytes do not match the size.
@@ -61,7 +62,7 @@ impl Field {
         Ok(field)
     }
 
-    /// Adds a view.
+    /// Adds the view [row, col], sRGB bytes `[row][col][rgba]`.
     ///
     /// # Errors
     /// If there is no such view or it has another size.
@@ -84,13 +85,14 @@ impl Field {
         Ok(())
     }
 
-    /// The codes of a view by its index, row by row; `None` until it has arrived.
+    /// The codes of a view, given by its index row by row; `None` until the view has arrived.
     pub fn codes(&self, view: usize) -> Option<&[u8]> {
         self.codes.get(view)?.as_deref()
     }
 
-    /// The views around (u, v), each in 0..1 from left to right and from top to bottom, with their
-    /// weights. Views that have not arrived are left out, and the other weights are normalized.
+    /// Returns the indices and bilinear weights of the views around the position (u, v). u is 0..1
+    /// from left to right, v is 0..1 from top to bottom. Views that have not arrived are omitted,
+    /// and the other weights are scaled so that their sum is 1.
     pub fn blend(&self, u: f64, v: f64) -> Vec<(usize, f32)> {
         let around = |t: f64, count: usize| {
             let place = t.clamp(0.0, 1.0) * (count - 1) as f64;
@@ -107,7 +109,8 @@ impl Field {
         shares
     }
 
-    /// The picture at (u, v): sRGB bytes `[row][col][rgba]`; black until a view nearby has arrived.
+    /// The picture at the position (u, v), sRGB bytes `[row][col][rgba]`. It is black if none of
+    /// the views around the position has arrived.
     pub fn render(&self, u: f64, v: f64) -> Vec<u8> {
         let mut sum = vec![0.0f32; 4 * self.size[0] * self.size[1]];
         for (view, share) in self.blend(u, v) {

@@ -1,15 +1,15 @@
-//! Parses JSON. In the browser, the browser's own parser is used, since another would be a fifth of
-//! the module.
+//! Parses JSON. In the browser this is the browser's own parser, since one in Rust would be a fifth
+//! of the module.
 
 use serde::de::DeserializeOwned;
 
-/// Parses a text; the error is the reason.
+/// Parses JSON; the error states the reason.
 #[cfg(not(target_arch = "wasm32"))]
 pub(crate) fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     serde_json::from_str(text).map_err(|error| error.to_string())
 }
 
-/// Parses a text; the error is the reason. Unknown keys are ignored.
+/// Parses JSON; the error states the reason. Unknown keys are ignored.
 #[cfg(target_arch = "wasm32")]
 pub(crate) fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     use wasm_bindgen::JsCast as _;

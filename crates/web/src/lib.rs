@@ -6,9 +6,9 @@
 //!                              └────▶ AreaMap as textures ─▶ shaders with lookups only      (GPU)
 //! ```
 //!
-//! The CPU draws in tests and on machines without WebGL2. The shaders contain no geometry: tables
-//! of [`lumistack_display::AreaMap`] state where a ray hits a layer. All code except that around
-//! the browser's objects compiles for any machine and is tested there.
+//! The CPU draws in tests and on machines without WebGL2. The shaders compute no geometry: tables
+//! that [`lumistack_display::AreaMap`] gives state where a ray hits a layer. All code that does not
+//! use the browser's objects compiles for any machine, where its tests run.
 
 mod colour;
 mod decode;

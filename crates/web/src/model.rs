@@ -1,4 +1,4 @@
-//! A preview whose pictures arrive one by one, and its simulation.
+//! Simulates a preview whose pictures arrive one by one.
 
 use std::sync::OnceLock;
 
@@ -23,20 +23,20 @@ pub struct Model {
     options: Options,
     /// Codes `[row][col][rgb]` of every file that has arrived.
     codes: Vec<Option<Vec<u8>>>,
-    /// Complete frames, in the order of their completion.
+    /// Numbers of the complete frames, in the order of their completion.
     complete: Vec<usize>,
-    /// Input of the CPU path, computed at its first use.
+    /// Input of the simulation on the CPU, computed at its first use and again after a change.
     built: OnceLock<Built>,
 }
 
-/// The display with its construction errors, and the values that rays hit.
+/// The display with its construction errors, and the layers' values after the hardware's response.
 #[derive(Debug)]
 struct Built {
     display: Display,
     stack: LayerStack,
 }
 
-/// The slices that are drawn. Complete frames have slices in the order of their completion.
+/// The drawn slices of the texture arrays. Slice i contains the i-th frame that was completed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Slots {
     /// The first drawn slice.
@@ -46,7 +46,7 @@ pub struct Slots {
 }
 
 impl Model {
-    /// A preview before its first picture arrives.
+    /// A preview without pictures, to which [`Self::put`] adds them.
     ///
     /// # Errors
     /// If the text is no preview; see [`Preview::from_json`].
@@ -73,8 +73,8 @@ impl Model {
         &self.options
     }
 
-    /// Adds the bytes of file `index`. Returns the file's part, and the slice of its frame if that
-    /// frame is complete now.
+    /// Adds the bytes of file `index`. Returns the file's part, and the slice of its frame if all
+    /// files of that frame are present.
     ///
     /// # Errors
     /// If there is no such file or it is damaged; the model stays unchanged.
@@ -89,7 +89,7 @@ impl Model {
             Part::Target { .. } => return Ok((part, None)),
         };
         self.built.take();
-        // new patterns for a frame that was already complete
+        // the file replaces one of a frame that was complete already
         if let Some(slot) = self.complete.iter().position(|complete| *complete == frame) {
             return Ok((part, Some(slot)));
         }
@@ -104,7 +104,8 @@ impl Model {
         Ok((part, whole.then_some(slot)))
     }
 
-    /// Replaces the codes of all files, `[row][col][rgb]` each in the preview's order.
+    /// Replaces the codes of all files. `codes` contains `[row][col][rgb]` of every file, in the
+    /// preview's order.
     ///
     /// # Errors
     /// If their total length is wrong; the model stays unchanged.
@@ -130,7 +131,7 @@ impl Model {
         self.complete.len()
     }
 
-    /// The complete frames, in the order of their completion.
+    /// Numbers of the complete frames, in the order of their completion.
     pub fn complete(&self) -> &[usize] {
         &self.complete
     }
@@ -154,13 +155,13 @@ impl Model {
         Ok(())
     }
 
-    /// The factor on the emitted light.
+    /// The factor on the emitted light; 1/β unless the options set it.
     pub fn gain(&self) -> f32 {
         self.options.gain.unwrap_or(1.0 / self.preview.brightness) as f32
     }
 
-    /// The slices whose mean is the picture: that of the selected frame, or those of all complete
-    /// frames.
+    /// The slices whose mean is the picture: the slice of the selected frame if that is complete,
+    /// else the slices of all complete frames.
     pub fn slots(&self) -> Slots {
         let chosen = self.options.frame.and_then(|frame| self.complete.iter().position(|&of| of == frame));
         match chosen {
@@ -169,7 +170,7 @@ impl Model {
         }
     }
 
-    /// The codes of a part; `None` until it has arrived.
+    /// The codes of a part, `[row][col][rgb]`; `None` until its file has arrived.
     pub fn codes(&self, part: Part) -> Option<&[u8]> {
         let at = self.preview.files.iter().position(|file| file.part == part)?;
         self.codes[at].as_deref()
@@ -180,13 +181,13 @@ impl Model {
         self.preview.display.layers[n].response().filter(|response| !response.is_identity())
     }
 
-    /// Returns true if rays hit the stored values of layer `n` unchanged.
+    /// Returns true if layer `n` has no response: its stored values are those that rays hit.
     pub fn is_plain(&self, n: usize) -> bool {
         self.response(n).is_none()
     }
 
-    /// The values of layer `n` that rays hit in the given frames, without the options' black level:
-    /// `[frame][row][col][rgb]`.
+    /// The values of layer `n` in the given frames after the hardware's response,
+    /// `[frame][row][col][rgb]`. The options' black level is not applied.
     pub fn hit_values(&self, n: usize, frames: &[usize]) -> Tensor<4> {
         let [cols, rows] = self.preview.display.layers[n].resolution;
         let mut values = Tensor::zeros(LayerStack::LAYER_AXES, [frames.len(), rows, cols, 3]);
@@ -216,7 +217,7 @@ impl Model {
                 emission: self.emission(frames),
                 brightness: self.preview.brightness,
             };
-            // the values already include the hardware's response
+            // the values include the hardware's response, so the simulated layers have none
             display.layers = display
                 .layers
                 .iter()
@@ -239,7 +240,8 @@ impl Model {
         let mut values = Tensor::zeros(LayerStack::EMISSION_AXES, shape);
         for (i, &frame) in frames.iter().enumerate() {
             let codes = self.codes(Part::Emission { frame }).unwrap_or_default();
-            // a line of the picture is one row of lenslets in one row of bins
+            // the picture is `[bin_y][lenslet_row][bin_x][lenslet_col]`: a line contains one row of
+            // lenslets for one bin_y and all bin_x
             for (line, codes) in codes.chunks_exact(3 * bins_x * cols).enumerate() {
                 let (bin_y, row) = (line / rows, line % rows);
                 for (bin_x, codes) in codes.chunks_exact(3 * cols).enumerate() {
@@ -252,7 +254,7 @@ impl Model {
         Some(values)
     }
 
-    /// The seen picture from a slope under the options. Through a pupil it is the mean over the
+    /// The seen picture from a slope with the current options. With a pupil it is the mean over the
     /// pupil's points, with one ray per pixel and point.
     fn emitted(&self, slope: [f64; 2], projection: Projection) -> EmittedView {
         let built = self.built();
@@ -284,7 +286,7 @@ impl Model {
         mean
     }
 
-    /// The lookups of the view from a slope, as textures for the shader.
+    /// The tables for the shader that draws the view from a slope.
     pub fn tables(&self, slope: [f64; 2], projection: Projection) -> Tables {
         let display = self.options.built(&self.preview.display);
         Tables::new(&display, &self.geometry, &self.options.pupil(&display, projection), slope, projection)
@@ -295,7 +297,7 @@ impl Model {
         self.options.projection(self.geometry.grid.projection)
     }
 
-    /// L̃ times gain from a slope: `[row][col][rgb]`.
+    /// The seen picture from a slope times the gain, linear `[row][col][rgb]`.
     pub fn view_linear(&self, slope: [f64; 2]) -> Vec<f32> {
         let gain = self.gain();
         let mut values = self.emitted(slope, self.projection()).radiance.into_data();
@@ -303,12 +305,12 @@ impl Model {
         values
     }
 
-    /// As `view_linear`, in sRGB bytes `[row][col][rgba]`.
+    /// The seen picture from a slope times the gain, as sRGB bytes `[row][col][rgba]`.
     pub fn render(&self, slope: [f64; 2]) -> Vec<u8> {
         to_rgba(&self.view_linear(slope))
     }
 
-    /// A view of the target as sRGB bytes.
+    /// A view of the target as sRGB bytes `[row][col][rgba]`.
     ///
     /// # Errors
     /// If there is no such view or it has not arrived.
@@ -316,7 +318,8 @@ impl Model {
         Ok(opaque(self.target(view)?))
     }
 
-    /// The mask of a layer in a frame as on a light table: linear values, sRGB-encoded.
+    /// The mask of a layer in a frame as it looks on a light table: its linear transmittances,
+    /// encoded as sRGB bytes `[row][col][rgba]`.
     ///
     /// # Errors
     /// If there is no such layer or frame or it has not arrived.
@@ -325,8 +328,8 @@ impl Model {
         Ok(on_light_table(codes.ok_or_else(|| err(format!("layer {layer}, frame {frame}: it has not arrived")))?))
     }
 
-    /// The backlight's emission in a frame, with bins side by side as in its file: linear values,
-    /// sRGB-encoded.
+    /// The backlight's emission in a frame, with angular bins side by side as in its file: linear
+    /// values, encoded as sRGB bytes `[row][col][rgba]`.
     ///
     /// # Errors
     /// If the backlight is uniform, there is no such frame, or it has not arrived.
@@ -335,8 +338,9 @@ impl Model {
         Ok(on_light_table(codes.ok_or_else(|| err(format!("backlight, frame {frame}: it has not arrived")))?))
     }
 
-    /// The error map |gain · L̃ − L| at the slope of the target's nearest view; black where less
-    /// than half of a pixel has weight.
+    /// The error map for the target's view L nearest to a slope. The error of a pixel is the
+    /// largest channel of |gain · L̃ − L|. A pixel is black if less than half of its area has valid
+    /// rays.
     ///
     /// # Errors
     /// If the view has not arrived.
@@ -354,8 +358,8 @@ impl Model {
             .collect())
     }
 
-    /// PSNR of L̃/β against the target's view nearest to a slope, dB. `None` if that view or every
-    /// frame is missing, or no ray has weight.
+    /// PSNR of L̃/β against the target's view nearest to a slope, dB. `None` if that view has not
+    /// arrived, no frame is complete, or no ray is valid.
     pub fn psnr(&self, slope: [f64; 2]) -> Option<f64> {
         let view = self.nearest_view(slope);
         let target: Vec<f32> = self.target(view).ok()?.iter().map(|code| DECODED[usize::from(*code)]).collect();
@@ -397,7 +401,7 @@ fn opaque(codes: &[u8]) -> Vec<u8> {
     codes.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect()
 }
 
-/// Converts linear codes to opaque sRGB bytes.
+/// Converts codes of linear values (value = code / 255) to opaque sRGB bytes.
 fn on_light_table(codes: &[u8]) -> Vec<u8> {
     let linear: Vec<f32> = codes.iter().map(|code| f32::from(*code) / 255.0).collect();
     to_rgba(&linear)

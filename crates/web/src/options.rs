@@ -18,17 +18,17 @@ pub struct Options {
     /// Factor on the emitted light: 1 shows the light itself, 1/β (the default) shows the picture
     /// that an adapted eye sees.
     pub gain: Option<f64>,
-    /// Error of every gap between neighbouring layers and to the backlight, millimetres; the middle
-    /// of the stack stays.
+    /// Error of every gap between neighbouring layers, and of the gap to the backlight,
+    /// millimetres. The middle of the layers does not move.
     pub gap_mm: f64,
     /// [x, y] offset of the front layer, millimetres.
     pub shift_mm: [f64; 2],
-    /// c: every value f that a ray hits becomes c + (1 − c) f.
+    /// Black level c, 0..1: a value f that a ray hits becomes c + (1 − c) f.
     pub black_level: f64,
     /// Diameter of a pupil that is focused on z = 0, millimetres; 0 for a pinhole.
     pub pupil_mm: f64,
-    /// Distance of the eye from z = 0, millimetres; views become perspective. `None`: the target's
-    /// projection.
+    /// Distance of the eye from z = 0, millimetres, with which views are perspective. `None` keeps
+    /// the target's projection.
     pub eye_distance_mm: Option<f64>,
     /// Number of a single frame to show; `None` shows the mean of all frames.
     pub frame: Option<usize>,
@@ -92,14 +92,14 @@ impl Options {
         built
     }
 
-    /// Projection of a view, for a target with the projection `target`.
+    /// Projection of the drawn views: perspective if the options set the eye's distance, else
+    /// `target`, the projection of the target's views.
     pub fn projection(&self, target: Projection) -> Projection {
         self.eye_distance_mm.map_or(target, |distance_mm| Projection::Perspective { distance_mm })
     }
 
-    /// The points of the pupil whose views are averaged. They are given by slopes relative to the
-    /// pupil's centre along each axis, and the pairs `[y][x]` of slopes on the disc. A pinhole has
-    /// one point.
+    /// The points of the pupil whose views are averaged. They are a square grid of slopes relative
+    /// to the pupil's centre; only points on the pupil's disc count. A pinhole has one point.
     pub fn pupil(&self, display: &Display, target: Projection) -> Pupil {
         let distance_mm = match self.projection(target) {
             Projection::Perspective { distance_mm } => distance_mm,
@@ -109,8 +109,8 @@ impl Options {
             return Pupil { offsets: vec![0.0], on_disc: vec![true] };
         }
         let radius = 0.5 * self.pupil_mm / distance_mm;
-        // so many points that neighbouring ones shift every layer by half a pixel at most, unless
-        // the limit applies
+        // choose the number of points so that a layer moves by at most half a pixel between
+        // neighbouring points, unless that number exceeds the limit
         let blur_px = display.layers.iter().map(|layer| layer.d_mm.abs() * 2.0 * radius / layer.pitch_mm);
         let count = (blur_px.fold(0.0, f64::max).ceil() as usize * 2 + 1).clamp(3, PUPIL_LIMIT);
         let offsets: Vec<f64> =
@@ -124,14 +124,14 @@ impl Options {
 /// Points of a pupil; see [`Options::pupil`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pupil {
-    /// Slopes relative to the centre, along each axis.
+    /// Slopes of the grid relative to the pupil's centre, alike for both axes.
     pub offsets: Vec<f64>,
-    /// For the point `[y][x]`, row by row: true if it lies on the disc.
+    /// True for every point `[y][x]` of the grid, row by row, that lies on the disc.
     pub on_disc: Vec<bool>,
 }
 
 impl Pupil {
-    /// The points [y, x] on the disc.
+    /// Indices [y, x] of the points on the disc.
     pub fn places(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
         let count = self.offsets.len();
         self.on_disc.iter().enumerate().filter(|(_, on)| **on).map(move |(i, _)| [i / count, i % count])

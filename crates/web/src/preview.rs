@@ -25,8 +25,8 @@ pub struct Preview {
     pub target: Target,
     /// The files, in the order in which they are loaded.
     pub files: Vec<File>,
-    /// PSNR of views from the files, whose values have 8 bits, against views from the patterns
-    /// themselves, dB.
+    /// PSNR of views of the rounded patterns in the files (8 bits) against views of the unrounded
+    /// patterns, dB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rounding_db: Option<f64>,
 }
@@ -56,7 +56,7 @@ pub struct Target {
     pub distance_mm: Option<f64>,
     /// Slope of each view column.
     pub slope_x: Vec<f64>,
-    /// Slope of each view row, y up.
+    /// Slope of each view row; y points up.
     pub slope_y: Vec<f64>,
 }
 
@@ -76,8 +76,8 @@ pub struct File {
     pub bytes: u64,
 }
 
-/// The form of a [`File`] in preview.json: a flat table with a kind. The code that serde makes for
-/// a flattened enum is ten times larger, and every visitor loads it.
+/// The form of a [`File`] in preview.json: a flat table whose key `kind` names the part. For a
+/// flattened enum serde would make ten times as much code, which every visitor loads.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default)]
 struct Entry {
@@ -138,8 +138,8 @@ pub enum Part {
         /// Number of the frame.
         frame: usize,
     },
-    /// The backlight's emission in one frame, value = code / 255, with bins side by side:
-    /// `[bin_y][lenslet_row][bin_x][lenslet_col]`.
+    /// The backlight's emission in one frame: value = code / 255. The picture's axes are
+    /// `[bin_y][lenslet_row][bin_x][lenslet_col]`, so the angular bins are side by side.
     Emission {
         /// Number of the frame.
         frame: usize,

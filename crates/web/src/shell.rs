@@ -1,4 +1,5 @@
-//! The interface for JavaScript. Every class calls the tested code of this crate.
+//! The classes for JavaScript. Their methods only call the other modules of this crate, which are
+//! tested without a browser.
 
 use js_sys::Uint8ClampedArray;
 use wasm_bindgen::prelude::*;
@@ -16,7 +17,7 @@ impl From<Error> for JsValue {
 
 type Thrown<T> = Result<T, JsValue>;
 
-/// The error of drawing without a context.
+/// The error of a call of `draw` without a context.
 fn detached() -> Error {
     err("the viewer has no context: attach one before drawing")
 }
@@ -31,13 +32,13 @@ pub fn version() -> String {
     env!("CARGO_PKG_VERSION").into()
 }
 
-/// The error map's colours, evenly spaced, as a list for a style sheet.
+/// The error map's colours for evenly spaced errors, as a list for a gradient of a style sheet.
 #[wasm_bindgen]
 pub fn heat() -> String {
     heat_stops().join(",")
 }
 
-/// The error of the last of these colours.
+/// The error that has the last colour of the error map.
 #[wasm_bindgen]
 pub fn heat_top() -> f32 {
     HEAT_TOP
@@ -58,7 +59,7 @@ impl Viewer {
         Ok(Self { model: Model::new(preview_json)?, gpu: None })
     }
 
-    /// Adds the bytes of a file, in any order.
+    /// Adds the bytes of a file, given by its index in the preview; files may arrive in any order.
     pub fn put(&mut self, file: usize, bytes: &[u8]) -> Thrown<()> {
         let (_, completed) = self.model.put(file, bytes)?;
         if let (Some(slot), Some(gpu)) = (completed, &self.gpu) {
@@ -67,7 +68,7 @@ impl Viewer {
         Ok(())
     }
 
-    /// Replaces the codes of all files, in the preview's order.
+    /// Replaces the codes of all files, `[row][col][rgb]` each, in the preview's order.
     pub fn exchange(&mut self, codes: &[u8]) -> Thrown<()> {
         self.model.exchange(codes)?;
         if let Some(gpu) = &self.gpu {
@@ -83,7 +84,7 @@ impl Viewer {
         Ok(self.model.set_options(json)?)
     }
 
-    /// Simulates the view from a slope, sRGB bytes [row][col][rgba].
+    /// Simulates the view from a slope on the CPU; returns sRGB bytes [row][col][rgba].
     pub fn render(&self, sx: f64, sy: f64) -> Uint8ClampedArray {
         clamped(&self.model.render([sx, sy]))
     }
@@ -98,7 +99,7 @@ impl Viewer {
         Ok(clamped(&self.model.render_layer(layer, frame)?))
     }
 
-    /// The backlight's emission in a frame as sRGB bytes, bins side by side.
+    /// The backlight's emission in a frame as sRGB bytes, with angular bins side by side.
     pub fn render_backlight(&self, frame: usize) -> Thrown<Uint8ClampedArray> {
         Ok(clamped(&self.model.render_backlight(frame)?))
     }
@@ -114,14 +115,14 @@ impl Viewer {
         self.model.psnr([sx, sy])
     }
 
-    /// Uses a context for drawing from now on; throws if it is lost or too small for the preview.
+    /// Sets the context for [`Self::draw`]; throws if it is lost or too small for the preview.
     pub fn attach(&mut self, context: WebGl2RenderingContext) -> Thrown<()> {
         self.gpu = None;
         self.gpu = Some(Gpu::new(context, &self.model)?);
         Ok(())
     }
 
-    /// Releases the context, also after it was lost.
+    /// Releases the context, whether it is lost or not.
     pub fn detach(&mut self) {
         self.gpu = None;
     }
@@ -132,13 +133,13 @@ impl Viewer {
     }
 }
 
-/// A light field that is shown itself, without a simulated display.
+/// A light field that is shown without a simulated display.
 #[wasm_bindgen]
 pub struct LightField(Field);
 
 #[wasm_bindgen]
 impl LightField {
-    /// A light field of views with rows × cols pixels; none has arrived.
+    /// A light field without views, to which `put` adds them. A view has rows × cols pixels.
     #[wasm_bindgen(constructor)]
     pub fn new(rows: usize, cols: usize, view_rows: usize, view_cols: usize) -> Thrown<LightField> {
         Ok(Self(Field::new([rows, cols], [view_rows, view_cols])?))
@@ -164,8 +165,8 @@ impl LightField {
         self.0.size[1]
     }
 
-    /// The picture at (u, v) in 0..1 across the views, from left to right and from top to bottom,
-    /// as sRGB bytes.
+    /// The picture at the position (u, v) between the views, as sRGB bytes. u is 0..1 from left to
+    /// right, v is 0..1 from top to bottom.
     pub fn render(&self, u: f64, v: f64) -> Uint8ClampedArray {
         clamped(&self.0.render(u, v))
     }

@@ -1,10 +1,14 @@
-//! [`AreaMap`] as numbers for textures: the shader looks up the rays' hits and computes none.
+//! Tables for the shader that state where rays hit the layers. The shader reads them as textures
+//! and computes no geometry.
 //!
-//! A picture from one point is a seen picture, the mean over every pixel's area. Pixels are split
-//! into parts whose rays read the same pixels of the layers ([`AreaMap`]). A pupil averages over
-//! points, so its picture has one ray per pixel and point. Table `x` has a row for every
-//! combination of a point along x, a part, and a layer or backlight. A row has one texel per column
-//! of the field. With `place` for the number of the point:
+//! With a pinhole the picture is the mean over every pixel's area. For that, [`AreaMap`] splits
+//! each pixel into parts, so that all rays of a part read the same pixels of the layers. With a
+//! pupil the picture is a mean over the pupil's points, with one ray per pixel and point. Then
+//! every pixel is a single part.
+//!
+//! Table `x` has a row for every combination of a point along x, a part, and a layer or the
+//! backlight. A row has one texel per column of the field. With `place`, the number of the point,
+//! and N layers:
 //!
 //! ```text
 //! row = (place · parts + part) · rows_per_part
@@ -13,28 +17,28 @@
 //! ```
 //!
 //! Table `y` is the same for the rows of the field. A ray hits a layer between the columns `first`
-//! and `second`, and reads their values with the weights 1 − t and t. `share`, the fraction of the
-//! pixel's width, is 0 for parts that a pixel lacks. Indices below 2²⁴ are exact in single
-//! precision.
+//! and `second`, and reads their values with the weights 1 − t and t. `share` is the part's
+//! fraction of the pixel's width. It is 0 for the unused parts of pixels that have fewer parts than
+//! others. Indices below 2²⁴ are exact in single precision.
 
 use lumistack_display::{AreaMap, BacklightTap, Display, FieldGeometry, Part, Projection, RayMap, Tap, ViewGrid};
 
 use crate::Pupil;
 
-/// Tables of one view; see the module.
+/// Tables of one view; the module's documentation describes their texels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tables {
     /// Points of the pupil along each axis.
     pub places: usize,
-    /// For the point `[y][x]`, row by row: true if it lies on the disc.
+    /// True for every point `[y][x]` of the pupil's grid, row by row, that lies on its disc.
     pub on_disc: Vec<bool>,
-    /// Largest number of a pixel's parts along x and along y.
+    /// Largest number of parts of a pixel along x, and along y.
     pub parts: [usize; 2],
-    /// Number of layers, and one more for a directional backlight.
+    /// Number of layers, plus one for a directional backlight.
     pub rows_per_part: usize,
-    /// Four numbers for every point, part, layer and column of the field.
+    /// Table `x`: four numbers for every point, part, layer or backlight, and column of the field.
     pub x: Vec<f32>,
-    /// Four numbers for every point, part, layer and row of the field.
+    /// Table `y`: four numbers for every point, part, layer or backlight, and row of the field.
     pub y: Vec<f32>,
 }
 
@@ -82,9 +86,10 @@ impl Tables {
     }
 }
 
-/// The parts of an axis, each with its index within its pixel.
+/// The parts of all pixels along an axis.
 struct Cut<'a> {
     list: &'a [Part],
+    /// Index of each part of `list` within its pixel.
     numbers: Vec<usize>,
     /// Number of pixels.
     width: usize,
@@ -104,8 +109,8 @@ impl<'a> Cut<'a> {
         Self { list, numbers, width, parts: counts.into_iter().max().unwrap_or(0) }
     }
 
-    /// Writes texels of row `row` of every part; `rays` returns the first three numbers of a part's
-    /// ray.
+    /// Writes row `row`, a layer or the backlight, of the `rows` rows of every part. `rays` returns
+    /// the first three numbers of the texel for part i of the list.
     fn fill(&self, table: &mut [f32], [rows, row]: [usize; 2], rays: impl Fn(usize) -> [f32; 3]) {
         for (i, (part, number)) in self.list.iter().zip(&self.numbers).enumerate() {
             let at = 4 * ((number * rows + row) * self.width + part.pixel as usize);

@@ -1,5 +1,4 @@
-//! Tests the CPU path against the forward model on unrounded patterns, and missing or damaged
-//! input.
+//! Compares the simulation on the CPU with the forward model, and tests missing and damaged input.
 
 use lumistack_core::Tensor;
 use lumistack_core::colour::{srgb_code, srgb_decode};
@@ -14,7 +13,7 @@ use serde_json::{Value, json};
 use crate::preview::{File, Part, Preview, Target};
 use crate::{Field, Model};
 
-/// Tolerance for f32 sums in different orders.
+/// Tolerance for sums of f32 values in different orders.
 const SUMMATION: f32 = 1e-5;
 
 pub(crate) fn png(rows: usize, cols: usize, codes: &[u8]) -> Vec<u8> {
@@ -27,8 +26,8 @@ pub(crate) fn png(rows: usize, cols: usize, codes: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// A preview of random patterns and a random target, the bytes of its files, and the rounded
-/// patterns in them.
+/// A preview of random patterns with a random target, and the bytes of its files. The patterns are
+/// the rounded ones that the files contain.
 pub(crate) struct Sample {
     pub(crate) json: Value,
     pub(crate) files: Vec<Vec<u8>>,
@@ -58,7 +57,7 @@ impl Sample {
             if let Some(emission) = &mut stack.emission {
                 let [_, bins_y, bins_x, rows, cols, _] = emission.shape();
                 let codes = codes(3 * bins_y * bins_x * rows * cols);
-                // pixel by pixel, as defined by the format
+                // write every pixel as the format defines it
                 for y in 0..bins_y * rows {
                     for x in 0..bins_x * cols {
                         for c in 0..3 {
@@ -109,7 +108,7 @@ impl Sample {
         model
     }
 
-    /// L̃ of the forward model.
+    /// The seen picture L̃ that the forward model computes.
     fn emitted(&self, display: &Display, projection: Projection, slope: [f64; 2]) -> Vec<f32> {
         let geometry = self.geometry.with_grid(ViewGrid::single(projection, slope));
         let simulator = Simulator::new(display, &self.stack);
@@ -200,8 +199,8 @@ fn options_change_the_display() {
     check(json!({}), display, stack, oblique, 4.0);
 }
 
-/// A point behind the plane of focus is spread over the width of its cone of rays on that plane. A
-/// point on the plane is not spread.
+/// An eye with a pupil is focused on z = 0. It sees a dark point behind that plane blurred, and a
+/// dark point on the plane sharp.
 #[test]
 fn a_pupil_blurs_what_is_off_the_plane() {
     let display = Display::uniform([61, 41], 1.0, [1, 1], [20.0, 20.0], &[-40.0, 0.0], 1);
@@ -218,8 +217,8 @@ fn a_pupil_blurs_what_is_off_the_plane() {
         model.set_options(&json!({"pupil_mm": 6.0, "eye_distance_mm": 60.0}).to_string()).unwrap();
         let linear = model.view_linear([0.0, 0.0]);
         let dark: Vec<usize> = (20..41).filter(|col| linear[3 * (20 * 61 + col)] < 0.999).collect();
-        // A pupil of 6 mm at 60 mm sees the point at −40 mm through a cone that is 2.4 mm wide on z
-        // = 0.
+        // The rays from the point at −40 mm to a pupil of 6 mm at 60 mm cover a width of 2.4 mm at
+        // z = 0.
         assert!(if spread { dark.len() >= 2 && dark.len() <= 4 } else { dark == [30] }, "{n}: {dark:?}");
     }
 }
@@ -230,7 +229,7 @@ fn frames_count_once_all_their_parts_are_there() {
     let mut model = sample.model();
     assert!(model.view_linear([0.0; 2]).iter().all(|v| *v == 0.0));
     assert_eq!((model.psnr([0.0; 2]), model.frames_ready(), model.targets_ready()), (None, 0, 0));
-    // the second frame first: three layers and the emission
+    // the files of the second frame arrive first: three layers and the emission
     for (i, ready) in [(4, 0), (5, 0), (6, 0), (7, 1), (7, 1)] {
         model.put(i, &sample.files[i]).unwrap();
         assert_eq!(model.frames_ready(), ready);
@@ -272,7 +271,7 @@ fn targets_errors_and_scores_belong_to_the_nearest_view() {
     assert_eq!(map[4 * missed..][..4], [0, 0, 0, 255]);
     let worst = (0..linear.len() / 3).find(|i| emitted.valid[*i] && at(*i) > 0.25).unwrap();
     assert_eq!(map[4 * worst..][..4], [252, 255, 214, 255]);
-    // the same view has another score without one of the frames
+    // the view has another PSNR if only one of the frames is shown
     model.set_options(r#"{"frame": 0}"#).unwrap();
     assert!((model.psnr(slope).unwrap() - error.psnr()).abs() > 1e-3);
     assert_eq!(model.render_target([0, 2]).unwrap()[..3], target[..3]);
@@ -349,8 +348,7 @@ fn a_backlight_is_shown_bin_by_bin() {
     assert_eq!((backlight.len(), backlight[0]), (4 * 72, srgb_code(directional.stack.emission.unwrap().data()[0])));
 }
 
-/// The tables contain all data of the shader: an oracle that reads them like the shader computes
-/// the same picture.
+/// An oracle that reads the tables as the shader does computes the same picture as the simulator.
 #[test]
 fn tables_hold_the_whole_geometry() {
     for (i, display) in displays().into_iter().enumerate() {
@@ -374,7 +372,7 @@ fn tables_hold_the_whole_geometry() {
     }
 }
 
-/// Computes display.frag.glsl pixel by pixel in f64.
+/// Computes every pixel as display.frag.glsl does, in f64.
 fn as_the_shader_does(model: &Model, slope: [f64; 2]) -> Vec<f32> {
     let display = &model.preview().display;
     let tables = model.tables(slope, model.projection());
@@ -441,7 +439,7 @@ fn as_the_shader_does(model: &Model, slope: [f64; 2]) -> Vec<f32> {
                     (light, area) = (light + share * view, area + share);
                 }
             }
-            // rays are dropped per point of the pupil
+            // the mean over a pixel's area is taken for each point of the pupil on its own
             sum += if area > 0.0 { light / area } else { 0.0 };
         }
         *value = (f64::from(model.gain()) * sum / count) as f32;
@@ -459,7 +457,7 @@ fn light_fields_are_mixed_in_linear_light() {
     assert_eq!(field.render(0.25, 0.0)[0], srgb_code(0.5));
     assert_eq!((field.render(1.0, 0.7)[0], field.render(-3.0, 9.0)[0], field.render(0.5, 0.0)[0]), (100, 0, 255));
     assert!(field.put([1, 0], vec![0; 8]).is_err() && field.put([0, 0], vec![0; 7]).is_err());
-    // a quilt of 2 × 2 tiles with one pixel each; view 0 is at the bottom left
+    // a quilt of 2 × 2 tiles of one pixel each; view 0 is the tile at the bottom left
     let tiles: Vec<u8> = [30u8, 40, 10, 20].iter().flat_map(|code| [*code, 0, 0, 255]).collect();
     let quilt = Field::from_quilt(&tiles, [2, 2], [2, 2]).unwrap();
     assert_eq!([0, 1, 2, 3].map(|view| quilt.codes(view).unwrap()[0]), [10, 20, 30, 40]);

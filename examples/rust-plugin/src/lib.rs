@@ -1,11 +1,11 @@
-//! Output plugin `means`: the mean transmittance of every layer and frame, as a table.
+//! Output plugin `means`: writes the mean transmittance of every layer and frame as a table.
 
 use std::sync::Mutex;
 
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Display, Host, Input, OutputPlugin, Param, PluginError, Port, Schema, Time, export_plugin};
 
-/// The plugin: its host and parameters, and the lines so far.
+/// The plugin: its host, its parameters, and the table's lines so far.
 pub struct Means {
     host: Host,
     params: MeansParams,
@@ -51,7 +51,7 @@ impl OutputPlugin for Means {
         Ok(Self { host, params, lines: Mutex::default() })
     }
 
-    // from any thread, in any order, once for every time step of a sequence
+    // The host calls this once for every time step of a sequence, from any thread and in any order.
     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError> {
         let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
         let separator = match self.params.separator {
@@ -75,7 +75,7 @@ impl OutputPlugin for Means {
         Ok(())
     }
 
-    // after the last time step
+    // The host calls this after the last time step.
     fn finish(self) -> Result<(), PluginError> {
         self.host.check_cancelled()?;
         let mut lines = self.lines.into_inner().expect("no submit panicked");

@@ -1,5 +1,5 @@
-//! Node plugin `directional_sequence`: a time-sequential directional backlight (Travis 1990), the
-//! direct mode of one layer in front of a light field emitter.
+//! Node plugin `directional_sequence`: a time-sequential directional backlight (Travis 1990). It is
+//! the simplest method for a layer in front of a directional backlight.
 //!
 //! In every frame the backlight emits into a subset of its directions, and the layer shows the
 //! target as seen from these directions. With A directions and M frames
@@ -8,8 +8,9 @@
 //! direction k is lit in frame ⌊k·M/A⌋        β = 1/M · Π peak of the layers
 //! ```
 //!
-//! With one frame per direction all views are exact, at 1/A of the light. With fewer frames,
-//! neighbouring directions share a frame and the layer shows their mean.
+//! If every direction has its own frame, all views are exact, and β is 1/A of its largest value.
+//! With fewer frames, neighbouring directions share a frame, and the layer shows the mean of their
+//! views.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
@@ -55,7 +56,7 @@ impl NodePlugin for DirectionalSequence {
         let Some(backlight) = &map.backlight else {
             return Err(PluginError::display(display, "a directional backlight", "none"));
         };
-        // the layer nearest to the display plane shows the views, the others are clear
+        // the layer nearest to the display plane shows the views; the other layers are clear
         let nearest = (0..display.layers.len())
             .min_by(|&a, &b| display.layers[a].d_mm.abs().total_cmp(&display.layers[b].d_mm.abs()));
         let shown = nearest.unwrap_or(0);
@@ -72,7 +73,8 @@ impl NodePlugin for DirectionalSequence {
             }
         }
 
-        // Average the target over the rays through each pixel of the showing layer, per frame.
+        // In every frame, a pixel of that layer shows the mean of the target over the lit rays
+        // through it.
         let layer = &map.layers[shown];
         let shape = [frames, layer.rows, layer.cols, 3];
         let count = Tensor::<4>::element_count(shape)

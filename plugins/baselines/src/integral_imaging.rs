@@ -1,15 +1,16 @@
-//! Node plugin `integral_imaging`: the lens array alone (Lippmann 1908), the baseline of displays
-//! with a directional backlight.
+//! Node plugin `integral_imaging`: only the lens array shows the light field (Lippmann 1908). It is
+//! the baseline of displays with a directional backlight.
 //!
-//! All layers are clear. The emission of a lenslet into a bin is the mean of the target over the
-//! rays that belong to both,
+//! All layers are clear. The emission of a lenslet into an angular bin is the mean of the target
+//! over the rays from that lenslet into that bin,
 //!
 //! ```text
 //! b[bin, lenslet] = mean of L(r) over the rays r of that lenslet and bin
 //! ```
 //!
-//! which is the least-squares optimum. All frames are equal, since more frames add nothing. The
-//! light is used fully, β = Π peak of the layers, and each lenslet is one pixel of the picture.
+//! which is the least-squares optimum. All frames are equal, since different frames would not
+//! improve the result. No light is lost by multiplexing: β = Π peak of the layers. Each lenslet is
+//! one pixel of the seen picture.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
@@ -42,7 +43,7 @@ impl NodePlugin for IntegralImaging {
         let (Some(backlight), Some(shape)) = (&map.backlight, LayerStack::emission_shape(display)) else {
             return Err(PluginError::display(display, "a directional backlight", "none"));
         };
-        // Open all layers; the light is used fully.
+        // Open all layers; β is then the product of their peaks.
         let [dark, bright] = lenslets.range();
         let mut stack = LayerStack::filled(display, dark);
         for (values, layer) in stack.layers.iter_mut().zip(&display.layers) {

@@ -1,4 +1,4 @@
-//! Node plugins: baselines of tensor displays, one module each.
+//! Node plugins with older methods, to which tensor displays are compared. Each module is a plugin.
 
 pub mod directional_sequence;
 pub mod integral_imaging;

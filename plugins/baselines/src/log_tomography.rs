@@ -1,18 +1,19 @@
 //! Node plugin `log_tomography`: a static stack of layers by tomography (Wetzstein et al. 2011),
 //! the baseline without time multiplexing.
 //!
-//! In logarithms the product of the layers' values along a ray is a sum. So a light field consists
-//! of projections of the volume of layers, and the layers are found by tomography:
+//! The logarithm of the product of the layers' values along a ray is a sum. So the logarithms of a
+//! light field are projections of a volume that consists of the layers. Tomography finds the
+//! layers:
 //!
 //! ```text
 //! minimize Σ_r (Σ_n x_n[j_n(r)] − a_r)²
 //! x = −log f,   a_r = −log(β clamp(L(r), darkest, 1)),   −log f_max ≤ x ≤ −log f_min
 //! ```
 //!
-//! Here f is a pixel's mask value; x_n[j_n(r)] belongs to the pixel of layer n that ray r hits;
-//! `darkest` is a parameter. The problem is solved by projected gradients with the projection's row
-//! and column sums as step sizes (SIRT; Gregor and Benson 2008) and Nesterov's extrapolation. All
-//! frames are equal, and channels are independent.
+//! Here f is a pixel's mask value, and j_n(r) is the pixel of layer n that ray r hits. `darkest` is
+//! a parameter. Projected gradient steps with Nesterov's extrapolation solve the problem. Their
+//! step sizes follow from the row and column sums of the projection (SIRT; Gregor and Benson 2008).
+//! All frames are equal, and channels are independent.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
@@ -57,7 +58,7 @@ impl NodePlugin for LogTomography {
         let mut volume = Volume::new(display, &map)?;
         let [rows, cols] = [geometry.rows, geometry.cols];
         let views: Vec<[usize; 2]> = geometry.grid.iter().collect();
-        // required attenuation of each ray, [view][row][col][rgb]
+        // the wanted attenuation a_r of each ray, [view][row][col][rgb]
         let mut wanted = Vec::new();
         for &view in &views {
             let lent = field.view(view)?;
@@ -68,7 +69,7 @@ impl NodePlugin for LogTomography {
                 }));
             }
         }
-        // Projected gradient steps with Nesterov's extrapolation.
+        // Take projected gradient steps with Nesterov's extrapolation.
         let stage = host.stage("log tomography", u64::from(params.iterations), "steps");
         let (mut momentum, mut before) = (1.0f32, volume.values.clone());
         let mut at = volume.values.clone();
@@ -87,7 +88,7 @@ impl NodePlugin for LogTomography {
             momentum = next;
             stage.advance(1, "");
         }
-        // Convert x = −log f to masks; all frames are equal.
+        // Convert x = −log f to mask values, which are the same in all frames.
         let mut stack = LayerStack::filled(display, 0.0);
         for (n, layer) in display.layers.iter().enumerate() {
             let [darkest, brightest] = layer.range();
@@ -100,13 +101,13 @@ impl NodePlugin for LogTomography {
     }
 }
 
-/// x = −log f of every layer, `[layer][row][col][rgb]`, and the data of a step.
+/// The unknowns x = −log f of every layer, `[layer][row][col][rgb]`, and the data of a step.
 struct Volume {
     values: Vec<Vec<f32>>,
     gradient: Vec<Vec<f32>>,
-    /// Number of rays per pixel.
+    /// Number of rays through each pixel of each layer.
     rays: Vec<Vec<f32>>,
-    /// [smallest, largest] x.
+    /// [smallest, largest] x of each layer.
     range: Vec<[f32; 2]>,
 }
 
@@ -118,9 +119,9 @@ impl Volume {
             let count = Tensor::<3>::element_count(shape)
                 .ok_or_else(|| PluginError::Refused(format!("a layer of shape {shape:?} is too large")))?;
             let [darkest, brightest] = layer.range();
-            // limit black to e⁻¹², below which differences are invisible
+            // limit black to 6·10⁻⁶ ≈ e⁻¹²; differences below that are invisible
             let range = [-brightest.ln(), -darkest.max(6e-6).ln()];
-            // start from the mean attenuation, split evenly over layers
+            // start from the attenuation −ln β, divided evenly among the layers
             let start = (-display.brightness.ln() as f32 / display.layers.len() as f32).clamp(range[0], range[1]);
             volume.values.push(vec![start; count]);
             volume.gradient.push(vec![0.0; count]);
@@ -130,8 +131,8 @@ impl Volume {
         Ok(volume)
     }
 
-    /// Computes for every pixel the sum of (Σ_n x_n − a_r) over the rays r through it, and the
-    /// number of these rays.
+    /// Computes the gradient: for every pixel the sum of (Σ_n x_n − a_r) over the rays r through
+    /// it, and the number of these rays.
     fn back_project(
         &mut self,
         map: &RayMap,
@@ -147,7 +148,7 @@ impl Volume {
         let mut pixels = vec![0usize; map.layers.len()];
         for (number, &view) in views.iter().enumerate() {
             for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
-                // a ray is included if it hits a pixel of every layer
+                // only rays that hit a pixel of every layer are included
                 let hits_all =
                     map.layers.iter().zip(&mut pixels).all(|(layer, pixel)| match hit_pixel(layer, view, row, col) {
                         Some(found) => {
@@ -159,7 +160,7 @@ impl Volume {
                 if !hits_all {
                     continue;
                 }
-                // the error of a ray is the sum of its pixels' logarithms minus the target's
+                // the error of a ray is Σ_n x_n − a_r
                 let ray = 3 * ((number * rows + row) * cols + col);
                 let mut error = [0, 1, 2].map(|c| -wanted[ray + c]);
                 for (values, &pixel) in at.iter().zip(&pixels) {
@@ -173,8 +174,8 @@ impl Volume {
         }
     }
 
-    /// A gradient step from `at`: each ray is a sum over N layers, and each pixel's sum is divided
-    /// by its number of rays.
+    /// Takes a gradient step from `at`. A pixel's gradient is divided by its number of rays and by
+    /// the number of layers, since a ray is a sum over all layers.
     fn step(&mut self, at: &[Vec<f32>]) {
         let layers = at.len() as f32;
         for n in 0..at.len() {
@@ -190,7 +191,8 @@ impl Volume {
     }
 }
 
-/// The pixel of a layer that a ray hits.
+/// Index of the pixel of a layer that is nearest to a ray's hit; `None` if the ray misses the
+/// layer.
 fn hit_pixel(layer: &LayerMap, view: [usize; 2], row: usize, col: usize) -> Option<usize> {
     let (y, x) = (layer.y.of_view(view[0])[row], layer.x.of_view(view[1])[col]);
     let nearest = |tap: lumistack_plugin::display::Tap| if tap.t < 0.5 { tap.first } else { tap.second } as usize;

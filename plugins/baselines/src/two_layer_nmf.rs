@@ -1,12 +1,12 @@
-//! Node plugin `two_layer_nmf`: content-adaptive parallax barriers (Lanman et al. 2010): two layers
-//! and several frames, by weighted nonnegative matrix factorization.
+//! Node plugin `two_layer_nmf`: content-adaptive parallax barriers (Lanman et al. 2010). A weighted
+//! nonnegative matrix factorization computes the masks of two layers in several frames.
 //!
-//! The light field of two layers is a matrix with a row per rear pixel and a column per front
-//! pixel. An entry is known if a ray hits both pixels. With M frames the matrix has rank M: it is
-//! F Gᵀ with a column of F and of G per frame, the rear and the front mask. Factors start from
-//! random values and follow the multiplicative rule (the weighted rule of Blondel et al. 2008), one
-//! layer after the other. W is 1 for known entries and 0 for others, ⊛ multiplies element by
-//! element:
+//! The light field of two layers is a matrix L. It has a row for each rear pixel and a column for
+//! each front pixel. An entry is known if a ray hits both pixels. A display with M frames emits the
+//! matrix F Gᵀ of rank M. Each frame adds a column to F, its rear mask, and one to G, its front
+//! mask. F and G start from random values. The weighted multiplicative rule (Blondel et al. 2008)
+//! updates them in turn. W is 1 for known entries and 0 for other entries, and ⊛ multiplies element
+//! by element:
 //!
 //! ```text
 //! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ F Gᵀ) G], G likewise, clamped to 0..1
@@ -60,7 +60,8 @@ impl NodePlugin for TwoLayerNmf {
         };
         let (warnings, cancel) = (Collector::default(), Cancel::default());
         let failed = |error: FactorizeError| PluginError::Failed(error.to_string());
-        // one update at a time after the start, so that the host can cancel between updates
+        // Make the start, then run one iteration at a time, so that the host can cancel between
+        // iterations.
         let start = Settings { iterations: 0, ..settings };
         let task = Task::quiet(&warnings, &cancel);
         let start = lumistack_factorizer::factorize(&problem, &start, None, task, &mut |_| {}).map_err(failed)?;

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Cases that must pass in a real Blender, each in its own process.
 
-    python cases.py all ZIP FOLDER              the cases, one after the other
-    python cases.py full ZIP FOLDER             also those that take long
-    python cases.py CASE,CASE ZIP FOLDER        some of them
-    python cases.py inside CASE ZIP FOLDER      one case in this process: the Blender of this
-                                                Python's module bpy
+    python cases.py all ZIP FOLDER              runs the cases of `CASES`, one after the other
+    python cases.py full ZIP FOLDER             also runs the cases of `MORE`, which take long
+    python cases.py CASE,CASE ZIP FOLDER        runs these cases
+    python cases.py inside CASE ZIP FOLDER      runs one case in this process, in the Blender of
+                                                this Python's module bpy
 
-`cargo xtask blender --check` runs the first command, and with `--full` the second in all versions.
+`cargo xtask blender --check` runs the first command. With `--full` it runs the second command in
+every version of Blender.
 """
 
 import os
@@ -22,7 +23,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 #: Seconds after which a case is killed.
 LONGEST = 420
-#: Tolerance of the mean radiance of a view between the renderers.
+#: Largest relative difference of the mean radiance of a view between the renderers.
 MEAN = 0.02
 
 
@@ -74,7 +75,7 @@ def hit_masks(field):
 
 
 def grown(mask):
-    """A mask and its neighbours, including diagonal ones."""
+    """The masks, grown by one pixel in all directions, also diagonally."""
     import numpy
 
     padded = numpy.pad(mask, ((0, 0), (1, 1), (1, 1)))
@@ -83,7 +84,7 @@ def grown(mask):
 
 
 def light_fields(scene, folder, grid):
-    """The same views by Cycles and by Lumistack's path tracer."""
+    """Renders the same views by Cycles and by Lumistack's path tracer; returns both light fields."""
     import lumistack
 
     fields = []
@@ -97,7 +98,7 @@ def light_fields(scene, folder, grid):
 
 
 def picture_of(path):
-    """[row, column, channel] of an OpenEXR picture."""
+    """Values of an OpenEXR picture, [row, column, channel]."""
     import bpy
     import numpy
 
@@ -108,7 +109,8 @@ def picture_of(path):
 
 
 def case_lifecycle(folder, zip_path):
-    """Enable, disable and enable again leave nothing behind, and Blender exits by itself."""
+    """The extension leaves no data in Blender when it is disabled, and when it is enabled and disabled
+    again. Blender exits by itself."""
     import bpy
 
     def traces():
@@ -139,8 +141,8 @@ def case_lifecycle(folder, zip_path):
 
 
 def case_silhouettes(folder, zip_path):
-    """Both projections: every view's outline equals that of Lumistack's path tracer, to one pixel.
-    """
+    """In both projections, the outlines of Cycles' views and of Lumistack's views differ by at most
+    one pixel."""
     import scenes
 
     install(zip_path)
@@ -155,11 +157,11 @@ def case_silhouettes(folder, zip_path):
 
 
 def outlines(grid, ours, theirs):
-    """Counts the pixels of every view by which outlines differ by more than one."""
+    """Counts, for every view, the pixels that differ although one pixel of tolerance is allowed."""
     a, b = hit_masks(ours), hit_masks(theirs)
     share = a.mean()
     assert 0.1 < share < 0.4, share
-    # Content moves between views by more than the tolerance.
+    # The outlines of different views differ by more than the tolerance, so the test is not trivial.
     assert (a[0] & ~grown(a)[8]).sum() > 50
     beyond = [int((a[view] & ~grown(b)[view]).sum() + (b[view] & ~grown(a)[view]).sum()) for view in range(9)]
     print(f"{grid}: {int((a != b).sum())} of {a.size} pixels on the outlines differ, {sum(beyond)} by more than one pixel; views {beyond}")
@@ -167,7 +169,8 @@ def outlines(grid, ours, theirs):
 
 
 def case_radiance(folder, zip_path):
-    """The mean radiance of a diffuse scene, view by view and channel by channel."""
+    """Cycles and Lumistack's path tracer give the same mean radiance of a diffuse scene, in every
+    view and channel."""
     import numpy
     import scenes
 
@@ -199,7 +202,8 @@ def light_fields_of(scene, folder, grid, samples):
 
 
 def case_exporters(folder, zip_path):
-    """The same scene through Blender's glTF and USD exporters, and the reports on both."""
+    """A scene gives views of the same mean radiance through Blender's glTF exporter and its USD
+    exporter. With both, the job reports their difference."""
     import bpy
     import numpy
     import scenes
@@ -215,7 +219,7 @@ def case_exporters(folder, zip_path):
         return "skipped: this Blender's Python has no OpenUSD, and LUMISTACK_PYTHON names none"
     bpy.data.objects.remove(bpy.data.objects["sun"])
     for shader in bpy.data.materials:
-        # A surface of UsdPreviewSurface always has a specular reflection.
+        # UsdPreviewSurface always has a specular reflection, so give one to the materials.
         shader.node_tree.nodes["Principled BSDF"].inputs["Specular IOR Level"].default_value = 0.5
 
     def both(name, **values):
@@ -234,8 +238,8 @@ def case_exporters(folder, zip_path):
     off = both("lamps and world") - 1.0
     assert abs(off).max() < MEAN, off
     assert jobs.renderers_of(scene.lumistack) == ["USD"]
-    # Blender writes suns in its own units: a quarter as bright in 5.0. The factor is the same for
-    # every sun.
+    # Blender's USD exporter writes suns in units of its own: in 5.0 a sun is a quarter as bright.
+    # The factor is the same for every sun, so the test measures it.
     for name in ("area", "point"):
         bpy.data.objects.remove(bpy.data.objects[name])
     scenes.background(0.0)
@@ -250,8 +254,8 @@ def case_exporters(folder, zip_path):
 
 
 def case_eevee(folder, zip_path):
-    """Views by EEVEE in both projections: outlines equal those of Lumistack's path tracer, to one
-    pixel. Needs OpenGL."""
+    """In both projections, the outlines of EEVEE's views and of Lumistack's views differ by at most
+    one pixel. The case needs OpenGL."""
     import scenes
 
     install(zip_path)
@@ -259,7 +263,7 @@ def case_eevee(folder, zip_path):
 
     scene = scenes.silhouettes()
     scene.render.engine = eevee(scene)
-    # Outlines are compared to a pixel, so a few samples are enough.
+    # A few samples are enough, since only outlines are compared.
     scene.eevee.taa_render_samples = 8
     scene.render.filter_size = 0.0
     for grid in ("OBLIQUE", "PERSPECTIVE"):
@@ -280,7 +284,7 @@ def eevee(scene):
 
 
 def case_make(folder, zip_path):
-    """The button: patterns, an output, a report, the simulated view; a second press renders
+    """The button makes patterns, an output, a report and the simulated view. A second press renders
     nothing."""
     import bpy
     import numpy
@@ -298,7 +302,7 @@ def case_make(folder, zip_path):
     before = sorted(held.name for held in bpy.data.objects), scene.render.filepath, scene.render.image_settings.file_format, scene.camera
     job = run(scene)
     after = sorted(held.name for held in bpy.data.objects), scene.render.filepath, scene.render.image_settings.file_format, scene.camera
-    assert before == after, "a render leaves the scene as it was"
+    assert before == after, "the job changed the scene"
     assert (job.rendered, job.kept) == (9, 0)
     for name in ("display.toml", "layers/stack.json", "report.html", "target/lightfield.json", "outputs/tensor-display/images/stack.npz"):
         assert (out / name).is_file(), name
@@ -314,15 +318,15 @@ def case_make(folder, zip_path):
     assert numpy.allclose(pixels.reshape(60, 96, 4)[::-1, :, :3], straight, atol=1e-6)
     operators.show_view(scene, (0.15, 0.0))
     image.pixels.foreach_get(pixels)
-    assert abs(pixels.reshape(60, 96, 4)[::-1, :, :3] - straight).max() > 0.05, "the other side looks otherwise"
+    assert abs(pixels.reshape(60, 96, 4)[::-1, :, :3] - straight).max() > 0.05, "the view from the right equals the one from the middle"
     assert operators.finished_folder(scene) == out
     lines = overlay.lines_of(scene)
     assert [len(ends) for _, ends in lines] == [8, 24]
-    # Patterns are kept too.
+    # A second run keeps views and patterns.
     start = (out / "layers/stack.json").stat().st_mtime_ns
     job = run(scene)
     assert (job.rendered, job.kept) == (0, 9) and (out / "layers/stack.json").stat().st_mtime_ns == start
-    # Every output, with the default values of its panel.
+    # Write every output with its default parameters.
     from bl_ext.user_default.lumistack import settings
 
     count = 0
@@ -332,7 +336,7 @@ def case_make(folder, zip_path):
             run(scene)
         except lumistack.PluginError as error:
             assert "expected a display" in str(error), error
-            print(f"note: {plugin['id']} is not for this display: {error}")
+            print(f"note: {plugin['id']} refuses this display: {error}")
             continue
         written = [each for each in (out / "outputs/tensor-display" / plugin["id"]).rglob("*") if each.is_file()]
         assert written, plugin["id"]
@@ -348,8 +352,7 @@ def case_make(folder, zip_path):
 
 
 def case_animation(folder, zip_path):
-    """A range of frames: one folder per time step, each starts with the previous patterns; a second
-    run continues an interrupted one."""
+    """A range of frames gives one folder per time step. A second run renders only missing views."""
     import bpy
     import scenes
 
@@ -373,7 +376,8 @@ def case_animation(folder, zip_path):
 
 
 def case_faults(folder, zip_path):
-    """Missing parts are reported; optional ones do not stop the work."""
+    """Missing or wrong parts of a scene give errors that name them. An orthographic camera works, and
+    Fit Depth mends depth that does not fit."""
     import bpy
     import scenes
 
@@ -407,7 +411,7 @@ def case_faults(folder, zip_path):
     scene.lumistack.file = str(folder / "no such.toml")
     scene.camera = bpy.data.objects["camera"]
     fails("no such.toml", scene)
-    # An orthographic camera works.
+    # Cycles and Lumistack agree for an orthographic camera.
     scene = scenes.empty()
     scenes.shapes(scenes.material("white", (1.0, 1.0, 1.0), glow=1.0))
     scenes.camera(orthographic=True)
@@ -415,10 +419,10 @@ def case_faults(folder, zip_path):
     scene.cycles.samples = 1
     ours, theirs = light_fields(scene, folder, "OBLIQUE")
     assert not (hit_masks(ours) & ~grown(hit_masks(theirs))).any() and 0.1 < hit_masks(ours).mean() < 0.4
-    # Depth that does not fit is reported, and fitted by one click.
+    # Depth that does not fit gives a warning; after Fit Depth there is no warning.
     scene.lumistack.moved_back_mm = -200.0
     warned = [line for line in run(scene, factorize=False).warnings if line.startswith("depth")]
-    assert warned, "the scene lies behind the depth of field"
+    assert warned, "no warning, although the scene lies behind the depth of field"
     print("note:", warned[0])
     assert bpy.ops.lumistack.fit_depth() == {"FINISHED"}
     assert not run(scene, factorize=False).warnings
@@ -426,8 +430,8 @@ def case_faults(folder, zip_path):
 
 
 def case_handover(folder, zip_path):
-    """.blend files as scenes: linked libraries, existing and missing pictures, names with non-ASCII letters,
-    instances, modifiers."""
+    """The command reads .blend files with linked libraries, existing and missing pictures, names with
+    non-ASCII letters, instances and modifiers."""
     import bpy
     import numpy
     import scenes
@@ -469,7 +473,7 @@ def case_handover(folder, zip_path):
     import lumistack as package
 
     home = str(Path(package.__file__).parent.parent)
-    # Counts the starts of Blender.
+    # A script in place of Blender writes a line at each start, so that starts can be counted.
     starts, counting = folder / "starts", folder / "python-that-counts"
     starts.touch()
     counting.write_text(f'#!/bin/sh\necho >> "{starts}"\nexec "{sys.executable}" "$@"\n', encoding="utf-8")
@@ -493,35 +497,35 @@ def case_handover(folder, zip_path):
     print("note:", " | ".join(said.split("\n"))[:600])
     assert "is missing" not in said, said
     assert "camera" in said and "rot" in said and "environment: yes" in said and "engine: CYCLES" in said, said
-    # 2 levels of a cube are 6 · 16 quads, regardless of the viewport's settings.
+    # A cube with 2 levels of subdivision has 6 · 16 quads; the viewport's level, 0, has no effect.
     shapes = 48 * 22 * 2 + 96 + 12 + 78 + 48 * 12 * 2
     print("note:", [line for line in said.split("\n") if "triangles" in line], shapes)
     said = lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "-o", folder / "aus")
     assert (folder / "aus" / "lightfield.json").is_file() and started() == 1
-    # Without a change Blender is not started again; a changed library is detected.
+    # Without a change Blender is not started again, even if a library has a new time stamp.
     lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "-o", folder / "aus")
     assert started() == 0
     os.utime(place / "bücherei.blend")
     lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "-o", folder / "aus")
-    assert started() == 0, "what counts is the content"
+    assert started() == 0, "a new time stamp alone started Blender"
     lumistack("render", path, "--display", settings_file(folder), "--resolution", "48x30", "--samples", "16", "--time", "1", "-o", folder / "aus")
     assert started() == 1
-    # The same view by Cycles, with the same window.
+    # Cycles renders the same view through the same window.
     common = ["--display", settings_file(folder), "--resolution", "48x30"]
     said = lumistack("render", path, *common, "--engine", "blender", "-o", folder / "cycles")
     pictures = [picture_of(folder / name / "view_00_00.exr") for name in ("aus", "cycles")]
     apart = abs(pictures[0].mean() / pictures[1].mean() - 1.0)
     alike = float(numpy.corrcoef(pictures[0].ravel(), pictures[1].ravel())[0, 1])
-    print(f"note: our path tracer and Cycles on the command line: means apart by {100 * apart:.1f} %, correlation {alike:.3f}")
-    # Renders differ by noise and by the automatic exposure; another window or a mirrored picture
-    # would differ more.
+    print(f"note: our path tracer and Cycles on the command line: means differ by {100 * apart:.1f} %, correlation {alike:.3f}")
+    # The two renders differ by noise and by their automatic exposure. A wrong window or a mirrored
+    # picture would differ more.
     assert apart < 0.12 and alike > 0.85
-    # A missing picture and a missing library.
+    # A missing picture and a missing library are reported.
     (place / "muster é.png").unlink()
     (place / "bücherei.blend").unlink()
     said = lumistack("info", path)
     assert "muster é.png is missing" in said and "bücherei.blend is missing" in said, said
-    # A file that is no .blend file, and invalid settings.
+    # A file that is no .blend file, and invalid settings, are errors.
     (place / "kaputt.blend").write_bytes(b"not a blend file, though it says so")
     said = lumistack("info", place / "kaputt.blend", code=1)
     assert "kaputt.blend" in said and "Traceback" not in said, said
@@ -532,7 +536,7 @@ def case_handover(folder, zip_path):
 
 
 def gltf_of(path):
-    """The JSON of a .glb file."""
+    """Returns the JSON of a .glb file."""
     import json
     import struct
 
@@ -542,8 +546,8 @@ def gltf_of(path):
 
 
 def case_beyond(folder, zip_path):
-    """Content that glTF cannot express is reported, and the file's own engine renders it unless the
-    job selects another."""
+    """Content that glTF cannot express is reported. Then the file's own engine renders the scene,
+    unless the job selects another one."""
     import bpy
     import numpy
     import scenes
@@ -577,16 +581,16 @@ def case_beyond(folder, zip_path):
         fields[engine] = picture_of(folder / engine / "view_01_01.exr")
         assert all(name in said for name in named) == (engine != "blender"), said
         assert ("own engine, CYCLES, renders" in said) == (engine == "auto"), said
-    assert (fields["auto"] == fields["blender"]).all(), "the default is the file's own engine"
+    assert (fields["auto"] == fields["blender"]).all(), "the default did not use the file's own engine"
     assert numpy.abs(fields["auto"] - fields["lumistack"]).mean() > 0.01
-    # Lumistack's path tracer leaves smoke out; its domain must not be a white box.
+    # glTF cannot express smoke, so the mesh of its domain must not be exported as a white box.
     nodes = {node.get("name") for node in gltf_of(next((folder / "lumistack").rglob("*.glb")))["nodes"]}
     assert "smoke" not in nodes and "Cube" in nodes, nodes
     return ""
 
 
 def case_resume(folder, zip_path):
-    """Killed in the middle of view 5 of 9, the second run starts at view 5."""
+    """A run that was killed during view 5 of 9 continues with view 5."""
     import bpy
     import scenes
 
@@ -613,7 +617,7 @@ def case_resume(folder, zip_path):
 
 
 def case_command(folder, zip_path):
-    """No test itself: `case_resume` runs and kills it."""
+    """A part of `case_resume`, which runs this function in a process and kills it."""
     import bpy
 
     install(zip_path)
@@ -636,7 +640,7 @@ def case_command(folder, zip_path):
 
 
 def case_headless(folder, zip_path):
-    """The command line: exit codes and messages."""
+    """The command of the extension gives the right exit codes, files and messages."""
     import bpy
     import scenes
 
@@ -652,9 +656,9 @@ def case_headless(folder, zip_path):
     assert list((folder / "a" / "outputs" / "tensor-display" / "quilt").iterdir())
     assert command.main(["make", *common, "-o", str(folder / "b"), "--renderer", "both", "--samples", "4", "--blend", str(folder / "szene.blend")]) == 0
     assert (folder / "b" / "scene.glb").is_file()
-    # `blender --command` has no window, so no active object.
+    # Run without a window, as `blender --command` does; then there is no active object either.
     with bpy.context.temp_override(window=None):
-        assert not hasattr(bpy.context, "active_object"), "this is not what a command sees"
+        assert not hasattr(bpy.context, "active_object"), "this context is not that of a command"
         for renderer in ("lumistack", "both"):
             out = folder / f"no window {renderer}"
             assert command.main(["make", *common, "-o", str(out), "--renderer", renderer, "--samples", "4"]) == 0
@@ -678,7 +682,7 @@ def case_headless(folder, zip_path):
 
 
 def case_digest(folder, zip_path):
-    """Kept views are reused only while no visible data have changed."""
+    """The digest changes exactly if data change that views depend on."""
     import bpy
     import scenes
 
@@ -693,7 +697,7 @@ def case_digest(folder, zip_path):
     first = digest.digest(scene)
     assert first == digest.digest(scene)
     bpy.ops.wm.open_mainfile(filepath=str(path))
-    assert digest.digest(bpy.context.scene) == first, "the same file gives the same digest"
+    assert digest.digest(bpy.context.scene) == first, "the same file gave another digest"
     objects, materials = bpy.data.objects, bpy.data.materials
     nodes = materials["clay"].node_tree.nodes
 
@@ -723,8 +727,8 @@ def case_digest(folder, zip_path):
 
 
 def case_overlay(folder, zip_path):
-    """Drawings of the 3D view: the window's edges are those of the camera's picture; a picture from
-    the side remains for inspection."""
+    """The drawings in the 3D view: the window has the edges of the camera's picture, and arrow and
+    frame move it. The case also writes a picture of the window from the side."""
     import bpy
     import numpy
     import scenes
@@ -743,8 +747,8 @@ def case_overlay(folder, zip_path):
         if colour == overlay.WINDOW:
             places = [world_to_camera_view(scene, scene.camera, Vector(end)) for end in ends]
             assert {(round(place.x, 3), round(place.y, 3)) for place in places} == {(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)}
-            assert all(abs(place.z - 4.0) < 1e-4 for place in places), "in the plane of focus"
-    # The arrow moves the window along its normal, and shows its position.
+            assert all(abs(place.z - 4.0) < 1e-4 for place in places), "the window is not in the plane of focus"
+    # The window moves along its normal, and the arrow's origin stays in place.
     origin = overlay.arrow_matrix(window, 0.0).translation.copy()
     scene.lumistack.moved_back_mm = 30.0
     overlay.forget()
@@ -752,7 +756,8 @@ def case_overlay(folder, zip_path):
     normal = Vector(window.back)
     assert (Vector(moved.centre) - Vector(window.centre) + 30.0 * window.scale * normal).length < 1e-5
     assert (overlay.arrow_matrix(moved, 30.0).translation - origin).length < 1e-5
-    # The frame that the user drags equals the window's edge, and its changes are applied.
+    # The corners of the frame that the user drags are those of the window. Width and height set the
+    # window's size.
     held = scene.lumistack
     for grid in ("OBLIQUE", "PERSPECTIVE"):
         held.grid, held.window_size, held.window_shift = grid, 1.3, (0.2, -0.1)
@@ -768,7 +773,7 @@ def case_overlay(folder, zip_path):
     overlay.forget()
     run(scene)
     operators.show_view(scene, (0.0, 0.0))
-    # From the side, as a 3D view shows it.
+    # Draw the scene with the window from the side, as a 3D view shows it.
     look, side = scene.camera, scenes.camera("side")
     side.data.dof.use_dof = False
     side.location, side.rotation_euler = (4.2, -2.6, 2.0), (1.25, 0.0, 0.98)
@@ -811,22 +816,22 @@ def case_overlay(folder, zip_path):
 
 #: The display of `case_live`: 160 × 100 pixels.
 LIVE_DISPLAY_SIZE = "[160, 100]"
-#: Seconds without a better state after which a picture is at rest.
+#: Seconds without a new state after which the display counts as settled.
 LIVE_REST = 1.0
-#: Largest mean difference of two pictures at rest.
+#: Largest mean difference of two pictures of a settled display.
 LIVE_NOISE = 0.003
-#: Longest wait for a picture of a change, seconds: the machine may compile beside.
+#: Longest wait for a picture of a change, seconds. It is long, since the machine may also compile.
 LIVE_PATIENCE = 60.0
 
 
 class LivePage:
-    """The states that a page of `lumistack live` gets, as pictures from straight ahead."""
+    """Reads the states that `lumistack live` sends to its page, as pictures from straight ahead."""
 
     def __init__(self, session, folder):
         self._address, self._folder = session.state.address, folder
 
     def picture(self):
-        """[row, column, channel] of the newest state."""
+        """Returns the picture of the newest state, [row, column, channel]."""
         import json
         import struct
         import urllib.request
@@ -865,8 +870,8 @@ def live_display(folder):
 
 
 def case_live(folder, zip_path):
-    """The page of `lumistack live` follows lamps, objects, materials, frames, the world, undo and
-    edit mode; at rest nothing is exported; every end has a message and leaves no process."""
+    """The page of `lumistack live` follows lamps, objects, materials, frames, the world and edit
+    mode. Without changes nothing is exported. Every end gives a message and leaves no process."""
     import bpy
     import numpy
     import scenes
@@ -883,14 +888,14 @@ def case_live(folder, zip_path):
     objects, materials = bpy.data.objects, bpy.data.materials
 
     def until(name, is_right):
-        """Steps of the timer until something holds; returns the seconds."""
+        """Does steps of the timer until `is_right()` returns true; returns the seconds that it took."""
         begin = time.monotonic()
         while time.monotonic() - begin < LIVE_PATIENCE:
             live.step()
             if is_right():
                 return time.monotonic() - begin
             time.sleep(0.01)
-        raise AssertionError(f"waited in vain for {name}: {live.status()}")
+        raise AssertionError(f"timeout: no {name}: {live.status()}")
 
     def begin():
         assert bpy.ops.lumistack.live() == {"FINISHED"}
@@ -914,10 +919,11 @@ def case_live(folder, zip_path):
     times = {}
 
     def follows(name, change, is_right=lambda old, new: True):
-        """The picture differs from the one before by more than noise, and as expected."""
+        """Makes a change, and waits until the picture differs from the previous one by more than
+        noise and `is_right(old, new)` returns true."""
         old = pictures[list(pictures)[-1]]
         moved = float(numpy.abs(page.picture() - old).mean())
-        assert moved < LIVE_NOISE, f"{name}: it moves at rest, by {moved}"
+        assert moved < LIVE_NOISE, f"{name}: before the change the picture changed by {moved}"
         content = session.state.content
         change()
         bpy.context.view_layer.update()
@@ -952,7 +958,7 @@ def case_live(folder, zip_path):
     follows("a deleted object", lambda: objects.remove(objects["Torus"]))
     follows("the exposure", lambda: setattr(scene.view_settings, "exposure", -1.0), lambda old, new: mean(new) < 0.7 * mean(old))
     follows("the camera", lambda: setattr(scene.camera, "location", (-1.0, -4.0, 1.3)))
-    # Edit mode stays while its mesh is shown.
+    # The mesh of an object in edit mode is exported, and the object stays in edit mode.
     cube = objects["Cube"]
     bpy.context.view_layer.objects.active = cube
     bpy.ops.object.mode_set(mode="EDIT")
@@ -968,7 +974,8 @@ def case_live(folder, zip_path):
     follows("edit mode", edit)
     assert cube.mode == "EDIT"
     bpy.ops.object.mode_set(mode="OBJECT")
-    # Modifiers that only renders use are switched by every export.
+    # Every export switches on the modifiers that only renders use. These switches, and selections,
+    # must not cause exports.
     cube.modifiers.new("smooth", "SUBSURF").render_levels = 2
     bpy.context.view_layer.update()
     until("rest", lambda: settled(session))
@@ -979,14 +986,14 @@ def case_live(folder, zip_path):
         bpy.context.view_layer.update()
         live.step()
         time.sleep(0.05)
-    assert (session.exports, session.state.content) == (exports, states), "a selection is no change"
-    # The newest state is that of the current scene.
+    assert (session.exports, session.state.content) == (exports, states), "a selection caused an export"
+    # Export the current scene, to compare it with the last state below.
     handover.export_scene(bpy, folder / "now.glb", lambda *_: None, scene)
-    # A scene without a camera keeps its display and says so.
+    # Without a camera the display keeps its last state, and the panel shows a message.
     camera, scene.camera = scene.camera, None
-    until("a word about the camera", lambda: any("no camera" in text for _, text in live.status()))
+    until("a message about the camera", lambda: any("no camera" in text for _, text in live.status()))
     scene.camera = camera
-    until("no word", lambda: not any("no camera" in text for _, text in live.status()))
+    until("no message", lambda: not any("no camera" in text for _, text in live.status()))
     until("rest", lambda: settled(session))
     window = session._sent["window"]
     pid = session.program.pid
@@ -1002,7 +1009,8 @@ def case_live(folder, zip_path):
     )  # fmt: skip
     error = float(numpy.mean((target.radiance.astype(numpy.float64) - there.radiance) ** 2))
     assert target.shape == there.shape and -10.0 * numpy.log10(error) > 22.0, error
-    # The program dies, another file is opened, the extension is disabled.
+    # The session ends if the program is killed, another file is opened, or the extension is
+    # disabled.
     session = begin()
     os.kill(session.program.pid, signal.SIGKILL)
     until("the end", lambda: live.session is None)
@@ -1020,7 +1028,7 @@ def case_live(folder, zip_path):
     except RuntimeError as error:
         assert "none.toml" in str(error), error
     else:
-        raise AssertionError("a missing display is no error")
+        raise AssertionError("a missing display file gave no error")
     assert live.session is None
     scene.lumistack.file = str(live_display(folder))
     pid = begin().program.pid
@@ -1032,7 +1040,7 @@ def case_live(folder, zip_path):
 
 
 def settled(session):
-    """True if nothing waits and no better state came for a while."""
+    """Returns true if no change waits and no new state arrived for `LIVE_REST` seconds."""
     if session.changed_at is not None or not session.program.is_shown:
         return False
     now, states = time.monotonic(), session.state.states
@@ -1063,7 +1071,7 @@ def run_all(zip_path, folder, names):
         lines = [line for line in said.split("\n") if line.startswith(("case:", "note:", "OBLIQUE", "PERSPECTIVE"))]
         for line in lines:
             if line.startswith("case: skipped") and os.environ.get("LUMISTACK_SKIPPED"):
-                # `cargo xtask` lists it, and CI treats it as a failure.
+                # `cargo xtask` lists skipped cases, and CI treats them as failures.
                 with open(os.environ["LUMISTACK_SKIPPED"], "a") as list_of_skips:
                     list_of_skips.write(f"Blender {name}: {line.removeprefix('case: skipped: ')}\n")
         print(f"{'ok  ' if ok else 'FAIL'} {name} ({time.monotonic() - start:.0f} s)", *lines if ok else [said[-6000:]], sep="\n     ", flush=True)
@@ -1087,7 +1095,7 @@ def main():
     sys.stderr.flush()
     if code == 0 and said == "ends by itself":
         return
-    # As a module, Blender may hang or crash when Python ends with registered classes.
+    # End without cleanup: the module bpy may hang or crash if Python ends with registered classes.
     os._exit(code)
 
 

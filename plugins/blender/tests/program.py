@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Checks in a real Blender program of any version from 3.4, with or without extensions:
+"""Checks the extension in a Blender program of any version from 3.4, with or without support for
+extensions:
 
     blender -b --factory-startup --python-exit-code 1 --python program.py -- FOLDER PLACE
 
 PLACE contains the Python package, as in its wheel, and the extension's source as the package
-`lumistack_extension`. Debian's Blender 3.4 has no extensions and no `--command` yet. So the
-extension is imported, and its command runs without a window, as `--command` runs it.
+`lumistack_extension`. Debian's Blender 3.4 supports neither extensions nor `--command`. So this
+script imports the extension, and calls its command without a window, as `--command` does.
 """
 
 import os
@@ -37,7 +38,7 @@ pitch_mm = 8.0
 
 
 def scene_to_show(bpy):
-    """A cube of noise with hair, a plain cube, a lamp and a camera."""
+    """Makes a scene: a cube with a noise texture and hair, a plain cube, a lamp and a camera."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising = 1, False
@@ -72,13 +73,13 @@ def check(bpy, folder, place):
     display = folder / "display.toml"
     display.write_text(DISPLAY + "".join(LAYER % depth for depth in (-12.0, 0.0, 12.0)), encoding="utf-8")
     with bpy.context.temp_override(window=None):
-        assert not hasattr(bpy.context, "active_object"), "this is not what a command sees"
+        assert not hasattr(bpy.context, "active_object"), "this context is not that of a command"
         # Views by Blender need version 4.2, the extension's oldest; the export does not.
         for renderer in ("lumistack", "both") if bpy.app.version >= (4, 2) else ("lumistack",):
             out = folder / renderer
             words = ["make", "--display", str(display), "--iterations", "1", "--samples", "1", "--look", "linear", "--renderer", renderer, "-o", str(out)]
             assert command.main(words) == 0, f"{renderer}: the command failed"
-            assert b'"plain"' in (out / "scene.glb").read_bytes(), f"{renderer}: no scene was handed over"
+            assert b'"plain"' in (out / "scene.glb").read_bytes(), f"{renderer}: the scene was not exported"
             assert lumistack.LayerStack.open(out) is not None
     lumistack_extension.unregister()
 

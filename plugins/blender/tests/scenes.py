@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scenes for the tests, and a small display for them."""
+"""Scenes for the tests, and a small display that shows them."""
 
 import math
 
 import bpy
 
-#: Lengths in millimetres: a display of 96 × 60 pixels, 3 × 3 views.
+#: A display file: 96 × 60 pixels, 3 × 3 views; lengths in millimetres.
 DISPLAY = """name = "three small layers"
 frames = 3
 refresh_hz = 180.0
@@ -48,7 +48,7 @@ def empty():
     scene.cycles.use_denoising = False
     scene.cycles.pixel_filter_type = "BOX"
     scene.cycles.filter_width = 1.0
-    # No clamping and no clipping, and paths as long as those of Lumistack.
+    # Do not clamp or drop light, and trace paths as long as Lumistack's.
     scene.cycles.sample_clamp_direct = scene.cycles.sample_clamp_indirect = 0.0
     scene.cycles.blur_glossy = 0.0
     scene.cycles.light_sampling_threshold = 0.0
@@ -91,7 +91,7 @@ def add(kind, look, **where):
 
 
 def camera(name="camera", focus=4.0, orthographic=False):
-    """Looks along +y from the left and from above, rotated slightly about its axis."""
+    """Adds a camera at the left and above. It looks along +y and is slightly rotated about its axis."""
     data = bpy.data.cameras.new(name)
     data.dof.use_dof = True
     data.dof.focus_distance = focus
@@ -109,7 +109,7 @@ def camera(name="camera", focus=4.0, orthographic=False):
 
 
 def shapes(look):
-    """Shapes in front of, in and behind the window."""
+    """Adds shapes in front of the window, in its plane, and behind it."""
     add("uv_sphere", look, radius=0.35, location=(-0.7, 0.4, 0.15), segments=48, ring_count=24)
     add("cube", look, size=0.5, location=(0.35, -0.7, 0.25), rotation=(0.3, 0.5, 0.2))
     add("cone", look, radius1=0.35, depth=0.8, location=(0.55, 1.6, 0.5), vertices=40)
@@ -124,7 +124,7 @@ def silhouettes():
 
 
 def diffuse():
-    """A diffuse scene with a sun, an area light, a round lamp and a grey world."""
+    """Makes a diffuse scene with a sun, an area light, a round lamp and a grey world."""
     scene = empty()
     background(0.25)
     shapes(material("clay", (0.6, 0.5, 0.4)))
@@ -151,8 +151,8 @@ def lamp(kind, energy, location=(0.0, 0.0, 3.0), rotation=(0.0, 0.0, 0.0)):
 
 
 def beyond():
-    """Content that glTF cannot express: a noise, an unsupported shader, hair, and smoke in a box;
-    and a plain cube."""
+    """Makes a scene with content that glTF cannot express: a noise texture, an unsupported shader,
+    hair, and smoke in a box. It also contains a plain cube."""
     scene = diffuse()
     bark = material("bark", (0.5, 0.5, 0.5))
     tree = bark.node_tree

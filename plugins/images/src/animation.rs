@@ -1,8 +1,8 @@
-//! An animated PNG of a viewer who swings through the viewing zone.
+//! An animated PNG, seen from a viewpoint that swings through the viewing zone.
 //!
-//! The grid has A_x × A_y views; positions are in units of views from its centre. With φ = 2πt/T
-//! and the period T, x = (A_x − 1)/2 · sin φ, and on an ellipse y = (A_y − 1)/2 · cos φ. So the
-//! animation loops without a jump.
+//! The grid has A_x × A_y views; positions (x, y) are relative to its centre, in units of views. At
+//! the time t, with φ = 2πt/T and the period T, x = (A_x − 1)/2 · sin φ. On an ellipse,
+//! y = (A_y − 1)/2 · cos φ; else y = 0. So the animation loops without a jump.
 
 use std::f64::consts::TAU;
 use std::io::BufWriter;
@@ -16,19 +16,19 @@ use lumistack_plugin::{Host, PluginError};
 use crate::encode::png_error;
 use crate::views::ViewSource;
 
-/// The viewer's path.
+/// The path of the viewpoint, and the size of the animation.
 pub(crate) struct Swing {
     /// Number of pictures in one period.
     pub(crate) pictures: u32,
     pub(crate) pictures_per_second: u16,
-    /// The viewer also moves up and down.
+    /// True if the viewpoint also moves up and down, on an ellipse.
     pub(crate) ellipse: bool,
-    /// Largest width of the animation, pixels; 0 for the views' width.
+    /// Largest width of the animation, pixels; 0 for the width of the views.
     pub(crate) width: usize,
 }
 
 impl Swing {
-    /// Positions [view_y, view_x] of all pictures, in units of views.
+    /// Positions [view_y, view_x] of all pictures, in units of views from the first view.
     pub(crate) fn path(&self, views: [usize; 2]) -> Vec<[f64; 2]> {
         let half = views.map(|count| (count as f64 - 1.0) / 2.0);
         let place = |i: u32| {
@@ -47,7 +47,7 @@ impl Swing {
         [self.width, ((rows * self.width) as f64 / cols as f64).round().max(1.0) as usize]
     }
 
-    /// Writes the animation, picture by picture.
+    /// Writes the animation; one picture at a time is in memory.
     pub(crate) fn write(&self, host: &Host, path: &str, source: &ViewSource<'_>) -> Result<(), PluginError> {
         let geometry = source.geometry();
         let [rows, cols] = [geometry.rows, geometry.cols];
@@ -75,7 +75,7 @@ impl Swing {
     }
 }
 
-/// A picture of [`cols`, `rows`] reduced to [`width`, `height`].
+/// Reduces a picture of [`cols`, `rows`] pixels to [`width`, `height`] pixels.
 pub(crate) fn reduced(rgb: Vec<f32>, [cols, rows]: [usize; 2], [width, height]: [u32; 2]) -> Vec<f32> {
     if [cols, rows] == [width as usize, height as usize] {
         return rgb;
@@ -96,7 +96,7 @@ mod tests {
         assert_eq!(x, [2.0, 3.414_214, 4.0, 3.414_214, 2.0, 0.585_786, 0.0, 0.585_786]);
         assert!(path.iter().all(|place| place[0] == 1.0));
         let path = swing(true).path([3, 5]);
-        assert!(path[0][0].abs() < 1e-9 && (path[4][0] - 2.0).abs() < 1e-9, "from the top to the bottom");
+        assert!(path[0][0].abs() < 1e-9 && (path[4][0] - 2.0).abs() < 1e-9, "the path is not from top to bottom");
         assert_eq!(swing(true).path([1, 1]), [[0.0, 0.0]; 8]);
     }
 

@@ -1,4 +1,4 @@
-//! NumPy archives of the values, linear `float32`, written plane by plane.
+//! Writes NumPy archives of linear `float32` values. One mask or view at a time is in memory.
 
 use std::io::{self, BufWriter};
 
@@ -41,7 +41,7 @@ pub(crate) fn write_stack(
 }
 
 /// Writes the arrays `radiance` `[view_y][view_x][row][col][rgb]`, `slope_x` `[view_x]` and
-/// `slope_y` `[view_y]` (y up).
+/// `slope_y` `[view_y]`, where y points up.
 pub(crate) fn write_views(host: &Host, path: &str, source: &ViewSource<'_>) -> Result<(), PluginError> {
     let geometry = source.geometry();
     let [views_y, views_x] = geometry.grid.views();
@@ -60,7 +60,8 @@ pub(crate) fn write_views(host: &Host, path: &str, source: &ViewSource<'_>) -> R
 
 type Archive<'a> = NpzWriter<&'a mut BufWriter<lumistack_plugin::OutputFile>>;
 
-/// An error of a write: the host's own, or the archive's.
+/// An error while an archive is written: one of the plugin or the host, or one of the archive's
+/// writer.
 enum Failure {
     Plugin(PluginError),
     Io(io::Error),

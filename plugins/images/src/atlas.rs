@@ -1,8 +1,9 @@
-//! One sheet with the masks of all layers and frames, for engines that load a single texture.
+//! Writes a single sheet with the masks of all layers and frames, for engines that load a single
+//! texture.
 //!
-//! Tiles are adjacent without gaps: one row of tiles per frame, with the layers from rear (left) to
-//! front. `atlas.json` lists their positions. The sheet is written row by row, so memory does not
-//! grow with the number of frames.
+//! Each mask is a tile. There is one row of tiles per frame, with the rear layer on the left and
+//! the front layer on the right, without gaps. `atlas.json` lists the positions of the tiles. The
+//! sheet is written row by row, so memory does not grow with the number of frames.
 
 use std::io::{BufWriter, Write};
 
@@ -12,7 +13,7 @@ use lumistack_plugin::{Host, PluginError, StackInput, serde_json};
 
 use crate::encode::{png_error, say_encoding};
 
-/// `atlas.json`.
+/// The content of `atlas.json`.
 #[derive(Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Index<'a> {
@@ -25,7 +26,7 @@ struct Index<'a> {
     tiles: Vec<Tile>,
 }
 
-/// One mask: columns x..x + width and rows y..y + height of the sheet, from its top left corner.
+/// The place of one mask on the sheet: columns x..x + width, and rows y..y + height from the top.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Tile {
@@ -37,9 +38,9 @@ struct Tile {
     height: usize,
 }
 
-/// Writes the sheet and its index; returns [columns, rows]. `transfer` is the common transfer
-/// function of all masks, if there is one. `samples(layer, frame)` returns a mask's 8-bit samples
-/// `[row][col][rgb]`.
+/// Writes the sheet and its index; returns [columns, rows] of the sheet. `transfer` is the transfer
+/// function of all masks if they have the same, else `None`. `samples(layer, frame)` returns a
+/// mask's 8-bit samples `[row][col][rgb]`.
 pub(crate) fn write(
     host: &Host,
     folder: &str,
@@ -105,7 +106,7 @@ pub(crate) fn write(
     flushed.map_err(|error| PluginError::from_io("atlas", error))?;
     file.commit()?;
     // Write the index after the sheet is complete.
-    let text = serde_json::to_string_pretty(&index).expect("an index holds nothing that JSON cannot");
+    let text = serde_json::to_string_pretty(&index).expect("JSON can express an index");
     host.write(&format!("{folder}atlas.json"), format!("{text}\n").as_bytes())?;
     Ok([width, height])
 }

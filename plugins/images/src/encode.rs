@@ -7,7 +7,7 @@ use lumistack_plugin::encoding::{Dither, codes8, codes16, panel_codes};
 /// Settings for the codes of a panel.
 #[derive(Clone, Copy)]
 pub(crate) struct PanelCodes {
-    /// Bits per channel, if fewer than the file's.
+    /// Bits per channel of the panel, if they are fewer than the file's.
     pub(crate) bits: Option<u32>,
     pub(crate) dither: Dither,
     /// Number that differs between layers and frames. It shifts the threshold map, so that the dots
@@ -39,19 +39,19 @@ pub(crate) fn samples16(transfer: &Transfer, panel: Option<PanelCodes>, size: [u
     }
 }
 
-/// Converts a code of `bits` bits to a sample of a file with more bits: code · top / (2^bits − 1),
-/// rounded. The sample's highest bits are the code.
+/// Converts a code of `bits` bits to a sample of a file with more bits, whose largest sample is
+/// `top`. The sample is code · top / (2^bits − 1), rounded, so its highest bits are the code.
 fn spread(code: u16, bits: u32, top: u32) -> u32 {
     let own = (1u32 << bits) - 1;
     ((u64::from(code) * u64::from(top) + u64::from(own / 2)) / u64::from(own)) as u32
 }
 
-/// The bytes of a PNG with 8 bits per channel, whose codes follow `transfer`.
+/// Encodes samples of 8 bits per channel as PNG, whose header states `transfer` if it can.
 pub(crate) fn png8(samples: &[u8], size: [usize; 2], transfer: &Transfer) -> Result<Vec<u8>, PluginError> {
     png_bytes(samples, size, png::BitDepth::Eight, transfer)
 }
 
-/// The bytes of a PNG with 16 bits per channel.
+/// Encodes samples of 16 bits per channel as PNG, whose header states `transfer` if it can.
 pub(crate) fn png16(samples: &[u16], size: [usize; 2], transfer: &Transfer) -> Result<Vec<u8>, PluginError> {
     let bytes: Vec<u8> = samples.iter().flat_map(|sample| sample.to_be_bytes()).collect();
     png_bytes(&bytes, size, png::BitDepth::Sixteen, transfer)
@@ -76,8 +76,8 @@ fn png_bytes(
     Ok(bytes)
 }
 
-/// Declares the transfer function of the codes in the sRGB or gamma chunk. PNG cannot declare
-/// measured curves or one per channel.
+/// States the transfer function of the codes in the chunk sRGB or gAMA. PNG cannot state measured
+/// curves, nor a different curve for each channel; then there is no chunk.
 pub(crate) fn say_encoding<W: std::io::Write>(encoder: &mut png::Encoder<'_, W>, transfer: &Transfer) {
     match transfer {
         Transfer::Srgb => encoder.set_source_srgb(png::SrgbRenderingIntent::RelativeColorimetric),
@@ -89,7 +89,7 @@ pub(crate) fn say_encoding<W: std::io::Write>(encoder: &mut png::Encoder<'_, W>,
     }
 }
 
-/// The error of a PNG encoder that writes to the host's file.
+/// Converts the error of a PNG encoder that writes to a file of the host.
 pub(crate) fn png_error(error: png::EncodingError) -> PluginError {
     match error {
         png::EncodingError::IoError(error) => PluginError::from_io("PNG encoder", error),

@@ -1,18 +1,18 @@
 //! Light fields as the folders of two public archives.
 //!
 //! * `hci/`: `input_Cam%03d.png`, numbered row by row from the top left, `parameters.cfg` and
-//!   `gt_disp_lowres.pfm`. Cameras are on a plane at distance D, b = D·Δs apart, with shifted
-//!   sensors; Δs is the step of slope between views. From a camera to the next, content at distance
-//!   Z has a disparity of b·f·(1/Z − 1/D) pixels, with f = D / pixel pitch. That is
-//!   Δs·D·z/((D − z)·pitch) for content at z towards the viewer, and Δs·z/pitch for parallel
-//!   projections. The disparity map is that of the central view, if the host has the view's depth.
-//!   Otherwise the map contains NaN, and the range of disparities is that of the display's depth of
-//!   field.
+//!   `gt_disp_lowres.pfm`. Cameras with shifted sensors are on a plane at the distance D from the
+//!   display plane. Neighbouring cameras are b = D·Δs apart, where Δs is the step of slope between
+//!   views. Between neighbouring cameras, content at the distance Z from the cameras has a
+//!   disparity of b·f·(1/Z − 1/D) pixels, with f = D / pixel pitch. With Z = D − z, that is
+//!   Δs·D·z/((D − z)·pitch); for parallel projections it is Δs·z/pitch. The disparity map is that
+//!   of the central view, if the host knows the depth of this view. Otherwise the map contains NaN,
+//!   and the stated range of disparities is that of the display's depth of field.
 //! * `stanford/`: `out_RR_CC_<Y>_<X>.png`, with the camera's centre in millimetres, X right, Y
 //!   down.
 //!
-//! A light field of parallel projections has no cameras at a distance. Its pictures and their order
-//! are the same; distances are those of cameras on a plane at a nominal D.
+//! A light field of parallel projections has no cameras. Its pictures have the same names and
+//! order; the distances in its files are those of cameras at a nominal distance D.
 
 use lumistack_plugin::display::{FieldGeometry, Projection, SeenDepth, Transfer};
 use lumistack_plugin::{Host, PluginError};
@@ -20,21 +20,20 @@ use lumistack_plugin::{Host, PluginError};
 use crate::encode::{png8, png16, samples8, samples16};
 use crate::views::ViewSource;
 
-/// Larger side of the written sensor, millimetres. Any value would do, since only its ratio to the
-/// focal length matters.
+/// Stated length of the longer side of the cameras' sensors, millimetres. The value is arbitrary,
+/// since only its ratio to the focal length matters.
 const SENSOR_MM: f64 = 36.0;
-/// Steps of slope are treated as equal if they differ by no more than this, relative to the
-/// largest.
+/// Steps of slope count as equal if they differ by at most this fraction of the largest step.
 const SAME_STEP: f64 = 1e-3;
 
-/// The archive's format.
+/// The format of a public archive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Archive {
     Hci,
     Stanford,
 }
 
-/// Cameras of a folder.
+/// The cameras of a light field.
 pub(crate) struct Cameras<'a> {
     pub(crate) geometry: &'a FieldGeometry,
     /// Camera distance for a light field of parallel projections, millimetres.
@@ -45,9 +44,9 @@ pub(crate) struct Cameras<'a> {
 pub(crate) struct Settings<'a> {
     /// Camera distance for a light field of parallel projections, millimetres.
     pub(crate) nominal_mm: f64,
-    /// Pictures of 16 bits instead of 8.
+    /// True for pictures of 16 bits, false for 8 bits.
     pub(crate) sixteen_bits: bool,
-    /// Date, authors and contact in `parameters.cfg`.
+    /// [date, authors, contact] for `parameters.cfg`.
     pub(crate) meta: [&'a str; 3],
     /// The display's depth of field, millimetres.
     pub(crate) shown_mm: Option<[f64; 2]>,
@@ -72,7 +71,7 @@ impl Cameras<'_> {
             Archive::Hci => format!("hci/input_Cam{:03}.png", y * grid.slope_x.len() + x),
             Archive::Stanford => {
                 let (down, right) = (-grid.slope_y[y] * self.distance_mm(), grid.slope_x[x] * self.distance_mm());
-                // avoid the sign of a negative zero
+                // adding 0.0 removes the sign of a negative zero
                 format!("stanford/out_{y:02}_{x:02}_{:.6}_{:.6}.png", down + 0.0, right + 0.0)
             }
         }
@@ -81,7 +80,7 @@ impl Cameras<'_> {
     /// The step of slope between neighbouring views.
     ///
     /// # Errors
-    /// If steps differ: the format has one baseline.
+    /// If the steps differ, since the HCI format states a single distance between cameras.
     pub(crate) fn step(&self) -> Result<f64, PluginError> {
         let grid = &self.geometry.grid;
         let steps = |slopes: &[f64]| slopes.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect::<Vec<_>>();
@@ -96,8 +95,8 @@ impl Cameras<'_> {
         Ok(if all.is_empty() { 0.0 } else { all.iter().sum::<f64>() / all.len() as f64 })
     }
 
-    /// Disparity of content at z_mm, pixels: its shift to the left between a view and the view on
-    /// its right. An infinite z is the horizon.
+    /// Disparity of content at `z_mm`, pixels: its shift to the left from a view to the view on its
+    /// right. `z_mm` = −∞ stands for the horizon.
     fn disparity(&self, step: f64, z_mm: f64) -> f64 {
         let moved_mm = match self.geometry.grid.projection {
             Projection::Oblique => z_mm,
@@ -108,8 +107,8 @@ impl Cameras<'_> {
         step * moved_mm / self.geometry.pitch_mm
     }
 
-    /// The central view's disparities, `[row][col]`: NaN without depth, or where parallel
-    /// projections have no hit.
+    /// The disparities of the central view, `[row][col]`. They are NaN if the depth is unknown, and
+    /// at pixels without a hit if the views are parallel projections.
     fn disparities(&self, step: f64, depth: Option<&SeenDepth>) -> Vec<f32> {
         let [rows, cols] = [self.geometry.rows, self.geometry.cols];
         let horizon = self.disparity(step, f64::NEG_INFINITY);
@@ -124,12 +123,12 @@ impl Cameras<'_> {
         (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))).map(|(row, col)| at(row, col) as f32).collect()
     }
 
-    /// `parameters.cfg`.
+    /// The text of `parameters.cfg`.
     fn parameters(&self, step: f64, disparities: &[f32], settings: &Settings<'_>) -> String {
         let grid = &self.geometry.grid;
         let distance_mm = self.distance_mm();
-        // disparities at the limits of the depth of field may be infinite; limit them to the longer
-        // side of a picture
+        // the depth of field may reach to infinity or to the cameras, where disparities are
+        // infinite; limit them to the longer side of a picture
         let most = self.geometry.rows.max(self.geometry.cols) as f64;
         let shown = settings.shown_mm.map(|[low, high]| {
             let disparity = |z_mm: f64| {
@@ -143,7 +142,7 @@ impl Cameras<'_> {
                 let value = f64::from(*value);
                 Some(range.map_or([value; 2], |[low, high]| [low.min(value), high.max(value)]))
             });
-        // the benchmark's readers require numbers, so an unknown range is 0 to 0
+        // readers of the format require numbers, so an unknown range is written as 0 to 0
         let [least, largest] = known.or(shown).unwrap_or([0.0; 2]);
         let [shown_least, shown_largest] = shown.unwrap_or([least, largest]);
         let disparity_note = if known.is_some() {
@@ -172,13 +171,13 @@ impl Cameras<'_> {
             step * distance_mm,
             distance_mm / 1000.0,
             distance_mm / 1000.0,
-            // `offset`: shift of the plane of focus if the sensors were not shifted, pixels
+            // `offset`: shift of a sensor against its neighbour's, pixels
             step * distance_mm / self.geometry.pitch_mm,
         )
     }
 }
 
-/// Writes all views of a folder, and its other files.
+/// Writes the folder of an archive: all views and the other files.
 pub(crate) fn write(
     host: &Host,
     archive: Archive,
@@ -188,7 +187,7 @@ pub(crate) fn write(
 ) -> Result<Vec<(String, [usize; 2])>, PluginError> {
     let geometry = source.geometry();
     let cameras = Cameras { geometry, nominal_mm: settings.nominal_mm };
-    // The HCI format needs cameras with equal distances, so refuse others before writing.
+    // The HCI format requires equal distances of cameras, so check them before anything is written.
     let step = match archive {
         Archive::Hci => Some(cameras.step()?),
         Archive::Stanford => None,
@@ -210,7 +209,7 @@ pub(crate) fn write(
         files.push((file, view));
         stage.advance(1, "");
     }
-    // The HCI format also has camera parameters and disparities.
+    // Write the parameters of the cameras and the disparities, which only the HCI format has.
     if let Some(step) = step {
         let disparities = cameras.disparities(step, source.depth());
         let parameters = cameras.parameters(step, &disparities, settings);
@@ -220,8 +219,8 @@ pub(crate) fn write(
     Ok(files)
 }
 
-/// A portable float map of one channel: a text header, then little-endian numbers, the lowest row
-/// first.
+/// Encodes one channel as a portable float map: a header of text, then little-endian `f32` values
+/// with the lowest row first.
 fn pfm(values: &[f32], [rows, cols]: [usize; 2]) -> Vec<u8> {
     let mut bytes = format!("Pf\n{cols} {rows}\n-1.0\n").into_bytes();
     for row in values.chunks_exact(cols).rev() {

@@ -6,12 +6,12 @@
 //! | file | content |
 //! |---|---|
 //! | `layer_L_frame_MM.png` | the mask of one layer in one frame, in the panel's code values: from its darkest state (`black_level`) to its brightest (`peak`) |
-//! | `backlight_frame_MM.png` | approximate picture of the panel behind the lenslets, one cell per lenslet; see [`pictures`] |
-//! | `panel_frame_MM.png` | picture of the panel behind the lenslets, in panel pixels; see [`lumistack_plugin::lenslets`] |
+//! | `backlight_frame_MM.png` | approximate picture of the panel behind the lenslets, with one cell of pixels per lenslet; see [`pictures`] |
+//! | `panel_frame_MM.png` | picture for the panel behind the lenslets, in the panel's own pixels; see [`lumistack_plugin::lenslets`] |
 //! | `simulated_YY_XX.png` | the simulated view of the target's grid for an adapted viewer: emitted radiance / β |
 //! | `atlas.png`, `atlas.json` | the masks of all layers and frames on one sheet, and their positions |
 //! | `sheet.png` | contact sheet: all masks and views, reduced, with captions |
-//! | `stack.npz` | the masks' values |
+//! | `stack.npz` | the values of all masks |
 //! | `images.json` | content and encoding of every file |
 //!
 //! Files of a light field: `view_YY_XX.png` for every view. Files of both kinds of data:
@@ -19,10 +19,11 @@
 //! the folders `hci/` and `stanford/`. Views of a layer stack are simulated for an adapted viewer.
 //!
 //! Names of 16-bit PNGs end in `_16bit.png`. EXR and NPZ files contain the values themselves,
-//! linear. On request, PNGs have codes proportional to light; their names end in `_linear.png`.
-//! Later time steps of a sequence are written to `t0001/`, `t0002/`, and so on.
+//! linear. On request, PNGs have codes proportional to light; their names end in `_linear.png`. The
+//! second time step of a sequence is written to `t0001/`, the third to `t0002/`, and so on.
 //!
-//! Memory does not grow with the number of frames. `views.exr` needs twice the memory of all views.
+//! Memory does not grow with the number of frames, except that `views.exr` needs twice the memory
+//! of all views.
 
 mod animation;
 mod arrays;

@@ -1,4 +1,4 @@
-//! `images.json`: a description of each picture.
+//! `images.json`, which describes every file that the plugin writes.
 
 use lumistack_plugin::display::Transfer;
 use lumistack_plugin::serde::Serialize;
@@ -13,7 +13,7 @@ struct Manifest {
     files: Vec<Entry>,
 }
 
-/// One picture.
+/// The description of one file.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub(crate) struct Entry {
@@ -23,9 +23,9 @@ pub(crate) struct Entry {
     pub(crate) content: Content,
     #[serde(flatten)]
     pub(crate) format: Format,
-    /// Stored values are linear light.
+    /// True if the stored values are proportional to light.
     pub(crate) linear: bool,
-    /// Columns and rows of a picture.
+    /// Columns and rows, if the file is a picture.
     #[serde(flatten)]
     pub(crate) size: Option<Size>,
     /// Number of the time step in the sequence.
@@ -46,15 +46,15 @@ pub(crate) struct Size {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", tag = "content", rename_all = "snake_case")]
 pub(crate) enum Content {
-    /// Transmittance; layer 0 is the rearmost.
+    /// The mask of a layer in a frame; layer 0 is the rearmost.
     Layer { layer: usize, frame: usize, d_mm: f64 },
-    /// Emission, lenslet by lenslet.
+    /// The backlight's emission in a frame: one cell of angular bins per lenslet.
     Backlight { frame: usize, bins: [usize; 2], lenslets: [usize; 2] },
-    /// Emitted radiance divided by β.
+    /// A simulated view: emitted radiance divided by β (`divided_by`).
     SimulatedView { view: [usize; 2], slope: [f64; 2], divided_by: f64 },
-    /// Radiance.
+    /// A view of the light field: radiance.
     View { view: [usize; 2], slope: [f64; 2] },
-    /// Picture of the panel behind the lenslets, in panel pixels.
+    /// The picture for the panel behind the lenslets, in the panel's own pixels.
     LensletPanel {
         frame: usize,
         panel_pitch_mm: f64,
@@ -64,23 +64,23 @@ pub(crate) enum Content {
         offset_mm: [f64; 2],
         pixels_per_lens: f64,
     },
-    /// All views of the grid in one file. Every view has its name in the file, its position in the
-    /// grid and its slope.
+    /// All views of the grid in one file.
     Views { views: Vec<NamedView>, divided_by: f64 },
-    /// A viewer's swing through the zone: slope of every picture. `nearest` is true if the pictures
-    /// are a light field's nearest views.
+    /// An animation with the slope of every picture. `nearest` is true if each picture is the view
+    /// of a light field that is nearest to the slope.
     Animation { slopes: Vec<[f64; 2]>, nearest: bool, pictures_per_second: u16, divided_by: f64 },
     /// All masks on one sheet; the file `index` lists their positions.
     Atlas { index: String },
-    /// Masks and views, reduced and labelled.
+    /// The contact sheet: reduced masks and views with captions.
     Sheet,
-    /// Arrays of all masks, or of all views.
+    /// An archive with arrays of all masks, or of all views.
     Arrays { names: Vec<String> },
-    /// A view in a folder of a public archive.
+    /// A view in a folder in the format of a public archive.
     ArchiveView { archive: &'static str, view: [usize; 2], slope: [f64; 2], divided_by: f64 },
 }
 
-/// One of several views of a file.
+/// A view in a file with several views: its name in the file, its position in the grid and its
+/// slope.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub(crate) struct NamedView {
@@ -89,12 +89,12 @@ pub(crate) struct NamedView {
     pub(crate) slope: [f64; 2],
 }
 
-/// The storage of a picture.
+/// The format of a file.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", tag = "format", rename_all = "snake_case")]
 pub(crate) enum Format {
-    /// Code values. For a panel with fewer bits than the file, `panel_bits` and the dithering are
-    /// stated.
+    /// PNG with code values. `panel_bits` and the dithering are stated if the panel has fewer bits
+    /// than the file.
     Png {
         bits: u32,
         encoding: Transfer,
@@ -103,18 +103,18 @@ pub(crate) enum Format {
         #[serde(skip_serializing_if = "Option::is_none")]
         dither: Option<&'static str>,
     },
-    /// Animated PNG of code values.
+    /// Animated PNG with code values.
     Apng { bits: u32, encoding: Transfer },
     /// NumPy archive of float32.
     Npz,
-    /// Linear values.
+    /// OpenEXR with linear values.
     Exr { precision: &'static str },
 }
 
-/// The manifest of these pictures, sorted by file.
+/// The text of `images.json` for these files, sorted by path.
 pub(crate) fn to_json(mut entries: Vec<Entry>) -> String {
     entries.sort_by(|a, b| a.file.cmp(&b.file));
     let manifest = Manifest { schema: "lumistack/images", version: 1, files: entries };
-    let text = serde_json::to_string_pretty(&manifest).expect("a manifest holds nothing that JSON cannot");
+    let text = serde_json::to_string_pretty(&manifest).expect("JSON can express a manifest");
     format!("{text}\n")
 }

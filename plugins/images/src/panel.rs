@@ -1,4 +1,4 @@
-//! The panel behind the lens array, in panel pixels.
+//! The picture for the panel behind the lens array, in the panel's own pixels.
 
 use lumistack_plugin::display::{Backlight, Display, LensletBacklight};
 use lumistack_plugin::lenslets::LensletPanel;
@@ -6,7 +6,8 @@ use lumistack_plugin::{Host, PluginError, StackInput};
 
 use crate::ImagesParams;
 
-/// The panel and the lenses as built: the display file's values, overridden by measured values.
+/// The panel and the lenses: the values of the display file, except where the parameters state
+/// measured values.
 ///
 /// # Errors
 /// If the backlight has no lenslets.
@@ -36,7 +37,7 @@ pub(crate) fn lenslet_panel<'a>(
     Ok((backlight, panel))
 }
 
-/// One frame's picture `[row][col][rgb]`.
+/// The panel's picture in one frame, `[row][col][rgb]`.
 pub(crate) fn picture(
     host: &Host,
     panel: &LensletPanel,

@@ -1,4 +1,4 @@
-//! Parameters of the plugin.
+//! Parameters of the plugin `images`.
 
 use lumistack_plugin::display::Transfer;
 use lumistack_plugin::encoding::Dither;
@@ -214,7 +214,7 @@ static SRGB: Transfer = Transfer::Srgb;
 static LINEAR: Transfer = Transfer::Linear;
 
 impl Encode {
-    /// The transfer function of a panel's pictures.
+    /// The transfer function for pictures that drive a panel with the transfer function `panel`.
     pub(crate) fn of_panel(self, panel: &Transfer) -> &Transfer {
         match self {
             Self::Panel => panel,
@@ -223,7 +223,7 @@ impl Encode {
         }
     }
 
-    /// The transfer function of pictures without a panel.
+    /// The transfer function for pictures that drive no panel, such as views.
     pub(crate) fn of_other(self) -> &'static Transfer {
         match self {
             Self::Panel | Self::Srgb => &SRGB,
@@ -258,7 +258,8 @@ impl ImagesParams {
         Err(PluginError::Refused(text.into()))
     }
 
-    /// Returns true if any requested output uses views; an atlas uses masks alone.
+    /// Returns true if any requested output can be made from a light field. The atlas cannot, since
+    /// it consists of masks.
     fn writes_views(&self) -> bool {
         let others = self.exr_multi_view || self.npz || self.sheet || self.hci || self.stanford;
         self.writes_pictures() || others || self.animation != Animation::None

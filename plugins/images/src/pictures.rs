@@ -1,14 +1,15 @@
-//! Pictures of more than one plane.
+//! The approximate picture of a directional backlight, and the choice of views to simulate.
 
 /// Approximate picture of the panel behind the lenslets: each lenslet is a cell of bins_y × bins_x
 /// pixels.
 ///
-/// A lenslet sends light of a point of its cell to the opposite side: the slope is s = −u/f. Here u
-/// is the point's distance from the lenslet's axis, and f the focal length. Seen from the viewer's
-/// side, the leftmost slope (bin_x = 0) is the rightmost pixel of the cell. The topmost slope
-/// (bin_y = 0) is the lowest pixel. The picture has lenslet_rows · bins_y rows and lenslet_cols ·
-/// bins_x columns. A real panel's pixels do not divide the lenslet pitch evenly; the panel driver
-/// resamples to them.
+/// A lenslet of focal length f sends the light of a point at the distance u from its axis to the
+/// opposite side: the slope is s = −u/f. So, seen from the viewer's side, the leftmost slope
+/// (bin_x = 0) is the rightmost pixel of the cell, and the topmost slope (bin_y = 0) is the lowest
+/// pixel. The picture has lenslet_rows · bins_y rows and lenslet_cols · bins_x columns. It is
+/// approximate, since the pixels of a real panel do not divide the lenslet pitch evenly. Programs
+/// that drive the panel must resample it.
+///
 /// `bins` = [bins_y, bins_x], `lenslets` = [rows, cols], `bin(bin_y, bin_x)` = emission
 /// `[lenslet_row][lenslet_col][rgb]`; returns `[row][col][rgb]`.
 ///
@@ -34,9 +35,9 @@ pub fn backlight_picture<E>(
     Ok(picture)
 }
 
-/// The views [view_y, view_x] at the centre and the corners of a grid of `views` = [view rows, view
-/// columns], each once. If no view is exactly at the centre, the view above and left of the centre
-/// is taken.
+/// Returns the views [view_y, view_x] at the centre and the corners of a grid of `views` = [view
+/// rows, view columns], each once. If no view is exactly at the centre, the central one is the view
+/// above and left of the centre.
 pub fn centre_and_corners(views: [usize; 2]) -> Vec<[usize; 2]> {
     let (last_y, last_x) = (views[0] - 1, views[1] - 1);
     let mut chosen = vec![[last_y / 2, last_x / 2], [0, 0], [0, last_x], [last_y, 0], [last_y, last_x]];

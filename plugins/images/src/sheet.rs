@@ -1,7 +1,8 @@
-//! A contact sheet: all masks and the selected views, reduced, each with a caption.
+//! A contact sheet: reduced pictures of all masks and of the selected views, each with a caption.
 //!
-//! One row of cells per frame, with the layers from rear (left) to front; the views follow below.
-//! The sheet is written row by row, so memory does not grow with the number of frames.
+//! Each frame is a row of cells, with the rear layer on the left and the front layer on the right.
+//! The views are below. The sheet is written row by row, so memory does not grow with the number of
+//! frames.
 
 use std::io::{BufWriter, Write};
 
@@ -14,28 +15,29 @@ use crate::animation::reduced;
 use crate::encode::png_error;
 use crate::views::ViewSource;
 
-/// Smallest and largest width of a cell, pixels; smaller pictures keep their size.
+/// Smallest and largest width of a cell, pixels. A picture that is smaller than its cell keeps its
+/// size.
 const CELL: [usize; 2] = [224, 384];
 /// Pixels between cells and around the sheet.
 const GAP: usize = 12;
 /// Height of a line of text, pixels.
 const LINE: usize = 20;
-/// Code of the background.
+/// 8-bit code of the background.
 const PAPER: u8 = 24;
-/// Code of the text.
+/// 8-bit code of the text.
 const INK: u8 = 232;
 
-/// A picture that is computed when it is written.
+/// A picture with a caption. Its values are computed when the sheet's row is written.
 pub(crate) struct Cell<'a> {
     pub(crate) caption: String,
-    /// [rows, cols].
+    /// [rows, cols] before the reduction.
     pub(crate) size: [usize; 2],
-    /// Returns linear values `[row][col][rgb]`.
+    /// Computes the linear values `[row][col][rgb]`.
     pub(crate) rgb: Box<dyn Fn() -> Result<Vec<f32>, PluginError> + 'a>,
 }
 
 impl Cell<'_> {
-    /// [rows, cols] on the sheet.
+    /// [rows, cols] of the picture on the sheet.
     fn shown(&self) -> [usize; 2] {
         let [rows, cols] = self.size;
         if cols <= CELL[1] {
@@ -45,7 +47,7 @@ impl Cell<'_> {
     }
 }
 
-/// All layers of one frame.
+/// The cells of one frame: a mask of every layer.
 pub(crate) fn patterns<'a>(display: &'a Display, stack: &'a StackInput<'_>, frame: usize) -> Vec<Cell<'a>> {
     let count = stack.layer_count();
     let cell = |layer: usize| {
@@ -65,7 +67,7 @@ pub(crate) fn patterns<'a>(display: &'a Display, stack: &'a StackInput<'_>, fram
     (0..count).map(cell).collect()
 }
 
-/// One view.
+/// The cell of one view.
 pub(crate) fn view<'a>(source: &'a ViewSource<'_>, view: [usize; 2]) -> Cell<'a> {
     let geometry = source.geometry();
     let degrees = |slope: f64, [low, high]: [&str; 2]| match slope.atan().to_degrees() {
@@ -82,7 +84,7 @@ pub(crate) fn view<'a>(source: &'a ViewSource<'_>, view: [usize; 2]) -> Cell<'a>
     }
 }
 
-/// Writes the sheet; returns [columns, rows]. `bands` are rows of cells.
+/// Writes the sheet; returns its [columns, rows]. Each of `bands` is a row of cells.
 pub(crate) fn write(host: &Host, path: &str, legend: &str, bands: &[Vec<Cell<'_>>]) -> Result<[usize; 2], PluginError> {
     // Lay out cells, captions and bands.
     let cells = || bands.iter().flatten();
@@ -139,7 +141,7 @@ pub(crate) fn write(host: &Host, path: &str, legend: &str, bands: &[Vec<Cell<'_>
     Ok([width, height])
 }
 
-/// A band of the sheet, of its full width.
+/// The pixels of a band: some rows of the sheet over its full width.
 struct Paper {
     width: usize,
     rgb: Vec<u8>,
@@ -226,7 +228,7 @@ mod tests {
         assert_eq!(
             [ink(0), ink(1), ink(2)],
             [true, false, true],
-            "a letter that the font lacks shows as a question mark"
+            "a letter that the font lacks does not become a question mark"
         );
     }
 

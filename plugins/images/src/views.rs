@@ -1,4 +1,4 @@
-//! Views of the submitted data, for an adapted viewer.
+//! Views of the data that the host submits: simulated views of a stack, or views of a light field.
 
 use lumistack_plugin::display::{FieldGeometry, Projection, SeenDepth};
 use lumistack_plugin::{FieldInput, PluginError, StackInput, ViewPoint};
@@ -6,9 +6,9 @@ use lumistack_plugin::{FieldInput, PluginError, StackInput, ViewPoint};
 /// The source of views.
 #[derive(Clone, Copy)]
 pub(crate) enum ViewSource<'a> {
-    /// Simulated, divided by β.
+    /// A stack, whose views are simulated and divided by β.
     Stack(&'a StackInput<'a>),
-    /// The light field's views.
+    /// A light field, whose own views are used.
     Field(&'a FieldInput<'a>),
 }
 
@@ -20,7 +20,7 @@ impl ViewSource<'_> {
         }
     }
 
-    /// Depth of the central view, if the host has it.
+    /// Depth of the central view, if the host knows it.
     pub(crate) fn depth(&self) -> Option<&SeenDepth> {
         match self {
             Self::Stack(stack) => stack.target_depth(),
@@ -28,7 +28,7 @@ impl ViewSource<'_> {
         }
     }
 
-    /// `[row][col][rgb]` of `view` = [view_y, view_x] of the grid.
+    /// The values `[row][col][rgb]` of the view [view_y, view_x] of the grid.
     pub(crate) fn view(&self, view: [usize; 2]) -> Result<Vec<f32>, PluginError> {
         match self {
             Self::Stack(stack) => adapted(stack, ViewPoint::of_view(stack.target(), view)),
@@ -36,8 +36,8 @@ impl ViewSource<'_> {
         }
     }
 
-    /// The view at a position between those of the grid, `at` = [view_y, view_x] in units of views.
-    /// A light field returns its nearest view.
+    /// The view at the position `at` = [view_y, view_x], in units of views, which may lie between
+    /// views of the grid. A light field returns its nearest view.
     pub(crate) fn between(&self, at: [f64; 2]) -> Result<Vec<f32>, PluginError> {
         match self {
             Self::Stack(stack) => {
@@ -55,8 +55,7 @@ impl ViewSource<'_> {
         }
     }
 
-    /// The brightness β of a stack: an adapted viewer sees the emission divided by β. 1 for a light
-    /// field.
+    /// The number by which radiance was divided: the brightness β of a stack, 1 for a light field.
     pub(crate) fn divided_by(&self) -> f64 {
         match self {
             Self::Stack(stack) => stack.brightness(),
@@ -65,7 +64,7 @@ impl ViewSource<'_> {
     }
 }
 
-/// The view of the grid nearest to a position between views.
+/// Returns the view [view_y, view_x] of the grid that is nearest to the position `at`.
 pub(crate) fn nearest(geometry: &FieldGeometry, at: [f64; 2]) -> [usize; 2] {
     let views = geometry.grid.views();
     [0, 1].map(|axis| (at[axis].round().max(0.0) as usize).min(views[axis] - 1))
@@ -78,7 +77,7 @@ fn adapted(stack: &StackInput<'_>, from: ViewPoint) -> Result<Vec<f32>, PluginEr
     Ok(values)
 }
 
-/// Slope at a position between views, from 0 to the last view.
+/// Interpolates the slope at the position `at`, from 0 to the index of the last view.
 pub(crate) fn slope_at(slopes: &[f64], at: f64) -> f64 {
     let first = (at.floor() as usize).min(slopes.len() - 1);
     let second = (first + 1).min(slopes.len() - 1);

@@ -1,4 +1,4 @@
-//! Writes borrowed planes to files.
+//! Writes the requested files of a layer stack or light field.
 
 use std::borrow::Cow;
 
@@ -17,9 +17,9 @@ use crate::sheet::Cell;
 use crate::views::{ViewSource, nearest, slope_at};
 use crate::{Images, arrays, atlas, panel, sheet};
 
-/// Linear values to be written.
+/// Linear values that are written in every requested format.
 struct Picture<'a> {
-    /// Path without suffixes.
+    /// Path without the suffixes that state the format.
     stem: String,
     content: Content,
     /// [rows, cols].
@@ -27,11 +27,11 @@ struct Picture<'a> {
     /// `[row][col][rgb]`.
     rgb: Cow<'a, [f32]>,
     transfer: &'a Transfer,
-    /// The panel driven by the codes; `None` for codes of the values themselves.
+    /// The panel that the codes drive; `None` if the codes encode the values themselves.
     panel: Option<Panel<'a>>,
 }
 
-/// The panel driven by codes, from its darkest state to its brightest.
+/// The panel that codes drive, from its darkest state to its brightest.
 #[derive(Clone, Copy)]
 struct Panel<'a> {
     kind: PanelKind<'a>,
@@ -68,7 +68,7 @@ impl Images {
             let first = transfers.next().filter(|first| transfers.all(|other| other == *first));
             let [width, height] = atlas::write(&self.host, &folder, stack, first, samples)?;
             let content = Content::Atlas { index: format!("{folder}atlas.json") };
-            // every tile has its own panel's transfer function; the entry states that of layer 0
+            // each tile has the transfer function of its own panel; the entry states layer 0's
             let format = self.png_format(8, self.params.encode.of_panel(&self.display.layers[0].transfer), None);
             let linear = self.params.encode == Encode::Linear;
             entries.push(entry(format!("{folder}atlas.png"), content, format, linear, Some([height, width]), time));
@@ -110,7 +110,7 @@ impl Images {
                 self.write_picture(time, &picture, &stage, &mut entries)?;
             }
         }
-        // Outputs of all views follow the pictures.
+        // Write the outputs that consist of all views.
         let source = ViewSource::Field(field);
         if self.params.sheet {
             entries.push(self.write_sheet(time, &source)?);
@@ -125,7 +125,7 @@ impl Images {
         Ok(entries)
     }
 
-    /// Writes all layers and frames, and the backlight's frames.
+    /// Writes pictures of all masks, and of the backlight in all frames.
     fn write_patterns(&self, time: Time, stack: &StackInput<'_>, entries: &mut Vec<Entry>) -> Result<(), PluginError> {
         let (layers, frames) = (stack.layer_count(), stack.frames());
         let folder = folder(time);
@@ -149,7 +149,7 @@ impl Images {
             };
             self.write_picture(time, &picture, &stage, entries)?;
         }
-        // Write the emission as it was solved: a tile of angular bins per lenslet.
+        // Write the emission as it was solved: a cell of angular bins per lenslet.
         if let Some([bins_y, bins_x, rows, cols]) = stack.emission_shape() {
             let (bins, lenslets) = ([bins_y, bins_x], [rows, cols]);
             for frame in 0..frames {
@@ -166,7 +166,8 @@ impl Images {
                 self.write_picture(time, &picture, &stage, entries)?;
             }
         }
-        // Write the picture of the panel behind the lenslets: the emission, traced through lenses.
+        // Write the picture for the panel behind the lenslets. Each of its pixels has the emission
+        // into the direction in which its lens sends its light.
         let Some((backlight, lenses)) = lenses else { return Ok(()) };
         for frame in 0..frames {
             self.host.check_cancelled()?;
@@ -191,7 +192,7 @@ impl Images {
         Ok(())
     }
 
-    /// Writes the selected views of the target's grid.
+    /// Writes the simulated views that the parameter `views` selects.
     fn write_simulated(&self, time: Time, stack: &StackInput<'_>, entries: &mut Vec<Entry>) -> Result<(), PluginError> {
         let grid = &stack.target().grid;
         let views = match self.params.views {
@@ -250,7 +251,7 @@ impl Images {
         Ok(entry(path, Content::Sheet, format, false, Some([height, width]), time))
     }
 
-    /// Writes all outputs that consist of views, for both kinds of data.
+    /// Writes the outputs that consist of all views, from a stack or a light field.
     fn write_from_views(
         &self,
         time: Time,
@@ -261,7 +262,7 @@ impl Images {
         let grid = &geometry.grid;
         let size = [geometry.rows, geometry.cols];
         let divided_by = source.divided_by();
-        // OpenEXR's default view is the first one, so the central view precedes the others.
+        // Readers show the first view of an OpenEXR file by default, so the central view is first.
         if params.exr_multi_view {
             let (precision, name) = params.exr_depth.precision();
             let centre = grid.views().map(|count| (count - 1) / 2);
@@ -281,7 +282,8 @@ impl Images {
             let content = Content::Views { views, divided_by };
             entries.push(entry(path, content, Format::Exr { precision: name }, true, Some(size), time));
         }
-        // Write an animation along a path through the views; light fields show the nearest view.
+        // Write the animation, whose viewpoint moves through the views. Light fields show the
+        // nearest view.
         if params.animation != Animation::None {
             let swing = Swing {
                 pictures: params.animation_pictures,
@@ -346,7 +348,7 @@ impl Images {
         let linear = if params.encode == Encode::Linear { "_linear" } else { "" };
         let proportional = *transfer == Transfer::Linear;
         let codes = picture.panel.map(|panel| panel.codes);
-        // PNGs contain the values that drive the panel; OpenEXR files contain the linear mask.
+        // Write PNGs, whose codes drive the panel. OpenEXR files contain the linear mask values.
         if params.png8 || params.png16 {
             let driven: Cow<'_, [f32]> = match picture.panel {
                 Some(panel) => panel.driven(&picture.rgb).into(),
@@ -419,13 +421,13 @@ impl ExrDepth {
     }
 }
 
-/// Makes an entry of the manifest. `size` = [rows, cols].
+/// Makes the description of a file; `size` is [rows, cols] of a picture.
 fn entry(file: String, content: Content, format: Format, linear: bool, size: Option<[usize; 2]>, time: Time) -> Entry {
     let size = size.map(|[height, width]| Size { width, height });
     Entry { file, content, format, linear, size, time: time.index, time_seconds: time.seconds }
 }
 
-/// Folder of a time step. The first time step, or a still, is written to the manifest's folder.
+/// Folder of a time step. The first time step, or a still, is written beside `images.json`.
 fn folder(time: Time) -> String {
     if time.index == 0 { String::new() } else { format!("t{:04}/", time.index) }
 }
@@ -434,7 +436,8 @@ fn view_name([y, x]: [usize; 2], [rows, cols]: [usize; 2]) -> String {
     format!("{y:0y_digits$}_{x:0x_digits$}", y_digits = digits(rows, 2), x_digits = digits(cols, 2))
 }
 
-/// Number of digits that number `count` items from 0, so that names sort.
+/// Number of digits, at least `least`, that the numbers of `count` items need. With equally many
+/// digits, names sort in the order of their numbers.
 fn digits(count: usize, least: usize) -> usize {
     count.saturating_sub(1).to_string().len().max(least)
 }

@@ -1,9 +1,9 @@
 """Prints as JSON the content of a folder in the format of the HCI 4D light field benchmark.
 
-This reader follows the format's description alone and uses only Python's own library. The file
-parameters.cfg has the sections intrinsics, extrinsics and meta. Every key below is required. The
-file gt_disp_lowres.pfm is a portable float map of the middle view. It holds the disparity in pixels
-from camera to camera, above 0 in front of the plane of focus.
+This reader follows only the format's description, and uses only Python's standard library. The file
+parameters.cfg has the sections intrinsics, extrinsics and meta; every key below is required. The
+file gt_disp_lowres.pfm is a portable float map for the central view. It contains the disparity
+between neighbouring cameras in pixels, which is above 0 in front of the plane of focus.
 """
 
 import configparser
@@ -51,7 +51,7 @@ def read_pfm(path):
         scale = float(file.readline())
         order = "<" if scale < 0 else ">"
         values = struct.unpack(f"{order}{rows * cols}f", file.read())
-    # the lowest row comes first
+    # the file contains the lowest row first
     return [[values[row * cols + col] for col in range(cols)] for row in reversed(range(rows))]
 
 

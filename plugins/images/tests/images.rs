@@ -1,4 +1,5 @@
-//! The plugin through its C functions: files are read back and compared with the input.
+//! Writes files through the plugin's C functions, reads them back, and compares them with the
+//! input.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,12 +18,11 @@ use lumistack_plugin_images::PLUGIN;
 use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
 use lumistack_plugin_testkit::{MemoryHost, Sample, conformance, samples};
 
-/// Tolerance of rounding to the nearest code: half a code, and the error of f32 arithmetic in units
-/// of a 16-bit code.
+/// Tolerance in codes: half a code for rounding, and 0.02 of a 16-bit code for f32 arithmetic.
 const HALF_CODE: f32 = 0.5 + 0.02;
-/// Tolerance of rounding to 11 significant bits.
+/// Relative tolerance of rounding to half floats, which have 11 significant bits.
 const HALF_FLOAT: f32 = 1.0 / 2048.0;
-/// Smallest step of half floats, for values near 0.
+/// Step of half floats near 0.
 const HALF_FLOAT_STEP: f32 = 1.0 / (1 << 24) as f32;
 
 type Files = BTreeMap<String, Vec<u8>>;
@@ -35,7 +35,7 @@ fn write(sample: &Sample, params: Value) -> Result<Files, PluginError> {
     Ok(host.files())
 }
 
-/// Code values of a PNG, and its bits.
+/// Reads a PNG: [rows, cols], code values, bits per channel.
 fn png(files: &Files, name: &str) -> ([usize; 2], Vec<u16>, u32) {
     let decoded = image::load_from_memory(files.get(name).unwrap_or_else(|| panic!("no {name}"))).unwrap();
     let size = [decoded.height() as usize, decoded.width() as usize];
@@ -56,7 +56,7 @@ fn assert_png(files: &Files, name: &str, size: [usize; 2], values: &[f32], trans
         let channel = i % 3;
         let exact = encode(transfer, channel, value) * top;
         assert!((f32::from(code) - exact).abs() <= HALF_CODE, "{name}[{i}]: code {code}, value {value} = {exact}");
-        // in linear light, too, the stored value is within half a code of the exact one
+        // the decoded value lies between the values half a code below and half a code above `exact`
         let around =
             [exact - HALF_CODE, exact + HALF_CODE].map(|code| decode(transfer, channel, (code / top).clamp(0.0, 1.0)));
         let shown = decode(transfer, channel, f32::from(code) / top);
@@ -105,7 +105,7 @@ fn pngs_hold_every_layer_and_frame_in_the_panel_s_codes() {
         }
     }
     let transfers: Vec<Transfer> = sample.display.layers.iter().map(|layer| layer.transfer.clone()).collect();
-    assert_eq!(transfers, [Transfer::Srgb, Transfer::Linear, Transfer::gamma(2.2)], "the sample has all kinds");
+    assert_eq!(transfers, [Transfer::Srgb, Transfer::Linear, Transfer::gamma(2.2)], "the sample has all three kinds");
 }
 
 #[test]
@@ -117,11 +117,7 @@ fn codes_of_a_limited_panel_run_from_its_darkest_to_its_brightest_state() {
     let size = [layer.shape()[1], layer.shape()[2]];
     let driven: Vec<f32> = layer.block([0]).iter().map(|value| ((value - 0.08) / 0.72).clamp(0.0, 1.0)).collect();
     assert_png(&files, "layer_0_frame_00.png", size, &driven, &Transfer::Srgb);
-    assert_eq!(
-        exr(&files, "layer_0_frame_00.exr"),
-        (size, layer.block([0]).to_vec()),
-        "EXR holds the values themselves"
-    );
+    assert_eq!(exr(&files, "layer_0_frame_00.exr"), (size, layer.block([0]).to_vec()), "the EXR file has other values");
     let files = write(&sample, json!({"encode": "srgb"})).unwrap();
     assert_png(&files, "layer_0_frame_00.png", size, layer.block([0]), &Transfer::Srgb);
 }
@@ -135,7 +131,7 @@ fn the_job_can_choose_another_encoding() {
     assert_png(&files, "layer_2_frame_01.png", size, layer.block([1]), &Transfer::Srgb);
     let files = write(&sample, json!({"encode": "linear"})).unwrap();
     assert_png(&files, "layer_2_frame_01_linear.png", size, layer.block([1]), &Transfer::Linear);
-    assert!(!files.contains_key("layer_2_frame_01.png"), "a picture with linear values says so in its name");
+    assert!(!files.contains_key("layer_2_frame_01.png"), "the name of a picture with linear codes does not state it");
 }
 
 #[test]
@@ -144,7 +140,7 @@ fn exr_is_exact_to_its_precision() {
     let stack = sample.stack().unwrap();
     let only_exr = |depth: &str| json!({"png8": false, "exr": true, "exr_depth": depth, "views": "none"});
     let (half, float) = (write(&sample, only_exr("half")).unwrap(), write(&sample, only_exr("float")).unwrap());
-    assert_eq!(half.len(), 3 * 2 + 1, "six pictures and the manifest");
+    assert_eq!(half.len(), 3 * 2 + 1, "expected six pictures and the manifest");
     for (l, layer) in stack.layers.iter().enumerate() {
         for m in 0..2 {
             let (name, size) = (format!("layer_{l}_frame_{m:02}.exr"), [layer.shape()[1], layer.shape()[2]]);
@@ -250,13 +246,13 @@ fn a_measured_panel_of_few_bits_shows_the_right_mean_light() {
         for frame in 0..frames {
             let [eight, sixteen] = ["", "_16bit"].map(|end| png(&files, &format!("layer_0_frame_{frame:02}{end}.png")));
             assert!(eight.1.iter().all(|code| (0..8).any(|k| u32::from(*code) == (k * 255 + 3) / 7)), "3 bits");
-            assert!(sixteen.1.iter().zip(&eight.1).all(|(a, b)| a >> 13 == b >> 5), "the highest bits are the code");
+            assert!(sixteen.1.iter().zip(&eight.1).all(|(a, b)| a >> 13 == b >> 5), "the samples' highest bits differ");
             for (i, (&code, &value)) in eight.1.iter().zip(layer.block([frame])).enumerate() {
                 let top = decode(&transfer, i % 3, f32::from((code >> 5) + 1) / 7.0);
                 let low = decode(&transfer, i % 3, (f32::from(code >> 5) - 1.0).max(0.0) / 7.0);
                 let drive = ((value - 0.05) / 0.95).clamp(0.0, 1.0);
                 let near = dither == "diffusion" || (low..=top).contains(&drive);
-                assert!(near, "{dither}: {drive} is shown by code {}", code >> 5);
+                assert!(near, "{dither}: the value {drive} has the code {}", code >> 5);
             }
         }
         let manifest: Value = from_slice(&files["images.json"]).unwrap();
@@ -265,7 +261,7 @@ fn a_measured_panel_of_few_bits_shows_the_right_mean_light() {
         assert_eq!(entry["dither"], if dither == "none" { Value::Null } else { json!(dither) });
         assert_eq!((rows, cols), (6, 8));
     }
-    // the panel's own bits, if the job sets none
+    // without the parameter `bits`, the bits are those of the display file
     (sample.display.layers[0].transfer, sample.display.layers[0].bits) = (Transfer::gamma(2.2), Some(2));
     let files = write(&sample, json!({})).unwrap();
     assert!(png(&files, "layer_0_frame_00.png").1.iter().all(|code| code % 85 == 0));
@@ -283,7 +279,7 @@ fn the_panel_behind_the_lenses_agrees_with_the_optics() {
     let (size, values) = exr(&files, "panel_frame_00.exr");
     assert_eq!(size, [61, 90]);
     assert_png(&files, "panel_frame_00.png", size, &values, &Transfer::Srgb);
-    // lenses of 2 mm in 4 × 3, 3 × 2 bins over 40°: direct search for the lens, in f64
+    // 4 × 3 lenses of 2 mm with 3 × 2 bins over 40°; the oracle searches the lens of each pixel
     let (angle, half) = (2f64.to_radians(), 20f64.to_radians().tan());
     for (row, col) in (0..61).flat_map(|row| (0..90).map(move |col| (row, col))) {
         let point = [(col as f64 - 44.5) * 0.1, (30.0 - row as f64) * 0.1];
@@ -305,8 +301,8 @@ fn the_panel_behind_the_lenses_agrees_with_the_optics() {
     assert!(matches!(&uniform, PluginError::Refused(text) if text.contains("`lenslet_panel`")), "{uniform:?}");
 }
 
-/// Values read by NumPy, Pillow and OpenEXR's own bindings, as JSON; `None` if they are not
-/// installed.
+/// Reads files by NumPy, Pillow and OpenEXR's own bindings; returns the values as JSON. `None` if
+/// these packages are not installed.
 fn read_by_others(files: &Files) -> Option<Value> {
     let python = lumistack_testkit::skip::python_with("numpy, PIL, OpenEXR")?;
     let folder = tempfile::tempdir().unwrap();
@@ -346,7 +342,8 @@ fn others_read_arrays_atlas_animation_and_multi_view_pictures() {
         assert_eq!(floats(&array["values"]), layer.data());
     }
     assert_eq!(floats(&read["stack.npz"]["d_mm"]["values"]), [-4.0, 0.0, 4.0]);
-    // the atlas: frames below one another, layers of 8 × 6, 10 × 7 and 4 × 3 pixels side by side
+    // check the atlas: layers of 8 × 6, 10 × 7 and 4 × 3 pixels side by side, frames one below
+    // another
     let sheet = &read["atlas.png"];
     assert_eq!((&sheet["size"], &sheet["mode"]), (&json!([22, 14]), &json!("RGB")));
     let pixels = floats(&sheet["pixels"]);
@@ -363,7 +360,8 @@ fn others_read_arrays_atlas_animation_and_multi_view_pictures() {
             assert_eq!(pixels[3 * (row * 22 + col) + i % 3], f32::from(*code), "{name}");
         }
     }
-    // twelve pictures; the first is from the top centre, the fourth from the right
+    // check the animation of twelve pictures: the first is seen from the top centre, the fourth
+    // from the right
     let swing = &read["swing.png"];
     assert_eq!((&swing["size"], &swing["frames"], &swing["loop"]), (&json!([8, 6]), &json!(12), &json!(0)));
     assert!((swing["duration_ms"].as_f64().unwrap() - 40.0).abs() < 1e-9);
@@ -376,7 +374,7 @@ fn others_read_arrays_atlas_animation_and_multi_view_pictures() {
             assert!((code - exact).abs() <= HALF_CODE, "picture {picture}: {code} for {exact}");
         }
     }
-    // the first view is the central one
+    // check the multi-view file, whose first view is the central one
     let views = &read["views.exr"];
     let names: Vec<&str> = views["multiView"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
     assert_eq!(names[..3], ["view_01_01", "view_00_00", "view_00_01"]);
@@ -408,7 +406,7 @@ fn folders_are_read_back_as_the_light_field_they_were() {
     same_within_codes(&back, field);
     let fov = [field.geometry().grid.slope_x.len(), field.geometry().grid.slope_y.len()];
     assert_eq!(fov, [3, 2]);
-    // positions of views are in proportion to the cameras' centres
+    // the folder's reader places the views in proportion to the cameras' centres
     let ratio = |slopes: &[f64]| (slopes[1] - slopes[0]) / (slopes[2] - slopes[0]);
     assert!((ratio(&back.geometry().grid.slope_x) - ratio(&grid.slope_x)).abs() < 1e-6);
     if let Some(read) = read_by_others(&files) {
@@ -454,15 +452,15 @@ fn an_hci_folder_keeps_its_geometry() {
     assert!((distance_mm - 600.0).abs() < 1e-9);
 }
 
-/// Depth of a slanted plane in front of the display on the left and no hit on the right, at half
-/// the horizontal resolution.
+/// Depth of a slanted plane on the left half, and no hit on the right half. It has half as many
+/// columns as the views.
 fn slanted(geometry: &FieldGeometry) -> SeenDepth {
     let (rows, cols) = (geometry.rows, geometry.cols.div_ceil(2));
     let z = |i: usize| (i % cols < cols / 2).then(|| -40.0 + 10.0 * (i % cols) as f32 + 5.0 * (i / cols) as f32);
     SeenDepth { rows, cols, z_mm: (0..rows * cols).map(z).collect() }
 }
 
-/// A folder as a reader of the benchmark's format parses it, without this project's code; `None`
+/// Reads a folder in the HCI format by `hci.py`, which shares no code with this project. `None`
 /// without Python.
 fn read_as_the_benchmark(files: &Files) -> Option<Value> {
     let folder = tempfile::tempdir().unwrap();
@@ -500,7 +498,7 @@ fn the_benchmark_s_reader_finds_all_that_it_demands() {
             assert_eq!((&parameters["contact"], &parameters["date"]), (&json!("a@example.org"), &json!("unknown")));
             assert_eq!((&parameters["width"], &parameters["height"]), (&json!(8), &json!(5)));
             assert_eq!(parameters["depth_map_scale"], json!(1.0));
-            // baseline and focus by the benchmark's formula: b f / D in pixels
+            // the benchmark defines the offset as b f / D in pixels
             let number = |key: &str| parameters[key].as_f64().unwrap_or_else(|| panic!("{key}: {parameters}"));
             let focal_px = number("focal_length_mm") / number("sensor_size_mm") * 8.0;
             let offset = number("baseline_mm") * focal_px / (1000.0 * number("focus_distance_m"));
@@ -517,14 +515,14 @@ fn the_benchmark_s_reader_finds_all_that_it_demands() {
             assert!(least <= largest && number("frustum_disp_min") <= number("frustum_disp_max"));
             let note = read["notes"].to_string();
             let Some(depth) = &depth else {
-                assert!(disparities.iter().all(Option::is_none), "nothing is known of depth");
+                assert!(disparities.iter().all(Option::is_none), "the depth is unknown, but there are disparities");
                 assert!(note.contains("is not known"), "{note}");
                 continue;
             };
             assert!(!note.contains("is not known"), "{note}");
             for (i, found) in disparities.iter().enumerate() {
-                // the disparity by its definition: f b (1/Z − 1/D) with the distance Z from the
-                // cameras; for parallel views its limit for large D
+                // the disparity is f b (1/Z − 1/D), where Z is the distance from the cameras; for
+                // parallel views it is the limit of this for large D
                 let z = depth.z_mm[i / 8 * 4 + i % 8 / 2].map(f64::from);
                 let expected = match (projection, z) {
                     (Projection::Oblique, Some(z)) => Some(0.1 * z / 0.5),
@@ -544,7 +542,7 @@ fn the_benchmark_s_reader_finds_all_that_it_demands() {
     }
 }
 
-/// Names of the chunks before the pixels of a PNG.
+/// Names of the chunks of a PNG before its pixels.
 fn png_chunks(bytes: &[u8]) -> Vec<String> {
     let (mut at, mut names) = (8, Vec::new());
     loop {
@@ -563,7 +561,7 @@ fn pngs_say_how_their_codes_stand_for_light() {
     let sample = layered();
     let has = |files: &Files, name: &str, chunk: &str| png_chunks(&files[name]).iter().any(|found| found == chunk);
     let files = write(&sample, json!({"png16": true, "sheet": true, "animation": "side"})).unwrap();
-    // the sample's layers are sRGB, linear and gamma 2.2
+    // the three layers of the sample have the transfer functions sRGB, linear and gamma 2.2
     for suffix in [".png", "_16bit.png"] {
         for (layer, srgb) in [(0, true), (1, false), (2, false)] {
             let name = format!("layer_{layer}_frame_00{suffix}");
@@ -581,7 +579,7 @@ fn pngs_say_how_their_codes_stand_for_light() {
     assert!(has(&files, stanford, "sRGB"));
 }
 
-/// Opens a folder as the rest of the program does, without defaults for its geometry.
+/// Opens a light field by the program's own reader, without defaults for its geometry.
 fn open(path: &Path, flags: &GeometryFlags) -> LightField {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let defaults = GeometryDefaults { width_mm: None, fov_deg: None };
@@ -589,7 +587,7 @@ fn open(path: &Path, flags: &GeometryFlags) -> LightField {
     lumistack_plugin::field_io::open(path, &flags, &defaults, Task::quiet(&warnings, &cancel)).unwrap()
 }
 
-/// The field of view to give when a folder is opened: a Stanford folder contains no angles, an HCI
+/// The field of view that must be given for a folder: a Stanford folder states no angles, an HCI
 /// folder does.
 fn stanford_fov(path: &Path) -> Option<[f64; 2]> {
     (!path.join("parameters.cfg").exists()).then_some([20.0, 10.0])

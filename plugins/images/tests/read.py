@@ -1,4 +1,5 @@
-"""Prints as JSON the content of a folder's files, read by NumPy, Pillow and OpenEXR's own bindings.
+"""Reads the files of a folder by NumPy, Pillow and OpenEXR's own bindings; prints their content as
+JSON.
 """
 
 import json

@@ -16,7 +16,7 @@ const UNSIGNED_INT: u32 = 5125;
 const VERTICES: u32 = 34962;
 const INDICES: u32 = 34963;
 
-/// Concatenated arrays, and their descriptions.
+/// The binary chunk with all arrays, and glTF's descriptions of the arrays.
 #[derive(Default)]
 struct Arrays {
     bytes: Vec<u8>,
@@ -25,7 +25,7 @@ struct Arrays {
 }
 
 impl Arrays {
-    /// Adds an array of elements of `kind`; returns the index of its accessor.
+    /// Adds an array whose elements are of the glTF type `kind`; returns the index of its accessor.
     fn add(
         &mut self,
         bytes: impl Iterator<Item = [u8; 4]>,
@@ -49,7 +49,7 @@ impl Arrays {
     }
 }
 
-/// The document: all meshes under one node that rotates and scales them.
+/// Makes the document: all meshes below one node, which rotates and scales them.
 pub(crate) fn document(
     models: &[Model],
     materials: &[MtlMaterial],
@@ -62,7 +62,7 @@ pub(crate) fn document(
         .map(|model| json!({"name": model.name, "primitives": [primitive(&mut arrays, &model.mesh, materials.len())]}))
         .collect();
     let mut nodes: Vec<Value> = models.iter().enumerate().map(|(i, m)| json!({"name": m.name, "mesh": i})).collect();
-    // a quarter turn about x brings z up
+    // with z up, a quarter turn about x turns z to glTF's upward axis y
     let half = std::f64::consts::FRAC_1_SQRT_2;
     let rotation = if up == Up::Z { [-half, 0.0, 0.0, half] } else { [0.0, 0.0, 0.0, 1.0] };
     let children: Vec<usize> = (0..nodes.len()).collect();
@@ -120,7 +120,7 @@ fn add_materials(root: &mut Value, materials: &[MtlMaterial]) {
     let list: Vec<Value> = materials
         .iter()
         .map(|material| {
-            // a material without a roughness gets it from its Phong exponent
+            // without `Pr` the roughness follows from the Phong exponent `Ns`
             let shiny = material.shininess.map(|ns| 1.0 - (ns / 1000.0).clamp(0.0, 1.0).sqrt());
             let [r, g, b] = material.diffuse.unwrap_or([0.8; 3]).map(|value| value.clamp(0.0, 1.0));
             let alpha = material.alpha.unwrap_or(1.0).clamp(0.0, 1.0);
@@ -143,7 +143,7 @@ fn add_materials(root: &mut Value, materials: &[MtlMaterial]) {
             material_json
         })
         .collect();
-    // glTF lists the extensions that a document uses.
+    // List the extensions that the document uses, as glTF demands.
     let emits = list.iter().any(|material| material["extensions"].is_object());
     let used = [(emits, EMISSIVE_STRENGTH), (pictures.transformed, TEXTURE_TRANSFORM)];
     let used: Vec<&str> = used.into_iter().filter_map(|(used, name)| used.then_some(name)).collect();
@@ -157,7 +157,7 @@ fn add_materials(root: &mut Value, materials: &[MtlMaterial]) {
     }
 }
 
-/// Unique pictures and textures.
+/// The document's pictures, samplers and textures, each of them once.
 #[derive(Default)]
 struct Pictures {
     images: Vec<Value>,
@@ -166,7 +166,7 @@ struct Pictures {
 }
 
 impl Pictures {
-    /// A material's reference to the texture of a map.
+    /// Returns a material's reference to the texture of a map, and adds the texture if it is new.
     fn reference(&mut self, map: &Map) -> Value {
         fn place(list: &mut Vec<Value>, value: Value) -> usize {
             list.iter().position(|known| *known == value).unwrap_or_else(|| {
@@ -180,7 +180,7 @@ impl Pictures {
         let ([s_u, s_v], [o_u, o_v]) = (map.scale, map.offset);
         if (map.scale, map.offset) != ([1.0; 2], [0.0; 2]) {
             self.transformed = true;
-            // v points downwards here: 1 − (s (1 − v) + o) = s v + (1 − s − o)
+            // glTF's v points downwards, the map's upwards: 1 − (s (1 − v) + o) = s v + (1 − s − o)
             let transform = json!({"scale": [s_u, s_v], "offset": [o_u, 1.0 - s_v - o_v]});
             reference["extensions"] = json!({TEXTURE_TRANSFORM: transform});
         }
@@ -189,12 +189,13 @@ impl Pictures {
 }
 
 const TEXTURE_TRANSFORM: &str = "KHR_texture_transform";
-/// glTF's number for the wrapping mode.
+/// glTF's number for the wrapping mode that repeats the edge.
 const CLAMP_TO_EDGE: u32 = 33071;
 
 const EMISSIVE_STRENGTH: &str = "KHR_materials_emissive_strength";
 
-/// glTF's emission is in 0..1; a factor allows more.
+/// Sets the emission of a material. glTF limits its factors to 0..1, so larger emission needs an
+/// extension with a strength.
 fn emit(material: &mut Value, emission: [f32; 3]) {
     let most = emission.iter().fold(1.0f32, |most, value| most.max(*value));
     material["emissiveFactor"] = json!(emission.map(|value| (value / most).clamp(0.0, 1.0)));
@@ -203,7 +204,7 @@ fn emit(material: &mut Value, emission: [f32; 3]) {
     }
 }
 
-/// A file's name as a URI.
+/// Encodes a path as a URI: all bytes but letters, digits and a few marks become `%XX`.
 fn percent_encoded(path: &str) -> String {
     path.bytes()
         .map(|byte| match byte {
@@ -214,7 +215,8 @@ fn percent_encoded(path: &str) -> String {
         .collect()
 }
 
-/// Header, JSON chunk, binary chunk; lengths are multiples of 4.
+/// Writes a .glb file: the header, the JSON chunk and the binary chunk, each padded to a multiple
+/// of 4 bytes.
 fn glb(root: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>, PluginError> {
     let mut text = serde_json::to_vec(root).map_err(|error| PluginError::failed("glTF", error))?;
     text.resize(text.len().next_multiple_of(4), b' ');

@@ -3,16 +3,16 @@
 //!
 //! | OBJ, MTL | glTF |
 //! |---|---|
-//! | `v`, `vn`, `vt` | positions, normals, texture coordinates (v turned downwards, 0 where there is none) |
-//! | `f` | triangles; polygons as fans |
+//! | `v`, `vn`, `vt` | positions, normals, texture coordinates (v points downwards in glTF; missing coordinates are 0) |
+//! | `f` | triangles; polygons become fans of triangles |
 //! | `o`, `g`, `usemtl` | one mesh per object or group and material |
 //! | `Kd`, `map_Kd`, `d` | base colour (linear), its texture with scale `-s`, offset `-o` and `-clamp`, alpha |
 //! | `Ke` | emission |
 //! | `Ns` | roughness = 1 − √(Ns / 1000), as Blender writes it |
 //! | `Pr`, `Pm` | roughness and metallic, if the file has them |
 //!
-//! Lines, points and curves are left out; other maps too, with a warning. OBJ has no unit and no
-//! agreed upward axis: the parameters `scale` and `up` state them.
+//! Lines, points and curves are ignored. All other maps are ignored with a warning. OBJ files state
+//! neither their unit nor their upward axis, so the parameters `scale` and `up` set them.
 
 mod glb;
 mod mtl;
@@ -74,7 +74,7 @@ impl ImporterPlugin for Obj {
         let collected = RefCell::new(Vec::new());
         let library = |path: &Path| {
             let found = materials(host, assets, file, &forward(path));
-            // the parser of shapes resolves materials by name only
+            // the parser of shapes needs only the names of materials and their indices
             let known =
                 found.iter().enumerate().map(|(i, material)| (material.name.clone(), i)).collect::<HashMap<_, _>>();
             let nameless = vec![Material::default(); found.len()];
@@ -82,7 +82,7 @@ impl ImporterPlugin for Obj {
             Ok((nameless, known))
         };
         let (models, _) = tobj::load_obj_buf(&mut shapes, &options, library).map_err(|error| {
-            // faces are parsed at the end of their object
+            // the parser reports an error of a face at the end of the face's object
             PluginError::Failed(format!("{file}: at or before line {}: {error}", line.get()))
         })?;
         host.check_cancelled()?;
@@ -95,8 +95,8 @@ impl ImporterPlugin for Obj {
     }
 }
 
-/// The materials of one library, or of several whose names are on one line. A missing file causes a
-/// warning.
+/// Reads the materials of the libraries that one line names. `names` is the name of one file, or of
+/// several files, separated by spaces. A missing file causes a warning.
 fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<MtlMaterial> {
     let read = |name: &str| {
         let bytes = assets.read(name)?;
@@ -108,7 +108,7 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<M
         Ok(found) => return found,
         Err(error) => error,
     };
-    // The text may also be several names, separated by spaces.
+    // No file has the whole text as its name, so read it as several names.
     if !names.contains(char::is_whitespace) {
         warn(error);
         return Vec::new();

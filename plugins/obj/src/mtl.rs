@@ -1,15 +1,16 @@
-//! MTL files: materials.
+//! Parses MTL files, which define materials.
 //!
-//! A colour has one value or three. A map has options before the name of its file, which may
-//! contain spaces. `-s` and `-o` scale and shift the texture coordinates, (u, v) ↦ s · (u, v) + o
-//! with v upwards; `-clamp on` repeats the edge. Other options that would change the appearance
-//! cause a warning, and so do invalid lines; the rest of the file is used.
+//! A colour has one value or three. A map has options before the name of its file; the name may
+//! contain spaces. `-s` and `-o` scale and shift the texture coordinates: (u, v) ↦ s · (u, v) + o,
+//! where v points upwards. `-clamp on` repeats the picture's edge. Other options that would change
+//! the appearance cause a warning. An invalid line causes a warning too; the rest of the file is
+//! used.
 //!
 //! Source: Alias|Wavefront, *Object files*, version 4.2, appendix B1, "MTL material format".
 
 use crate::text::joined;
 
-/// One material; values absent in the file are `None`.
+/// One material. Values that are not in the file are `None`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct MtlMaterial {
     pub(crate) name: String,
@@ -29,7 +30,7 @@ pub(crate) struct MtlMaterial {
     pub(crate) diffuse_map: Option<Map>,
 }
 
-/// A picture and its texture mapping.
+/// A picture, and the mapping of texture coordinates for it.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Map {
     pub(crate) file: String,
@@ -38,13 +39,13 @@ pub(crate) struct Map {
     pub(crate) clamp: bool,
 }
 
-/// Maps without effect; each kind causes one warning.
+/// Keys of maps that have no effect. Each key causes one warning per file.
 const OTHER_MAPS: [&str; 17] = [
     "map_ka", "map_ks", "map_ke", "map_ns", "map_d", "map_tr", "map_bump", "bump", "map_pr", "map_pm", "map_ps",
     "norm", "disp", "decal", "refl", "map_refl", "map_disp",
 ];
 
-/// Parses the materials of a file. `warn` takes a line number and a message.
+/// Parses the materials of a file. `warn` receives a line number and a message.
 pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<MtlMaterial> {
     let mut materials: Vec<MtlMaterial> = Vec::new();
     let mut left_out: Vec<String> = Vec::new();
@@ -97,7 +98,8 @@ pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<MtlM
     materials
 }
 
-/// One value stands for all three channels; the prefix `xyz` marks CIE tristimulus values.
+/// Parses a colour: one value for all three channels, or three values. After the prefix `xyz` they
+/// are CIE tristimulus values, which are converted to linear sRGB.
 fn color(text: &str) -> Option<[f32; 3]> {
     let (text, is_xyz) = match text.strip_prefix("xyz") {
         Some(rest) => (rest, true),
@@ -112,7 +114,7 @@ fn color(text: &str) -> Option<[f32; 3]> {
     if !is_xyz {
         return Some([x, y, z]);
     }
-    // to linear sRGB, IEC 61966-2-1
+    // convert XYZ to linear sRGB (IEC 61966-2-1)
     Some([
         3.2406 * x - 1.5372 * y - 0.4986 * z,
         -0.9689 * x + 1.8758 * y + 0.0415 * z,
@@ -124,12 +126,13 @@ fn finite(text: &str) -> Option<f32> {
     text.parse().ok().filter(|value: &f32| value.is_finite())
 }
 
-/// Options, then the file's name, which may contain spaces.
+/// Parses a map: options, then the file's name, which may contain spaces. `unused` receives options
+/// without effect.
 fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
     let mut map = Map { file: String::new(), scale: [1.0; 2], offset: [0.0; 2], clamp: false };
     let mut rest = text.trim();
     while let Some((option, after)) = option(rest) {
-        // the option has at most this many arguments; optional numbers may be absent
+        // the largest number of arguments of the option; some may be absent
         let most = match option {
             "-blendu" | "-blendv" | "-bm" | "-boost" | "-cc" | "-clamp" | "-imfchan" | "-texres" | "-type" => 1,
             "-mm" => 2,
@@ -150,7 +153,7 @@ fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
             "-s" => map.scale = pair(1.0),
             "-o" => map.offset = pair(0.0),
             "-clamp" => map.clamp = words.first().is_some_and(|word| word.eq_ignore_ascii_case("on")),
-            // texture filtering is the renderer's choice
+            // the renderer decides on the filtering of textures, so no warning is needed
             "-blendu" | "-blendv" | "-texres" => {}
             _ => unused(option),
         }
@@ -160,7 +163,7 @@ fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
     (!rest.is_empty()).then_some(map)
 }
 
-/// The option at the start of the text, and the text after it.
+/// Returns the option at the start of a text, and the text after the option.
 fn option(text: &str) -> Option<(&str, &str)> {
     const OPTIONS: [&str; 13] = [
         "-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-imfchan", "-mm", "-o", "-s", "-t", "-texres", "-type",
@@ -196,7 +199,7 @@ mod tests {
         assert_eq!(materials[0].diffuse_map, map("a.png", [2.0, 2.0], [0.0, 0.0], false));
         assert_eq!(materials[1].diffuse_map, map("my picture.png", [1.0, 1.0], [0.5, 0.0], true));
         let white = materials[1].diffuse.unwrap();
-        assert!(white.iter().all(|value| (value - 1.0).abs() < 1e-3), "the white of sRGB: {white:?}");
+        assert!(white.iter().all(|value| (value - 1.0).abs() < 1e-3), "the XYZ of sRGB's white gives {white:?}");
     }
 
     #[test]

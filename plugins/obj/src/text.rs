@@ -1,17 +1,18 @@
-//! Normalizes the lines of OBJ and MTL files of all programs for the parser of shapes.
+//! Normalizes the lines of OBJ and MTL files for the parser of shapes, which accepts fewer forms
+//! than programs write.
 //!
-//! A line continues after a backslash at its end, and `#` begins a comment. Names and comments may
-//! have any encoding, and `vt` may have one coordinate. Faces may refer to vertices that do not
-//! exist. The parser refuses such faces unless its index arithmetic overflows, so indices out of
-//! range are replaced here.
+//! A backslash at the end of a line continues the line, and `#` begins a comment. Names and
+//! comments may have any encoding, and `vt` may have a single coordinate. Faces may refer to
+//! vertices that do not exist. The parser refuses such faces, but for some indices its arithmetic
+//! would overflow. So this module replaces indices that are out of range.
 
 use std::borrow::Cow;
 use std::cell::Cell;
 use std::io::{self, BufRead, Read};
 use std::rc::Rc;
 
-/// The text of a file. Lines that are not UTF-8 are decoded as Latin-1, so that distinct names stay
-/// distinct.
+/// Decodes the text of a file. Lines that are not UTF-8 are decoded as Latin-1, so that different
+/// names remain different.
 pub(crate) fn decode(bytes: &[u8]) -> Cow<'_, str> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     if let Ok(text) = std::str::from_utf8(bytes) {
@@ -24,7 +25,7 @@ pub(crate) fn decode(bytes: &[u8]) -> Cow<'_, str> {
     Cow::Owned(bytes.split_inclusive(|&byte| byte == b'\n').map(line).collect())
 }
 
-/// Lines joined with their continuations, and the number of the first line of each.
+/// Joins every line with the lines that continue it. Each item has the number of its first line.
 pub(crate) fn joined(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
     let mut lines = text.lines().enumerate();
     std::iter::from_fn(move || {
@@ -38,8 +39,8 @@ pub(crate) fn joined(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> 
     })
 }
 
-/// The shapes of an OBJ file, line by line, for a parser that is stricter than the format.
-/// [`line`](Self::line) returns the current line, for errors.
+/// A reader of an OBJ file's normalized lines, for the parser of shapes. [`line`](Self::line)
+/// returns the number of the current line for errors.
 pub(crate) struct Shapes<'a> {
     lines: Box<dyn Iterator<Item = (usize, Cow<'a, str>)> + 'a>,
     current: Vec<u8>,
@@ -48,14 +49,14 @@ pub(crate) struct Shapes<'a> {
     counts: Counts,
 }
 
-/// Numbers of positions, texture coordinates and normals read so far. Negative indices are relative
-/// to these numbers.
+/// Counts of the positions, texture coordinates and normals that were read so far. Negative indices
+/// count back from them.
 type Counts = [i64; 3];
 
-/// The keys of [`Counts`], in the order of a face's corner.
+/// The keys of the lines that [`Counts`] counts, in the order of the indices of a face's corner.
 const COUNTED: [&str; 3] = ["v", "vt", "vn"];
 
-/// An index past the end of any file, for which the parser reports its own error.
+/// An index that is out of range in every file. The parser reports an error for it.
 const NOWHERE: i64 = u32::MAX as i64;
 
 impl<'a> Shapes<'a> {
@@ -101,7 +102,7 @@ fn write_shape(line: &str, counts: &mut Counts, out: &mut Vec<u8>) {
     let (key, rest) = line.split_once(|c: char| c.is_whitespace()).unwrap_or((line, ""));
     match key {
         "v" | "vt" | "vn" | "f" | "l" | "p" => {
-            // names may contain `#`, numbers do not
+            // `#` begins a comment after numbers, but may be part of a name
             let numbers = rest.split('#').next().unwrap_or_default().trim();
             out.extend(key.bytes());
             out.push(b' ');
@@ -124,7 +125,7 @@ fn write_shape(line: &str, counts: &mut Counts, out: &mut Vec<u8>) {
     }
 }
 
-/// Writes `v/vt/vn` of a face's corner, with [`NOWHERE`] for indices out of range.
+/// Writes the indices `v/vt/vn` of a face's corner; those out of range become [`NOWHERE`].
 fn write_corner(corner: &str, counts: &Counts, out: &mut Vec<u8>) {
     for (place, index) in corner.split('/').enumerate() {
         if place > 0 {

@@ -1,4 +1,4 @@
-//! The upward axis.
+//! The parameter `up`, the upward axis of a file.
 
 use lumistack_plugin::serde::Deserialize;
 

@@ -1,4 +1,5 @@
-//! OBJ files through the plugin's C function and this project's glTF reader.
+//! Imports OBJ files through the plugin's C function, and reads the result by this project's glTF
+//! reader.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +11,7 @@ use lumistack_plugin_obj::PLUGIN;
 use lumistack_plugin_testkit::serve::{LogLevel, Plugin, import, resolved};
 use lumistack_plugin_testkit::{MemoryHost, conformance, import_conformance};
 
-/// A quad and a triangle with two materials, as modelling programs write them.
+/// A file with a quad and a triangle of two materials, in the form that modelling programs write.
 const OBJ: &str = "mtllib looks.mtl\no Card\nv 0 0 0\nv 2 0 0\nv 2 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\n\
     usemtl red\nf 1/1/1 2/2/1 3/3/1 4/4/1\no Roof\nv 0 1 -3\nusemtl lamp\nf 3//1 4//1 5//1\n";
 const MTL: &str = "newmtl red\nKd 0.5 0.25 0.125\nNs 250\nnewmtl lamp\nKd 0 0 0\nKe 4 2 1\nPr 0.75\n";
@@ -65,7 +66,7 @@ fn meshes_and_materials_arrive() {
 #[test]
 fn the_axis_and_the_unit_are_the_user_s() {
     let bounds = scene(&json!({"up": "z", "scale": 10.0})).bounds();
-    // z up: (x, y, z) becomes (x, z, −y)
+    // with z up, (x, y, z) becomes (x, z, −y)
     let (min, max) = (bounds.min.to_array(), bounds.max.to_array());
     for (found, expected) in min.iter().chain(&max).zip([0.0, -30.0, -10.0, 20.0, 0.0, 0.0]) {
         assert!((found - expected).abs() < 1e-4, "{min:?} to {max:?}");
@@ -87,7 +88,7 @@ fn files_that_make_no_sense_are_named() {
         ("", "expected faces, found none"),
         ("v 1 2\nf 1 2 3\n", "a.obj: at or before line 1: "),
         ("f 1 2 3\n", "a.obj: at or before line 1: "),
-        // indices on which the parser's arithmetic would overflow
+        // for these indices the arithmetic of the parser would overflow
         (
             "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//-2 2//1 3//1\n",
             "a.obj: at or before line 5: face normal index out of bounds",
@@ -101,9 +102,9 @@ fn files_that_make_no_sense_are_named() {
     assert_eq!(error.to_string(), "a.obj: no such file");
 }
 
-/// Other readers accept more than the specification. Such a file has one value for a grey, one
-/// texture coordinate, and options before a picture's name. It also has continued lines, comments
-/// after numbers, several libraries in one line, and bytes that are not UTF-8.
+/// A file with all forms that other programs write and read: one value for a grey, a single texture
+/// coordinate, and options before a picture's name. It also has continued lines, comments after
+/// numbers, several libraries in one line, and bytes that are not UTF-8.
 #[test]
 fn legal_files_of_other_programs_load() {
     let obj = b"# \xE4\nmtllib one.mtl two.mtl\no K\xE4se\nv 0 0 0 # corner\nv 1 0 0\nv 0 1 0\nvt 0.5\nvt 1\nvt 0\n\
@@ -136,8 +137,8 @@ fn legal_files_of_other_programs_load() {
     assert!(warnings.take().is_empty());
     assert_eq!(scene.triangle_count(), 2);
     assert_eq!(scene.materials[0].base_color.to_array(), [0.5, 0.5, 0.5, 1.0]);
-    // the corner at u = 0.5, v = 0: u' = 2 · 0.5 + 0.25, v' = 3 · 0 + 0.5, which is 0.5 from the
-    // top as well
+    // the corner at (u, v) = (0.5, 0): u' = 2 · 0.5 + 0.25 and v' = 3 · 0 + 0.5 upwards, which is
+    // 1 − 0.5 downwards
     let texture = scene.materials[1].base_color_texture.expect("a picture");
     let mesh = scene.meshes.iter().find(|mesh| mesh.material == 1).unwrap();
     let corner = mesh.positions.iter().position(|position| position.to_array() == [0.0; 3]).unwrap();

@@ -16,7 +16,7 @@ use lumistack_plugin::serde_json::{from_value, json};
 use lumistack_plugin_host::{HostError, PresentContext, PresenterInput, PresenterOutput, Registry, present};
 use lumistack_plugin_panels::presentation::Event;
 
-/// A distinct stack for every number: each layer uniform, each frame another shade.
+/// Makes the stack of a number. Each layer is uniform, and each frame has another shade.
 fn stack(display: &Display, number: usize) -> LayerStack {
     let mut stack = LayerStack::filled(display, 1.0);
     for layer in &mut stack.layers {

@@ -92,7 +92,7 @@ pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Outpu
     if outputs.is_empty() {
         return Err(AssignError::None { needed, wanted });
     }
-    // Named outputs first, so that an unknown or repeated name is reported as such.
+    // Check the named outputs first, so that unknown and repeated names are reported.
     let mut taken: Vec<&str> = Vec::new();
     for &shows in &all {
         let Some(name) = named(display, shows) else { continue };
@@ -117,7 +117,7 @@ pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Outpu
             Some(name) => outputs.iter().find(|output| output.name == name),
             None => free.next(),
         };
-        (shows, output.expect("there are enough, and the named ones are there").clone())
+        (shows, output.expect("there are enough outputs, and all named outputs exist").clone())
     });
     Ok(chosen.collect())
 }

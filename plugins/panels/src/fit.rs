@@ -1,15 +1,15 @@
 //! Compares mask sizes with panel sizes, and scales masks to panels of other sizes.
 //!
 //! A mask has W pixels of pitch p; a panel's upright picture has w pixels of pitch s. The mask
-//! covers W·p / s of them. To fit, all panels get one pitch
+//! covers W·p / s panel pixels. So that all masks fit, all panels get one pitch
 //!
 //! ```text
 //! s = max over panels and axes of W·p / w
 //! ```
 //!
-//! Then s is reduced until a pixel of the finest mask covers a whole number of panel pixels, if it
-//! covers at least one. This pitch differs from the panels' own, so the scene is scaled. The
-//! distances between the panels would have to be scaled by the same ratio.
+//! Then s is raised until a pixel of the finest mask covers a whole number of panel pixels, if it
+//! covers at least one. This pitch differs from the panels' own pitches, so the scene is scaled.
+//! The distances between the panels would have to be scaled by the same ratio.
 
 use lumistack_plugin::display::{Backlight, Display};
 
@@ -37,7 +37,7 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
             (_, Backlight::Lenslets(backlight)) => ("backlight".into(), backlight.panel_resolution),
             _ => continue,
         };
-        // The declared resolution must be that of the output.
+        // The declared resolution must equal the output's size.
         if let Some(declared) = declared.filter(|declared| declared != size) {
             found.push(format!(
                 "{key}.panel_resolution: expected the {} × {} pixels of output {name}, found {} × {}: check that it is the right output, at its panel's native resolution",
@@ -86,7 +86,7 @@ pub fn fitted(display: &Display, assigned: &[(Shows, Output)]) -> (Display, f64)
     });
     // The smallest pitch with which every mask fits its panel.
     let mut pitch_mm = wanted.fold(0.0, f64::max);
-    // Reduce the pitch until a pixel of the finest mask covers a whole number of panel pixels.
+    // Raise the pitch until a pixel of the finest mask covers a whole number of panel pixels.
     let finest = display.layers.iter().map(|layer| layer.pitch_mm).fold(f64::INFINITY, f64::min);
     let whole = (finest / pitch_mm + 1e-9).floor();
     if whole >= 1.0 {
@@ -124,7 +124,7 @@ mod tests {
     fn masks_fill_the_smallest_panel_by_whole_pixels() {
         let display = Display::uniform([10, 6], 4.0, [1, 1], [10.0, 10.0], &[0.0, 5.0], 1);
         let outputs = outputs(&[[64, 48], [55, 30]]);
-        // 55 / 10 and 30 / 6 allow 5 panel pixels per mask pixel
+        // the panels have room for 55 / 10 and for 30 / 6 panel pixels per mask pixel, so for five
         let (display, pitch_mm) = fitted(&display, &outputs);
         assert_eq!(pitch_mm, 4.0 / 5.0);
         for (shows, output) in &outputs {
@@ -179,7 +179,7 @@ mod tests {
         let mut outputs = outputs(&[[100, 90], [100, 90]]);
         (outputs[0].0, outputs[1].0) = (Shows::Backlight, Shows::Layer(0));
         let (display, pitch_mm) = fitted(&display, &outputs);
-        // 42 mm on 100 pixels, then rounded to two per mask pixel
+        // 42 mm on 100 pixels are a pitch of 0.42 mm, raised to two panel pixels per mask pixel
         assert_eq!(pitch_mm, 0.5);
         let Backlight::Lenslets(backlight) = &display.backlight else { unreachable!() };
         assert_eq!(

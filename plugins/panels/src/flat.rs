@@ -3,7 +3,7 @@
 //!
 //! The picture keeps its aspect ratio and fills the field's width or height: the tighter of the
 //! two. A panel pixel takes the mean linear light of the picture pixels that it covers. If picture
-//! pixels are larger than panel pixels, the panel pixel interpolates between four of them.
+//! pixels are larger than panel pixels, a panel pixel interpolates between four picture pixels.
 
 use image::Rgb32FImage;
 use image::imageops::{FilterType, resize};
@@ -77,7 +77,7 @@ mod tests {
             image::RgbImage::from_fn(16, 12, |x, y| image::Rgb([(16 * x) as u8, (20 * y) as u8, (x * y) as u8]));
         let shown = flat_codes(&display, Shows::Layer(1), [16, 12], Some(&picture));
         let expected: Vec<u8> = picture.pixels().flat_map(|p| [p.0[0], p.0[1], p.0[2], 255]).collect();
-        assert_eq!(shown, expected, "the panel's transfer function is the picture's");
+        assert_eq!(shown, expected, "the panel has the picture's transfer function, so codes stay as they are");
         assert!(flat_codes(&display, Shows::Layer(0), [16, 12], None).iter().all(|code| *code == 255));
         // a picture of another aspect ratio is centred
         let wide = image::RgbImage::from_pixel(16, 4, image::Rgb([200; 3]));

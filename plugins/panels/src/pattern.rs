@@ -107,9 +107,9 @@ pub fn crosses(display: &Display) -> [usize; 2] {
 }
 
 impl Pattern {
-    /// Codes `[row][col][red, green, blue, 255]` of the output that shows `shows`. With `only`, all
-    /// other layers are clear, and the crosses of that layer are black. `eye_mm` is the eye
-    /// position of the crosses, display space, millimetres.
+    /// Codes `[row][col][red, green, blue, 255]` of the output that shows the panel `shows`. With
+    /// `only`, all panels except `only` are clear, and its crosses are black. `eye_mm` is the eye
+    /// position for which the crosses coincide, display space, millimetres.
     ///
     /// # Errors
     /// If the display has no such lenslet or bin.
@@ -132,7 +132,7 @@ impl Pattern {
         Ok(match self {
             Self::Clear | Self::Lenslet(_) | Self::View(_) => plain,
             _ if apart => plain,
-            // drawn patterns on layers need light behind them
+            // layers that draw a pattern need light from behind, so the backlight draws none
             Self::Crosshairs => {
                 if is_backlight {
                     plain
@@ -364,7 +364,7 @@ mod tests {
         let only = Some(Shows::Layer(1));
         let alone =
             |n: usize| middle(&Pattern::Crosshairs.codes(&display, Shows::Layer(n), OUTPUT, only, EYE).unwrap());
-        // a panel is dark outside the mask, clear inside
+        // with `only`, layer 1 draws its central cross in black, and layers 0 and 2 are clear
         assert_eq!([alone(0), alone(1), alone(2)], [[255; 3], [0; 3], [255; 3]]);
     }
 

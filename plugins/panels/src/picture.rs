@@ -5,10 +5,10 @@
 //! code = round(value · (2^bits − 1))
 //! ```
 //!
-//! The inverse crosstalk is that of the panel's calibration, which the solver did not model. Masks
-//! are linear light and are resampled as such; only the result is a code. Outside the mask a panel
-//! is dark, or clear if the display has `missing = "clear"`. In a colour sequence all three
-//! channels show one colour: such panels have no colour filters.
+//! The crosstalk comes from the panel's calibration; the solver did not model it. Masks are linear
+//! light, and are resampled before values become codes. Outside the mask a panel is dark, or clear
+//! if the display has `missing = "clear"`. In a colour sequence all three channels show one colour:
+//! such panels have no colour filters.
 
 use lumistack_plugin::display::{
     Backlight, Display, Homography, LayerStack, LensletBacklight, Missing, Sampling, Transfer,
@@ -21,8 +21,8 @@ use crate::{Place, Shows};
 const LENS_SAMPLES: usize = 4;
 /// Bits per channel of an output.
 const OUTPUT_BITS: u32 = 8;
-/// A position half-way between two pixels belongs to the right or lower one, despite rounding
-/// errors.
+/// Offset for rounding: a position half-way between two pixels belongs to the right or lower pixel,
+/// despite rounding errors.
 const HALF: f64 = 0.5 + 1e-9;
 
 /// Encodes layer stacks for one output. It precomputes everything that is equal in all frames.

@@ -1,5 +1,5 @@
-//! Geometry of a panel: from output pixels to millimetres on the layer. The equations are those of
-//! `lumistack_display::Panel`.
+//! Geometry of a panel: from output pixels to millimetres on the layer. The documentation of
+//! `lumistack_display::Panel` has the equations.
 
 use lumistack_plugin::display::{Backlight, Display, Flip, Homography, Panel};
 

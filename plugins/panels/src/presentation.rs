@@ -43,7 +43,7 @@ pub enum Content {
         /// Eye position for which the crosses coincide, display space, millimetres.
         eye_mm: [f64; 3],
     },
-    /// A picture on one panel at its full resolution; the others are clear.
+    /// A picture on one panel, at the panel's full resolution; the other panels are clear.
     Flat {
         /// The picture, sRGB codes.
         picture: image::RgbImage,
@@ -145,7 +145,7 @@ pub enum Event {
         /// The display, with the nudges.
         display: Box<Display>,
     },
-    /// Statistics so far; the last event has those of the whole presentation.
+    /// Statistics so far; the last event has the statistics of the whole presentation.
     Report(Box<Report>),
 }
 

@@ -9,8 +9,8 @@ use session::{SWAY, Session};
 
 /// Shortest stall, seconds; without a stall a stack arrives every 0.3 s.
 const STALL_S: f64 = 1.5;
-/// Number of refreshes that a busy machine may lose in that time, in addition to those lost without
-/// a stall. A present loop that waited for the solver would lose 120.
+/// Number of refreshes that a busy machine may lose during a stall, in addition to refreshes that
+/// are lost without a stall. A present loop that waited for the solver would lose 120.
 const NOISE: usize = 20;
 /// Rows of the log: refresh number, position in the period, number of the stack, seconds.
 type Log = Vec<[f64; 4]>;

@@ -1,11 +1,11 @@
-//! Commercial lenticular displays, as data: `devices.json`, with sources.
+//! The table of commercial lenticular displays, `devices.json`, with the sources of its numbers.
 
 use std::sync::OnceLock;
 
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::serde_json;
 
-/// The default quilt of a display.
+/// A lenticular display, and the quilt that it expects.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct Device {
@@ -21,7 +21,7 @@ pub struct Device {
     pub rows: usize,
     /// Width over height of one view.
     pub aspect: f64,
-    /// Source of the numbers.
+    /// Source of these numbers.
     pub source: String,
 }
 

@@ -1,15 +1,16 @@
 //! Layout and name of a quilt.
 //!
-//! View 0, the leftmost, is the bottom-left tile; views continue to the right, then upwards. Tiles
-//! have ⌊width / columns⌋ × ⌊height / rows⌋ pixels and start at the bottom left; the rest at the
-//! top and right is black. The name ends in `_qs<columns>x<rows>a<aspect>`. The aspect is width
-//! over height of a view; its tile may be anamorphic.
+//! View 0, the leftmost view, is the tile at the bottom left; the views continue to the right, then
+//! upwards. Tiles have ⌊width / columns⌋ × ⌊height / rows⌋ pixels and start at the bottom left. If
+//! these sizes do not divide evenly, the remaining pixels at the top and right are black. The name
+//! ends in `_qs<columns>x<rows>a<aspect>`. The aspect is the width over the height of a view as it
+//! is seen; its tile may be squeezed.
 
 use lumistack_plugin::PluginError;
 
 use crate::devices::Device;
 
-/// A quilt.
+/// The layout of a quilt.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
     /// [columns, rows] of pixels.
@@ -22,7 +23,7 @@ pub struct Layout {
     pub aspect: f64,
 }
 
-/// The job's values for a quilt; 0 if not set.
+/// The values for a quilt that the job sets; 0 stands for a value that it does not set.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Given {
     /// Columns and rows of views.
@@ -34,8 +35,8 @@ pub struct Given {
 }
 
 impl Layout {
-    /// The quilt of a device; without a device, the quilt of `views` pictures of `view_size` =
-    /// [columns, rows]. Values of `given` other than 0 override these.
+    /// The quilt of a device. Without a device, the quilt of `views` views of `view_size` =
+    /// [columns, rows] pixels. Values of `given` other than 0 override both.
     ///
     /// # Errors
     /// If only one of columns and rows is given, or a tile has no pixel.
@@ -85,15 +86,15 @@ impl Layout {
         [view % self.columns * tile[0], self.size[1] - (view / self.columns + 1) * tile[1]]
     }
 
-    /// The suffix of the name, with enough digits of the aspect to distinguish views of different
-    /// whole numbers of pixels.
+    /// The suffix of the file's name. It has enough digits of the aspect to distinguish the aspects
+    /// of views whose sizes differ by one pixel.
     pub fn suffix(&self) -> String {
         let rounded = (self.aspect * 1e5).round() / 1e5;
         format!("_qs{}x{}a{rounded}", self.columns, self.rows)
     }
 }
 
-/// Columns and rows of the quilt nearest to a square.
+/// Columns and rows of tiles for which the quilt of `views` views is nearest to a square.
 fn squarest(views: usize, view_size: [usize; 2]) -> [usize; 2] {
     let skew = |columns: usize| {
         let [width, height] = [columns * view_size[0], views / columns * view_size[1]];

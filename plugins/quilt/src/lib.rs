@@ -3,12 +3,12 @@
 //! | file | content |
 //! |---|---|
 //! | `NAME_qs<C>x<R>a<A>.png` | the views of one row from left to right, view 0 in the bottom-left tile; see [`layout`] |
-//! | `NAME_native.png` | with a calibration, the screen's native picture: every subpixel shows the view to which its lens directs it; see [`weave`] |
-//! | `quilt.json` | sizes; slope of every view, and how it was made |
+//! | `NAME_native.png` | with a calibration, the screen's native picture: every subpixel shows the view for the direction into which its lens sends its light; see [`weave`] |
+//! | `quilt.json` | sizes; the slope of every view, and the way in which it was made |
 //!
 //! Pictures are 8-bit sRGB without alpha. Time steps of a sequence are `NAME_f0000_qs…`,
-//! `NAME_f0001_qs…`, …, the numbering that video encoders read. Memory holds one quilt, one view,
-//! and the native picture.
+//! `NAME_f0001_qs…`, …, the numbering that video encoders read. One quilt, one view and the native
+//! picture are in memory.
 
 pub mod devices;
 pub mod layout;
@@ -30,9 +30,9 @@ use layout::{Given, Layout};
 use views::{Fit, Made, Missing, Source, black_share, fitted, places};
 use weave::Calibration;
 
-/// Value of `device` for no device.
+/// Value of the parameter `device` that selects no device.
 const CUSTOM: &str = "custom";
-/// Smaller black fractions of a tile cause no warning.
+/// Smallest black fraction of a tile that causes a warning.
 const LEAST_BLACK: f64 = 0.01;
 /// Longest side of pictures that H.264 encoders accept, pixels.
 const H264_SIDE: usize = 6000;
@@ -95,9 +95,9 @@ struct Entry {
     rows: usize,
     tile: [usize; 2],
     aspect: f64,
-    /// Name of the video encoder for pictures of this size.
+    /// Name of a video encoder that accepts pictures of this size.
     video: &'static str,
-    /// From left to right: view 0 is the bottom-left tile.
+    /// The views from left to right; the first is the tile at the bottom left.
     views: Vec<ViewEntry>,
 }
 
@@ -203,7 +203,8 @@ impl OutputPlugin for Quilt {
         }
         let device = devices().iter().find(|device| device.id == params.device);
         let output = Self { host, params, device, calibration, written: Mutex::default() };
-        // data will have the display's views and pixels, so layout and row can be checked now
+        // the submitted data will have the views and pixels of the display, so that layout and row
+        // can be checked before the work
         let geometry = display.geometry().map_err(|error| PluginError::failed("display", error))?;
         let layout = output.layout(&geometry)?;
         views::row_of(geometry.grid.slope_y.len(), output.params.view_row)?;
@@ -229,7 +230,7 @@ impl OutputPlugin for Quilt {
         let mut files = self.written.into_inner().unwrap_or_else(PoisonError::into_inner);
         files.sort_by_key(|entry| entry.time);
         let manifest = Manifest { schema: "lumistack/quilt", version: 1, files };
-        let text = serde_json::to_string_pretty(&manifest).expect("a manifest holds nothing that JSON cannot");
+        let text = serde_json::to_string_pretty(&manifest).expect("JSON can express a manifest");
         self.host.write("quilt.json", format!("{text}\n").as_bytes())
     }
 }
@@ -245,7 +246,7 @@ impl Quilt {
         {
             self.host.warn(&advice);
         }
-        // Warn of avoidable losses before the work.
+        // Before the work, warn of black bars and of sizes that video encoders refuse.
         let black = black_share(size, layout.aspect, params.fit);
         if black >= LEAST_BLACK {
             self.host.warn(&format!(
@@ -260,9 +261,9 @@ impl Quilt {
         }
         if params.sequence && layout.size.iter().any(|side| side % 2 == 1) {
             let [width, height] = layout.size;
-            self.host.warn(&format!("video encoders require even sizes, the quilt has {width} × {height} pixels"));
+            self.host.warn(&format!("video encoders require even sizes, but the quilt has {width} × {height} pixels"));
         }
-        // The native picture is woven from the same quilt.
+        // Make the quilt. The native picture is made from it, so it is needed in any case.
         let (quilt, views) = self.fill(source, &layout, size, row)?;
         let frame = if params.sequence || time.index > 0 { format!("_f{:04}", time.index) } else { String::new() };
         let name = format!("{}{frame}", params.name);
@@ -291,14 +292,15 @@ impl Quilt {
         })
     }
 
-    /// The quilt of a light field of this geometry.
+    /// The layout of the quilt for data of this geometry.
     fn layout(&self, geometry: &FieldGeometry) -> Result<Layout, PluginError> {
         let QuiltParams { columns, rows, width, height, .. } = self.params;
         let given = Given { views: [columns, rows], size: [width, height], aspect: self.aspect() };
         Layout::new(self.device, given, geometry.grid.slope_x.len(), [geometry.cols, geometry.rows])
     }
 
-    /// Aspect of a view; a calibrated screen shows every view over its whole area.
+    /// The aspect of a view, 0 if it is not set. A calibrated screen shows every view over its
+    /// whole area, so the aspect is then the screen's unless the parameter sets it.
     fn aspect(&self) -> f64 {
         match &self.calibration {
             Some(calibration) if self.params.aspect == 0.0 => {
@@ -308,7 +310,7 @@ impl Quilt {
         }
     }
 
-    /// The quilt's codes `[row][col][rgb]`.
+    /// Computes the quilt's codes `[row][col][rgb]`, and describes its views.
     fn fill(
         &self,
         source: &Source<'_>,
@@ -360,7 +362,7 @@ impl Quilt {
     }
 }
 
-/// Parses the JSON itself, or the file that contains it.
+/// Reads a calibration; `given` is its JSON text, or the path of a file with this text.
 fn read_calibration(given: &str) -> Result<Option<Calibration>, PluginError> {
     let refused = |text: String| PluginError::Refused(format!("parameter `calibration`: {text}"));
     if given.is_empty() {

@@ -1,14 +1,14 @@
-//! Takes the views of a quilt, from left to right, from the submitted data.
+//! Makes the views of a quilt, from left to right, from the submitted data.
 //!
-//! View i of N is at the centre of the i-th of N equal parts of the viewing zone. In units of the
-//! source's A views across,
+//! The viewing zone is divided into N equal parts, and view i of N is at the centre of part i. If
+//! the data have A views per row, view i is at the index
 //!
 //! ```text
 //! a_i = (i + ½) / N · A − ½
 //! ```
 //!
-//! which for N = A is the source's own view i. A layer stack is simulated at this position; a light
-//! field has views at whole numbers only.
+//! among them. For N = A this is the data's own view i. A layer stack is simulated at this
+//! position. A light field has views only at whole numbers.
 
 use std::borrow::Cow;
 
@@ -28,7 +28,7 @@ pub enum Missing {
     Refuse,
 }
 
-/// The way in which a quilt's view was made.
+/// The way in which a view of the quilt was made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
 pub enum Made {
@@ -45,22 +45,22 @@ pub enum Made {
 /// The source of views.
 #[derive(Clone, Copy)]
 pub enum Source<'a> {
-    /// Simulated, divided by β.
+    /// A stack, whose views are simulated and divided by β.
     Stack(&'a StackInput<'a>),
-    /// The views of one row.
+    /// A light field, whose views of one row are used.
     Field(&'a FieldInput<'a>),
 }
 
-/// Largest distance, in units of views, at which a position is treated as that of a source's view.
+/// A position equals the position of a view if they differ by at most this number of views.
 const SAME_PLACE: f64 = 1e-6;
 
-/// Positions a_i of `count` views on an axis of `available` views.
+/// Positions a_i of `count` views of a quilt, if the data have `available` views per row.
 pub fn places(count: usize, available: usize) -> Vec<f64> {
     (0..count).map(|i| (i as f64 + 0.5) / count as f64 * available as f64 - 0.5).collect()
 }
 
-/// The number of the row of views to use, of `rows` rows. It is the given row, or the central row
-/// (the upper of two) if `given` is negative.
+/// Returns the number of the row of views to use, of `rows` rows. It is `given`, or if that is
+/// negative the central row (the upper one of two).
 ///
 /// # Errors
 /// If there is no such row.
@@ -92,8 +92,8 @@ impl Source<'_> {
         row_of(self.geometry().grid.slope_y.len(), given)
     }
 
-    /// The view at `place` of a row, `[row][col][rgb]` linear, the way in which it was made, and
-    /// its slope.
+    /// Makes the view at the position `place` in the row of views `row`. Returns its linear values
+    /// `[row][col][rgb]`, the way in which it was made, and its slope.
     ///
     /// # Errors
     /// Under [`Missing::Refuse`] if a light field has no such view; otherwise the host's errors.
@@ -114,7 +114,7 @@ impl Source<'_> {
                 Ok((values, Made::Simulated, slope))
             }
             Self::Field(field) => {
-                // a light field has views at its own positions only
+                // a light field has no view between whole numbers
                 let last = grid.slope_x.len() - 1;
                 let nearest = (place.round().max(0.0) as usize).min(last);
                 let own = (field.view([row, nearest])?, [grid.slope_x[nearest], slope_y]);
@@ -139,8 +139,8 @@ impl Source<'_> {
     }
 }
 
-/// Advice about missing views, if a light field of `available` views across is used for a quilt of
-/// `count`.
+/// Returns a warning with advice if a light field of `available` views per row lacks views for a
+/// quilt of `count` views.
 ///
 /// # Errors
 /// Under [`Missing::Refuse`] if any are missing.
@@ -159,14 +159,16 @@ pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option
     }
 }
 
-/// Slope at a position, which may be up to half a view outside the outermost views.
+/// Slope at a position, which may be up to half a view outside the outermost views. The slope is
+/// interpolated or extrapolated linearly.
 fn slope_at(slopes: &[f64], place: f64) -> f64 {
     let [_, .., _] = slopes else { return slopes[0] };
     let first = (place.floor().max(0.0) as usize).min(slopes.len() - 2);
     slopes[first] + (place - first as f64) * (slopes[first + 1] - slopes[first])
 }
 
-/// Black fraction of a tile, 0..1, around a view of another aspect; see [`fitted`].
+/// Black fraction of a tile, 0..1, if its view of `size` pixels has another aspect than `aspect`;
+/// see [`fitted`].
 pub fn black_share(size: [usize; 2], aspect: f64, fit: Fit) -> f64 {
     let own = size[0] as f64 / size[1] as f64;
     match fit {
@@ -183,19 +185,20 @@ pub enum Fit {
     Contain,
     /// No bars; the view is cropped.
     Cover,
-    /// Stretched.
+    /// The view is stretched to the tile.
     Stretch,
 }
 
-/// Fits a view of `size` = [columns, rows] to a tile for pictures of `aspect`. A view of the tile's
-/// size and aspect is returned unchanged.
+/// Fits a view of `size` = [columns, rows] to a tile of `tile` = [columns, rows] pixels, which is
+/// seen with the aspect `aspect`. A view of the tile's size and aspect is returned unchanged.
 pub fn fitted(rgb: &[f32], size: [usize; 2], tile: [usize; 2], aspect: f64, fit: Fit) -> Cow<'_, [f32]> {
     let own = size[0] as f64 / size[1] as f64;
     let same = (own / aspect - 1.0).abs() < 0.5 / size[0].max(size[1]) as f64;
     if size == tile && (same || fit == Fit::Stretch) {
         return Cow::Borrowed(rgb);
     }
-    // filled fractions of the tile, and visible fractions of the view
+    // [horizontal, vertical] fractions of the tile that the view fills, and of the view that is
+    // seen
     let (mut filled, mut shown) = ([1.0, 1.0], [1.0, 1.0]);
     if !same {
         match fit {
@@ -244,7 +247,7 @@ mod tests {
             let filled = fitted(&white, [60, 40], tile, aspect, fit);
             let black = filled.iter().filter(|value| **value == 0.0).count() as f64 / filled.len() as f64;
             let share = black_share([60, 40], aspect, fit);
-            assert!((black - share).abs() < 0.02, "{aspect} {fit:?}: {black} of the pixels, {share} is said");
+            assert!((black - share).abs() < 0.02, "{aspect} {fit:?}: {black} is black, expected {share}");
         }
         assert!((black_share([60, 40], 0.75, Fit::Contain) - 0.5).abs() < 1e-12);
     }
@@ -261,7 +264,7 @@ mod tests {
         assert_eq!(slope_at(&[0.1], -0.4), 0.1);
     }
 
-    /// Left half 0, right half 1.
+    /// A view whose left half is 0 and whose right half is 1.
     fn halves(size: [usize; 2]) -> Vec<f32> {
         (0..3 * size[0] * size[1]).map(|i| f32::from(u8::from(i / 3 % size[0] >= size[0] / 2))).collect()
     }
@@ -278,7 +281,7 @@ mod tests {
         assert_eq!(covered, [0.0, 0.0, 1.0, 1.0].repeat(4));
         let stretched = red(&fitted(&view, [8, 4], [4, 4], 1.0, Fit::Stretch));
         assert!(stretched[0] < 0.1 && stretched[3] > 0.9 && stretched[12] < 0.1 && stretched[15] > 0.9);
-        // an anamorphic tile of the view's own aspect is filled
+        // a squeezed tile that is seen with the view's own aspect is filled without bars
         let squeezed = fitted(&view, [8, 4], [4, 4], 2.0, Fit::Contain);
         assert_eq!(red(&squeezed), stretched);
         assert!(matches!(fitted(&view, [8, 4], [8, 4], 2.0, Fit::Contain), Cow::Borrowed(_)));

@@ -1,8 +1,8 @@
-//! The native image of a lenticular display: every subpixel shows the view to which its lens
-//! directs it.
+//! Computes the native picture of a lenticular display: every subpixel shows the view for the
+//! direction into which its lens sends its light.
 //!
-//! With the screen's W × H pixels, u and v from 0 to 1 from the bottom left to pixel centres,
-//! channel c = 0, 1, 2:
+//! The screen has W × H pixels. (u, v) is the centre of a pixel, 0..1 from the bottom left, and
+//! c = 0, 1, 2 is the channel. With the keys of `visual.json`:
 //!
 //! ```text
 //! P = pitch · W / DPI · cos(atan(1 / slope))        lens periods across the screen
@@ -11,18 +11,18 @@
 //! view = min(⌊a · N⌋, N − 1)
 //! ```
 //!
-//! The minimum in the last line matters only at a = 0 with invView. On displays of the third
-//! generation, subpixels are arranged in cells. There dx / W and dy / H of the channel in the
-//! pixel's cell are added to u and v, instead of c·s. `CellPatternMode` selects the cell; x and y
-//! count from the bottom left:
+//! The minimum in the last line matters only with invView, if a was 0. Displays of the third
+//! generation arrange subpixels in cells. There the channel's offset in its cell, (dx / W, dy / H),
+//! is added to (u, v), and c·s is not added. `CellPatternMode` selects the number of the cell for
+//! the pixel (x, y), which counts from the bottom left:
 //!
-//! * 0: one cell
+//! * 0: always cell 0
 //! * 1: (x + y) mod 2, a checkerboard
 //! * 2: x mod 2
 //! * 3: (y + 2 (x mod 2)) mod 4
 //! * 4: y mod 2
 //!
-//! The subpixel then takes the value of the view's pixel nearest to (u, v).
+//! The subpixel then has the value of the view's pixel nearest to (u, v).
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::serde_json::Value;
@@ -32,23 +32,24 @@ use crate::layout::Layout;
 /// A display's `visual.json`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
-    /// Lenses per inch along the normal of their slant.
+    /// Number of lenses per inch, measured across the slanted lenses.
     pub pitch: f64,
-    /// Slant of the lenses: `slope` of the equations above.
+    /// Slant of the lenses: `slope` in the equations of this module.
     pub slope: f64,
-    /// Phase at the bottom left.
+    /// Phase that is subtracted; the phase at the bottom left is −`center`.
     pub center: f64,
     /// Pixels per inch.
     pub dpi: f64,
     /// [columns, rows] of the screen.
     pub screen: [usize; 2],
-    /// The phase a is inverted to 1 − a, which reverses the order of the views.
+    /// True if the phase a is replaced by 1 − a, which reverses the order of the views.
     pub inv_view: bool,
-    /// The lens sheet is mirrored.
+    /// True if the lens sheet is mirrored.
     pub flip_x: bool,
-    /// Subpixels are in the order blue, green, red.
+    /// True if subpixels are in the order blue, green, red.
     pub flip_subpixels: bool,
-    /// [x, y] of red, green and blue in every cell, pixels; empty for plain stripes.
+    /// Offsets [x, y] of red, green and blue in every cell, pixels. The list is empty if subpixels
+    /// are stripes.
     pub cells: Vec<[[f64; 2]; 3]>,
     /// `CellPatternMode`.
     pub mode: usize,
@@ -58,12 +59,12 @@ pub struct Calibration {
 const SIDE_LIMIT: f64 = 32768.0;
 
 impl Calibration {
-    /// Parses the JSON; numbers may be wrapped as `{"value": x}`.
+    /// Parses the JSON of `visual.json`. A number x may have the form `{"value": x}`.
     ///
     /// # Errors
     /// On malformed JSON, and numbers that are missing or invalid.
     pub fn from_json(json: &Value) -> Result<Self, PluginError> {
-        // Values are numbers, or objects with a `value`.
+        // Read a number, which may be in an object with the key `value`.
         let number = |key: &str| -> Option<f64> {
             let value = json.get(key)?;
             value.get("value").unwrap_or(value).as_f64().filter(|number| number.is_finite())
@@ -83,7 +84,7 @@ impl Calibration {
         if slope == 0.0 {
             return Err(wrong("slope", "a number other than 0"));
         }
-        // Newer screens list their subpixels' offsets, as many as the pattern of cells needs.
+        // Read the cells of subpixels, which only newer screens have.
         let cells = match json.get("subpixelCells") {
             None | Some(Value::Null) => Vec::new(),
             Some(Value::Array(cells)) => {
@@ -125,7 +126,7 @@ impl Calibration {
         })
     }
 
-    /// [P, T, the sign of s].
+    /// Returns [P, T, the sign of s] of the module's equations.
     fn lenses(&self) -> [f64; 3] {
         let [width, height] = self.screen.map(|side| side as f64);
         let sign = if self.flip_x { -1.0 } else { 1.0 };
@@ -133,7 +134,8 @@ impl Calibration {
         [periods, sign * height / (width * self.slope), sign]
     }
 
-    /// The view of `views` that a subpixel shows; `pixel` = [x, y] from the bottom left.
+    /// Returns the number of the view, of `views`, that a subpixel shows. `pixel` is [x, y] from
+    /// the bottom left.
     pub fn view(&self, pixel: [usize; 2], channel: usize, views: usize) -> usize {
         self.view_through(self.lenses(), pixel, channel, views)
     }
@@ -162,14 +164,15 @@ impl Calibration {
         ((a * views as f64) as usize).min(views - 1)
     }
 
-    /// The screen's picture `[row][col][rgb]`, row 0 at the top, from a quilt's codes.
+    /// Computes the screen's picture `[row][col][rgb]`, with row 0 at the top, from a quilt's
+    /// codes.
     ///
     /// # Panics
-    /// If the size of `quilt` is not that of `layout`.
+    /// If the length of `quilt` does not match `layout`.
     pub fn weave(&self, quilt: &[u8], layout: &Layout) -> Vec<u8> {
         let [width, height] = self.screen;
         let (tile, views) = (layout.tile(), layout.views());
-        assert_eq!(quilt.len(), 3 * layout.size[0] * layout.size[1], "codes fill the quilt");
+        assert_eq!(quilt.len(), 3 * layout.size[0] * layout.size[1], "the number of codes does not fit the layout");
         let corners: Vec<[usize; 2]> = (0..views).map(|view| layout.corner(view)).collect();
         let lenses = self.lenses();
         let mut native = vec![0; 3 * width * height];
@@ -223,8 +226,8 @@ mod tests {
 
     #[test]
     fn a_phase_of_zero_counts_as_the_last_view_when_inverted() {
-        // P = 1 lens per pixel column, nearly no slant: u·P is half a period at every pixel, which
-        // `center` cancels
+        // one lens per pixel column and nearly no slant: at every pixel's centre u·P is a whole
+        // number plus a half, and `center` subtracts the half
         let calibration = Calibration {
             pitch: 100.0,
             slope: 1e300,

@@ -1,5 +1,5 @@
-//! Quilts and native pictures through the plugin's C functions, read back by this project and by
-//! other readers.
+//! Writes quilts and native pictures through the plugin's C functions, and reads them back by this
+//! project's reader and by other readers.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ fn write(display: &Display, data: OutputData<'_>, params: Value) -> Result<(File
     Ok((host.files(), warnings.collect()))
 }
 
-/// `views` = [across, down].
+/// A light field of random values. `views` is [columns, rows] of views.
 fn random_field(views: [usize; 2], [cols, rows]: [usize; 2]) -> LightField {
     let grid = ViewGrid::uniform(Projection::Oblique, views, [30.0, 10.0]).unwrap();
     let mut field = LightField::black(FieldGeometry { rows, cols, pitch_mm: 0.5, grid }).unwrap();
@@ -58,7 +58,8 @@ fn succeed(command: &mut Command) -> Vec<u8> {
 
 #[test]
 fn conforms() {
-    // devices' quilts have up to 67 megapixels, so one of them has its own test
+    // the quilts of devices have up to 67 megapixels, so only one of them is written, in another
+    // test
     conformance_but_for(&PLUGIN, &["device"]).unwrap();
 }
 
@@ -72,20 +73,20 @@ fn a_quilt_gives_back_every_view() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("test_qs3x2a1.42857.png");
     std::fs::write(&path, &files["test_qs3x2a1.42857.png"]).unwrap();
-    // by this project's reader; the geometry comes from flags, since a quilt has no angles
+    // read by this project's reader; flags state the geometry, since a quilt has no angles
     let flags = GeometryFlags { fov_deg: Some([30.0, 0.1]), pitch_mm: Some(0.5), ..GeometryFlags::default() };
     let (collector, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&collector, &cancel);
     let back = open(&path, &flags, &GeometryDefaults::default(), task).unwrap();
     assert_eq!(back.radiance().shape(), [1, 6, 7, 10, 3]);
     for view in 0..6 {
-        // the central row of three
+        // the quilt consists of the central one of three rows
         let codes = codes8(&Transfer::Srgb, field.view([1, view]));
         assert_eq!(codes8(&Transfer::Srgb, back.view([0, view])), codes, "view {view}");
     }
     let near = |(a, b): (&f64, &f64)| (a - b).abs() < 1e-12;
     assert!(back.geometry().grid.slope_x.iter().zip(&field.geometry().grid.slope_x).all(near));
-    // by Pillow
+    // read by Pillow
     let Some(python) = python() else { return };
     let read: Value = from_slice(&succeed(Command::new(python).arg(tests("read.py")).arg(&path))).unwrap();
     assert_eq!((&read["mode"], &read["size"], &read["tile"]), (&json!("RGB"), &json!([30, 14]), &json!([10, 7])));
@@ -111,7 +112,7 @@ fn views_that_a_light_field_lacks_are_named() {
         let part = image::imageops::crop_imm(picture, view % 2 * 6, picture.height() - 4 * (view / 2 + 1), 6, 4);
         part.to_image().into_raw()
     };
-    // positions −0.25, 0.25, 0.75, ...: the nearest are 0, 0, 1, 1, 2, 2
+    // the positions −0.25, 0.25, 0.75, ... are nearest to the views 0, 0, 1, 1, 2, 2
     let (files, warnings) = write(&display(), data, params("nearest")).unwrap();
     assert!(warnings[0].contains("nearest views are taken"), "{warnings:?}");
     for view in 0..6 {
@@ -126,7 +127,7 @@ fn views_that_a_light_field_lacks_are_named() {
     let (a, b) = (field.view([1, 0]), field.view([1, 1]));
     let mixed: Vec<f32> = a.iter().zip(b).map(|(a, b)| a + 0.25 * (b - a)).collect();
     assert_eq!(tile(&codes(&files), 1), codes8(&Transfer::Srgb, &mixed));
-    assert_eq!(tile(&codes(&files), 0), codes8(&Transfer::Srgb, a), "nothing beyond the outermost view");
+    assert_eq!(tile(&codes(&files), 0), codes8(&Transfer::Srgb, a), "outside the views the outermost view is used");
     let no_row = write(&display(), data, json!({"view_row": 2})).unwrap_err().to_string();
     assert!(no_row.contains("`view_row`: expected a row of views from -1 to 1"), "{no_row}");
 }
@@ -143,7 +144,7 @@ fn a_layer_stack_is_seen_from_every_tile_s_place() {
     let picture = image::load_from_memory(&files["quilt_qs4x2a1.33333.png"]).unwrap().into_rgb8();
     let half = 5f64.to_radians().tan();
     for view in 0..8u32 {
-        // the centres of eight equal parts of the zone
+        // the views are at the centres of eight equal parts of the zone
         let slope = [half * ((f64::from(view) + 0.5) / 4.0 - 1.0), 0.0];
         let found: Vec<f64> =
             (0..2).map(|axis| entry["views"][view as usize]["slope"][axis].as_f64().unwrap()).collect();
@@ -167,7 +168,8 @@ fn a_device_s_quilt_has_its_size_and_name() {
     assert_eq!((picture.width(), picture.height(), picture.color()), (3360, 3360, image::ColorType::Rgb8));
 }
 
-/// Both pixel structures (stripes and cells), with published calibrations of real displays.
+/// NumPy computes the same native pictures for both arrangements of subpixels, stripes and cells.
+/// The calibrations are published ones of real displays.
 #[test]
 fn native_pictures_equal_numpy_s() {
     let Some(python) = python() else { return };
@@ -188,10 +190,10 @@ fn native_pictures_equal_numpy_s() {
         let figures: Vec<usize> = text.split_whitespace().map(|word| word.parse().unwrap()).collect();
         println!("{name}: {} of {} samples differ", figures[0], figures[1]);
         assert_eq!(figures[1..], [3840 * 2160 * 3, 3840, 2160]);
-        // both are f64; rounding may move a phase on a border to either view
+        // both compute in f64, and rounding may put a phase between two views into either
         assert!(figures[0] <= 2, "{figures:?}");
     }
-    // the text itself instead of a file, and no quilt
+    // the parameter may be the text of the calibration, and the quilt may be omitted
     let text =
         std::fs::read_to_string(tests("cells.json")).unwrap().replace("3840.0", "40.0").replace("2160.0", "20.0");
     let params = json!({"calibration": text, "write_quilt": false});
@@ -223,7 +225,7 @@ fn how_much_of_a_quilt_is_black_is_said() {
     let warnings = |params: Value| write(&display(), OutputData::LightField(&field), params).unwrap().1;
     let portrait = json!({"columns": 6, "rows": 1, "aspect": 0.75});
     let said = warnings(portrait.clone());
-    // a view of aspect 1.6 fills 0.75 / 1.6 of a tile of aspect 0.75
+    // a view of aspect 1.6 fills 0.75 / 1.6 = 47 % of a tile of aspect 0.75
     assert!(said.iter().any(|text| text.starts_with("53 % of the quilt is black")), "{said:?}");
     assert!(said[0].contains("16 × 21") && said[0].contains("cover"), "{said:?}");
     let mut cover = portrait;

@@ -1,6 +1,7 @@
 """Computes the native picture from a quilt and a calibration by NumPy.
 
-Prints how many samples differ from NATIVE, and how many there are.
+Prints the number of samples that differ from the picture NATIVE, the number of all samples, and the
+picture's width and height.
 
 usage: weave.py CALIBRATION QUILT NATIVE
 """
@@ -34,7 +35,7 @@ for channel in range(3):
         du, dv = offset("X") / width, offset("Y") / height
     phase = ((u + du + (v + dv) * tilt) * periods - value("center")) % 1.0
     view = numpy.minimum((1 - phase if value("invView") else phase) * count, count - 1).astype(int)
-    # tiles from the bottom left; rows of the picture from the top
+    # tiles count from the bottom left, rows of the picture from the top
     column = view % columns * tile_w + (u * tile_w).astype(int)
     row = quilt.shape[0] - 1 - (view // columns * tile_h + (v * tile_h).astype(int))
     woven[:, :, channel] = quilt[row, column, channel]

@@ -3,12 +3,12 @@
 //!
 //! | file | forms |
 //! |---|---|
-//! | `.ply` | files of the reference training programs, and PlayCanvas' compressed form |
+//! | `.ply` | the form of the reference training programs, and PlayCanvas' compressed form |
 //! | `.spz` | versions 1 to 4 |
-//! | `.sog`, `meta.json` | SOG, packed or as a folder; versions 1 and 2 |
+//! | `.sog`, `meta.json` | SOG versions 1 and 2, as one packed file or as a folder |
 //!
-//! Harmonics are read to degree 3. Formats do not agree on the upward axis: the parameter `up` sets
-//! it if the format's default is wrong.
+//! Spherical harmonics are read up to degree 3. Every format has its own default for the upward
+//! axis; the parameter `up` replaces it.
 
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Assets, Host, ImporterPlugin, Param, PluginError, Schema, export_plugin};
@@ -29,7 +29,7 @@ pub struct SplatsParams {
     scale: f64,
 }
 
-/// Axis of the file that points upwards.
+/// The axis of the file that points upwards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 enum Up {
@@ -46,7 +46,7 @@ enum Up {
 }
 
 impl Up {
-    /// Rotation that turns the axis upwards.
+    /// The rotation that turns the axis upwards. `axes` are the format's axes, which `auto` uses.
     fn rotation(self, axes: Axes) -> glam::Quat {
         use std::f32::consts::FRAC_PI_2;
         match self {

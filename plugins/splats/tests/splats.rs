@@ -1,5 +1,5 @@
-//! Captures of Gaussian splats go through the plugin's C function, the glTF reader and the
-//! renderer.
+//! Imports captures of Gaussian splats through the plugin's C function, reads the result by the
+//! glTF reader, and compares renders.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ impl AssetResolver for NoFiles {
     }
 }
 
-/// A bumpy ball of flat splats whose colours change with the direction; y is up.
+/// A bumpy ball of flat splats whose colours depend on the viewing direction; y is up.
 fn ball() -> Cloud {
     let mut cloud = Cloud { degree: 1, ..Cloud::default() };
     for i in 0..2000 {
@@ -40,15 +40,16 @@ fn ball() -> Cloud {
     cloud
 }
 
-/// The ball in the axes of training programs: y down and z away. That is half a turn about x, of
-/// positions, rotations and harmonics.
+/// Converts a cloud to the axes of training programs, where y points down and z away from the
+/// viewer. That is half a turn about x for positions, rotations and harmonics.
 fn as_trained(cloud: &Cloud) -> Cloud {
     let mut turned = cloud.clone();
     let turn = Quat::from_xyzw(1.0, 0.0, 0.0, 0.0);
     turned.positions.iter_mut().for_each(|at| *at = turn * *at);
     turned.rotations.iter_mut().for_each(|rotation| *rotation = turn * *rotation);
     for splat in turned.harmonics.chunks_exact_mut(12) {
-        // harmonics of order −1 and 0 change their sign with y and z
+        // the harmonics of degree 1 and order −1 and 0 are proportional to y and z, so their
+        // coefficients change sign
         splat[3..9].iter_mut().for_each(|value| *value = -*value);
     }
     turned
@@ -74,7 +75,7 @@ fn scene(file: &str, bytes: &[u8], params: &Value) -> Arc<Scene> {
     loaded(&document(file, bytes, params).unwrap())
 }
 
-/// Views of a scene from the side.
+/// Renders views of a scene from the side.
 fn pictures(scene: &Arc<Scene>) -> Vec<f32> {
     let grid = ViewGrid::uniform(Projection::Perspective { distance_mm: 500.0 }, [2, 2], [20.0, 20.0]).unwrap();
     let geometry = FieldGeometry { rows: 60, cols: 80, pitch_mm: 3.0, grid };
@@ -115,11 +116,11 @@ fn one_cloud_looks_the_same_from_every_file() {
     let from_ply = pictures(&scene("a.ply", &write::ply(&as_trained(&ball)), &json!({})));
     let quality = psnr(&original, &from_ply);
     assert!(quality > 70.0, "{quality} dB");
-    // .spz stores eight bits of colours and of logarithms of scales, so pictures differ a little
+    // .spz stores colours and logarithms of scales with eight bits, so pictures differ a little
     let from_spz = pictures(&scene("a.spz", &write::spz(&ball).unwrap(), &json!({})));
     let quality = psnr(&original, &from_spz);
     assert!(quality > 42.0, "{quality} dB");
-    // another axis gives another picture
+    // with another upward axis the pictures differ much
     let other = pictures(&scene("a.spz", &write::spz(&ball).unwrap(), &json!({"up": "-y"})));
     assert!(psnr(&original, &other) < 25.0);
 }

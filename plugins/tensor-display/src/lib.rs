@@ -1,6 +1,6 @@
-//! Node plugin `tensor_display`: the factorizer as a plugin. Its parameters are the factorizer's
-//! settings, with the same names and values. Weights, a warm start and the seed come with the light
-//! field.
+//! Node plugin `tensor_display`: makes the factorizer a plugin. Its parameters are the factorizer's
+//! settings, with the same names and values. The host gives weights, a warm start and the seed
+//! together with the light field.
 
 use lumistack_factorizer::{AUTO, Factorization, FactorizeError, LevelsLoss, Problem, Settings, StartKind, solvers};
 use lumistack_plugin::display::LayerStack;
@@ -32,7 +32,7 @@ impl TensorParams {
             solver: self.solver.clone(),
             iterations: self.iterations,
             seed,
-            // `auto` is the only value of the schema that is no start's name
+            // `auto` is no name of a start, so it gives `None`, the default
             start: StartKind::from_name(&self.start),
             coarse_levels: u32::try_from(self.coarse_levels).ok(),
             coarse_iterations: self.coarse_iterations,
@@ -105,7 +105,7 @@ impl NodePlugin for TensorDisplay {
     }
 }
 
-/// Summary of the factorization.
+/// Describes the result of the factorization for reports.
 fn solution(made: &Factorization, warm: bool) -> Solution {
     let settings = &made.settings;
     let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };

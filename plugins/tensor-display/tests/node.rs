@@ -1,4 +1,5 @@
-//! The node returns the factorizer's result, and documents the factorizer's own values.
+//! Tests that the node returns the factorizer's result, and that its schema has the factorizer's
+//! defaults, solvers and starts.
 
 use lumistack_factorizer::{AUTO, Problem, Settings, StartKind, factorize, solvers};
 use lumistack_plugin::core::{Cancel, Collector, Task, Tensor};
@@ -14,7 +15,7 @@ fn display() -> Display {
 
 #[test]
 fn conforms() {
-    // four billion updates take too long
+    // the largest values, four billion iterations, would take too long
     conformance_but_for(&PLUGIN, &["iterations", "coarse_iterations"]).unwrap();
 }
 

@@ -1,12 +1,14 @@
-//! Source plugin `test_views`: light fields of known radiance, to check a display.
+//! Source plugin `test_views`: makes light fields of known radiance, with which a display is
+//! checked.
 //!
 //! | pattern | views | purpose |
 //! |---|---|---|
-//! | `numbers` | the view's column and row (0,0 at the left and top), on a colour: from red at the left to blue at the right, more green upwards | assignment of views: order, mirroring, crosstalk |
-//! | `cards` | three chequered cards side by side, at −depth, 0 and +depth | sign and size of parallax |
+//! | `numbers` | the view's column and row (0,0 at the left and top) on a coloured ground: red at the left, blue at the right, more green upwards | shows the order of views, mirroring and crosstalk |
+//! | `cards` | three chequered cards side by side, at z = −depth, 0 and +depth | shows the sign and size of parallax |
 //!
-//! A ray of slope s through the point p of z = 0 hits the card at z in p + z·s. Positions are in
-//! millimetres, y up, z to the viewer. A pixel is the mean over 4 × 4 points.
+//! A ray of slope s through the point p on z = 0 hits the plane of the card at z in p + z·s.
+//! Positions are in millimetres, y points up, and z points to the viewer. A pixel is the mean over
+//! 4 × 4 points.
 
 use lumistack_plugin::display::{FieldGeometry, LightField};
 use lumistack_plugin::serde::Deserialize;
@@ -17,8 +19,8 @@ use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_wid
 const POINTS: usize = 4;
 /// Radiance of the wall behind the cards.
 const WALL: f32 = 0.05;
-/// Gap between cards, as a fraction of the field's width. Also the gap above and below the cards,
-/// as a fraction of the field's height.
+/// Gap between cards as a fraction of the field's width, and gap above and below them as a fraction
+/// of its height.
 const GAP: f64 = 0.08;
 
 /// Hash of this crate's sources, computed at build. It belongs in the key of every cached result
@@ -90,7 +92,7 @@ fn number(geometry: &FieldGeometry, view: [usize; 2], rgb: &mut [f32]) {
     let text: Vec<char> = format!("{},{}", view[1], view[0]).chars().collect();
     let letter = get_raster_width(FontWeight::Bold, RasterHeight::Size32);
     let [width, height] = [text.len() * letter, RasterHeight::Size32.val()].map(|side| side as f64);
-    // half as high as the field, unless the width limits it
+    // the text is half as high as the field, or smaller if it would be wider than 0.8 of the field
     let scale = (0.5 * geometry.rows as f64 / height).min(0.8 * geometry.cols as f64 / width);
     let ink = |x: f64, y: f64| -> f32 {
         if !(0.0..width).contains(&x) || !(0.0..height).contains(&y) {
@@ -112,14 +114,14 @@ fn number(geometry: &FieldGeometry, view: [usize; 2], rgb: &mut [f32]) {
     }
 }
 
-/// Draws chequered cards.
+/// Draws the three chequered cards.
 fn cards(geometry: &FieldGeometry, view: [usize; 2], params: &TestViewsParams, rgb: &mut [f32]) {
     let pitch = geometry.pitch_mm;
     let [width, height] = [geometry.cols as f64 * pitch, geometry.rows as f64 * pitch];
     let (side, gap) = ((1.0 - 4.0 * GAP) / 3.0 * width, GAP * width);
     let half_height = (0.5 - GAP) * height;
     let square = side / params.squares as f64;
-    // front to back; centre x, z, colour
+    // (x of the centre, z, colour) of each card, from front to back
     let cards = [1.0, 0.0, -1.0].map(|place| {
         let colour = [[1.0, 0.75, 0.5], [1.0, 1.0, 1.0], [0.5, 0.75, 1.0]][(1.0 - place) as usize];
         (place * (side + gap), place * params.depth_mm, colour)
@@ -146,7 +148,7 @@ fn cards(geometry: &FieldGeometry, view: [usize; 2], params: &TestViewsParams, r
     }
 }
 
-/// Mean over the sample points of a pixel.
+/// Returns the mean of `value` over the sample points of a pixel, whose coordinates are 0..1.
 fn mean(value: impl Fn(f64, f64) -> f32) -> f32 {
     let at = |i: usize| (i as f64 + 0.5) / POINTS as f64;
     let sum: f32 = (0..POINTS * POINTS).map(|i| value(at(i % POINTS), at(i / POINTS))).sum();

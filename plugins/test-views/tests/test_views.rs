@@ -1,4 +1,4 @@
-//! Rules of the plugin interface, order of the views and parallax of the cards.
+//! Tests the rules of the plugin interface, the order of the views, and the parallax of the cards.
 
 use lumistack_plugin::Time;
 use lumistack_plugin::display::{Display, LightField};
@@ -24,24 +24,24 @@ fn every_view_has_its_own_number_and_colour() {
     for (i, a) in views.iter().enumerate() {
         assert!(views[..i].iter().all(|b| field.view(*a) != field.view(*b)), "{a:?} looks like another");
     }
-    // corners show the position's colour alone
+    // the corners of a view show only the ground, whose colour states the view's position
     let corner = |view| [0, 1, 2].map(|channel: usize| field.view(view)[channel]);
     assert_eq!([corner([0, 0]), corner([0, 11]), corner([2, 0])], [[0.6, 0.4, 0.0], [0.0, 0.4, 0.6], [0.6, 0.0, 0.0]]);
-    // the digits are in the centre and not near the edge
+    // digits are in the middle of the view; its first rows show only the ground
     assert!(field.view([1, 5]).iter().any(|value| *value > 0.8));
     let edge = &field.view([1, 5])[..3 * 48];
     assert!(edge.chunks_exact(3).all(|pixel| pixel == &edge[..3]));
 }
 
-/// A card at z moves by −z·(s − s') between views of slopes s and s'. Edges are found to whole
-/// pixels, so the tolerance is one pixel.
+/// From the view of slope s' to the view of slope s, a card at z moves by −z·(s − s'). Edges are
+/// found to whole pixels, so the tolerance is one pixel.
 #[test]
 fn cards_move_as_their_depth_says() {
     let (pitch, depth) = (0.5, 12.0);
     let display = Display::uniform([300, 60], pitch, [3, 1], [30.0, 10.0], &[-5.0, 5.0], 1);
     let field = made(&display, r#"{"pattern": "cards", "depth_mm": 12.0, "squares": 1}"#);
     let geometry = field.geometry();
-    // left and right edge of each third's card, in the row of light squares
+    // left and right edge of the card in a third of the picture, along a row through light squares
     let edges = |view: usize, third: usize| -> [f64; 2] {
         let row = &field.view([0, view])[3 * 300 * 30..3 * 300 * 31];
         let level = |col: usize| f64::from(row[3 * col..3 * col + 3].iter().sum::<f32>());

@@ -1,25 +1,26 @@
-//! The curve of film and printer: transmittance per printed code.
+//! The curve of a film and a printer: the film's transmittance for each printed code.
 //!
 //! A measured curve is a list of pairs `code transmittance`, for example `0 0.02, 64 0.09, 128 0.3,
 //! 255 0.88`. Three lists, separated by `;`, are for red, green and blue. Codes are 0 to 255 and
-//! transmittances 0 to 1; both rise, and the last pair is clear film.
+//! transmittances 0 to 1. Both rise, and the last pair is that of clear film.
 //!
-//! A mask value f is printed relative to clear film. The film transmits f / peak of clear film's
-//! transmittance, and never less than its darkest state:
+//! A mask value f is printed relative to clear film. For the value f the film transmits the
+//! fraction f / peak of clear film's transmittance, but never less than its darkest state:
 //!
 //! ```text
 //! T(code) / T_clear = max(f / peak, T_dark / T_clear)
 //! ```
 //!
-//! Thus a layer is darker by the factor T_clear, and only values below the darkest state are lost.
+//! Thus the whole layer is darker by the factor T_clear, and only values below the darkest state
+//! are lost.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Channels, Layer, Transfer};
 
-/// A film as printed by one printer.
+/// The curve of a film that a certain printer prints on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Film {
-    /// Maps values from 0 (darkest state) to 1 (clear film) to codes.
+    /// Maps values from 0 (the darkest state) to 1 (clear film) to codes.
     transfer: Transfer,
     /// Transmittance of the darkest state relative to clear film, per channel.
     pub dark: [f64; 3],
@@ -28,8 +29,8 @@ pub struct Film {
 }
 
 impl Film {
-    /// A film with a measured curve, or for an empty text with sRGB codes and the darkest state
-    /// `dark`.
+    /// A film with the measured curve in the text `curve`. If the text is empty, codes are sRGB,
+    /// and `dark` is the darkest state relative to clear film.
     ///
     /// # Errors
     /// If a list is not a curve from code 0 to code 255.
@@ -63,9 +64,8 @@ impl Film {
         })
     }
 
-    /// Encodes a layer's values `[..][rgb]`, transmittances of 0..peak.
-    ///
-    /// Also returns the count of values below the darkest state.
+    /// Encodes values `[..][rgb]` of a layer, transmittances 0..peak. Also returns the number of
+    /// values below the darkest state.
     pub fn codes(&self, layer: &Layer, rgb: &[f32]) -> (Vec<u8>, usize) {
         let mut lost = 0;
         let codes = rgb.iter().enumerate().map(|(i, &value)| {
@@ -84,10 +84,11 @@ impl Film {
     }
 }
 
-/// Values closer to the darkest state than this are not treated as lost.
+/// A value counts as lost if it is below the darkest state by more than this.
 const HALF_CODE: f64 = 0.5 / 255.0;
 
-/// Parses a list of pairs. It must contain the codes 0 and 255, since an unmeasured end is unknown.
+/// Parses a list of pairs. It must contain the codes 0 and 255, so that no code is outside the
+/// measured range.
 fn table(list: &str) -> Option<Vec<[f64; 2]>> {
     let pair = |text: &str| {
         let numbers: Vec<f64> = text.split_whitespace().map(str::parse).collect::<Result<_, _>>().ok()?;
@@ -110,7 +111,8 @@ mod tests {
         assert!((film.dark[0] - 0.05).abs() < 1e-12);
         assert_eq!(film.clear, Some([0.8; 3]));
         let layer = Layer { peak: 0.9, ..Layer::new(0.0, [1, 1], 1.0) };
-        // 0.3 of clear film is 0.24, which is code 128; values below 0.05 are lost
+        // The value 0.27 is 0.3 of the peak, and 0.3 of clear film's 0.8 is 0.24: code 128. Values
+        // below 0.04 / 0.8 = 0.05 of the peak are lost.
         let (codes, lost) = film.codes(&layer, &[0.9, 0.27, 0.9 * 0.05, 0.01, 0.0, 1.0]);
         assert_eq!((codes, lost), (vec![255, 128, 0, 0, 0, 255], 2));
         for code in [0, 60, 128, 200, 255] {

@@ -1,4 +1,5 @@
-//! Output plugin `transparencies`: a PDF of static layers to print on film at true size.
+//! Output plugin `transparencies`: writes a PDF of static layers, to be printed on film at true
+//! size.
 //!
 //! | page | content |
 //! |---|---|
@@ -48,7 +49,7 @@ pub struct Transparencies {
 }
 
 impl Paper {
-    /// [shorter, longer] side in mm; `None` for pages of the smallest possible size.
+    /// [shorter, longer] side of the paper in mm; `None` if pages have the smallest possible size.
     fn size_mm(self) -> Option<[f64; 2]> {
         match self {
             Self::A4 => Some([210.0, 297.0]),
@@ -68,8 +69,8 @@ struct Manifest<'a> {
     page_mm: [f64; 2],
     film_mm: [f64; 2],
     mirrored: bool,
-    /// Least transmittance of the film relative to clear film, per channel. The display's layers
-    /// should have it as `black_level`.
+    /// Least transmittance of the film relative to clear film, per channel. The `black_level` of
+    /// the display's layers should have this value.
     darkest: [f64; 3],
     spacers_mm: &'a [f64],
     /// Codes of the test chart's steps.
@@ -196,7 +197,7 @@ impl OutputPlugin for Transparencies {
             chart_codes: if self.params.chart { &pages::CHART_CODES } else { &[] },
             files,
         };
-        let text = serde_json::to_string_pretty(&manifest).expect("a manifest holds nothing that JSON cannot");
+        let text = serde_json::to_string_pretty(&manifest).expect("JSON can express a manifest");
         self.host.write("transparencies.json", format!("{text}\n").as_bytes())
     }
 }
@@ -208,7 +209,7 @@ impl Transparencies {
         } else {
             format!("t{:04}/transparencies.pdf", time.index)
         };
-        // The assembly sheet and the test chart precede the films.
+        // Write the assembly sheet and the test chart, which precede the films.
         let layers = &self.display.layers;
         let stage = self.host.stage("films", layers.len() as u64, "pages");
         let out = BufWriter::with_capacity(1 << 16, self.host.create(&file)?);
@@ -219,7 +220,7 @@ impl Transparencies {
         if self.params.chart {
             document.add(self.sheet.page_mm, pages::chart(&self.sheet)).map_err(pdf::failed)?;
         }
-        // One page per layer, with its entry in the manifest.
+        // Write one page per layer, and its entry in the manifest.
         let first = if self.params.chart { 3 } else { 2 };
         let mut entries = Vec::new();
         for (n, layer) in layers.iter().enumerate() {
@@ -238,7 +239,7 @@ impl Transparencies {
             });
             stage.advance(1, "");
         }
-        // Lost values are no error, but the user can avoid them.
+        // Warn of lost values, since the user can avoid them.
         let too_dark: usize = entries.iter().map(|entry| entry.too_dark).sum();
         if too_dark > 0 {
             let darkest = self.film.dark.iter().copied().fold(0.0, f64::max);
@@ -262,8 +263,9 @@ impl Transparencies {
     ) -> Result<(Page, [usize; 2], usize), PluginError> {
         let plane = stack.layer(n, 0)?;
         let (rows, cols, size) = (plane.rows(), plane.cols(), picture_size(self.params.dpi, n, layer)?);
-        // Rows of the mask are read and encoded one after another: a film may exceed memory. A row
-        // of the picture repeats or skips rows of the mask, as the resolutions demand.
+        // Read and encode the rows of the mask one after another, since a film may exceed memory.
+        // If the picture has more rows than the mask, rows are repeated; if it has fewer, rows are
+        // skipped.
         let mut masks = plane.iter_rows().enumerate();
         let (mut at, mut codes, mut too_dark, mut row) = (None, Vec::new(), 0, 0);
         let pieces = document.image(size, |printed| {
@@ -288,7 +290,8 @@ impl Transparencies {
     }
 }
 
-/// [columns, rows] of a layer's picture in the file, at `dpi` or, for 0, at the mask's resolution.
+/// Returns [columns, rows] of a layer's picture in the file: at the resolution `dpi`, or the mask's
+/// own size if `dpi` is 0.
 ///
 /// # Errors
 /// If a side exceeds [`SIDE_LIMIT`].

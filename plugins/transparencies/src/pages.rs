@@ -8,7 +8,7 @@ use crate::curve::Film;
 use crate::pdf::Page;
 use crate::sheet::Sheet;
 
-/// Codes of the test chart's steps, closer together where the film is dark.
+/// Codes of the test chart's steps. They are closer together at the dark end.
 pub(crate) const CHART_CODES: [u8; 24] =
     [0, 4, 8, 12, 16, 24, 32, 40, 48, 56, 64, 80, 96, 112, 128, 144, 160, 176, 192, 208, 224, 240, 248, 255];
 /// Size of type in mm.
@@ -18,8 +18,8 @@ const MARGIN_MM: f64 = 12.0;
 
 /// Thickness of the spacers between neighbouring films, in mm.
 ///
-/// It is the distance between the layers in air, less half a film on either side, times the
-/// spacers' refractive index.
+/// In air a spacer is the distance between the layers, less half a film on either side. The
+/// refractive index of the spacer multiplies that thickness.
 ///
 /// # Errors
 /// If films are thicker than a gap.
@@ -60,12 +60,12 @@ pub(crate) fn film(sheet: &Sheet, display: &Display, n: usize, mirror: bool) -> 
     let side = if mirror { "printed side away from the viewer" } else { "printed side to the viewer" };
     let d_mm = display.layers[n].d_mm;
     page.text([left + 9.0, bottom - 6.0], 2.6, &format!("layer {n}{place}, z = {d_mm} mm, {side}"));
-    // a short line at the top marks the upper side after cutting
+    // a short line marks the upper edge of the film after it is cut
     page.line(&[[left + 0.5 * sheet.film_mm[0] + 5.0, top - 1.0], [left + 0.5 * sheet.film_mm[0] + 10.0, top - 1.0]]);
     page
 }
 
-/// The assembly sheet: order of films, spacers and a ruler.
+/// The assembly sheet: the order of films and spacers, and a ruler.
 pub(crate) fn assembly(
     sheet: &Sheet,
     display: &Display,
@@ -79,7 +79,7 @@ pub(crate) fn assembly(
         String::new(),
         "Print all pages at 100 %, without scaling and without colour management.".into(),
         format!("Cut every film at the corner lines, {:.2} x {:.2} mm.", sheet.film_mm[0], sheet.film_mm[1]),
-        "Lay the films on one another until all marks coincide; the short line is up.".into(),
+        "Lay the films on one another until all marks coincide, with the short line at the top.".into(),
         if params.mirror {
             "Films are mirrored: their printed sides face away from the viewer.".into()
         } else {
@@ -88,7 +88,7 @@ pub(crate) fn assembly(
         String::new(),
         "From the back to the viewer:".into(),
     ];
-    // Films and spacers in the order of assembly.
+    // List films and spacers in the order of assembly.
     for (n, layer) in display.layers.iter().enumerate() {
         lines.push(format!(
             "film {n}: z = {} mm, {} x {} pixels of {} mm",
@@ -109,7 +109,8 @@ pub(crate) fn assembly(
     }
     let [width, height] = sheet.page_mm;
     let longest = lines.iter().map(|line| line.chars().count()).max().unwrap_or(1) as f64;
-    // Helvetica's letters are about half as wide as high; small pages get small type
+    // choose the size of type so that the text fits on the page; letters of Helvetica are about
+    // half as wide as high
     let fit = ((width - 2.0 * MARGIN_MM) / (0.5 * TYPE_MM * longest))
         .min((height - 2.0 * MARGIN_MM - 12.0) / (LINE_MM * lines.len() as f64))
         .clamp(0.05, 1.0);
@@ -121,7 +122,8 @@ pub(crate) fn assembly(
     page
 }
 
-/// Draws a ruler at the foot of a page, up to ten centimetres in whole centimetres.
+/// Draws a ruler at the foot of a page: ten centimetres, or fewer whole centimetres if the page is
+/// narrow.
 fn ruler(page: &mut Page, width: f64) {
     let centimetres = ((width - 2.0 * MARGIN_MM) / 10.0).floor().clamp(0.0, 10.0);
     let length = 10.0 * centimetres;
@@ -158,7 +160,7 @@ pub(crate) fn chart(sheet: &Sheet) -> Page {
             let x = MARGIN_MM + col as f64 * cell[0];
             let y = height - MARGIN_MM - 4.0 - (row as f64 + 1.0) * cell[1];
             let label = (0.22 * cell[1]).min(TYPE_MM);
-            // a step of one colour has clear film in the other channels
+            // in a step of one colour the other channels are clear film
             let rgb = channels.map(|own| if own { code } else { 255 });
             let patch = [x, y + 1.4 * label, 0.92 * cell[0], cell[1] - 1.6 * label];
             page.fill(patch, rgb);

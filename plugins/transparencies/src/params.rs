@@ -1,4 +1,4 @@
-//! Parameters of the plugin.
+//! Parameters of the plugin `transparencies`.
 
 use lumistack_plugin::serde::Deserialize;
 

@@ -1,4 +1,5 @@
-//! Writer of PDF files, in millimetres. It streams: no page and no picture is in memory as a whole.
+//! A writer of PDF files whose lengths are millimetres. It streams pictures, so none of them is in
+//! memory as a whole.
 
 use std::io::{self, Write};
 
@@ -12,10 +13,10 @@ use crate::sheet::INCH_MM;
 /// PDF units per millimetre.
 const POINTS: f64 = 72.0 / INCH_MM;
 const FONT: Name<'_> = Name(b"F");
-/// Largest number of samples per picture in the file, since readers count a picture's bytes in 31
-/// bits. Larger pictures are split into pieces, edge to edge.
+/// Largest number of samples of a picture in the file, since readers count a picture's bytes in 31
+/// bits. A larger picture is split into pieces one below another.
 const MOST_SAMPLES: usize = if cfg!(test) { 1 << 11 } else { 1 << 28 };
-/// Largest position in a PDF's table of objects, which has ten digits.
+/// Largest position of an object. In a PDF's table of objects, positions have ten digits.
 const LONGEST: u64 = 9_999_999_999;
 
 /// A PDF document. It has no dates, so that the same content gives the same bytes.
@@ -23,7 +24,7 @@ pub struct Document<W> {
     out: W,
     /// Bytes written so far.
     written: u64,
-    /// Position of each object in the file; object n is the element n − 1.
+    /// Position of each object in the file. The element n − 1 belongs to object n.
     places: Vec<u64>,
     pages: Vec<Ref>,
 }
@@ -40,7 +41,7 @@ impl<W: Write> Document<W> {
     /// If it cannot be written.
     pub fn new(out: W, title: &str) -> io::Result<Self> {
         let mut document = Self { out, written: 0, places: vec![0; 4], pages: Vec::new() };
-        // `Pdf` writes the header and these objects; its trailer is not used
+        // let `Pdf` write the header and the first objects; this writer has a trailer of its own
         let mut pdf = Pdf::new();
         document.put(pdf.as_bytes())?;
         pdf.document_info(INFO).title(TextStr(title)).producer(TextStr("Lumistack"));
@@ -53,7 +54,7 @@ impl<W: Write> Document<W> {
         Ok(document)
     }
 
-    /// Adds a page of [width, height] in mm.
+    /// Adds a page of `size_mm` = [width, height].
     ///
     /// # Errors
     /// If it cannot be written.
@@ -80,10 +81,11 @@ impl<W: Write> Document<W> {
         })
     }
 
-    /// Adds a picture of `size` = [columns, rows] samples; `row` appends one row `[col][rgb]` per
-    /// call.
+    /// Adds a picture of `size` = [columns, rows] pixels. Each call of `row` appends the next row
+    /// `[col][rgb]`.
     ///
-    /// Returns the picture's pieces from the top: rows and reference of each.
+    /// Returns the pieces of the picture from the top, each with its number of rows and its
+    /// reference.
     ///
     /// # Errors
     /// Those of `row`, or if the picture cannot be written.
@@ -97,8 +99,8 @@ impl<W: Write> Document<W> {
         for first in (0..size[1]).step_by(most) {
             let rows = most.min(size[1] - first);
             let [id, length] = [self.reserve(), self.reserve()];
-            // The length of a compressed stream is unknown before its end, so it is an object of
-            // its own.
+            // The length of a compressed stream is known only at its end. So it is an object of its
+            // own, which follows the stream.
             let begin = format!(
                 "{} 0 obj\n<<\n  /Length {} 0 R\n  /Type /XObject\n  /Subtype /Image\n  /Filter /FlateDecode\n  /Width {}\n  /Height {rows}\n  \
                  /ColorSpace /DeviceRGB\n  /BitsPerComponent 8\n  /Interpolate false\n>>\nstream\n",
@@ -150,7 +152,7 @@ impl<W: Write> Document<W> {
         Ok(self.out)
     }
 
-    /// Reserves an object's number.
+    /// Reserves a number for an object that is written later.
     fn reserve(&mut self) -> Ref {
         self.places.push(0);
         Ref::new(self.places.len() as i32)
@@ -162,7 +164,7 @@ impl<W: Write> Document<W> {
         self.object(id, chunk.as_bytes())
     }
 
-    /// Writes an object, or its beginning, and records its position.
+    /// Writes an object or the beginning of one, and records its position.
     fn object(&mut self, id: Ref, bytes: &[u8]) -> io::Result<()> {
         self.places[id.get() as usize - 1] = self.written;
         self.put(bytes)
@@ -175,7 +177,7 @@ impl<W: Write> Document<W> {
     }
 }
 
-/// The compressor of pictures writes through this.
+/// The compressor of pictures writes to the document.
 impl<W: Write> Write for Document<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.put(bytes).map(|()| bytes.len())
@@ -186,7 +188,7 @@ impl<W: Write> Write for Document<W> {
     }
 }
 
-/// Converts an error of writing; an error of the host is returned unchanged.
+/// Converts an error of writing. An error that the host reported is returned unchanged.
 pub(crate) fn failed(error: io::Error) -> PluginError {
     PluginError::from_io("PDF", error)
 }
@@ -195,14 +197,14 @@ fn image_name(number: usize) -> String {
     format!("I{number}")
 }
 
-/// Content of a page.
+/// The content of a page.
 pub struct Page {
     content: Content,
     images: Vec<Ref>,
 }
 
 impl Default for Page {
-    /// An empty page. Lines are black and 0.1 mm wide, the thinnest that printers draw well.
+    /// An empty page. Its lines will be black and 0.1 mm wide; printers draw thinner lines badly.
     fn default() -> Self {
         let mut content = Content::new();
         content.set_line_width(points(0.1));
@@ -211,7 +213,8 @@ impl Default for Page {
 }
 
 impl Page {
-    /// Places a picture of `rows` rows in [left, bottom, width, height], in mm, without smoothing.
+    /// Places a picture of `rows` rows, whose pieces [`Document::image`] returned, in the rectangle
+    /// [left, bottom, width, height] in mm.
     pub fn image(&mut self, [x, y, width, height]: [f64; 4], rows: usize, pieces: &[(usize, Ref)]) {
         let mut below = rows;
         for &(count, image) in pieces {
@@ -224,7 +227,7 @@ impl Page {
         }
     }
 
-    /// Draws a line through points in mm.
+    /// Draws a line through points, given in mm.
     pub fn line(&mut self, places: &[[f64; 2]]) {
         for (i, [x, y]) in places.iter().enumerate() {
             if i == 0 {
@@ -244,12 +247,12 @@ impl Page {
         self.content.set_fill_gray(0.0);
     }
 
-    /// Draws the outline of a rectangle in mm.
+    /// Draws the outline of a rectangle [left, bottom, width, height] in mm.
     pub fn frame(&mut self, [x, y, width, height]: [f64; 4]) {
         self.content.rect(points(x), points(y), points(width), points(height)).stroke();
     }
 
-    /// Writes text from a point to the right; `height` is the size of type in mm. Letters that the
+    /// Writes text that starts at a point; `height` is the size of type in mm. Letters that the
     /// font lacks become `?`.
     pub fn text(&mut self, [x, y]: [f64; 2], height: f64, text: &str) {
         let latin: Vec<u8> = text
@@ -263,7 +266,7 @@ impl Page {
         self.content.next_line(points(x), points(y)).show(Str(&latin)).end_text();
     }
 
-    /// A registration mark: a cross in a ring of 3 mm.
+    /// Draws a registration mark: a cross in a ring of 3 mm.
     pub fn mark(&mut self, [x, y]: [f64; 2]) {
         self.line(&[[x - 2.5, y], [x + 2.5, y]]);
         self.line(&[[x, y - 2.5], [x, y + 2.5]]);
@@ -289,7 +292,7 @@ mod tests {
 
     use super::*;
 
-    /// Finds an object by the table at the end of the file.
+    /// Finds an object in a file by the table at the file's end.
     fn object(file: &[u8], id: Ref) -> &[u8] {
         let text = String::from_utf8_lossy(&file[file.len() - 200..]);
         let table: usize = text.rsplit("startxref\n").next().unwrap().lines().next().unwrap().parse().unwrap();
@@ -329,10 +332,10 @@ mod tests {
             assert_eq!(found.len() - before, 21 * count);
             let length = String::from_utf8_lossy(&after(object(&file, Ref::new(id.get() + 1)), "obj\n")[..20]);
             let length: usize = length.lines().next().unwrap().parse().unwrap();
-            assert!(stream[length..].starts_with(b"\nendstream"), "its length is right");
+            assert!(stream[length..].starts_with(b"\nendstream"), "the stated length of the stream is wrong");
         }
         assert!(found == rows.concat());
-        // every piece touches the one above it on the page
+        // on the page every piece touches the piece above it
         let content = String::from_utf8_lossy(&file);
         let places = content.lines().filter_map(|line| line.strip_suffix(" cm"));
         let places: Vec<Vec<f64>> =

@@ -1,16 +1,17 @@
 //! Layout of a page, in millimetres from its lower left corner.
 //!
-//! All films are cut to the same rectangle. It is the smallest that contains all layers at their
-//! positions in the display, plus a border with registration marks. Its centre is the page's
-//! centre.
+//! All films are cut to the same rectangle: the smallest that contains all layers at their
+//! positions in the display, plus a border with registration marks. The centre of the rectangle is
+//! the centre of the page.
 //!
-//! Marks have the same positions on every film, so films are aligned when their marks coincide. The
-//! same holds for cut lines, which are outside the corners of the cut.
+//! Marks and cut lines have the same positions on every film, so films are aligned when their marks
+//! coincide. Cut lines are outside the film's corners.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::Layer;
 
-/// Distance from a film's edge to the page's edge, in mm. Cut lines and the title are there.
+/// Least distance from a film's edge to the page's edge, in mm. Cut lines and the title are
+/// between.
 pub const OUTSIDE_MM: f64 = 12.0;
 /// Millimetres per inch.
 pub const INCH_MM: f64 = 25.4;
@@ -59,7 +60,7 @@ impl Sheet {
         Ok(Self { page_mm, film_mm, centre_mm, border_mm })
     }
 
-    /// Maps a point of display space to the page, mirrored left to right if `mirror`.
+    /// Maps a point of display space to the page. With `mirror`, left and right are exchanged.
     pub fn on_page(&self, [x, y]: [f64; 2], mirror: bool) -> [f64; 2] {
         let sign = if mirror { -1.0 } else { 1.0 };
         [0.5 * self.page_mm[0] + sign * (x - self.centre_mm[0]), 0.5 * self.page_mm[1] + y - self.centre_mm[1]]
@@ -102,12 +103,12 @@ mod tests {
 
     #[test]
     fn films_hold_all_layers_where_they_stand() {
-        // x from −40 to 40, y from −45 to 45
+        // the layers extend over x from −40 to 40 and y from −45 to 45
         let sheet = Sheet::new(&layers(), 10.0, Some([210.0, 297.0])).unwrap();
         assert_eq!((sheet.film_mm, sheet.centre_mm, sheet.page_mm), ([100.0, 110.0], [0.0, 0.0], [210.0, 297.0]));
         assert_eq!(sheet.place(&layers()[0], false), [65.0, 123.5, 80.0, 50.0]);
         assert_eq!(sheet.place(&layers()[1], false), [85.0, 103.5, 60.0, 90.0]);
-        assert_eq!(sheet.place(&layers()[1], true), [65.0, 103.5, 60.0, 90.0], "mirrored about the display's axis");
+        assert_eq!(sheet.place(&layers()[1], true), [65.0, 103.5, 60.0, 90.0], "mirrored about the page's centre");
         assert_eq!(sheet.marks().len(), 8);
         assert_eq!(sheet.film_corner(), [55.0, 93.5]);
     }

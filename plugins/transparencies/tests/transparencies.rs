@@ -1,4 +1,4 @@
-//! Tests the PDF as a printer reads it: poppler's `pdftoppm` rasterizes pages, which are compared
+//! Rasterizes the pages of the PDF by poppler's `pdftoppm`, as a printer would, and compares them
 //! with the masks.
 
 use std::collections::BTreeMap;
@@ -15,10 +15,10 @@ use lumistack_plugin_transparencies::curve::Film;
 
 type Files = BTreeMap<String, Vec<u8>>;
 
-/// Dots per inch of the rendered pages. Poppler smooths pictures that it enlarges less than four
-/// times, even if the file forbids it.
+/// Dots per inch of the rasterized pages. Poppler smooths pictures that it enlarges less than four
+/// times, even if the file forbids it, so this is high enough for the pitches below.
 const DPI: usize = 300;
-/// Pitches of six and of eight dots.
+/// Pitches of the layers: six dots and eight dots.
 const PITCH_MM: [f64; 2] = [3.0 * 25.4 / 150.0, 4.0 * 25.4 / 150.0];
 
 fn write(display: &Display, stack: &LayerStack, params: Value) -> Result<(Files, Vec<String>), PluginError> {
@@ -116,7 +116,7 @@ fn printed_films_are_the_masks_at_true_size() {
             }
             println!("mirror {mirror}, dpi {dpi}, layer {n}: {wrong} of {} pixels differ", rows * cols);
             assert_eq!(wrong, 0, "mirror {mirror}, dpi {dpi}, layer {n}");
-            assert!(codes.contains(&0) && codes.contains(&255), "the whole range is printed");
+            assert!(codes.contains(&0) && codes.contains(&255), "the codes 0 and 255 do not both occur");
         }
     }
 }
@@ -138,13 +138,13 @@ fn marks_of_all_films_coincide_and_cut_lines_stand_outside() {
         near.map(|[x, y]| picture.get_pixel(x as u32, y as u32).0[1]).min().unwrap() < 160
     };
     for picture in &pages {
-        // Check lines and marks at the film's corners, in millimetres from the page's top left. The
-        // marks are 6 mm inside.
+        // Check the cut lines and the marks at the film's corners. Positions are in millimetres
+        // from the page's top left, and the marks are 6 mm inside the corners.
         for (sx, sy) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
             let corner = [0.5 * (page[0] + sx * film[0]), 0.5 * (page[1] + sy * film[1])];
             assert!(dark(picture, [corner[0] + 4.0 * sx, corner[1]], 2), "cut line");
             assert!(dark(picture, [corner[0], corner[1] + 4.0 * sy], 2), "cut line");
-            assert!(!dark(picture, [corner[0] - 1.0 * sx, corner[1] - 1.0 * sy], 2), "nothing in the film's corner");
+            assert!(!dark(picture, [corner[0] - 1.0 * sx, corner[1] - 1.0 * sy], 2), "the film's corner is not empty");
             assert!(dark(picture, [corner[0] - 6.0 * sx, corner[1] - 6.0 * sy], 2), "mark");
             assert!(dark(picture, [corner[0] - 8.0 * sx, corner[1] - 6.0 * sy], 2), "arm of the mark");
         }
@@ -203,7 +203,8 @@ fn displays_that_cannot_be_printed_are_refused() {
     let mut wall = display.clone();
     wall.layers[1].pitch_mm = 6.0;
     assert!(refused(&wall, json!({})).contains("`paper`"));
-    // values below the film's least transmittance are counted; ideal displays have values down to 0
+    // the masks of this display have values down to 0, so some are below the film's least
+    // transmittance
     let (_, warnings) = write(&display, &stack, json!({"min_transmittance": 0.05})).unwrap();
     assert!(warnings[0].contains("black_level = 0.050"), "{warnings:?}");
     let mut within = stack.clone();

@@ -1,11 +1,11 @@
-//! `fixtures FOLDER [--bench]`: writes previews of small random stacks, and reference views of the
-//! unrounded patterns by the forward model, for the page's tests.
+//! `fixtures FOLDER [--bench]` writes fixtures for the tests of the page: previews of small random
+//! stacks, and views of the unrounded patterns that the forward model computes.
 //!
-//! With `--bench`: one preview of 420 × 262 pixels, three layers and six frames, for `cargo xtask
-//! bench web`.
+//! With `--bench` it writes one preview of 420 × 262 pixels, three layers and six frames, for
+//! `cargo xtask bench web`.
 //!
-//! Every case has `references.json`: nine slopes, and for each a file of L̃/β, little-endian `f32`,
-//! `[row][col][rgb]`.
+//! Every case has a file `references.json` with nine slopes and the names of nine files. Each file
+//! contains L̃/β at one slope, `[row][col][rgb]` as little-endian `f32`.
 
 use std::path::Path;
 
@@ -19,8 +19,8 @@ use lumistack_plugin_testkit::MemoryHost;
 use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
 use lumistack_plugin_web_simulator::PLUGIN;
 
-/// Brightness of every case. The front layer transmits no more, so nothing is clipped and every
-/// error shows.
+/// Brightness of every case. It is also the largest transmittance of the front layer, so no value
+/// is clipped and every error is visible.
 const BRIGHTNESS: f64 = 0.8;
 /// Pixels of every case.
 const SIZE: [usize; 2] = [60, 40];
@@ -55,7 +55,8 @@ fn cases() -> [(&'static str, Display); 4] {
     [("uniform3", uniform), ("directional", directional), ("mixed", mixed), ("layers8", layers(&eight, 2))]
 }
 
-/// Smooth patterns with a little noise, bright enough that a product of eight transmits light.
+/// Makes smooth patterns with a little noise. They are so bright that the product of eight layers
+/// still transmits light.
 fn random_stack(display: &Display) -> LayerStack {
     let mut stack = LayerStack::filled(display, 1.0);
     let mut random = Stream::new(17);
@@ -77,7 +78,8 @@ fn write_case(folder: &Path, display: &Display) -> Result<(), Box<dyn std::error
     let stack = random_stack(display);
     let geometry = display.geometry()?;
     let (simulator, map) = (Simulator::new(display, &stack), RayMap::new(display, &geometry));
-    // The target is a little darker than the display's view, so that the error map is not black.
+    // Make a target that is a little darker than the display's views, so that the error map is not
+    // black.
     let mut target = LightField::black(geometry.clone())?;
     for view in geometry.grid.iter() {
         let emitted = simulator.view(&map, &geometry, view).radiance;
@@ -91,8 +93,8 @@ fn write_case(folder: &Path, display: &Display) -> Result<(), Box<dyn std::error
     for (path, bytes) in host.files() {
         write(&folder.join(path), &bytes)?;
     }
-    // fractions of half the field of view: the centre, the corners, two points near the middles of
-    // edges, and two points between
+    // the slopes as fractions of half the field of view: the centre, points near the four corners
+    // and near the middles of two edges, and two other points
     let half = (10f64.to_radians()).tan();
     let shares = [
         [0.0, 0.0],

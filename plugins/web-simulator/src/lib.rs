@@ -3,16 +3,16 @@
 //! | file | content |
 //! |---|---|
 //! | `index.html`, `app/` | the page; works under any path of any file server |
-//! | `preview.html` | the same in one file, which opens by a double click |
-//! | `stack/preview.json` | title, caption, display, brightness, target, and the pictures in the order of their loading: first the frames whose mean is nearest to the final picture |
-//! | `stack/poster.jpg` | the display from the middle, which the page shows immediately |
-//! | `stack/around.jpg` | for large stacks: small views from all over the zone, side by side, to look around in while the patterns load |
+//! | `preview.html` | the whole site in one file, which opens by a double click |
+//! | `stack/preview.json` | title, caption, display, brightness, target, and the list of pictures in the order of loading: first the frames whose mean is nearest to the final picture |
+//! | `stack/poster.jpg` | the seen picture from the middle, which the page shows immediately |
+//! | `stack/around.jpg` | for large stacks: small views from the whole zone, side by side, which the page shows while the patterns load |
 //! | `stack/layerL_frameM.png` | masks: value = code / 255, linear |
 //! | `stack/emission_frameM.png` | emission of a directional backlight, bins side by side: value = code / 255, linear |
 //! | `stack/target_YY_XX.png` | views of the target, sRGB-encoded, if the host provides them; at most 7 per axis |
 //!
-//! Later time steps of a sequence have their own sites in `time_0001/`, ... Memory holds one frame
-//! of patterns, for any number of frames.
+//! Later time steps of a sequence have their own sites in `time_0001/`, `time_0002/`, and so on.
+//! Only one frame of patterns is in memory.
 
 mod order;
 mod page;
@@ -40,8 +40,8 @@ pub const FINGERPRINT: &str = concat!(env!("LUMISTACK_FINGERPRINT"), " ", includ
 /// Largest number of the target's views per axis on the site. If a display has hundreds of views,
 /// all of them would take most of the site's size.
 const MOST_TARGETS: usize = 7;
-/// Smallest size of patterns for which small views are shown first, bytes: half a second of a
-/// mobile connection.
+/// Smallest size of the patterns, bytes, for which small views are written. A mobile connection
+/// needs about half a second for so many bytes.
 const AROUND_FROM: usize = 1_000_000;
 
 /// The plugin.
@@ -107,7 +107,7 @@ impl OutputPlugin for WebSimulator {
         let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
         let folder = if time.index == 0 { String::new() } else { format!("time_{:04}/", time.index) };
         let (params, display) = (&self.params, &self.display);
-        // Describe the site.
+        // Make title, caption and poster, and begin the site.
         let title = words::title_of(if params.title.is_empty() { &display.name } else { &params.title });
         let caption =
             if params.caption.is_empty() { words::caption_of(&title, display) } else { params.caption.clone() };
@@ -148,11 +148,11 @@ impl OutputPlugin for WebSimulator {
             let middle = rounding.add(layers, emission, stack.brightness());
             middles.push(order::coarse(&middle, shown.cols));
         }
-        // Sort the files so that early means are close to the final picture.
+        // Sort the files so that the mean of the first frames is close to the final picture.
         let order = order::by_importance(&middles);
         files.sort_by_key(|file: &Value| order.iter().position(|frame| file["frame"] == *frame));
         let size: u64 = files.iter().filter_map(|file| file["bytes"].as_u64()).sum();
-        // A large stack gets small views for the time of loading.
+        // Write small views if the stack is large; the page shows them while the patterns load.
         let around = if size >= AROUND_FROM as u64 {
             let (jpeg, entry) = poster::around(stack, display.field.fov_deg)?;
             site.file(AROUND, &jpeg)?;
@@ -185,7 +185,7 @@ impl OutputPlugin for WebSimulator {
             "files": files,
             "rounding_db": rounding_db.is_finite().then_some(rounding_db),
         });
-        let text = serde_json::to_string(&preview).expect("a preview holds nothing that JSON cannot");
+        let text = serde_json::to_string(&preview).expect("JSON can express a preview");
         site.finish(&text)
     }
 
@@ -195,7 +195,8 @@ impl OutputPlugin for WebSimulator {
 }
 
 impl WebSimulator {
-    /// The views of `shown` to write, from the middle outwards: users look at the middle first.
+    /// Returns the target's views to write, in rising distance from the middle, at which users look
+    /// first.
     fn targets(&self, stack: &StackInput<'_>, shown: &FieldGeometry) -> Result<Vec<[usize; 2]>, PluginError> {
         if !self.params.target || !stack.has_target_views() {
             return Ok(Vec::new());
@@ -208,7 +209,7 @@ impl WebSimulator {
     }
 }
 
-/// A light field with selected rows and columns of views.
+/// Returns the geometry with the selected rows and columns of views.
 fn thinned(geometry: &FieldGeometry, [rows, cols]: &[Vec<usize>; 2]) -> FieldGeometry {
     let pick = |slopes: &[f64], places: &[usize]| places.iter().map(|&place| slopes[place]).collect();
     let grid = &geometry.grid;

@@ -1,13 +1,13 @@
-//! Sorts the frames: the mean of the first frames should be as near as possible to the mean of all
+//! Sorts the frames so that the mean of the first few is as near as possible to the mean of all
 //! frames.
 
-/// Smallest side of the boxes over which a frame's picture is averaged, pixels. The eye sees the
-/// average, not the noise.
+/// Smallest side of the boxes over which a frame's picture is averaged, pixels. The averages
+/// matter, since the eye averages the noise of single pixels.
 const BOX: usize = 8;
-/// Largest number of boxes side by side, so that a frame of any size needs little memory.
+/// Largest number of boxes along a side, so that even a large frame needs little memory.
 const ACROSS: usize = 64;
 
-/// A coarse picture of a frame, from the middle.
+/// Reduces a frame's picture, as seen from the middle, to the means of its boxes.
 pub(crate) fn coarse(linear: &[f32], cols: usize) -> Vec<f32> {
     let rows = linear.len() / (3 * cols);
     let side = rows.max(cols).div_ceil(ACROSS).max(BOX);
@@ -20,8 +20,8 @@ pub(crate) fn coarse(linear: &[f32], cols: usize) -> Vec<f32> {
     sums
 }
 
-/// The frames in the order of their loading: each next frame brings the mean of the frames so far
-/// nearest to the mean of all.
+/// Returns the frames in the order of loading. Each next frame is the one with which the mean of
+/// the frames so far is nearest to the mean of all frames.
 pub(crate) fn by_importance(frames: &[Vec<f32>]) -> Vec<usize> {
     let width = frames.first().map_or(0, Vec::len);
     let whole: Vec<f64> =
@@ -51,8 +51,8 @@ mod tests {
     #[test]
     fn the_first_frame_is_the_likest_and_the_second_makes_up_for_it() {
         let frames: Vec<Vec<f32>> = [0.0, 9.0, 5.0, 4.0].map(|value| vec![value; 3]).to_vec();
-        // The mean is 4.5. Frames 2 and 3 are equally near, so the first of them, then the other:
-        // their mean is exact.
+        // The mean of all is 4.5. Frames 2 and 3 are equally near to it, so frame 2 is first. Frame
+        // 3 follows, since the mean of both is exact.
         assert_eq!(by_importance(&frames), [2, 3, 0, 1]);
         assert_eq!(by_importance(&[]), [0; 0]);
     }

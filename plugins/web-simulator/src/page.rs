@@ -1,4 +1,4 @@
-//! The site's files, and the site in one file.
+//! Writes the files of the site, and the site in one file.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -20,20 +20,20 @@ const OTHERS: [(&str, &str); 3] = [
 ];
 const MODULE: &[u8] = include_bytes!("../dist/lumistack_web_bg.wasm");
 
-/// Part of the page that is replaced in the single file.
+/// Part of the page that the single file replaces by the script itself.
 const SCRIPT_LINK: &str = r#"<script type="module" src="app/viewer.js"></script>"#;
 /// Parts of the page that are replaced in every site.
 const HEAD: [&str; 2] = ["<title>", "<!--/about-->"];
 const POSTER_PLACE: &str = "<!--poster-->";
-/// Parts of the page that are removed. The text about the folder is removed in the single file; the
-/// text about the single file is removed if there is no single file.
+/// Marks around parts of the page that may be removed. The part about the folder is removed from
+/// the single file. The part about the single file is removed if there is none.
 const FOLDER: [&str; 2] = ["<!--folder-->", "<!--/folder-->\n"];
 const SINGLE: [&str; 2] = ["<!--single-->", "<!--/single-->"];
 /// Number of bytes that are encoded at a time; a multiple of 3, so that the encoded pieces join to
 /// the encoded whole.
 const ENCODED_AT_ONCE: usize = 3 << 16;
 
-/// A site during its writing.
+/// A site that is being written.
 pub(crate) struct Site<'a> {
     host: &'a Host,
     folder: String,
@@ -41,17 +41,17 @@ pub(crate) struct Site<'a> {
     single: Option<SingleFile>,
 }
 
-/// The site in one file; every picture is appended immediately, so none is kept in memory.
+/// The site in one file. Every picture is appended at once, so none is kept in memory.
 struct SingleFile {
     file: OutputFile,
-    /// Bytes so far, and their limit.
+    /// Number of bytes written so far, and its limit.
     length: usize,
     most: usize,
     /// The part of the page after its script.
     end: String,
 }
 
-/// The texts of the page and of links to it.
+/// The texts and the poster of the page, which previews of links to it also show.
 pub(crate) struct About<'a> {
     pub(crate) title: &'a str,
     pub(crate) caption: &'a str,
@@ -61,8 +61,8 @@ pub(crate) struct About<'a> {
 }
 
 impl<'a> Site<'a> {
-    /// `folder` is empty or ends with `/`; `most_bytes` is the limit of the single file, if
-    /// requested.
+    /// Begins a site in `folder`, which is empty or ends with `/`. `most_bytes` is the limit of the
+    /// single file; `None` writes none.
     pub(crate) fn new(
         host: &'a Host,
         folder: String,
@@ -78,14 +78,14 @@ impl<'a> Site<'a> {
         Ok(site)
     }
 
-    /// Writes a file of the preview.
+    /// Writes a file of the preview, and appends it to the single file.
     pub(crate) fn file(&mut self, path: &str, bytes: &[u8]) -> Result<(), PluginError> {
         self.host.write(&format!("{}{path}", self.folder), bytes)?;
         let Some(single) = &mut self.single else { return Ok(()) };
         if single.add(path, bytes)? {
             return Ok(());
         }
-        // dropping the file removes it
+        // an open file that is dropped is removed
         let most = single.most / 1_000_000;
         self.single = None;
         let text = format!(
@@ -95,7 +95,7 @@ impl<'a> Site<'a> {
         Ok(())
     }
 
-    /// Writes a picture; returns its entry in preview.json.
+    /// Writes a picture; returns `entry` with its path and sizes, for preview.json.
     pub(crate) fn picture(
         &mut self,
         path: &str,
@@ -155,8 +155,8 @@ impl SingleFile {
         Ok(true)
     }
 
-    /// Appends a file as a key and a base64 text of JSON. No escapes are needed: keys are this
-    /// crate's paths, and base64 cannot end a script.
+    /// Appends a file to the JSON object in the page: its path as the key, its bytes as base64. No
+    /// escapes are needed, since neither paths of this crate nor base64 contain special characters.
     fn entry(&mut self, key: &str, bytes: &[u8]) -> Result<(), PluginError> {
         self.text(&format!("\"{key}\":\""))?;
         for part in bytes.chunks(ENCODED_AT_ONCE) {
@@ -182,7 +182,7 @@ impl SingleFile {
 }
 
 impl About<'_> {
-    /// The page. A `single` file contains its poster, and has no link to a folder or an address.
+    /// The page's HTML. With `single` it contains the poster, and refers to no folder or address.
     fn page(&self, single: bool) -> Result<String, PluginError> {
         let Poster { jpeg, rows, cols } = self.poster;
         let source = if single { format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)) } else { POSTER.into() };
@@ -195,7 +195,8 @@ impl About<'_> {
         if single { cut(&cut(&page, FOLDER, "")?, SINGLE, "") } else { Ok(page) }
     }
 
-    /// Title and description, with the properties that services read for links (Open Graph).
+    /// The page's title and description, also as the properties that services read to preview a
+    /// link (Open Graph).
     fn head(&self, single: bool) -> String {
         let (title, caption) = (escaped(self.title), escaped(self.caption));
         let mut head = format!(
@@ -219,7 +220,7 @@ impl About<'_> {
     }
 }
 
-/// Replaces the part of a page between two marks, and the marks, by `text`.
+/// Replaces two marks of a page, and the part between them, by `text`.
 fn cut(page: &str, [from, to]: [&str; 2], text: &str) -> Result<String, PluginError> {
     let missing = |mark: &str| PluginError::Failed(format!("web/dist/index.html: expected {mark}, found none"));
     let start = page.find(from).ok_or_else(|| missing(from))?;
@@ -228,7 +229,7 @@ fn cut(page: &str, [from, to]: [&str; 2], text: &str) -> Result<String, PluginEr
     Ok(format!("{}{text}{}", &page[..start], &page[end..]))
 }
 
-/// Escapes text for the page, also within quotes.
+/// Escapes text for HTML, also for use within quotes.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

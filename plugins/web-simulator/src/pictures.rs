@@ -1,4 +1,4 @@
-//! Patterns as pictures of 8 bits per channel, and the effect of rounding.
+//! Converts patterns to pictures of 8 bits per channel, and measures the effect of that rounding.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::core::colour::srgb_code;
@@ -6,7 +6,7 @@ use lumistack_plugin::core::metrics::SquaredError;
 use lumistack_plugin::display::{Display, FieldGeometry, LayerStack, RayMap, Simulator, ViewGrid};
 use lumistack_plugin::{PlaneView, PluginError, StackInput};
 
-/// Codes `[row][col][rgb]`.
+/// A picture with codes `[row][col][rgb]`.
 #[derive(Debug)]
 pub(crate) struct Picture {
     pub(crate) rows: usize,
@@ -18,14 +18,15 @@ fn linear_code(value: f32) -> u8 {
     (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }
 
-/// The picture of a layer's mask, and the mask itself.
+/// Returns the picture of a layer's mask, and the unrounded mask.
 pub(crate) fn layer_picture(plane: &PlaneView<'_>) -> (Picture, Vec<f32>) {
     let exact = plane.to_vec();
     let codes = exact.iter().map(|value| linear_code(*value)).collect();
     (Picture { rows: plane.rows(), cols: plane.cols(), codes }, exact)
 }
 
-/// The picture of a frame's emission with bins side by side, and its values in the same order.
+/// Returns the picture of a frame's emission with angular bins side by side, and the unrounded
+/// values in the same order.
 pub(crate) fn emission_picture(
     stack: &StackInput<'_>,
     frame: usize,
@@ -42,13 +43,13 @@ pub(crate) fn emission_picture(
     Ok((Picture { rows: bins_y * rows, cols: bins_x * cols, codes }, exact))
 }
 
-/// A view of the target, sRGB-encoded.
+/// Encodes a view of the target as sRGB.
 pub(crate) fn target_codes(plane: &PlaneView<'_>) -> Picture {
     let codes = plane.to_vec().into_iter().map(srgb_code).collect();
     Picture { rows: plane.rows(), cols: plane.cols(), codes }
 }
 
-/// Encodes a picture.
+/// Encodes a picture as PNG.
 pub(crate) fn png_of(picture: &Picture) -> Result<Vec<u8>, PluginError> {
     let failed = |error: png::EncodingError| PluginError::failed("a picture", error);
     let mut bytes = Vec::new();
@@ -61,13 +62,13 @@ pub(crate) fn png_of(picture: &Picture) -> Result<Vec<u8>, PluginError> {
     Ok(bytes)
 }
 
-/// Compares views from rounded patterns with views from the patterns themselves: the target's
-/// middle view and two opposite corners.
+/// Compares views of the rounded patterns with views of the unrounded patterns: the target's middle
+/// view and two views at opposite corners.
 pub(crate) struct Rounding<'a> {
     display: &'a Display,
     geometry: FieldGeometry,
     map: RayMap,
-    /// Rounded minus exact, summed over frames, per view.
+    /// For each of these views, the difference of rounded and exact light, summed over frames.
     differences: Vec<Vec<f32>>,
     frames: f64,
     brightness: f64,
@@ -90,8 +91,8 @@ impl<'a> Rounding<'a> {
         Self { display, differences, geometry, map, frames: 0.0, brightness: 1.0 }
     }
 
-    /// Adds one frame: first the patterns, then their codes, so that only one of the two is in
-    /// memory. Returns the frame's middle view.
+    /// Adds one frame. It simulates the exact patterns first and the rounded ones afterwards, so
+    /// that only one of the two is in memory. Returns the frame's middle view.
     pub(crate) fn add(
         &mut self,
         layers: Vec<(Picture, Vec<f32>)>,
@@ -125,7 +126,8 @@ impl<'a> Rounding<'a> {
         middle
     }
 
-    /// PSNR of L̃/β, dB; infinite if rounding has no effect.
+    /// PSNR of L̃/β with rounded patterns against exact ones, dB; infinite if rounding has no
+    /// effect.
     pub(crate) fn psnr(&self) -> f64 {
         let scale = 1.0 / (self.frames * self.brightness);
         let mut error = SquaredError::default();
@@ -134,13 +136,13 @@ impl<'a> Rounding<'a> {
     }
 }
 
-/// One frame of a layer.
+/// The mask of a layer in one frame as a tensor.
 fn layer(picture: &Picture, values: Vec<f32>) -> Tensor<4> {
     let shape = [1, picture.rows, picture.cols, 3];
     Tensor::from_vec(LayerStack::LAYER_AXES, shape, values).expect("a picture has a value per code")
 }
 
-/// Converts bins side by side to one frame of emission.
+/// Converts the values of an emission's picture, with bins side by side, to a tensor of one frame.
 fn untiled(values: &[f32], [bins_y, bins_x, rows, cols]: Bins) -> Tensor<6> {
     let mut emission = Tensor::zeros(LayerStack::EMISSION_AXES, [1, bins_y, bins_x, rows, cols, 3]);
     for (line, values) in values.chunks_exact(3 * bins_x * cols).enumerate() {

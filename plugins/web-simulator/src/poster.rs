@@ -1,5 +1,5 @@
-//! Pictures that the page shows while its patterns load: the display from the middle, and from a
-//! few positions around it.
+//! Pictures that the page shows while its patterns load: the seen picture from the middle, and
+//! small views from a few positions in the zone.
 
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
@@ -10,21 +10,22 @@ use lumistack_plugin::{PluginError, StackInput, ViewPoint};
 
 use crate::pictures::Picture;
 
-/// Paths of the poster and of the views around it.
+/// Paths of the poster and of the small views.
 pub(crate) const POSTER: &str = "stack/poster.jpg";
 pub(crate) const AROUND: &str = "stack/around.jpg";
-/// Longest side of the poster and of a view around it, pixels.
+/// Longest side of the poster and of a small view, pixels.
 const POSTER_PX: usize = 1200;
 const AROUND_PX: usize = 240;
-/// Largest size of the poster and of all views around it, and the qualities that are tried.
+/// Largest size of the poster and of the file with all small views, bytes. The first of these JPEG
+/// qualities is used whose file is small enough.
 const POSTER_BYTES: usize = 45_000;
 const AROUND_BYTES: usize = 110_000;
 const QUALITIES: [u8; 6] = [88, 80, 72, 64, 56, 48];
-/// Numbers of positions across and upwards. Positions are so close that a blend of neighbours has
-/// no double edges at this size.
+/// Numbers of positions across and upwards. Positions are so close that a blend of neighbouring
+/// small views has no visible double edges.
 const PLACES: [usize; 2] = [5, 3];
 
-/// A picture and its size.
+/// A JPEG picture and its size.
 #[derive(Debug)]
 pub(crate) struct Poster {
     pub(crate) jpeg: Vec<u8>,
@@ -44,8 +45,8 @@ impl Poster {
     }
 }
 
-/// Small views from all over the zone, side by side in one picture, from left to right and from the
-/// top. Also returns their entry in preview.json.
+/// Makes one picture with small views from the whole zone: a grid of tiles, columns from left to
+/// right, rows from the top. Also returns the entry for preview.json.
 ///
 /// # Errors
 /// If the host cannot simulate.
@@ -77,8 +78,8 @@ pub(crate) fn around(stack: &StackInput<'_>, fov_deg: [f64; 2]) -> Result<(Vec<u
     Ok((jpeg_of(&quilt, AROUND_BYTES)?, told))
 }
 
-/// The seen picture from a slope at the centre of the field, sRGB-encoded. A box filter reduces it
-/// until no side is longer than `most` pixels.
+/// The seen picture from a slope (at the centre of the field), encoded as sRGB. A box filter
+/// reduces it so that no side is longer than `most` pixels.
 fn seen(stack: &StackInput<'_>, [x, y]: [f64; 2], most: usize) -> Result<Picture, PluginError> {
     let from = match stack.target().grid.projection {
         Projection::Oblique => ViewPoint::Slope([x, y]),
@@ -88,7 +89,8 @@ fn seen(stack: &StackInput<'_>, [x, y]: [f64; 2], most: usize) -> Result<Picture
     Ok(reduced(&plane.values(), stack.target(), most, (1.0 / stack.brightness()) as f32))
 }
 
-/// Values times `scale`, averaged over boxes of whole pixels.
+/// Averages values over boxes of whole pixels, multiplies them by `scale`, and encodes them as
+/// sRGB.
 fn reduced(linear: &[f32], geometry: &FieldGeometry, most: usize, scale: f32) -> Picture {
     let (rows, cols) = (geometry.rows, geometry.cols);
     let step = rows.max(cols).div_ceil(most);
@@ -107,7 +109,7 @@ fn reduced(linear: &[f32], geometry: &FieldGeometry, most: usize, scale: f32) ->
     Picture { rows: out_rows, cols: out_cols, codes }
 }
 
-/// Encodes a picture in the best quality that fits.
+/// Encodes a picture as JPEG in the best quality with at most `most_bytes`.
 fn jpeg_of(picture: &Picture, most_bytes: usize) -> Result<Vec<u8>, PluginError> {
     let (width, height) = (picture.cols as u32, picture.rows as u32);
     let mut jpeg = Vec::new();

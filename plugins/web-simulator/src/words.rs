@@ -1,9 +1,9 @@
-//! Texts about a display for the page and for links to it.
+//! Texts about a display, for the page and for previews of links to it.
 
 use lumistack_plugin::display::{Backlight, Display};
 
-/// A title for users: the name of a file becomes words ("still-life" → "Still life"); other titles
-/// are unchanged.
+/// Returns a title for users. A name that looks like a file's becomes words ("still-life" → "Still
+/// life"); other names are unchanged.
 pub(crate) fn title_of(name: &str) -> String {
     let of_file = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
     let words = name.split(['-', '_']).filter(|word| !word.is_empty()).collect::<Vec<_>>().join(" ");

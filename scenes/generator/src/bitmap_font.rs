@@ -1,13 +1,13 @@
 //! A 5 x 7 dot-matrix font: capitals, digits and a few marks.
 
-/// Columns of a glyph.
+/// Number of columns of a glyph.
 pub(crate) const GLYPH_COLUMNS: usize = 5;
-/// Rows of a glyph.
+/// Number of rows of a glyph.
 pub(crate) const GLYPH_ROWS: usize = 7;
-/// Columns from one glyph to the next.
+/// Number of columns from one glyph to the next.
 pub(crate) const ADVANCE: usize = GLYPH_COLUMNS + 1;
 
-/// One row per entry from the top; bit 4 is the leftmost column.
+/// The glyphs. Each number is a row, from the top; bit 4 is the leftmost column.
 const GLYPHS: [(char, [u8; GLYPH_ROWS]); 41] = [
     ('A', [0b01110, 0b10001, 0b10001, 0b11111, 0b10001, 0b10001, 0b10001]),
     ('B', [0b11110, 0b10001, 0b10001, 0b11110, 0b10001, 0b10001, 0b11110]),

@@ -16,7 +16,7 @@ const HAIRS: usize = 13;
 /// Radius of the head at the hairs' feet, and length of the hairs.
 const HEAD: f32 = 0.52;
 const HAIR: f32 = 0.2;
-/// The golden angle.
+/// The golden angle, radians.
 const TURN: f32 = 2.399_963;
 
 /// The scene's files.
@@ -134,7 +134,8 @@ fn splat(cloud: &mut Cloud, at: Vec3, rotation: Quat, scale: Vec3, rgb: [f32; 3]
     cloud.harmonics.extend(rgb.map(|value| (value - 0.5) / 0.282_094_8));
 }
 
-/// Makes the last splat's colour depend on the direction of view, by its height and its depth.
+/// Makes the last splat's colour depend on the direction of view. `height` and `depth` are the
+/// coefficients of the harmonics along y and z.
 fn sheen(cloud: &mut Cloud, height: f32, depth: f32) {
     let orders = [height, depth, 0.0];
     cloud.harmonics.extend(orders.iter().flat_map(|value| [*value; 3]));

@@ -100,7 +100,7 @@ impl Dots {
     }
 }
 
-/// Maximal half-open runs of 0..length on which `inside` holds.
+/// Returns the longest half-open runs of 0..length on which `inside` holds.
 fn runs(length: isize, inside: impl Fn(isize) -> bool) -> Vec<(usize, usize)> {
     let mut runs = Vec::new();
     let mut start = None;

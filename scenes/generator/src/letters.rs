@@ -47,7 +47,7 @@ struct Word {
     paint: Paint,
     metallic: f64,
     roughness: f64,
-    /// Display column of the left end of the depth's number.
+    /// Left end of the number that states the word's depth: its x in display axes.
     label_x: f64,
 }
 

@@ -1,8 +1,8 @@
 //! Triangle meshes with normals and texture coordinates, and the simple bodies of the scenes.
 //!
-//! Metres and world axes (x right, y up, z to the viewer), unless a function states others. Front
-//! faces wind counter-clockwise. Texture coordinates start at an image's top left corner, as in
-//! glTF.
+//! Lengths are in metres, and axes are world axes (x right, y up, z to the viewer), unless a
+//! function states others. Front faces wind counter-clockwise. Texture coordinates start at an
+//! image's top left corner, as in glTF.
 
 use std::f64::consts::{PI, TAU};
 
@@ -20,7 +20,7 @@ pub(crate) struct Mesh {
     pub(crate) normals: Vec<DVec3>,
     /// Texture coordinates.
     pub(crate) texcoords: Vec<DVec2>,
-    /// Three per triangle.
+    /// Three vertex indices per triangle.
     pub(crate) indices: Vec<u32>,
 }
 

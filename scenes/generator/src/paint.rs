@@ -12,9 +12,9 @@ pub(crate) type Rgba = [f64; 4];
 /// An 8-bit RGBA picture, rows from the top.
 #[derive(Debug, Clone)]
 pub(crate) struct Picture {
-    /// Columns.
+    /// Number of columns.
     pub(crate) width: u32,
-    /// Rows.
+    /// Number of rows.
     pub(crate) height: u32,
     /// Row-major pixels.
     pub(crate) pixels: Vec<[u8; 4]>,
@@ -72,7 +72,7 @@ pub(crate) fn rgb(red: u8, green: u8, blue: u8) -> Rgba {
     [f64::from(red) / 255.0, f64::from(green) / 255.0, f64::from(blue) / 255.0, 1.0]
 }
 
-/// `a` at t = 0, `b` at t = 1.
+/// Linear blend: `a` at t = 0, `b` at t = 1.
 pub(crate) fn mix(a: Rgba, b: Rgba, t: f64) -> Rgba {
     std::array::from_fn(|channel| a[channel] + t.clamp(0.0, 1.0) * (b[channel] - a[channel]))
 }

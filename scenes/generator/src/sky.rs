@@ -16,14 +16,14 @@ const COLUMNS: usize = 64;
 const ROWS: usize = 32;
 
 /// A broad light in the sky: radiance `color` along `direction`, falling off as exp(-sharpness (1 -
-/// cos θ)).
+/// cos θ)), at the angle θ from `direction`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Glow {
     /// Unit direction from the scene to the light's middle.
     pub(crate) direction: DVec3,
     /// Radiance added in the middle, linear RGB.
     pub(crate) color: DVec3,
-    /// Larger is narrower.
+    /// A larger value makes the light narrower.
     pub(crate) sharpness: f64,
 }
 
@@ -44,7 +44,7 @@ impl Sky {
     /// Radiance from a unit direction.
     pub(crate) fn radiance(&self, direction: DVec3) -> DVec3 {
         let target = if direction.y >= 0.0 { self.zenith } else { self.ground };
-        // flat at horizon and poles, so that the two halves join without a kink
+        // the blend is flat at horizon and poles, so that the two halves join without a kink
         let t = direction.y.abs();
         let base = self.horizon.lerp(target, t * t * (3.0 - 2.0 * t));
         self.glows.iter().fold(base, |sum, glow| {

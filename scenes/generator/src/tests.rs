@@ -15,9 +15,10 @@ use reader::{Scene, Triangle};
 /// Outermost slope that the scenes are made for: the edge view of the 48 degree display with five
 /// views, 0.8 tan 24 degrees.
 const LARGEST_SLOPE: f64 = 0.357;
-/// Upper bound on everything under `scenes/` that the generator writes.
+/// Upper bound, in bytes, on everything under `scenes/` that the generator writes.
 const BYTE_BUDGET: usize = 4_000_000;
-/// Lengths in the files are rounded to nine decimals of a metre, angles of a radian.
+/// Tolerance for lengths: files store lengths with nine decimals of a metre, and angles with nine
+/// decimals of a radian.
 const LENGTH_TOLERANCE_M: f64 = 1e-7;
 
 const WINDOWS: [(&str, Window); 3] =
@@ -120,8 +121,8 @@ fn the_camera_frames_the_window() {
     }
 }
 
-/// Slopes of a 5 x 5 grid of views and 9 x 9 points of the window, as rays that come from the
-/// viewer's side.
+/// Rays from the viewer's side, with the slopes of a 5 x 5 grid of views, through 9 x 9 points of
+/// the window.
 fn viewing_rays(window: &Window) -> Vec<(DVec3, DVec3)> {
     let world_from_display = window.world_from_display();
     let steps = |count: i32| (-count..=count).map(move |k| f64::from(k) / f64::from(count));

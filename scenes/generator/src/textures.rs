@@ -44,7 +44,7 @@ pub(crate) fn wallpaper() -> Picture {
         if ruled(x, 1.0, 0.03) {
             return mix(cloth, flower, 0.7);
         }
-        // every second row of motifs is moved half a step
+        // every second column of flowers is moved by half a step
         let (cx, cy) = (x.fract() - 0.5, (y + 0.5 * (column % 2.0)).fract() - 0.5);
         let (radius, angle) = (cx.hypot(cy), cy.atan2(cx));
         let petals = 0.30 * (0.45 + 0.55 * (2.5 * angle + FRAC_PI_2).sin().abs());

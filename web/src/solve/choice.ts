@@ -1,4 +1,4 @@
-// The selected display, in the panel and in the page's address.
+// The user's choice of a display. The panel shows it, and the page's address contains it.
 
 interface About {
   layers: number;
@@ -17,22 +17,22 @@ export interface Preset {
 const SLIDERS = ["layers", "gap_mm", "frames", "brightness"] as const;
 type Key = (typeof SLIDERS)[number];
 
-/** Columns of a light field, with their names. */
+/** The choices of detail: columns of the light field, and the text that names them. */
 const DETAILS: readonly [number, string][] = [
   [96, "Quick, 96 columns"],
   [160, "Normal, 160 columns"],
   [240, "Fine, 240 columns"],
   [420, "Finest, 420 columns"],
 ];
-/** Further keys of an address: the effort, named as in a job. */
+/** Keys of the address that set the effort, with their names in a job file. */
 const EFFORT = ["zone_samples", "iterations"] as const;
-/** Largest number of frames at first: a page has one thread. */
+/** Largest number of frames that a preset sets. The page solves with one thread, so more are slow. */
 const FRAMES = 6;
 const DEFAULT = "paper-three-layer";
 
 export class Choice {
   private presets: Preset[] = [];
-  /** The address's choice, until the presets are known. */
+  /** The choice in the page's address when it was loaded. */
   private readonly asked = new URLSearchParams(location.hash.slice(1));
 
   constructor(changed: () => void) {
@@ -53,7 +53,7 @@ export class Choice {
     }
   }
 
-  /** Sets the presets that the solver knows. */
+  /** Fills the list of presets, and applies the choice of the address. */
   know(presets: Preset[]): void {
     if (this.presets.length > 0) return;
     this.presets = presets;
@@ -68,7 +68,7 @@ export class Choice {
     this.words();
   }
 
-  /** Settings for the solver. */
+  /** The choice as JSON for the solver, without values that equal the preset's. */
   get settings(): string {
     const { about } = this.preset;
     const own = { layers: about.layers, gap_mm: about.gap_mm, frames: about.frames, brightness: about.brightness };
@@ -84,7 +84,7 @@ export class Choice {
     });
   }
 
-  /** The choice as part of a link. */
+  /** The choice as parameters of a link. */
   get address(): URLSearchParams {
     const out = new URLSearchParams({ preset: this.preset.name, cols: this.select("cols").value });
     for (const key of SLIDERS) out.set(key, this.slider(key).value);

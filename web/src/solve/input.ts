@@ -1,25 +1,26 @@
-// The input of the solver: a scene or a light field among dropped files, or a scene of the page.
+// Finds the input of the solver: a scene or light field among dropped files, or one of the scenes
+// that come with the page.
 import { Problem } from "../problem.js";
 import scenes from "./scenes.json";
 
 export interface Input {
-  /** Content by path; the solver's thread reads it, so that the page copies none. */
+  /** Each file's path and content. The solver's thread reads the content, not the page. */
   files: [path: string, content: Blob][];
   /** Path of the scene, or of the light field's file or folder. */
   path: string;
   title: string;
   isField: boolean;
-  /** Name of a scene of the page. */
+  /** Name of the scene, if it comes with the page. */
   builtIn?: string;
 }
 
-/** Scenes of the page: files below `scenes/NAME/`, the scene first. */
+/** The scenes that come with the page. Their files are in `scenes/NAME/`; the first is the scene. */
 export const SCENES: Readonly<Record<string, { title: string; files: readonly string[] }>> = scenes;
 
-/** Limit for the input: the module has 4 GiB for everything. */
+/** Largest size of the input. The solver's module has at most 4 GiB of memory for all its data. */
 const MOST_BYTES = 600e6;
 const MODEL = /\.(glb|gltf|ply|spz|sog)$/i;
-/** Files of light fields; `lightfield.json` is the index of a folder of ours. */
+/** Files of light fields. `lightfield.json` is the index of a folder that the command wrote. */
 const FIELD = /\.(png|jpe?g|webp|hdr|exr|npy)$|(^|\/)lightfield\.json$/i;
 const WANTED = "Drop a .glb, a .gltf with its files, a capture (.ply, .spz, .sog), a quilt, an .npy, or a folder of views.";
 
@@ -28,13 +29,13 @@ export async function builtIn(name: string): Promise<Input> {
   if (!scene) throw new Problem(`There is no scene “${name}” in this page.`, `There are ${Object.keys(SCENES).join(", ")}.`, false);
   const files = scene.files.map(async (file): Promise<[string, Blob]> => {
     const response = await fetch(new URL(`scenes/${name}/${file}`, import.meta.url));
-    if (!response.ok) throw new Problem(`scenes/${name}/${file} could not be fetched: the server answers ${response.status}.`, "See that the folder scenes lies beside this page.", false);
+    if (!response.ok) throw new Problem(`scenes/${name}/${file} could not be fetched: the server answers ${response.status}.`, "Check that the folder scenes is in the same folder as this page.", false);
     return [file, await response.blob()];
   });
   return { files: await Promise.all(files), path: scene.files[0]!, title: scene.title, isField: false, builtIn: name };
 }
 
-/** The scene among dropped files; undefined for content that is shown unchanged. */
+/** Finds a scene among dropped files; returns undefined if there is none. */
 export function dropped(files: ReadonlyMap<string, File>): Input | undefined {
   const paths = [...files.keys()];
   const models = paths.filter((path) => MODEL.test(path) || /(^|\/)meta\.json$/.test(path)).sort((a, b) => depth(a) - depth(b) || a.localeCompare(b));
@@ -42,14 +43,15 @@ export function dropped(files: ReadonlyMap<string, File>): Input | undefined {
   if (path === undefined) return undefined;
   const base = path.replace(/[^/]*$/, "");
   const beside = paths.filter((other) => other.startsWith(base));
-  // A model in one file needs no other file.
+  // Only .gltf and meta.json refer to other files.
   const needed = /\.(gltf|json)$/i.test(path) ? beside : [path];
   return { ...held(files, needed, base, path), isField: false };
 }
 
 /**
- * The light field among dropped files: the one file, or the folder of its index or of all its
- * pictures. Its readers find out its kind. Undefined if there is nothing to read.
+ * Finds a light field among dropped files. It is a single file, or the folder that contains its
+ * index, or the folder that contains all its pictures. The solver determines its kind. Returns
+ * undefined if no file has the extension of a light field.
  */
 export function droppedField(files: ReadonlyMap<string, File>): Input | undefined {
   const paths = [...files.keys()].filter((path) => FIELD.test(path)).sort((a, b) => depth(a) - depth(b) || a.localeCompare(b));
@@ -68,11 +70,11 @@ function common(a: string[], b: string[]): string[] {
   return end < 0 ? a : a.slice(0, end);
 }
 
-/** The needed files with paths from `base` on. */
+/** Takes the needed files, and removes the folder `base` from their paths. */
 function held(files: ReadonlyMap<string, File>, needed: readonly string[], base: string, path: string): Pick<Input, "files" | "path" | "title"> {
   const bytes = needed.reduce((sum, name) => sum + files.get(name)!.size, 0);
   if (bytes > MOST_BYTES) {
-    throw new Problem(`${path}: expected at most ${MOST_BYTES / 1e6} MB, found ${Math.round(bytes / 1e6)} MB.`, "The command takes more: lumistack run.", false);
+    throw new Problem(`${path}: expected at most ${MOST_BYTES / 1e6} MB, found ${Math.round(bytes / 1e6)} MB.`, "The command “lumistack run” accepts larger files.", false);
   }
   const name = path.slice(base.length);
   const title = name === "." ? "Light field" : name.replace(/(_qs\d+x\d+[^.]*(\.\d+)?)?\.[^.]*$/, "");
@@ -80,7 +82,7 @@ function held(files: ReadonlyMap<string, File>, needed: readonly string[], base:
 }
 
 export function nothing(files: ReadonlyMap<string, File>): Problem {
-  return new Problem(files.size === 0 ? "Nothing arrived: no files in what was dropped." : `There is nothing to solve among the ${files.size === 1 ? "one file" : `${files.size} files`}.`, WANTED, false);
+  return new Problem(files.size === 0 ? "The drop contains no files." : `There is nothing to solve in ${files.size === 1 ? "this file" : `these ${files.size} files`}.`, WANTED, false);
 }
 
 function depth(path: string): number {

@@ -1,5 +1,5 @@
-// The page that solves: a model becomes patterns in another thread, and the viewer shows them as
-// they form.
+// The page that solves: another thread computes patterns of a scene or light field, and the viewer
+// shows intermediate patterns meanwhile.
 import type { LumistackViewer } from "../element.js";
 import { download, videoFormat } from "../capture.js";
 import { filesByName, filesOf } from "../drop.js";
@@ -9,7 +9,7 @@ import { builtIn, dropped, droppedField, nothing, SCENES, type Input } from "./i
 import { Solver } from "./solver.js";
 import type { State, SolverMessage, SolverRequest } from "./worker.js";
 
-/** Milliseconds without a change before a changed display is solved. */
+/** Milliseconds for which the chosen display must stay unchanged before it is solved. */
 const SETTLE_MS = 300;
 
 const at = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
@@ -20,12 +20,12 @@ const choice = new Choice(displayChanged);
 let input: Input | undefined;
 let paused = false;
 let settling: ReturnType<typeof setTimeout> | undefined;
-/** The newest patterns, which wait until the previous ones are shown. */
+/** The newest patterns that are not shown yet. They wait until the viewer shows the previous ones. */
 let next: Extract<SolverMessage, { kind: "stack" }> | undefined;
 let showing = false;
-/** True while a quilt or a turn is made; new patterns wait for its end. */
+/** True while a quilt or a video is saved; new patterns are shown only after that. */
 let saving = false;
-/** Number of the newest load. */
+/** Number of the newest call of `solve`; earlier calls end when they see a newer one. */
 let load = 0;
 
 async function solve(get: () => Promise<Input | undefined>): Promise<void> {
@@ -38,7 +38,7 @@ async function solve(get: () => Promise<Input | undefined>): Promise<void> {
     paused = false;
     document.title = `${found.title} – Lumistack`;
     performance.mark("lumistack-solve");
-    // The page keeps the files in case the thread ends.
+    // `input` keeps the files, so that a new thread can read them if this one ends.
     solver.ask(request(found));
     buttons(true);
   } catch (error) {
@@ -78,7 +78,7 @@ function receive(what: SolverMessage): void {
   }
 }
 
-/** Shows patterns one after another, and skips all but the newest. */
+/** Shows patterns one after another. If several arrive meanwhile, only the newest are shown next. */
 async function show(): Promise<void> {
   if (showing || saving) return;
   showing = true;
@@ -90,7 +90,7 @@ async function show(): Promise<void> {
       at("empty").hidden = true;
       await viewer.showStack(stack.json, stack.codes);
       tell(JSON.parse(stack.json) as { title: string; caption: string });
-      // The picture is visible only after it has been drawn.
+      // Wait until the picture is drawn, since the mark below states when it became visible.
       await viewer.ready;
       if (performance.getEntriesByName("lumistack-first-patterns").length === 0) performance.mark("lumistack-first-patterns");
     }
@@ -100,12 +100,12 @@ async function show(): Promise<void> {
   showing = false;
 }
 
-/** Names what is on show. */
+/** Shows title and caption of the current patterns below the viewer. */
 function tell({ title, caption }: { title: string; caption: string }): void {
   const name = document.createElement("strong");
   name.textContent = title;
   at("caption").replaceChildren(name, ` ${caption}`);
-  // Its own controls name it.
+  // With its own controls (without the attribute "plain") the viewer shows them itself.
   at("caption").hidden = !viewer.hasAttribute("plain");
 }
 
@@ -139,7 +139,7 @@ function refuse({ message, advice }: Problem): void {
   buttons(false);
 }
 
-/** Enables the buttons for work in progress, or after it. */
+/** Sets the button that stops and continues the work; `working` is false after the work. */
 function buttons(working: boolean): void {
   const pause = at<HTMLButtonElement>("pause");
   pause.disabled = !working;
@@ -150,7 +150,7 @@ function buttons(working: boolean): void {
   }
 }
 
-/** Saves something of the patterns on show, which stay the same meanwhile. */
+/** Saves a quilt or a video of the current patterns by `make`. They stay the same meanwhile. */
 async function save(id: "quilt" | "turn", make: () => Promise<void>): Promise<void> {
   const button = at<HTMLButtonElement>(id);
   const { textContent: text } = button;
@@ -174,10 +174,10 @@ async function open(files: ReadonlyMap<string, File>): Promise<void> {
     const found = dropped(files) ?? (isPreview ? undefined : droppedField(files));
     if (found) return found;
     if (!isPreview) throw nothing(files);
-    // A finished preview needs no solver.
+    // A preview already contains patterns, so the viewer shows it without the solver.
     at("empty").hidden = at("caption").hidden = true;
     at("drop").classList.remove("idle");
-    say("Shown as it is.");
+    say("This file already contains patterns.");
     await viewer.open(files);
     return undefined;
   });
@@ -224,11 +224,11 @@ at("link").addEventListener("click", async () => {
   history.replaceState(undefined, "", `#${address}`);
   await navigator.clipboard?.writeText(location.href).then(
     () => (at("link").textContent = "Link copied"),
-    () => (at("link").textContent = "It stands in the address"),
+    () => (at("link").textContent = "The link is in the address bar"),
   );
 });
 const drop = at("drop");
-// The whole page receives drops, before the viewer does.
+// The whole page handles drops, and stops them before they reach the viewer.
 for (const kind of ["dragenter", "dragover", "dragleave", "drop"] as const) {
   addEventListener(
     kind,
@@ -242,7 +242,8 @@ for (const kind of ["dragenter", "dragover", "dragleave", "drop"] as const) {
   );
 }
 
-// The display can be chosen before there is a scene.
+// Without a scene in the address, start the thread for its presets, so that the user can choose a
+// display.
 const wanted = new URLSearchParams(location.hash.slice(1)).get("scene");
 if (wanted) void solve(() => builtIn(wanted));
 else solver.start().catch((error: unknown) => refuse(problemOf(error, "Load this page again.")));

@@ -1,5 +1,5 @@
-// The page's side of the solver's thread. It starts with the first scene, and again after it ran
-// out of memory.
+// The page's access to the solver's thread. The thread is started at the first use, and again after
+// an error ended it.
 import type { SolverRequest, SolverMessage } from "./worker.js";
 import WORKER from "worker:./worker.ts";
 
@@ -18,12 +18,12 @@ function compile(): Promise<WebAssembly.Module> {
 
 export class Solver {
   private worker: Worker | undefined;
-  /** Resolved when the thread has sent its presets. */
+  /** Resolves when the thread has sent its presets. */
   private ready: Promise<void> = Promise.resolve();
 
   constructor(private readonly receive: (what: SolverMessage) => void) {}
 
-  /** True if there is a thread. */
+  /** True if the thread has been started and has not ended. */
   get runs(): boolean {
     return this.worker !== undefined;
   }
@@ -37,14 +37,14 @@ export class Solver {
     this.ready = new Promise((resolve, reject) => {
       worker.onmessage = ({ data }: MessageEvent<SolverMessage>) => {
         URL.revokeObjectURL(script);
-        // Any error may have left its memory full.
+        // After an error the thread's memory may be full, so the next solve gets a new thread.
         if (data.kind === "error") this.end();
         this.receive(data);
         if (data.kind === "presets") resolve();
       };
       worker.onerror = ({ message }) => {
         this.end();
-        reject(new Error(message || "a worker does not start: the page may not start any (worker-src blob:)"));
+        reject(new Error(message || "a worker does not start, since the page's policy forbids workers (worker-src blob:)"));
         this.receive({ kind: "error", message: message || "The solver’s thread does not start." });
       };
     });

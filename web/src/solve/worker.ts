@@ -1,9 +1,9 @@
-// The thread that solves. It works for short turns and handles messages in between, so that it can
-// be stopped at any time.
+// The thread that solves. It works in short turns and handles messages between them, so that the
+// page can stop it at any time.
 import * as decoders from "../../pkg/lumistack_web_decoders.js";
 import { Dropped, initSync, presets, Solver } from "../../pkg/lumistack_web_solver.js";
 
-/** Requests of the page. */
+/** Messages from the page to the thread. */
 export type SolverRequest =
   | { kind: "start"; module: WebAssembly.Module; decoders: string }
   | { kind: "solve"; files: [path: string, content: Blob][]; path: string; title: string; isField: boolean; settings: string }
@@ -19,7 +19,7 @@ export interface State {
   warnings: string[];
 }
 
-/** Messages to the page. */
+/** Messages from the thread to the page. */
 export type SolverMessage =
   | { kind: "presets"; json: string }
   | { kind: "state"; state: State }
@@ -27,11 +27,14 @@ export type SolverMessage =
   | { kind: "zip"; bytes: Uint8Array<ArrayBuffer> }
   | { kind: "error"; message: string };
 
-/** Address of the module of decoders. */
+/** Address of the WebAssembly module of decoders. */
 let address = "";
 let decoding = false;
 
-/** Loads the decoders at the first packed content. The solver waits for them in its call. */
+/**
+ * Loads the module of decoders at its first use. The request is synchronous, since the solver's
+ * module waits for the answer of its call.
+ */
 function ready(): typeof decoders {
   if (decoding) return decoders;
   const request = new XMLHttpRequest();
@@ -45,14 +48,14 @@ function ready(): typeof decoders {
 }
 
 /**
- * True if a module stopped: out of memory, or a decoder on content that is broken in a way that it
- * does not look for.
+ * Returns true if an error means that a module stopped. A module stops if its memory is exhausted,
+ * and a decoder also on damaged content that it does not detect.
  */
 function stopped(error: unknown): boolean {
   return error instanceof WebAssembly.RuntimeError || error instanceof RangeError;
 }
 
-/** The solver's module imports these functions. */
+// The solver's module imports these functions.
 Object.assign(globalThis, {
   lumistack_decoders: {
     answer(request: Uint8Array): Uint8Array | undefined {
@@ -70,14 +73,14 @@ Object.assign(globalThis, {
         return field(path, ...wanted);
       } catch (error) {
         if (!stopped(error)) throw error;
-        throw new Error(`${path}: content: expected a sound light field, found bytes on which its reader stops`);
+        throw new Error(`${path}: content: expected a valid light field, found bytes at which the reader fails`);
       }
     },
     pack: (display: string, names: string[], contents: Uint8Array[]): Uint8Array => ready().pack(display, names, contents),
   },
 });
 
-/** Milliseconds of a turn, and between two reports of progress. */
+/** Least duration of a turn of work, and least time between two reports of progress, ms. */
 const TURN_MS = 25;
 const REPORT_MS = 100;
 
@@ -85,14 +88,15 @@ let solver: Solver | undefined;
 let title = "";
 let running = false;
 let paused = false;
-/** Number of the newest solve, and its settings. */
+/** Number of the newest request to solve, and the settings of the newest request. */
 let newest = 0;
 let settings = "";
 let shown = 0;
 let reported = 0;
 let warnings: string[] = [];
 
-// Timers wait four milliseconds after the fifth in a row; messages do not.
+// A turn ends with a message that starts the next turn. Timers would be slower: browsers delay each
+// by four milliseconds after five in a row.
 const turns = new MessageChannel();
 turns.port1.onmessage = () => guarded(turn);
 
@@ -119,7 +123,7 @@ function report(patterns: boolean): void {
   send({ kind: "stack", json: solver.preview(title), codes }, [codes.buffer]);
 }
 
-/** Reads the files of a solve, and starts it. */
+/** Reads the files of a request, and starts to solve, unless a newer request has arrived. */
 async function begin({ files, path, isField }: Extract<SolverRequest, { kind: "solve" }>): Promise<void> {
   const own = ++newest;
   const read = files.map(async ([name, content]): Promise<[string, ArrayBuffer]> => {
@@ -157,7 +161,10 @@ function send(what: SolverMessage, handed: Transferable[] = []): void {
   postMessage(what, { transfer: handed });
 }
 
-/** Errors of the module are sentences; a trap leaves it unusable. */
+/**
+ * Runs `work` and sends its errors to the page. Errors of the module are messages for the user. If
+ * the module stopped, it is unusable, and the message states the likely reason.
+ */
 function guarded(work: () => void): void {
   try {
     work();
@@ -165,8 +172,8 @@ function guarded(work: () => void): void {
     running = false;
     if (stopped(error)) {
       solver = undefined;
-      const why = "the solver stopped: most likely this takes more memory than a page can have";
-      return send({ kind: "error", message: `${title}: ${why}. Take less detail or fewer frames, or solve it with “lumistack run”.` });
+      const why = "the solver stopped, probably because it needs more memory than a page can have";
+      return send({ kind: "error", message: `${title}: ${why}. Choose less detail or fewer frames, or solve it with “lumistack run”.` });
     }
     send({ kind: "error", message: error instanceof Error ? error.message : String(error) });
   }
@@ -186,7 +193,7 @@ onmessage = ({ data }: MessageEvent<SolverRequest>) =>
         ({ title, settings } = data);
         return void begin(data);
       case "change":
-        // Settings that arrive while files are read are those of the solve to come.
+        // While files are read there is no solver. It will start with the newest settings.
         ({ settings } = data);
         paused = false;
         if (!solver) return;

@@ -1,4 +1,4 @@
-//! Archives whose bytes depend only on their content: tarballs, zips and Debian packages. A Debian
+//! Makes tarballs, zips and Debian packages whose bytes depend only on their content. A Debian
 //! package is an `ar` archive of two tarballs.
 
 use std::collections::BTreeSet;
@@ -80,7 +80,8 @@ fn member(archive: &mut Vec<u8>, name: &str, bytes: &[u8]) {
     }
 }
 
-/// Returns the time of all files: that of the commit, or `SOURCE_DATE_EPOCH`; seconds since 1970.
+/// Returns the time that all files get, in seconds since 1970: `SOURCE_DATE_EPOCH` if it is set,
+/// else the time of the commit.
 fn time() -> u64 {
     let asked = std::env::var("SOURCE_DATE_EPOCH").ok();
     let commit = || output_of(command("git").args(["log", "-1", "--format=%ct"]));
@@ -98,7 +99,7 @@ fn packed(entries: &[(String, File)]) -> Outcome<Vec<u8>> {
         header.set_mtime(time());
         header
     };
-    // installers expect every folder before its files
+    // add every folder before its files, as installers expect
     let folders: BTreeSet<String> =
         entries.iter().flat_map(|(path, _)| path.match_indices('/').map(|(end, _)| path[..=end].to_owned())).collect();
     for folder in folders {

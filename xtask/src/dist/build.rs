@@ -12,8 +12,8 @@ const GLIBC: &str = "2.17";
 /// Linker and builders, as packages for pip.
 const TOOLS: [&str; 4] = ["--only-binary=:all:", "ziglang==0.17.*", "cargo-zigbuild==0.24.*", "maturin==1.16.*"];
 
-/// Packages of the program and of the Python module. Each build selects both packages, so that
-/// cargo resolves the same features of their dependencies and compiles these once.
+/// The packages of the program and of the Python module. Every build selects both, so that cargo
+/// chooses the same features for their dependencies and compiles the dependencies only once.
 const PACKAGES: [&str; 6] = [
     "--package",
     "lumistack-cli",
@@ -60,7 +60,8 @@ impl Target {
         Ok(vec![host])
     }
 
-    /// Returns whether releases for this target are zip archives and their programs end in `.exe`.
+    /// Returns true if the target is Windows, whose releases are zips with programs that end in
+    /// `.exe`.
     pub fn is_windows(&self) -> bool {
         self.triple.contains("windows")
     }
@@ -78,7 +79,7 @@ impl Target {
 fn host() -> Outcome<Target> {
     let said = output_of(command("rustc").arg("-vV")).ok_or("rustc does not start")?;
     let triple = said.lines().find_map(|line| line.strip_prefix("host: ")).unwrap_or_default();
-    Target::of(triple).ok_or_else(|| format!("{triple}: no machine that releases are for"))
+    Target::of(triple).ok_or_else(|| format!("{triple}: there are no releases for this machine"))
 }
 
 /// Finds or makes a Python with the builders.
@@ -103,9 +104,9 @@ fn builders() -> Outcome<PathBuf> {
 
 /// Sets up cargo, or a program that starts cargo, to link with zig against an old glibc.
 ///
-/// The program and the Python module share one linker file. Cargo compiles every dependency again
-/// when the linker's path changes, and the linkers of cargo-zigbuild and maturin have different
-/// paths.
+/// Cargo compiles every dependency again if the path of the linker changes. cargo-zigbuild and
+/// maturin would use linkers at different paths. So this function writes one linker file, which
+/// both use.
 fn link_by_zig(builder: &mut Command, python: &Path, target: &Target) -> Outcome {
     let zigbuild = python.with_file_name("cargo-zigbuild");
     let (zigbuild, python_path) = (zigbuild.display(), python.display());
@@ -123,7 +124,7 @@ fn link_by_zig(builder: &mut Command, python: &Path, target: &Target) -> Outcome
     Ok(())
 }
 
-/// Builds the program with the windows of panels, and returns its path.
+/// Builds the program, including the windows for panels, and returns its path.
 pub fn program(target: &Target) -> Outcome<PathBuf> {
     tools::rust_target(target.triple)?;
     let words = [&["--release", "--locked", "--bin", "lumistack"][..], &PACKAGES, &["--target"]].concat();
@@ -135,12 +136,13 @@ pub fn program(target: &Target) -> Outcome<PathBuf> {
     Ok(tools::root().join("target").join(target.triple).join("release").join(target.program()))
 }
 
-/// Builds the program for this machine. It writes the manual pages and completions of all targets.
+/// Builds the program for this machine, which then writes the manual pages and completions for all
+/// targets.
 pub fn own_program() -> Outcome<PathBuf> {
     program(&host()?)
 }
 
-/// Builds the wheel with the licences in it, and returns its path.
+/// Builds the wheel, which contains the licences, and returns its path.
 pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf> {
     tools::rust_target(target.triple)?;
     let python = builders()?;

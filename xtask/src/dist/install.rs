@@ -1,5 +1,6 @@
-//! Tests the ways of installation from `target/dist`. Each way runs in its own Debian without Rust.
-//! If no Debian can be made, it runs in an empty prefix on this machine.
+//! Tests every way to install the files in `target/dist`. Each way is a script, which runs in a
+//! Debian of its own without Rust. If no Debian can be made, the script installs into an empty
+//! prefix on this machine.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -42,14 +43,15 @@ fn folder() -> PathBuf {
     tools::root().join("target/install")
 }
 
-/// A command that runs with its own mounts and processes. Processes that it leaves end with it.
+/// Returns a command that runs a program in its own namespaces of mounts and processes. When the
+/// program ends, the processes that it started end too.
 fn apart() -> Command {
     let mut unshare = command("unshare");
     unshare.args(["--mount", "--pid", "--fork", "--kill-child"]);
     unshare
 }
 
-/// Returns the folder of a fresh Debian stable, which is made once.
+/// Returns the folder of an unused Debian stable; makes it at the first call.
 fn debian() -> Outcome<PathBuf> {
     if output_of(command("id").arg("-u")).is_none_or(|id| id.trim() != "0") {
         return Err("only root can make a Debian".into());
@@ -64,7 +66,7 @@ fn debian() -> Outcome<PathBuf> {
     if output_of(command("debootstrap").arg("--version")).is_none() {
         tools::apt(&["debootstrap"], "make a clean Debian")?;
     }
-    // packages come from the mirror that this machine uses
+    // use the mirror from which this machine installs packages
     let sites = output_of(command("apt-get").args(["indextargets", "--format", "$(SITE)"])).unwrap_or_default();
     let site = sites.lines().find(|site| !site.contains("security")).ok_or("apt-get names no mirror")?.to_owned();
     let part = folder().join("debian-part");
@@ -75,7 +77,8 @@ fn debian() -> Outcome<PathBuf> {
     Ok(base)
 }
 
-/// Enters a Debian with the file systems that programs expect: `sh -c ENTER sh FOLDER PROGRAM...`
+/// A shell script that mounts the file systems that programs expect and runs a program in a Debian:
+/// `sh -c ENTER sh FOLDER PROGRAM...`
 const ENTER: &str = "mount -t proc proc \"$1/proc\"; mkdir -p \"$1/dev/shm\" \"$1/dev/pts\"; \
      mount -t tmpfs tmpfs \"$1/dev/shm\"; mount -t devpts devpts \"$1/dev/pts\"; exec chroot \"$@\"";
 

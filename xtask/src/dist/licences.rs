@@ -1,5 +1,5 @@
-//! Dependencies of the program and their licences, as a list with all licence texts, and as a bill
-//! of materials (CycloneDX).
+//! Lists the dependencies of the program and their licences: as a text with all licences, and as a
+//! bill of materials (CycloneDX).
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -9,13 +9,14 @@ use serde_json::{Value, json};
 use super::build::Target;
 use crate::tools::{Outcome, command, output_of, root};
 
-/// The released packages, for each target; dependencies that only builds or tests need are ignored.
+/// Arguments of cargo for the released packages of every target. Dependencies that only builds or
+/// tests need are ignored.
 const RELEASED: [&[&str]; 2] = [
     &["--package", "lumistack-cli", "--features", "panels"],
     &["--package", "lumistack-python", "--features", "panels"],
 ];
 
-/// The modules of pages, which the command contains as well.
+/// Arguments of cargo for the WebAssembly modules of the pages, which the command also contains.
 const VIEWER: &[&str] = &["--package", "lumistack-web"];
 const PAGES: [&[&str]; 2] = [VIEWER, &["--package", "lumistack-web-solver"]];
 const WASM: &str = "wasm32-unknown-unknown";
@@ -34,7 +35,7 @@ struct Part {
     uses: BTreeSet<String>,
 }
 
-/// Parts, by name and version.
+/// All parts, by `name version`.
 pub struct Licences(BTreeMap<String, Part>);
 
 /// Collects all parts of programs and modules for some targets, by cargo.
@@ -48,9 +49,9 @@ pub fn of_viewer() -> Outcome<Licences> {
     described(in_target((VIEWER, WASM))?)
 }
 
-/// Adds the data that cargo has about the parts.
+/// Looks up cargo's data about the parts with these ids.
 fn described(ids: Vec<String>) -> Outcome<Licences> {
-    // cargo names the packages; their checksums are in the lock file.
+    // Read the packages from cargo's metadata and their checksums from the lock file.
     let said = output_of(command("cargo").args(["metadata", "--format-version", "1", "--locked"]));
     let metadata: Value =
         serde_json::from_str(&said.ok_or("cargo metadata failed")?).map_err(|error| error.to_string())?;
@@ -62,7 +63,7 @@ fn described(ids: Vec<String>) -> Outcome<Licences> {
     let of_cargo: HashMap<&str, String> =
         packages.iter().map(|package| (package["id"].as_str().unwrap_or_default(), id(package))).collect();
     let nodes = metadata["resolve"]["nodes"].as_array().into_iter().flatten();
-    // Dependencies between the parts, for the bill of materials.
+    // Find the dependencies between the parts, for the bill of materials.
     let mut uses: HashMap<String, BTreeSet<String>> = nodes
         .filter_map(|node| {
             let of = of_cargo.get(node["id"].as_str()?)?.clone();
@@ -88,7 +89,7 @@ fn described(ids: Vec<String>) -> Outcome<Licences> {
     licences.check().map(|()| licences)
 }
 
-/// Returns `name version` of all parts of some packages for a target.
+/// Returns `name version` of all packages that the packages `words` need on a target.
 fn in_target((words, triple): (&[&str], &str)) -> Outcome<Vec<String>> {
     let mut tree = command("cargo");
     tree.arg("tree").args(words).args(["--locked", "--edges", "normal", "--prefix", "none", "--target", triple]);
@@ -123,7 +124,7 @@ impl Licences {
         if silent.is_empty() {
             Ok(())
         } else {
-            Err(format!("expected a licence of every package, found none of {}", silent.join(", ")))
+            Err(format!("expected a licence for every package, found none for {}", silent.join(", ")))
         }
     }
 

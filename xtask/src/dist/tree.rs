@@ -1,5 +1,5 @@
-//! Files of an installation in addition to the program: manual pages, completions, documents,
-//! schemas and the first scene.
+//! Collects the files of an installation in addition to the program: manual pages, completions,
+//! documents, schemas and the first scene.
 
 use std::path::{Path, PathBuf};
 
@@ -17,15 +17,15 @@ pub struct File {
     pub bytes: Vec<u8>,
 }
 
-/// Shells, and the places where each looks for completions.
+/// The file in which each shell looks for completions.
 const COMPLETIONS: [(&str, &str); 3] = [
     ("bash", "share/bash-completion/completions/lumistack"),
     ("zsh", "share/zsh/site-functions/_lumistack"),
     ("fish", "share/fish/vendor_completions.d/lumistack.fish"),
 ];
 
-/// Folder of documents. They have the same places in it as in the repository, so links between them
-/// lead to the right files.
+/// Folder of documents. Its subfolders are those of the repository, so that links between documents
+/// are valid.
 const DOCUMENTS: &str = "share/doc/lumistack";
 
 /// Files of the repository, and their folder in an installation.
@@ -40,7 +40,7 @@ const COPIED: [(&str, &str); 11] = [
     ("docs/plugins", DOCUMENTS),
     ("docs/schema", DOCUMENTS),
     ("scenes/still-life", "share/lumistack"),
-    // the schema that the first line of the scene's job names
+    // the first line of the scene's job refers to a schema in this folder
     ("docs/schema", "share/lumistack"),
 ];
 

@@ -1,4 +1,4 @@
-//! Sends states to the page. A response holds a complete state, so the page never mixes two.
+//! Sends states to the page. A response holds a complete state, so the page never mixes two states.
 //!
 //! ```text
 //! GET /.live?after=NUMBER&edition=NAME&said=NUMBER
@@ -11,8 +11,8 @@
 //! ```
 //!
 //! The files are those that preview.json lists, in its order. An edition is a version of
-//! preview.json. The response contains its text if the page has another edition. A response without
-//! a newer state has no files.
+//! preview.json. The response contains the text of preview.json if the page has another edition. A
+//! response without a newer state has no files.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -52,9 +52,10 @@ pub(super) struct PageFeed<'a> {
     stopped: AtomicBool,
 }
 
-/// A viewer who looks from the page instead of a tracker.
+/// A viewer whose position comes from the page instead of a tracker.
 pub(super) struct Guest<'a> {
-    /// Random: a page of another origin must not move the viewer.
+    /// Random word that requests must contain, so that a page of another origin cannot move the
+    /// viewer.
     word: String,
     /// Distance of the head, mm.
     distance_mm: f64,
@@ -73,7 +74,7 @@ impl<'a> Guest<'a> {
         Ok(Self { word, distance_mm, requests })
     }
 
-    /// Moves the viewer to the slope of a query. Returns whether word and slope are right.
+    /// Moves the viewer to the slope of a query. Returns whether word and slope are valid.
     fn look(&self, query: &str) -> bool {
         let Some(slope) = slope_of(query).filter(|_| value(query, "viewer") == Some(&self.word)) else {
             return false;
@@ -130,7 +131,7 @@ impl<'a> PageFeed<'a> {
     }
 
     fn newest(&self) -> Option<Made> {
-        // one thread encodes, and the lock makes the others wait
+        // one thread encodes the state, and the lock makes other threads wait for the result
         let mut made = lock(&self.made);
         let known = made.as_ref().map_or(0, |made| made.number);
         if let Some((number, state)) = self.states.after(known) {
@@ -203,7 +204,7 @@ fn value<'a>(query: &'a str, name: &str) -> Option<&'a str> {
 
 /// A page's request.
 struct Asked<'a> {
-    /// Number of its state, and of its message; 0 without one.
+    /// Number of the page's state, and of its message (`said`); 0 if the page has none.
     number: u64,
     said: u64,
     edition: &'a str,
@@ -217,7 +218,7 @@ impl<'a> Asked<'a> {
     }
 }
 
-/// Reads the slope of a viewer, to the right and up; `Some(None)` where the viewer leaves.
+/// Reads the slope of a viewer, to the right and up; `Some(None)` if the viewer leaves.
 fn slope_of(query: &str) -> Option<Option<[f64; 2]>> {
     match ["x", "y"].map(|name| value(query, name)) {
         [None, None] => Some(None),

@@ -1,5 +1,5 @@
-//! The newest requests: the job, as files, command line and commands have changed it, and the
-//! viewers.
+//! The newest requests: the job with the changes by files, command line and commands, and the
+//! positions of the viewers.
 
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -115,7 +115,8 @@ impl Requests {
         self.stopped.store(true, Ordering::SeqCst);
     }
 
-    /// Makes the end of standard input stop the display: a program that starts it may crash.
+    /// Makes the end of standard input stop the display. So the display also ends if the program
+    /// that started it crashes.
     pub(super) fn stop_at_end(&self) {
         self.stops_at_end.store(true, Ordering::SeqCst);
     }
@@ -139,24 +140,24 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Forwards each warning once, since a scene is rendered many times. Pages show the newest one.
+/// Forwards each warning once, since a scene is rendered many times. Pages show the newest warning.
 pub(super) struct Once<'a> {
     to: &'a dyn Warnings,
     messages: &'a Messages,
     seen: Mutex<HashSet<String>>,
 }
 
-/// The message of the newest request; empty without one.
+/// The message of the newest request; empty if there is none.
 #[derive(Default)]
 pub(super) struct Messages(Mailbox<String>);
 
 impl Messages {
-    /// Number and text of the message; 0 before the first one.
+    /// Number and text of the message; the number is 0 before the first message.
     pub(super) fn newest(&self) -> (u64, Arc<String>) {
         self.0.after(0).unwrap_or_default()
     }
 
-    /// Replaces the message, unless it is the same.
+    /// Replaces the message, unless its text is already the same.
     pub(super) fn say(&self, text: String) {
         if *self.newest().1 != text {
             self.0.post(text);
@@ -175,7 +176,7 @@ impl<'a> Once<'a> {
 
 impl Warnings for Once<'_> {
     fn warn(&self, warning: Warning) {
-        // the page itself is the place of the display's own errors
+        // on the page, errors of the live display itself need no place in front of the message
         let is_own = warning.place == "live";
         self.messages.say(if is_own { warning.message.clone() } else { warning.to_string() });
         let mut seen = lock(&self.seen);

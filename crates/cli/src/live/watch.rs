@@ -20,8 +20,8 @@ pub(super) struct Watched {
 
 impl Watched {
     /// Returns whether files have changed and are complete: two calls in a row must find the same
-    /// states. A path that was not in `files` at the last call has changed if its file was written
-    /// after `read`, the time at which the program began to read it.
+    /// states. `read` is the time at which the program began to read the files. A path that was not
+    /// in `files` at the last call has changed if its file was written after `read`.
     pub(super) fn have_changed(&mut self, files: &[PathBuf], read: SystemTime) -> bool {
         let now: BTreeMap<PathBuf, FileStates> = files.iter().map(|path| (path.clone(), states(path))).collect();
         self.seen.retain(|path, _| now.contains_key(path));
@@ -44,7 +44,7 @@ impl Watched {
 }
 
 /// States at an earlier time, as far as they are known: `None` for files that were written after
-/// it.
+/// that time.
 fn states_at(states: &FileStates, time: SystemTime) -> FileStates {
     let is_old = |modified: &Option<SystemTime>| modified.is_none_or(|modified| modified <= time);
     let at = |state: &FileState| state.filter(|(_, modified)| is_old(modified));
@@ -88,7 +88,7 @@ mod tests {
         assert_eq!(look(), [false, true, false]);
         // a shorter list of files is no change
         assert!(!watched.have_changed(&paths[..1], read) && !watched.have_changed(&paths[..1], read));
-        // a file that was written after a program read it has changed
+        // a file has changed if it was written after the program began to read it
         let mut late = Watched::default();
         let before = read.checked_sub(std::time::Duration::from_secs(60)).unwrap();
         assert_eq!([0; 3].map(|_| late.have_changed(&paths, before)), [false, true, false]);

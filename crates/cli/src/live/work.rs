@@ -85,12 +85,12 @@ impl Shared {
         self.stopped.load(Ordering::SeqCst)
     }
 
-    /// Files of the current light field, and the time at which their first reading began.
+    /// Files of the current light field, and the time at which the pass that first read them began.
     pub(super) fn files(&self) -> (Vec<PathBuf>, SystemTime) {
         lock(&self.files).clone()
     }
 
-    /// Stores the files that a pass has read, and the time at which it began.
+    /// Stores the files that a pass has read, and the time at which the pass began.
     fn note_files(&self, files: Vec<PathBuf>, begun: SystemTime) {
         let mut noted = lock(&self.files);
         if noted.0 != files {
@@ -130,7 +130,7 @@ pub(super) fn render(
                 task.warn("live", error.to_string());
             }
         }
-        // Wait until the solver has used the last light field.
+        // Wait until the solver has used the last light field that was sent.
         let is_solved = shared.handled.load(Ordering::SeqCst) >= sent;
         if !(is_video || is_new || is_solved) {
             // another pass would take processor time from the solver
@@ -214,7 +214,7 @@ pub(super) fn solve(mut solver: LiveSolver, shared: &Shared, json: bool, task: T
             continue;
         }
         let (start, target) = (now(), on.request.target.clone());
-        // As many updates as fit into a step.
+        // Run as many iterations as fit into the time of a step.
         let affordable = if update_s > 0.0 { (STEP_S / update_s) as u32 } else { 1 };
         let updates = affordable.clamp(1, shared.updates).min(on.left);
         match solver.step(&target, &on.weights, updates, task) {
@@ -268,7 +268,8 @@ struct Current {
     request: Arc<SolveRequest>,
     boxes: Boxes,
     weights: Arc<Weights>,
-    /// Iterations since the content changed, and remaining iterations.
+    /// Iterations since the content changed. `left` is the number of iterations that this light
+    /// field still gets.
     updates: u32,
     left: u32,
 }

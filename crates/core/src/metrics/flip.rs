@@ -6,7 +6,7 @@
 //!           ΔE_c = HyAB distance ^ 0.7, mapped to 0..1:
 //!             up to 0.4 of the largest distance to 0..0.95, the rest to 0.95..1
 //! features  Y ─▶ first and second derivatives of a Gaussian of 0.082°/2 ─▶ edges and points,
-//!             lengths over x and y
+//!             each the length of its (x, y) vector
 //!           ΔE_f = (larger difference / √2) ^ 0.5
 //! FLIP      ΔE_c ^ (1 − ΔE_f), 0 (equal) to 1 (worst)
 //! ```
@@ -25,8 +25,8 @@ use std::ops::Range;
 use super::MetricMap;
 use super::filter::{Border, Plane, bands, channels};
 
-/// Contrast sensitivity a·√(π/b)·exp(−π² x²/b) as (a, b), with x in degrees. That of Cz is the sum
-/// of two such Gaussians.
+/// Contrast sensitivity a·√(π/b)·exp(−π² x²/b) as (a, b), with x in degrees. The sensitivity of Cz
+/// is the sum of two such Gaussians.
 const SENSITIVITY_Y: (f64, f64) = (1.0, 0.0047);
 const SENSITIVITY_CX: (f64, f64) = (1.0, 0.0053);
 const SENSITIVITY_CZ: [(f64, f64); 2] = [(34.1, 0.04), (13.5, 0.025)];

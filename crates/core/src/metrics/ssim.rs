@@ -19,8 +19,8 @@
 //! ```
 //!
 //! A picture that is smaller than the window on either axis is mirrored at its edges. All its
-//! pixels are included. scikit-image refuses such a picture; with `win_size=1` it computes the
-//! same.
+//! pixels are included. scikit-image refuses a small picture, but computes the same with
+//! `win_size=1`.
 
 use super::MetricMap;
 use super::filter::{Border, Plane, bands, channels};

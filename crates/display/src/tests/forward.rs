@@ -96,7 +96,8 @@ fn layers_that_are_not_there_change_nothing() {
         }
         let view = Simulator::new(&display, &stack).from_slope([0.05, 0.0]);
         assert!(view.share.iter().all(|share| (share - 1.0).abs() < 1e-6));
-        // attenuating: the bare backlight; otherwise nothing emits or rotates the light
+        // attenuating layers leave the bare backlight; in other formations no layer emits or
+        // rotates light
         let expected = if formation == Formation::Attenuating { 1.0 } else { 0.0 };
         assert!(view.radiance.data().iter().all(|value| (value - expected).abs() < 1e-6), "{formation:?}");
         display.missing = Missing::Drop;
@@ -134,8 +135,8 @@ fn two_quarter_turns_of_half_a_right_angle_are_bright() {
     assert!(half.radiance.data().iter().all(|value| (value - 0.5).abs() < 1e-6));
 }
 
-/// Oblique views whose edges all lie on sixteenths of a pixel, so that 16 × 16 rays per pixel are
-/// exact.
+/// In these oblique views, all edges of layer pixels lie on sixteenths of a field pixel. So the
+/// mean over 16 × 16 rays per pixel is exact.
 #[test]
 fn seen_pictures_are_exact_means_over_pixels() {
     for (seed, formation) in FORMATIONS.into_iter().enumerate() {
@@ -166,8 +167,8 @@ fn seen_pictures_are_exact_means_over_pixels() {
     }
 }
 
-/// For any display, from near and far, 150 × 150 rays per pixel agree within the error of their
-/// spacing.
+/// For any display, from near and far: the mean over 150 × 150 rays per pixel agrees with the seen
+/// picture. The tolerance is the error by the spacing of the rays.
 #[test]
 fn seen_pictures_of_any_display_are_means_over_pixels() {
     const SPACING: f64 = 0.03;

@@ -159,7 +159,8 @@ fn read(sampling: Sampling, layer: &Layer, effective: &Effective, ray: Ray, fram
     inside.then(|| {
         std::array::from_fn(|c| match sampling {
             Sampling::Nearest => effective.get(frame, nearest_v as usize, nearest_u as usize, c),
-            // a tent around the ray's position, which is clamped to the outermost centres
+            // weights that fall linearly with the distance from the ray's position, which is
+            // clamped to the outermost centres
             Sampling::Bilinear => {
                 let (u, v) = (u.clamp(0.0, cols as f64 - 1.0), v.clamp(0.0, rows as f64 - 1.0));
                 let tent = |distance: f64| (1.0 - distance.abs()).max(0.0);

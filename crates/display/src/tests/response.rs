@@ -15,7 +15,8 @@ use crate::{Layer, LayerColour, LayerStack, Response};
 const ROUNDING: f64 = 2e-6;
 
 const SIGMAS_PX: [f64; 8] = [0.0, 0.05, 0.3, 0.5, 1.0, 1.4, 3.0, 8.0];
-/// [rows, cols]: smaller and larger than the point spreads, and than a block of columns.
+/// Sizes [rows, cols] of planes. Some are smaller and some are larger than the point spreads, and
+/// than a block of columns.
 const SIZES: [[usize; 2]; 7] = [[1, 1], [1, 9], [7, 1], [2, 3], [5, 64], [30, 33], [11, 97]];
 
 fn layer([rows, cols]: [usize; 2], blur_px: f64) -> Layer {
@@ -131,7 +132,7 @@ fn an_ideal_layer_has_no_response_and_costs_nothing() {
     let stack = random_stack(&display, 1);
     assert_eq!(display.layers[0].response(), None);
     assert!(matches!(stack.effective(&display), Cow::Borrowed(_)));
-    // a mono layer has one unknown per pixel, and rays read it as it is stored
+    // a mono layer has one value per pixel, and rays read it as it is stored
     display.layers[0].colour = LayerColour::Mono;
     display.layers[1].crosstalk = Some([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
     let tied = display.layers[0].response().unwrap();

@@ -1,5 +1,5 @@
-// Errors of field pixels over all views: Σ w e², and Σ e² over rays with w > 0. This shader is the
-// twin of errors.rs.
+// Errors of field pixels over all views: Σ w e², and Σ e² over rays with w > 0. It computes the
+// same as the factorizer's errors.rs.
 
 fn errors_of(row: u32, col: u32) -> vec2<f32> {
     var found = vec2<f32>(0.0);

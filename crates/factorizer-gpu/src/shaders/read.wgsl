@@ -1,5 +1,5 @@
-// Functions by which rays read factors, the target and weights. They are the twin of expand.rs and
-// rows.rs.
+// Functions by which rays read factors, the target and weights. They compute the same as the
+// factorizer's expand.rs and rows.rs.
 //
 // Buffers hold one channel. Factors are [line][frame][column] and the target is [field
 // row][view][field column], both cut to the window of the dispatch. Tables contain the line and
@@ -120,7 +120,8 @@ fn root_of(view: u32, row: u32, col: u32) -> f32 {
     return roots[(row * params.views_y * params.views_x + view) * params.cols + col - params.weights_base];
 }
 
-// sin and cos of (π/2) s, since WGSL permits errors of 5e-4 in the built-in functions.
+// Returns sin and cos of (π/2) s. WGSL permits errors of 5e-4 in its own functions, so they are not
+// used.
 fn wave(s: f32) -> vec2<f32> {
     let turns = round(s);
     let x = (s - turns) * 1.57079632679490;

@@ -1,5 +1,5 @@
-// The update of one factor: sums over the rays through a pixel, and the step by these sums. It is
-// the twin of sums.rs and step.rs.
+// The update of one factor: sums over the rays through a pixel, and the step by these sums. It
+// computes the same as the factorizer's sums.rs and step.rs.
 
 const LEAST_CURVATURE: f32 = 1e-30;
 const LEAST_NORMAL: f32 = 1.17549435e-38;
@@ -139,7 +139,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if diagonal
-    // the steps are computed for the KKT residual alone, and the values stay
+    // the steps serve only the KKT residual, so the values do not change
     var curvature = 0.0;
     var step = 0.0;
 //@ frames

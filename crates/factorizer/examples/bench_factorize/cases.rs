@@ -12,12 +12,11 @@
 //!                      + M (M+1)/2   Gram matrix ]
 //! ```
 //!
-//! A multiplication or multiply-add is one operation. The clamped coordinate steps, once per pixel,
-//! are not counted.
-//!
-//! Bytes are counted per factor. All factors are read once (4 bytes a value), the target is read
-//! once (half floats, 2 bytes a value), and the factor is written. This is the smallest traffic of
-//! the memory bus if caches keep only single rows and each factor is updated separately.
+//! A multiplication or multiply-add is one operation. The clamped coordinate steps, which take
+//! place once per pixel, are not counted. Bytes are counted for the update of each factor. All
+//! factors are read (4 bytes per value), and the target is read (half floats, 2 bytes per value).
+//! The updated factor is written. This is the smallest traffic of the memory bus if caches keep
+//! only single rows and each factor is updated separately.
 
 use lumistack_display::{Backlight, Display, LayerStack, LensletBacklight, LightField, Sampling, Weights};
 use lumistack_factorizer::Problem;
@@ -38,8 +37,8 @@ pub struct Case {
 
 /// The paper's number of views per axis.
 pub const PAPER_VIEWS: usize = 5;
-/// Number of views per axis at which layers of 420 × 262 pixels shift by whole pixels from view to
-/// view. Patterns that are right at these views are right between them too.
+/// Number of views per axis at which the outer layers, with 420 × 262 pixels, shift by about one
+/// pixel from view to view. Patterns that are right at these views are also right between them.
 pub const NATIVE_VIEWS: usize = 13;
 
 /// The paper's main case with `views` views per axis: three layers, nearest sampling.
@@ -86,8 +85,8 @@ impl Case {
         Problem { display: &self.display, target: &self.target, weights: &Weights::Uniform }
     }
 
-    /// Counts one update, see the top of this file; `rays` is the result of
-    /// [`lumistack_factorizer::Run::rays`].
+    /// Counts the operations and bytes of one update, by the formulas at the top of this file.
+    /// `rays` is the result of [`lumistack_factorizer::Run::rays`].
     pub fn needs(&self, update: Update, rays: u64) -> Needs {
         let stack = LayerStack::filled(&self.display, 0.0);
         let values = stack.layers.iter().map(|layer| layer.data().len());

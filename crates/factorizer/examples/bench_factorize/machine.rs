@@ -10,12 +10,12 @@ use std::time::Instant;
 use lumistack_simd::{Backend, Function, Kernel, Lanes};
 use rayon::prelude::*;
 
-/// Number of independent sums per thread: more than latency × multiply-add units of any core, and
-/// few enough for 16 registers.
+/// Number of independent sums per thread. It exceeds latency × number of multiply-add units of
+/// common cores, so that all units are busy. All sums fit into 16 registers.
 const SUMS: usize = 12;
 /// Number of multiply-adds of every sum in one measurement, which takes some 20 ms.
 const ROUNDS: u64 = 6_000_000;
-/// Number of values of the array that is read, 512 MiB: far more than any cache holds.
+/// Number of values of the array that is read, 512 MiB: far more than most caches hold.
 const VALUES: usize = 64 << 20;
 
 /// Rates, in the order of their measurement.
@@ -28,7 +28,8 @@ impl Rates {
         self.0.iter().copied().fold(0.0, f64::max)
     }
 
-    /// The median rate as a fraction of the best rate; other programs lower it.
+    /// The median rate as a fraction of the best rate. Other programs on the machine lower this
+    /// fraction.
     pub fn median_share(&self) -> f64 {
         let mut sorted = self.0.clone();
         sorted.sort_by(f64::total_cmp);
@@ -65,7 +66,7 @@ impl Machine {
         }
     }
 
-    /// Measures both rates once more.
+    /// Measures the rate of multiply-adds and the bandwidth once more.
     pub fn measure(&mut self) {
         let begin = Instant::now();
         // SAFETY: the kernel has no requirements
@@ -81,7 +82,7 @@ impl Machine {
 }
 
 fn sum(values: &[u64]) -> u64 {
-    // eight chains of additions, so that memory is the limit, also with short vectors
+    // eight independent sums, so that memory limits the rate even where vectors are short
     let mut sums = [0u64; 8];
     for chunk in values.chunks_exact(8) {
         sums.iter_mut().zip(chunk).for_each(|(sum, value)| *sum = sum.wrapping_add(*value));

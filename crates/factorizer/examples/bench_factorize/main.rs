@@ -7,11 +7,13 @@
 //! ```
 //!
 //! All cases are timed in turn, round after round. Other programs then slow all of them alike, and
-//! ratios of medians stay valid. A peer is the same multiplicative update in another library. It
-//! has the same data, and is timed in turn with Lumistack's update; its masks must be equal.
+//! ratios of medians stay valid. A peer computes the same multiplicative update with another
+//! library, from the same data. It is timed in turn with Lumistack's update. Its masks must agree
+//! with Lumistack's except for rounding.
 //!
-//! `cargo xtask bench factorize` passes NumPy and PyTorch. Files for peers go into `--folder`
-//! (default: the system's temporary files). `--quick` uses a quarter of the resolution.
+//! `cargo xtask bench factorize` passes NumPy and PyTorch as peers. Files for peers go into
+//! `--folder` (default: the system's folder of temporary files). `--quick` uses a quarter of the
+//! resolution per axis.
 
 mod cases;
 mod machine;
@@ -34,9 +36,10 @@ use table::{PeerRow, Quality, Report, Row, Series};
 
 /// Seed of all starts.
 const SEED: u64 = 1;
-/// Number of updates of the paper's rule whose PSNR is the quality to reach.
+/// Number of updates by the paper's rule. The PSNR after these updates is the quality that the
+/// default settings must reach.
 const PAPER_UPDATES: u32 = 50;
-/// Largest allowed difference between masks after one update, by rounding, in transmittance.
+/// Largest difference in transmittance that rounding may cause between masks after one update.
 const SAME_MASKS: f32 = 1e-4;
 /// Smallest number of Lumistack's updates per round.
 const OWN_UPDATES: usize = 3;
@@ -48,7 +51,7 @@ struct Arguments {
     rounds: usize,
     json: Option<PathBuf>,
     folder: PathBuf,
-    /// Python and script of each peer.
+    /// For each peer, the paths of the Python program and of the script.
     peers: Vec<[PathBuf; 2]>,
 }
 
@@ -81,7 +84,8 @@ fn arguments() -> Result<Arguments, String> {
 }
 
 fn bench(arguments: &Arguments) -> Outcome {
-    // time four cases: the paper's, the same with bilinear sampling, many views, and a lens array
+    // prepare five cases: the paper's, the same with bilinear sampling, two with few and many
+    // views, and a lens array
     let resolution = arguments.resolution;
     println!("preparing: light fields in closed form, {}×{} pixels, 5×5 views", resolution[0], resolution[1]);
     let (three, between) = (cases::three_layers(resolution, PAPER_VIEWS), cases::bilinear(resolution));
@@ -186,13 +190,13 @@ fn own_runs(cases: &[Case]) -> Outcome<Vec<TimedRun<'_>>> {
     Ok(runs)
 }
 
-/// A peer with a row per variant.
+/// A peer, and a row of the table for each variant of its update.
 struct TimedPeer {
     peer: Peer,
     rows: Vec<PeerRow>,
 }
 
-/// Starts the peers; their data is in files that are removed after the start.
+/// Starts the peers. Their data is in files, which are removed once all peers have read them.
 fn start_peers(arguments: &Arguments, case: &Case) -> Outcome<Vec<TimedPeer>> {
     if arguments.peers.is_empty() {
         return Ok(Vec::new());

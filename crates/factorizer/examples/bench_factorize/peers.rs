@@ -1,5 +1,5 @@
-//! The same update in other libraries: child processes that answer each request by one line of
-//! JSON. `xtask/bench/worker.py` describes the requests.
+//! The multiplicative update in other libraries. Each library runs in a child process, which
+//! answers each request by one line of JSON. `xtask/bench/worker.py` describes the requests.
 
 use std::error::Error;
 use std::io::{BufRead, BufReader, Write};

@@ -2,9 +2,9 @@
 //! scene, so timings and PSNR are meaningful.
 //!
 //! Units are millimetres of display space, for a display 473.76 mm wide. A wall stands at z = −170.
-//! A checkerboard slopes down from it to the viewer, through the display plane to z = 100. On it
-//! are three balls (plastic, brushed, mirror) whose highlights move with the view, and thin posts
-//! in front.
+//! A checkerboard slopes down from the wall to the viewer, through the display plane to z = 100.
+//! Three balls (plastic, brushed metal, mirror) lie on it, and their highlights move with the view.
+//! Thin posts stand in front.
 //!
 //! A ray is (x, y, 0) + z (s_x, s_y, 1); the viewer sees the hit of largest z. There are no
 //! transcendental functions, since their last bits differ between machines.

@@ -58,20 +58,21 @@ pub struct PeerRow {
 /// Time until the quality of the paper's 50 updates is reached.
 #[derive(Default)]
 pub struct Quality {
-    /// PSNR (dB, `psnr_view`) after 50 multiplicative updates from a random start, and their time
-    /// with preparation.
+    /// PSNR (dB, `psnr_view`) after 50 multiplicative updates from a random start. The next field
+    /// is the time of these updates with preparation.
     pub paper_psnr: f64,
     pub paper_seconds: f64,
     /// The default settings, with every automatic choice replaced by its value.
     pub settings: Settings,
-    /// Number of iterations in which the default settings reach that PSNR; `None` if they do not.
+    /// Number of iterations in which the default settings reach `paper_psnr`; `None` if they do
+    /// not.
     pub reached: Option<u32>,
-    /// Time from the call until the report of the iteration that reaches that PSNR. It includes
+    /// Time from the call until the report of the iteration that reaches `paper_psnr`. It includes
     /// preparation, start, coarser levels and all evaluations.
     pub until_reached: Series,
-    /// Time of the whole call with that many iterations.
+    /// Time of a whole call with `reached` iterations.
     pub whole_call: Series,
-    /// PSNR and time of all iterations of the default settings.
+    /// PSNR after all iterations of the default settings. The next field is their time.
     pub long_psnr: f64,
     pub long_seconds: f64,
 }
@@ -83,9 +84,9 @@ pub struct Report {
     rounds: usize,
     /// The first row is the multiplicative update of the main case.
     pub rows: Vec<Row>,
-    /// Evaluation of the objective, main case.
+    /// Times of an evaluation of the objective, for the main case.
     pub objective: Series,
-    /// Start of a run, main case.
+    /// Times of the start of a run, for the main case.
     pub preparation: Series,
     pub peers: Vec<PeerRow>,
     pub quality: Quality,
@@ -176,8 +177,8 @@ impl Report {
             Some(iterations) => {
                 let _ = writeln!(
                     text,
-                    "  that PSNR after {iterations} iterations: {:.3} s (fastest {:.3}) from the call until that is reported,\n  \
-                     {:.3} s (fastest {:.3}) for the whole call with as many iterations, until patterns are handed back",
+                    "  reach that PSNR after {iterations} iterations: {:.3} s (fastest {:.3}) from the call until it is reported,\n  \
+                     {:.3} s (fastest {:.3}) for a call with as many iterations, until the patterns are returned",
                     quality.until_reached.median(),
                     quality.until_reached.fastest(),
                     quality.whole_call.median(),
@@ -208,7 +209,7 @@ impl Report {
         if share < QUIET {
             let _ = writeln!(
                 text,
-                "The median of these measurements was {:.0} % of the best: other programs ran. Trust ratios and shares.",
+                "The median of these measurements was {:.0} % of the best: other programs ran. Only ratios and shares are reliable.",
                 100.0 * share
             );
         }
@@ -291,7 +292,8 @@ impl Report {
     }
 }
 
-/// Fractions of the machine's multiply-add rate and memory rate at the fastest time.
+/// Fractions of the machine's multiply-add rate and memory rate that an update reaches at its
+/// fastest time.
 fn shares(needs: &Needs, times: &Series, machine: &Machine) -> [f64; 2] {
     let fastest = times.fastest();
     [needs.operations / fastest / machine.multiply_adds.best(), needs.bytes / fastest / machine.bandwidth.best()]

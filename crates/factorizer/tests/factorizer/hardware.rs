@@ -11,7 +11,7 @@ use lumistack_factorizer::{Factorization, Problem, Settings, factorize};
 /// Number of iterations of every solve; PSNR differences then vary by about 0.2 dB.
 const ITERATIONS: u32 = 30;
 
-/// PSNR difference that is taken as none after so few iterations, dB.
+/// PSNR differences below this limit are ignored after so few iterations, dB.
 const NEGLIGIBLE_DB: f64 = 0.2;
 
 fn solve(display: &Display, target: &LightField, levels: bool) -> Factorization {
@@ -21,8 +21,8 @@ fn solve(display: &Display, target: &LightField, levels: bool) -> Factorization 
     factorize(&problem, &settings, None, Task::quiet(&warnings, &cancel), &mut |_| ()).unwrap()
 }
 
-/// PSNR on a display whose layers cannot leave their range, and have no colour if they are
-/// monochrome.
+/// PSNR on the display as it is: values are clamped to each layer's range, and monochrome layers
+/// show no colour.
 fn shown(display: &Display, stack: &LayerStack, target: &LightField) -> f64 {
     let mut stack = stack.clone();
     for (layer, values) in display.layers.iter().zip(&mut stack.layers) {
@@ -38,7 +38,8 @@ fn shown(display: &Display, stack: &LayerStack, target: &LightField) -> f64 {
     score(display, &stack, target, &Weights::Uniform).psnr_view()
 }
 
-/// PSNR in dB: [without the effect, ignored by the solver, modelled by the solver].
+/// PSNR in dB: [effect absent, present but ignored by the solver, present and modelled by the
+/// solver].
 fn effect(name: &str, target: &LightField, ideal: &Display, real: &Display) -> [f64; 3] {
     let blind = solve(ideal, target, true).stack;
     let figures = [

@@ -87,7 +87,8 @@ impl Oracle {
         }
     }
 
-    /// Emission of frame m; `replaced` substitutes the value of factor n.
+    /// Emission of frame m. With `replaced` = (n, value), factor n has this value instead of its
+    /// own.
     fn frame(&self, ray: &Ray, m: usize, channel: usize, replaced: Option<(usize, f64)>) -> f64 {
         let value = |k: usize| match replaced {
             Some((n, value)) if n == k => value,
@@ -185,7 +186,7 @@ impl Oracle {
         let influence = |m: usize, at: usize| gram[at][m][m].sqrt() / frames as f64;
         let mut influences: Vec<f64> = (0..frames * size).map(|i| influence(i / size, i % size)).collect();
         if self.tied[n] {
-            // the sums above changed the red value alone; copy it to green and blue
+            // the sums above changed only the red value; copy it to green and blue
             for values in [&mut self.factors[n], &mut influences] {
                 values.chunks_exact_mut(3).for_each(|pixel| pixel.copy_from_slice(&[pixel[0]; 3]));
             }
@@ -203,7 +204,8 @@ impl Oracle {
         self.rays.len()
     }
 
-    /// Largest difference between factor n and a stack; `counts` weights the values.
+    /// Largest weighted difference between factor n and a stack; `counts(i)` is the weight of value
+    /// i.
     pub(crate) fn distance(&self, n: usize, stack: &LayerStack, counts: impl Fn(usize) -> f64) -> f64 {
         let mut tensors = stack.layers.iter().map(|t| t.data()).chain(stack.emission.iter().map(|t| t.data()));
         let found = tensors.nth(n).unwrap_or(&[]);
@@ -259,14 +261,14 @@ fn rays(problem: &Problem) -> Vec<Ray> {
     let mut rays = Vec::new();
     for [view_y, view_x] in field.grid.iter() {
         for (row, col) in (0..field.rows).flat_map(|row| (0..field.cols).map(move |col| (row, col))) {
-            // the ray at z = 0: point and slope
+            // the ray's position and slope at z = 0
             let x = (col as f64 - (field.cols as f64 - 1.0) / 2.0) * field.pitch_mm;
             let y = ((field.rows as f64 - 1.0) / 2.0 - row as f64) * field.pitch_mm;
             let (mut sx, mut sy) = (field.grid.slope_x[view_x], field.grid.slope_y[view_y]);
             if let Projection::Perspective { distance_mm } = field.grid.projection {
                 (sx, sy) = ((sx * distance_mm - x) / distance_mm, (sy * distance_mm - y) / distance_mm);
             }
-            // the pixels of each layer that it reads
+            // the pixels of each layer that the ray reads
             let mut reads = Vec::new();
             let mut counts = true;
             for layer in &display.layers {
@@ -287,7 +289,7 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                     reads.push(Read::Entries(entries(layer, &pixels)));
                 }
             }
-            // the lenslet and angular bin that it hits
+            // the lenslet and angular bin that the ray hits
             if let Backlight::Lenslets(b) = &display.backlight {
                 let ([cols, rows], [bins_x, bins_y]) = (b.lenslets.map(|n| n as f64), b.views.map(|n| n as f64));
                 let i = ((x + b.d_mm * sx - b.offset_mm[0]) / b.pitch_mm + (cols - 1.0) / 2.0 + 0.5).floor();

@@ -9,7 +9,7 @@ use lumistack_display::{
 
 use lumistack_factorizer::Problem;
 
-/// The property that a random problem has.
+/// The special property of a random problem.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     Plain,
@@ -36,7 +36,7 @@ pub(crate) enum Kind {
     Responses,
     Additive,
     Polarization,
-    /// Random sampling, projection, missing, layers, backlight and weights.
+    /// Everything is random: sampling, projection, missing, layers, backlight and weights.
     Anything,
 }
 
@@ -98,7 +98,7 @@ pub(crate) fn display(resolution: [usize; 2], views: [usize; 2], d_mm: &[f64], f
     }
 }
 
-/// A random problem; the same for the same arguments.
+/// A random problem; equal arguments give equal problems.
 pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
     let mut random = Stream::new(derive(seed, &[kind as u64]));
     let mut below = |n: usize| (random.next_u64() % n as u64) as usize;
@@ -224,7 +224,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
     // some weights are 0
     let mut weight = || ((unit() * 1.3 - 0.3).max(0.0) * 7.0) as f32;
     let [view_cols, view_rows] = views;
-    // but not all
+    // but at least one weight is above 0
     let some = |mut values: Vec<f32>| {
         if values.iter().all(|w| *w == 0.0) {
             values[0] = 1.0;

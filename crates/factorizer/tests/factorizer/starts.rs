@@ -1,5 +1,5 @@
-//! Compares warm starts with fresh ones: the prediction must agree with the result of five
-//! iterations.
+//! Compares warm starts with fresh ones: the choice by `warm_start_pays` must agree with the result
+//! of five iterations.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LightField, Weights};
@@ -58,7 +58,8 @@ fn plane(shift: f64, scene: f64, brightness: f64) -> Owned {
     Owned { display, target, weights: Weights::Uniform }
 }
 
-/// Largest loss of the chosen start against the other after five iterations, dB.
+/// Largest PSNR, in dB, by which the chosen start may lag behind the other start after five
+/// iterations.
 const WORST_LOSS_DB: f64 = 1.5;
 
 #[test]

@@ -1,5 +1,5 @@
-//! Tests tiles: a tile's rays read the same values as in the whole display. With fixed borders, the
-//! whole display gains as much as the tile.
+//! Tests tiles: a tile's rays read the same values as in the whole display. If a tile is solved
+//! with fixed borders, the objective of the whole display falls by as much as that of the tile.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerColour, LayerStack, RayMap, Region, Tap, Tile, Tiling, Weights};
@@ -29,7 +29,7 @@ fn regions(tile: &Tile, of: fn(&lumistack_display::TilePart) -> &Region) -> Vec<
     tile.parts.iter().map(|part| of(part).clone()).collect()
 }
 
-/// The pixels of a layer that a ray reads, [rows, columns]; empty if it misses.
+/// The pixels of a layer that a ray reads, [rows, columns]; `None` if the ray misses the layer.
 fn read(map: &RayMap, layer: usize, view: [usize; 2], row: usize, col: usize) -> Option<[[usize; 2]; 2]> {
     let pair = |tap: Tap| (!tap.is_missed()).then_some([tap.first as usize, tap.second as usize]);
     let map = &map.layers[layer];
@@ -85,7 +85,8 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                     }
                 }
             }
-            // and the tile's own geometry equals its section of the whole display's
+            // the map of the tile's own geometry must equal the tile's section of the whole
+            // display's map
             let display = tile.display(&owned.display, geometry);
             display.check().unwrap_or_else(|error| panic!("{kind:?}: {error}"));
             let anew = RayMap::new(&display, &tile.geometry(geometry));
@@ -131,7 +132,7 @@ fn what_a_tile_gains_with_fixed_borders_the_whole_gains() {
             let of_tile = Problem { display: &display, target: &target, weights: &weights };
             let settings =
                 Settings { solver: "block-exact".into(), iterations: 2, levels: false, ..Settings::default() };
-            // a warm start lifts black
+            // a warm start raises black values to the floor, so do the same here
             let tensors = stack.layers.iter_mut().map(|layer| layer.data_mut());
             for values in tensors.chain(stack.emission.iter_mut().map(|emission| emission.data_mut())) {
                 values.iter_mut().for_each(|value| *value = value.max(lumistack_factorizer::FLOOR));

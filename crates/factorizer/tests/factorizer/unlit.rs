@@ -15,8 +15,8 @@ const COST_DB: f64 = 1e-3;
 /// solver's own limit, 10⁻⁴ of the brightness.
 const UNLIT: f32 = 1e-6;
 
-/// Largest allowed value of an unlit pixel. It is not 0 if the other layer is dark only because it
-/// was darkened later; this pixel was then below the solver's limit.
+/// Largest allowed value of an unlit pixel. It is not 0: the solver may have darkened the other
+/// layer after this pixel. That happens only if this pixel was below the solver's limit.
 const BLACK: f32 = 1e-4;
 
 /// Two layers of three frames. The left half of the target is black; its right half has waves.
@@ -95,7 +95,8 @@ fn where_no_light_reaches_masks_are_black_from_every_start() {
                 }
             }
         }
-        // both layers, three frames, three channels, most of the black half
+        // more than half of the values in the black half are unlit: 2 layers × 3 frames × 3
+        // channels × 20 × 24 pixels
         assert!(unlit > 2 * 3 * 3 * 20 * 24 / 2, "{solver}: {unlit} unlit values");
     }
 }
@@ -124,7 +125,7 @@ fn the_end_of_a_run_costs_nothing_and_is_the_same_by_every_kernel() {
         ended.push((first, engine.download()));
     }
     let changed = ended[0].0.layers[0].data().iter().zip(ended[0].1.layers[0].data()).filter(|(a, b)| a != b);
-    assert!(changed.count() > 100, "values that no light reaches were bright");
+    assert!(changed.count() > 100, "too few unlit values were darkened");
     for (_, other) in &ended[1..] {
         assert!(*other == ended[0].1);
     }
@@ -183,7 +184,8 @@ fn black_patterns_are_a_start_like_any_other() {
     for iterations in [1, 5] {
         let settings = Settings { solver: "block-exact".into(), iterations, ..Settings::default() };
         let (_, psnr) = solve(&owned, &settings, Some(&black));
-        // equal grey frames show the half that is not black nearly as well as one frame can
+        // all frames stay equal, so the display shows the half that is not black no better than a
+        // display with one frame
         assert!(psnr > 12.0, "{psnr} dB after {iterations} iterations from black");
     }
     // a mask that was black in one time step becomes bright in the next

@@ -19,7 +19,7 @@ const RISE_RELATIVE: f64 = 1e-6;
 const RISE_PER_VALUE: f64 = 1e-13;
 /// Relative tolerance of the objective that an update obtains from its own sums.
 const ERROR_SEEN: f64 = 1e-5;
-/// Tolerance of such an objective near 0, per ray and channel.
+/// Tolerance of an objective near 0 that an update obtains from its own sums, per ray and channel.
 const ERROR_SEEN_PER_VALUE: f64 = 1e-11;
 /// Largest allowed KKT residual after many iterations.
 const SETTLED: f64 = 1e-4;
@@ -128,7 +128,7 @@ fn the_objective_never_rises_and_falls_by_what_the_step_says_at_least() {
                         oracle.upload(&engine.download());
                         let after = oracle.objective();
                         // the objective must fall by the reported gain, and the reported error must
-                        // be its value
+                        // be the objective before the step
                         let what = format!("{rule:?} {kind:?} {seed}, step {step}, factor {n}");
                         assert!(after <= before * (1.0 + RISE_RELATIVE) + slack, "{what}: {before} to {after}");
                         if engine.plan().sees_all_rays(n) {

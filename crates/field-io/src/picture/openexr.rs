@@ -27,8 +27,8 @@ pub enum Precision {
 const COMPRESSION: Compression = Compression::PIZ;
 /// Bytes that a chunk takes at least: its entry in the offset table and its header.
 const LEAST_BYTES_PER_CHUNK: u64 = 16;
-/// Largest factor by which pixels are larger than their file. Deflate packs 1032 bytes into one,
-/// and PXR24 keeps 24 of 32 bits.
+/// Largest size of decoded pixels, relative to the size of their file. Deflate packs 1032 bytes
+/// into one, and PXR24 keeps 24 of 32 bits.
 const MOST_EXPANSION: u64 = 1032 * 4 / 3;
 
 /// Writes one RGB picture, `[row][col][rgb]` linear, `size` = [columns, rows]. Equal values produce
@@ -44,8 +44,8 @@ pub fn write_exr(path: &Path, size: [usize; 2], rgb: &[f32], precision: Precisio
 }
 
 /// Writes like [`write_exr`], but uncompressed and with a text in the header's attribute
-/// `comments`, which [`Picture::read_noted`] returns. Such files are soon read again: compressing
-/// the noise of a view with few samples takes as long as half of its render time.
+/// `comments`, which [`Picture::read_noted`] returns. Such files are soon read again. For a noisy
+/// view of few samples, compression would take half as long as the rendering.
 ///
 /// # Errors
 /// If writing fails.
@@ -156,8 +156,8 @@ fn write_image<'a, C: WritableChannels<'a>>(
 }
 
 /// One OpenEXR picture with several views. The header's `multiView` lists their names. The first
-/// view is the default: its channels have no prefix. Those of another view are `name.R`, `name.G`,
-/// `name.B`.
+/// view is the default: its channels have no prefix. The channels of every other view are `name.R`,
+/// `name.G`, `name.B`.
 #[derive(Debug)]
 pub struct MultiView {
     size: [usize; 2],
@@ -280,8 +280,8 @@ pub(super) fn read_noted(path: &Path) -> Result<(Picture, Option<String>), Field
 }
 
 /// Indices of the channels R, G and B. They have no prefix, or the first prefix ("layer.R") that
-/// has all three. Without them, the index of luminance three times. Colours in OpenEXR are
-/// premultiplied by alpha, so they are already composited over black.
+/// has all three. If there are no such channels, the index of luminance is returned three times.
+/// Colours in OpenEXR are premultiplied by alpha, so they are already composited over black.
 fn rgb_channels(names: &[String]) -> Option<[usize; 3]> {
     let find = |prefix: &str, name: &str| {
         names.iter().position(|n| n.strip_prefix(prefix).is_some_and(|rest| rest.eq_ignore_ascii_case(name)))

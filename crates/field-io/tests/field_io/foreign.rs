@@ -86,7 +86,7 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     let (field, warnings) = open(folder.path(), &GeometryFlags::default(), &defaults());
     assert_eq!(label(&field.unwrap(), [1, 2]), [2, 1]);
     assert!(warnings.iter().any(|w| w.contains("the cameras' own angles are 0.9° × 0.6°")), "{warnings:?}");
-    // without a default angle, the slopes are those of the cameras: 50 mm at 10 m; the viewing
+    // without a default angle, the slopes follow from the cameras: 50 mm at 10 m; the viewing
     // distance is width · f / sensor
     let own = GeometryDefaults { width_mm: Some(350.0), fov_deg: None };
     let field = open(folder.path(), &GeometryFlags::default(), &own).0.unwrap();

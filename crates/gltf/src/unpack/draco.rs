@@ -5,7 +5,7 @@ use gltf::json::accessor::ComponentType;
 
 use super::kinds::{Attribute, Mesh, Unpacked, Unsound};
 
-/// Decodes a stream, and unpacks the attributes of some ids to one element per vertex.
+/// Decodes a stream, and unpacks the attributes with the given ids to one element per vertex.
 pub(super) fn decode(bytes: &[u8], attributes: &[u32], max_bytes: u64) -> Result<Unpacked, Unsound> {
     let limits = DecodeLimits::default()
         .with_max_decoded_bytes(max_bytes)
@@ -46,7 +46,7 @@ fn component(of: DataType) -> Result<ComponentType, String> {
     })
 }
 
-/// The elements of all vertices, or the first vertex without one.
+/// The elements of all vertices, or the index of the first vertex without an element.
 fn elements(source: &PointAttribute, vertices: usize, size: usize) -> Result<Vec<u8>, u32> {
     let stride = usize::try_from(source.byte_stride()).unwrap_or_default();
     let mut bytes = Vec::with_capacity(vertices * size);

@@ -17,7 +17,7 @@ pub enum Packed<'a> {
         bytes: &'a [u8],
         /// Unique ids of the wanted attributes, none twice.
         attributes: &'a [u32],
-        /// Most bytes that the mesh and the wanted attributes may take.
+        /// Largest number of bytes that the mesh and the wanted attributes may take.
         max_bytes: u64,
     },
     /// A meshopt stream: [`Unpacked::Bytes`].
@@ -26,18 +26,18 @@ pub enum Packed<'a> {
         bytes: &'a [u8],
         /// Its codec.
         codec: Codec,
-        /// The filter of unpacked values.
+        /// The filter that is undone after decompression.
         filter: Filter,
         /// Number of elements.
         count: usize,
-        /// Bytes of an element.
+        /// Number of bytes of an element.
         stride: usize,
     },
     /// An SPZ stream: [`Unpacked::Splats`].
     Spz {
         /// The stream.
         bytes: &'a [u8],
-        /// Most bytes that the splats may take.
+        /// Largest number of bytes that the splats may take.
         max_bytes: u64,
     },
     /// A file of splats, and the files beside it by name: [`Unpacked::Splats`].
@@ -84,11 +84,11 @@ pub enum Filter {
 pub enum Unpacked {
     /// Size of a picture in texels, and of one of its texels in bytes.
     Size {
-        /// Texels of a row.
+        /// Number of texels in a row.
         width: u32,
-        /// Rows.
+        /// Number of rows.
         height: u32,
-        /// Bytes of a texel.
+        /// Number of bytes of a texel.
         texel_bytes: usize,
     },
     /// Texels, row by row.
@@ -106,7 +106,7 @@ pub enum Unpacked {
 pub struct Mesh {
     /// Number of vertices.
     pub vertices: usize,
-    /// Corners, not checked against `vertices`.
+    /// Vertex indices of the corners, not checked against `vertices`.
     pub triangles: Vec<[u32; 3]>,
     /// The wanted attributes; `None` for ids that the stream does not have.
     pub attributes: Vec<Option<Attribute>>,
@@ -117,7 +117,7 @@ pub struct Mesh {
 pub struct Attribute {
     /// Type of a component, or the name of one that glTF does not have.
     pub component: Result<ComponentType, String>,
-    /// Components of an element.
+    /// Number of components of an element.
     pub dimensions: usize,
     /// The elements, or the first vertex that has none. Empty once the bytes that the mesh may take
     /// are used up.
@@ -142,8 +142,8 @@ impl Unsound {
 }
 
 impl Packed<'_> {
-    /// The error of content on which its decoder stops without an error of its own: a panic of the
-    /// library, which does not look for this way to be broken.
+    /// The error for content on which the decoder of a library panics, since the library does not
+    /// check for this kind of defect.
     pub fn stopped(&self) -> Unsound {
         let expected = match self {
             Self::Size(..) | Self::Picture(..) => "a sound picture",

@@ -18,10 +18,10 @@ use crate::options::MAX_SIDE;
 /// First bytes of a KTX2 file.
 pub(super) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 
-/// Bytes of the header before the list of levels, and of one level's entry in the list.
+/// Number of bytes of the header before the list of levels, and of one level's entry in the list.
 const HEADER_BYTES: usize = 80;
 const LEVEL_BYTES: usize = 24;
-/// Bytes of the header that hold offset and length of the key/value data.
+/// The bytes of the header that hold offset and length of the key/value data.
 #[cfg(feature = "ktx2")]
 const NOTES: Range<usize> = 56..64;
 /// Colour models of the data format descriptor.
@@ -32,11 +32,11 @@ const UASTC: u32 = 166;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Channels {
     Rgba,
-    /// Only red, from the colour.
+    /// Red from the decoded red; green and blue are 0.
     Red,
-    /// Red from the colour, green from alpha.
+    /// Red from the decoded red, green from the decoded alpha; blue is 0.
     RedAndAlpha,
-    /// Red and green from the same channels.
+    /// Red and green from the decoded red and green; blue is 0.
     RedGreen,
 }
 
@@ -57,7 +57,7 @@ pub(super) fn size(bytes: &[u8]) -> Result<[u32; 2], Unsound> {
 #[cfg(not(feature = "ktx2"))]
 pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
     Header::read(bytes)?;
-    Err(Unsound::new("a PNG, JPEG or WebP picture, as all that this build reads", "KTX2"))
+    Err(Unsound::new("a PNG, JPEG or WebP picture, since this build reads no others", "KTX2"))
 }
 
 /// Decodes the largest level.
@@ -97,7 +97,7 @@ impl Header {
             Some(end) if end <= bytes.len() as u64 => Ok(()),
             _ => Err(truncated()),
         };
-        // one picture of Basis Universal with its mip levels
+        // check that the file is one picture of Basis Universal with its mip levels
         let (format, width, height, depth) = (word(12)?, word(20)?, word(24)?, word(28)?);
         let (layers, faces, levels, scheme) = (word(32)?, word(36)?, word(40)?, word(44)?);
         if format != 0 {
@@ -116,7 +116,7 @@ impl Header {
             inside(offset.into(), length.into())?;
         }
         inside(long(64)?, long(72)?)?;
-        // the codec
+        // check the codec
         let model = word(descriptor + 12)? & 255;
         if !((model == ETC1S && scheme == 1) || (model == UASTC && (scheme == 0 || scheme == 2))) {
             let found = format!("colour model {model} with supercompression {scheme}");

@@ -31,7 +31,7 @@ impl Out {
         self
     }
 
-    /// Position of a value in a list of all values.
+    /// Writes the position of a value in the list `all`.
     fn one_of<T: PartialEq>(&mut self, all: &[T], value: &T) -> &mut Self {
         self.number(all.iter().position(|other| other == value).unwrap_or(all.len()))
     }
@@ -42,7 +42,7 @@ impl Out {
         self
     }
 
-    /// A list of values of a few bytes.
+    /// Writes a list of values of `N` bytes each, after its length in bytes.
     fn values<const N: usize>(&mut self, values: impl ExactSizeIterator<Item = [u8; N]>) -> &mut Self {
         self.number(N * values.len());
         self.0.reserve(N * values.len());
@@ -126,7 +126,7 @@ impl Packed<'_> {
     }
 }
 
-/// Calls `with` with the request in some bytes.
+/// Calls `with` with the request that the bytes hold; `None` if they hold no request.
 pub(super) fn request<T>(bytes: &[u8], with: impl FnOnce(&Packed<'_>) -> T) -> Option<T> {
     let from = &mut In(bytes);
     let uses = [Use::Texture, Use::Environment];
@@ -229,7 +229,7 @@ fn triple(values: [f32; 3]) -> [u8; 12] {
     bytes
 }
 
-/// The answer in some bytes; `None` if they are none of [`answer`](super::answer).
+/// The answer that the bytes hold; `None` if the bytes do not come from [`answer`](super::answer).
 pub fn answered(bytes: &[u8]) -> Option<Result<Unpacked, Unsound>> {
     let from = &mut In(bytes);
     Some(Ok(match from.number()? {

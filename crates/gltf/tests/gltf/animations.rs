@@ -81,7 +81,7 @@ fn splines_have_the_values_and_tangents_of_their_keys() {
     for step in 0..=20 {
         let t = 0.5 + 2.5 * step as f32 / 20.0;
         let expected = value(t);
-        // corners (1, 0, 0) and (0, 1, 0); the scale along y is half of it
+        // corners (1, 0, 0) and (0, 1, 0); the scale along y is half of the scale along x
         let size = at_scale(&b, f64::from(t));
         assert!((size.x - expected).abs() < 1e-4 && (size.y - 0.5 * expected).abs() < 1e-4, "{t}: {size} {expected}");
     }
@@ -121,7 +121,7 @@ fn rotations_take_the_shorter_arc_at_constant_speed() {
 
 #[test]
 fn rotations_come_in_every_width() {
-    // halfway from no rotation to half a turn about z
+    // the keys are no rotation and half a turn about z; the time is halfway between them
     let cases: [(u32, Vec<u8>); 5] = [
         (F32, [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect()),
         (I8, vec![0, 0, 0, 127, 0, 0, 127, 0]),
@@ -225,7 +225,7 @@ fn animations_are_chosen_by_name_or_number() {
         scene.map(|scene| [0, 1].map(|i| placed(&scene, i, Vec3::ZERO).x)).map_err(|error| error.to_string())
     };
     assert_eq!(xs("Hop", Some(0.0)), Ok([1.0, 0.0]));
-    // without a time, time 0
+    // without a given time, the time is 0
     assert_eq!(xs("Jump", None), Ok([0.0, 2.0]));
     assert_eq!(xs("2", None), Ok([3.0, 0.0]));
     let expected =

@@ -1,5 +1,5 @@
-//! Compares compressed meshes and pictures with their sources. Encoders of other projects wrote
-//! them (`data/make.mjs`).
+//! Compares compressed meshes and pictures with their sources. Encoders of other projects wrote the
+//! compressed files (`data/make.mjs`).
 
 use std::collections::BTreeMap;
 
@@ -15,8 +15,8 @@ fn data(name: &str) -> Vec<u8> {
     std::fs::read(workspace().join("crates/gltf/tests/data").join(name)).unwrap()
 }
 
-/// Vertices by twice their grid position, rounded; and triangles by those of their corners, the
-/// smallest first.
+/// Vertices, by a key: twice their grid position, rounded. Also triangles, as the keys of their
+/// corners, with the smallest key first.
 type Grid = (BTreeMap<[i32; 2], (Vec3, Vec3, Vec2)>, Vec<[[i32; 2]; 3]>);
 
 fn grid(scene: &Scene) -> Grid {
@@ -54,7 +54,7 @@ fn plain() -> Grid {
 fn assert_same(name: &str, tolerances: [f32; 3]) {
     let (result, warnings) = load(&data(name));
     let (vertices, triangles) = grid(&result.unwrap_or_else(|error| panic!("{name}: {error}")));
-    assert_eq!(warnings.len(), 1, "only that it is animated: {warnings:?}");
+    assert_eq!(warnings.len(), 1, "expected only the warning that the file is animated: {warnings:?}");
     let (expected_vertices, expected_triangles) = plain();
     assert_eq!(triangles, expected_triangles, "{name}");
     assert!(vertices.keys().eq(expected_vertices.keys()), "{name}");
@@ -69,7 +69,8 @@ fn assert_same(name: &str, tolerances: [f32; 3]) {
 
 #[test]
 fn draco_primitives_are_decoded() {
-    // KHR_draco_mesh_compression: 14, 10 and 12 bits over the extent of the grid
+    // KHR_draco_mesh_compression: positions have 14 bits over the extent of the grid, normals have
+    // 10 bits, texture coordinates have 12 bits
     for name in ["grid-draco-edgebreaker.glb", "grid-draco-sequential.glb"] {
         assert_same(name, [3e-4, 5e-3, 5e-4]);
     }
@@ -77,7 +78,7 @@ fn draco_primitives_are_decoded() {
     let (jet, warnings) = support::load_file(&folder.join("jet-fighter/jet-fighter.glb"));
     let jet = jet.unwrap();
     assert_eq!(jet.triangle_count(), 36440, "{warnings:?}");
-    // the accessors' own bounds: the bounds of the mesh before compression
+    // the accessors state the bounds of the mesh before compression
     let bounds = jet.bounds();
     println!("jet-fighter spans {} to {}", bounds.min, bounds.max);
 }
@@ -138,7 +139,7 @@ fn claims_that_no_stream_can_back_are_refused_before_memory_is_taken() {
     b.set("/bufferViews/0/byteLength", json!(1u64 << 32));
     b.set("/bufferViews/0/extensions", json!({"EXT_meshopt_compression": extension}));
     assert!(support::error(&b).contains("which 64 packed bytes can hold"), "{}", support::error(&b));
-    // Draco: every byte of the stream broken in turn
+    // Draco: break every byte of the stream in turn
     let file = data("grid-draco-edgebreaker.glb");
     let view = file.windows(5).position(|bytes| bytes == b"DRACO").unwrap();
     for at in view..file.len() {
@@ -146,7 +147,7 @@ fn claims_that_no_stream_can_back_are_refused_before_memory_is_taken() {
             let mut broken = file.clone();
             broken[at] = value;
             let options = LoadOptions { max_decoded_bytes: 64 << 20, ..LoadOptions::default() };
-            // both an error and a scene are right
+            // either an error or a scene is right
             _ = load_choosing(&broken, &options);
         }
     }
@@ -168,7 +169,7 @@ fn picture(bytes: &[u8]) -> Builder {
 
 #[test]
 fn basis_pictures_are_decoded() {
-    // KHR_texture_basisu; in ETC1S the colours of a block are on one line
+    // KHR_texture_basisu; in ETC1S the colours of a block lie on one line in the space of colours
     for (name, tolerance) in [("etc1s", 24), ("uastc", 8), ("uastc-zstd", 8)] {
         let file = data(&format!("{name}.ktx2"));
         let scene = scene(&picture(&file));
@@ -183,7 +184,8 @@ fn basis_pictures_are_decoded() {
         }
         println!("{name}: off by at most {largest}");
         assert!(largest <= tolerance, "{name}: {largest}");
-        // cut short, and with every byte broken: an error or a picture, but no panic
+        // the file is cut short, and every byte is broken in turn: the result is an error or a
+        // picture, but no panic
         for length in 0..file.len() {
             assert!(load(&picture(&file[..length]).glb()).0.is_err(), "{name} cut to {length}");
         }

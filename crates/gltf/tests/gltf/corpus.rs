@@ -116,7 +116,7 @@ fn quantized_and_plain_meshes_are_the_same_surface() {
     let plain = load_file(&folder.join("TransmissionRoughnessTest/TransmissionRoughnessTest.glb")).0.unwrap();
     let name = "TransmissionRoughnessTest-quantized/TransmissionRoughnessTest-quantized.glb";
     let quantized = load_file(&folder.join(name)).0.unwrap();
-    // 14 bits over an extent of 2
+    // positions have 14 bits over an extent of 2
     let tolerance = 2.0 / 16384.0;
     let corners = |scene: &Scene| -> Vec<Vec3> {
         let placed = scene.instances.iter().flat_map(|instance| {
@@ -142,7 +142,7 @@ const HARMLESS: [(&str, &str); 32] = [
     ("ACCESSOR_ELEMENT_OUT_OF_MAX_BOUND", "stated bounds are not read"),
     ("ACCESSOR_ELEMENT_OUT_OF_MIN_BOUND", "stated bounds are not read"),
     ("ACCESSOR_INVALID_IBM", "any affine part of an inverse bind matrix is applied"),
-    ("ACCESSOR_INVALID_SIGN", "handedness is the sign"),
+    ("ACCESSOR_INVALID_SIGN", "only the sign of the handedness is used"),
     ("ACCESSOR_MAX_MISMATCH", "stated bounds are not read"),
     ("ACCESSOR_MIN_MISMATCH", "stated bounds are not read"),
     ("ACCESSOR_NON_CLAMPED", "clamped, with a warning"),
@@ -150,7 +150,7 @@ const HARMLESS: [(&str, &str); 32] = [
     ("ACCESSOR_TOTAL_OFFSET_ALIGNMENT", "bytes are read one by one"),
     ("ACCESSOR_VECTOR3_NON_UNIT", "made unit length"),
     ("BUFFER_DATA_URI_MIME_TYPE_INVALID", "the content decides"),
-    ("BUFFER_VIEW_INVALID_BYTE_STRIDE", "of a view without vertices; applied or not, with a warning"),
+    ("BUFFER_VIEW_INVALID_BYTE_STRIDE", "a stride of a view without vertices is applied or not, with a warning"),
     ("BUFFER_VIEW_TARGET_OVERRIDE", "targets are hints for graphics cards"),
     ("CAMERA_ZFAR_LEQUAL_ZNEAR", "nothing is clipped"),
     ("DUPLICATE_ELEMENTS", "an extension that is named twice is still one"),
@@ -159,19 +159,19 @@ const HARMLESS: [(&str, &str); 32] = [
     ("IMAGE_BUFFER_VIEW_WITH_BYTESTRIDE", "the bytes of a picture are all bytes of its view"),
     ("IMAGE_MIME_TYPE_INVALID", "the content decides the format"),
     ("MESH_PRIMITIVES_UNEQUAL_TARGETS_COUNT", "a weight without a target moves nothing"),
-    ("MESH_PRIMITIVE_ATTRIBUTES_ACCESSOR_UNSIGNED_INT", "of attributes that are not read"),
+    ("MESH_PRIMITIVE_ATTRIBUTES_ACCESSOR_UNSIGNED_INT", "attributes of this type are not read"),
     ("MESH_PRIMITIVE_INDEXED_SEMANTIC_CONTINUITY", "every set is read by its own number"),
-    ("MESH_PRIMITIVE_INDICES_ACCESSOR_WITH_BYTESTRIDE", "applied or not, with a warning, as in other readers"),
+    ("MESH_PRIMITIVE_INDICES_ACCESSOR_WITH_BYTESTRIDE", "the stride is applied or not, as in other readers"),
     ("MESH_PRIMITIVE_INVALID_ATTRIBUTE", "unknown attributes are not read"),
     ("MESH_PRIMITIVE_MORPH_TARGET_NO_BASE_ACCESSOR", "a delta without a base moves nothing"),
     ("MESH_PRIMITIVE_TOO_FEW_TEXCOORDS", "the missing coordinates read (0, 0), with a warning"),
     ("NODE_PARENT_OVERRIDE", "the node stays with its first parent, with a warning"),
     ("NODE_MATRIX_TRS", "the matrix is used, with a warning"),
     ("UNSATISFIED_DEPENDENCY", "skin or weights without a mesh, undeclared extensions: no effect"),
-    ("VALUE_MULTIPLE_OF", "of a stride; bytes are read one by one"),
+    ("VALUE_MULTIPLE_OF", "the multiple of a stride does not matter: bytes are read one by one"),
 ];
 
-/// Loads at a time, so that animations are read too.
+/// Loads a file at the time of 0.5 s, so that its animations are read too.
 fn load_posed(bytes: &[u8], resolver: &Folder) -> Result<Scene, GltfError> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let options = LoadOptions { time_s: Some(0.5), ..LoadOptions::default() };
@@ -207,7 +207,7 @@ const LENIENT: [(&str, &str); 6] = [
     ("glb/bom.glb", "a byte order mark is skipped"),
     ("json/bom.gltf", "a byte order mark is skipped"),
     ("image/invalid_data_uri_mime_type.gltf", "the stated media type is wrong; the content decides"),
-    ("root/extensions_non_objects.gltf", "of extensions that are not read"),
+    ("root/extensions_non_objects.gltf", "extensions of this form are not read"),
 ];
 
 /// Files that are refused although all of their errors are harmless, and the reason.
@@ -237,7 +237,7 @@ fn hostile_files_do_no_harm() {
         let is_sound = errors.iter().all(is_harmless) || LENIENT.iter().any(|(file, _)| name.ends_with(file));
         let shows_nothing = text.contains("expected at least one triangle");
         if is_sound {
-            // most files show no triangle, for which they are refused too
+            // most files show no triangle and are refused for that reason, so a triangle is added
             let shown = with_a_triangle(&path).map_or(result, |bytes| load(&bytes));
             loaded += 1;
             if let Err(error) = shown.as_ref().map_err(ToString::to_string)
@@ -354,7 +354,7 @@ fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     Some((b, [mesh, node]))
 }
 
-/// Copies of a file that show a triangle, and each one more object of the file.
+/// Copies of a file. Each copy shows a triangle and one more object of the file.
 fn shown_in_turn(file: &Value) -> Vec<(String, Value)> {
     let count = |list: &str| file.get(list).and_then(Value::as_array).map_or(0, Vec::len);
     let mut variants = Vec::new();
@@ -435,7 +435,7 @@ fn the_scenes_of_this_project_load_without_a_warning() {
         assert!(scene.environment.is_some() && scene.is_lit(), "{name}");
         assert!(scene.cameras[0].focus_distance.is_some_and(|distance| distance > 0.0), "{name}");
         assert!(scene.materials.iter().any(|material| material.base_color_texture.is_some()), "{name}");
-        // the binary file, the sky and the pictures, each once
+        // the binary file, the sky and the pictures are read once each
         let mut read = resolver.read.borrow().clone();
         read.sort();
         let before = read.len();

@@ -248,7 +248,7 @@ fn pictures_are_counted_before_the_first_is_decoded() {
     let mut b = Builder::triangle();
     let sky = png(64, &[[7; 4]; 64 * 64]);
     let (first, second) = (b.view(&sky), b.view(&sky));
-    // the first picture ends within its pixels, which are not decoded
+    // the first picture is cut off within its pixels, which would be an error if they were decoded
     b.set(&format!("/bufferViews/{first}/byteLength"), json!(60));
     for view in [first, second] {
         b.push("images", json!({"bufferView": view}));

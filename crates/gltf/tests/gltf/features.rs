@@ -242,7 +242,7 @@ fn a_skin_poses_its_mesh() {
     b.push("nodes", json!({"translation": [0, 2, 0]}));
     b.set("/scenes/0/nodes", json!([0, 1]));
     let scene = scene(&b);
-    // joint 0 moves to z + 1; joint 1, bound at z = 1 and moved to (0, 2, 1), moves to y + 2
+    // Joint 0 adds 1 to z. Joint 1 is bound at z = 1 and moved to (0, 2, 1), so it adds 2 to y.
     let placed: Vec<Vec3> =
         scene.meshes[0].positions.iter().map(|&p| scene.instances[0].scene_from_mesh.transform_point3(p)).collect();
     assert_near(placed[0], Vec3::new(0.0, 0.0, 1.0));
@@ -506,7 +506,7 @@ fn whole_numbers_may_be_written_as_floats() {
 }
 
 /// A scene that lists a child, the same node twice, or a node with two parents is not a tree. Other
-/// readers show it, and so does this one.
+/// readers show such a scene, and so does this reader.
 #[test]
 fn scenes_that_list_children_are_shown() {
     let corner = |b: &Builder| {
@@ -525,7 +525,7 @@ fn scenes_that_list_children_are_shown() {
         b
     };
     let child = "expected a node without a parent, found node 0, a child of node 1";
-    let shown_there = format!("{child}; it is shown there");
+    let shown_there = format!("{child}; it stays a child of that node");
     assert_eq!(corner(&under(json!([0, 1]))), (vec![3.0], vec![format!("/scenes/0/nodes/0: {shown_there}")]));
     assert_eq!(corner(&under(json!([1, 0]))), (vec![3.0], vec![format!("/scenes/0/nodes/1: {shown_there}")]));
     let alone = format!("/scenes/0/nodes/0: {child}, which the scene does not show; it is shown without its parent");
@@ -538,7 +538,7 @@ fn scenes_that_list_children_are_shown() {
     let (places, warnings) = corner(&b);
     assert_eq!((places, warnings.len()), (vec![3.0], 2));
     let expected =
-        "/nodes/2/children/0: expected nodes with one parent, found node 0, which is a child of node 1; it stays there";
+        "/nodes/2/children/0: expected one parent, found node 0, which is a child of node 1; it keeps this parent";
     assert_eq!(warnings[0], expected);
 }
 

@@ -134,7 +134,7 @@ fn glossiness_becomes_roughness() {
     let Pixels::Rgba8(texels) = &found.images[found.textures[rough.texture].image].pixels else { panic!() };
     let green: Vec<u8> = texels.iter().map(|texel| texel[1]).collect();
     assert_eq!(green, [255, 128, 204, 230]);
-    // without a texture, the factor alone
+    // without a texture, the factor alone gives the roughness
     b.remove("/materials/0/extensions/KHR_materials_pbrSpecularGlossiness/specularGlossinessTexture");
     let material = scene(&b).materials[0].clone();
     assert_eq!((material.roughness, material.metallic_roughness_texture), (0.5, None));

@@ -40,12 +40,13 @@ impl AssetResolver for Memory {
         found.map(|(_, bytes)| bytes.clone()).ok_or_else(|| "No such file".to_owned())
     }
 
-    /// Passes content and answer on as bytes, as a page does whose decoders are another module.
+    /// Passes content and answer on as bytes, as a web page does whose decoders are in another
+    /// module.
     fn unpack(&self, packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
         let answer = unpack::answer(&packed.to_bytes()).expect("a request");
         let answer = unpack::answered(&answer).expect("an answer");
         let direct = unpack::unpack(packed);
-        // broken splats hold values that are no numbers, which differ from themselves
+        // broken splats hold NaN, which is not equal to itself
         assert!(answer == direct || format!("{answer:?}") == format!("{direct:?}"), "{packed:?}");
         answer
     }
@@ -94,7 +95,8 @@ pub fn error(builder: &Builder) -> String {
     load(&builder.glb()).0.unwrap_err().to_string()
 }
 
-/// A folder of files of other projects; `None`, with a line that says so, if it is missing.
+/// A folder of files of other projects. If it is missing, prints a line that says so and returns
+/// `None`.
 pub fn assets(folder: &str) -> Option<PathBuf> {
     let path = lumistack_testkit::skip::folder("LUMISTACK_ASSETS", "../shared/scenes")?.join(folder);
     if !path.is_dir() {

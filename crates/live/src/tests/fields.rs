@@ -1,4 +1,4 @@
-//! Light fields in closed form: cards that move before a display.
+//! Light fields in closed form: cards that move in front of a display.
 
 use std::sync::Arc;
 
@@ -9,11 +9,11 @@ use crate::Target;
 /// Kinds of moving content.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Content {
-    /// A card of waves at the front layer.
+    /// A card of waves at the depth of the front layer.
     Waves,
     /// A card of patches of random grey behind the stack.
     Patches,
-    /// A round card before a card of patches.
+    /// A round card in front of a card of patches.
     Two,
 }
 
@@ -24,12 +24,13 @@ pub(super) fn display() -> Display {
     Display { brightness: 0.3, ..Display::uniform([80, 50], 1.0, [5, 3], [20.0, 12.0], &[-12.0, 0.0, 12.0], 4) }
 }
 
-/// The same with twice the columns, so that less of it is new when content moves.
+/// The display of [`display`] with twice the columns. A smaller part of it is new when content
+/// moves.
 pub(super) fn wide() -> Display {
     Display { brightness: 0.3, ..Display::uniform([160, 50], 1.0, [5, 3], [20.0, 12.0], &[-12.0, 0.0, 12.0], 4) }
 }
 
-/// Random grey in 0..1 of a patch of a card.
+/// Returns a random grey in 0..1 for a patch of a card.
 fn patch(x: f64, y: f64) -> f64 {
     let mut bits = (x.floor() as i64 as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15)
         ^ (y.floor() as i64 as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F);
@@ -37,7 +38,8 @@ fn patch(x: f64, y: f64) -> f64 {
     ((bits ^ (bits >> 32)) & 0xffff) as f64 / 65535.0
 }
 
-/// Grey at (x, y) on z = 0 along a slope, of content moved to the right.
+/// Returns the grey that a ray sees. The ray goes through (x, y) on z = 0 along a slope, and the
+/// content is moved to the right.
 fn grey(content: Content, [x, y]: [f64; 2], [sx, sy]: [f64; 2], moved_mm: f64) -> f64 {
     let on = |d: f64| [x + d * sx - moved_mm, y + d * sy];
     let waves = |[x, y]: [f64; 2]| 0.5 + 0.2 * (0.7 * x + 0.1 * y).sin() * (0.5 * y).cos() + 0.2 * (0.11 * x).sin();
@@ -52,7 +54,7 @@ fn grey(content: Content, [x, y]: [f64; 2], [sx, sy]: [f64; 2], moved_mm: f64) -
     }
 }
 
-/// The first view of a geometry, of content that has not moved: `[row][col][rgb]`.
+/// Returns the first view of a geometry, for content that has not moved: `[row][col][rgb]`.
 pub(super) fn view(content: Content, geometry: &FieldGeometry) -> Vec<f32> {
     picture(content, geometry, [0, 0], 0.0)
 }
@@ -66,7 +68,7 @@ fn picture(content: Content, geometry: &FieldGeometry, view: [usize; 2], moved_m
     pixels.flat_map(pixel).collect()
 }
 
-/// A target of the content, moved to the right.
+/// Returns a target of content that is moved to the right.
 pub(super) fn target(display: &Display, content: Content, moved_mm: f64, number: u64) -> Arc<Target> {
     let mut field = LightField::black(display.geometry().unwrap()).unwrap();
     let geometry = field.geometry().clone();

@@ -11,7 +11,7 @@ fn readers_get_the_newest_value_once() {
     let (seen, value) = mailbox.after(0).unwrap();
     assert_eq!((seen, *value), (2, 'b'));
     assert!(mailbox.after(seen).is_none() && mailbox.wait_after(seen, Duration::from_millis(1)).is_none());
-    // another reader, which has an older value
+    // another reader has an older value
     assert_eq!(*mailbox.after(1).unwrap().1, 'b');
 }
 
@@ -24,8 +24,8 @@ fn values_that_nobody_takes_do_not_pile_up() {
     assert_eq!(std::sync::Arc::strong_count(&counted), 2);
 }
 
-/// A solver stalls for 2 s. A display of 200 Hz reads as often as without the stall, and shows
-/// complete values of rising numbers.
+/// A solver stalls for 2 s. Meanwhile a display reads about 200 times a second. It receives
+/// complete values with rising numbers.
 #[test]
 fn a_display_never_waits_for_a_solver() {
     const REFRESH: Duration = Duration::from_millis(5);
@@ -53,7 +53,7 @@ fn a_display_never_waits_for_a_solver() {
             looks += 1;
             std::thread::sleep(REFRESH);
         }
-        // a busy machine delays the sleeps, but no read may last a refresh
+        // a busy machine delays the sleeps, but no read may last as long as 20 refreshes
         assert!(looks > 100 && longest < 20 * REFRESH, "{looks} looks, the longest {longest:?}");
         assert_eq!(mailbox.after(0).unwrap().0, 400);
     });

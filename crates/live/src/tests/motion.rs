@@ -13,7 +13,7 @@ fn content_that_moves_is_found_on_every_layer_and_patterns_move_with_it() {
                 continue;
             };
             for flow in &flows {
-                // away from the border, where new content comes in
+                // compare pixels away from the border, across which new content enters
                 let inner: Vec<[i32; 2]> = (12..38)
                     .flat_map(|row| (24..68).map(move |col| [row, col]))
                     .map(|[row, col]| flow.at(row, col))
@@ -26,7 +26,7 @@ fn content_that_moves_is_found_on_every_layer_and_patterns_move_with_it() {
     }
 }
 
-/// Every value of a layer numbers its pixel, so the test sees where it moved.
+/// The value of a pixel is the pixel's number, so the test sees from where a value has moved.
 #[test]
 fn values_move_by_whole_pixels_in_every_frame() {
     let display = display();

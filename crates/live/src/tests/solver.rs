@@ -7,9 +7,9 @@ use lumistack_factorizer::{Problem, Processor, Settings, factorize};
 use super::fields::{CONTENTS, Content, target, wide};
 use crate::{Solver, Start, Target};
 
-/// Updates per step of a slow display.
+/// Iterations per time step on a slow display.
 const WARM: u32 = 5;
-/// Iterations of the solve from scratch.
+/// Iterations of a solve from a fresh start.
 const FROM_SCRATCH: u32 = 30;
 
 fn from_scratch(target: &Target, weights: &Weights, iterations: u32) -> f64 {
@@ -20,8 +20,8 @@ fn from_scratch(target: &Target, weights: &Weights, iterations: u32) -> f64 {
     done.history.last().unwrap().psnr_view
 }
 
-/// Solves a chain of time steps, each moved by `step_px`. Returns the PSNR of the last with a few
-/// warm updates, its start and its target.
+/// Solves several time steps, in each of which the content has moved by `step_px`. Returns the PSNR
+/// of the last one after a few iterations, its start and its target.
 fn chain(content: Content, step_px: f64) -> (f64, Start, Arc<Target>) {
     let (warnings, cancel, display) = (Collector::default(), Cancel::default(), wide());
     let task = Task::quiet(&warnings, &cancel);

@@ -12,7 +12,7 @@ fn times_come_in_order_when_they_are_due() {
     assert_eq!(player.next(ms(500)), Due::Time(0));
     assert_eq!(player.next(ms(540)), Due::Wait(ms(60)));
     assert_eq!(player.next(ms(600)), Due::Time(1));
-    // late, but shown
+    // the time step is late, but it is shown
     assert_eq!(player.next(ms(890)), Due::Time(2));
     assert_eq!(player.next(ms(890)), Due::End);
     assert_eq!(player.dropped, 0);
@@ -22,10 +22,10 @@ fn times_come_in_order_when_they_are_due() {
 fn times_that_would_be_too_late_are_dropped_and_counted() {
     let mut player = Player::new(100, 10.0, 2);
     assert_eq!(player.next(ms(0)), Due::Time(0));
-    // a stall: time steps 1 to 9 are skipped, 10 is due now
+    // after a stall, time steps 1 to 9 are skipped, and time step 10 is due
     assert_eq!(player.next(ms(1000)), Due::Time(10));
     assert_eq!(player.dropped, 9);
-    // a caller that takes 250 ms for each shows it at most 200 ms after it was due
+    // a caller that needs 250 ms per time step shows each one at most 200 ms after it was due
     let (mut now, mut shown, mut last) = (1000, 1, 10);
     loop {
         now += 250;

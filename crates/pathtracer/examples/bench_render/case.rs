@@ -35,7 +35,7 @@ pub struct Case {
     pub scene: Arc<Scene>,
     pub window: Window,
     pub geometry: FieldGeometry,
-    /// A corner of the rectangle light, and its two edges from there.
+    /// A corner of the rectangle light, and the two edges from this corner.
     light: [Vec3; 3],
 }
 
@@ -48,8 +48,9 @@ impl AssetResolver for Folder<'_> {
 }
 
 impl Case {
-    /// Loads a glTF or USD file, and makes its materials diffuse or keeps them. A file without a
-    /// camera also gets a floor. With `copies` > 1, that number of copies are arranged in a square.
+    /// Loads a glTF or USD file. Keeps its materials if `own_materials` is true, and makes them
+    /// diffuse otherwise. A file without a camera also gets a floor. With `copies` > 1, the copies
+    /// of the scene are arranged in a square.
     pub fn load(
         path: &Path,
         copies: usize,
@@ -83,7 +84,8 @@ impl Case {
         )
     }
 
-    /// Prepares a scene, and makes its materials diffuse or keeps them.
+    /// Prepares a scene. Keeps its materials if `own_materials` is true, and makes them diffuse
+    /// otherwise.
     pub fn new(
         name: String,
         parts: SceneParts,
@@ -115,7 +117,7 @@ impl Case {
             let half = 4.0 * size.length();
             add(&mut parts, rectangle(at, half * Vec3::X, half * Vec3::NEG_Z), diffuse_material(Vec4::splat(0.5)));
         }
-        // above and to the right of the viewer, facing the scene
+        // the light is above and to the right of the viewer, and faces the scene
         let toward = Vec3::new(0.6, 1.0, 0.7).normalize();
         let (u, v) = toward.any_orthonormal_pair();
         let half = 0.3 * size.length();
@@ -253,7 +255,7 @@ fn unlit(mut parts: SceneParts) -> SceneParts {
 fn diffuse(mut parts: SceneParts) -> SceneParts {
     for material in &mut parts.materials {
         let texture = material.base_color_texture;
-        // the peers get a factor or a texture, and no alpha
+        // the peers' format has a colour or a texture for each material, and no alpha
         let color = if texture.is_some() { Vec4::ONE } else { material.base_color.truncate().extend(1.0) };
         *material = Material { base_color_texture: texture, ..diffuse_material(color) };
     }

@@ -148,7 +148,7 @@ impl Embree {
         }
     }
 
-    /// As [`lumistack_pathtracer::rays::Tree::nearest`].
+    /// Returns the same as [`lumistack_pathtracer::rays::Tree::nearest`].
     #[inline]
     pub fn nearest(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<(f32, u32)> {
         let mut query = RayHit::new(origin, direction, t_max);
@@ -157,7 +157,7 @@ impl Embree {
         (query.geometry != NOTHING).then_some((query.far, query.primitive))
     }
 
-    /// As [`lumistack_pathtracer::rays::Tree::is_open`].
+    /// Returns the same as [`lumistack_pathtracer::rays::Tree::is_open`].
     #[inline]
     pub fn is_open(&self, origin: Vec3, direction: Vec3, t_max: f32) -> bool {
         let mut query = RayHit::new(origin, direction, t_max);

@@ -1,5 +1,5 @@
-//! Compares three ways to render light fields: view by view, with light shared by all views that
-//! see a point, and filtered with guides. Each way renders twice, with independent seeds.
+//! Compares three ways to render light fields: view by view, with light that all views of a point
+//! share, and with a filter. Each way renders twice, with independent seeds.
 
 use std::time::Duration;
 
@@ -16,8 +16,9 @@ use crate::{BOUNCES, Options};
 const BELOW_WHITE: f64 = 0.99;
 /// Unit of the times in `/proc/self/stat`, in milliseconds.
 const TICK_MS: u64 = 10;
-/// Samples per pixel of filtered views (`FILTERED`) and of views rendered one by one (`ALONE`). The
-/// last of `ALONE` are the reference, and take longer than any filter.
+/// Numbers of samples per pixel of filtered views (`FILTERED`) and of views rendered one by one
+/// (`ALONE`). The last number of `ALONE` gives the reference, whose render takes longer than any
+/// filter.
 const FILTERED: [u32; 3] = [4, 16, 64];
 const ALONE: [u32; 4] = [4, 16, 64, 256];
 
@@ -39,12 +40,12 @@ struct Way {
     pictures: [Vec<Tensor<3>>; 2],
 }
 
-/// Errors of a way, over all views.
+/// Errors of a way to render, over all views.
 struct Errors {
     /// Mean squared error with bias, of all views (`all`) and of the worst view (`worst`).
     all: f64,
     worst: f64,
-    /// The squared error without noise, which remains at any number of samples.
+    /// Part of the squared error that is not noise; it remains at any number of samples.
     bias: f64,
     /// Mean of the pictures divided by the mean of the truth, minus 1.
     change: f64,
@@ -77,8 +78,8 @@ pub fn measure(options: &Options) -> Outcome {
 }
 
 /// Renders the views of a case one by one and filtered, at several numbers of samples, and prints a
-/// row per way of rendering. The last column compares with views that are rendered one by one in
-/// the same time: their error, divided by the error of this way.
+/// table row per way of rendering. The last column is the error of views that are rendered one by
+/// one in the same time, divided by the error of this way.
 pub fn filters(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
@@ -118,7 +119,7 @@ impl Kind {
         }
     }
 
-    /// All views of a bench.
+    /// Renders all views of a bench.
     fn render(self, bench: &Bench, settings: Settings, task: Task<'_>) -> Result<Vec<Tensor<3>>, RenderError> {
         let Bench { case, geometry, renderer } = bench;
         match self {
@@ -190,7 +191,7 @@ fn spent() -> Outcome<Duration> {
     Ok(Duration::from_millis(TICK_MS * ticks.iter().sum::<u64>()))
 }
 
-/// The brightest value that errors include.
+/// The radiance that counts as white: the fraction [`BELOW_WHITE`] of all values is at most this.
 fn white(pictures: &[Tensor<3>]) -> f32 {
     let mut values: Vec<f32> = pictures.iter().flat_map(|picture| picture.data().iter().copied()).collect();
     let place = ((values.len() - 1) as f64 * BELOW_WHITE) as usize;
@@ -198,17 +199,17 @@ fn white(pictures: &[Tensor<3>]) -> f32 {
 }
 
 impl Errors {
-    /// Errors of a way that has no bias: half the squared difference of two independent pictures is
-    /// their variance.
+    /// Errors of a way that has no bias. The mean of half the squared difference of two independent
+    /// pictures is the variance of one picture.
     fn of_noise(way: &Way, white: f32) -> Self {
         let variances = variances(way, white);
         let worst = variances.iter().copied().fold(0.0, f64::max);
         Self { all: mean(&variances), worst, bias: 0.0, change: 0.0 }
     }
 
-    /// Errors against a way that has no bias. The product of the differences to two independent
-    /// pictures of that way is the squared error with bias, without the noise of those two
-    /// pictures.
+    /// Errors against `truth`, a way that has no bias. Each value of a picture is compared with two
+    /// independent pictures of `truth`. The product of the two differences has the picture's
+    /// squared error as its mean; the noise of `truth` does not add to it.
     fn new(way: &Way, truth: &Way, white: f32) -> Self {
         let shown = |value: f32| f64::from((value / white).min(1.0));
         let of_view = |view: usize| {
@@ -249,8 +250,8 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Value at x of the polyline through points in order of x; past its ends the
-/// first and last segments go on.
+/// Value at x of the polyline through points in order of x. Outside of the points, its first or
+/// last segment is extended as a straight line.
 fn on_line(points: &[[f64; 2]], x: f64) -> f64 {
     let next = points.iter().position(|[at, _]| *at > x).unwrap_or(points.len() - 1).max(1);
     let ([x0, y0], [x1, y1]) = (points[next - 1], points[next]);

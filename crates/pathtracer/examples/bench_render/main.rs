@@ -23,8 +23,8 @@
 //!   prints a row per method: processor seconds, squared error, error of the worst view, bias,
 //!   change of the mean, and speed-up at equal error.
 //! * `filters` renders views one by one, with shared light, and filtered with guides, with 4, 16
-//!   and 64 samples. Its last column is the error of views one by one in the same time, over the
-//!   error of the way.
+//!   and 64 samples. Its last column is the error of views one by one in the same time, divided
+//!   by the error of the way.
 
 mod case;
 #[cfg(unix)]
@@ -48,7 +48,8 @@ const BOUNCES: u32 = 5;
 /// Largest difference of the mean radiances, and largest relative RMSE, of two renderers that
 /// agree.
 const AGREE: [f64; 2] = [0.003, 0.03];
-/// A pixel's error is relative to its radiance, but to this fraction of the mean radiance at least.
+/// A pixel's error is divided by its radiance, or by this fraction of the mean radiance if that is
+/// larger.
 const DARKEST_SHARE: f64 = 0.05;
 
 struct Options {
@@ -61,8 +62,8 @@ struct Options {
     peers: Vec<[PathBuf; 2]>,
     copies: usize,
     embree: Option<PathBuf>,
-    /// For `field`: rows and columns of views, their field of view in degrees, and true if surfaces
-    /// keep the materials of the file.
+    /// For `field`: numbers of rows and columns of views, their field of view in degrees, and true
+    /// if surfaces keep the materials of the file.
     views: [usize; 2],
     fov_deg: f64,
     own_materials: bool,
@@ -130,7 +131,7 @@ fn options(words: &[String]) -> Outcome<Options> {
     Ok(options)
 }
 
-/// Two numbers, as 420x262.
+/// Parses two numbers, such as 420x262.
 fn pair(word: &str) -> Outcome<[usize; 2]> {
     let (a, b) = word.split_once('x').ok_or(format!("{word}: expected two numbers, as 420x262"))?;
     Ok([a.parse()?, b.parse()?])
@@ -261,7 +262,7 @@ fn agree(options: &Options) -> Outcome {
     println!("\n{}, {samples} samples per pixel, against ours:", case.name);
     for (number, [python, script]) in options.peers.iter().enumerate() {
         let mut peer = Peer::start(python, script, &folder)?;
-        let sampler = peer.samplers.first().cloned().ok_or("expected a renderer that offers a sampler, found none")?;
+        let sampler = peer.samplers.first().cloned().ok_or("the renderer: expected a sampler's name, found none")?;
         let (_, theirs) = peer.render(&sampler, samples, 4711, &folder.join("view.npy"))?;
         let (mean, relative) = agreement(picture.data(), &theirs);
         println!("{:<42} mean radiance {:+.3} %, relative RMSE {:.2} %", peer.name, 100.0 * mean, 100.0 * relative);

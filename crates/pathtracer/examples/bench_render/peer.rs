@@ -41,7 +41,7 @@ impl Peer {
     pub fn render(&mut self, sampler: &str, samples: u32, seed: u32, file: &Path) -> Outcome<(f64, Vec<f32>)> {
         writeln!(self.requests, "render\t{sampler}\t{samples}\t{seed}\t{}", file.display())?;
         let answer = self.answer()?;
-        let seconds = answer["seconds"].as_f64().ok_or("the renderer's answer has no time")?;
+        let seconds = answer["seconds"].as_f64().ok_or("the answer: expected a number `seconds`, found none")?;
         let bytes = std::fs::read(file)?;
         Ok((seconds, npyz::NpyFile::new(&bytes[..])?.into_vec::<f32>()?))
     }
@@ -50,7 +50,7 @@ impl Peer {
         loop {
             let mut line = String::new();
             if self.answers.read_line(&mut line)? == 0 {
-                let name = if self.name.is_empty() { "it" } else { &self.name };
+                let name = if self.name.is_empty() { "the renderer" } else { &self.name };
                 return Err(format!("{name} ended without an answer").into());
             }
             // a library may print other lines

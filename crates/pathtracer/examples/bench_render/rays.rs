@@ -1,6 +1,6 @@
 //! Rays per second of the tree alone, compared with Embree on the same rays and threads. Beams and
-//! packets consist of neighbouring pixels (`primary`), or of the samples of one pixel (`pixels`),
-//! as in the path tracer.
+//! packets consist of rays through neighbouring pixels (`primary`), or of rays through one pixel
+//! (`pixels`), as in the path tracer.
 
 use std::path::Path;
 use std::time::Instant;
@@ -166,13 +166,13 @@ fn batches(case: &Case, tree: &Tree, triangles: &[[Vec3; 3]]) -> Vec<Batch> {
         (eye.as_vec3(), direction.as_vec3(), f32::INFINITY)
     };
     let (mut primary, mut pixels) = (Vec::new(), Vec::new());
-    // in tiles of 4 × 2 pixels, which suits packets
+    // the pixels are ordered in tiles of 4 × 2, so that a packet of eight rays is one tile
     for tile_row in 0..geometry.rows.div_ceil(2) {
         for tile_col in 0..geometry.cols.div_ceil(4) {
             primary.extend((0..8).map(|at| through(2 * tile_row + at / 4, 4 * tile_col + at % 4)));
         }
     }
-    // every fourth pixel of every fourth row
+    // many samples for every fourth pixel of every fourth row
     for row in (0..geometry.rows).step_by(4) {
         for col in (0..geometry.cols).step_by(4) {
             pixels.extend((0..BEAM_RAYS).map(|_| through(row, col)));

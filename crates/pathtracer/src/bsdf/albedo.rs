@@ -28,42 +28,47 @@ use glam::{Vec2, Vec3};
 use super::table::Table;
 use super::{fresnel, ggx};
 
-/// Nodes over the cosine μ and over perceptual roughness √α.
+/// Numbers of nodes of the table for lobes that are not stretched, over the cosine μ and over
+/// perceptual roughness √α.
 const COSINES: usize = 64;
 const ROUGHNESSES: usize = 32;
-/// Samples per node, on a rank-1 lattice. Their error is below the interpolation error of about
-/// 1e-3.
+/// Number of samples per node, on a rank-1 lattice. Their error is below the interpolation error of
+/// about 1e-3.
 const SAMPLES: u32 = 987;
 /// Step of the Fibonacci lattice of [`SAMPLES`] points.
 const LATTICE_STEP: u32 = 610;
-/// Nodes of the table for stretched lobes, over the root of the cosine, the azimuth, and √α along
-/// and across the stretch. The next two constants are the samples per node and their lattice step.
+/// Numbers of nodes of the table for stretched lobes, over the root of the cosine, the azimuth, and
+/// √α along and across the stretch. The next two constants are the number of samples per node and
+/// their lattice step.
 const STRETCHED: [usize; 4] = [16, 6, 13, 13];
 const STRETCHED_SAMPLES: u32 = 377;
 const STRETCHED_STEP: u32 = 233;
 /// The smallest cosine and the smallest α of the table. At this α the lobe is a mirror.
 const SMALLEST: f32 = 1e-3;
-/// The index of refraction for which every table of E also holds B: glTF's default, and the index
-/// of clear coats.
+/// The index of refraction for which the tables of E also hold B: glTF's default, and the index of
+/// clear coats. The top of the file defines E and B.
 pub(crate) const COMMON_IOR: f32 = 1.5;
-/// Nodes of the table for other indices of refraction, over the root of the cosine, √α, and the
-/// root of (n − 1)/(n + 1). The next two constants are the samples per node and their lattice step.
+/// Numbers of nodes of the table for other indices of refraction, over the root of the cosine, √α,
+/// and the root of (n − 1)/(n + 1). The next two constants are the number of samples per node and
+/// their lattice step.
 const INDICES: [usize; 3] = [40, 16, 20];
 const INDICES_SAMPLES: u32 = 377;
 const INDICES_STEP: u32 = 233;
-/// (n − 1)/(n + 1) of the highest index in that table, 4; a higher index is treated as 4.
+/// (n − 1)/(n + 1) of the highest index in the table of [`INDICES`], 4; a higher index is treated
+/// as 4.
 const LARGEST_ROOT: f32 = 0.6;
 
-/// Indices of E and of its mean in a table's values.
+/// Positions of E and of the mean of E in the values of a node.
 const FULL: usize = 0;
 const MEAN: usize = 3;
 
-/// E, B and the mean of E, for a cosine and α.
+/// The albedos E and B, and the mean of E, for a cosine and α.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Albedo {
-    /// Albedo without Fresnel, in (0, 1].
+    /// E: albedo without Fresnel, in (0, 1].
     pub(crate) full: f32,
-    /// B of metals, and of dielectrics of index [`COMMON_IOR`].
+    /// B: albedo with s(o·h) instead of Fresnel's term, of metals, and of dielectrics of index
+    /// [`COMMON_IOR`].
     pub(crate) metal: f32,
     pub(crate) dielectric: f32,
     /// Mean of `full` over all cosines, by their projected solid angle.
@@ -71,7 +76,7 @@ pub(crate) struct Albedo {
 }
 
 impl Albedo {
-    /// Albedo of the lobe with Fresnel, before compensation; `rise` is B.
+    /// Albedo of the lobe with Fresnel, before compensation; `rise` is B of the lobe.
     #[inline]
     pub(crate) fn reflected(&self, f0: Vec3, f90: f32, rise: f32) -> Vec3 {
         f0 * (self.full - rise) + f90 * rise
@@ -99,8 +104,9 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
     TABLE.get_or_init(tabulate).at([cosine, roughness]).into()
 }
 
-/// Albedo of a stretched lobe. It is interpolated linearly in the root of the cosine, in cos² of
-/// the azimuth from the stretch, and in √α along and across the stretch.
+/// Albedo of a stretched lobe, interpolated linearly in four coordinates. They are the root of the
+/// cosine, cos² of the azimuth φ, and √α along and across the stretch. φ is the viewer's azimuth
+/// from the direction of stretch.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     static TABLE: OnceLock<Table<4, 4>> = OnceLock::new();
     let across = o.x * o.x + o.y * o.y;
@@ -108,8 +114,8 @@ pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     TABLE.get_or_init(tabulate_stretched).at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
 }
 
-/// B of a dielectric of any index. It is interpolated linearly in the root of the cosine, in √α,
-/// and in the root of (n − 1)/(n + 1).
+/// B, the albedo with s(o·h) instead of Fresnel's term, of a dielectric of any index. It is
+/// interpolated linearly in the root of the cosine, in √α, and in the root of (n − 1)/(n + 1).
 pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
     static TABLE: OnceLock<Table<3, 1>> = OnceLock::new();
     let root = (ior - 1.0).max(0.0) / (ior + 1.0) / LARGEST_ROOT;
@@ -138,7 +144,7 @@ fn tabulate_stretched() -> Table<4, 4> {
     });
     let [roots, azimuths, ..] = STRETCHED;
     for lobe in table.values.chunks_exact_mut(roots * azimuths) {
-        // μ = root²
+        // μ = root², so the density 2 μ dμ becomes 4 root³ d root
         let over = |cosines: &[[f32; 4]]| mean_over(cosines, |root| 4.0 * root.powi(3));
         let mean = lobe.chunks_exact(roots).map(over).sum::<f32>() / azimuths as f32;
         lobe.iter_mut().for_each(|node| node[MEAN] = mean);
@@ -155,8 +161,8 @@ fn tabulate_indices() -> Table<3, 1> {
     })
 }
 
-/// ∫ E · density over nodes that are spread evenly over 0..1. The density integrates to 1, and the
-/// result is exact where E is constant.
+/// ∫ E · density over nodes that are spread evenly over 0..1. The density integrates to 1. If E is
+/// constant, the result is exactly E.
 fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     let last = (nodes.len() - 1) as f32;
     let (mut sum, mut weights) = (0.0, 0.0);
@@ -168,7 +174,7 @@ fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     sum / weights
 }
 
-/// Direction to a viewer at this cosine, but at [`SMALLEST`] at least.
+/// Direction to a viewer at this cosine, or at [`SMALLEST`] if the cosine is smaller.
 fn towards(cosine: f32) -> Vec3 {
     let cosine = cosine.max(SMALLEST);
     Vec3::new((1.0 - cosine * cosine).max(0.0).sqrt(), 0.0, cosine)
@@ -179,8 +185,8 @@ fn round(roughness: f32) -> Vec2 {
     Vec2::splat((roughness * roughness).max(SMALLEST))
 }
 
-/// E, B of metals, B of dielectrics, and a place for the mean, which is known only after all
-/// cosines.
+/// E, B of metals, B of dielectrics, and NaN in the place of the mean, which is computed after the
+/// values of all cosines.
 fn integrate(o: Vec3, alpha: Vec2, samples: u32, lattice_step: u32) -> [f32; 4] {
     let [full, metal, dielectric] = mean_of_lobe(o, alpha, samples, lattice_step, |o_h| {
         [1.0, fresnel::metal_rise(o_h), fresnel::dielectric_rise(o_h, COMMON_IOR)]

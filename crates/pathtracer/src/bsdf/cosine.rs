@@ -15,7 +15,7 @@ pub(crate) fn cosine_direction(u: [f32; 2]) -> Vec3 {
 /// that it returns for the other pairs.
 #[inline]
 pub(crate) fn cosine_directions<const N: usize>(u: &[[f32; N]; 2], count: usize) -> [[f32; N]; 3] {
-    /// Numbers that fit one vector on every machine.
+    /// The number of values that fit into one vector on every machine.
     const STEP: usize = 4;
     const { assert!(N.is_multiple_of(STEP)) };
     let mut directions = [[0.0; N]; 3];

@@ -13,7 +13,8 @@ use crate::normals::Normals;
 /// The diffuse lobe.
 pub(crate) struct Diffuse {
     albedo: Vec3,
-    /// Normals in the local frame; both are the z axis unless a normal was bent or mapped.
+    /// Mapped and smooth normal in the local frame. They are the z axis unless a normal was bent or
+    /// mapped.
     normals: Normals,
 }
 

@@ -26,7 +26,7 @@ impl Frame {
     }
 }
 
-/// Columns: tangent, bitangent, normal.
+/// The frame of a normal, with the columns tangent, bitangent and normal.
 pub(crate) fn local_frame(normal: Vec3, tangent: Option<Vec3>) -> Mat3 {
     match tangent.and_then(|tangent| (tangent - normal * normal.dot(tangent)).try_normalize()) {
         Some(tangent) => Mat3::from_cols(tangent, normal.cross(tangent), normal),

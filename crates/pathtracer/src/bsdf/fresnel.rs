@@ -16,6 +16,10 @@
 //! R_s = T₁₂₁² R₂₃ / (1 − R₁₂ R₂₃)
 //! D = 2 n₂ d cos θ₂
 //! ```
+//!
+//! R₁₂ and R₂₃ are the reflectances of the film's outer and inner interface, and T₁₂₁ = 1 − R₁₂.
+//! The film has the index n₂ and the thickness d. Light crosses it at the angle θ₂. The phase shift
+//! of both reflections together is φ. The Fourier transform of the colour-matching functions is S.
 
 use std::f32::consts::{PI, TAU};
 
@@ -23,8 +27,7 @@ use glam::{Mat3, Vec3};
 
 /// Number of terms of the sum over m; the spectral sensitivity is negligible at later terms.
 const ORDERS: u32 = 2;
-/// Films thinner than this, in nanometres, fade to no film: without thickness there is no
-/// interface.
+/// A film thinner than this, in nanometres, fades out: a film without thickness has no interface.
 const FADE_NM: f32 = 30.0;
 /// Largest f₀ of the base from which its index of refraction is computed; f₀ = 1 would give an
 /// infinite index.
@@ -63,7 +66,7 @@ pub(crate) fn metal_rise(cosine: f32) -> f32 {
 }
 
 /// s of a dielectric seen from outside. For an index below 1 (`KHR_materials_ior` allows 0), only
-/// the specular colour is known, so s rises like that of a metal.
+/// the specular colour is known, so the result is s of a metal.
 #[inline]
 pub(crate) fn dielectric_rise(cosine: f32, ior: f32) -> f32 {
     if ior < 1.0 { metal_rise(cosine) } else { rise(dielectric(cosine, ior).0, normal_reflectance(ior)) }
@@ -92,9 +95,9 @@ impl Film {
         let base_root = base_f0.clamp(Vec3::ZERO, Vec3::splat(MOST_F0)).map(f32::sqrt);
         let base_ior = (Vec3::ONE + base_root) / (Vec3::ONE - base_root);
         let r23 = (base_ior / ior).map(|ratio| schlick(normal_reflectance(ratio), cos_film));
-        // Both interfaces shift the phase by π where the medium behind them is less dense. In
-        // nature a denser medium shifts it. The two rules differ by π at each interface, so by 2π
-        // in total, which has no effect.
+        // This code shifts the phase by π at an interface whose far medium is less dense. In
+        // nature, a denser far medium shifts it. The two rules differ by π at each of the two
+        // interfaces, so by 2π in total, which has no effect.
         let phase = base_ior.map(|base| PI + if base < ior { PI } else { 0.0 });
         let round_trip = (r12 * r23).clamp(Vec3::splat(1e-5), Vec3::splat(0.9999));
         let decay = round_trip.map(f32::sqrt);
@@ -110,7 +113,7 @@ impl Film {
     }
 }
 
-/// ((n − 1)/(n + 1))².
+/// Reflectance at normal incidence: ((n − 1)/(n + 1))².
 #[inline]
 pub(crate) fn normal_reflectance(ior: f32) -> f32 {
     let root = (ior - 1.0) / (ior + 1.0);

@@ -44,8 +44,8 @@ pub(crate) fn visibility(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     0.5 / (i_z * smith_root(o, alpha) + o_z * smith_root(i, alpha)).max(f32::MIN_POSITIVE)
 }
 
-/// Density per solid angle of the direction that a normal of [`sample_normal`] reflects to, above
-/// the horizon: G₁(o) D(h) / (4 o_z).
+/// Density per solid angle of the direction to which a normal of [`sample_normal`] reflects `o`, if
+/// that direction is above the horizon: G₁(o) D(h) / (4 o_z).
 #[inline]
 pub(crate) fn reflection_pdf(o: Vec3, h: Vec3, alpha: Vec2) -> f32 {
     density(h, alpha) / (2.0 * (o.z + smith_root(o, alpha)))
@@ -62,8 +62,8 @@ pub(crate) fn reflection(o: Vec3, i: Vec3, h: Vec3, alpha: Vec2) -> (f32, f32) {
 }
 
 /// Fraction k of bounded VNDF sampling (source at the top of the file). The cap of [`sample_cap`]
-/// extends down to z = −k o_z, where `o` is stretched. k = 1 samples all visible normals. A
-/// smaller k leaves out some that reflect `o` below the horizon.
+/// extends down to z = −k o_z, where o_z belongs to the stretched `o`. With k = 1 all visible
+/// normals are sampled. A smaller k leaves out some normals that reflect `o` below the horizon.
 #[inline]
 fn cap_share(o: Vec3, alpha: Vec2) -> f32 {
     let a = alpha.min_element().min(1.0);

@@ -7,11 +7,11 @@
 //! transmission   (1 − F) D G₂ |o·h| J / |o_z|,   J = η² |i·h| / (o·h + η i·h)²
 //! ```
 //!
-//! The path carries radiance/η² ("basic radiance"). So a factor η² is left out: light would be
-//! multiplied by it on entering a solid, and divided on leaving. Single scattering loses
+//! The path carries radiance/η² ("basic radiance"). So a factor η² is left out, by which radiance
+//! is multiplied when light enters a solid, and divided when it leaves. Single scattering loses
 //! 1 − E(o, α, η). Like Turquin 2019, both terms are divided by the tabulated albedo E, which makes
 //! clear glass lossless. Stretched glass has another albedo, and so has glass whose reflection a
-//! film or `KHR_materials_specular` changes. Neither is compensated.
+//! film or `KHR_materials_specular` changes. These two kinds of glass are not compensated.
 
 use std::sync::OnceLock;
 
@@ -24,12 +24,12 @@ use super::table::Table;
 
 /// Indices of refraction closer to 1 than this do not bend light.
 const NO_REFRACTION: f32 = 1e-3;
-/// Nodes of the albedo table over the root of the cosine, perceptual roughness, and the index of
-/// refraction.
+/// Numbers of nodes of the albedo table over the root of the cosine, perceptual roughness, and the
+/// index of refraction.
 const NODES: [usize; 3] = [24, 16, 16];
 /// Largest root of the reflectance at normal incidence in the table (index 4); the smallest is 0.
 const LARGEST_ROOT: f32 = 0.6;
-/// Samples per node, a Fibonacci lattice.
+/// Number of samples per node; they lie on a Fibonacci lattice.
 const SAMPLES: u32 = 610;
 const LATTICE_STEP: u32 = 377;
 /// The smallest cosine and α of the table.
@@ -44,9 +44,9 @@ pub(crate) struct Glass {
     weight: f32,
     /// Tint of the transmitted light.
     tint: Vec3,
-    /// True if light passes unbent.
+    /// True if transmitted light keeps its direction.
     straight: bool,
-    /// 1/E.
+    /// 1/E, with the tabulated albedo E; 1 if the glass is not compensated.
     compensation: f32,
     /// The changed reflection, if `KHR_materials_specular` or a film changes it.
     changed: Option<Changed>,
@@ -128,7 +128,7 @@ impl Glass {
         let (fresnel, chance, _) = self.reflectance(o_h);
         let denominator = o_h + self.eta * i_h;
         let jacobian = self.eta * self.eta * -i_h / (denominator * denominator);
-        // V holds G₂ / (4 |o_z| |i_z|)
+        // V is G₂ / (4 |o_z| |i_z|), so 4 V |i_z| is G₂ / |o_z|
         let specular = 4.0 * ggx::density(h, alpha) * ggx::visibility(o, i, alpha) * -i.z * o_h * jacobian;
         let value = self.tint * (Vec3::ONE - fresnel) * (self.weight * self.compensation * specular);
         (value, (1.0 - chance) * ggx::normal_pdf(o, h, alpha) * jacobian)

@@ -12,7 +12,7 @@ use super::fresnel::{Film, Fresnel};
 use crate::texture::{Encoding, Slot};
 
 /// Below this α a lobe is treated as a perfect mirror, since light sampling would hardly hit it.
-/// It is a perceptual roughness of 0.032.
+/// This α corresponds to a perceptual roughness of 0.032.
 pub(crate) const MIRROR_ALPHA: f32 = 1e-3;
 
 /// A term of the scattering function, at one point for one outgoing direction.
@@ -21,7 +21,7 @@ pub(crate) trait Lobe {
     /// light. Other lobes are evaluated only for light on one side of both the geometric and the
     /// shading normal. Otherwise light would leak through the surface.
     const OWN_FRAME: bool = false;
-    /// True if light from behind can be evaluated.
+    /// True if the lobe can be evaluated for light from behind the surface.
     const TRANSMITS: bool = false;
     /// True if light from behind crosses into a solid.
     const REFRACTS: bool = false;
@@ -61,7 +61,7 @@ pub(crate) trait Layer: Lobe + Sized {
     /// True if the layer has an effect somewhere.
     fn is_seen(material: &Material) -> bool;
 
-    /// The layer's textures; `slot` prepares one.
+    /// The layer's textures; `slot` prepares a texture.
     fn slots(material: &Material, slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>) -> Self::Slots;
 
     /// The parameters at a point, `None` where the layer has no effect. `texel` looks a texture up,
@@ -106,7 +106,7 @@ pub(crate) struct Light {
 /// The microfacets that reflect a direction to the viewer.
 pub(crate) struct Microfacet {
     pub(crate) normal: Vec3,
-    /// D V |i_z|.
+    /// D V |i_z|, with D and V of `ggx.rs`.
     pub(crate) specular: f32,
     /// Density of reflected directions.
     pub(crate) pdf: f32,
@@ -127,11 +127,11 @@ pub(crate) enum Sample {
     Mirror {
         /// Direction in the scene.
         direction: Vec3,
-        /// As `up` of `Rough`.
+        /// The same as `up` of `Rough`.
         up: f32,
-        /// f |cos| / density.
+        /// f |cos| / density, with the scattering function f.
         weight: Vec3,
-        /// True if the surface was crossed into or out of a solid.
+        /// True if the direction crosses the surface into or out of a solid.
         refracted: bool,
     },
 }
@@ -177,7 +177,8 @@ impl Surface<'_> {
     }
 
     /// Albedo of a reflection before compensation, and the reflectance from which the compensation
-    /// follows. `rise` is s at the viewer, `mean_rise` is B of the table.
+    /// follows. `rise` is s of `fresnel.rs` at the viewer's cosine, `mean_rise` is B of
+    /// `albedo.rs`.
     #[inline]
     pub(crate) fn seen(&self, lobe: &Fresnel, rise: f32, mean_rise: f32) -> (Vec3, Vec3) {
         match &self.film {
@@ -189,14 +190,15 @@ impl Surface<'_> {
         }
     }
 
-    /// Part of the light `below` the layers that reaches a dielectric base without glass.
+    /// Fraction of the light that reaches a dielectric base without glass. The fraction `below`
+    /// reaches the base.
     #[inline]
     pub(crate) fn layered(&self, below: f32) -> f32 {
         below * (1.0 - self.metallic) * (1.0 - self.glass_share)
     }
 
-    /// Part of [`layered`](Self::layered) that the dielectric does not reflect, so it reaches the
-    /// diffuse lobe.
+    /// The part of [`layered`](Self::layered) that the dielectric does not reflect, so that it
+    /// reaches the diffuse lobe.
     #[inline]
     pub(crate) fn passed(&self, below: f32) -> f32 {
         self.layered(below) * (1.0 - self.dielectric_albedo.max_element())

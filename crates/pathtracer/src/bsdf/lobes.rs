@@ -124,8 +124,9 @@ macro_rules! lobes {
                 sum
             }
 
-            /// Adds f |cos| of the lobes that have their own frames, or of the others. Also adds
-            /// their densities times the lobes' chances.
+            /// Adds f |cos| of the lobes that have their own frames to the value, or of all other
+            /// lobes if `OWN_FRAME` is false. Adds the lobes' densities, each times the lobe's
+            /// chance, to the density.
             #[inline]
             pub(crate) fn evaluate<const OWN_FRAME: bool>(
                 &self,

@@ -23,13 +23,13 @@ pub(crate) struct Bsdf {
 pub(crate) struct Scatter {
     /// Direction of incidence, in the scene.
     pub(crate) direction: Vec3,
-    /// f |cos| / density.
+    /// f |cos| / density, with the scattering function f.
     pub(crate) weight: Vec3,
     /// Density per solid angle; infinite for a mirror.
     pub(crate) pdf: f32,
     /// True if the light crosses the surface.
     pub(crate) crossed: bool,
-    /// True if it crosses into or out of a solid, not through a thin wall.
+    /// True if the light crosses into or out of a solid, not through a thin wall.
     pub(crate) refracted: bool,
     /// α of the chosen lobe, 1 for diffuse; widens the ray's footprint.
     pub(crate) alpha: f32,
@@ -43,7 +43,7 @@ impl Bsdf {
         let extras = appearance.extras.as_ref();
         let scene_from_local = local_frame(frame.shading, frame.tangent);
         let o = local_viewer(&scene_from_local, to_viewer);
-        // roughness of the base: a mirror below MIRROR_ALPHA, stretched along the tangent
+        // the base is a mirror below MIRROR_ALPHA; its α is stretched along the tangent
         let stretch = extras.map_or(0.0, |extras| extras.anisotropy);
         let mirror = roughness * roughness < MIRROR_ALPHA && stretch == 0.0;
         let across = (roughness * roughness).max(MIRROR_ALPHA);
@@ -75,7 +75,7 @@ impl Bsdf {
             dielectric_compensation: Vec3::ONE,
             dielectric_albedo: Vec3::ZERO,
         };
-        // albedo of the dielectric's reflection, by which all lobes below it are dimmed
+        // albedo of the dielectric's reflection; the lobes below receive the rest of the light
         let mean_rise = match ior {
             COMMON_IOR => table.dielectric,
             ..1.0 => table.metal,
@@ -118,7 +118,7 @@ impl Bsdf {
         self.chances.iter().zip(rough).any(|(&chance, rough)| rough && chance > 0.0)
     }
 
-    /// True if light from behind can be evaluated.
+    /// True if the surface can be evaluated for light from behind it.
     pub(crate) fn transmits(&self) -> bool {
         let [_, transmits] = self.lobes.rough(&self.facet);
         self.chances.iter().zip(transmits).any(|(&chance, transmits)| transmits && chance > 0.0)
@@ -136,7 +136,8 @@ impl Bsdf {
         self.evaluate_above(self.facet.geometric_normal, direction)
     }
 
-    /// As [`evaluate`](Self::evaluate), but the normal `horizon` replaces the geometric normal.
+    /// Returns the same as [`evaluate`](Self::evaluate), but the normal `horizon` replaces the
+    /// geometric normal.
     pub(crate) fn evaluate_above(&self, horizon: Vec3, direction: Vec3) -> (Vec3, f32) {
         let Self { facet, lobes, chances } = self;
         let side = direction.dot(horizon);

@@ -28,17 +28,17 @@ use crate::texture::{Encoding, Slot};
 const LEAST_ROUGHNESS: f32 = 0.1;
 /// Fraction of the samples that reflect at the fibres' normals; the others follow the cosine.
 const FIBRE_SHARE: f32 = 0.5;
-/// Nodes over the root of the cosine and over roughness.
+/// Numbers of nodes of the albedo table, over the root of the cosine and over roughness.
 const COSINES: usize = 48;
 const ROUGHNESSES: usize = 24;
-/// Samples per node, on a Fibonacci lattice: this number and the step are successive Fibonacci
-/// numbers.
+/// Number of samples per node, on a Fibonacci lattice: this number and the step are successive
+/// Fibonacci numbers.
 const SAMPLES: u32 = 1597;
 const LATTICE_STEP: u32 = 987;
 /// The smallest cosine of the table.
 const SMALLEST: f32 = 1e-3;
 
-/// Parameters of the fit of Λ, for its roughest and its smoothest fibres, in the order of the
+/// Parameters of the fit of Λ, for the roughest and the smoothest fibres, in the order of the
 /// paper's table: a, b, c, d, e.
 const FIT_ROUGH: [f32; 5] = [21.5473, 3.82987, 0.19823, -1.97760, -4.32054];
 const FIT_SMOOTH: [f32; 5] = [25.3245, 3.32435, 0.16801, -1.27393, -4.85967];
@@ -165,8 +165,8 @@ impl Fibres {
         let sine = u[1].powf(self.alpha / (2.0 * self.alpha + 1.0));
         let (sin_phi, cos_phi) = sin_cos_turns(u[0] / FIBRE_SHARE);
         let h = Vec3::new(sine * cos_phi, sine * sin_phi, (1.0 - sine * sine).max(0.0).sqrt());
-        // a normal h that faces away from the viewer reflects as −h does, but −h points into the
-        // surface, so no fibre has it
+        // A normal h that faces away from the viewer gives the same direction as −h. But −h points
+        // into the surface, so no fibre has it.
         let i = ggx::reflect(o, h);
         (o.dot(h) > 0.0 && i.z > 0.0).then_some(i)
     }
@@ -184,14 +184,15 @@ impl Fibres {
     }
 }
 
-/// Albedo of white fibres, and the factor on f that keeps it at or below 1, by the cosine and
-/// perceptual roughness.
+/// Albedo of white fibres, and the factor on f that keeps the albedo at or below 1, by the cosine
+/// and perceptual roughness.
 fn albedo(cosine: f32, roughness: f32) -> (f32, f32) {
     let raw = raw_albedo(cosine, roughness);
     (raw.min(1.0), 1.0 / raw.max(1.0))
 }
 
-/// Interpolated bilinearly in the root of the cosine and in roughness.
+/// Albedo of white fibres, which may exceed 1. It is interpolated bilinearly in the root of the
+/// cosine and in roughness.
 fn raw_albedo(cosine: f32, roughness: f32) -> f32 {
     static TABLE: OnceLock<Table<2, 1>> = OnceLock::new();
     let rough = (roughness - LEAST_ROUGHNESS) / (1.0 - LEAST_ROUGHNESS);

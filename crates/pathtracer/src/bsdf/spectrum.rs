@@ -50,7 +50,7 @@ pub(crate) fn index_at(ior: f32, dispersion: f32, nanometres: f32) -> f32 {
 struct Spectra {
     /// Cumulative probability up to and including each band.
     cumulative: [f32; BANDS],
-    /// Spectra over their mean.
+    /// Spectra of the three channels, divided by their mean.
     weights: [Vec3; BANDS],
 }
 
@@ -72,8 +72,8 @@ fn spectra() -> &'static Spectra {
     })
 }
 
-/// CIE 1931 colour-matching functions, in sums of Gaussians of unequal flanks (Wyman, Sloan,
-/// Shirley 2013).
+/// CIE 1931 colour-matching functions, as sums of Gaussians whose two flanks have different widths
+/// (Wyman, Sloan, Shirley 2013).
 fn matching(nanometres: f32) -> Vec3 {
     let lobe = |height: f32, centre: f32, left: f32, right: f32| {
         let t = (nanometres - centre) / if nanometres < centre { left } else { right };
@@ -108,7 +108,7 @@ mod tests {
 
     #[test]
     fn the_abbe_number_is_that_of_the_glass() {
-        // crown glass: 20/59
+        // crown glass of Abbe number 59 has the dispersion 20/59
         let n = |nanometres| index_at(1.517, 20.0 / 59.0, nanometres);
         assert!((n(587.56) - 1.517).abs() < 1e-4);
         assert!((0.517 / (n(486.13) - n(656.27)) - 59.0).abs() < 0.1);

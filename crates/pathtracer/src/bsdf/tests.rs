@@ -20,9 +20,9 @@ const GLASS_TOLERANCE: f64 = 1e-2;
 /// Energy that white surfaces may gain by their tables and by the approximate albedos of stretched
 /// lobes.
 const ENERGY_GAIN: f64 = 0.02;
-/// Cells of the chi-square tests, over cos θ and φ of the whole sphere.
+/// Numbers of cells of the chi-square tests, over cos θ and φ of the whole sphere.
 const CELLS: [usize; 2] = [16, 16];
-/// Midpoints per edge of a cell over which its density is integrated.
+/// Number of midpoints per edge of a cell, over which the density is integrated.
 const CELL_POINTS: usize = 40;
 
 fn appearance() -> Appearance {
@@ -86,8 +86,8 @@ fn an_index_of_one_is_a_lambertian() {
     assert!((pdf - i.z * FRAC_1_PI).abs() < 1e-6);
 }
 
-/// Black plastic as smooth as a mirror reflects by Fresnel's equations, written with angles here;
-/// over all directions that is 9.18 % at index 1.5.
+/// Black plastic as smooth as a mirror reflects by Fresnel's equations, which are written with
+/// angles here. The mean over all directions is 9.18 % at index 1.5.
 #[test]
 fn dielectrics_reflect_by_fresnels_equations() {
     let reflected = |ior: f32, cosine: f32| {
@@ -149,7 +149,7 @@ fn refraction_bends_by_snells_law() {
     let bsdf = Bsdf::new(&glass, viewer(0.5), &Frame::flat(Vec3::Z, Vec3::Z), true);
     let scatter = bsdf.sample([0.5; 2], 0.99).unwrap();
     assert!(scatter.crossed && scatter.refracted);
-    // sin θ / 1.5 on the far side, away from the viewer
+    // the sine on the far side is sin θ / 1.5, away from the viewer
     assert!((scatter.direction.x + 0.75f32.sqrt() / 1.5).abs() < 1e-5, "{}", scatter.direction);
     let inside = Bsdf::new(&glass, viewer(0.5), &Frame::flat(Vec3::Z, Vec3::Z), false);
     let reflected = inside.sample([0.5; 2], 0.99).unwrap();
@@ -362,8 +362,8 @@ fn single_scattering_is_reciprocal() {
             let mut direction =
                 || Vec3::from_array([(); 3].map(|()| 2.0 * stream.next_f32() - 1.0)).normalize_or(Vec3::Z);
             let (o, i) = (direction(), direction());
-            // f cos on the way there and back; each side's Bsdf has the shading normal on its
-            // viewer's side
+            // f for light from `to`, seen from `from`. The shading normal is on the side of `from`,
+            // since `Bsdf` expects it on the viewer's side.
             let seen = |from: Vec3, to: Vec3| {
                 let side = from.z.signum();
                 let frame = Frame { tangent: frame.tangent, ..Frame::flat(side * Vec3::Z, side * Vec3::Z) };
@@ -374,8 +374,8 @@ fn single_scattering_is_reciprocal() {
                 continue;
             }
             let (there, back) = (seen(o, i), seen(i, o));
-            // opaque surfaces show the same on both sides, so this holds across them too: both are
-            // 0
+            // An opaque surface passes no light: for directions on different sides of it, both
+            // values are 0 and agree.
             let error = (there - back).abs().max_element();
             assert!(error <= 2e-3 * there.max_element().max(1e-3), "{o} {i}: {there} {back}");
             compared += usize::from(there != Vec3::ZERO);
@@ -384,7 +384,8 @@ fn single_scattering_is_reciprocal() {
     assert!(compared > 300, "{compared}");
 }
 
-/// A film of no thickness changes nothing, and a film as dense as the base is no film.
+/// A film with factor 0 changes nothing. A film with the index of its base adds no second
+/// interface.
 #[test]
 fn films_have_their_limits() {
     let bare = Vec3::splat(0.3);
@@ -400,7 +401,7 @@ fn films_have_their_limits() {
         let thick = Film { factor: 1.0, ior: 1.5, thickness_nm: 20_000.0 }.over(bare, Vec3::splat(0.5), cosine);
         assert!(thick.max_element() - thick.min_element() < 1e-3, "{thick}");
     }
-    // a quarter wave of 550 nm dims green on a denser base: an anti-reflection coating
+    // a film of a quarter wavelength of 550 nm on a denser base reflects little green light
     let quarter = Film { factor: 1.0, ior: 1.22, thickness_nm: 550.0 / 4.0 / 1.22 }.over(bare, Vec3::splat(0.04), 1.0);
     assert!(quarter.y < 0.01 && quarter.max_element() < 0.03, "{quarter}");
 }
@@ -518,7 +519,7 @@ fn diffuse_light_is_that_of_lambert_surfaces() {
 fn light_does_not_leak_around_a_tilted_shading_normal() {
     let tilted = Vec3::new(0.8, 0.0, 0.6);
     let bsdf = Bsdf::new(&appearance(), Vec3::new(0.6, 0.0, 0.8), &Frame::flat(Vec3::Z, tilted), true);
-    // above the shading normal's horizon, below the surface
+    // the direction is above the horizon of the shading normal, but below the surface
     assert_eq!(bsdf.evaluate(Vec3::new(0.95, 0.0, -0.3).normalize()).0, Vec3::ZERO);
     let mut stream = Stream::new(5);
     for _ in 0..5000 {

@@ -9,7 +9,8 @@ use super::lobe::{Facet, Light, Lobe, Sample, Surface, mean};
 /// The transmission lobe of a thin wall.
 pub(crate) struct Thin {
     color: Vec3,
-    /// 1/E, which returns the light that single scattering loses.
+    /// 1/E with the albedo E of single scattering, which returns the light that single scattering
+    /// loses; 1 without compensation.
     scale: f32,
 }
 

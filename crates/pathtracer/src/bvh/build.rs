@@ -24,8 +24,8 @@ const REINSERTED_AT_LEAST: f32 = 20_000.0;
 /// Number of first passes in which obvhs pairs only direct neighbours (its
 /// `search_depth_threshold`).
 const SEARCH_DEPTH: usize = 2;
-/// Bounds of instances are widened by this fraction of their largest coordinate, for the rounding
-/// of their corners and of rays that are moved into their space.
+/// Bounds of instances are widened by this fraction of their largest coordinate. Their corners are
+/// rounded, and so are rays that are moved into their space.
 const INSTANCE_WIDENING: f32 = 2e-6;
 
 /// One finished tree.
@@ -103,7 +103,7 @@ impl Bvh {
     fn add_tree(&mut self, input: &Input<'_>, range: Range<usize>, instances: &[Aabb]) -> Tree {
         let triangles = &input.triangles[range.clone()];
         let flags = &input.flags[range.clone()];
-        // boxes of triangles, large ones cut, and of instances
+        // boxes of triangles and of instances; large triangles are cut into several boxes
         let mut boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::from_points(&t.map(Vec3A::from))).collect();
         let mut primitives: Vec<u32> = (0..boxes.len() as u32).collect();
         let bounds = boxes.iter().chain(instances).fold(Aabb::INVALID, |all, one| all.union(one));
@@ -192,7 +192,7 @@ impl Collapse<'_> {
         }
         let mut stack_depth = 1;
         let root = self.add_node();
-        // (binary node, node of ours to fill, postponed siblings on the way to it)
+        // (binary node, wide node to fill, number of siblings that are postponed on the way to it)
         let mut open = vec![(0u32, root, 0usize)];
         while let Some((binary_index, node, postponed)) = open.pop() {
             // every postponed child needs a place on the stack of a traversal

@@ -16,18 +16,19 @@ use obvhs::bvh2::Bvh2;
 
 use super::tree::WIDTH;
 
-/// Per subtree, at index j − 1: how many of its j children come from the first child of the binary
-/// tree. At index 0: the same for the eight children of a node, or [`END`].
+/// Per subtree, index j − 1 holds how many of its j children come from the first child of the
+/// binary tree, or [`FEWER`]. Index 0 holds the same number for the eight children of a node, or
+/// [`END`].
 pub(super) struct Plan(Vec<[u8; WIDTH]>);
 
-/// The subtree is a block or an instance.
+/// Marks a subtree that is a block or an instance.
 const END: u8 = u8::MAX;
-/// The subtree with this many children is no better than with one child fewer.
+/// Marks a subtree that is no better with this many children than with one child fewer.
 const FEWER: u8 = 0;
 
 impl Plan {
-    /// `primitives` is the triangle of every slot of the binary tree; from `triangles` on they are
-    /// instances.
+    /// `primitives` has an index for every slot of the binary tree. An index below `triangles` is a
+    /// triangle, any other is an instance.
     pub(super) fn new(binary: &Bvh2, primitives: &[u32], triangles: usize) -> Self {
         let mut plan = vec![[END; WIDTH]; binary.nodes.len()];
         let mut order = Vec::with_capacity(binary.nodes.len());
@@ -130,7 +131,7 @@ mod tests {
         (!node.is_leaf()).then_some(node.first_index)
     }
 
-    /// Number of triangles; `None` if there is an instance among them.
+    /// Number of triangles of a subtree; `None` if the subtree contains an instance.
     fn weight(binary: &Bvh2, index: u32, triangles: usize) -> Option<usize> {
         match first(binary, index) {
             Some(first) => Some(weight(binary, first, triangles)? + weight(binary, first + 1, triangles)?),

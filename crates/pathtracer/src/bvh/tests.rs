@@ -10,8 +10,8 @@ use super::tree::*;
 
 /// Distances of the f32 test and the f64 oracle agree to this fraction of the scene's size.
 const DISTANCE_TOLERANCE: f64 = 2e-5;
-/// Rays that pass an edge closer than this (in barycentric units) may go either way in f32 and are
-/// not compared.
+/// Rays that pass an edge at less than this distance (in barycentric units) may go either way in
+/// f32 and are not compared.
 const EDGE_MARGIN: f64 = 1e-4;
 
 fn build(triangles: &[[Vec3; 3]], flags: &[u32]) -> Bvh {
@@ -177,7 +177,7 @@ fn hostile_soup(seed: u64) -> Vec<[Vec3; 3]> {
         triangles.push([a, b, b]);
         triangles.push([a, a, a]);
         triangles.extend([[a, b, -a]; 2]);
-        // a triangle in a plane across an axis
+        // a triangle in a plane perpendicular to an axis
         triangles.push([a, b, -b].map(|corner| corner.with_y(0.5)));
     }
     triangles
@@ -209,7 +209,8 @@ fn hostile_triangles_are_found_as_by_testing_each() {
         let open = bvh.transmittance(&ray, &mut stack, |_| Vec3::ZERO);
         assert_eq!(open == Vec3::ONE, expected.is_none());
         if let (Some(hit), Some((t, _))) = (hit, expected) {
-            // any of coincident triangles is right; t is in units of a direction of any length
+            // Any one of coincident triangles is right. t counts lengths of the direction, so its
+            // error is multiplied by that length.
             found += 1;
             let error = (f64::from(hit.t) - t).abs() * f64::from(ray.direction.length());
             assert!(error < 10.0 * DISTANCE_TOLERANCE, "{error} {ray:?}");

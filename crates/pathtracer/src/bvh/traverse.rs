@@ -56,8 +56,9 @@ use super::tree::{
 
 /// Direction components below this are replaced by it in the slab test, so that 0 · ∞ cannot occur.
 pub(super) const SMALLEST_SLOPE: f32 = 1e-18;
-/// Rounding of b/d − o/d as a fraction of (|o| + |b|)/|d|. Each of 1/d, o/d and the result adds
-/// half an epsilon. Boxes of cut triangles, whose corners are rounded, double the sum.
+/// Rounding of b/d − o/d (b is a plane's position) as a fraction of (|o| + |b|)/|d|. Each of 1/d,
+/// o/d and the result adds half an epsilon. Boxes of cut triangles, whose corners are rounded,
+/// double the sum.
 pub(super) const SLAB_ROUNDING: f32 = 4.0 * f32::EPSILON;
 
 /// Reusable memory for postponed children. The high bits hold the distance and the low bits the
@@ -68,18 +69,20 @@ pub(crate) struct Stack(pub(super) Vec<u64>);
 /// tree. Its distance reads as −∞, so it is never dropped.
 const END_OF_INSTANCE: u64 = (f32::NEG_INFINITY.to_bits() as u64) << 32 | EMPTY as u64;
 
-/// The longest axis, by whether x is longer than y, x than z and y than z, one bit each.
+/// The axis of the direction's largest component. The index has three bits, from the lowest: |x| >
+/// |y|, |x| > |z|, |y| > |z|.
 const LONGEST: [u8; 8] = [2, 2, 2, 0, 1, 2, 1, 0];
-/// The other two axes, for a ray that runs up an axis and for one that runs down it. For the latter
-/// they are exchanged, which keeps the winding. Padding to eight entries saves a range check of the
-/// three-bit index.
+/// The other two axes, for a ray that runs up an axis and for one that runs down it. If the ray
+/// runs down, the two are exchanged, which keeps the winding. Padding to eight entries saves a
+/// range check of the three-bit index.
 const OTHERS: [[u8; 2]; 8] = [[1, 2], [2, 1], [2, 0], [0, 2], [0, 1], [1, 0], [0, 0], [0, 0]];
 
 /// A ray prepared for the slab test.
 #[derive(Clone, Copy)]
 struct Slabs<V> {
     inverse: [V; 3],
-    /// −o/d, minus the rounding (`near_shift`) and plus the rounding (`far_shift`).
+    /// −o/d (origin over direction), minus the rounding (`near_shift`) and plus the rounding
+    /// (`far_shift`).
     near_shift: [V; 3],
     far_shift: [V; 3],
     /// Index of the near plane per axis in [`Node::bounds`].
@@ -91,9 +94,9 @@ struct Slabs<V> {
 /// when it needs them, and rays that reach no block pay little.
 #[derive(Clone, Copy)]
 pub(super) struct Shear {
-    /// Rows of the axes in a block; the last is the axis along which the ray is longest.
+    /// Rows of the axes in a block; the last is the axis of the direction's largest component.
     pub(super) axes: [usize; 3],
-    /// Origin along these axes.
+    /// The ray's origin, in the order of `axes`.
     origin: [f32; 3],
     shear: [f32; 3],
 }
@@ -134,7 +137,7 @@ impl Arrays<'_> {
     }
 }
 
-/// A triangle that a ray hits, with the results of the triangle test as they are.
+/// A triangle that a ray hits, with the results of the triangle test before their division.
 #[derive(Clone, Copy)]
 struct RawHit {
     u: f32,
@@ -173,9 +176,9 @@ impl Bvh {
         unsafe { self.backend.call_eight::<Nearest<_>>((self, ray, stack, accept, found)) }
     }
 
-    /// Product of `transmittance` over all triangles that the segment crosses. The function is
-    /// called only for triangles with flags other than [`CULL_BACK`], at most once each; the others
-    /// are opaque. Stops at zero.
+    /// Product of `transmittance` over all triangles that the segment crosses. `transmittance` is
+    /// called only for triangles with flags other than [`CULL_BACK`], at most once for each
+    /// triangle and instance. All other triangles are opaque. Stops when the product is zero.
     #[inline]
     pub(crate) fn transmittance(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
         // SAFETY: the kernel makes no demands
@@ -204,7 +207,7 @@ impl Bvh {
         }
         assert!(stack.0.len() > self.stack_depth, "a stack of another tree");
         // SAFETY: the caller has the instruction set. Child references point into the arrays they
-        // were made with, and no more than `stack_depth` children are ever postponed, which `build`
+        // were made with. No more than `stack_depth` children are ever postponed, which `build`
         // counts and the assertion above checks.
         unsafe {
             // a copy; [`Arrays`] states the reason
@@ -235,8 +238,8 @@ impl Bvh {
                 };
             }
             loop {
-                // a separate loop, so that the inputs of nodes stay in registers rather than the
-                // inputs of blocks
+                // a separate loop, so that registers hold the inputs of the node test, not those of
+                // the block test
                 while current & LEAF == 0 {
                     let node = arrays.nodes.get_unchecked(current as usize);
                     let (t_near, mut hits) = slabs.enters(node, t_max);
@@ -496,8 +499,8 @@ impl<V: Lanes> Slabs<V> {
             std::array::from_fn(|axis| SLAB_ROUNDING * (o[axis].abs() + extent) * inverse[axis].abs());
         let sign = |axis: usize| (inverse[axis].to_bits() >> 31) as usize;
         let near = [3 * sign(0) * WIDTH, (1 + 3 * sign(1)) * WIDTH, (2 + 3 * sign(2)) * WIDTH];
-        // without a closure: it would not have the instruction set, and its vector operations would
-        // become calls
+        // No closure is used: it would not have the instruction set, and its vector operations
+        // would become calls.
         unsafe {
             Self {
                 inverse: [V::splat(inverse[0]), V::splat(inverse[1]), V::splat(inverse[2])],
@@ -517,8 +520,8 @@ impl<V: Lanes> Slabs<V> {
         }
     }
 
-    /// Distances along the ray to one plane of each of eight boxes, across the same axis; `row` is
-    /// an entry of `near` or `far`.
+    /// Distances along the ray to eight planes, one of each box, all perpendicular to `axis`. `row`
+    /// is an entry of `near` or `far`.
     #[inline(always)]
     unsafe fn distance(&self, node: &Node, row: usize, axis: usize, shift: V) -> V {
         unsafe { V::from_array(eight(node.bounds.as_flattened(), row)).fused_mul_add(self.inverse[axis], shift) }
@@ -579,12 +582,13 @@ impl Shear {
         }
     }
 
-    /// True if a ray is longest along the same axis, in the same direction.
+    /// True if the ray's direction has its largest component along the same axis, with the same
+    /// sign.
     #[inline(always)]
     pub(super) fn has_axes_of(&self, ray: &Ray) -> bool {
         let direction = ray.direction.to_array();
         let [x, y, z] = self.axes.map(|row| direction[row / WIDTH]);
-        // strictly longer, since of two equally long axes Shear::new chooses the later one
+        // strictly larger, since of two equal components Shear::new chooses the later one
         z.abs() > x.abs().max(y.abs()) && (z < 0.0) == (self.shear[2] < 0.0)
     }
 

@@ -5,27 +5,27 @@ use std::ops::Range;
 use glam::{Mat3, Vec3};
 use lumistack_simd::Backend;
 
-/// Values per vector: the children of a node, or the triangles of a block.
+/// Number of values of a vector: the children of a node, or the triangles of a block.
 pub(super) const WIDTH: usize = 8;
 /// Marks a child reference as a leaf block.
 pub(super) const LEAF: u32 = 1 << 31;
 /// Marks a child reference, together with [`LEAF`], as an instance.
 pub(super) const INSTANCE: u32 = 1 << 30;
-/// A child that does not exist. Its bounds are empty, so that no ray enters it. On a traversal's
-/// stack it marks the end of an instance.
+/// Marks a child that does not exist. Its bounds are empty, so that no ray enters it. On a
+/// traversal's stack it marks the end of an instance.
 pub(super) const EMPTY: u32 = u32::MAX;
 /// Bits of a triangle reference that hold its index; the others are flags.
 pub(super) const INDEX_MASK: u32 = (1 << 29) - 1;
-/// Largest number of triangles that references can hold. A mesh's triangles are included once, for
-/// any number of instances.
+/// Largest number of triangles that references can address. A mesh's triangles count once, for any
+/// number of instances.
 pub(crate) const MAX_TRIANGLES: usize = INDEX_MASK as usize;
 /// The largest number of instances of shared trees.
 pub(crate) const MAX_INSTANCES: usize = INSTANCE as usize - 1;
-/// The triangle is invisible from behind.
+/// Marks a triangle that is invisible from behind.
 pub(crate) const CULL_BACK: u32 = 1 << 29;
-/// The triangle has an alpha that must be evaluated.
+/// Marks a triangle whose alpha must be evaluated.
 pub(crate) const ALPHA: u32 = 1 << 30;
-/// Light passes through the triangle without a change of direction, tinted.
+/// Marks a triangle through which light passes tinted, without a change of direction.
 pub(crate) const TINT: u32 = 1 << 31;
 /// [`Hit::instance`] of a triangle that belongs to no shared tree.
 pub(crate) const NO_INSTANCE: u32 = u32::MAX;
@@ -105,7 +105,7 @@ pub(super) struct Node {
 }
 
 /// Eight triangles, one per lane: `vertices[vertex][axis]`. Unused lanes are points, which no ray
-/// hits. Five cache lines.
+/// hits. A block takes five cache lines.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct Block {

@@ -1,8 +1,9 @@
 //! The filter of a few rows of one view.
 //!
 //! Neighbouring views are first resampled into the view's own frame, pixel by pixel. Then each
-//! shift of a window is computed for all pixels together. It gives a picture of distances, and sums
-//! over 3 × 3 pixels of it are the distances of patches. So all loops run along rows.
+//! shift of a window is computed for all pixels together. A shift gives a picture of colour
+//! distances, whose sums over 3 × 3 pixels are the distances of patches. So all loops run along
+//! rows.
 
 use std::ops::Range;
 
@@ -21,9 +22,9 @@ const PLANE_SCALE: f32 = 1.5;
 const ALBEDO_SCALE: f32 = 0.2;
 const GLOSS_SCALE: f32 = 0.2;
 const COVERED_SCALE: f32 = 0.2;
-/// Filtered answers per pixel, each for both halves of the samples. The first uses colours and
-/// guides, with weights from the other half. The second uses guides alone. The third uses colours
-/// and guides, with weights from the half itself; it serves only to estimate errors.
+/// Number of filtered answers per pixel, each for both halves of the samples. The first uses
+/// colours and guides, with weights from the other half. The second uses guides alone. The third
+/// uses colours and guides, with weights from the half itself; it serves only to estimate errors.
 pub(super) const ANSWERS: usize = 3;
 
 /// Filtered demodulated radiance of a band, per answer and half: `[row][col][rgb]`.
@@ -100,8 +101,8 @@ impl Block {
     }
 
     /// Fraction of a pixel's light that is the same in another view. Diffuse light is the same.
-    /// Mirrored light is, while half the angle between the views is small against the lobe's width
-    /// α.
+    /// Glossy light is nearly the same if half the angle between the views is small against the
+    /// lobe's width α.
     fn steady(&self, slope: f32, height: usize, cols: usize, margin: usize) -> Vec<f32> {
         let mut steady = Vec::with_capacity(height * cols);
         for y in 0..height {
@@ -120,7 +121,7 @@ impl Block {
 struct Scratch {
     height: usize,
     cols: usize,
-    /// Colour distance per half, with the margin of a patch around it.
+    /// Distance of colours per half, with the margin of a patch around it.
     distance: [Vec<f32>; 2],
     /// Sums of three neighbouring distances along a row.
     across: [Vec<f32>; 2],
@@ -204,7 +205,8 @@ impl Scratch {
                     sum_g[x] += w * g[x];
                     sum_b[x] += w * b[x];
                 }
-                // the same weights for the half from which they come, to estimate the error
+                // the same weights also average the half from which they come, to estimate the
+                // error
                 let [own_r, own_g, own_b] = [0, 1, 2].map(|c| values(half, c));
                 let weights = &mut own_weights.weights[half][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut own_weights.values[half];
@@ -265,7 +267,7 @@ fn guide_row(centre: &Block, block: &Block, p: usize, q: usize, steady: &[f32], 
     }
 }
 
-/// A bell curve close to exp(−x) that is 0 from x = 4 on, computed without a call.
+/// A falling curve close to exp(−x) that is 0 from x = 4 on, computed without a call.
 #[inline(always)]
 fn kernel(x: f32) -> f32 {
     let t = (1.0 - 0.25 * x).max(0.0);
@@ -284,8 +286,8 @@ impl Sums {
                 .map(|i| {
                     let at = (i / cols + margin) * centre.width + margin + i % cols;
                     let weight = self.weights[half][i];
-                    // the sky has no noise, so it stays as it is, and so does a pixel without any
-                    // weight
+                    // The sky has no noise, so it stays as it is. A pixel without any weight stays
+                    // as it is too.
                     let as_is = centre.planes[COVERED][at] <= 0.0 || weight <= 0.0;
                     [0, 1, 2].map(|c| {
                         if as_is { centre.planes[HALVES[half] + c][at] } else { self.values[half][c][i] / weight }

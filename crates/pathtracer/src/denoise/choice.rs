@@ -11,7 +11,8 @@ const ERROR_RADIUS: usize = 4;
 /// Difference of errors, relative to the noise's variance, at which the better answer gets e times
 /// the weight.
 const SOFTNESS: f32 = 0.03;
-/// Candidates for a pixel: filtered by colours and guides, filtered by guides alone, as rendered.
+/// Number of candidates for a pixel: filtered by colours and guides, filtered by guides alone, as
+/// rendered.
 const CHOICES: usize = 3;
 
 /// Blends the answers by their estimated errors. The estimate leaves out the pixel itself, since
@@ -36,8 +37,8 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
     picture
 }
 
-/// Weight of each answer in every pixel, from the estimated squared errors around it, relative to
-/// the noise there.
+/// Weight of each answer in every pixel. It follows from the squared errors that are estimated in
+/// the surrounding pixels, divided by the variance of the noise.
 ///
 /// (F_a − u_b)² is on average the squared error of the answer F_a from half of the samples, plus
 /// the noise of the other half, u_b. That noise is equal for all answers. `gain` is subtracted,

@@ -1,9 +1,9 @@
 //! The effect of a filter on a view, measured at pixels that it never used.
 //!
-//! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks). The checks' noise is
-//! independent of the picture F and of each other. So the expectation of the product is F's squared
-//! error, for any filter. The mean of F minus the mean of the unbiased picture is the filter's mean
-//! bias.
+//! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks): pixels that were rendered
+//! twice more, with the results c₁ and c₂. The noise of c₁, the noise of c₂ and the picture F are
+//! independent. So the expectation of the product is F's squared error, for any filter. The mean of
+//! F minus the mean of the unbiased picture is the filter's mean bias.
 
 use lumistack_core::Tensor;
 
@@ -26,8 +26,8 @@ pub struct Estimate {
 pub struct ViewFigures {
     /// Mean of the unbiased picture.
     pub mean: f64,
-    /// Mean of the filtered picture minus mean of the unbiased picture; its values are means of
-    /// blocks.
+    /// Mean of the filtered picture minus mean of the unbiased picture. The values of the estimate
+    /// are the means of blocks of pixels.
     pub change: Estimate,
     /// Mean squared error of the unbiased picture.
     pub mse_before: Estimate,
@@ -62,7 +62,7 @@ impl Estimate {
         })
     }
 
-    /// The estimate of all values multiplied by a factor.
+    /// The estimate from the same values, each multiplied by a factor.
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
         Self { sum: factor * self.sum, squares: factor * factor * self.squares, ..self }

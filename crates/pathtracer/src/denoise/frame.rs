@@ -32,7 +32,7 @@ pub(super) struct Frame {
     pub(super) rows: usize,
     pub(super) cols: usize,
     planes: [Vec<f32>; PLANES],
-    /// The divisor of the radiance (demodulation).
+    /// The number per pixel and channel by which the radiance is divided (demodulation).
     pub(super) modulation: Vec<[f32; 3]>,
     /// Slopes of the view at the centre of the field.
     slope: DVec2,
@@ -108,7 +108,8 @@ impl Frame {
             return None;
         }
         let z_mm = f64::from(self.planes[PLACE + 2][i]) * self.pitch_mm;
-        // x + s z is the same for both views; in a perspective view s decreases by x / D
+        // A point (X, z) appears at the x with x + s z = X, in both views. The slope s at x is the
+        // central slope, less x / D in a perspective view.
         let stretch = match self.projection {
             Projection::Oblique => 1.0,
             Projection::Perspective { distance_mm } => 1.0 - z_mm / distance_mm,

@@ -57,7 +57,7 @@ use frame::Frame;
 pub use shared::{MeanLight, SharedLight};
 pub use view::{NoisyView, Window};
 
-/// Rows that are filtered together: the unit of work, of progress and of cancellation.
+/// Number of rows that are filtered together: the unit of work, of progress and of cancellation.
 const BAND: usize = 16;
 
 /// Steps by which [`denoise`] advances the progress.

@@ -13,9 +13,10 @@
 //! averaged over neighbouring pixels, so shadows and textures stay sharp up to a pixel's rounding:
 //! E is read at the pixel nearest to p_u. The mirrored light G stays as rendered.
 //!
-//! So a point that hundreds of views see has the samples of all of them. Each costs one shift and
-//! one comparison. Averaging first over rows and then over columns takes as many steps as there are
-//! rows and columns. One average over all views would take the product of these numbers.
+//! So a point that hundreds of views see has the samples of all of them. Each of these views costs
+//! one shift and one comparison. Averages over rows and then over columns take as many steps as the
+//! grid has rows and columns together. One average over all views would take the product of these
+//! numbers.
 
 use std::io;
 
@@ -37,41 +38,42 @@ const LEAST_COSINE: f32 = 0.8;
 /// be shared.
 const LEAST_REFLECTANCE: f32 = 0.02;
 
-/// Data of a pixel for the filter: 20 bytes, since it needs the pixels of all views.
+/// Data of a pixel for the filter. It has only 20 bytes, since the filter needs the pixels of all
+/// views.
 #[derive(Clone, Copy, Default)]
 #[repr(C)]
 struct Point {
-    /// E from the pixel's own samples.
+    /// E, the light at the point, from the pixel's own samples.
     light: [f32; 3],
     z_mm: f32,
     /// Unit normal, times 127.
     normal: [i8; 3],
-    /// 1 if it scatters light by Lambert's law, else 0.
+    /// 1 if the surface scatters light by Lambert's law, else 0.
     lit: u8,
 }
 
 // SAFETY: sixteen bytes of floats and four single bytes, without gaps
 unsafe impl Plain for Point {}
 
-/// The light of a light field that is to be shared, 32 bytes for every ray while it is.
+/// Light that the views of a light field are to share. It takes 32 bytes for every ray.
 pub struct SharedLight<'a> {
     geometry: &'a FieldGeometry,
     /// Number of views added.
     added: usize,
-    /// `[view][row][col]`.
+    /// Data of every pixel, `[view][row][col]`.
     points: Array<Point>,
-    /// Mean E, `[view][row][col]`, once it is computed.
+    /// Mean of the light E over the views, `[view][row][col]`, once it is computed.
     light: Array<[f32; 3]>,
 }
 
 /// The mean light of every view.
 pub struct MeanLight {
-    /// E, `[view][row][col]`.
+    /// The mean of the light E, `[view][row][col]`.
     light: Array<[f32; 3]>,
 }
 
 impl<'a> SharedLight<'a> {
-    /// Bytes of a ray.
+    /// Number of bytes that a ray takes.
     pub const BYTES_PER_RAY: u64 = (size_of::<Point>() + size_of::<[f32; 3]>()) as u64;
 
     /// Starts without any view, in memory.
@@ -80,7 +82,7 @@ impl<'a> SharedLight<'a> {
     }
 
     /// Starts without any view, in two arrays of a storage. While light is averaged, each thread
-    /// also uses the points of one view.
+    /// also keeps the points of one view in memory.
     ///
     /// # Errors
     /// If the storage is full.
@@ -93,7 +95,7 @@ impl<'a> SharedLight<'a> {
     /// Adds the next view of the grid.
     ///
     /// # Panics
-    /// If it is not of the geometry's size, or there are more views than the grid has.
+    /// If the view is not of the geometry's size, or there are more views than the grid has.
     pub fn add(&mut self, view: &SplitView) {
         let [rows, cols] = view.size();
         assert_eq!([rows, cols], [self.geometry.rows, self.geometry.cols], "views of the geometry's size");
@@ -246,7 +248,8 @@ fn of_view(
                     continue;
                 }
                 let normal = point.normal();
-                // x + s z is the same for both views; in a perspective view s decreases by x / D
+                // A point (X, z) appears at the x with x + s z = X, in both views. The slope s at x
+                // is the central slope, less x / D in a perspective view.
                 let depth = match grid.projection {
                     Projection::Oblique => point.z_mm,
                     Projection::Perspective { distance_mm } => point.z_mm / (1.0 - point.z_mm / distance_mm as f32),

@@ -109,8 +109,8 @@ fn noise_goes_and_checks_tell_how_much_is_left() {
             after += squared_error(picture, truth) / truths.len() as f64;
         }
         let before = Estimate::joined(told.iter().map(|f| f.mse_before));
-        // the mean of two halves of variance 0.04; four standard errors give a false alarm in one
-        // of 16,000 runs
+        // The mean of two halves of variance 0.04 has the variance 0.02. Four standard errors give
+        // a false alarm in one of 16,000 runs.
         assert!((before.value() - 0.02).abs() < 4.0 * before.error() && before.error() < 0.001, "{before:?}");
         assert!(after < 0.1 * 0.02, "{after}");
         let estimate = Estimate::joined(told.iter().map(|f| f.mse_after));
@@ -200,7 +200,7 @@ fn a_surface_point_is_found_in_the_other_view() {
                     for place in [&across, &up] {
                         let here = place[own].get([row, col, 0]);
                         let there = place[other].get([at / COLS, at % COLS, 0]);
-                        // within the rounding to whole pixels
+                        // half a pixel, since the shift is rounded to whole pixels
                         assert!((here - there).abs() < 0.501, "{here} {there}");
                     }
                     found += 1;

@@ -7,12 +7,12 @@ use crate::Features;
 /// Sizes of the filter's windows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
-    /// Pixels on either side of a pixel, in the view itself. Default 5.
+    /// Number of pixels on either side of a pixel, in the view itself. Default 5.
     pub radius: usize,
-    /// Views on either side, along both axes of the grid. With 0 every view is filtered by itself.
-    /// Default 2.
+    /// Number of views on either side, along both axes of the grid. With 0 every view is filtered
+    /// by itself. Default 2.
     pub views: usize,
-    /// Pixels on either side of the corresponding pixel in those other views. Default 1.
+    /// Number of pixels on either side of the corresponding pixel in those other views. Default 1.
     pub radius_in_views: usize,
 }
 

@@ -34,7 +34,7 @@ pub(crate) struct EnvironmentLight {
     rows: Cells,
     row_choice: Distribution,
     column_choices: Vec<Option<Distribution>>,
-    /// Magnitude that is subtracted before sampling.
+    /// Magnitude of radiance that is subtracted before sampling.
     floor: f32,
     /// Magnitude above the floor, averaged over the sphere.
     sampled_magnitude: f32,
@@ -47,10 +47,10 @@ pub(crate) struct EnvironmentLight {
 #[derive(Clone, Copy)]
 struct Cells {
     texels: usize,
-    /// Texels per cell; 1 if texels are split.
+    /// Number of texels per cell; 1 if texels are split.
     joined: usize,
-    /// Cells per texel; 1 if texels are joined, otherwise even, so that bilinear kinks are on the
-    /// edges of cells.
+    /// Number of cells per texel; 1 if texels are joined, otherwise even, so that bilinear kinks
+    /// are on the edges of cells.
     split: usize,
 }
 
@@ -173,7 +173,7 @@ impl EnvironmentLight {
         let Some(environment) = environment else { return Vec3::ZERO };
         let Pixels::RgbF32(texels) = &self.scene.images[environment.image].pixels else { return Vec3::ZERO };
         let (x, y) = (u * self.width as f32 - 0.5, v * self.height as f32 - 0.5);
-        // both coordinates are ≥ 0, so that adding 1 makes truncation a floor
+        // x and y are ≥ −0.5, so after adding 1, truncation equals the floor
         let (x0, y0) = ((x + 1.0) as usize, (y + 1.0) as usize);
         let (fx, fy) = (x + 1.0 - x0 as f32, y + 1.0 - y0 as f32);
         // x0 and y0 are 0 at texel −1
@@ -244,7 +244,7 @@ mod tests {
 
     #[test]
     fn the_picture_stands_as_documented() {
-        // 4 × 2 texels, each of its own value; the directions are the middles of four of them
+        // 4 × 2 texels, each of its own value; the directions point to the middles of four of them
         let sky = light(4, 2, Quat::IDENTITY, |x, y| (4 * y + x) as f32);
         let direction = |yaw_right: f32, up: f32| {
             let (yaw, pitch) = (yaw_right.to_radians(), up.to_radians());

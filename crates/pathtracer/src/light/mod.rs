@@ -24,7 +24,7 @@ use crate::distribution::Distribution;
 use crate::geometry::{Geometry, SurfacePoint};
 use crate::shading::Materials;
 
-/// Fraction of the choice that is divided equally among the kinds of light that exist. It keeps up
+/// Fraction of the choice that is divided equally among the kinds of light that exist. It raises
 /// the chance of a weak kind that shines from close by.
 const EQUAL_SHARE: f64 = 0.3;
 /// Number of points per edge of a triangle at which a textured emission is evaluated to estimate
@@ -35,8 +35,8 @@ const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
 /// Deviation from a parallelogram that is tolerated, as a fraction of its size: about the rounding
 /// of its corners.
 const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
-/// Powers of two of [`Parts`] for which a choice of lights is prepared; larger numbers use the
-/// last.
+/// Number of powers of two of [`Parts`] for which a choice of lights is prepared; larger numbers
+/// use the last.
 const PART_POWERS: u32 = 13;
 /// Marks a triangle that is no light.
 const NONE: u32 = u32::MAX;
@@ -48,13 +48,13 @@ pub(crate) struct Lights {
     /// triangles.
     light_of_triangle: Vec<u32>,
     environment: Option<EnvironmentLight>,
-    /// Points and spots.
+    /// Point lights and spotlights.
     points: Vec<PunctualLight>,
     directional: Vec<PunctualLight>,
-    /// Tree over the triangles, followed by points and spots.
+    /// Tree over the triangles, followed by the point lights and spotlights.
     tree: Option<LightTree>,
     /// Choices among the tree ([`LOCAL`]), each directional light, and the environment, in this
-    /// order. Choice k has its chances rounded to whole parts of 2ᵏ. Empty if no light can be
+    /// order. In choice k, the chances are rounded to multiples of 1/2ᵏ. Empty if no light can be
     /// sampled.
     choices: Vec<Distribution>,
 }
@@ -80,7 +80,7 @@ struct TriangleLight {
 
 impl Lights {
     pub(crate) fn new(scene: &Arc<Scene>, geometry: &Geometry, materials: &Materials) -> Self {
-        // emitting triangles, and for each hit triangle the index of its light
+        // emitting triangles, and for each triangle of the scene the index of its light
         let (triangles, mut emitters) = emitting_triangles(geometry, materials);
         let mut light_of_triangle = Vec::new();
         if !triangles.is_empty() {
@@ -170,9 +170,10 @@ impl Lights {
     }
 
     /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also
-    /// chooses the light, and is then rescaled from the light's interval to [0, 1), so that each
-    /// light's samples stay stratified. `u_fine` adds the digits that rescaling loses. [0, 1) is
-    /// divided into `parts` equal parts, and each holds one first number of a pixel's samples.
+    /// chooses the light. It is then rescaled from the light's interval to [0, 1), so that each
+    /// light's samples stay stratified. `u_fine` adds the digits that rescaling loses. If [0, 1) is
+    /// divided into `parts` equal parts, each part holds the first number of one of the pixel's
+    /// samples.
     pub(crate) fn sample(
         &self,
         geometry: &Geometry,
@@ -243,8 +244,8 @@ impl TriangleLight {
         let inverse_distance = to_light.length_recip();
         let direction = to_light * inverse_distance;
         let cosine = -direction.dot(self.normal);
-        // area |cos θ'| / d² over the chance; the divisions are independent, so that they run in
-        // parallel
+        // the inverse of the density is area |cos θ'| / d² divided by the chance; the divisions are
+        // independent, so that they run in parallel
         let inverse_pdf = self.area * cosine.abs() * (inverse_distance * inverse_distance) * chance.recip();
         // no light is received at distance 0, from the side, or where the numbers overflow
         let is_seen = inverse_pdf > 0.0 && inverse_pdf.is_finite() && (cosine > 0.0 || self.double_sided);
@@ -338,8 +339,8 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         };
         let area = geometry.area(triangle);
         let strength = area * magnitude(mean);
-        // a triangle whose strength or area is no normal number is left out here; scattered rays
-        // still find its light
+        // A triangle is left out here if its strength or area is not a normal floating-point
+        // number. Scattered rays still find its light.
         if strength > 0.0 && strength.is_finite() && area.is_normal() {
             // two halves of a parallelogram become one light
             let corners @ [a, b, c] = geometry.corners(triangle);
@@ -457,7 +458,8 @@ mod tests {
         Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
     }
 
-    /// Intervals per barycentric coordinate; they divide a triangle into PARTS² congruent cells.
+    /// Number of intervals per barycentric coordinate; they divide a triangle into PARTS² congruent
+    /// cells.
     const PARTS: usize = 4;
 
     /// Points sampled on lights follow their density (chi-square over these cells). Scattered rays
@@ -579,7 +581,7 @@ mod tests {
             assert!(chances.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{chances:?} {expected:?}");
         };
         close(in_whole_parts(&[3.3, 6.7], 16), &[5.0 / 16.0, 11.0 / 16.0]);
-        // a chance of less than half a part is kept, and no light loses or gains a chance
+        // a chance of less than half a part is not rounded, and a chance of 0 stays 0
         close(in_whole_parts(&[0.0, 1e-6, 1.0], 64), &[0.0, 1e-6 / (1.0 + 1e-6), 1.0 / (1.0 + 1e-6)]);
         // 0.5 parts are rounded up to 1, but two of them would leave nothing for the third
         close(in_whole_parts(&[1.0, 1.0, 2.0], 2), &[0.25, 0.25, 0.5]);
@@ -591,7 +593,7 @@ mod tests {
 
     #[test]
     fn barycentric_points_are_uniform() {
-        // the mean of each weight over a triangle is 1/3, of its square 1/6
+        // the mean of each weight over a triangle is 1/3, and the mean of its square is 1/6
         let n = 300;
         let (mut first, mut second) = ([0.0f64; 3], [0.0f64; 3]);
         for i in 0..n * n {

@@ -8,8 +8,8 @@ pub(crate) struct LightSample {
     pub(crate) direction: Vec3,
     /// End of the shadow ray, just in front of the light; `None` for light from infinity.
     pub(crate) end: Option<Vec3>,
-    /// Radiance over density, still to be multiplied by f |cos|, visibility and the heuristic's
-    /// weight.
+    /// Radiance divided by density. It is still to be multiplied by f |cos| with the scattering
+    /// function f, by visibility, and by the weight of the power heuristic.
     pub(crate) weight: Vec3,
     /// 1 over the density per solid angle, including the choice of the light; 0 for punctual
     /// lights, which no other technique finds.

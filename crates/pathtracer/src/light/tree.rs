@@ -71,8 +71,8 @@ pub(crate) struct Emitter {
 /// samples choose a light. 0 if nothing is known about these numbers.
 pub(crate) type Parts = u32;
 
-/// The chance rounded to whole parts, and the number of parts on either side. A chance that would
-/// round to none or all of the parts is not rounded.
+/// The chance of the first child, rounded to whole parts, and the numbers of parts of both
+/// children. A chance that would round to none or all of the parts is not rounded.
 #[inline]
 pub(super) fn whole_parts(chance: f32, parts: Parts) -> (f32, [Parts; 2]) {
     let first = (chance * parts as f32 + 0.5) as Parts;
@@ -496,7 +496,7 @@ mod tests {
     }
 
     /// With n stratified numbers each light is chosen n times its chance, which is a whole number.
-    /// With chances that are not rounded it would be chosen once more or less.
+    /// If the chances were not rounded, a light might be chosen once more or once less often.
     #[test]
     fn a_few_lights_get_whole_parts() {
         for parts in [16u32, 64] {

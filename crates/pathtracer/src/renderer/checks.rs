@@ -39,11 +39,11 @@ pub(crate) struct Check {
 }
 
 impl Renderer {
-    /// Renders a sixty-fourth of the pixels of a view twice. `settings` have the seed of the views.
-    /// Does not advance the progress.
+    /// Renders a sixty-fourth of the pixels of a view twice. `settings` have the same seed as the
+    /// settings of the view. Does not advance the progress.
     ///
     /// # Errors
-    /// As [`render_view`](Self::render_view).
+    /// The same errors as [`render_view`](Self::render_view).
     pub fn render_checks(
         &self,
         window: &Window,

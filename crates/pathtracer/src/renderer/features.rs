@@ -14,7 +14,7 @@ use super::first::{FEATURES, FirstSums};
 use super::{PixelMean, RenderError, Renderer, ranges, rgb};
 use crate::settings::Settings;
 
-/// Guides of one view.
+/// Data of the first surfaces of one view, which guide a denoiser.
 #[derive(Clone, Debug)]
 pub struct Features {
     /// `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha, central z_mm]`.
@@ -30,7 +30,7 @@ pub struct GuidedView {
     /// number. Samples are stratified, so the true variance of the means is smaller. NaN if fewer
     /// than two samples are finite numbers.
     pub variance: Tensor<3>,
-    /// Guides of the view.
+    /// Data of the surfaces that the view's paths hit first.
     pub features: Features,
 }
 
@@ -50,7 +50,7 @@ pub struct Feature {
     /// Fraction of the reflectance that depends on the viewer's direction (mirrors, metals, glass),
     /// 0..1.
     pub gloss: f32,
-    /// Width of the lobe of that reflectance: squared roughness, 0..1.
+    /// Width of the lobe that depends on the viewer's direction: squared roughness, 0..1.
     pub alpha: f32,
     /// Depth in display space of the surface on the path nearest to the pixel's centre, in
     /// millimetres; `None` if that path hits nothing.
@@ -61,8 +61,8 @@ impl Features {
     /// Number of values per pixel.
     pub const VALUES: usize = FEATURES;
 
-    /// Guides from the tensor that [`values`](Self::values) returns; `None` for another number of
-    /// values per pixel.
+    /// Makes features from the tensor that [`values`](Self::values) returns; `None` for another
+    /// number of values per pixel.
     pub fn from_values(values: Tensor<3>) -> Option<Self> {
         (values.shape()[2] == FEATURES).then_some(Self { values })
     }
@@ -110,11 +110,11 @@ impl Features {
 }
 
 impl Renderer {
-    /// As [`render_view`](Self::render_view), with the variance of every mean and the first
-    /// surfaces of all paths. The radiance is the same to the bit.
+    /// Renders like [`render_view`](Self::render_view), and also returns the variance of every mean
+    /// and data of the first surfaces of all paths. The radiance is the same to the bit.
     ///
     /// # Errors
-    /// As [`render_view`](Self::render_view).
+    /// The same errors as [`render_view`](Self::render_view).
     pub fn render_view_and_features(
         &self,
         window: &Window,
@@ -139,7 +139,7 @@ impl Renderer {
     /// same settings, but without their light. Does not advance the progress.
     ///
     /// # Errors
-    /// As [`render_view`](Self::render_view).
+    /// The same errors as [`render_view`](Self::render_view).
     pub fn render_features(
         &self,
         window: &Window,

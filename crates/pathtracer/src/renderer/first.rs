@@ -45,7 +45,7 @@ pub(super) struct FirstSums {
     /// Geometric normals, and reflectances of the diffuse lobe.
     normal: Vec3,
     reflectance: Vec3,
-    /// Guides.
+    /// Sums of the guides' values.
     albedo: Vec3,
     shading: Vec3,
     gloss: f32,
@@ -102,7 +102,7 @@ impl FirstSums {
     }
 
     /// The values of a pixel with its diffuse and other light separate. `mean` is the mean light of
-    /// the samples; `finite` of the samples are finite.
+    /// the samples; `finite` is the number of finite samples.
     pub(super) fn split(&self, mean: Vec3, finite: u32, samples: u32) -> [f32; PARTS] {
         // light is a mean over the finite samples, reflectance over all samples, normal and depth
         // over the samples with a surface

@@ -13,7 +13,7 @@ impl Renderer {
     /// not advance the progress.
     ///
     /// # Errors
-    /// As [`render_view`](Self::render_view).
+    /// The same errors as [`render_view`](Self::render_view).
     pub fn render_misses(
         &self,
         window: &Window,

@@ -6,9 +6,9 @@
 //!             E = D / ρ_d does not depend on the view
 //! ```
 //!
-//! D is the mean of the light of all paths, each weighted by a fraction: the diffuse lobe's in the
-//! scattering function at its first vertex. It is the same light that
-//! [`render_view`](Renderer::render_view) adds up, of the same rays and random numbers.
+//! D is a weighted mean of the light of all paths. A path's weight is the fraction of the
+//! scattering function at its first vertex that comes from the diffuse lobe. D + G is the light
+//! that [`render_view`](Renderer::render_view) adds up, of the same rays and random numbers.
 
 use glam::Vec3;
 use lumistack_core::{Task, Tensor};
@@ -39,7 +39,7 @@ pub struct GuidedSplit {
     /// Variance of every mean of the whole light, `[row][col][rgb]`; NaN if fewer than two samples
     /// are finite numbers.
     pub variance: Tensor<3>,
-    /// Guides of the view.
+    /// Data of the surfaces that the view's paths hit first.
     pub features: Features,
 }
 
@@ -103,7 +103,7 @@ impl Renderer {
     /// function does.
     ///
     /// # Errors
-    /// As [`render_view`](Self::render_view).
+    /// The same errors as [`render_view`](Self::render_view).
     pub fn render_split(
         &self,
         window: &Window,
@@ -119,11 +119,12 @@ impl Renderer {
         Ok(SplitView { values })
     }
 
-    /// As [`render_split`](Self::render_split), with the variance of every mean and the first
-    /// surfaces of all paths, like [`render_view_and_features`](Self::render_view_and_features).
+    /// Renders like [`render_split`](Self::render_split). Like
+    /// [`render_view_and_features`](Self::render_view_and_features), it also returns the variance
+    /// of every mean and data of the first surfaces of all paths.
     ///
     /// # Errors
-    /// As [`render_view`](Self::render_view).
+    /// The same errors as [`render_view`](Self::render_view).
     pub fn render_split_and_features(
         &self,
         window: &Window,

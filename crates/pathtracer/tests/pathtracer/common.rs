@@ -68,8 +68,8 @@ impl Builder {
     }
 }
 
-/// A rectangle with the corners centre ± u ± v. Its front faces u × v, and its texture is not
-/// mirrored as seen from there.
+/// A rectangle with the corners centre ± u ± v. Its front faces u × v. Seen from the front, its
+/// texture is not mirrored.
 pub fn rectangle(centre: Vec3, u: Vec3, v: Vec3) -> Mesh {
     Mesh {
         positions: vec![centre - u - v, centre + u - v, centre + u + v, centre - u + v],

@@ -110,8 +110,8 @@ fn the_report_is_true_and_means_and_edges_stay() {
     assert!(told_after.error() < 0.2 * before, "{told_after:?}");
 }
 
-/// Diffuse and other light of a view add up to the view itself. Diffuse surfaces have only the
-/// first, mirrors only the second.
+/// Diffuse and other light of a view add up to the view itself. Diffuse surfaces have only diffuse
+/// light, mirrors have only other light.
 #[test]
 fn parts_add_up_to_the_view() {
     let (collector, cancel) = (Collector::default(), Cancel::default());

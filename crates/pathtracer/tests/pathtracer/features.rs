@@ -20,7 +20,7 @@ fn depth_normal_and_reflectance_are_those_of_the_first_surface() {
     let turn = Quat::from_rotation_y(0.4);
     let metal = Material { base_color: Vec4::new(0.9, 0.6, 0.3, 1.0), metallic: 1.0, roughness: 0.5, ..diffuse(0.5) };
     builder.add(rectangle(Vec3::new(0.0, 0.0, -0.2), turn * (4.0 * Vec3::X), 4.0 * Vec3::Y), metal);
-    // hidden by the other surface
+    // this surface is hidden by the first one
     builder.add(rectangle(Vec3::new(0.0, 0.0, -3.0), 9.0 * Vec3::X, 9.0 * Vec3::Y), diffuse(0.1));
     let (size, slope) = (16, [0.25, -0.1]);
     let found = features(&builder, size, slope);
@@ -32,7 +32,7 @@ fn depth_normal_and_reflectance_are_those_of_the_first_surface() {
             assert_eq!((covered, gloss, alpha), (1.0, 1.0, 0.25));
             assert!((albedo - Vec3::new(0.9, 0.6, 0.3)).abs().max_element() < 1e-5, "{albedo}");
             assert!((seen - normal).length() < 1e-5, "{seen}");
-            // (x + s z, y, z) is on the plane through (0, 0, −0.2) with that normal
+            // (x + s z, y, z) is on the plane through (0, 0, −0.2) with the normal `normal`
             let [nx, nz] = [f64::from(normal.x), f64::from(normal.z)];
             let z = (-0.2 * nz - geometry.x_mm(col) * nx) / (nz + slope[0] * nx);
             // rays are spread over the pixel, so the mean of 16 stratified rays is off the pixel's
@@ -49,7 +49,8 @@ fn depth_normal_and_reflectance_are_those_of_the_first_surface() {
 #[test]
 fn a_pixel_at_an_edge_tells_its_share() {
     let mut builder = Builder::default();
-    // the right half of the window, and a quarter of the column of pixels next to it
+    // the rectangle covers the right half of the window, and a quarter of the column of pixels next
+    // to it
     let size = 8;
     let pitch = 2.0 / size as f32;
     builder.add(
@@ -128,7 +129,7 @@ fn surfaces_come_with_the_light_at_no_change_of_it() {
                 assert_eq!(feature.covered > 0.0, pixel[9..12].iter().any(|normal| *normal != 0.0));
                 for c in 0..3 {
                     assert!((pixel[c] + pixel[3 + c] - rgb[c]).abs() <= 1e-6 * rgb[c].max(1.0));
-                    // no more light is scattered than arrives
+                    // neither diffuse nor other light is negative
                     assert!(pixel[c] >= 0.0 && pixel[3 + c] >= -1e-6 * rgb[c].max(1.0));
                 }
             }

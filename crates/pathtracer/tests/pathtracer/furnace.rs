@@ -42,7 +42,8 @@ fn a_closed_room_radiates_the_geometric_series() {
     }
 }
 
-/// The limit on bounces, with roulette, cuts the series after the given number of terms.
+/// The limit on bounces cuts the series L + ρL + ρ²L + … after the given number of terms, also with
+/// roulette.
 #[test]
 fn the_limit_on_bounces_cuts_the_series() {
     let mut scene = Builder::default();
@@ -144,8 +145,8 @@ fn lossless_layers_are_invisible_in_a_uniform_environment() {
     }
 }
 
-/// A coat dims the emission below it: a clear coat of index 1.5 passes 1 − 0.04 of it along its
-/// normal.
+/// A coat dims the emission below it: a clear coat of index 1.5 passes 1 − 0.04 of the emission
+/// along its normal.
 #[test]
 fn a_coat_dims_emission() {
     let mut scene = Builder::default();

@@ -297,7 +297,7 @@ fn hundreds_of_lights_add_up() {
     let mean = Mean::of(relative.iter().copied());
     println!("{} pixels: {mean:?}", relative.len());
     assert!(relative.len() > 30);
-    // the tolerance is needed since the function varies within a pixel
+    // the tolerance is needed since the radiance varies within a pixel
     mean.assert_is(0.0, 2e-3, FALSE_ALARM_RATE);
     assert!(relative.iter().all(|error| error.abs() < 0.25), "one light of 300 per path: {relative:?}");
 }

@@ -1,5 +1,6 @@
-//! Things that primary rays pass through: all that is in front of a near plane, lamps that viewers
-//! do not see, and the environment behind a backdrop. The light is the same as without them.
+//! Things that primary rays pass through. They are all that is in front of a near plane, lamps that
+//! viewers do not see, and the environment behind a backdrop. The light is the same as if the
+//! viewer saw them.
 
 use crate::common::{Builder, WINDOW_MM, diffuse, glowing, long_paths, mean_of, one_view, rectangle, render, window};
 use glam::{Vec3, Vec4};

@@ -18,10 +18,10 @@ const SAMPLES: Settings = Settings {
     angular_filter: AngularFilter::Point,
     clamp: None,
 };
-/// Pixels per edge of the test views: the pitch is 1/50 of the window.
+/// Number of pixels per edge of the test views: the pitch is 1/50 of the window.
 const SIZE: usize = 50;
 const PITCH: f64 = WINDOW_MM / SIZE as f64;
-/// Tolerance for a centroid of jittered samples at a card's edges, in pixels.
+/// Tolerance for the centroid of a card, in pixels, since samples at the card's edges are jittered.
 const CENTROID_TOLERANCE: f64 = 0.1;
 
 /// Centre of brightness of a channel, as (x, y) on z = 0.
@@ -154,7 +154,7 @@ fn near_hides_far() {
     assert_eq!(image.block([SIZE / 2, SIZE / 2 + 8]), [1.0, 0.0, 0.0]);
 }
 
-/// A picture of 2 × 2 texels: red, green over blue, white.
+/// A picture of 2 × 2 texels: red and green above blue and white.
 fn quadrants(builder: &mut Builder) -> TextureUse {
     let texels = vec![[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 0], [255, 255, 255, 100]];
     builder.parts.images.push(Image { name: "quadrants".into(), width: 2, height: 2, pixels: Pixels::Rgba8(texels) });
@@ -286,10 +286,10 @@ fn normal_maps_keep_their_relief() {
             render(&scene.renderer(), &window(), &one_view(4, [0.0, 0.0]), &SAMPLES).get([1, 1, 0])
         };
         let from_right = lit_from(picture_right + Vec3::Z);
-        // bumps of 45° shadow light at 45° to 2 / (1 + √(9/8)) of it
+        // the bumps of 45° keep the fraction 2 / (1 + √(9/8)) of light at 45°
         assert!((from_right - 0.971).abs() < 0.01, "{name}: the relief faces this light, {from_right}");
         let from_left = lit_from(-picture_right + Vec3::Z);
-        assert!(from_left < 0.01, "{name}: and is edge-on to this one, {from_left}");
+        assert!(from_left < 0.01, "{name}: the relief is edge-on to this light, {from_left}");
     }
 }
 
@@ -530,8 +530,8 @@ fn samples_that_overflow_are_counted_and_left_out() {
 
 #[test]
 fn extreme_scenes_stay_finite() {
-    // huge and tiny scales, far from the origin, lights on the surface itself, black and white,
-    // roughness 0
+    // extreme scenes: huge and tiny scales, far from the origin, lights on the surface itself,
+    // black and white, roughness 0
     for (scale, at) in [(1e-6, 0.0), (1e6, 0.0), (1.0, 1e4)] {
         let mut scene = Builder::default();
         let place = |v: Vec3| (scale * v.as_dvec3() + DVec3::splat(at)).as_vec3();
@@ -551,7 +551,7 @@ fn extreme_scenes_stay_finite() {
         let (image, warnings) =
             render_view(&scene.renderer(), &window, &one_view(24, [0.1, 0.1]), [0, 0], &Settings::default());
         assert!(warnings.is_empty(), "{warnings:?}");
-        // lossless and uniformly lit: everything is 1, on average
+        // all surfaces are lossless and uniformly lit, so the mean radiance is 1
         let mean = image.data().iter().map(|&v| f64::from(v)).sum::<f64>() / image.data().len() as f64;
         assert!((mean - 1.0).abs() < 0.02, "scale {scale} at {at}: {mean}");
     }

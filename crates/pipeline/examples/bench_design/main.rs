@@ -1,5 +1,5 @@
-//! `cargo xtask bench design`: compares predicted with solved quality, and kills a sweep
-//! repeatedly.
+//! `cargo xtask bench design`: compares predicted with solved quality, and tests that a sweep
+//! continues after it was killed.
 //!
 //! First part: a solver factorizes still-life (80 × 50 pixels, 3 × 3 views) for 40 random designs,
 //! and [`predicted_db`] predicts its PSNR. Designs are uniform or directional, with 1 to 5 layers
@@ -33,7 +33,7 @@ fn main() -> ExitCode {
     let result = match words.as_slice() {
         // the process that the parent kills
         ["child", job, folder] => child(Path::new(job), Path::new(folder)),
-        // prints data to which the prediction's constants can be fitted
+        // prints data to which the constants of the prediction can be fitted
         ["features", seed] => print_features(seed.parse().unwrap_or(1000)),
         _ => prediction().and_then(|()| killing()),
     };
@@ -158,11 +158,12 @@ const SMALL: &str = "\
 fn child(job: &Path, folder: &Path) -> Outcome {
     let (job, registry) = (Job::load(job)?, plugins(&[])?);
     let summary = quietly(|task| sweep(&job, folder, &registry, task))?;
-    println!("{} designs, {} from before", summary.designs, summary.kept);
+    println!("{} designs, {} of them solved before", summary.designs, summary.kept);
     Ok(())
 }
 
-/// Kills the sweep after 1, 15, 30, ... designs and compares its table with an uninterrupted one.
+/// Kills the sweep after 1, 15, 30, ... designs. Its table must then equal the table of an
+/// uninterrupted sweep.
 fn killing() -> Outcome {
     let folder = target_folder().join("kill");
     let _ = std::fs::remove_dir_all(&folder);

@@ -15,7 +15,7 @@ use lumistack_field_io::picture::Picture;
 
 use crate::{Outcome, text};
 
-/// Factor on differences in the difference picture.
+/// Factor by which the difference picture amplifies differences.
 pub const GAIN: f32 = 4.0;
 
 /// A view rendered twice with independent noise: `[row][col][rgb]`, scene-linear.
@@ -28,18 +28,19 @@ pub struct Halves {
 
 /// Scores of a pair of renders.
 pub struct Figures {
-    /// Mean of our render divided by the mean of Blender's, per channel, over pixels with a surface
-    /// in either.
+    /// Mean of our render divided by the mean of Blender's, per channel. Both means are over the
+    /// pixels that a surface covers in at least one of the renders.
     pub ratio: [f64; 3],
-    /// Root mean square of the difference without noise, divided by the mean of Blender's render,
-    /// over the same pixels.
+    /// Root mean square of the difference of the two renders, with the noise removed. It is divided
+    /// by the mean of Blender's render, over the same pixels as `ratio`.
     pub difference: f64,
-    /// As `difference`, but with noise.
+    /// The same value as `difference`, but with the noise of both renders.
     pub with_noise: f64,
-    /// Number of pixels that a surface covers in both renders, divided by the number that it covers
-    /// in either, 0..1.
+    /// Overlap of the pixels that surfaces cover, 0..1. It is the number of pixels that are covered
+    /// in both renders, divided by the number covered in at least one.
     pub overlap: f64,
-    /// Centroid of the covered pixels of our render minus that of Blender's, pixels (right, down).
+    /// Centroid of the covered pixels of our render minus the centroid in Blender's render, pixels
+    /// (right, down).
     pub shift: [f64; 2],
 }
 
@@ -79,7 +80,7 @@ pub struct ToneMapping {
     pub curve: ToneCurve,
 }
 
-/// Computes the scores of a pair.
+/// Computes the scores of a pair of renders.
 pub fn figures(ours: &Halves, other: &Halves) -> Figures {
     // Pixels that show only the environment in both renders are excluded from scores.
     let (o, p) = (ours.mean(), other.mean());

@@ -50,7 +50,7 @@ pub fn write(out: &Path, notes: &Path) -> Outcome {
                 style { (PreEscaped(STYLE)) }
             }
             body {
-                h1 { "Every glTF file, our render next to that of Blender's Cycles" }
+                h1 { "Every glTF and USD file, our render next to the render of Blender's Cycles" }
                 @for note in &notes.general { p { (note) } }
                 @for section in &sections { (section) }
             }

@@ -54,7 +54,7 @@ impl Options {
     }
 }
 
-/// Renders every file in `scenes` and its subfolders.
+/// Renders every glTF and USD file in `scenes` and its subfolders.
 pub fn all(scenes: &Path, out: &Path, options: &Options) -> Outcome {
     // Sorted files give the same order on every machine.
     let mut files = Vec::new();
@@ -106,7 +106,7 @@ fn find(folder: &Path, files: &mut Vec<PathBuf>) -> Outcome {
 /// Renders a file into its folder. Returns the settings that Blender needs for the same render.
 fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task: Task<'_>) -> Outcome<Value> {
     let [cols, rows] = options.size;
-    // The window is the one that a job with defaults would have.
+    // Place the window as a job with default settings does.
     let start = Instant::now();
     let ingested =
         load_scene(file, &PoseJob::default(), &ImporterJob::default(), registry, &LightJob::default(), None, task)
@@ -137,7 +137,7 @@ fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task:
     let mask = renderer.hit_mask(&window, &geometry, [0, 0], task).map_err(text)?;
     npy::write(&folder.join("covered-ours.npy"), &[rows, cols], mask.data()).map_err(text)?;
 
-    // Exposure and tone curve follow from the mean of both renders, as in a job.
+    // Choose exposure and tone curve from the mean of both renders, as a job does.
     let rays: Vec<(f32, bool)> = brightest.into_iter().zip(mask.data().iter().map(|&share| share > 0.5)).collect();
     let (exposure, curve) = automatic_tone_mapping(scene, &rays);
 

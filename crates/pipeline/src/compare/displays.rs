@@ -28,7 +28,8 @@ pub struct DisplayLikeness {
     /// Scores of the display against the target, ray by ray, over a selection of the target's
     /// views.
     pub likeness: Likeness,
-    /// PSNR of each of these views, dB, by row and column; `None` if the view equals the target.
+    /// PSNR of each compared view, dB, `[view row][view column]`; `None` if the emitted light
+    /// equals the target.
     pub views_db: Vec<Vec<Option<f64>>>,
 }
 
@@ -82,7 +83,7 @@ pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Resul
         let folder = run.join("nodes").join(&node.id);
         let made = RunFolder::open(&folder)?;
         let (simulator, map) = (Simulator::new(&made.display, &made.stack), RayMap::new(&made.display, geometry));
-        // Scores along the target's rays, for each view and for all together.
+        // Compute scores along the target's rays, for each view and for all views together.
         let mut sums = Sums::new();
         let mut views_db: Vec<Vec<Option<f64>>> = Vec::new();
         for row in views.chunk_by(|a, b| a[0] == b[0]) {

@@ -127,7 +127,8 @@ impl Sums {
     }
 }
 
-/// Reads the target of a run. The folder of a node has no target, so that of the run is read.
+/// Reads the target of a run. The folder of a node has no target, so the target is read from the
+/// run folder around it.
 pub(super) fn target_of(run: &Path) -> Result<Option<LightField>, PipelineError> {
     for folder in [run.join("target"), run.join("../../target")] {
         if folder.join("lightfield.json").is_file() {
@@ -137,9 +138,9 @@ pub(super) fn target_of(run: &Path) -> Result<Option<LightField>, PipelineError>
     Ok(None)
 }
 
-/// The difference of two pictures, added to middle grey.
+/// Returns `second` minus `first`, added to middle grey.
 pub(super) fn difference(first: &[f32], second: &[f32]) -> Vec<f32> {
-    // 0.214 is middle grey, ½, after sRGB encoding.
+    // Middle grey is ½ after sRGB encoding, and 0.214 in linear light.
     first.iter().zip(second).map(|(a, b)| (0.214 + (b - a)).clamp(0.0, 1.0)).collect()
 }
 

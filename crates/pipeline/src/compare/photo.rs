@@ -1,8 +1,8 @@
 //! Compares a photograph of panels with the simulation of their run.
 //!
 //! The homography of the display's four corners rectifies the photograph. A factor g adapts its
-//! exposure to that of the simulation. The factor minimizes Σ (g p − s)² over photograph p and
-//! simulation s, in linear light and without clipped pixels:
+//! exposure to the simulation. The factor minimizes Σ (g p − s)² over photograph p and simulation
+//! s, in linear light and without clipped pixels:
 //!
 //! ```text
 //! g = Σ s p / Σ p²
@@ -102,7 +102,7 @@ pub fn compare_photo(
     };
     let simulated = run.picture(viewpoint, false)?;
     let [rows, cols, _] = simulated.shape();
-    // Files with codes clip bright light, so their brightest values are excluded.
+    // Files with integer codes clip bright light, so values near the largest code are excluded.
     let ends = picture.is_encoded();
     let mut linear = picture.into_linear();
     if ends {
@@ -111,7 +111,7 @@ pub fn compare_photo(
     let mut taken = rectified(&linear, size, &map, [rows, cols]);
     let counts: Vec<bool> = taken.chunks_exact(3).map(|rgb| rgb.iter().all(|value| value.is_finite())).collect();
     let clipped = counts.iter().filter(|counts| !**counts).count() as f64 / counts.len().max(1) as f64;
-    // Compute the factor g of the module's documentation.
+    // Compute the factor g, whose equation is in the module's documentation.
     let (mut products, mut squares) = (0.0, 0.0);
     for ((p, s), _) in taken.chunks_exact(3).zip(simulated.data().chunks_exact(3)).zip(&counts).filter(|(_, c)| **c) {
         products += p.iter().zip(s).map(|(p, s)| f64::from(*p) * f64::from(*s)).sum::<f64>();
@@ -127,7 +127,7 @@ pub fn compare_photo(
             found,
         ));
     }
-    // Compare at the simulation's exposure; clipped pixels become white in the picture.
+    // Compare at the simulation's exposure. Clipped pixels become white in the written picture.
     for value in &mut taken {
         *value = if value.is_finite() { *value * gain as f32 } else { 1.0 };
     }
@@ -153,13 +153,13 @@ const CLIPPED: f32 = 0.991;
 fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_px: f64) -> Option<[f64; 3]> {
     let m = &map.0;
     let unit = DMat3::from_cols_array_2d(m).transpose();
-    // From millimetres, y up, to the unit square, y down.
+    // Maps millimetres, with y up, to the unit square, with y down.
     let from_mm = DMat3::from_cols(
         DVec3::new(1.0 / size_mm[0], 0.0, 0.0),
         DVec3::new(0.0, -1.0 / size_mm[1], 0.0),
         DVec3::new(0.5, 0.5, 1.0),
     );
-    // From pixels, y down, to the camera's frame: right, up and forward.
+    // Maps pixels, with y down, to the camera's frame: right, up and forward.
     let to_camera = DMat3::from_diagonal(DVec3::new(1.0 / focal_px, -1.0 / focal_px, 1.0))
         * DMat3::from_translation(-0.5 * DVec2::new(width, height));
     let h = to_camera * unit * from_mm;
@@ -173,7 +173,7 @@ fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_
     Some([-r_1.dot(t), -r_2.dot(t), -r_3.dot(t)])
 }
 
-/// Points per pixel and axis of the rectified picture.
+/// Number of sample points per axis in each pixel of the rectified picture.
 const POINTS: usize = 4;
 
 /// The part of a picture to which a homography maps the unit square, resampled to [rows, cols]. The

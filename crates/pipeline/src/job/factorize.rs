@@ -20,15 +20,15 @@ pub struct FactorizeJob {
     /// Device of the solver: `auto`, `cpu`, `gpu` or `gpu:NAME`.
     pub device: String,
     /// Number of iterations. Default: 16 if the display chooses the views of a scene, otherwise 50.
-    /// The zone score changes little after 12 iterations with such views (still life, 13 × 13
-    /// views: 0.03 dB from there to iteration 50).
+    /// With chosen views, the zone score changes little after 12 iterations (still life, 13 × 13
+    /// views: by 0.03 dB from iteration 12 to 50).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<u32>,
     /// Start: `auto`, `random`, `smooth` or `content`.
     #[schemars(extend("enum" = StartKind::names().collect::<Vec<_>>()))]
     pub start: String,
-    /// Number of coarser levels before the full resolution, each of half the resolution. Default:
-    /// the solver decides.
+    /// Number of coarser levels before the full resolution. Each level has half the resolution of
+    /// the next. Default: the solver decides.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse_levels: Option<u32>,
     /// Iterations at each coarser level.
@@ -40,15 +40,16 @@ pub struct FactorizeJob {
     /// or many. Without `tiles` and `tile_mib` it is solved as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<[usize; 2]>,
-    /// Memory of a solve, MiB, 1 to 16777216: the display is cut into the fewest tiles that need no
-    /// more. Not together with `tiles`.
+    /// Memory of a solve, MiB, 1 to 16777216. The display is cut into the fewest tiles of which
+    /// none needs more memory. Not together with `tiles`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tile_mib: Option<u64>,
     /// Folder `layers` of an earlier run, whose patterns are the start instead of `start`.
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub warm_start: Option<PathBuf>,
-    /// `.npy` file of weights ≥ 0, `[view_y][view_x]` or `[view_y][view_x][row][col]`.
+    /// `.npy` file of weights ≥ 0: one per view, `[view_y][view_x]`, or one per ray,
+    /// `[view_y][view_x][row][col]`.
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub weights: Option<PathBuf>,
@@ -97,13 +98,13 @@ impl Default for FactorizeJob {
 }
 
 impl FactorizeJob {
-    /// Returns the number of iterations: that of the job, or the default.
+    /// Returns the number of iterations of the job, or the default.
     pub fn iterations(&self) -> u32 {
         self.iterations.unwrap_or(lumistack_factorizer::Settings::default().iterations)
     }
 
     /// Refuses a graphics processor that the job names, for a task that only the processor can do.
-    /// `task` begins the error's text, as in "tiles are solved".
+    /// `task` begins the error's text; an example is "tiles are solved".
     ///
     /// # Errors
     /// If the job names a graphics processor.

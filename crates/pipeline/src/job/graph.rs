@@ -65,7 +65,7 @@ pub struct NodeJob {
     /// the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub display: Option<DisplayJob>,
-    /// Factorizer settings of a `tensor-display`. Default: those of the job.
+    /// Factorizer settings of a `tensor-display`. Default: the factorizer settings of the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub factorize: Option<FactorizeJob>,
     /// Parameters of a node plugin.
@@ -74,7 +74,7 @@ pub struct NodeJob {
 }
 
 impl NodeJob {
-    /// Id of the factorizer, whose parameters are the table `factorize`.
+    /// Id of the node that is the built-in factorizer. Its parameters are the table `factorize`.
     pub const TENSOR_DISPLAY: &'static str = "tensor-display";
 }
 

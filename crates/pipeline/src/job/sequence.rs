@@ -31,8 +31,8 @@ pub struct SequenceJob {
     /// machines solve them in parallel. Default: all time steps are one chain of warm starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub chunk_times: Option<usize>,
-    /// Number of time steps before a chunk that are solved once more, the first of them without a
-    /// warm start. So the chunk begins almost as in a sequence without chunks. Default 2.
+    /// Number of time steps before a chunk that are solved once more. The first of them has no warm
+    /// start. They make the chunk begin almost as in a sequence without chunks. Default 2.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warm_up_times: Option<usize>,
 }
@@ -59,7 +59,8 @@ impl SequenceJob {
     /// Checks ranges, and keys that only a scene or a source can have.
     pub(super) fn check(&self, has_scene: bool, has_light_field: bool) -> Result<(), PipelineError> {
         let fail = |key: &str, expected: &str, found: String| Err(PipelineError::job(key, expected, found));
-        // Only for a folder of light fields `times` may be absent, since the folder determines it.
+        // Only for a folder of light fields, `times` may be absent, since the folder determines the
+        // number.
         match self.times {
             Some(times) if !(1..=Self::MOST).contains(&times) => {
                 return fail("sequence.times", "1 to 9999", times.to_string());
@@ -78,7 +79,7 @@ impl SequenceJob {
             let expected = "`duration_s` for a scene or a source only";
             return fail("sequence", expected, "it with light fields".into());
         }
-        // Ranges. The types allow any number, also NaN.
+        // Check ranges. The types allow any number, also NaN.
         if self.chunk_times == Some(0) {
             return fail("sequence.chunk_times", "1 or more", "0".into());
         }

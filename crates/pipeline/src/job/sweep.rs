@@ -35,7 +35,7 @@ pub struct SweepJob {
     /// change.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub lenslets: Vec<[usize; 2]>,
-    /// Selection of the plots that are drawn of the table: `none`, `few` or `all`.
+    /// Plots that are drawn from the table: `none`, `few` or `all`.
     #[serde(skip_serializing_if = "is_default")]
     pub plots: Plots,
     /// Constraints of a search, which solves only promising designs to the last iteration.
@@ -47,7 +47,8 @@ pub struct SweepJob {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SearchJob {
-    /// Maximum depth from the rearmost to the frontmost of layers and backlight, millimetres.
+    /// Maximum distance from the rearmost to the frontmost part, millimetres. Parts are the layers
+    /// and the backlight.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_thickness_mm: Option<f64>,
     /// Maximum refresh rate of the panels, Hz. All frames together must be shown 60 times a second.

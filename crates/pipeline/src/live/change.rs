@@ -7,8 +7,8 @@ use crate::error::PipelineError;
 use crate::job::Job;
 
 impl Job {
-    /// Returns the job with another value of a key such as `display.brightness`; `null` sets the
-    /// default. Relative paths are relative to the working folder.
+    /// Returns the job with another value of a key, for example of `display.brightness`. The value
+    /// `null` sets the default. Relative paths are relative to the working folder.
     ///
     /// # Errors
     /// If the key does not exist, the value has another type, or the job is wrong with this value.

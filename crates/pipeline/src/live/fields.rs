@@ -5,8 +5,9 @@
 //! read ───────────────────────────────────────────────▶ Target
 //! ```
 //!
-//! While the scene moves, the window, exposure and tone curve of the first time step stay. They are
-//! chosen anew if one of their settings changes, exposure and tone curve also if a file changes.
+//! While the scene moves, the window, exposure and tone curve of the first time step stay. The
+//! window is placed anew if one of its settings or a camera of the scene changes. Exposure and tone
+//! curve are chosen anew if one of their settings or a file changes.
 //! Displays get at most 49 automatic views, since all views must be traced before the first
 //! picture.
 
@@ -38,14 +39,15 @@ pub struct LiveFields {
     job: Job,
     display: Arc<Display>,
     cache: PathBuf,
-    /// Results, each with the key of the inputs that it was made from.
+    /// Each result has the key of the inputs that it was made from.
     scene: Option<(Value, Arc<Ingested>)>,
     placement: Option<(Value, Placement)>,
     views: Option<(Value, Progressive)>,
     tone_mapping: Option<(Value, ToneMapping)>,
     /// Key of the light field that was returned last.
     shown: Option<Value>,
-    /// Number of reloads, which is part of every key of a result from files.
+    /// Number of reloads. It is part of every key of a result from files, so a reload makes these
+    /// results anew.
     edition: u64,
     content: u64,
 }
@@ -93,8 +95,8 @@ impl LiveFields {
         files
     }
 
-    /// Makes the next light field: of changed content, or of the same content with less noise.
-    /// Returns `None` if all samples are traced and nothing has changed.
+    /// Makes the next light field, either of changed content or of the same content with less
+    /// noise. Returns `None` if all samples are traced and nothing has changed.
     ///
     /// # Errors
     /// If the scene or the light field cannot be read or rendered, or when cancelled. Earlier
@@ -119,7 +121,7 @@ impl LiveFields {
         }
         // Keep the key before reading, so that a broken file is reported only once.
         self.shown = Some(key);
-        // Omit the views of the zone score, which only reports need.
+        // Omit the views that only the zone score of a report needs.
         let report = ReportJob { zone_directions: 0, ..self.job.report.clone() };
         let (field, _) = read::run(path, &Job { report, ..self.job.clone() }, &self.display, None, task)?;
         let adapted = self.display.adapted_to(field.geometry());
@@ -130,7 +132,7 @@ impl LiveFields {
     }
 
     fn render(&mut self, registry: &Registry, task: Task<'_>) -> Result<Option<Target>, PipelineError> {
-        // Ingest. After an error the earlier scene remains.
+        // Ingest the scene. After an error the earlier scene remains.
         let (job, display) = (&self.job, self.display.clone());
         let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
         let path = job.scene.clone().unwrap_or_default();
@@ -160,7 +162,8 @@ impl LiveFields {
             self.placement = Some((key_of_place, placed));
         }
         let Some((_, placement)) = self.placement else { return Ok(None) };
-        // Trace one more pass, of new views if any of their inputs has changed.
+        // Trace one more pass. If any input of the views has changed, this is the first pass of new
+        // views.
         let footprint = display.angular_footprint();
         let job = self.job.clone();
         let (geometry, samples) = (&geometry, None);
@@ -173,14 +176,14 @@ impl LiveFields {
             self.views = Some((key_of_views, Progressive::new(shot, task)?));
         }
         let Some((_, views)) = &mut self.views else { return Ok(None) };
-        // For another exposure, or another display with the same rays, the paths traced so far are
-        // exposed again before more are traced.
+        // If only the exposure changed, or the display has the same rays as before, expose the
+        // paths that are traced so far. The next call traces more.
         let traced = if is_new && views.passes > 0 { false } else { views.pass(shot, task)? };
         if !(traced || is_new) {
             return Ok(None);
         }
         // Expose the views. Exposure and tone curve stay until files or settings of the light
-        // change. So they stay while the scene moves.
+        // change, so they stay while the scene moves.
         let radiance = views.radiance(shot, task)?;
         let key_of_tone_mapping = json!([name, self.edition, of_light]);
         let tone_mapping = match &self.tone_mapping {

@@ -5,8 +5,8 @@
 //! result: mean of all paths so far ─▶ light shared between views ─▶ splats in front
 //! ```
 //!
-//! The first pass traces one path per pixel and view. With shared light, its noise is about that of
-//! as many paths as there are views.
+//! The first pass traces one path per pixel and view. With light shared between n views, its noise
+//! is about the noise of n paths per pixel.
 
 use lumistack_core::{Task, Tensor};
 use lumistack_display::LightField;
@@ -21,8 +21,8 @@ use crate::stage::fields::{FieldJob, Shot};
 
 /// Paths per pixel that measure the fraction of a pixel where the background is visible.
 const MISSED_SAMPLES: u32 = 4;
-/// Indices of those values of a pixel of a [`SplitView`] that are normal and depth of the hit
-/// surface. These values are 0 without a hit.
+/// Indices of those values of a [`SplitView`]'s pixel that are the normal (three values) and the
+/// depth of the hit surface. These values are 0 without a hit.
 const SURFACE: std::ops::Range<usize> = 9..13;
 
 /// Views in progress.
@@ -46,7 +46,7 @@ struct View {
     missed: Vec<f32>,
 }
 
-/// Scene-linear views, and for their rays the brightest channel and whether there is a hit.
+/// Scene-linear views, and data of their rays for the choice of an exposure.
 pub(super) struct Radiance {
     pub(super) field: LightField,
     /// For each ray, its brightest channel, and true if it hits a surface.
@@ -102,7 +102,7 @@ impl Progressive {
         Ok(true)
     }
 
-    /// The views with all paths so far.
+    /// Returns the views, computed from all paths so far.
     ///
     /// # Errors
     /// When cancelled.
@@ -151,7 +151,7 @@ impl View {
         samples: u32,
         task: Task<'_>,
     ) -> Result<(), PipelineError> {
-        // With another seed, the paths differ from those of earlier passes.
+        // Another seed gives other paths than in the earlier passes.
         let settings = lumistack_pathtracer::Settings { samples, ..of.seeded(&[3, u64::from(self.samples)]) };
         let new =
             renderer.render_split(shot.window(), &of.traced, self.place, &settings, task).map_err(render_error)?;
@@ -164,8 +164,8 @@ impl View {
     }
 }
 
-/// Mean over the paths of both views, where the new paths have the weight `share`. If only one of
-/// the two hits a surface, its normal and depth are kept.
+/// Averages the values of two renders of a view. The render `new` has the weight `share`. If only
+/// one of the two hits a surface at a pixel, that render's normal and depth are kept.
 fn mean(before: SplitView, new: &SplitView, share: f32) -> SplitView {
     let mut values: Tensor<3> = before.values().clone();
     let pixels =

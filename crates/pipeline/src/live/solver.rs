@@ -13,7 +13,7 @@ use crate::stage::factorize::solver_settings;
 
 /// Solves light fields one after another, each from the patterns of the previous one.
 ///
-/// With `auto`, if the device fails, the processor solves from then on.
+/// With the device `auto`, if a graphics processor fails, the processor solves from then on.
 pub struct LiveSolver {
     solver: Solver,
     device: String,
@@ -34,12 +34,14 @@ impl LiveSolver {
     /// Uses the settings and the device of a job from the next step on.
     ///
     /// # Errors
-    /// The errors of [`new`](Self::new). Settings and device do not change then.
+    /// The errors of [`new`](Self::new). After an error, settings and device are the same as
+    /// before.
     pub fn follow(&mut self, job: &Job) -> Result<(), PipelineError> {
         let settings = solver_settings(&job.factorize, job.seed)?;
         let device = &job.factorize.device;
-        // The search for adapters takes longer than a step, so `auto` searches only once. A device
-        // that the job names is open already, unless it failed, so this call takes no time.
+        // The search for graphics processors takes longer than a step, so `auto` searches only
+        // once. A device that the job names is open already, unless it failed, so this call takes
+        // no time.
         if device != "auto" || self.device != "auto" {
             self.site = SolverDevice::of(device)?;
             self.device.clone_from(device);
@@ -53,7 +55,7 @@ impl LiveSolver {
     ///
     /// # Errors
     /// If target, weights and settings do not match, if a device that the job names fails, or when
-    /// cancelled. The start of the next step does not change then.
+    /// cancelled. After an error the next step starts from the same patterns as this one.
     pub fn step(
         &mut self,
         target: &Arc<Target>,

@@ -7,10 +7,10 @@
 //! rate          = work / time of the last run in this folder, or else of a short calibration
 //! ```
 //!
-//! The stamp of a result needs the content of its inputs, which exists only after the earlier
-//! stages. The keys of this file need only the job and the files that it names. A run writes them
-//! to `cache/steps.json`, where the next plan finds which results are current. With each key it
-//! writes the time of the step, and the files of the scene.
+//! A stamp identifies a result by the content of its inputs, which exists only after the earlier
+//! stages. The keys of this file need only the job and the files that it names. A run writes the
+//! keys to `cache/steps.json`, where the next plan finds which results are current. With each key
+//! it writes the time of the step, and the files of the scene.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -46,7 +46,8 @@ use crate::store::stamps::Stamps;
 const FILE: &str = "cache/steps.json";
 /// Number of hexadecimal digits of a key that is shown.
 const DIGITS: usize = 16;
-/// Mean number of rays per pixel for a direction of the zone score, in its two renders together.
+/// Mean number of rays per pixel for a direction of the zone score. It is the sum over the two
+/// renders of the direction.
 const SCORE_SAMPLES: f64 = 6.5;
 
 /// Record of an executed step.
@@ -64,8 +65,8 @@ pub(crate) struct Record {
 
 impl Record {
     pub(crate) fn new(seconds: f64, cached: bool, files: Vec<(PathBuf, String)>) -> Self {
-        // The list also has entries for importers, Blender and scenes in memory. Their paths are
-        // only names, so they stay as they are.
+        // The list of files also has entries for importers, Blender and scenes in memory. Their
+        // paths are only names, so these paths stay as they are.
         let place = |path: PathBuf| match path.is_file() {
             true => std::path::absolute(&path).unwrap_or(path),
             false => path,
@@ -77,8 +78,8 @@ impl Record {
 
 type Records = BTreeMap<String, Record>;
 
-/// Writes records of executed steps. Computes all keys again, since a run finds the files of the
-/// scene, which the keys contain.
+/// Writes the records of executed steps. Computes all keys again, since the keys contain the
+/// scene's files, which only the run has found.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -116,14 +117,15 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     let (machine, sizes) = (multiply_adds_per_second(), sizes(plan));
     for (index, key) in keys.into_iter().enumerate() {
         let record = records.get(&plan.steps[index].id);
-        // Without a record a result is not cached. Without a key, only a run can find out.
+        // Without a record, the result is not cached. Without a key, only a run can find out.
         let cached = match (&key, record) {
             (_, None) => Some(false),
             (None, Some(_)) => None,
             (Some(key), Some(record)) => Some(record.key.as_ref() == Some(key) && is_there(plan, index)),
         };
         let (work, memory_bytes) = (work(plan, index, &sizes), memory(plan, index, &sizes));
-        // The rate comes from this step's last execution, else from another step of the stage.
+        // The rate comes from this step's last execution, or else from another step of the same
+        // stage.
         let own = record.filter(|record| record.seconds.is_some());
         let stage = plan.steps[index].stage;
         let alike = || {
@@ -180,13 +182,14 @@ fn add_content(
     record: Option<&Record>,
     registry: &Registry,
 ) -> Option<()> {
-    // For a plugin, the key contains version, code and parameters.
+    // For a plugin, the key contains the plugin's version, code and parameters.
     let mut plugin = |id: &str, params: &Map<String, Value>| {
         key.add("plugin", plugin_key(registry, id, params).ok()?.as_bytes());
         Some(())
     };
     match kind {
-        // Importers and scenes in memory have no file, so their recorded hash is used instead.
+        // Importers and scenes in memory have no file, so the key contains their recorded hash
+        // instead.
         StepKind::Ingest => {
             for (path, hash) in &record?.files {
                 let found = if path.is_absolute() { content_hash(path).ok()? } else { hash.clone() };
@@ -254,7 +257,7 @@ fn is_there(plan: &Plan, index: usize) -> bool {
     }
 }
 
-/// Sizes of a part's display and light field, as floats for products.
+/// Sizes of a part's display and light field. They are floats, since they are multiplied.
 struct Sizes {
     /// Pixels of a view.
     pixels: f64,
@@ -263,17 +266,18 @@ struct Sizes {
     /// Views of the light fields that only the report needs.
     others: f64,
     layers: f64,
-    /// Values of the patterns of all frames.
+    /// Number of values in the patterns of all frames.
     values: f64,
     frames: f64,
     memory: Memory,
 }
 
-/// Bytes that are in memory at a time. A light field in a file counts by its window.
+/// Memory that is used at the same time, bytes. A light field in a mapped file counts only by the
+/// part of it that is in memory.
 struct Memory {
-    /// The light fields: the target and those for the report.
+    /// The light fields: the target, and the light fields for the report.
     fields: f64,
-    /// The solver besides.
+    /// The solver, without the light fields.
     solving: f64,
     /// The denoiser.
     denoising: f64,
@@ -281,9 +285,9 @@ struct Memory {
     measuring: f64,
     /// Depths of the target's views.
     depths: f64,
-    /// Views that a given light field has besides, for its score.
+    /// Views that are left out of a given light field, for its zone score.
     left_out: f64,
-    /// The file of a given light field that is one picture.
+    /// The decoded file of a given light field, if the file is one picture.
     picture: f64,
 }
 
@@ -331,7 +335,7 @@ impl Memory {
         let (render, threads) = (&job.render, rayon::current_num_threads());
         let rays = |geometry: &FieldGeometry| (geometry.grid.iter().count() * geometry.rows * geometry.cols) as f64;
         let (view, window) = (RGB * (geometry.rows * geometry.cols) as f64, render.window_bytes() as f64);
-        // Each thread may use a view of a light field in a file.
+        // For a light field in a mapped file, each thread may use one view beside the window.
         let in_use = |bytes: f64, of_thread: f64| bytes.min(window + threads as f64 * of_thread);
         let of_field = |geometry: &FieldGeometry| match render.is_held(geometry) {
             true => RGB * rays(geometry),
@@ -339,7 +343,8 @@ impl Memory {
         };
         let is_held = render.is_held(geometry);
         let others = others.iter().flatten().map(|grid| geometry.with_grid(grid.clone()));
-        // Values of pictures with codes are no half floats: the solver's copy takes twice as much.
+        // Pictures with integer codes have values that are not half floats. The solver's copy of
+        // the target then takes twice the memory.
         let wider = if job.light_field.is_some() { 8.0 * rays(geometry) } else { 0.0 };
         let solving = match (Tiles::of(&job.factorize, display, geometry), is_held) {
             (Some(tiles), _) => tiles.bytes(display, geometry) as f64 + wider / tiles.count() as f64,
@@ -376,7 +381,7 @@ fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
     let step = &plan.steps[index];
     let job = &plan.parts[step.part].job;
     let Some(sizes) = &sizes[step.part] else { return 0.0 };
-    // Splats are rendered without noise, by one ray.
+    // Each ray through splats has no noise, so one ray per pixel is enough.
     let is_capture = job.scene.as_deref().is_some_and(is_capture);
     let samples = if is_capture { 1.0 } else { f64::from(job.render.samples_of_view(sizes.views as usize)) };
     match step.kind {
@@ -425,14 +430,14 @@ fn cost(stage: &str) -> f64 {
     }
 }
 
-/// Bytes of a pixel.
+/// Bytes of a pixel: three floats.
 const RGB: f64 = 12.0;
-/// Bytes of the rays that choose an exposure, twice.
+/// Bytes of the rays that choose an exposure, in two copies.
 const EXPOSURE: f64 = (64 << 20) as f64;
 /// Bytes of the program itself: its code, libraries and threads, and memory that the allocator
 /// keeps.
 const PROGRAM: f64 = (80 << 20) as f64;
-/// Views in work at a time, of one thread.
+/// Number of views that one thread has in memory at a time.
 const VIEWS_IN_WORK: f64 = 8.0;
 
 /// Returns an upper bound of the memory of a job's run, bytes; `None` if its display or its light
@@ -463,19 +468,20 @@ fn memory(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> u64 {
 /// memory and pictures of an output are estimates.
 fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     let (memory, threads) = (&sizes.memory, rayon::current_num_threads() as f64);
-    // Factors on the file's size: a tree over triangles and textures, or splats, which files pack
-    // more tightly.
+    // Memory of a scene as a multiple of the size of its file. The factor for splats is larger,
+    // since their files pack them more tightly than triangles.
     let packed = if job.scene.as_deref().is_some_and(is_capture) { 16.0 } else { 4.0 };
     let scene =
         packed * job.scene.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0.0, |data| data.len() as f64);
     let (view, patterns) = (RGB * sizes.pixels, 4.0 * sizes.values);
     let views = VIEWS_IN_WORK * threads * view;
-    // The scene, depths and views left out of a file stay in memory until the report.
+    // The scene, the depths and the views that are left out of a given light field stay in memory
+    // until the report.
     let kept = PROGRAM + scene + memory.depths + memory.left_out;
     let of_step = match kind {
         StepKind::Ingest => 0.0,
         StepKind::Place => memory.measuring,
-        // A view has several times the values of its radiance until it is denoised.
+        // Until a view is denoised, it has several times as many values as its radiance.
         StepKind::Trace => 3.0 * VIEWS_IN_WORK * view,
         StepKind::Denoise => memory.denoising + 3.0 * VIEWS_IN_WORK * view,
         StepKind::Expose => memory.fields + views + EXPOSURE,

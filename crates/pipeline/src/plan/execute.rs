@@ -1,7 +1,7 @@
 //! Executes plans step by step. Each step finds the results of its inputs in memory.
 //!
-//! A result is dropped from memory after the last step that reads it. If the results of inputs are
-//! not in memory, the inputs are executed first, and read their current results from the run
+//! A result is dropped from memory after the last step that reads it. If the result of an input is
+//! not in memory, the input's step is executed first, which reads its current result from the run
 //! folder. So another process can execute any single step.
 
 mod check;
@@ -40,7 +40,8 @@ pub(crate) struct Executor<'a> {
     ends: Vec<LastSteps>,
     done: Vec<bool>,
     records: BTreeMap<String, Record>,
-    /// If this executes a unit of work: the part of the unit, and how it locks the part's folder.
+    /// The part of the unit, and how the unit locks the part's folder. `None` if this value
+    /// executes a whole plan or a single step.
     unit: Option<(usize, Hold)>,
 }
 
@@ -64,7 +65,7 @@ impl<'a> Executor<'a> {
     pub(crate) fn execute(&mut self) -> Result<(), PipelineError> {
         self.context.check()?;
         let is_design = |step: &Step| matches!(self.context.plan.parts[step.part].kind, PartKind::Sweep);
-        // `plan/sweep.rs` solves the designs of a sweep, in parallel.
+        // Skip the designs of a sweep, which `plan/sweep.rs` solves in parallel.
         let steps = (0..self.context.plan.steps.len()).filter(|index| !is_design(&self.context.plan.steps[*index]));
         let result = steps.collect::<Vec<_>>().into_iter().try_for_each(|index| {
             self.run(index)?;
@@ -80,10 +81,10 @@ impl<'a> Executor<'a> {
         result.and(noted)
     }
 
-    /// Executes one step. Results of earlier steps are read from the run folder, or made.
+    /// Executes one step. Results of earlier steps are read from the run folder, or else made.
     ///
     /// # Errors
-    /// The errors of [`execute`](Self::execute), and if there is no such step.
+    /// The errors of [`execute`](Self::execute), and an error if there is no such step.
     pub(crate) fn execute_alone(&mut self, id: &str) -> Result<(), PipelineError> {
         self.context.check()?;
         let index = self.index(id)?;
@@ -92,10 +93,10 @@ impl<'a> Executor<'a> {
     }
 
     /// Executes steps of one part as a unit of work, while other processes execute other units. The
-    /// caller shares the lock of the run folder with these processes. All input units are done.
+    /// caller shares the lock of the run folder with these processes. All input units must be done.
     ///
     /// # Errors
-    /// The errors of [`execute`](Self::execute), and if there is no such step.
+    /// The errors of [`execute`](Self::execute), and an error if there is no such step.
     pub(crate) fn execute_unit(
         &mut self,
         steps: &[String],
@@ -115,7 +116,7 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Reads the results of units that are done into memory, while other processes work.
+    /// Reads the results of finished units into memory, while other processes work.
     ///
     /// # Errors
     /// The errors of [`execute_unit`](Self::execute_unit).
@@ -135,7 +136,7 @@ impl<'a> Executor<'a> {
         self.context.check()
     }
 
-    /// Executes one block of a step: solves a tile of the patterns in a round, or traces some
+    /// Executes one block of a step: solves one tile of the patterns in a round, or traces some
     /// pictures. Tracing needs only the scene and its placement.
     fn run_block(&mut self, index: usize, block: Block, round: Option<usize>) -> Result<(), PipelineError> {
         let plan = self.context.plan;
@@ -167,8 +168,8 @@ impl<'a> Executor<'a> {
         let plan = self.context.plan;
         let step = &plan.steps[index];
         for input in &step.inputs {
-            // Execute the input, unless it is done, as always when a whole plan is executed. A unit
-            // of work skips the patterns of a warm start, which it reads from their files.
+            // Execute the input, unless it is done. When a whole plan is executed, it always is. A
+            // unit of work skips the patterns of a warm start, which it reads from their files.
             let input = self.index(input)?;
             let of_file = self.unit.is_some() && [step.kind, plan.steps[input].kind] == [StepKind::Patterns; 2];
             if !of_file {
@@ -206,7 +207,7 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Locks the folder of a part, since another run may use that folder by itself.
+    /// Locks the folder of a part, since another run may use only that folder.
     fn enter(&mut self, part: usize) -> Result<(), PipelineError> {
         let of_part = &self.context.plan.parts[part];
         let Some(parent) = of_part.parent else { return Ok(()) };
@@ -223,7 +224,7 @@ impl<'a> Executor<'a> {
             }
             return Ok(());
         }
-        // The folder of a time step is also a run folder by itself, so it is checked like one.
+        // The folder of a time step may also be used as a run folder, so it is checked like one.
         let in_sweep = matches!(self.context.plan.parts[0].kind, PartKind::Sweep);
         let owned = match of_part.kind {
             PartKind::Time(_) if !in_sweep => {
@@ -236,8 +237,8 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Drops results that no later step reads. For folders without later steps, removes unused
-    /// views and the lock.
+    /// Drops results that no later step reads. If no later step works in a folder, removes its
+    /// unused views and its lock.
     fn release(&mut self, index: usize) -> Result<(), PipelineError> {
         for part in 0..self.context.states.len() {
             let LastSteps { in_folder, in_memory } = self.ends[part];
@@ -299,10 +300,10 @@ fn label(plan: &Plan, step: &Step) -> Option<String> {
     })
 }
 
-/// Indices of the last steps that use a part.
+/// Indices of the last steps that use a part, in memory or in its folder.
 #[derive(Clone, Copy, Default)]
 struct LastSteps {
-    /// The last step that works in its folder or in one of its subfolders.
+    /// The last step that works in the part's folder or in one of its subfolders.
     in_folder: usize,
     /// The last step that reads the results of the part in memory.
     in_memory: usize,
@@ -315,9 +316,9 @@ impl LastSteps {
             for part in plan.around(step.part) {
                 ends[part] = Self { in_folder: index, in_memory: index };
             }
-            // The report of a sequence and the steps that make light fields read only exposure,
-            // geometry and scores of other parts. These are kept separately, so such steps do not
-            // extend the life of light fields.
+            // Two kinds of steps read only exposure, geometry and scores of other parts: the report
+            // of a sequence, and the steps that make light fields. Exposure, geometry and scores
+            // are kept separately, so these steps do not extend the life of light fields.
             let is_whole = matches!(plan.parts[step.part].kind, PartKind::Sequence(_)) && step.kind == StepKind::Report;
             if is_whole
                 || matches!(

@@ -21,8 +21,8 @@ use crate::stage::node;
 /// Adds the steps after a part's light field: the display of a still, or the nodes and their
 /// report.
 ///
-/// `before` returns the steps of patterns and light field of the same display at the previous time
-/// step. Returns the ids of the last steps.
+/// `before` returns the steps of the previous time step that made the patterns and the light field
+/// of the same display. The function returns the ids of the last steps.
 pub(crate) fn add_displays(
     plan: &mut Plan,
     part: usize,
@@ -49,7 +49,7 @@ pub(crate) fn add_displays(
     ends
 }
 
-/// The job of a node as a still, with the display, factorizer and outputs of the node.
+/// Returns the job of a node as a still, with the display, factorizer and outputs of the node.
 pub(crate) fn job_of(job: &Job, node: &NodeJob) -> Job {
     Job {
         name: format!("{}: {}", job.name, node.id),
@@ -61,8 +61,8 @@ pub(crate) fn job_of(job: &Job, node: &NodeJob) -> Job {
     }
 }
 
-/// All outputs of a job and of its nodes, each with its display for a light field of this geometry.
-/// `display` is the display of the job.
+/// Returns all outputs of a job and of its nodes, each with its display for a light field of this
+/// geometry. `display` is the display of the job.
 ///
 /// # Errors
 /// If the display of a node is wrong or does not match the light field.

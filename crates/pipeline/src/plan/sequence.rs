@@ -5,13 +5,16 @@
 //!          └──────────────── error, flicker ──────────────▶ report.html, report.json
 //! ```
 //!
-//! A time step of a job with nodes is a graph, t0001/nodes/ID, with a warm start for each node. If
-//! a warm start does not help, as after a cut, the time step starts without one.
+//! A time step of a job with nodes is a graph, in folders such as t0001/nodes/ID, with a warm start
+//! for each node. If a warm start does not help, for example after a cut, the time step starts
+//! without one.
 //! [`Times::job`](super::times::Times::job) makes the job of a time step.
 //!
 //! Chunks break the chain of warm starts, so that several machines can solve them in parallel.
 //! Before the first time step of a chunk, some earlier time steps are solved again, and the chunk
-//! starts from their patterns. Two time steps are in memory together, since flicker compares them.
+//! starts from their patterns.
+//!
+//! Two time steps are in memory together, since flicker compares them.
 
 use super::graph::add_displays;
 use super::steps::{PartKind, Plan, StepKind};
@@ -31,7 +34,7 @@ pub(crate) fn add_times(plan: &mut Plan, part: usize, fields_only: bool) -> Resu
     let Some(sequence) = &job.sequence else { return Ok(Vec::new()) };
     let times = Times::find(&job, sequence)?;
     plan.parts[part].kind = PartKind::Sequence(times.clone());
-    // The window is placed once, for the first time step, and moves from there.
+    // The window is placed once, for the first time step. It moves from this position.
     let placed = job.scene.is_some().then(|| {
         let ingest = plan.add_step(part, StepKind::Ingest, Vec::new());
         let place = plan.add_step(part, StepKind::Place, vec![ingest.clone()]);

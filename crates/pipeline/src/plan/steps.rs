@@ -39,13 +39,13 @@ pub struct Step {
     pub inputs: Vec<String>,
     /// Files and folders that this step writes, relative to its folder.
     pub writes: &'static [&'static str],
-    /// Hash of all that the result depends on: equal keys give equal results. `None` if the key
-    /// contains the list of the scene's files, which only a run finds.
+    /// Hash of everything that the result depends on: equal keys give equal results. `None` if the
+    /// key contains the list of the scene's files, which only a run finds.
     pub key: Option<String>,
     /// True if the run folder has the result; `None` if only a run can find out.
     pub cached: Option<bool>,
-    /// Upper bound of the memory, bytes, from the sizes of arrays. A light field larger
-    /// than the job's `render.field_mib` counts by the parts of it that are in memory.
+    /// Upper bound of the memory, bytes, computed from the sizes of arrays. A light field larger
+    /// than the job's `render.field_mib` counts only by its parts that are in memory.
     pub memory_bytes: u64,
     /// Estimated time on this machine, seconds; 0 if cached.
     pub seconds: f64,
@@ -66,11 +66,11 @@ pub(crate) enum StepKind {
     Score,
     Read,
     Source,
-    /// An output of the light field itself, by its number in the job of the part.
+    /// An output whose input is the light field, by the output's number in the job of the part.
     FieldOutput(usize),
-    /// Patterns, by the factorizer or by a node plugin.
+    /// Patterns that the factorizer or a node plugin makes.
     Patterns,
-    /// An output of the patterns, by its number in the job of the part.
+    /// An output whose input is the patterns, by the output's number in the job of the part.
     StackOutput(usize),
     /// Error and flicker of a time step.
     Measure,
@@ -78,7 +78,7 @@ pub(crate) enum StepKind {
     Report,
     /// A design of a sweep, by its number.
     Design(usize),
-    /// All designs of a search, which solves some of them to the last iteration.
+    /// All designs of a search. The search solves only some of them to the last iteration.
     Search,
 }
 
@@ -88,7 +88,7 @@ pub(crate) struct Part {
     /// The folder, relative to the run folder.
     pub(crate) folder: PathBuf,
     pub(crate) kind: PartKind,
-    /// The job of the folder, as far as it is known before execution.
+    /// The job of the folder. Values that only an execution finds are not filled in.
     pub(crate) job: Job,
     /// The part whose folder contains this part's folder.
     pub(crate) parent: Option<usize>,
@@ -195,7 +195,7 @@ impl Plan {
         }
     }
 
-    /// The time step that a part belongs to, and the part of the sequence.
+    /// The time step that a part belongs to, and the part of its sequence.
     pub(crate) fn time(&self, part: usize) -> Option<(usize, usize)> {
         let of_field = self.field_part(part);
         match (&self.parts[of_field].kind, self.parts[of_field].parent) {
@@ -204,8 +204,8 @@ impl Plan {
         }
     }
 
-    /// The same part at another time step of its sequence. If the part is a node, this is the same
-    /// node of that time step.
+    /// The same part at another time step of its sequence. For a node, this is the node with the
+    /// same number.
     pub(crate) fn at_time(&self, part: usize, time: usize) -> Option<usize> {
         let (_, sequence) = self.time(part)?;
         let is_time =

@@ -48,18 +48,19 @@ pub(crate) fn add_score(plan: &mut Plan, part: usize, field: &str) -> Vec<String
     vec![plan.add_step(part, StepKind::Score, vec![field.to_owned()])]
 }
 
-/// Ids of the steps of the same display at the previous time step.
+/// Ids of the steps that belong to the same display at the previous time step.
 pub(crate) struct TimeBefore {
     pub(crate) patterns: String,
     pub(crate) field: String,
-    /// Ids of light fields that are solved again for a warm start, instead of `patterns`.
+    /// Ids of the steps of light fields that are solved again for a warm start, instead of
+    /// `patterns`; empty if `patterns` are the warm start.
     pub(crate) warm_up: Vec<String>,
 }
 
 /// Adds the steps of a display: patterns, outputs, measures and, if `reports` is true, a report.
 ///
-/// Returns the ids of the patterns' step and of the last step. The solver starts from the patterns
-/// of `before`.
+/// The solver starts from the patterns of `before`. Returns two ids: the step of the patterns, and
+/// the last step.
 pub(crate) fn add_display(
     plan: &mut Plan,
     part: usize,

@@ -8,8 +8,8 @@
 //! ```
 //!
 //! A sweep of a sequence has a light field per time step, `fields/1/t0001/target`. The file of a
-//! design is written atomically, and its key contains all that it depends on. Therefore a killed
-//! sweep continues with the designs that are finished, and ends with the same bytes.
+//! design is written atomically, and its key contains everything that it depends on. Therefore a
+//! killed sweep continues with the finished designs, and its table has the same bytes in the end.
 //!
 //! Designs are solved in parallel, since a small design does not use all threads.
 
@@ -41,7 +41,7 @@ use crate::store::files::write;
 use crate::store::settings::write_job;
 use crate::store::used;
 
-/// Pixels of a PNG file per unit of the plot.
+/// Pixels of a PNG file per unit of length of its SVG.
 const PNG_SCALE: f32 = 1.5;
 
 /// Results of a sweep.
@@ -60,7 +60,7 @@ pub struct SweepSummary {
     /// Number of plots that `plots = "all"` would add.
     pub more_plots: usize,
     /// The design with the highest zone score or, without zone scores, the highest PSNR at the
-    /// target views. The first one if several are equal.
+    /// target views. If several are equally good, the first one.
     pub best: Option<Row>,
     /// The designs that a search proposes, best first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -71,8 +71,8 @@ pub struct SweepSummary {
     pub display: Option<PathBuf>,
 }
 
-/// Solves one design of a sweep, by its number from 1, and writes its row. Its light fields must be
-/// complete.
+/// Solves one design of a sweep, by its number from 1, and writes its row of the table. The light
+/// fields of the design must be complete.
 ///
 /// # Errors
 /// If the sweep has no such design, the solver fails, or the task is cancelled.
@@ -97,7 +97,7 @@ pub(crate) fn execute_design(
     solver.solve(candidate, job.factorize.iterations(), task.cancel).map(|_| ())
 }
 
-/// Takes the light fields of parts from an executor's memory; `None` if there are none.
+/// Takes the light fields of `parts` from an executor's memory; `None` if there are none.
 fn shared(executor: &mut Executor<'_>, parts: &[usize], job: &Job) -> Result<Option<Shared>, PipelineError> {
     let states = &mut executor.context.states;
     let (mut times, mut references) = (Vec::new(), Vec::new());
@@ -110,7 +110,7 @@ fn shared(executor: &mut Executor<'_>, parts: &[usize], job: &Job) -> Result<Opt
     if times.is_empty() { Ok(None) } else { Shared::new(times, references, job).map(Some) }
 }
 
-/// Designs, and the parts of their light fields.
+/// Designs of a sweep, and the parts of their light fields.
 #[derive(Default)]
 pub(crate) struct Designs {
     candidates: Vec<Candidate>,
@@ -143,14 +143,14 @@ pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Design
                 if is_sequence { add_times(plan, part, true)? } else { vec![add_field(plan, part, Before::default())] };
             let steps = plan.steps.iter().filter(|step| ids.contains(&step.id));
             parts = steps.map(|step| step.part).collect();
-            // Designs are scored over the viewing zone at every time step.
+            // Add the pictures for the zone score, which every time step has.
             let of_fields = parts.iter().copied().zip(ids.clone()).collect::<Vec<(usize, String)>>();
             ids.extend(of_fields.into_iter().flat_map(|(part, id)| add_score(plan, part, &id)));
         }
         fields.push(parts);
         inputs.push(ids);
     }
-    // A search decides during its work which designs it solves, so it is one step.
+    // A search decides which designs it solves while it works, so it is one step.
     let ends = match sweep.search {
         Some(_) => vec![plan.add_step(root, StepKind::Search, inputs.concat())],
         None => {
@@ -178,7 +178,7 @@ pub(crate) fn execute(
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<SweepSummary, PipelineError> {
-    // Make the light fields first, since designs read them from memory.
+    // Make the light fields before the designs, which read them from memory.
     let dir = &plan.folder;
     let mut executor = Executor::new(plan, registry, None, task);
     executor.execute()?;
@@ -243,7 +243,7 @@ fn write_plots(folder: &Path, plots: &[table::Plot]) -> Result<Vec<PathBuf>, Pip
 /// Solves designs in parallel.
 struct Sweep<'a> {
     solver: Solver<'a>,
-    /// Names of the files of all rows that this sweep used.
+    /// File names of all rows that this sweep solved or reused.
     used: Mutex<BTreeSet<String>>,
     task: Task<'a>,
 }
@@ -259,7 +259,8 @@ impl Sweep<'_> {
         std::fs::create_dir_all(folder).map_err(PipelineError::write(folder))?;
         let progress = self.task.progress;
         progress.begin("sweep", candidates.len() as u64, "designs");
-        // Candidates take very different times, so threads take one at a time.
+        // Some candidates take much longer than others, so each thread takes one candidate at a
+        // time.
         let finished = AtomicUsize::new(0);
         let solved: Result<Vec<(Row, bool)>, PipelineError> = candidates
             .par_iter()
@@ -268,13 +269,13 @@ impl Sweep<'_> {
                 let (row, name, kept) = self.solver.solve(candidate, iterations, self.task.cancel)?;
                 self.used.lock().unwrap_or_else(PoisonError::into_inner).insert(name);
                 finished.fetch_add(1, Ordering::Relaxed);
-                let from_before = if kept { ", from before" } else { "" };
+                let from_before = if kept { ", solved before" } else { "" };
                 progress.advance(1, &format!("{:.1} dB{from_before}", row.quality_db()));
                 Ok((row, kept))
             })
             .collect();
         progress.end();
-        // Since a stopped sweep can continue, report how many designs are finished.
+        // A stopped sweep can continue, so the message states how many designs are finished.
         let solved = solved.inspect_err(|error| {
             if matches!(error, PipelineError::Cancelled) {
                 let (done, all) = (finished.load(Ordering::Relaxed), candidates.len());

@@ -15,7 +15,7 @@ use crate::job::{FactorizeJob, FitDepth, Job, Near, NodeJob, PoseJob, SequenceJo
 use crate::stage::design::Later;
 use crate::stage::node::is_factorized;
 
-/// The solver of time steps after the first, if the job has the solver `auto`.
+/// The solver for time steps after the first one, if the job has the solver `auto`.
 ///
 /// If few iterations start from patterns of another target, extrapolation overshoots. Measured with
 /// content that moves 2 pixels per time step (3 layers, 6 frames, 160 × 100 pixels, 5 × 5 views, 5
@@ -28,9 +28,9 @@ use crate::stage::node::is_factorized;
 /// | 1 | block-exact | 45.3 | 45.8 |
 /// | 1 | extrapolated | 45.3 | 45.3 |
 ///
-/// Extrapolation is better from 8 to 12 iterations on, and only in PSNR. Patterns that are moved
-/// like the content are a start that is 4 dB better, but the result is only 0.1 to 0.4 dB better.
-/// That is not worth a second target in memory.
+/// From 8 to 12 iterations on, extrapolation gives a higher PSNR, but no better flicker score.
+/// Patterns that are moved with the content are a start that is 4 dB better, but the result is only
+/// 0.1 to 0.4 dB better. That gain is not worth the memory of a second target.
 const WARM_SOLVER: &str = "block-exact";
 
 /// Folder in the folder of a sequence. For each time step that begins a chunk, it contains patterns
@@ -39,8 +39,9 @@ pub(crate) const WARM_UP: &str = "cache/warm-up";
 /// Default number of time steps before a chunk that are solved again.
 ///
 /// Measured with a window that turns by 0.4° per time step (84 × 52 pixels, 25 views, three layers
-/// and frames). One time step is as good as two: the error is within 0.01 dB of a sequence without
-/// chunks, and the flicker score is 0.5 dB lower. Content that moves faster needs more time steps.
+/// and frames). There, one time step is as good as two. The error is then within 0.01 dB of a
+/// sequence without chunks, and the flicker score is 0.5 dB lower. Since content that moves faster
+/// needs more time steps, the default is 2.
 const WARM_UP_TIMES: usize = 2;
 
 /// The time steps of a job.
@@ -52,7 +53,7 @@ pub(crate) struct Times {
     count: usize,
 }
 
-/// Results of the first time step that all other time steps use.
+/// Results of the first time step that all later time steps use.
 #[derive(Clone, Copy)]
 pub(crate) struct FirstTimeStep {
     /// Window and depth scale of the first time step.
@@ -92,8 +93,8 @@ impl Times {
         self.sequence.duration_s == 0.0
     }
 
-    /// Returns the time steps that are solved again for a time step that begins a chunk; none for
-    /// other time steps.
+    /// Returns the earlier time steps that are solved again before `time`, if `time` begins a
+    /// chunk. Returns an empty range for other time steps.
     pub(crate) fn warm_up(&self, time: usize) -> std::ops::Range<usize> {
         let begins = time > 0 && self.sequence.chunk_times.is_some_and(|chunk| time.is_multiple_of(chunk));
         let count = if begins { self.sequence.warm_up_times.unwrap_or(WARM_UP_TIMES) } else { 0 };
@@ -116,11 +117,11 @@ impl Times {
         pose_at(job, &self.sequence, 0.0)
     }
 
-    /// Returns the job of a time step.
+    /// Returns the job of one time step.
     ///
-    /// Later time steps start from the patterns in `before`, the folder of [`start`](Self::start).
-    /// They have the exposure and tone curve of the first time step. `first_step` is `None` until
-    /// the first time step has run.
+    /// A time step after the first starts from the patterns in `before`, the folder of
+    /// [`start`](Self::start). It has the exposure and tone curve of the first time step.
+    /// `first_step` is `None` until the first time step has run.
     pub(crate) fn job(&self, job: &Job, time: usize, before: Option<&Path>, first_step: Option<FirstTimeStep>) -> Job {
         // Replace the light field, or the window and the pose.
         let mut of = Job { sequence: None, sweep: None, name: format!("{} {}", job.name, name(time)), ..job.clone() };
@@ -143,8 +144,8 @@ impl Times {
                 (of.render.held_out, of.render.outside, of.report.zone_directions) = (0, 0, 0);
             }
         }
-        // Later time steps start from the patterns of the previous one, with the exposure of the
-        // first.
+        // A later time step starts from the patterns of the previous one, and has the exposure of
+        // the first one.
         let Some(before) = before else { return of };
         for node in of.nodes.iter_mut().filter(|node| is_factorized(Some(node))) {
             let layers = before.join("nodes").join(&node.id).join("layers");
@@ -203,8 +204,8 @@ impl Times {
     }
 }
 
-/// Returns the settings of later time steps, for sequences that are solved in memory: with a warm
-/// start, and without.
+/// Returns the settings of later time steps for sequences that are solved in memory. The first
+/// settings have a warm start, the second have none.
 pub(crate) fn later(job: &Job) -> Later {
     let sequence = job.sequence.clone().unwrap_or_default();
     let times = Times { sequence, fields: Vec::new(), count: 1 };
@@ -219,8 +220,8 @@ pub(crate) fn name(time: usize) -> String {
     format!("t{:04}", time + 1)
 }
 
-/// Moves the window by a fraction of its movement. The rotation is about the vertical axis of the
-/// window, the translation along its axes at the first time step.
+/// Moves the window by a fraction of its whole movement. It rotates about its vertical axis, and
+/// moves along the axes that it has at the first time step.
 fn moved(window: &Window, sequence: &SequenceJob, share: f64) -> Window {
     let map = window.scene_from_display;
     let turn = DQuat::from_rotation_y((share * sequence.turn_deg).to_radians());
@@ -257,8 +258,8 @@ fn given(window: &Window) -> WindowJob {
     }
 }
 
-/// Returns one light field per time step, sorted by name. These are the folders in `folder`, or
-/// without folders its `.npy` files, or without both its pictures.
+/// Returns one light field per time step, sorted by name. These are the folders in `folder`.
+/// Without folders they are its `.npy` files, and without `.npy` files its pictures.
 fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, PipelineError> {
     let error = |source| PipelineError::Read { path: folder.to_owned(), source };
     let mut entries = Vec::new();

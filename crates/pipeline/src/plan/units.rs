@@ -9,12 +9,12 @@
 //! finish: all other steps, after all other units
 //! ```
 //!
-//! Tracing is most of the work and writes pictures one by one. So a unit that traces executes only
-//! a block of the pictures of a step. Each unit reads its inputs again, so other units execute
-//! several steps.
+//! Tracing is most of the work, and it writes pictures one by one. Therefore a unit that traces
+//! executes only a block of the pictures of a step. Other units execute several steps, since each
+//! unit must read its inputs again.
 //!
-//! The last unit is the plain run. It reuses all results, and makes damaged or missing ones again.
-//! So the bytes of results do not depend on how the plan is cut.
+//! The last unit executes the whole run. It reuses all results, and makes damaged or missing
+//! results again. So the bytes of results do not depend on how the plan is cut.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -51,11 +51,11 @@ pub(crate) fn units(plan: &Plan, block_size: BlockSize) -> Vec<Unit> {
     cutter.finish()
 }
 
-/// Time to join the tiles of a solve, as a fraction of the time of the solve.
+/// Time to join the tiles of a solve, as a fraction of the time of the whole solve.
 const JOIN: f64 = 0.02;
 
 /// Returns the tiles of a still's solve, and the memory of one tile in bytes. `None` if the solve
-/// is not cut, or if the display's size is only known from the file of a light field.
+/// is not cut, or if only the file of a light field determines the display's size.
 fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
     let field_part = plan.field_part(part);
     let (job, of_field) = (&plan.parts[part].job, &plan.parts[field_part].job);
@@ -72,7 +72,7 @@ fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
         Some(node) => display_of_node(node, &job.resolve_display().ok()?, &display, &geometry).ok()?.0,
     };
     let tiles = Tiles::of(&job.factorize, &display, &geometry)?;
-    // the tile's pixels are cut out of one whole view at a time, so that view is in memory too
+    // a tile reads its pixels from one whole view at a time, so the memory of that view is included
     let bytes = tiles.bytes(&display, &geometry) + 12 * (geometry.rows * geometry.cols) as u64;
     Some((tiles, bytes))
 }
@@ -91,7 +91,8 @@ impl<'a> Cutter<'a> {
             StepKind::Place if !matches!(self.plan.parts[step.part].kind, PartKind::Time(_)) => UnitKind::Place,
             StepKind::Trace => return self.add_blocks(step, UnitKind::Views, step.inputs.clone()),
             StepKind::Score => {
-                // Directions depend only on the display, so the light field need not be done.
+                // Directions of the zone score depend only on the display, so these units do not
+                // wait for the light field.
                 let place =
                     self.plan.steps.iter().filter(|other| other.part == step.part && other.kind == StepKind::Place);
                 return self.add_blocks(step, UnitKind::Score, place.map(|step| step.id.clone()).collect());
@@ -104,13 +105,13 @@ impl<'a> Cutter<'a> {
             StepKind::FieldOutput(_) | StepKind::StackOutput(_) | StepKind::Measure => return self.add_result(step),
             StepKind::Report if self.is_report_of_time(step) => return self.add_result(step),
             StepKind::Design(number) => return self.add_design(step, number),
-            // units that read these results make them too
+            // each unit that reads these results makes them again
             StepKind::Ingest | StepKind::Place | StepKind::Denoise => return self.pass(step),
-            // the last unit makes these
+            // the last unit makes these results
             StepKind::Report | StepKind::Search => return,
         };
         let mut inputs = self.inputs(&step.inputs);
-        // A solve in tiles waits for the tiles of the last round, and then only joins them.
+        // A solve in tiles waits for the tiles of the last round. Its unit then only joins them.
         let last = self.made_by.remove(step.id.as_str());
         inputs.extend(last.iter().flatten());
         let mut unit = self.unit(step, step.id.clone(), kind, inputs);
@@ -124,7 +125,8 @@ impl<'a> Cutter<'a> {
         self.push(step, unit);
     }
 
-    /// Adds no unit: units that read the result of this step wait for the inputs of this step.
+    /// Adds no unit. Units that read the result of this step wait for the inputs of this step
+    /// instead.
     fn pass(&mut self, step: &'a Step) {
         let inputs = self.inputs(&step.inputs);
         self.made_by.insert(&step.id, inputs);
@@ -235,13 +237,13 @@ impl<'a> Cutter<'a> {
         }
     }
 
-    /// True if a step is the report of a time step with one display; no other reports are cached.
+    /// True if a step is the report of a time step with one display. No other report is cached.
     fn is_report_of_time(&self, step: &Step) -> bool {
         let part = &self.plan.parts[step.part];
         matches!(part.kind, PartKind::Time(_)) && part.job.nodes.is_empty()
     }
 
-    /// Returns the steps that have no unit and that the unit of a step executes too.
+    /// Returns the steps without a unit that the unit of `step` executes as well.
     fn merged_steps(&self, step: &Step) -> Vec<&'a Step> {
         let alike =
             |other: &&Step| other.part == step.part && step.kind == StepKind::Expose && other.kind == StepKind::Denoise;

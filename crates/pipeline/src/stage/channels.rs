@@ -51,7 +51,7 @@ pub(crate) fn write_channels(
                 Some(guides) if ingested.scene.placed_clouds.is_empty() => {
                     pixels().map(|(row, col)| guides.at(row, col).central_z_mm.map_or(f32::NAN, shown)).collect()
                 }
-                // Splats have a depth that is computed separately.
+                // The renderer computes the depth of splats separately.
                 _ => renderer.depth(window, traced, view, task)?.data().iter().map(|z| shown(*z)).collect(),
             };
             channels.push((ExtraChannel::Depth.channels()[0], depth));
@@ -89,7 +89,8 @@ pub(crate) fn write_channels(
     let result = rendered.views.iter().try_for_each(|&view| of_view(view));
     task.progress.end();
     result?;
-    // Describe channels, units and meaning, so that a reader needs no other document.
+    // Describe the channels with units and meaning, so that a reader of the files needs no other
+    // document.
     let mut about = Map::new();
     about.insert("files".into(), "layers_YY_XX.exr, next to view_YY_XX.exr".into());
     about.insert("scene_units_per_mm".into(), placement.window.scene_from_display.scale.into());

@@ -35,11 +35,11 @@ pub fn oidn_version() -> Result<String, PipelineError> {
     Oidn::find().map(|oidn| oidn.version)
 }
 
-/// Number of paths in each render of a checked pixel, as a multiple of the number in a view's
-/// pixel.
+/// Number of paths in each render of a checked pixel, divided by the number of paths in a pixel of
+/// a view.
 const CHECK_FACTOR: u32 = 2;
-/// Maximum number of views whose pixels are checked. They are spread over the viewing zone, and
-/// suffice to judge a filter.
+/// Maximum number of views whose pixels are checked. These views are spread over the viewing zone,
+/// and suffice to judge a filter.
 const CHECKED_VIEWS: usize = 25;
 /// Maximum number of samples of the path tracer.
 const MOST_SAMPLES: u32 = 65536;
@@ -55,10 +55,11 @@ pub(crate) struct Denoised {
     filtered: Vec<f32>,
 }
 
-/// Bytes of a ray while the guided filter works, which needs all views at once.
+/// Bytes per ray while the guided filter works. The filter needs all views at once.
 pub(crate) const GUIDED_BYTES: u64 = 192;
 
-/// Checks before any rendering that the filter is available, and that its memory is.
+/// Checks before any rendering that the filter is installed, and that the job allows the memory it
+/// needs.
 ///
 /// # Errors
 /// If Open Image Denoise is not installed, or the guided filter needs more memory than the job
@@ -100,7 +101,7 @@ pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
     !kind.filters() || (read_figures(&folder).is_some() && shows && field.traced.grid.iter().all(is_there))
 }
 
-/// Filters the views. Writes the error estimates last, which marks the end.
+/// Filters the views. Writes the error estimates last; they mark the filter as finished.
 ///
 /// # Errors
 /// If cancelled, if a file cannot be written, or if Open Image Denoise fails.
@@ -156,11 +157,12 @@ fn middle(geometry: &FieldGeometry) -> [usize; 2] {
     geometry.grid.views().map(|count| count / 2)
 }
 
-/// Returns a view before and after the filter, by the view's number and its grid position. Only one
-/// view is in memory at a time, since all together are large.
+/// Returns a view before and after the filter. The arguments are the view's number and its grid
+/// position. Views are read one by one, since all views together are large.
 type Filtered<'a> = Box<dyn Fn(usize, [usize; 2]) -> Result<[Tensor<3>; 2], PipelineError> + 'a>;
 
-/// Averages the light that views share, in memory or in files, by the size of the light field.
+/// Averages the light that views share. Keeps the light in memory if the light field fits there,
+/// and otherwise in files.
 fn shared<'a>(field: &'a FieldJob, job: &Job, task: Task<'_>) -> Result<Filtered<'a>, PipelineError> {
     let geometry = &field.traced;
     let mut light = if job.render.is_held(geometry) {
@@ -190,7 +192,8 @@ fn split(field: &FieldJob, view: [usize; 2]) -> Result<SplitView, PipelineError>
     read_split(&path, &field.traced).ok_or_else(PipelineError::replaced(&path, "cached view"))
 }
 
-/// Filters two halves of every view, guided by features of the first hits, all views together.
+/// Filters all views together, from two halves of each view. Features of the first hits guide the
+/// filter.
 fn by_guides<'a>(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<Filtered<'a>, PipelineError> {
     let geometry = &field.traced;
     let count = geometry.grid.iter().count() as u64;
@@ -246,7 +249,7 @@ fn half(field: &FieldJob, view: [usize; 2], half: usize) -> Result<Tensor<3>, Pi
         .ok_or_else(PipelineError::replaced(&path, "cached view"))
 }
 
-/// Reads how the filter changed the views, for the report.
+/// Reads the results of the filter for the report.
 ///
 /// # Errors
 /// If a file of the filter is missing.
@@ -258,7 +261,8 @@ pub(crate) fn denoised(
     if !kind.filters() {
         return Ok(None);
     }
-    // The cached scores are for scene-linear radiance; the report shows those of exposed radiance.
+    // The cached scores are for scene-linear radiance, but the report shows scores for exposed
+    // radiance.
     let folder = field.finished(kind);
     let path = figures_path(&folder);
     let missing = || {

@@ -1,4 +1,4 @@
-//! Depths of the views, which are cached next to them, and the depth of field that they need.
+//! Depths of the views, which are cached next to the views, and the depth of field that they need.
 
 use std::path::Path;
 
@@ -51,7 +51,7 @@ pub(crate) fn trace(
 }
 
 /// Compares the depths with the depth of field of a display. `shown` has the slopes at which the
-/// display shows the views, and `placement` the depth scale.
+/// display shows the views, and `placement` has the depth scale.
 pub(crate) fn budget(depths: &Depths, display: &Display, shown: &FieldGeometry, placement: &Placement) -> DepthBudget {
     let projection = shown.grid.projection;
     let z_mm: Vec<f32> =

@@ -1,10 +1,11 @@
-//! Solves a design of a sweep, on the light fields of all time steps and for every node, and scores
-//! it.
+//! Solves a design of a sweep for every node, on the light fields of all time steps, and scores the
+//! design.
 //!
-//! A score over several time steps is that of all their rays together, as in the report of a
-//! sequence. The score of the worst time step is in another column. A node without a display has
-//! the display of the design. The displays of other nodes are the same for all designs, so they are
-//! baselines.
+//! A score over several time steps is the score of all their rays together, as in the report of a
+//! sequence. The score of the worst time step is in another column.
+//!
+//! A node without a display has the display of the design. The displays of other nodes are the same
+//! for all designs, so their scores are baselines.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -70,7 +71,7 @@ impl Shared {
     }
 }
 
-/// Returns the settings of later time steps: with a warm start, and without.
+/// Returns two settings for the later time steps of a sequence: with a warm start, and without.
 pub(crate) type Later = Box<dyn Fn(&FactorizeJob) -> [FactorizeJob; 2] + Send + Sync>;
 
 /// Solves designs and writes their rows.
@@ -132,7 +133,7 @@ impl Solver<'_> {
         }
         let name = format!("{}.json", &key.finish()[..24]);
         let path = self.folder.join(&name);
-        // A cached row is used only if it describes this design.
+        // Use a cached row only if it describes this design.
         if let Some(row) = read_json::<Row>(&path).filter(|row| row.design == candidate.design) {
             return Ok((row, name, true));
         }
@@ -142,7 +143,7 @@ impl Solver<'_> {
     }
 
     /// Returns the display of a design. If the light field is read from a file, the display is
-    /// adapted to its geometry.
+    /// adapted to the geometry of that light field.
     fn display_on(&self, candidate: &Candidate, shared: &Shared) -> Result<Display, PipelineError> {
         match (&self.job.scene, shared.times.first()) {
             (None, Some(first)) => {
@@ -169,7 +170,7 @@ impl Solver<'_> {
             rows.push(node_row(node.map_or("", |node| &node.id), &times));
         }
         let of_nodes = if self.job.nodes.is_empty() { Vec::new() } else { rows.clone() };
-        // the scores of the row are those of the first node
+        // the design's scores are the scores of the first node
         let first = rows.swap_remove(0);
         Ok(Row {
             design: candidate.design.clone(),
@@ -200,7 +201,7 @@ impl Solver<'_> {
         let first = FactorizeJob { iterations: Some(iterations), ..factorize.clone() };
         let mut before: Option<LayerStack> = None;
         let mut all = Vec::new();
-        // A node may have a display of its own, which the light field's geometry adapts.
+        // If a node has its own display, it is adapted to the geometry of the light field.
         for (field, references) in shared.times.iter().zip(&shared.references) {
             let target = &field.target;
             let display = match (of_node, &own) {
@@ -254,7 +255,7 @@ fn node_row(id: &str, times: &[Errors]) -> NodeRow {
     let brightness = times.last().map_or(1.0, |time| time.brightness);
     let between = times.iter().filter_map(|time| time.between).reduce(SquaredError::merged).map(SquaredError::psnr);
     let worst = times.iter().map(|time| time.target.psnr()).fold(f64::INFINITY, f64::min);
-    // the directions of all time steps count alike
+    // the directions of all time steps have the same weight
     let directions = times.iter().filter_map(|time| time.zone.as_ref()).flat_map(|zone| &zone.directions);
     let zone = ZoneScore { directions: directions.cloned().collect() };
     NodeRow {

@@ -14,8 +14,8 @@ pub(crate) enum SolverDevice {
     #[cfg(feature = "gpu")]
     Device {
         device: lumistack_factorizer_gpu::Device,
-        /// True if the job does not name this graphics processor. Then the processor may replace
-        /// the graphics processor.
+        /// True if the job does not name this graphics processor. Only then may the processor
+        /// replace it.
         optional: bool,
     },
 }
@@ -58,7 +58,7 @@ impl SolverDevice {
     }
 
     /// Executes work on the device. If an optional device fails, this value becomes the processor,
-    /// which repeats the work, with a warning.
+    /// which repeats the work; a warning reports the failure.
     ///
     /// # Errors
     /// The errors of the work.
@@ -77,7 +77,7 @@ impl SolverDevice {
         }
     }
 
-    /// Adds the device to a key, since its rounding differs from that of the processor.
+    /// Adds the device to a key, since a graphics processor rounds differently from the processor.
     pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
         match self {
             // Results of the processor have equal keys in builds with and without the feature
@@ -93,8 +93,8 @@ impl SolverDevice {
     }
 }
 
-/// Opens a device, or returns the open one if it has not failed. A device that is opened again
-/// compiles all its programs again.
+/// Opens a device, or returns the open device if it has not failed. Opening a device compiles all
+/// its programs, so an open device is reused.
 #[cfg(feature = "gpu")]
 fn opened(name: Option<&str>) -> Result<lumistack_factorizer_gpu::Device, FactorizeError> {
     use std::collections::BTreeMap;
@@ -156,8 +156,8 @@ mod tests {
         assert_eq!(check("gpu:llvmpipe").is_ok(), cfg!(feature = "gpu"));
     }
 
-    /// If a device is lost during the work, this is an error if the job names the device, and
-    /// otherwise a warning.
+    /// A lost device is an error if the job names the device. If the job does not name it, the
+    /// processor replaces the device, with a warning.
     #[cfg(feature = "gpu")]
     #[test]
     fn the_processor_replaces_a_lost_device_that_the_job_does_not_name() {

@@ -7,8 +7,8 @@
 //! m: fraction of a pixel's samples that hit no surface
 //! ```
 //!
-//! If the job has a background colour, views are traced without a visible environment. So neither
-//! the exposure nor cached views depend on this colour.
+//! If the job has a background colour, views are traced without a visible environment. Therefore
+//! neither the exposure nor the cached views depend on the colour.
 
 use std::borrow::Cow;
 
@@ -29,13 +29,13 @@ use crate::job::Background;
 pub(crate) struct Exposed {
     /// Target of the display. Views that the options do not select are black.
     pub(crate) target: LightField,
-    /// Held-out views, between the views of the target.
+    /// Held-out views, whose slopes are between the slopes of the target's views.
     pub(crate) held_out: Option<LightField>,
     /// Views outside the viewing zone.
     pub(crate) outside: Option<LightField>,
     /// Exposure and tone curve of all views.
     pub(crate) tone_mapping: ToneMapping,
-    /// How the denoiser changed the target, if there was a denoiser.
+    /// Results of the denoiser on the target, if there was a denoiser.
     pub(crate) denoised: Option<Denoised>,
 }
 
@@ -57,8 +57,8 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     let Traced { fields, depths, views, .. } = traced;
     let kind = shot.denoise();
     let read = |one: &FieldJob, view| one.radiance(view, shot);
-    // Read the views of each light field into memory. A light field that is too large for memory is
-    // read later, view by view: once for the exposure, and once for the result.
+    // Read the views of each light field into memory. A light field that is too large is read
+    // later, view by view: once for the exposure, and once for the result.
     let mut radiance = Vec::new();
     for one in fields {
         let mut field = None;
@@ -80,9 +80,10 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         };
         ToneMapping::choose(&job.light, &ingested.scene, &brightest(&fields[0].geometry, views, depths, picture)?)
     };
-    // Read how the denoiser changed the target's views, for the report.
+    // Read the results of the denoiser on the target's views, for the report.
     let denoised = denoise::denoised(&fields[0], kind, tone_mapping)?;
-    // Exposes one view. With a background, surfaces may cover only a fraction of a pixel.
+    // This closure exposes one view. With a background, surfaces may cover only a fraction of a
+    // pixel.
     let expose_view = |field: &FieldJob, view: [usize; 2], rgb: &mut [f32]| -> Result<(), PipelineError> {
         if linear {
             // scene-linear values are neither exposed, nor clipped, nor rounded

@@ -38,7 +38,7 @@ pub(crate) struct Solve<'a> {
 }
 
 impl Solve<'_> {
-    /// Returns the hash of all that the patterns depend on.
+    /// Returns a hash of everything that the patterns depend on.
     pub(crate) fn key(&self, warm: Option<&LayerStack>, site: &SolverDevice) -> KeyBuilder {
         let Self { job, seed, display, target, weights } = *self;
         let mut key = KeyBuilder::new("factorize", code::PATTERNS);
@@ -55,8 +55,8 @@ impl Solve<'_> {
         key
     }
 
-    /// Factorizes, with a warm start if patterns are given. `on_iteration` is called for every
-    /// evaluation of the objective.
+    /// Factorizes, with a warm start if patterns are given. `on_iteration` is called whenever the
+    /// objective is evaluated.
     ///
     /// # Errors
     /// If the settings are invalid, the solver fails, or the task is cancelled.
@@ -73,8 +73,9 @@ impl Solve<'_> {
             .map_err(factorize_error)
     }
 
-    /// Returns true if `solver` reaches a smaller error from these patterns than from a fresh
-    /// start. The processor computes this for every device, so all machines make the same choice.
+    /// Returns true if `solver` reaches a smaller error from the patterns `warm` than from a fresh
+    /// start. The processor computes the errors for every device, so all machines make the same
+    /// choice.
     ///
     /// # Errors
     /// The errors of [`factorize`](Self::factorize).
@@ -90,7 +91,7 @@ impl Solve<'_> {
     }
 }
 
-/// Settings and convergence of a solve, in the form of the file that keeps them.
+/// Settings and convergence of a solve, in the form of their JSON file.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Convergence {
     pub(crate) solver: String,
@@ -101,7 +102,7 @@ pub(crate) struct Convergence {
     pub(crate) steps: Vec<Step>,
 }
 
-/// A point of the convergence curve, in the form of the file that keeps it.
+/// A point of the convergence curve, in the form of the JSON file.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Step {
     pub(crate) iteration: u32,
@@ -145,7 +146,7 @@ impl Convergence {
         }
     }
 
-    /// Adds the patterns, which gives the input of the report.
+    /// Returns the input of the report: this convergence, and the patterns.
     pub(crate) fn into_solved(self, stack: LayerStack) -> Solved {
         let Self { solver, start, coarse_levels, kkt_residual, levels, steps } = self;
         let steps = steps.into_iter().map(|step| Iteration {
@@ -183,7 +184,7 @@ pub(crate) fn run_whole(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Re
 /// cached. If not, `make` makes them.
 ///
 /// # Errors
-/// The errors of `make`, and if a file cannot be written.
+/// The errors of `make`, and an error if a file cannot be written.
 pub(crate) fn reuse_or_make(
     stage: &str,
     key: &str,
@@ -215,7 +216,7 @@ pub(crate) fn reuse_or_write(
         Some(kept) => kept.into_solved(stack),
         None => Solved { stack, steps: Vec::new(), solution: None },
     };
-    // Cached patterns are used only if they match this display.
+    // Cached patterns are used only if they match the display.
     let kept = || {
         let stack = lumistack_field_io::read_stack(&layers).ok()?;
         check_stack(&stack, display, &layers).ok()?;
@@ -231,15 +232,15 @@ pub(crate) fn reuse_or_write(
     stamps.reuse_or_make(stage, key, kept, make)
 }
 
-/// The choice of a start for a time step, in the form of the file that keeps it.
+/// The choice of a time step's start, in the form of its JSON file.
 #[derive(Serialize, Deserialize)]
 struct Choice {
     key: String,
     warm: bool,
 }
 
-/// Returns true if a fresh start with the settings `fresh` is better than the patterns `warm` with
-/// the solver of `solve`. The choice is cached.
+/// Returns true if the settings `fresh` without a warm start reach a smaller error than the
+/// settings of `solve`, which start from the patterns `warm`. The choice is cached.
 ///
 /// # Errors
 /// If the patterns cannot be read, the solver fails, or the task is cancelled.
@@ -281,7 +282,7 @@ fn files_of(layers: &Path) -> Result<Vec<PathBuf>, PipelineError> {
     Ok(files)
 }
 
-/// Reads the patterns that a job starts from, if it names any.
+/// Reads the patterns that a job names as its warm start; `None` if it names none.
 pub(crate) fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option<LayerStack>, PipelineError> {
     let Some(path) = &job.warm_start else { return Ok(None) };
     let stack = lumistack_field_io::read_stack(path).map_err(field_error)?;
@@ -313,7 +314,7 @@ pub(crate) fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack
     })
 }
 
-/// Returns the start with a name; `None` stands for the default of the solver.
+/// Returns the start with this name; `None` stands for the default of the solver.
 fn start_kind(name: &str) -> Result<Option<StartKind>, PipelineError> {
     if name == AUTO {
         return Ok(None);

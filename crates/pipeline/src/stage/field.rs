@@ -26,14 +26,14 @@ pub(crate) struct Field {
     pub(crate) target: LightField,
     pub(crate) held_out: Option<LightField>,
     pub(crate) outside: Option<LightField>,
-    /// The display. It is adapted to the light field if that comes from a file.
+    /// The display. If the light field comes from a file, the display is adapted to it.
     pub(crate) display: Display,
     /// Exposure and tone curve, if the light field was rendered.
     pub(crate) tone_mapping: Option<ToneMapping>,
     /// The scene's depth compared with the display's depth of field, if the light field was
     /// rendered.
     pub(crate) depth: Option<DepthBudget>,
-    /// How a denoiser changed the target, if there was one.
+    /// Results of the denoiser on the target, if there was a denoiser.
     pub(crate) denoised: Option<Denoised>,
     /// Facts about the scene or the file, for the report.
     pub(crate) about: Value,
@@ -56,7 +56,7 @@ impl Field {
         task: Task<'_>,
     ) -> Result<Self, PipelineError> {
         let Shot { placement, geometry, .. } = shot;
-        // Outputs and other programs read the light field from these folders.
+        // Write folders, from which outputs and other programs read the light fields.
         let info = field_info(exposed.tone_mapping, placement);
         let fields = [
             ("target", Some(&exposed.target)),
@@ -70,7 +70,7 @@ impl Field {
         });
         task.progress.end();
         written?;
-        // Warn about depth as soon as it is known.
+        // Warn about depth as soon as the depth is known.
         let depth = depth::budget(&traced.depths, display, geometry, placement);
         warn_of_depth(&depth, task);
         let about = about_scene(path, shot, traced, &exposed);
@@ -122,8 +122,8 @@ impl Field {
     }
 }
 
-/// Checks that a light field has the same rays as that of an earlier time step, which comes from
-/// `place`.
+/// Checks that a light field has the same rays as the light field of an earlier time step. `place`
+/// is the origin of that earlier light field.
 ///
 /// # Errors
 /// If the geometry differs.
@@ -151,7 +151,7 @@ pub(crate) fn check_geometry(
     Err(PipelineError::value(path, "geometry", expected, text(found)))
 }
 
-/// Returns the size and angles of a display, for a light field that has none.
+/// Returns the size and angles of a display, for a light field whose files do not state them.
 pub(crate) fn field_defaults(display: &Display) -> GeometryDefaults {
     GeometryDefaults { width_mm: Some(display.field_pixels().size_mm()[0]), fov_deg: Some(display.field.fov_deg) }
 }
@@ -195,17 +195,18 @@ fn about_scene(path: &Path, shot: Shot<'_>, traced: &Traced, exposed: &Exposed) 
         "tone curve": exposed.tone_mapping.curve.name(),
         "paths per pixel and view": shot.samples_per_view(),
         "paths chosen because": shot.samples.map(|samples| samples.reason()),
-        // Coverage is the fraction of the window with a hit. With the range of the target's values,
-        // it shows how well framing, light and exposure suit the scene.
+        // Coverage is the fraction of the window with a hit. Coverage and the range of the target's
+        // values show how well framing, light and exposure suit the scene.
         "coverage": traced.depths.coverage(geometry.grid.views().map(|count| count / 2)),
         "target span": span,
     })
 }
 
-/// Returns percentiles of values that are half floats, given in parts. Counts per bit pattern avoid
-/// a sorted copy.
+/// Returns percentiles of values that are half floats. `parts` are slices of the values. Counting
+/// every bit pattern avoids a sorted copy.
 fn percentiles_of_halves<'a>(parts: impl Iterator<Item = &'a [f32]>, shares: [f64; 2]) -> [f32; 2] {
-    // Map bits to the order of the values: negative halves have falling bits.
+    // Map bits so that they have the order of the values. The bits of negative halves fall as the
+    // value rises.
     let turn = |bits: u16| if bits & 0x8000 == 0 { bits | 0x8000 } else { !bits };
     let mut counts = vec![0usize; 1 << 16];
     let mut all = 0usize;
@@ -237,7 +238,7 @@ pub(crate) fn field_info(tone_mapping: ToneMapping, placement: &Placement) -> Ma
     info
 }
 
-/// Writes the folder of a light field, unless it has these values already.
+/// Writes the folder of a light field, unless the folder has these values already.
 fn write_if_changed(
     stamps: &Stamps,
     name: &str,
@@ -255,18 +256,19 @@ fn write_if_changed(
     stamps.reuse_or_make(name, &field_key(name, field, info), || Some(()), write).map(|_| ())
 }
 
-/// Returns a hash of the content that a light field's folder has.
+/// Returns a hash of the content of a light field's folder.
 pub(crate) fn field_key(name: &str, field: &LightField, info: &Map<String, Value>) -> String {
     let mut key = KeyBuilder::new(name, code::FIELDS);
     key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_field("radiance", field);
     key.add_json("info", info).finish()
 }
 
-/// Returns the weights in the file that a job names, or else those of its expected eyes. Without
-/// both, weights are uniform.
+/// Returns the weights in the file that a job names, or else the weights of its expected eyes.
+/// Without both, weights are uniform.
 ///
 /// # Errors
-/// If the file cannot be read, the weights do not match the light field, or both are given.
+/// If the file cannot be read, the weights do not match the light field, or the job has both a file
+/// and eyes.
 pub(crate) fn weights(job: &FactorizeJob, geometry: &FieldGeometry) -> Result<Weights, PipelineError> {
     let Some(path) = &job.weights else { return eye_weights(job, geometry) };
     if !job.eyes.is_empty() {
@@ -288,7 +290,7 @@ pub(crate) fn eye_weights(job: &FactorizeJob, geometry: &FieldGeometry) -> Resul
         .map_err(|error| PipelineError::job("factorize.eyes", error.expected, error.found))
 }
 
-/// Returns the weights in an array. In errors, `path` is the origin of the array.
+/// Returns the weights in an array. Error messages name `path` as the origin of the array.
 ///
 /// # Errors
 /// If the weights do not match the light field.

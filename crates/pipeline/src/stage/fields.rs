@@ -1,5 +1,6 @@
 //! Light fields of a shot: the target, held-out views, and views outside the viewing zone. The
-//! stages for tracing, denoising and exposing exchange them in `cache/views/NAME-KEY`.
+//! stages for tracing, denoising and exposing exchange these light fields in
+//! `cache/views/NAME-KEY`.
 
 use std::path::{Path, PathBuf};
 
@@ -25,7 +26,7 @@ pub(crate) struct Shot<'a> {
     pub(crate) placement: &'a Placement,
     /// Geometry of the display's light field.
     pub(crate) geometry: &'a FieldGeometry,
-    /// Width of the display's angular prefilter along x and y, as a range of slopes.
+    /// Width of the display's angular prefilter along x and y, as a difference of slopes.
     pub(crate) footprint: [f64; 2],
     /// Measured number of paths, if the job sets no number.
     pub(crate) samples: Option<Samples>,
@@ -42,12 +43,14 @@ impl Shot<'_> {
         geometry.with_grid(geometry.grid.scaled(self.placement.depth_scale))
     }
 
-    /// Returns a key of views before exposure, without their geometry and samples.
+    /// Returns a key of views before exposure. Geometry and samples of the views are not part of
+    /// it.
     pub(crate) fn key(&self) -> KeyBuilder {
         let light = &self.job.light;
         let mut key = KeyBuilder::new("render", code::VIEWS);
         self.ingested.add_to(&mut key);
-        // Only those settings of light that change traced radiance, since exposure comes later.
+        // Add only the settings of light that change traced radiance. Exposure is applied after
+        // tracing.
         key.add_json(
             "light",
             &(light.environment_strength, light.automatic, light.environment_rotation_deg, light.from_splats),
@@ -73,12 +76,12 @@ impl Shot<'_> {
         job.render.settings(job.seed, samples, hidden, self.placement.depth_scale, self.footprint)
     }
 
-    /// Returns all light fields of the shot, the target first. The traced views of each are in a
-    /// folder inside `cache_dir`. `blender` is true if Blender renders them.
+    /// Returns all light fields of the shot, the target first. The traced views of each light field
+    /// are in a folder inside `cache_dir`. `blender` is true if Blender renders the views.
     pub(crate) fn fields(&self, cache_dir: &Path, blender: bool) -> Vec<FieldJob> {
         let (job, geometry, settings) = (self.job, self.geometry, self.settings());
-        // Views for the report are averaged over the width of the target's bins, not over their own
-        // bins.
+        // Views for the report are averaged over slopes as wide as the bins of the target, not over
+        // the bins of their own grids.
         let settings_of_others = Settings {
             angular_filter: match settings.angular_filter {
                 lumistack_pathtracer::AngularFilter::Bin => {
@@ -88,7 +91,7 @@ impl Shot<'_> {
             },
             ..settings
         };
-        // The names of folders contain a key of all that traced views depend on.
+        // The names of folders contain a key of everything that traced views depend on.
         let mut key = self.key();
         key.add_json("render", &(&job.render.max_bounces, settings.samples, job.seed));
         key.add("settings", format!("{settings:?}").as_bytes());
@@ -123,7 +126,7 @@ impl Shot<'_> {
     }
 }
 
-/// One of `count` blocks into which a list of pictures to trace is cut.
+/// One of `count` blocks into which a list of pictures is cut for tracing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Block {
     number: usize,
@@ -131,7 +134,7 @@ pub(crate) struct Block {
 }
 
 impl Block {
-    /// The block that contains the whole list.
+    /// The only block of a list that is not cut.
     pub(crate) const ALL: Self = Self { number: 0, count: 1 };
 
     /// Returns a block by its number from 1; `None` if the number is out of range.
@@ -160,8 +163,8 @@ impl Block {
     }
 }
 
-/// Returns held-out views, evenly spread: midpoints between views, at most `per_axis` of them per
-/// axis.
+/// Returns a grid of held-out views. They are midpoints between neighbouring views, evenly spread,
+/// and at most `per_axis` per axis.
 pub(crate) fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid> {
     if per_axis == 0 || grid.views() == [1, 1] {
         return None;
@@ -174,12 +177,13 @@ pub(crate) fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid
     Some(ViewGrid { projection: grid.projection, slope_x: pick(&midpoints.slope_x), slope_y: pick(&midpoints.slope_y) })
 }
 
-/// Joins the first hits of all halves of a view.
+/// Joins the first hits of the parts of a view; a part is a half of the samples, or the whole view.
 fn joined(parts: Vec<Features>) -> Option<Features> {
     parts.into_iter().reduce(|all, part| all.joined(&part))
 }
 
-/// Returns the halves in which views are traced, for filters that need two; otherwise one whole.
+/// Returns the parts in which views are traced: two halves for filters that need halves, otherwise
+/// one whole.
 pub(crate) fn parts(kind: Denoise) -> &'static [Option<usize>] {
     if kind.takes_halves() { &[Some(0), Some(1)] } else { &[None] }
 }
@@ -187,7 +191,7 @@ pub(crate) fn parts(kind: Denoise) -> &'static [Option<usize>] {
 /// A light field to render, and the folder of its views.
 pub(crate) struct FieldJob {
     pub(crate) name: &'static str,
-    /// Number of the light field's stream of random numbers.
+    /// Number of the light field's sequence of random numbers.
     stream: u64,
     /// Geometry of the light field, with the slopes of the display.
     pub(crate) geometry: FieldGeometry,
@@ -208,7 +212,8 @@ impl FieldJob {
         if kind.filters() { self.folder.join(kind.name()) } else { self.folder.clone() }
     }
 
-    /// Returns the views to render: of the target those that are chosen, of other light fields all.
+    /// Returns the views to render: the `chosen` views of the target, but all views of other light
+    /// fields.
     pub(crate) fn wanted(&self, chosen: &[[usize; 2]]) -> Vec<[usize; 2]> {
         if self.is_target() { chosen.to_vec() } else { self.geometry.grid.iter().collect() }
     }
@@ -292,8 +297,8 @@ impl FieldJob {
         Ok(missed)
     }
 
-    /// Returns the guides of a denoiser for all samples of a view: those that were kept with the
-    /// radiance, or else the same guides traced again along the same rays.
+    /// Returns the guides of a denoiser for all samples of a view. If they were not kept with the
+    /// radiance, they are traced again along the same rays.
     ///
     /// # Errors
     /// If the scene cannot be rendered, or the task is cancelled.

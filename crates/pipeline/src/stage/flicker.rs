@@ -42,8 +42,8 @@ pub(crate) struct TimeError {
     pub(crate) still: SquaredError,
 }
 
-/// Simulates all views of a time step and of the previous one. Without a previous one, the last two
-/// errors are empty.
+/// Simulates all views of a time step and of the previous one. Without a previous time step,
+/// `change` and `still` are empty.
 ///
 /// # Errors
 /// If cancelled.
@@ -86,7 +86,8 @@ pub(crate) fn measure(
         }
         Ok(sums)
     };
-    // Join the sums in the order of the views, so that they do not depend on the number of threads.
+    // Join the sums in the order of the views, so that the result does not depend on the number of
+    // threads.
     let of_views: Vec<TimeError> = views.into_par_iter().map(of_view).collect::<Result<_, _>>()?;
     Ok(of_views.into_iter().fold(TimeError::default(), |sum, view| TimeError {
         error: sum.error.merged(view.error),
@@ -103,7 +104,8 @@ mod tests {
     use super::*;
     use crate::presets;
 
-    /// Tolerance against the naive computation, dB. Both sum the values of the simulator in f64.
+    /// Tolerance against the naive computation, dB. Both computations sum the values of the
+    /// simulator in f64.
     const AGREEMENT_DB: f64 = 1e-6;
 
     fn display() -> Display {
@@ -141,7 +143,8 @@ mod tests {
         let targets = [3, 4].map(|seed| random_target(&display, seed));
         let [before, now] = [0, 1].map(|t| Shown { stack: &stacks[t], target: &targets[t] });
         let found = measured(&display, now, before, &Weights::Uniform);
-        // compute e_t of every ray in lists, then the difference of the lists
+        // compute the error e_t of every ray in one list per time step, then the difference of the
+        // lists
         let geometry = now.target.geometry();
         let map = RayMap::new(&display, geometry);
         let errors = |shown: Shown<'_>| -> Vec<f64> {

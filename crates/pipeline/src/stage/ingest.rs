@@ -53,8 +53,8 @@ impl Ingested {
         Ok(self.renderer.get_or_init(|| renderer))
     }
 
-    /// True if paths are traced for the scene's views: it has surfaces, or a background behind its
-    /// splats.
+    /// True if the scene's views need paths, since the scene has surfaces, or a background behind
+    /// its splats.
     pub(crate) fn is_traced(&self) -> bool {
         !self.scene.instances.is_empty() || self.scene.environment.is_some() || self.scene.backdrop.is_some()
     }
@@ -83,13 +83,13 @@ impl Ingested {
         self.known.clone().map_or_else(|| scene_contents(path, importer, registry, task), Ok)
     }
 
-    /// Adds all that the scene was made from to a key.
+    /// Adds everything that the scene was made from to a key.
     pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
         for (path, content) in &self.files {
             key.add("file", path.file_name().unwrap_or_default().as_encoded_bytes()).add("content", content.as_bytes());
         }
         key.add_json("pose", &self.pose);
-        // the job may hide light sources, which changes `lamp` of their materials
+        // the job may hide light sources, which changes the field `lamp` of their materials
         let lamps: Vec<u8> = self.scene.materials.iter().map(|material| material.lamp as u8).collect();
         key.add("lamps", &lamps);
     }
@@ -140,7 +140,8 @@ fn gltf_bytes(
     let Reader::Plugin(id) = reader else {
         return Ok(resolver.keep(path.to_owned(), read(path)?));
     };
-    // Open the file first, so that a missing file has the same message as with other readers.
+    // Open the file before an importer does, so that a missing file has the same message with every
+    // reader.
     lumistack_files::open(path).map_err(|source| PipelineError::Read { path: path.to_owned(), source })?;
     let file = path.file_name().unwrap_or_default().to_string_lossy();
     // If the file's name is not Unicode, the importer requests the file by a name with replacement
@@ -188,7 +189,7 @@ pub fn load_scene(
 }
 
 /// Lights a scene that the caller made, as [`load_scene`] does. The scene's key contains the
-/// content of `files`, and `content`, which is data in memory.
+/// content of `files`, and `content`, the data in memory that the scene was made from.
 ///
 /// # Errors
 /// If a file cannot be read, or the scene cannot be rendered.
@@ -220,7 +221,7 @@ fn lit(
 ) -> Result<Ingested, PipelineError> {
     // Crop first, since removed splats emit no light.
     scene = crop::cropped(scene, pose, task)?;
-    // The environment of the job replaces that of the file.
+    // The environment of the job replaces the environment of the file.
     if let Some(environment) = &light_job.environment {
         files.push((environment.clone(), hash(&read(environment)?)));
         scene = lumistack_shot::edited(scene, task, |parts| {
@@ -264,7 +265,7 @@ fn load_gltf(
     task.progress.end();
     let scene = scene?;
     let mut files = resolver.read.into_inner().unwrap_or_else(PoisonError::into_inner);
-    // The scene also depends on the importer and its parameters, so they are part of its key.
+    // The scene also depends on the importer and its parameters, so its key contains them.
     if let Reader::Plugin(id) = reader {
         files.push((id.into(), plugin_key(registry, id, &importer.params)?));
     }

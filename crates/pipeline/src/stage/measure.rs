@@ -16,7 +16,7 @@ use crate::store::files::{read_json, write_json};
 use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 
-/// Sums of squares and numbers of values, in the form of the file that keeps them.
+/// Sums of squared errors, and numbers of summed values, in the form of their JSON file.
 #[derive(Serialize, Deserialize)]
 struct CachedSums {
     error: (f64, u64),
@@ -46,7 +46,7 @@ pub(crate) fn run(
     }
     let (key, file) = (key.finish(), Path::new("cache/measure-figures.json"));
     let path = stamps.dir().join(file);
-    // Sums are stored instead of scores in dB, since a sequence adds them up.
+    // The file has sums instead of scores in dB, since a sequence adds the sums of its time steps.
     let kept = || {
         let CachedSums { error, change, still } = read_json(&path)?;
         let [error, change, still] = [error, change, still].map(|(sum, count)| SquaredError { sum, count });

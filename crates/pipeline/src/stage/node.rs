@@ -14,7 +14,8 @@ use crate::store::key::KeyBuilder;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// True if the solver makes the patterns of a node. It also does for a job without nodes.
+/// True if the solver of this program makes the patterns of a node. This is also true for a job
+/// without nodes.
 pub(crate) fn is_factorized(node: Option<&NodeJob>) -> bool {
     node.is_none_or(|node| node.plugin == NodeJob::TENSOR_DISPLAY)
 }
@@ -32,8 +33,8 @@ pub(crate) fn check(node: &NodeJob, registry: &Registry) -> Result<(), PipelineE
     Ok(())
 }
 
-/// Returns the display of a node for a light field of this geometry: `of_job` if the node has a
-/// display, or else `shared`. The text describes how the display's backlight was adapted.
+/// Returns the display of a node for a light field of this geometry. It is `of_job` if the node
+/// names a display, or else `shared`. The text describes how the display's backlight was adapted.
 ///
 /// # Errors
 /// If the display cannot show the light field.
@@ -77,7 +78,7 @@ pub(crate) fn run(
     task: Task<'_>,
 ) -> Result<(Solved, bool), PipelineError> {
     let NodeInput { node, seed, display, target, weights } = given;
-    // Baselines use the factorizer, so its code is part of the key.
+    // The baselines among the node plugins use the factorizer, so its code is part of the key.
     let mut key = KeyBuilder::new("node", code::PATTERNS);
     key.add("plugin", plugin_key(registry, &node.plugin, &node.params)?.as_bytes())
         .add("display", display.to_toml().as_bytes())

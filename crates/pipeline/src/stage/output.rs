@@ -1,4 +1,4 @@
-//! Output plugins. They are checked with the display before the work, and executed after it.
+//! Output plugins. They are checked with the display before a run's work, and executed after it.
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +16,7 @@ use crate::store::key::KeyBuilder;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// Checks plugins and parameters of a job's outputs, without any work.
+/// Checks plugins and parameters of a job's outputs, without opening them.
 ///
 /// # Errors
 /// If there is no such output, or it refuses the parameters or the kind of data.
@@ -65,7 +65,7 @@ pub(crate) fn failed(outputs: &[Output], prefix: &Path) -> Vec<FailedOutput> {
     failed.map(|(path, reason)| FailedOutput { path: place(path), reason }).collect()
 }
 
-/// Adds a light field and the depth of its central view to a key, since outputs receive both.
+/// Adds a light field and the depth of its central view to a key. Outputs receive both of them.
 fn add_field(key: &mut KeyBuilder, label: &str, field: &LightField) {
     key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_field(label, field);
     if let Some(depth) = field.depth() {
@@ -110,7 +110,7 @@ pub(crate) fn run(
         }
         OutputData::LightField(field) => add_field(&mut key, "radiance", field),
     }
-    // The list of files is cached too, since only the plugin knows it.
+    // The list of files is cached too, since only the plugin knows which files it wrote.
     let stage = stage_name(output);
     let list = stamps.dir().join("cache").join(format!("{stage}-files.json"));
     let make = || {
@@ -127,7 +127,7 @@ pub(crate) fn run(
         key.add("plugin", plugin.as_bytes());
         stamps.reuse_or_make(&stage, &key.finish(), || read_json(&list), make)
     });
-    // After an output failed, later outputs and the report are still written.
+    // If an output failed, later outputs and the report are still written.
     match written {
         Ok((written, cached)) => {
             let label = format!("{}, {} files", output.name(), written.len());

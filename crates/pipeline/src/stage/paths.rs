@@ -3,15 +3,15 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Fraction of a display's squared error that noise may add: 6 % is 0.25 dB.
+/// Largest squared error from noise, as a fraction of the display's squared error: 6 % is 0.25 dB.
 const NOISE_SHARE: f64 = 0.06;
-/// Squared error, at 50 dB, below which a display is regarded as exact. A still smaller error does
-/// not need more paths.
+/// Squared error below which a display is regarded as exact (50 dB). With a smaller error, the
+/// number of paths does not rise further.
 const LEAST_ERROR: f64 = 1e-5;
-/// Maximum number of paths per pixel, over all views together. Every view has at least one.
+/// Maximum number of paths per pixel, summed over all views. Every view has at least one path.
 const MOST_PATHS: usize = 3200;
-/// Numbers of paths to choose from. They are few, so that a small change of the display does not
-/// make rendered views invalid.
+/// Allowed numbers of paths. They are few, so that a small change of the display rarely makes
+/// rendered views invalid.
 const CHOICES: [u32; 12] = [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64];
 /// Measured errors, and the number of paths that follows from them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -59,7 +59,7 @@ mod tests {
         let choose = |noise, error, views| Samples::new(noise, error, views);
         // without noise one path is enough, for any error of the display
         assert_eq!((choose(0.0, 1e-3, 169).per_view, choose(0.0, 0.0, 169).limited), (1, false));
-        // n = V / (η D) = 4.9, rounded up to the next choice
+        // n = V / (η D) = 4.9, rounded up to the next allowed number
         assert_eq!(choose(4.9 * NOISE_SHARE * 2e-3, 2e-3, 169).per_view, 6);
         // a display that is regarded as exact needs no more paths
         assert_eq!(choose(2.9 * NOISE_SHARE * LEAST_ERROR, -1e-7, 169).per_view, 3);

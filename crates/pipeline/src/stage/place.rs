@@ -49,7 +49,7 @@ impl Subject for CachedScene<'_> {
 /// Calls [`lumistack_shot::place()`] for a loaded scene.
 ///
 /// # Errors
-/// The errors of that function, and if a result cannot be written.
+/// The errors of that function, and an error if a result cannot be written.
 pub(crate) fn place(
     ingested: &Ingested,
     job: &WindowJob,
@@ -61,11 +61,11 @@ pub(crate) fn place(
     lumistack_shot::place(&CachedScene { ingested, cache_dir }, job, display, geometry, task)
 }
 
-/// Calls [`find_window`] for a loaded scene. Returns the window before it is moved to fit the
-/// depth.
+/// Calls [`find_window`] for a loaded scene. Returns the window that it finds, which is not yet
+/// moved to fit the depth.
 ///
 /// # Errors
-/// The errors of that function, and if a result cannot be written.
+/// The errors of that function, and an error if a result cannot be written.
 pub fn place_window(
     ingested: &Ingested,
     job: &WindowJob,

@@ -13,9 +13,9 @@ use super::field::field_defaults;
 use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 
-/// Reads the light field at `path` for a display, into memory, or into an unnamed file in a folder
-/// if it is larger than the job allows. Also returns views that the display does not use, as many
-/// as the report scores.
+/// Reads the light field at `path` for a display. A light field that is larger than the job allows
+/// in memory is kept in an unnamed file in a folder. Also returns as many views as the report
+/// scores, of those that the display does not use.
 ///
 /// # Errors
 /// If the light field cannot be read, or its geometry is incomplete.
@@ -28,8 +28,8 @@ pub(crate) fn run(
 ) -> Result<(LightField, Vec<LeftOut>), PipelineError> {
     let footprint = |geometry: &FieldGeometry| adapted_footprint(display, geometry);
     let defaults = field_defaults(display);
-    // The folder `target/` has half floats, but values are not rounded here: the report compares
-    // the display with the values of the file.
+    // The folder `target/` has half floats, but values in memory are not rounded. So the report
+    // compares the display with the values of the file.
     let tone_mapping = ToneMapping::of_given(&job.light);
     let change = |view: &mut [f32]| tone_mapping.iter().for_each(|tone_mapping| tone_mapping.apply_to(view));
     let paging = |geometry: &FieldGeometry| {
@@ -56,8 +56,8 @@ pub(crate) const REMEDY_IN_COMMAND: &str =
 pub(crate) const REMEDY_IN_PYTHON: &str =
     "light_field.exposed(stops) scales and clips them, tone=\"khronos-neutral\" or \"agx\" compresses them";
 
-/// Returns the width of slopes that a display cannot separate, after it is adapted to a light
-/// field. If it cannot be adapted, returns the width of the display itself.
+/// Returns the angular footprint of a display that is adapted to a light field: the width of slopes
+/// that it cannot separate. If the display cannot be adapted, returns its own footprint.
 pub(crate) fn adapted_footprint(display: &Display, geometry: &FieldGeometry) -> [f64; 2] {
     display.adapted_to(geometry).as_ref().unwrap_or(display).angular_footprint()
 }

@@ -37,7 +37,7 @@ pub(crate) fn run(about: &ReportContent<'_>, stamps: &Stamps, task: Task<'_>) ->
     let measure = |references: &References| references.measure(display, &solved.stack, task);
     // Measure the seen pictures first, since the report draws and scores them.
     let zone = about.references.map(measure).transpose()?;
-    // The report is made from values in memory; only the result is written.
+    // The report is made from values in memory. Only the report is written.
     let report = lumistack_report::build(
         &ReportInput {
             title: &job.name,
@@ -87,7 +87,8 @@ pub(crate) fn sequence(input: &SequenceInput<'_>, stamps: &Stamps) -> Result<Seq
     Ok(report)
 }
 
-/// Returns the central view of the target, and what the display shows of it, divided by β.
+/// Returns two pictures: the central view of the target, and the display's emission for this view,
+/// divided by β.
 pub(crate) fn thumbnails(display: &Display, field: &Field, solved: &Solved) -> [Thumbnail; 2] {
     let geometry = field.target.geometry();
     let middle = geometry.grid.views().map(|count| count / 2);

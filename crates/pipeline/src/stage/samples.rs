@@ -1,5 +1,5 @@
-//! Measures the number of paths per pixel and view that a display needs, on small sections of the
-//! picture, before all of it is rendered.
+//! Measures the number of paths per pixel and view that a display needs. The measurement uses small
+//! sections of the picture, before the whole picture is rendered.
 //!
 //! ```text
 //! MSE(n) = D + V / n        D: squared error of the seen pictures of a solve without noise
@@ -15,8 +15,9 @@
 //! V = E[(S_a − S_b)²] / 2        D = E[(S_a − R_a)(S_b − R_b)]
 //! ```
 //!
-//! D contains no noise, since all seeds are independent. V contains only noise that is seen: a
-//! pixel of a layer averages over all rays through it, so the noise in the views is no measure.
+//! D contains no noise, since all seeds are independent. V contains only noise that a viewer sees.
+//! A pixel of a layer averages over all rays through it, so the noise in the target's views is
+//! larger.
 
 use std::path::Path;
 
@@ -45,28 +46,28 @@ use crate::stage::ingest::Ingested;
 use crate::store::code;
 use crate::store::stamps::remembered;
 
-/// Maximum number of sections of the picture. In the code, a section is a part.
+/// Maximum number of sections of the picture. In this code, a section is a `Part`.
 const PARTS: usize = 6;
 /// Maximum fraction of the picture's area that all sections cover.
 const MOST_AREA: f64 = 0.25;
 /// Edge of the measured middle of a section, pixels. The margin around it is not measured, since
 /// some of its rays miss the section's layers.
 const MIDDLE: usize = 40;
-/// Iterations of the solver. The ratio of noise and error changes little after these.
+/// Iterations of the solver. With more iterations, the ratio of noise to error changes little.
 const ITERATIONS: u32 = 8;
-/// Number of directions in which a section is seen.
+/// Number of directions in which each section is compared.
 const DIRECTIONS: usize = 4;
 /// Number of paths per pixel in each of the two renders of a direction.
 const REFERENCE_PATHS: u32 = 4;
-/// A pixel is included if at least this fraction of its area is seen.
+/// A pixel is included if the display covers at least this fraction of its area.
 const WHOLE: f32 = 0.999;
-/// Most rays that choose the exposure.
+/// Maximum number of rays from which the exposure is chosen.
 const MOST_RAYS: usize = 4_000_000;
-/// Stream of random numbers that no view uses.
+/// Number of a sequence of random numbers that no view uses.
 const STREAM: u64 = 0x5a3b_0001;
 
-/// Returns the number of paths per pixel and view, if the job sets none. It is measured once, and
-/// cached in a folder.
+/// Returns the number of paths per pixel and view, if the job sets no number. The number is
+/// measured once, and cached in a folder.
 ///
 /// # Errors
 /// If rendering or solving fails or is cancelled, or the folder cannot be written.
@@ -81,13 +82,13 @@ pub(crate) fn measured(
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let views = geometry.grid.iter().count();
     let is_ours = job.render.engine != Engine::Blender && ingested.blend().is_none();
-    // Nothing is measured for fixed views: such a display is correct only at its views, but noise
-    // is measured between views, where it has less effect.
+    // Do not measure for fixed views. A display with fixed views is correct only at its views.
+    // Noise is measured between views, where it has less effect than the display's error.
     let is_chosen = !matches!(display.field.views, Views::Fixed(_));
     if !(job.render.samples_are_measured() && is_chosen && views > 1 && ingested.is_traced() && is_ours) {
         return Ok(None);
     }
-    // The key contains all that noise and error depend on.
+    // The key contains everything that noise and error depend on.
     let footprint = display.angular_footprint();
     let shot = Shot { job, ingested, placement, geometry: &geometry, footprint, samples: None };
     let mut key = shot.key();
@@ -112,12 +113,12 @@ struct Part {
 /// One of the two renders of a section.
 struct Half {
     field: LightField,
-    /// The brightest channel of evenly spread rays, and whether they hit a surface.
+    /// For evenly spread rays: the brightest channel, and true if the ray hits a surface.
     brightest: Vec<(f32, bool)>,
 }
 
-/// Place of light fields that are not kept in memory: a folder, and the bytes of each that may be
-/// in memory.
+/// Storage of light fields that are not kept in memory: a folder, and the bytes of each light field
+/// that may be in memory.
 type Place<'a> = Option<(&'a Path, usize)>;
 
 fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) -> Result<Samples, PipelineError> {
@@ -125,13 +126,13 @@ fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) 
     let parts = parts(display, geometry, shot.window());
     std::fs::create_dir_all(cache_dir).map_err(PipelineError::write(cache_dir))?;
     let place: Place<'_> = (!job.render.is_held(geometry)).then(|| (cache_dir, window_bytes(job)));
-    // Evenly spread rays of all parts choose the exposure.
+    // Choose the exposure from evenly spread rays of all parts.
     let rays: usize = parts.iter().map(Part::rays).sum();
     let every = rays.div_ceil(MOST_RAYS);
     let quiet = Task { progress: &NoProgress, ..task };
     task.progress.begin("choose samples", 2 * parts.len() as u64, "parts");
 
-    // Make both renders of every section, linear.
+    // Make both renders of every section, in linear light.
     let mut halves: Vec<[Half; 2]> = Vec::with_capacity(parts.len());
     for (number, part) in parts.iter().enumerate() {
         let [a, b] = [0, 1].map(|half| render(shot, part, [number as u64, half], every, place, quiet));
@@ -139,7 +140,7 @@ fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) 
         task.progress.advance(1, "");
     }
 
-    // One exposure and one tone curve, chosen as for the whole picture.
+    // All renders get the same exposure and tone curve. They are chosen as for a whole picture.
     let brightest: Vec<(f32, bool)> =
         halves.iter_mut().flat_map(|[half, _]| std::mem::take(&mut half.brightest)).collect();
     let tone_mapping = ToneMapping::choose(&job.light, &ingested.scene, &brightest);
@@ -153,7 +154,8 @@ fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) 
         })?;
     }
 
-    // Distribute the directions of the zone score over the sections.
+    // Distribute directions over the sections. They are generated like the directions of the zone
+    // score.
     let zone = score::zone_of(job, display, geometry);
     let directions = zone.directions(parts.len() * DIRECTIONS);
     let measured = parts.par_iter().zip(&halves).enumerate().map(|(number, (part, halves))| {
@@ -169,7 +171,7 @@ fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) 
     Ok(Samples::new(all.noise / count, all.error / count, geometry.grid.iter().count()))
 }
 
-/// Sums over the values of the seen pictures.
+/// Sums of noise and error over the values of the seen pictures.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     noise: f64,
@@ -183,8 +185,8 @@ impl Sums {
     }
 }
 
-/// Solves for both renders of a section, and compares the seen pictures with the scene and with
-/// each other.
+/// Solves for both renders of a section, and compares the two seen pictures with renders of the
+/// scene and with each other.
 fn compare(
     shot: Shot<'_>,
     part: &Part,
@@ -195,7 +197,7 @@ fn compare(
     task: Task<'_>,
 ) -> Result<Sums, PipelineError> {
     let Shot { job, ingested, placement, .. } = shot;
-    // Default settings of the solver suffice, since only the ratio of noise and error is used.
+    // Default settings of the solver suffice, since only the ratio of noise to error is used.
     let of_solver = FactorizeJob { iterations: Some(ITERATIONS), ..FactorizeJob::default() };
     let solve = |half: &Half| {
         let target = &half.field;
@@ -226,7 +228,7 @@ fn compare(
             tone_mapping.apply_to(picture.data_mut());
             Ok::<_, PipelineError>(picture)
         };
-        // Two references with independent noise keep noise out of the error.
+        // Two references with independent seeds keep noise out of the error.
         let references = [reference(0)?, reference(1)?];
         for (row, col) in part.middle() {
             let pixel = row * part.geometry.cols + col;
@@ -245,8 +247,8 @@ fn compare(
     Ok(sums)
 }
 
-/// Renders a part with one path per pixel and view. Light that views share is averaged if the job
-/// does so.
+/// Renders a part with one path per pixel and view. If the job shares light between views, the
+/// shared light is averaged here too.
 fn render(
     shot: Shot<'_>,
     part: &Part,
@@ -263,7 +265,8 @@ fn render(
     let storage = place.map(|(folder, limit)| lumistack_field_io::storage(folder, limit));
     let [rows, cols] = [traced.rows, traced.cols];
     let size = rows * cols * SplitView::VALUES;
-    // Averaged light has less noise, so the measurement must average as the job does.
+    // Light that views share has less noise. So the measurement shares light between views if the
+    // job does.
     let of_file = |error| PipelineError::write(place.map_or(Path::new(""), |(folder, _)| folder))(error);
     let mut light = match &storage {
         _ if shot.denoise() != Denoise::Shared => None,
@@ -281,7 +284,7 @@ fn render(
         values[number * size..][..size].copy_from_slice(split.values().data());
     }
     let light = light.map(|light| light.averaged(task)).transpose()?;
-    // The views in order, and rays for the exposure from all of them.
+    // Write the views in order, and collect the rays for the exposure.
     let mut brightest = Vec::with_capacity(part.rays() / every + 1);
     let (mut number, view_cols) = (0, traced.grid.views()[1]);
     let writer = FieldWriter::begin(part.geometry.clone(), place).map_err(field_error)?;
@@ -303,7 +306,7 @@ fn render(
     Ok(Half { field, brightest })
 }
 
-/// Writes a light field whose views `picture` returns, one after another.
+/// Writes a light field. `picture` returns its views one after another.
 fn by_views(
     mut writer: FieldWriter,
     mut picture: impl FnMut([usize; 2]) -> Result<Vec<f32>, PipelineError>,
@@ -314,13 +317,15 @@ fn by_views(
     writer.finish(Path::new("samples")).map_err(field_error)
 }
 
-/// Returns an upper bound of the memory of the measurement, bytes; 0 if a job has none.
+/// Returns an upper bound of the memory of the measurement, bytes; 0 if the job needs no
+/// measurement.
 pub(crate) fn bytes(job: &Job, display: &Display, geometry: &FieldGeometry, threads: usize) -> u64 {
     let is_chosen = !matches!(display.field.views, Views::Fixed(_));
     if !(job.render.samples_are_measured() && is_chosen) {
         return 0;
     }
-    // Only the sizes of the parts count, so any place in a scene will do.
+    // The bound depends only on the sizes of the parts, so any window in a scene gives the same
+    // value.
     let scene_from_display = Similarity { rotation: DQuat::IDENTITY, scale: 1.0, translation: DVec3::ZERO };
     let window = Window { scene_from_display, size_mm: geometry.size_mm(), near_mm: None };
     let parts = parts(display, geometry, &window);
@@ -328,7 +333,7 @@ pub(crate) fn bytes(job: &Job, display: &Display, geometry: &FieldGeometry, thre
     let Some(part) = parts.first() else { return 0 };
     let rays = part.rays() as u64;
     let exposure = 2 * size_of::<(f32, bool)>() as u64 * (count * rays).min(MOST_RAYS as u64);
-    // One part is rendered at a time, and all are solved at once.
+    // One part is rendered at a time, but all parts are solved in parallel.
     const SPLIT: u64 = size_of::<f32>() as u64 * SplitView::VALUES as u64;
     const FIELD: u64 = 12;
     let (rendering, solving) = if job.render.is_held(geometry) {
@@ -344,12 +349,13 @@ pub(crate) fn bytes(job: &Job, display: &Display, geometry: &FieldGeometry, thre
     exposure + rendering.max(solving)
 }
 
-/// Returns the bytes of a part's files that may be in memory. All parts are compared at once.
+/// Returns the number of bytes of a part's files that may be in memory. All parts are compared in
+/// parallel.
 fn window_bytes(job: &Job) -> usize {
     job.render.window_bytes() / 8
 }
 
-/// Returns the settings of the views, except the number of paths.
+/// Returns the settings for tracing the views, without the number of paths.
 fn settings(shot: Shot<'_>) -> Settings {
     let hide_environment = shot.job.light.background != Background::Environment;
     Settings {
@@ -360,7 +366,7 @@ fn settings(shot: Shot<'_>) -> Settings {
     }
 }
 
-/// Places sections over the picture by the additive recurrence of
+/// Places sections evenly over the picture, by the additive recurrence that also spreads
 /// [directions](lumistack_display::Zone::directions).
 fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Part> {
     let margin = margin(display, geometry);
@@ -368,7 +374,7 @@ fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Pa
     let [rows, cols] = [edge.min(geometry.rows), edge.min(geometry.cols)];
     let area = (geometry.rows * geometry.cols) as f64 / (rows * cols) as f64;
     let count = ((MOST_AREA * area) as usize).clamp(1, PARTS);
-    // a single section is in the middle
+    // if there is only one section, it is in the middle of the picture
     let places = spread(count);
     let [free_rows, free_cols] = [geometry.rows - rows, geometry.cols - cols].map(|free| free as f64);
     places
@@ -389,15 +395,15 @@ fn spread(count: usize) -> Vec<[f64; 2]> {
     (0..count).map(|i| [1.0, 2.0].map(|power| (0.5 + i as f64 * RATIO.powf(-power)).fract())).collect()
 }
 
-/// Returns the number of pixels that a ray of the zone can move sideways between the display plane
-/// and the layer farthest from it.
+/// Returns the width of the margin, pixels. It covers the distance that a ray of the zone moves
+/// sideways between the display plane and the layer farthest from this plane.
 fn margin(display: &Display, geometry: &FieldGeometry) -> usize {
     let most = |slopes: &[f64]| slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
     let slope = most(&geometry.grid.slope_x).max(most(&geometry.grid.slope_y));
     let of_layers = display.layers.iter().map(|layer| layer.d_mm.abs());
     let reach_mm = of_layers.fold(0.0f64, f64::max) * slope;
-    // The margin is limited, since on a display with distant layers and oblique rays it would be as
-    // wide as the picture.
+    // The margin is limited, since with distant layers and oblique rays it could be as wide as the
+    // picture.
     ((reach_mm / geometry.pitch_mm).ceil() as usize + 1).min(MIDDLE)
 }
 
@@ -438,8 +444,8 @@ impl Part {
         self.geometry.rows * self.geometry.cols * self.geometry.grid.iter().count()
     }
 
-    /// Returns the views with slopes relative to the part's centre: the same eyes, or parallel
-    /// views.
+    /// Returns the views with slopes relative to the part's centre. Perspective views keep their
+    /// eye positions, and oblique views keep their slopes.
     fn moved(&self, grid: &ViewGrid) -> ViewGrid {
         let Projection::Perspective { distance_mm } = grid.projection else { return grid.clone() };
         let moved = |slopes: &[f64], axis: usize| {
@@ -488,7 +494,7 @@ mod tests {
                 for (row, col) in [(0, 0), (rows - 1, cols - 1), (3, 7)] {
                     let own = [part.geometry.x_mm(col), part.geometry.y_mm(row)];
                     let whole = [0, 1].map(|axis| own[axis] + part.centre_mm[axis]);
-                    // the position must be the centre of a pixel of the picture
+                    // the position must be the centre of a pixel of the whole picture
                     let place = (whole[0] / 1.5 + 149.5, 109.5 - whole[1] / 1.5);
                     assert!((place.0 - place.0.round()).abs() < 1e-9 && (-0.1..299.1).contains(&place.0), "{place:?}");
                     assert!((place.1 - place.1.round()).abs() < 1e-9 && (-0.1..219.1).contains(&place.1), "{place:?}");

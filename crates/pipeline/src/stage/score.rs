@@ -3,8 +3,8 @@
 //!
 //! Every direction is rendered twice with independent seeds, so the score contains no noise
 //! ([`DirectionScore`]). Few samples suffice, since the score averages over all pixels of all
-//! directions. SSIM and FLIP are sensitive to noise. Therefore only the first directions, which are
-//! spread over the zone, have these scores, and they have more samples.
+//! directions. SSIM and FLIP are sensitive to noise, so they need more samples. Therefore only the
+//! first directions, which are spread over the zone, have these two scores.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -29,9 +29,9 @@ use crate::store::views::{missing, read_view, write_view};
 
 /// Number of directions that have enough samples for SSIM, FLIP and the report's pictures.
 const CLEAN: usize = 8;
-/// Samples per pixel of the first [`CLEAN`] directions, and of the others.
+/// Samples per pixel of the first [`CLEAN`] directions, and of the other directions.
 const SAMPLES: [u32; 2] = [24, 4];
-/// Number of a stream of random numbers that no view uses.
+/// Number of a sequence of random numbers that no view uses.
 const STREAM: u64 = 3;
 
 /// The scene's pictures in directions that no solver used.
@@ -39,7 +39,7 @@ pub struct References {
     geometry: FieldGeometry,
     directions: Vec<ViewGrid>,
     pictures: Pictures,
-    /// Hash of all that the pictures depend on.
+    /// Hash of everything that the pictures depend on.
     pub(crate) key: String,
     /// True if all pictures were cached.
     pub(crate) cached: bool,
@@ -49,11 +49,12 @@ pub struct References {
 enum Pictures {
     /// In a folder of the cache, with two pictures per direction.
     Rendered { folder: PathBuf, tone_mapping: ToneMapping, background: Background, space: Option<Space> },
-    /// In memory, display-referred. Without noise, both pictures of a pair are the same.
+    /// In memory, display-referred. Pictures without noise are stored as two equal pictures.
     Held { pictures: Vec<[Arc<Vec<f32>>; 2]>, left_out: bool },
 }
 
-/// Returns the viewing zone of the job's display for this geometry, or that of the expected eyes.
+/// Returns the viewing zone of the job's display for this geometry. If the job has expected eyes,
+/// returns their zone instead.
 pub(crate) fn zone_of(job: &Job, display: &Display, geometry: &FieldGeometry) -> Zone {
     if job.factorize.eyes.is_empty() {
         return Zone::of_grid(&geometry.grid, Some(display.field.fov_deg));
@@ -62,9 +63,9 @@ pub(crate) fn zone_of(job: &Job, display: &Display, geometry: &FieldGeometry) ->
 }
 
 impl References {
-    /// Traces the pictures of a block that are not cached. Pictures do not depend on
-    /// `tone_mapping`. Returns `None` if the job requests no score, or if Blender renders, since
-    /// its seeds cannot be chosen.
+    /// Traces the pictures of a block that are not cached. Returns `None` if the job requests no
+    /// score, or if Blender renders, whose seeds cannot be chosen. The traced pictures do not
+    /// depend on `tone_mapping`.
     ///
     /// # Errors
     /// If rendering fails or is cancelled, or a picture cannot be written.
@@ -83,7 +84,7 @@ impl References {
             return Ok(None);
         }
         let pixels = |direction: &ViewGrid| geometry.with_grid(direction.clone());
-        // The name of the folder contains a key of traced radiance. The key of the score also
+        // The name of the folder contains a key of the traced radiance. The key of the score also
         // contains exposure and background.
         let mut key = shot.key();
         key.add_json("zone", &(SAMPLES, job.render.max_bounces, job.seed))
@@ -122,7 +123,7 @@ impl References {
             let settings = Settings {
                 samples: SAMPLES[usize::from(i >= CLEAN)] / 2,
                 max_bounces: job.render.max_bounces,
-                // Clamping would remove light from the references.
+                // Clamped references would lack light.
                 clamp: None,
                 seed: seed::derive(job.seed, &[STREAM, i as u64, half as u64]),
                 angular_filter: AngularFilter::Point,
@@ -138,7 +139,7 @@ impl References {
             if let (Some(splats), Some(space)) = (splats.get(i), space) {
                 put_before(space, splats.data(), picture.data_mut());
             }
-            // To add a background, the fraction of each pixel that shows it must be known.
+            // A background needs the fraction of each pixel that shows it.
             if background != Background::Environment {
                 let shape = [geometry.rows, geometry.cols];
                 let mut missed = if ingested.scene.instances.is_empty() {
@@ -159,8 +160,8 @@ impl References {
         result.map(|()| Some(references))
     }
 
-    /// Returns references from views of a file that the solver does not use; `None` if there are
-    /// none.
+    /// Returns references made of those views of a file that the solver does not use; `None` if
+    /// there are none.
     pub(crate) fn left_out(geometry: &FieldGeometry, views: Vec<LeftOut>) -> Option<Self> {
         let known = !views.is_empty();
         let views = views.into_iter().map(|view| (view.grid, Arc::new(view.radiance)));
@@ -275,8 +276,8 @@ impl References {
         Ok([one(0)?, one(1)?])
     }
 
-    /// Reads one picture. `None` if its file, or the file for its background, is missing or
-    /// damaged.
+    /// Reads one picture. Returns `None` if its file is missing or damaged. With a background
+    /// colour, this also applies to the file with the fraction of samples that hit no surface.
     fn one(&self, i: usize, half: usize) -> Option<Vec<f32>> {
         let (folder, tone_mapping, background, space) = match &self.pictures {
             Pictures::Rendered { folder, tone_mapping, background, space } => {
@@ -305,7 +306,7 @@ fn path(folder: &Path, i: usize, half: usize) -> PathBuf {
     folder.join(format!("direction_{i:02}-{}.exr", ["a", "b"][half]))
 }
 
-/// Returns the path of the file with the fraction of every pixel that shows no surface.
+/// Returns the path of the file with the fraction of every pixel's samples that hit no surface.
 fn missed_path(folder: &Path, i: usize, half: usize) -> PathBuf {
     path(folder, i, half).with_extension("missed.npy")
 }

@@ -17,7 +17,7 @@ use crate::store::key::KeyBuilder;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// Keys of a source and of its light field, in the form of the file that keeps them.
+/// Keys of a source and of its light field, in the form of their JSON file.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct SourceRecord {
     key: String,
@@ -29,7 +29,7 @@ fn path(stamps: &Stamps) -> PathBuf {
 }
 
 impl SourceRecord {
-    /// Writes the file, after the light field is in its folder.
+    /// Writes the file. The light field must be in its folder already.
     ///
     /// # Errors
     /// If the file cannot be written.

@@ -8,8 +8,9 @@
 //! ```
 //!
 //! Each pixel belongs to one tile. The free pixels of a tile are its own pixels and all pixels on
-//! rays through them. A tile solves its free pixels, but keeps only the result for its own
-//! (restricted additive Schwarz). The border has all other pixels on rays through free pixels.
+//! rays through them. A tile solves its free pixels, but keeps only the result for its own pixels
+//! (restricted additive Schwarz). The border consists of all other pixels on rays through free
+//! pixels.
 //!
 //! The result of a tile in a round is cached by the hash of its rays and borders. Therefore a
 //! stopped run continues, and any machine can solve any tile.
@@ -35,12 +36,14 @@ use crate::store::key::KeyBuilder;
 use crate::store::stamps::Stamps;
 use crate::store::used::TILES;
 
-/// Number of rounds, between which tiles exchange borders; fewer if there are fewer iterations.
+/// Number of rounds; fewer if there are fewer iterations. Tiles exchange their borders between
+/// rounds.
 const ROUNDS: usize = 4;
-/// Number of threads for estimates of memory. It is fixed, since the cut must not depend on the
-/// machine.
+/// Number of threads that estimates of memory assume. It is fixed, so that the cut does not depend
+/// on the machine.
 const THREADS: usize = 16;
-/// Minimum edge of a tile in pixels of the light field, even if it needs more memory than allowed.
+/// Minimum edge of a tile, pixels of the light field. A tile of this size is used even if it needs
+/// more memory than allowed.
 const SMALLEST: usize = 64;
 
 /// The tiles and rounds of a solve.
@@ -87,9 +90,9 @@ impl Tiles {
         tiling.tile(down / 2 * across + across / 2)
     }
 
-    /// Returns the iterations of a round: half of those that are left, with at least one left for
-    /// each later round. The last round takes all that are left. Patterns form in the first round.
-    /// A short last round leaves only small differences at the borders.
+    /// Returns the iterations of a round. A round gets half of the remaining iterations, but leaves
+    /// at least one for each later round. The last round gets all remaining iterations. Patterns
+    /// form in the first round. A short last round leaves only small differences at the borders.
     fn iterations(&self, job: &FactorizeJob, round: usize) -> std::ops::Range<u32> {
         let all = job.iterations() as usize;
         let left = |round: usize| if round < self.rounds { (all >> round).max(self.rounds - round) } else { 0 };
@@ -98,7 +101,7 @@ impl Tiles {
     }
 }
 
-/// Returns the fewest tiles that each take at most `most` bytes.
+/// Returns the fewest tiles of which each takes at most `most` bytes.
 fn fitting(display: &Display, geometry: &FieldGeometry, most: u64) -> Tiling {
     let mut tiles = [1, 1];
     loop {
@@ -121,8 +124,8 @@ fn bytes(tiling: &Tiling, display: &Display, geometry: &FieldGeometry) -> u64 {
     held_bytes(&tile.display(display, geometry), &own, THREADS) + 12 * rays
 }
 
-/// Returns the patterns in `layers/`, and true if they were cached. Otherwise solves them in tiles,
-/// or as a whole.
+/// Returns the patterns in `layers/`, and true if they were cached. Patterns that are not cached
+/// are solved in tiles, or as a whole.
 ///
 /// # Errors
 /// If the settings are invalid, the solver fails, a file cannot be written, or the task is
@@ -136,7 +139,7 @@ pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(
     let Solve { job, seed, display, target, weights } = solve;
     let crop = |tile: &Tile| Ok(tile.light_field(target));
     let solve = CutSolve { job, seed, display, geometry: target.geometry(), weights, crop: &crop };
-    // The key of the whole solve need not contain the keys of tiles, since they follow from it.
+    // The keys of the tiles follow from the key of the whole solve, so they are not part of it.
     key.add_json("tiles", &(tiles.tiling.tiles(), tiles.rounds));
     let work = Work { solve, tiles: &tiles, stamps };
     reuse_or_write("factorize", &key.finish(), solve.display, stamps, || {
@@ -156,7 +159,7 @@ pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(
 /// Solves a tile in a round; both numbers begin at 0. The tiles of the previous round must be done.
 ///
 /// # Errors
-/// The errors of [`run`], and if the solve is not cut into `count` tiles.
+/// The errors of [`run`], and an error if the solve is not cut into `count` tiles.
 pub(crate) fn run_tile(
     solve: CutSolve<'_>,
     [round, number, count]: [usize; 3],
@@ -172,8 +175,8 @@ pub(crate) fn run_tile(
     Work { solve, tiles: &tiles, stamps }.tile([round, number], warm.as_ref(), task)
 }
 
-/// Returns true if a fresh start with the settings `fresh` is better than the warm start of
-/// `solve`. For a solve in tiles, the tile in the middle decides.
+/// Returns true if the settings `fresh` without a warm start reach a smaller error than the warm
+/// start of `solve`. For a solve in tiles, only the tile in the middle is compared.
 ///
 /// # Errors
 /// If the patterns cannot be read, the solver fails, or the task is cancelled.
@@ -241,7 +244,7 @@ impl Work<'_> {
             0 => warm.map(|warm| warm.cut(&held(&tile))),
             _ => Some(self.borders(at, &tile, &display)?),
         };
-        // Only the last round rounds values to the levels of the panel.
+        // Round values to the levels of the panel only in the last round.
         let is_last = round + 1 == self.tiles.rounds;
         let settings = Settings {
             iterations: self.tiles.iterations(job, round).len() as u32,
@@ -249,7 +252,7 @@ impl Work<'_> {
             report_every: Settings::curve_interval(job.iterations()),
             ..solver_settings(job, seed)?
         };
-        // The key contains all that the tile depends on, including borders.
+        // The key contains everything that the tile depends on, including its borders.
         let mut key = KeyBuilder::new("tile", code::PATTERNS);
         key.add("display", whole.without_panels().to_toml().as_bytes())
             .add("geometry", format!("{geometry:?}").as_bytes())
@@ -285,7 +288,7 @@ impl Work<'_> {
             };
             match solved {
                 Ok(solved) => Ok((solved.stack.cut(&within), Some(Convergence::of(&solved, steps, warm.is_some())))),
-                // Without rays, pixels keep the values of the start.
+                // If no rays go through the tile, its pixels keep the values of the start.
                 Err(FactorizeError::NoRays) => {
                     let unlit = start.clone().unwrap_or_else(|| clear(&display));
                     let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
@@ -300,7 +303,7 @@ impl Work<'_> {
         reuse_or_make("tile", &key.finish(), &of_own, &Stamps::new(&place), make).map(drop)
     }
 
-    /// Returns the patterns of the previous round, over all pixels that a tile solves or reads.
+    /// Returns the patterns of the previous round, for all pixels that a tile solves or reads.
     fn borders(
         &self,
         [round, number]: [usize; 2],
@@ -332,8 +335,9 @@ impl Work<'_> {
         Ok((lumistack_field_io::read_stack(&layers).map_err(field_error)?, Some(kept)))
     }
 
-    /// Joins the convergence of all tiles. Errors are sums over the rays of all tiles, so a ray of
-    /// two tiles is included twice. Seconds are as if tiles were solved one after the other.
+    /// Joins the convergence of all tiles. Errors are summed over the rays of all tiles, so a ray
+    /// through two tiles is counted twice. Times are added as if the tiles were solved one after
+    /// the other.
     fn kept(&self) -> Option<Convergence> {
         let mut all: Option<Convergence> = None;
         let mut before = 0.0;
@@ -346,7 +350,7 @@ impl Work<'_> {
             let notes: Vec<_> = notes.collect();
             let (first, _) = notes.first()?;
             let pixels: f64 = notes.iter().map(|(_, pixels)| pixels).sum();
-            // Means over tiles, weighted by their numbers of pixels.
+            // This closure averages over tiles. The weights are the tiles' numbers of pixels.
             let mean = |of: &dyn Fn(&Convergence) -> f64| {
                 notes.iter().map(|(kept, pixels)| pixels * of(kept)).sum::<f64>() / pixels
             };

@@ -1,5 +1,5 @@
-//! Traces all views of a shot into the cache, one picture at a time. A stopped run continues after
-//! the finished pictures.
+//! Traces all views of a shot into the cache, one picture at a time. A stopped run continues with
+//! the pictures that are missing.
 
 mod blender;
 
@@ -67,8 +67,8 @@ pub(crate) fn run(
     Ok((Traced { fields, depths, views, engine }, cached && known))
 }
 
-/// Traces the views of a block that are not cached, and depths with the first block. Returns true
-/// if all were cached. Other processes may trace other blocks.
+/// Traces the views of a block that are not cached. The first block also traces depths. Returns
+/// true if everything was cached. Other processes may trace other blocks.
 ///
 /// # Errors
 /// The errors of [`run`].
@@ -78,7 +78,7 @@ pub(crate) fn run_block(shot: Shot<'_>, cache_dir: &Path, block: Block, task: Ta
     Ok(cached && known)
 }
 
-/// Views of a shot in the cache, all or those of a block.
+/// Views of a shot in the cache: all views, or the views of a block.
 struct Views {
     fields: Vec<FieldJob>,
     views: Vec<[usize; 2]>,
@@ -117,7 +117,7 @@ fn trace_views(
             }
         }
     }
-    // The denoiser removes split views after it has finished, so they need not be traced again.
+    // After the denoiser has finished, it removes split views. They need not be traced again.
     let is_shared: Vec<bool> =
         fields.iter().map(|field| kind == Denoise::Shared && denoise::is_finished(field, kind)).collect();
     let is_kept = |Todo { field, path, variance, .. }: &Todo| {
@@ -135,7 +135,7 @@ fn trace_views(
     let splats = missing_splats(ingested, &fields, &views, block, task);
     let cached = todo.is_empty() && splats.iter().all(Vec::is_empty);
     if !(cached && fields.iter().all(|field| denoise::is_finished(field, kind))) {
-        // Check the denoiser before the first hour of rendering.
+        // Check the denoiser before the rendering, which may take hours.
         denoise::check(kind, job, shot.geometry)?;
     }
     if engine == Engine::Blender {
@@ -219,7 +219,8 @@ fn trace(
         // Each half of a view has its own seed.
         let (traced, settings) = (&field.traced, field.settings_of(*half));
         let (alone, shared) = (variance.is_none() && guides.is_none(), kind == Denoise::Shared);
-        // All results come from the same paths: the radiance only, or the first hits too.
+        // Radiance and first hits come from the same paths. The first hits are computed only if
+        // they are requested.
         let more = if shared && alone {
             let split = renderer.render_split(window, traced, *view, &settings, task).map_err(render_error)?;
             write_split(path, &split)?;

@@ -1,8 +1,8 @@
 //! Cleans run folders. Removes left-overs of killed runs, and cached files of other settings.
 //!
-//! Every run does so while it holds the lock: it removes left-overs when it begins, and views of
-//! other settings when it ends. `lumistack clean` does so for folders without a next run. It can
-//! also remove all files that only save time.
+//! Every run cleans its folder while it holds the lock. It removes left-overs when it begins, and
+//! views of other settings when it ends. `lumistack clean` cleans folders in which no further run
+//! follows. It can also remove all files that only save time.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ use super::names::is_ours;
 use super::used::{USED, Used, all_views, unused_in, unused_views};
 use crate::error::PipelineError;
 
-/// Kinds of small files of the placement, next to the stamps. No other result depends on these
+/// Kinds of small files that cache the placement of the window. No other result depends on these
 /// files.
 const PLACED: [&str; 3] = ["side", "window", "fit"];
 
@@ -26,7 +26,7 @@ const PLACED: [&str; 3] = ["side", "window", "fit"];
 pub struct Cleaned {
     /// The run folder.
     pub folder: PathBuf,
-    /// Removed files of each kind that has any.
+    /// Removed files by kind. Kinds without files are not listed.
     pub freed: Vec<Freed>,
     /// Size of the remaining cached files, bytes.
     pub kept_bytes: u64,
@@ -76,12 +76,14 @@ pub fn clean(dir: &Path, all: bool, dry_run: bool, task: Task<'_>) -> Result<Cle
     let _owned = lock_known(dir, task)?;
     let mut kinds: Vec<(&'static str, Vec<PathBuf>)> = vec![("left-overs of stopped runs", left_overs(dir))];
     collect(dir, all, &mut kinds);
-    // A preview that is being written is locked. One that a killed process left is not.
+    // A preview that is being written is locked. A preview that a killed process left is not
+    // locked.
     let preview = dir.join(".preview.partial");
     if is_folder(&preview) && lock_preview(dir, task).is_ok() {
         kinds[0].1.push(preview);
     }
-    // The file with the owner of the lock belongs to this process, so it is not included.
+    // This process has written the file with the owner of the lock, so the file's size is not
+    // included.
     let kept = |part: &PathBuf| {
         let all = ["cache", "designs"].iter().map(|name| size(&part.join(name))[1]).sum::<u64>();
         all - size(&part.join("cache").join(OWNER))[1]
@@ -124,8 +126,8 @@ fn nested(dir: &Path) -> Vec<PathBuf> {
 fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>) {
     let cache = dir.join("cache");
     let used = read_json::<Used>(&cache.join(USED));
-    // A stopped run may reuse all files. If a run is finished but has no list of used files, it is
-    // of an older version, whose files this version cannot reuse.
+    // A stopped run may reuse all files. If a run is finished but has no list of used files, an
+    // older version made it. This version cannot reuse its files.
     let finished = ["report.json", "lightfield.json", "sweep.json"].iter().any(|name| dir.join(name).is_file());
     let known = used.or_else(|| finished.then(Used::default));
     if all {
@@ -133,7 +135,7 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
     } else if let Some(used) = &known {
         kinds.push(("views of other settings", unused_views(&cache, used)));
     }
-    // Conversions by Blender stay while they are valid. Placements stay unless `all` is true.
+    // Blender's conversions stay while they are valid. Placements stay unless `all` is true.
     let of_kind = |name: &str, wanted: &[&str]| name.rsplit_once('-').is_some_and(|(kind, _)| wanted.contains(&kind));
     let kept = entries(&cache).into_iter();
     let (scenes, placed): (Vec<_>, Vec<_>) = kept
@@ -160,7 +162,7 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
         };
         kinds.push(("rows of designs", rows));
     }
-    // Folders that are removed as a whole are not searched.
+    // Folders that are removed as a whole need no search.
     let gone: Vec<PathBuf> = kinds.iter().flat_map(|(_, paths)| paths.clone()).collect();
     for part in parts(dir).into_iter().filter(|part| !gone.contains(part)) {
         collect(&part, all, kinds);

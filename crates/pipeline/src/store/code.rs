@@ -1,5 +1,5 @@
-//! Code of cached results: the fingerprints of all crates whose code affects a result. A change of
-//! one of them makes the result stale.
+//! Code of cached results: the fingerprints of all crates whose code affects a result. If one of
+//! the crates changes, the result is not reused.
 
 /// Fingerprints of crates.
 pub(crate) type Code = &'static [&'static str];
@@ -65,7 +65,8 @@ pub(crate) const DESIGNS: Code = &[
     lumistack_plot::FINGERPRINT,
 ];
 
-/// Code that passes data to a plugin and writes its files. The code of the plugin is not included.
+/// Code that passes data to a plugin and writes the plugin's files. The code of the plugin itself
+/// is not included.
 pub(crate) const PLUGINS: Code =
     &[PIPELINE, CORE, FIELD_IO, DISPLAY, lumistack_plugin_host::PLUGIN_FINGERPRINT, lumistack_plugin_host::FINGERPRINT];
 
@@ -78,7 +79,7 @@ mod tests {
 
     use super::*;
 
-    /// The fingerprint of a crate's sources as they are now.
+    /// Computes the fingerprint of a crate's present sources.
     fn of(name: &str, more: &[&str]) -> String {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(name);
         lumistack_fingerprint::of(&folder, more).unwrap()
@@ -91,8 +92,8 @@ mod tests {
         }
     }
 
-    /// Before keys contained fingerprints, a version number that was raised by hand missed some
-    /// changes.
+    /// Keys must contain the fingerprint of every crate that affects a result. A version number
+    /// that was raised by hand would miss some changes.
     #[test]
     fn keys_hold_the_sources_of_all_that_makes_a_result() {
         let scene = ["pipeline", "core", "scene", "gltf", "usd", "splats", "shot", "field-io"];

@@ -7,7 +7,7 @@ use serde::de::DeserializeOwned;
 
 use crate::error::{PipelineError, field_error};
 
-/// Removes reports, which belong to older patterns.
+/// Removes the reports of older patterns.
 pub(crate) fn remove_reports(dir: &Path) -> Result<(), PipelineError> {
     for name in ["report.html", "report.json"] {
         let path = dir.join(name);

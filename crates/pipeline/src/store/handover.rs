@@ -11,14 +11,16 @@ use super::files::{read_json, write, write_json};
 use super::key::{KeyBuilder, hash};
 use crate::error::PipelineError;
 
-/// Record of a cached conversion: the files that it was made from, each with a hash of its content.
+/// Record of a cached conversion. `files` are the files that it was made from, each with a hash of
+/// its content.
 #[derive(Serialize, Deserialize)]
 struct CachedConversion {
     account: BlendAccount,
     files: Vec<(PathBuf, String)>,
     program: Option<[u64; 2]>,
     glb: String,
-    /// Fingerprint of the code that requests and reads the conversion; no other version reuses it.
+    /// Fingerprint of the code that requests and reads the conversion. A version with other code
+    /// does not reuse the conversion.
     code: String,
 }
 
@@ -26,8 +28,8 @@ fn code_of_scenes() -> String {
     KeyBuilder::new("scenes", code::SCENE).finish()
 }
 
-/// True if a run would reuse the conversion that a cached file (`blend-KEY.json` or `.glb`) belongs
-/// to.
+/// True if a run would reuse a cached conversion. `path` is one of its files, `blend-KEY.json` or
+/// `blend-KEY.glb`.
 pub(crate) fn holds(path: &Path) -> bool {
     read_json::<CachedConversion>(&path.with_extension("json")).is_some_and(|kept| kept.holds())
 }
@@ -48,8 +50,7 @@ fn content_of(path: &Path) -> Option<String> {
 }
 
 /// Converts the scene of a `.blend` file at a time in seconds. With a cache folder, Blender runs
-/// again only if there was a change: of the file, its references, Blender, or our script in
-/// Blender.
+/// again only after a change of the file, its references, Blender, or our script in Blender.
 ///
 /// # Errors
 /// If Blender returns no scene, or the cache cannot be written.
@@ -75,7 +76,7 @@ fn kept_or(
     surroundings: &str,
     folder: &Path,
 ) -> Result<HandedOver, PipelineError> {
-    // Cache one conversion for each file, time and state of the files around it.
+    // The key contains the file, the time, and the state of the files around the file.
     let mut key = KeyBuilder::new("blend", code::SCENE);
     let place = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     key.add("path", place.as_os_str().as_encoded_bytes()).add_json("time", &time_s);
@@ -109,7 +110,8 @@ fn kept_or(
 mod tests {
     use super::*;
 
-    /// Returns how often Blender runs for two conversions with a change between them.
+    /// Returns the number of times that Blender runs for two conversions, between which `between`
+    /// changes files.
     fn conversions(untracked: Option<String>, between: impl FnOnce(&Path)) -> usize {
         let folder = tempfile::tempdir().unwrap();
         let place = |name: &str| folder.path().join(name);

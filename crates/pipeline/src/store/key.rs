@@ -20,7 +20,7 @@ pub(crate) fn content_hash(path: &Path) -> std::io::Result<String> {
     Ok(hash.finalize().to_hex().to_string())
 }
 
-/// Collects all that a result depends on.
+/// Collects everything that a result depends on, in a hash.
 #[derive(Clone)]
 pub(crate) struct KeyBuilder(blake3::Hasher);
 
@@ -35,8 +35,8 @@ impl KeyBuilder {
         builder
     }
 
-    /// Adds a value with a label. Lengths are hashed too, so that the end of one cannot pass for
-    /// the beginning of the other.
+    /// Adds a value with a label. Their lengths are hashed too. Otherwise two different pairs of
+    /// label and value could give the same bytes.
     pub(crate) fn add(&mut self, label: &str, bytes: &[u8]) -> &mut Self {
         for part in [label.as_bytes(), bytes] {
             self.0.update(&(part.len() as u64).to_le_bytes());
@@ -51,12 +51,12 @@ impl KeyBuilder {
         self.add(label, text.as_bytes())
     }
 
-    /// Adds values bit by bit.
+    /// Adds the bits of floating-point values.
     pub(crate) fn add_f32(&mut self, label: &str, values: &[f32]) -> &mut Self {
         self.add_count(label, values.len()).add_values(values)
     }
 
-    /// Adds the values of a light field, view by view, since it may be in a file.
+    /// Adds the values of a light field, view by view, since the light field may be in a file.
     pub(crate) fn add_field(&mut self, label: &str, field: &LightField) -> &mut Self {
         self.add_count(label, field.radiance().data().len());
         for view in field.geometry().grid.iter() {

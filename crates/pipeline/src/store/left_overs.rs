@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use super::names::{is_ours, is_time};
 
-/// Folders of a run folder that contain only files of Lumistack, so any temporary file may be
-/// removed.
+/// Folders inside a run folder that contain only files of Lumistack. Any temporary file in them may
+/// be removed.
 const OWN: [&str; 8] = ["cache", "target", "held-out", "outside", "layers", "designs", "plots", "outputs"];
 /// Removes left-overs of killed runs from a run folder. The caller holds the folder's lock.
 pub(crate) fn remove(dir: &Path) {
@@ -31,7 +31,7 @@ pub(crate) fn entries(folder: &Path) -> Vec<(String, PathBuf)> {
 }
 
 pub(crate) fn is_folder(path: &Path) -> bool {
-    // links to folders are not folders here
+    // links to folders are not regarded as folders
     std::fs::symlink_metadata(path).is_ok_and(|data| data.is_dir())
 }
 
@@ -50,11 +50,11 @@ pub(crate) fn left_overs(dir: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Does the same as [`left_overs`], for folders that contain only files of Lumistack.
+/// Collects left-overs like [`left_overs`], in folders that contain only files of Lumistack.
 fn below(folder: &Path, found: &mut Vec<PathBuf>) {
     for (name, path) in entries(folder) {
         let temporary = name.starts_with(".lumistack-") && name.ends_with(".tmp");
-        // an output collects its files in this folder before they get their names
+        // an output writes its files into this folder before it renames them
         let partial = name.starts_with('.') && name.ends_with(".partial") && is_folder(&path);
         if temporary || partial {
             found.push(path);

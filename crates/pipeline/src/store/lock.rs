@@ -2,13 +2,13 @@
 //!
 //! ```text
 //! cache/lumistack.lock     locked by the operating system during a run, which unlocks it if the
-//!                          owner dies; if it exists, the folder is from Lumistack
+//!                          owner dies; a folder with this file is from Lumistack
 //! cache/owner.json         process and host of the owner, for messages
 //! ```
 //!
 //! Units of work on several machines share the lock of a folder, since no two of them write the
-//! same file. The last unit waits until all others have ended. `lumistack run` does not wait: it
-//! reports that the folder is in use.
+//! same file. The last unit waits until all other units have ended. `lumistack run` does not wait;
+//! it reports that the folder is in use.
 
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
@@ -65,8 +65,8 @@ pub(crate) fn lock_known(dir: &Path, task: Task<'_>) -> Result<FolderLock, Pipel
     FolderLock::lock(dir, LOCK, task)
 }
 
-/// Locks a folder for a unit of work. Waits up to a limit, since a machine that seemed lost may
-/// still work.
+/// Locks a folder for a unit of work. Waits up to a limit, since a machine that is regarded as lost
+/// may still work.
 ///
 /// # Errors
 /// If other processes hold the lock for longer than the limit, or the task is cancelled.
@@ -101,7 +101,7 @@ impl FolderLock {
     fn lock_as(dir: &Path, file: &'static str, hold: Hold, task: Task<'_>) -> Result<Self, PipelineError> {
         let cache = dir.join("cache");
         let made: Vec<PathBuf> = cache.ancestors().take_while(|path| !path.exists()).map(Path::to_path_buf).collect();
-        // A folder that several processes share is not removed at the end.
+        // Do not remove a folder that several processes share.
         let made = if hold == Hold::Shared { Vec::new() } else { made.into_iter().rev().collect() };
         let mut owned = Self { lock: None, cache: cache.clone(), file, hold, made };
         let path = cache.join(file);
@@ -151,20 +151,20 @@ impl FolderLock {
 
 impl Drop for FolderLock {
     fn drop(&mut self) {
-        // another process holds the lock, or it is shared, or the file system has no locks
+        // another process holds the lock, or the lock is shared, or the file system has no locks
         if self.lock.is_none() || self.hold == Hold::Shared {
             return;
         }
         if self.file == LOCK {
             let _ = std::fs::remove_file(self.cache.join(OWNER));
         }
-        // A run that failed before its first kept file leaves no folder. Only Unix can remove open
+        // If a run fails before it keeps a file, its folder is removed. Only Unix can remove open
         // files.
         if cfg!(unix) && !self.made.is_empty() {
             let others = std::fs::read_dir(&self.cache)
                 .map_or(1, |list| list.flatten().filter(|e| e.file_name() != self.file).count());
-            // Finished time steps and nodes stay, and so does the lock file, which marks them as
-            // from Lumistack.
+            // Finished time steps and nodes stay. Then the lock file stays too, since it marks them
+            // as files of Lumistack.
             let beside = self.cache.parent().and_then(|dir| std::fs::read_dir(dir).ok());
             let is_alone = beside.is_some_and(|list| list.flatten().all(|e| e.path() == self.cache));
             if others == 0 && is_alone {
@@ -177,7 +177,7 @@ impl Drop for FolderLock {
     }
 }
 
-/// True if an open file is still the file at this path.
+/// True if this path still names the open file.
 fn is_at(file: &File, path: &Path) -> bool {
     #[cfg(unix)]
     {

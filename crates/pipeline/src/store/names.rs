@@ -1,4 +1,4 @@
-//! Names that work writes in a run folder, and a test whether Lumistack made a folder.
+//! Names of the files that work writes in a run folder, and a test whether Lumistack made a folder.
 
 use std::ffi::OsStr;
 use std::path::Path;
@@ -68,14 +68,14 @@ pub(crate) fn is_time(name: &str) -> bool {
     name.strip_prefix('t').is_some_and(|digits| digits.len() >= 4 && digits.bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// True if Lumistack certainly made a folder. This is known by its lock, its job file, or cached
-/// files of versions that had no locks.
+/// True if Lumistack certainly made a folder. Evidence is its lock, its job file, or cached files
+/// of versions that had no locks.
 pub(crate) fn is_ours(dir: &Path) -> bool {
     let cache = dir.join("cache");
     if cache.join(LOCK).is_file() || is_written_by_us(&dir.join("job.toml"), false) {
         return true;
     }
-    // Versions without locks left stamps, and names with keys, in the cache.
+    // Versions without locks left stamps in the cache, and files with keys in their names.
     let kept = |name: &str| {
         let stem = name.split('.').next().unwrap_or_default();
         let is_keyed = |kinds: &[&str]| {

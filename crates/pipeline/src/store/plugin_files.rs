@@ -1,5 +1,5 @@
-//! Files in parameters of plugins. Their paths are relative to the job file. They are checked
-//! before the work, and their content is part of keys.
+//! Files in parameters of plugins. Their paths are relative to the job file. The files are checked
+//! before the work, and keys contain their content.
 
 use std::path::Path;
 
@@ -12,8 +12,8 @@ use crate::error::{PipelineError, read};
 use crate::job::Job;
 use crate::reader::own_reader;
 
-/// Returns the files in the parameters of plugin `id`: name of the parameter, and path. A text that
-/// begins with `{` is the content itself, so it is not included.
+/// Returns the files in the parameters of plugin `id`, each as the name of the parameter and the
+/// path. A parameter that begins with `{` is the content itself, so it is not returned.
 pub(crate) fn of<'a>(
     registry: &'a Registry,
     id: &str,
@@ -33,8 +33,7 @@ pub(crate) fn of<'a>(
 pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
     let mut job = job.with_automatic_settings();
     let folder = job.folder.clone();
-    // Scenes with a built-in reader need no importer, so plugin libraries need not be loaded for
-    // them.
+    // A scene with a built-in reader needs no importer, so its plugin libraries are not loaded.
     let foreign = job.scene.as_ref().filter(|scene| own_reader(scene).is_none());
     let extension = foreign.and_then(|scene| scene.extension());
     let extension = extension.map(|extension| extension.to_string_lossy().to_ascii_lowercase());
@@ -44,7 +43,7 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
             Some(importer) if id.is_empty() => &importer.id,
             _ => id,
         };
-        // Check every file now, before rendering, which may take hours.
+        // Check every file before the rendering, which may take hours.
         let found: Vec<(String, String)> = of(registry, id, params).map(|(n, p)| (n.into(), p.into())).collect();
         for (name, given) in found {
             let path = folder.join(&given);
@@ -56,8 +55,8 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
             let absolute = std::path::absolute(&path).unwrap_or(path);
             let value = match absolute.to_str() {
                 Some(text) => text.to_owned(),
-                // Parameters are JSON, which cannot contain paths that are not UTF-8. For such a
-                // path, a file of JSON is replaced by its content.
+                // Parameters are JSON, which cannot contain paths that are not UTF-8. If such a
+                // path names a JSON file, the parameter becomes the content of the file.
                 None => lumistack_files::read_text(&absolute)
                     .ok()
                     .filter(|text| text.trim_start().starts_with('{'))

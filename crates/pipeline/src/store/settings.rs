@@ -32,8 +32,8 @@ pub(super) fn write_sealed(path: &Path, text: &str) -> Result<(), PipelineError>
     write(path, sealed(text).as_bytes())
 }
 
-/// Writes `display.toml` of a run. If the file has the same display with a calibration, it stays:
-/// patterns do not depend on calibration, which took work.
+/// Writes `display.toml` of a run. If the file already has the same display with a calibration, the
+/// file stays. Patterns do not depend on the calibration, which took work.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -46,9 +46,9 @@ pub(crate) fn write_display(path: &Path, display: &Display) -> Result<(), Pipeli
     write_sealed(path, &display.to_toml())
 }
 
-/// Returns the text of a settings file that Lumistack changed from `before` to `after`, as
-/// calibration does. If `before` has a valid hash, the result has one too. Otherwise returns
-/// `after` unchanged.
+/// Lumistack changed the text of a settings file from `before` to `after`, for example by a
+/// calibration. Returns the text to write. If `before` has a valid hash, the result has a new hash;
+/// otherwise the result is `after`.
 pub fn with_new_seal(before: &str, after: &str) -> String {
     match (is_whole(before), after.strip_prefix(SEAL).and_then(|rest| rest.split_once('\n'))) {
         (Some(true), Some((_, rest))) => sealed(rest),
@@ -71,9 +71,9 @@ pub(crate) fn is_sealed(path: &Path) -> Option<bool> {
     is_whole(&std::fs::read_to_string(path).ok()?)
 }
 
-/// True if a settings file is as Lumistack wrote it. Files of versions without hashes have every
-/// default and no comment. If the folder is known to be `ours`, files of older versions with fewer
-/// keys are accepted too.
+/// True if a settings file is as Lumistack wrote it. A file of a version without hashes must have
+/// every default and no comment. If the folder is known to be `ours`, files of older versions with
+/// fewer keys are accepted too.
 pub(crate) fn is_written_by_us(path: &Path, ours: bool) -> bool {
     if let Some(whole) = is_sealed(path) {
         return whole;

@@ -1,8 +1,8 @@
 //! Stamps of results, by which the next run finds results that are current.
 //!
-//! A stamp has the [key](super::key) of a stage and a hash of every file that the stage wrote. It
-//! is written last, so a stage that was killed has no stamp. A damaged or replaced file makes the
-//! stamp invalid, even if its size and time are unchanged.
+//! A stamp has the [key](super::key) of a stage and a hash of every file that the stage wrote. The
+//! stamp is written last, so a stage that was killed has no stamp. A damaged or replaced file makes
+//! the stamp invalid, even if the file's size and time are unchanged.
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +18,7 @@ use crate::error::PipelineError;
 /// cached.
 ///
 /// # Errors
-/// The errors of `make`, and if the file cannot be written.
+/// The errors of `make`, and an error if the file cannot be written.
 pub(crate) fn remembered<T: Serialize + DeserializeOwned>(
     folder: Option<&Path>,
     file: &str,
@@ -63,7 +63,7 @@ impl Stamps {
     /// reads the result. Otherwise `make` makes the result and returns the paths of its files.
     ///
     /// # Errors
-    /// The errors of `make`, and if the stamp cannot be written.
+    /// The errors of `make`, and an error if the stamp cannot be written.
     pub(crate) fn reuse_or_make<T>(
         &self,
         stage: &str,
@@ -82,7 +82,7 @@ impl Stamps {
         Ok((made, false))
     }
 
-    /// True if the stage has finished, with any key, and its files are unchanged.
+    /// True if the stage has finished with some key, and its files are unchanged.
     pub(crate) fn is_whole(&self, stage: &str) -> bool {
         self.stamp(stage).is_some_and(|stamp| self.holds(&stamp))
     }
@@ -118,7 +118,7 @@ impl Stamps {
         lumistack_field_io::atomic::write_bytes(&self.path(stage), &text).map_err(PipelineError::Field)
     }
 
-    /// Removes the stamp of a stage, before its files change.
+    /// Removes the stamp of a stage. This must happen before the stage's files change.
     ///
     /// # Errors
     /// If the stamp cannot be removed.

@@ -1,5 +1,5 @@
 //! Cached files that the last finished run used. Every finished run removes the views of other
-//! settings.
+//! settings, which it did not use.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -14,20 +14,21 @@ use crate::error::PipelineError;
 
 /// File with the list of used files, in the folder `cache`.
 pub(crate) const USED: &str = "used.json";
-/// Folder of the results of tiles, in the folder `cache`. A finished run does not need it.
+/// Folder of the results of tiles, in the folder `cache`. A finished run does not need these
+/// results.
 pub(crate) const TILES: &str = "tiles";
-/// Names of light fields. The cache has folders `NAME-KEY` for each.
+/// Names of light fields. For each light field, the cache has folders with names `NAME-KEY`.
 const FIELDS: [&str; 4] = ["target", "held-out", "outside", "zone"];
 /// Names of the files that a finished run used.
 #[derive(Default, Serialize, Deserialize)]
 pub(crate) struct Used {
-    /// Fingerprint of the code that makes views; another version cannot use them.
+    /// Fingerprint of the code that makes views. A version with other code cannot use the views.
     code: String,
     /// Names of the folders of views.
     views: BTreeSet<String>,
     /// Names of the light fields of a sweep.
     pub(crate) fields: BTreeSet<String>,
-    /// Names of the rows' files of a sweep.
+    /// Names of the files with the rows of a sweep.
     pub(crate) designs: BTreeSet<String>,
 }
 
@@ -51,8 +52,8 @@ pub(crate) fn keep_only_views(dir: &Path, used: &[PathBuf]) -> Result<(), Pipeli
     Ok(())
 }
 
-/// Records which light fields (numbers) and rows (files) the sweep in `dir` used, and removes all
-/// other light fields. Rows are small, so they stay for sweeps over more values.
+/// Records the numbers of the light fields and the files of the rows that the sweep in `dir` used.
+/// Removes all other light fields. Rows are small, so all of them stay for sweeps over more values.
 ///
 /// # Errors
 /// If the list cannot be written.
@@ -68,7 +69,8 @@ pub(crate) fn keep_only_fields(
     Ok(())
 }
 
-/// Returns the folders of cached views of a run (in `cache/views`) or of `render` (in `cache`).
+/// Returns the folders of cached views. A run has them in `cache/views`, and the command `render`
+/// in `cache`.
 pub(crate) fn all_views(cache: &Path) -> Vec<(String, PathBuf)> {
     let is_field =
         |name: &str| name.rsplit_once('-').is_some_and(|(field, key)| FIELDS.contains(&field) && key.len() == 16);

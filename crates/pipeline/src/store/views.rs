@@ -1,7 +1,8 @@
-//! Cached views. The header of each has a hash of name, size and pixels.
+//! Cached views. The header of each file has a hash of the file's name and of the picture's size
+//! and pixels.
 //!
 //! A stage's [stamp](super::stamps) is written last, so a run that is killed between two views has
-//! none. Therefore each view has a hash of its own. The hash includes the name, so a copy of
+//! no stamp. Therefore each view has a hash of its own. The hash includes the name, so a copy of
 //! another view is invalid.
 
 use std::path::{Path, PathBuf};
@@ -22,7 +23,8 @@ pub(crate) fn view_path(folder: &Path, view: [usize; 2], half: Option<usize>) ->
     folder.join(format!("view_{:02}_{:02}{half}.exr", view[0], view[1]))
 }
 
-/// Returns the path of the file with the variance of a view, or with that of a half of its samples.
+/// Returns the path of the file with the variance of a view, or with the variance of a half of its
+/// samples.
 pub(crate) fn variance_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBuf {
     let half = half.map_or("", |half| ["-a", "-b"][half]);
     folder.join(format!("variance_{:02}_{:02}{half}.exr", view[0], view[1]))
@@ -33,7 +35,8 @@ pub(crate) fn split_path(folder: &Path, view: [usize; 2]) -> PathBuf {
     folder.join(format!("split_{:02}_{:02}.exr", view[0], view[1]))
 }
 
-/// Returns the path of the file with the guides of a view, or with those of a half of its samples.
+/// Returns the path of the file with the guides of a view, or with the guides of a half of its
+/// samples.
 pub(crate) fn guides_path(folder: &Path, view: [usize; 2], half: Option<usize>) -> PathBuf {
     let half = half.map_or("", |half| ["-a", "-b"][half]);
     folder.join(format!("guides_{:02}_{:02}{half}.exr", view[0], view[1]))
@@ -52,8 +55,8 @@ pub(crate) fn read_splats(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f
     Some(read)
 }
 
-/// Writes the splats of a view `[row][col][r, g, b, T]`, as a picture of three channels with 4/3 of
-/// the rows.
+/// Writes the splats of a view, `[row][col][r, g, b, T]`. The file is a picture of three channels,
+/// so it has 4/3 of the rows.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -74,8 +77,8 @@ pub(crate) fn read_split(path: &Path, geometry: &FieldGeometry) -> Option<SplitV
     SplitView::from_values(read_values(path, geometry, SplitView::VALUES)?)
 }
 
-/// Writes a view whose diffuse and other light are separate: three values per pixel in each of
-/// several pictures. These are one below the other in the file.
+/// Writes a view whose diffuse and other light are separate. The file has several pictures, one
+/// below the other, with three values per pixel each.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -96,7 +99,7 @@ pub(crate) fn write_guides(path: &Path, guides: &Features) -> Result<(), Pipelin
     write_values(path, guides.values())
 }
 
-/// Reads `[row][col][k]` with `count` values per pixel.
+/// Reads a tensor `[row][col][k]` with `count` values k per pixel.
 fn read_values(path: &Path, geometry: &FieldGeometry, count: usize) -> Option<Tensor<3>> {
     let [rows, cols] = [geometry.rows, geometry.cols];
     let pictures = read_picture(path, [cols, count.div_ceil(3) * rows])?;
@@ -110,7 +113,8 @@ fn read_values(path: &Path, geometry: &FieldGeometry, count: usize) -> Option<Te
     Some(values)
 }
 
-/// Writes `[row][col][k]` as several pictures, one below the other. Each has three of the values k.
+/// Writes a tensor `[row][col][k]` as several pictures, one below the other. Each picture has three
+/// of the values k.
 fn write_values(path: &Path, values: &Tensor<3>) -> Result<(), PipelineError> {
     let [rows, cols, count] = values.shape();
     let height = count.div_ceil(3) * rows;
@@ -124,13 +128,13 @@ fn write_values(path: &Path, values: &Tensor<3>) -> Result<(), PipelineError> {
     write_picture(path, [cols, height], &pictures)
 }
 
-/// Reads a view of the geometry's size; `None` if the file is missing or damaged.
+/// Reads a view with the size of the geometry; `None` if the file is missing or damaged.
 pub(crate) fn read_view(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
     read_picture(path, [geometry.cols, geometry.rows])
 }
 
 /// Returns the elements of `all` that are not cached. Checking cached files takes seconds, so this
-/// shows progress. If no file exists, nothing is checked.
+/// function shows progress. If no file exists, nothing is checked.
 pub(crate) fn missing<T: Send + Sync>(
     all: Vec<T>,
     file: impl Fn(&T) -> PathBuf,
@@ -189,7 +193,7 @@ mod tests {
 
     const SIZE: [usize; 2] = [16, 8];
 
-    /// Returns pixels whose size no compression reduces.
+    /// Returns pixel values of noise, which cannot be compressed.
     fn grain(seed: u64) -> Vec<f32> {
         let mut state = seed;
         let mut next = || {
@@ -214,7 +218,8 @@ mod tests {
             std::fs::write(&first, &damaged).unwrap();
             assert_eq!(read_picture(&first, SIZE), None, "byte {place} of {}", bytes.len());
         }
-        // a picture of the same size: a copy of another view, or one without a hash
+        // pictures of the same size that are invalid: a copy of another view, and a picture without
+        // a hash
         std::fs::copy(&second, &first).unwrap();
         assert_eq!(read_picture(&first, SIZE), None);
         picture::write_exr(&first, SIZE, &grain(1), Precision::Float).unwrap();

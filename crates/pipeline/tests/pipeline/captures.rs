@@ -16,7 +16,7 @@ use lumistack_splats::{Renderer, SplatView, Wanted, glb, write};
 
 use crate::usd::has_usd;
 
-/// Minimum agreement of the pictures of two files, PSNR in dB.
+/// Minimum PSNR of the picture of one file format against the picture of another, dB.
 const LEAST_PSNR: f64 = 50.0;
 
 /// A bumpy ball of flat splats, whose colours change with the direction. An `.spz` file can
@@ -37,15 +37,15 @@ fn ball() -> Cloud {
     read_spz(&write::spz(&cloud).unwrap(), 1 << 30).unwrap().cloud
 }
 
-/// The cloud in the axes of trainers, y down and z away from the viewer: rotated by half a turn
-/// about x.
+/// Returns the cloud in the axes of training programs, with y down and z away from the viewer. It
+/// is rotated by half a turn about x.
 fn as_trained(cloud: &Cloud) -> Cloud {
     let mut turned = cloud.clone();
     let turn = Quat::from_xyzw(1.0, 0.0, 0.0, 0.0);
     turned.positions.iter_mut().for_each(|at| *at = turn * *at);
     turned.rotations.iter_mut().for_each(|rotation| *rotation = turn * *rotation);
-    // Harmonics with an odd power of y and z together change sign: orders −1 and 0 of degree 1, and
-    // orders −2 and 1 of degree 2.
+    // Harmonics whose power of y and z together is odd change sign. These are orders −1 and 0 of
+    // degree 1, and orders −2 and 1 of degree 2.
     for splat in turned.harmonics.chunks_exact_mut(27) {
         for k in [1, 2, 4, 7] {
             splat[3 * k..3 * k + 3].iter_mut().for_each(|value| *value = -*value);

@@ -7,8 +7,8 @@ use lumistack_core::{Cancel, Collector, Task};
 use lumistack_pipeline::{Job, Plan, Registry, plan, run, run_step, sweep};
 use serde_json::Value;
 
-/// Tolerance of a sweep's scores against those of a run. Both sum the same errors, in different
-/// orders.
+/// Tolerance of a sweep's scores against the scores of a run, dB. Both sum the same errors, in
+/// different orders.
 const AGREEMENT_DB: f64 = 1e-9;
 
 const DISPLAY: &str = "[display]\npreset = \"paper-three-layer\"\nresolution = [24, 15]\nviews = [3, 3]\nframes = 2\n";
@@ -28,8 +28,8 @@ pub(crate) fn job(folder: &Path, head: &str, tables: &[&str]) -> Job {
     Job::load(&path).unwrap()
 }
 
-/// Files in a folder and its subfolders, without the cache, and without reports, since these
-/// contain the durations of the stages.
+/// Returns the files in a folder and its subfolders. The cache is left out, and also the reports,
+/// since they contain the durations of the stages.
 pub(crate) fn results(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     fn walk(folder: &Path, root: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
         for entry in std::fs::read_dir(folder).unwrap() {
@@ -101,7 +101,7 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
         assert!(again[Path::new(name)] == all[&Path::new("t0002").join(name)], "{name}");
     }
 
-    // Node a has the displays of the designs. Node b has another display, so its scores are equal
+    // The displays of node a are the designs. Node b has its own display, so its scores are equal
     // in every row.
     let mut swept = job.clone();
     let table = lumistack_pipeline::SweepJob { frames: vec![1, 2], ..lumistack_pipeline::SweepJob::default() };
@@ -126,7 +126,7 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
     assert_eq!((again.designs, again.kept), (2, 2));
 }
 
-/// A window that moves through a scene, with two displays, and a report for each display and time
+/// A window moves through a scene in front of two displays. Each display has a report at each time
 /// step.
 #[test]
 fn a_walk_before_two_displays() {
@@ -160,7 +160,7 @@ fn a_sweep_over_a_walk_is_scored_over_the_zone_of_all_its_times() {
     let folder = tempfile::tempdir().unwrap();
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/letters/letters.gltf");
     let head = format!("name = \"walk\"\nscene = {scene:?}");
-    // a sweep compresses no depth
+    // a sweep does not compress depth, so the run must not compress it either
     let render = "[render]\nsamples = 1\nmax_bounces = 1\noutside = 0\n[window]\nfit_depth = \"off\"\n";
     let walk = "[sequence]\ntimes = 2\niterations = 2\nturn_deg = 5.0\nreports = true\n";
     let mut job = job(folder.path(), &head, &[DISPLAY, render, walk]);
@@ -172,11 +172,11 @@ fn a_sweep_over_a_walk_is_scored_over_the_zone_of_all_its_times() {
     });
     assert!((of_run[0] - of_run[1]).abs() > 1e-3, "two different pictures: {of_run:?}");
 
-    // also where the run writes no reports of time steps
+    // the zone score also exists if the run writes no reports of time steps
     job.sequence.as_mut().unwrap().reports = false;
     job.sweep = Some(lumistack_pipeline::SweepJob { frames: vec![2], ..lumistack_pipeline::SweepJob::default() });
     let done = with_task(|task| sweep(&job, &folder.path().join("sweep"), &registry, task)).unwrap();
-    // all directions of both times count alike
+    // the directions of both time steps have the same weight
     let error = of_run.iter().map(|psnr| 10f64.powf(-0.1 * psnr)).sum::<f64>() / 2.0;
     let (expected, found) = (-10.0 * error.log10(), done.best.and_then(|row| row.psnr_zone_db));
     assert!(found.is_some_and(|found| (found - expected).abs() < 1e-6), "{found:?} dB, the run has {expected} dB");
@@ -190,7 +190,7 @@ fn every_step_can_be_executed_alone() {
     let [whole, parts] = ["whole", "parts"].map(|name| folder.path().join(name));
     with_task(|task| run(&job, &whole, &registry, None, task)).unwrap();
     for step in plan(&job, &parts, &registry).unwrap().steps {
-        // the steps have only the run folder in common
+        // the processes of the steps share only the run folder
         with_task(|task| run_step(&job, &parts, &step.id, &registry, task)).unwrap();
     }
     assert!(results(&whole) == results(&parts));

@@ -74,13 +74,13 @@ fn units_of_a_still_give_the_bytes_of_a_run() {
     let figure = |dir: &PathBuf| json(&dir.join("report.json"))["psnr_zone"].clone();
     assert!(figure(&one).is_number() && figure(&one) == figure(&many));
 
-    // Units that are done are skipped, except the last one. It checks all results, and makes
-    // damaged ones again.
+    // A finished unit is skipped, except the last one. The last unit checks all results, and makes
+    // damaged results again.
     assert_eq!(unit(&many, "trace/2-of-2", &registry), Ok(true));
     std::fs::write(many.join("layers/layer_0.npy"), "damaged").unwrap();
     assert_eq!(unit(&many, "finish", &registry), Ok(false));
     assert_eq!(results(&one), results(&many));
-    // a plain run may change results, so no unit is regarded as done after it
+    // a run may change results, so after it no unit is regarded as finished
     with_task(|task| run(&job, &many, &registry, None, task)).unwrap();
     assert!(plan.done(&many, "expose").is_none());
     let error = unit(&many, "factorize", &registry).unwrap_err();
@@ -128,7 +128,7 @@ fn units_of_a_moving_window_give_the_bytes_of_a_run() {
     with_task(|task| run(&job, &one, &registry, None, task)).unwrap();
     let plan = execute(&job, &many, &registry);
     assert_eq!(results(&one), results(&many));
-    // to render views of any time step, only the placement must be known
+    // units that render views need only the placement, at every time step
     for unit in plan.units.iter().filter(|unit| unit.block.is_some()) {
         assert_eq!(unit.inputs, ["place"], "{}", unit.id);
     }
@@ -152,14 +152,14 @@ fn chunks_of_a_sequence_do_not_wait_for_each_other() {
             let id = format!("t000{time}/{node}factorize");
             plan.units.iter().find(|unit| unit.id == id).unwrap().inputs.clone()
         };
-        // inputs are the light fields of the warm-up, not the patterns of the previous time step
+        // the inputs are the light fields of the warm-up, not the patterns of the previous time
+        // step
         assert_eq!(inputs(4), ["t0002/expose", "t0003/expose", "t0004/expose"]);
         assert!(inputs(5).contains(&format!("t0004/{node}factorize")));
-        // a time step may prefer a fresh start, so its job does not show whether there was a warm
-        // start
+        // a time step may prefer a fresh start, so its job does not show that there was a warm-up
         let warm_up = many.join("cache/warm-up/t0004/t0003").join(node).join("layers/stack.json");
         assert!(warm_up.is_file() && !many.join("cache/warm-up/t0005").exists());
-        // the error is nearly that of a sequence without chunks, since the content moves little
+        // the content moves little, so the error is close to the error of a sequence without chunks
         let chain = folder.path().join(format!("chain{}", nodes.len()));
         let mut whole = job.clone();
         (whole.sequence.as_mut().unwrap().chunk_times, whole.sequence.as_mut().unwrap().warm_up_times) = (None, None);
@@ -194,7 +194,7 @@ fn workers_of_other_code_and_other_folders_are_refused() {
     assert!(error.contains("expected a run folder with a farm's plan, found none"), "{error}");
     let plan = with_task(|task| farm_plan(&job, &dir, &registry, CUT, task)).unwrap();
     assert!(unit(&dir, "t0009/source", &registry).unwrap_err().contains("the id of a unit"));
-    // change the plan to that of another build
+    // change the fingerprint of the code in the plan, as if another build had planned
     let file = dir.join("cache/farm/plan.json");
     let text = std::fs::read_to_string(&file).unwrap();
     let (_, value) = text.split_once("\",\"value\":").unwrap();

@@ -34,7 +34,7 @@ fn job(folder: &Path) -> Job {
     Job::load(&path).unwrap()
 }
 
-/// The next light field.
+/// Returns the next light field.
 fn shown(live_fields: &mut LiveFields, registry: &Registry, task: Task<'_>) -> LightField {
     live_fields.pass(registry, task).unwrap().expect("the content is new").field
 }
@@ -62,7 +62,7 @@ fn a_scene_that_is_saved_again_is_exposed_again() {
         assert_eq!(reloaded, shown(&mut new_live_fields(), &registry, task));
         let change = mean(&reloaded) / mean(&before);
         assert!((change - 1.0).abs() < SAME, "brighter by {change}");
-        // with unchanged files and settings there is nothing new
+        // if files and settings are unchanged, there is no new light field
         assert!(live_fields.pass(&registry, task).unwrap().is_none());
     });
 }

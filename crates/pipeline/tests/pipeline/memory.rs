@@ -1,7 +1,7 @@
-//! The memory of whole runs, against the bound that their plans print.
+//! Measures the memory of whole runs, and compares it with the bound that their plans print.
 //!
-//! Every run is a process of its own: this program again, with the test [`child`] alone. It reads
-//! its peak from the system after the run.
+//! Every run is a separate process, which is this program with only the test [`child`]. After the
+//! run, the process reads its peak of memory from the system.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,11 +11,12 @@ use lumistack_pipeline::{Job, Registry, plan, run, run_step};
 
 use crate::compose::{results, with_task};
 
-/// Names the last step of a child; without it the child executes the whole run.
+/// Environment variable that names the last step of a child. Without it, the child executes the
+/// whole run.
 const STEP: &str = "LUMISTACK_TEST_MEMORY_STEP";
-/// Names the job file of a child, whose folder is beside it.
+/// Environment variable that names the job file of a child. The run folder is beside this file.
 const JOB: &str = "LUMISTACK_TEST_MEMORY_JOB";
-/// Columns, rows and views per axis of the given light field and of the fixed views.
+/// Columns, rows, and views per axis. The given light field and the fixed views have this size.
 const SIZE: [usize; 3] = [208, 140, 17];
 
 /// Peak of a run, and the bound of its plan, bytes.
@@ -25,7 +26,7 @@ struct Peak {
     said: u64,
 }
 
-/// Runs the job that the environment names; without one there is nothing to run.
+/// Runs the job that the environment variable names. Without the variable, this test does nothing.
 #[test]
 fn child() {
     let Some(path) = std::env::var_os(JOB).map(PathBuf::from) else { return };
@@ -42,8 +43,8 @@ fn child() {
     println!("\npeak {} of {said}", kib << 10);
 }
 
-/// Runs a job of these tables within `mib` in a process of its own, up to a step. Returns its
-/// folder and peak.
+/// Runs a job made of these tables in a separate process, up to a step. The job may keep `mib` of a
+/// light field in memory. Returns the run folder and the peak.
 fn peak_of(folder: &Path, name: &str, mib: u64, tables: &str, step: Option<&str>) -> (PathBuf, Peak) {
     let path = folder.join(format!("{name}.toml"));
     let render = tables.replace("[render]\n", &format!("[render]\nfield_mib = {mib}\n"));
@@ -60,7 +61,8 @@ fn peak_of(folder: &Path, name: &str, mib: u64, tables: &str, step: Option<&str>
     (path.with_extension(""), peak)
 }
 
-/// Compares a run within `mib` with one that keeps everything in memory.
+/// Compares a run that may keep only `mib` of a light field in memory with a run that keeps
+/// everything.
 fn check(tables: &str, mib: u64, step: Option<&str>) {
     let folder = tempfile::tempdir().unwrap();
     let (held_dir, held) = peak_of(folder.path(), "held", 4096, tables, step);
@@ -69,7 +71,7 @@ fn check(tables: &str, mib: u64, step: Option<&str>) {
     for peak in [held, streamed] {
         assert!(peak.found <= peak.said, "more than the plan said: {peak:?}");
     }
-    // the test is of use only if the light field in memory exceeds the bound
+    // the test is useful only if a light field in memory exceeds the bound of the streamed run
     assert!(held.found > streamed.said, "held {held:?}, streamed {streamed:?}");
     let (expected, found) = (results(&held_dir), results(&dir));
     assert!(expected.len() > 3 && expected.keys().eq(found.keys()), "{:?}", found.keys());

@@ -65,7 +65,7 @@ fn assert_near(found: [f32; 3], expected: [f32; 3]) {
 fn a_capture_becomes_a_display_and_is_taken_from_the_cache() {
     let folder = tempfile::tempdir().unwrap();
     let mut capture = ball(Vec3::ZERO, 1.0, [0.9, 0.5, 0.2]);
-    // a distant splat, which must not move the window
+    // add a distant splat, which must not move the window
     capture.positions.push(Vec3::splat(60.0));
     capture.rotations.push(Quat::IDENTITY);
     capture.scales.push(Vec3::splat(0.05));
@@ -78,7 +78,7 @@ fn a_capture_becomes_a_display_and_is_taken_from_the_cache() {
     assert!(warnings.is_empty(), "{warnings:?}");
     // the score is low, since the display has two frames and the solver four iterations
     assert!(summary.psnr_zone.unwrap() > 20.0, "{:?}", summary.psnr_zone);
-    // the colours of the capture, without exposure and tone curve, over black
+    // the capture's colours appear without exposure and tone curve, over black
     assert_near(middle(&dir, [15, 24]), [0.9, 0.5, 0.2].map(srgb));
     assert_near(middle(&dir, [15, 2]), [0.0; 3]);
     // the ball fills the window from top to bottom
@@ -88,7 +88,7 @@ fn a_capture_becomes_a_display_and_is_taken_from_the_cache() {
     let cached =
         |id: &str| plan(&job, &dir, &registry).unwrap().steps.iter().find(|step| step.id == id).unwrap().cached;
     assert_eq!(["trace", "expose", "factorize"].map(cached), [Some(true); 3]);
-    // missing views are rendered again, with the same bytes
+    // missing views are rendered again, and the files have the same bytes
     let lost = std::fs::read_dir(dir.join("cache/views")).unwrap().map(|entry| entry.unwrap().path());
     let lost = lost.map(|folder| folder.join("splats_01_00.exr")).find(|path| path.exists()).unwrap();
     let bytes = std::fs::read(&lost).unwrap();
@@ -108,8 +108,8 @@ fn a_background_stands_behind_a_capture() {
     run_quietly(&job(folder.path(), "a.ply", background), &dir);
     assert_near(middle(&dir, [15, 24]), [0.8; 3].map(srgb));
     assert_near(middle(&dir, [15, 2]), [0.1, 0.2, 0.4]);
-    // Half-transparent splats blend code values. Here one splat of half opacity is in front of the
-    // eye.
+    // Half-transparent splats are blended in sRGB codes. The scene has one splat of half opacity in
+    // front of the eye.
     capture = Cloud {
         positions: vec![Vec3::ZERO],
         rotations: vec![Quat::IDENTITY],
@@ -126,8 +126,8 @@ fn a_background_stands_behind_a_capture() {
     assert_near(middle(&dir, [15, 24]), [0.1, 0.2, 0.4].map(|value| srgb(0.5 + 0.5 * encoded(value))));
 }
 
-/// A red ball of splats is in front of a glowing white wall on the left, and another behind it on
-/// the right.
+/// A glowing white wall is between two red balls of splats. The left ball is in front of the wall,
+/// and the right ball behind it.
 #[test]
 fn splats_and_meshes_hide_one_another() {
     let folder = tempfile::tempdir().unwrap();
@@ -151,7 +151,7 @@ fn splats_and_meshes_hide_one_another() {
         let mut job = job;
         job.render.denoise = denoise.parse().unwrap();
         run_quietly(&job, &dir);
-        // the left ball is visible and the right one is not; the unlit wall shows its colour
+        // the left ball is visible, the right ball is hidden, and the unlit wall shows its colour
         assert_near(middle(&dir, [15, 12]), [0.8, 0.1, 0.1].map(srgb));
         assert_near(middle(&dir, [15, 36]), [0.5; 3]);
         assert_near(middle(&dir, [15, 24]), [0.5; 3]);
@@ -177,7 +177,7 @@ fn splats_light_meshes_only_if_asked() {
         middle(&dir, [15, 24])
     };
     assert_near(lit(false), [0.0; 3]);
-    // half of the light of the splats, which is the same from all directions
+    // the wall scatters half of the splats' light, which is the same from all directions
     assert_near(lit(true), [0.8, 0.4, 0.2].map(|value| 0.5 * srgb(value)));
 }
 

@@ -1,5 +1,5 @@
-//! Solves in tiles: seams are invisible, units of tiles give the bytes of a run, and a stopped
-//! solve continues.
+//! Solves in tiles: seams are invisible, units that solve tiles give the bytes of a run, and a
+//! stopped solve continues.
 
 use std::path::Path;
 use std::time::Duration;
@@ -11,7 +11,7 @@ use lumistack_pipeline::{BlockSize, Job, Registry, farm_plan, farm_unit, run};
 
 use crate::compose::{results, with_task};
 
-/// Maximum loss of PSNR in a band around seams, compared with a solve without tiles, dB.
+/// Maximum loss of PSNR in a band around seams against a solve without tiles, dB.
 const SEAM_DB: f64 = 0.1;
 /// Width of the band on either side of a seam, pixels of the light field.
 const BAND: usize = 4;
@@ -29,7 +29,7 @@ fn still_life(folder: &Path, name: &str, tiles: &str) -> Job {
     Job::load(&path).unwrap()
 }
 
-/// Returns the PSNR in the band around seams, and elsewhere.
+/// Returns the PSNR in the band around seams, and the PSNR outside of it.
 fn figures(dir: &Path, target: &LightField, display: &Display, near: &dyn Fn(usize, usize) -> bool) -> [f64; 2] {
     let (stack, geometry) = (read_stack(&dir.join("layers")).unwrap(), target.geometry());
     let (simulator, map) = (Simulator::new(display, &stack), RayMap::new(display, geometry));
@@ -55,7 +55,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     let [of_whole, of_tiles, farm] = ["whole", "tiles", "farm"].map(|name| folder.path().join(name));
     with_task(|task| run(&whole, &of_whole, &registry, None, task)).unwrap();
 
-    // both runs have the same views, and a stopped run continues
+    // stop the tiled run in the middle of its solve, and run it again; the second run must continue
     std::fs::create_dir_all(&of_tiles).unwrap();
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let stops = StopsAt { stage: "factorize", after: 5, seen: Default::default(), cancel: &cancel };

@@ -17,13 +17,13 @@ const COLS: usize = 64;
 const BLOCK: usize = 8;
 /// Number of pictures of each scene, each with another seed.
 const PICTURES: u64 = 24;
-/// False-alarm rate per block and channel if errors are normal, which gives a limit of 6.5 standard
-/// errors. A difference of two means of 24 pictures (Student's t, 46 degrees of freedom) exceeds
-/// this limit in 5 of 10⁸ cases. There are 240 differences, so there is 1 false alarm in 80,000
-/// runs.
+/// False-alarm rate per block and channel if errors are normal. It gives a limit of 6.5 standard
+/// errors. The difference of two means of 24 pictures each (Student's t, 46 degrees of freedom)
+/// exceeds this limit in 5 of 10⁸ cases. There are 240 differences, so a false alarm occurs in 1 of
+/// 80,000 runs.
 const RATE: f64 = 8e-11;
-/// Tolerance for rounding, relative to the light of a block. Texture coordinates are flipped twice,
-/// which rounds them.
+/// Tolerance for rounding, relative to the light of a block. Flipping texture coordinates twice
+/// rounds them.
 const ROUNDING: f64 = 1e-5;
 
 /// Returns the mean of each block and channel over all pictures.
@@ -75,8 +75,8 @@ def Camera "above"
 }
 "#;
 
-/// A glowing panel above a dark floor. Both materials use the syntax of one shader, and `glow` are
-/// the inputs for the panel's emission.
+/// A glowing panel above a dark floor. Both materials have a shader with this `id`. `color` and
+/// `rough` are the names of inputs, and `glow` sets the emission of the panel.
 fn lit_room(id: &str, color: &str, rough: &str, glow: &str) -> String {
     let material = |name: &str, inputs: &str| {
         format!(
@@ -144,8 +144,8 @@ fn the_syntax_of_materials_does_not_decide_about_light() {
     if !has_usd() {
         return;
     }
-    // Shaders with the names of their inputs for colour and roughness, and the inputs of a glowing
-    // panel.
+    // For each shader: its id, the names of its inputs for colour and roughness, and the inputs
+    // that make the panel glow.
     let preview = ("diffuseColor", "roughness");
     let standard = ("base_color", "specular_roughness");
     let twins = [
@@ -175,7 +175,7 @@ fn the_syntax_of_materials_does_not_decide_about_light() {
     ];
     let folder = tempfile::tempdir().unwrap();
     image::GrayImage::from_pixel(2, 2, image::Luma([255])).save(folder.path().join("white.png")).unwrap();
-    // The light tree must find the panel, in every syntax of its emission.
+    // The light tree must find the panel, in every syntax of the emission.
     for (number, (id, (color, rough), glow)) in twins.into_iter().enumerate() {
         let path = folder.path().join(format!("twin{number}.usda"));
         std::fs::write(&path, lit_room(id, color, rough, glow)).unwrap();

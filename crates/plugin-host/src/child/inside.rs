@@ -23,17 +23,18 @@ use crate::LoadError;
 use crate::dynamic;
 use crate::serve::Functions;
 
-/// Time for which an answer about cancellation stays valid. Every answer of the program reports the
-/// state of cancellation anew.
+/// Time for which an answer about cancellation stays valid. Every answer of the program, to any
+/// request, states whether the user has cancelled.
 const CANCEL_VALIDITY: Duration = Duration::from_millis(2);
-/// Stack size of a plugin's thread, bytes: that of main threads.
+/// Stack size of a thread that runs a plugin's function, bytes; it is usual for main threads.
 const STACK: usize = 8 << 20;
 /// Longest time for the destructors of the library's statics.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// The main function of a process that runs a plugin for another process. `args` are those that
-/// [`Launcher`](crate::Launcher) appends: the library's path and the plugin's id. Call it from the
-/// main thread before standard input or output are used. Exit with the returned code.
+/// The main function of a process that runs a plugin for another process. `args` are the two
+/// arguments that [`Launcher`](crate::Launcher) appends: the library's path and the plugin's id.
+/// Call this function from the main thread, before standard input or output are used. Exit with the
+/// returned code.
 ///
 /// Standard output belongs to the program, so the library's standard output is redirected to
 /// standard error.
@@ -70,7 +71,7 @@ fn serve(library: &Path, id: &str) -> io::Result<()> {
             match message {
                 ToChild::Call { call, what } => {
                     link.active.fetch_add(1, Ordering::SeqCst);
-                    // `run` may occupy the main thread, so these calls get threads of their own
+                    // `run` may occupy the main thread, so `submit` and `command` get other threads
                     if matches!(what, Call::Submit { .. } | Call::Command { .. }) {
                         link.beside(call, what);
                     } else if calls.send((call, what)).is_err() {
@@ -156,7 +157,7 @@ struct Link {
     requests: AtomicU64,
     /// Number of running calls; loading the library is included as one call.
     active: AtomicUsize,
-    /// The last known state of cancellation, and its time.
+    /// Time of the program's last answer about cancellation, and the answer.
     asked: Mutex<(Option<Instant>, bool)>,
     /// The plugin's functions; empty if loading failed, after which the program sends no calls.
     functions: OnceLock<Arc<dyn Functions>>,
@@ -207,7 +208,7 @@ impl Link {
             return cancelled;
         }
         let (answer, _) = self.ask(Request::IsCancelled, &[]);
-        // a lost host is treated as a cancellation
+        // a failed request counts as a cancellation
         answer.cancelled || answer.status != Status::OK.0
     }
 
@@ -233,13 +234,13 @@ impl Link {
 }
 
 /// # Safety
-/// `context` is that of [`Link::services`].
+/// `context` is the pointer that [`Link::services`] put into the host's table.
 unsafe fn link_of(context: *const c_void) -> &'static Link {
     // SAFETY: guaranteed by the caller; a link lives as long as the process.
     unsafe { &*context.cast::<Link>() }
 }
 
-/// A text of the plugin; invalid UTF-8 is replaced.
+/// Copies a text that the plugin lends; replaces invalid UTF-8.
 ///
 /// # Safety
 /// The plugin lends the text for the call.
@@ -248,7 +249,8 @@ unsafe fn text(text: Str) -> String {
     unsafe { lent_lossy(text) }.into_owned()
 }
 
-/// Bytes of the plugin, or the status that refuses them.
+/// Returns the bytes that the plugin lends. If they are invalid, reports the reason and returns the
+/// status [`Status::REFUSED`].
 ///
 /// # Safety
 /// The plugin lends the bytes for the call; `error` is null or a valid sink.
@@ -361,7 +363,7 @@ struct Running {
 }
 
 /// # Safety
-/// `context` is that of data or a sink of a running call.
+/// `context` belongs to the data or a sink of a running call.
 unsafe fn running<'a>(context: *const c_void) -> &'a Running {
     // SAFETY: guaranteed by the caller.
     unsafe { &*context.cast::<Running>() }
@@ -415,8 +417,8 @@ unsafe extern "C" fn weight_plane(
 /// Fetches a plane. The plugin owns the plane until it releases the plane.
 ///
 /// # Safety
-/// `context` is that of data of a running call, `plane` is memory for a plane whose `size` is set,
-/// and `error` is null or a valid sink.
+/// `context` belongs to the data of a running call; `plane` is memory for a plane whose `size` is
+/// set; `error` is null or a valid sink.
 unsafe fn fetch(
     context: *const c_void,
     what: impl FnOnce(u64) -> Request,
@@ -456,7 +458,7 @@ unsafe fn fetch(
 }
 
 unsafe extern "C" fn release(owner: *mut c_void) {
-    // SAFETY: the owner of a plane of `fetch`, released once.
+    // SAFETY: `owner` is the vector that `fetch` boxed, and a plane is released once.
     drop(unsafe { Box::from_raw(owner.cast::<Vec<u8>>()) });
 }
 
@@ -575,7 +577,7 @@ unsafe extern "C" fn give_solution(context: *mut c_void, solution_json: Str, err
 /// Sends a plane lent by the plugin.
 ///
 /// # Safety
-/// `context` is that of a sink of a running call; the plugin lends a plane whose `size` is set;
+/// `context` belongs to a sink of a running call; the plugin lends a plane whose `size` is set;
 /// `error` is null or a valid sink.
 unsafe fn give(
     context: *mut c_void,
@@ -647,7 +649,7 @@ impl Link {
         }
     }
 
-    /// Runs a call that is not one of [`beside`](Self::beside), on the main thread. The plugin
+    /// Runs a call other than `submit` and `command`, on the main thread. After `open` the plugin
     /// keeps a pointer to the host's table.
     fn run(&'static self, host: &'static HostServices, call: u64, what: Call) {
         let Some(functions) = self.functions.get() else { return };

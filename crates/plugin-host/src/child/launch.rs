@@ -26,7 +26,7 @@ static OF_PROCESS: OnceLock<Launcher> = OnceLock::new();
 impl Launcher {
     /// The current program. `first` is its first argument, which makes it run a plugin.
     pub fn this_program(first: &str) -> Option<Self> {
-        // on Linux this is the running file, even if it was replaced on disk
+        // on Linux this path opens the running program, even if its file was replaced on disk
         let own = PathBuf::from("/proc/self/exe");
         let program = if cfg!(target_os = "linux") && own.exists() { own } else { std::env::current_exe().ok()? };
         Some(Self { program, args: vec![first.into()] })
@@ -49,8 +49,8 @@ impl Launcher {
 pub struct Limits {
     /// Longest time from the start of the process until the plugin has described itself.
     pub load: Option<Duration>,
-    /// Longest time of a running call without a sign of life: a call of a host service, or a
-    /// returned function.
+    /// Longest time that a running call may take without a sign of life. Signs are a call of a
+    /// host service, and the return of a function of the plugin.
     pub silence: Option<Duration>,
     /// Time for a running call to end after cancellation; then the process is ended.
     pub grace: Duration,

@@ -13,8 +13,8 @@
 //! Every open output has a child process. So has every call that makes a scene, a light field or a
 //! layer stack.
 //!
-//! Both ends implement the C interface, so the host's code and the plugin's are the same with and
-//! without a child. Planes are sent through the pipe one at a time, when the plugin fetches them.
+//! Both ends implement the C interface, so neither the host's nor the plugin's code depends on the
+//! child. Planes are sent through the pipe one at a time, when the plugin fetches them.
 //! Shared memory would save one copy. However, if the child truncated the file behind that memory,
 //! a bus error would end the program.
 //!

@@ -231,7 +231,7 @@ unsafe impl Functions for Remote {
         // SAFETY: as in `submit`, and the handle is released once.
         unsafe {
             let Opened { owner, host } = *Box::from_raw(instance.cast::<Opened>());
-            // a dead child was reported by the call during which it died
+            // the call during which a child died has reported it
             if owner.0.state().ended {
                 return;
             }
@@ -244,7 +244,7 @@ unsafe impl Functions for Remote {
     }
 }
 
-/// An open output; its handle points here.
+/// An open output. The handle that `open` returns points to this struct.
 struct Opened {
     owner: Owner,
     /// Valid until `close`.

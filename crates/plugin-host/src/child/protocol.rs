@@ -46,7 +46,7 @@ pub(super) struct Time {
     pub(super) seconds_bits: u64,
 }
 
-/// Data lent to a call. Requests for their planes state the number of that call.
+/// Data lent to a call. A request for a plane of the data states the call's number.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Data {
     pub(super) port: u32,
@@ -95,8 +95,8 @@ pub(super) enum Loaded {
     OtherId(String),
 }
 
-/// A request for a service of the host, or to data or a sink. The latter are lent to a call, whose
-/// number is `call`.
+/// A request of the child. It goes to a service of the host, or to data or a sink that the program
+/// has lent to the call number `call`.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) enum Request {
     IsCancelled,
@@ -211,8 +211,8 @@ pub(super) fn write_frame(to: &mut impl Write, head: &impl Serialize, body: &[u8
     to.flush()
 }
 
-/// Reads one frame; `None` if the other side closed the pipe before it. Memory for the body grows
-/// as its bytes arrive, so a false length cannot exhaust it.
+/// Reads one frame; `None` if the other side has closed the pipe. Memory for the body grows as its
+/// bytes arrive, so a false length cannot exhaust the memory.
 pub(super) fn read_frame<T: DeserializeOwned>(from: &mut impl Read) -> io::Result<Option<(T, Vec<u8>)>> {
     let mut start = [0; 12];
     let mut read = 0;
@@ -273,7 +273,7 @@ mod tests {
         assert!(read_frame::<FromChild>(&mut b"printed into the wrong place, by a library".as_slice()).is_err());
         let mut long = frame.clone();
         long[4..12].copy_from_slice(&(MAX_BODY).to_le_bytes());
-        assert!(read_frame::<FromChild>(&mut long.as_slice()).is_err(), "4 GiB that never come");
+        assert!(read_frame::<FromChild>(&mut long.as_slice()).is_err(), "a body of 4 GiB is announced, and not sent");
         long[4..12].copy_from_slice(&u64::MAX.to_le_bytes());
         assert!(read_frame::<FromChild>(&mut long.as_slice()).is_err());
     }

@@ -21,7 +21,7 @@ pub(super) struct Lending {
     files: Mutex<BTreeMap<u64, String>>,
 }
 
-/// The objects lent to one call; null for those not lent.
+/// Pointers to the objects lent to one call; null for an object that is not lent.
 #[derive(Clone, Copy)]
 pub(super) struct Lent {
     pub(super) host: *const HostServices,
@@ -39,14 +39,14 @@ impl Lent {
     }
 }
 
-// SAFETY: the interface allows use of all of these from any thread; sinks for one thread have their
-// own locks.
+// SAFETY: the interface allows use of all these objects from any thread, except some sinks. The
+// host guards these sinks by locks.
 unsafe impl Send for Lent {}
 // SAFETY: as above.
 unsafe impl Sync for Lent {}
 
-/// The number of the host's table. The table is lent from `open` to `close`, also while no call
-/// runs.
+/// The key of the host's table in [`Lending`]; no call has this number. The table is lent from
+/// `open` to `close`, also while no call runs.
 pub(super) const HOST: u64 = 0;
 
 /// # Safety
@@ -85,8 +85,8 @@ impl Lending {
         let host = unsafe { &*lent.host };
         let mut text = String::new();
         let error = keeping(&mut text);
-        // SAFETY: objects in the map are lent as long as they are there, which the lock guarantees;
-        // the other arguments are lent for the call.
+        // SAFETY: objects stay lent while they are in the map, and the lock keeps them there; the
+        // other arguments are lent for the call.
         let status = unsafe { self.serve(host, &all, what, body, &mut answer, &mut out, &error) };
         answer.cancelled = {
             // SAFETY: as above.
@@ -97,7 +97,7 @@ impl Lending {
     }
 
     /// # Safety
-    /// Tables and sinks of `all` and `host` are valid, and so is `error`.
+    /// All tables and sinks in `all`, `host` and `error` are valid.
     unsafe fn serve(
         &self,
         host: &HostServices,
@@ -300,7 +300,7 @@ unsafe fn give_to_sink(
         };
         return Status::REFUSED;
     }
-    // no overflow: these are sizes of an existing plane
+    // no overflow: `body` holds a plane of this shape
     let strides = [cols * channels * element, channels * element, element, 0].map(|stride| stride as isize);
     let shape = [rows, cols, channels, 1];
     take(&Plane { data: body.as_ptr().cast(), dtype: dtype::F32, ndim: 3, shape, strides, ..Plane::empty() })

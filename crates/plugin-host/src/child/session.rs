@@ -57,8 +57,8 @@ impl Owner {
         let mut command = Command::new(program);
         command.args(args).arg(library).arg(id);
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        // Ctrl-C signals the terminal's foreground group. The plugin is cancelled through the host,
-        // so it gets its own group.
+        // Ctrl-C signals all processes of the terminal's foreground group. The plugin is cancelled
+        // through the host instead, so its process gets a group of its own.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child = command.spawn().map_err(|error| {
@@ -130,19 +130,19 @@ pub(super) struct Session {
     library: String,
     limits: Limits,
     child: Mutex<Child>,
-    /// `None` closes the pipe.
+    /// Messages for the child; `None` closes its input.
     outgoing: Sender<Option<(ToChild, Vec<u8>)>>,
     state: Mutex<State>,
-    /// Objects lent to its running calls.
+    /// Objects lent to the child's running calls.
     lending: Lending,
-    /// The last bytes of the plugin's prints; true if the plugin can print no more.
+    /// The last bytes that the plugin printed, and whether its prints have ended.
     printed: Mutex<(Vec<u8>, bool)>,
 }
 
 pub(super) struct State {
-    /// Receives the result of loading the library.
+    /// Channel for the result of loading the library.
     loaded: Option<Sender<Loaded>>,
-    /// Receive the results of running calls, by call number.
+    /// Channels for the results of running calls, by call number.
     calls: HashMap<u64, Sender<(Status, String)>>,
     last_call: u64,
     last_sign: Instant,
@@ -417,7 +417,7 @@ impl Stopped {
 fn cause_of(status: ExitStatus) -> String {
     #[cfg(unix)]
     if let Some(signal) = std::os::unix::process::ExitStatusExt::signal(&status) {
-        // signal numbers common to all systems, and those of Linux
+        // signal numbers that all Unix systems share, and two of Linux
         let name = match signal {
             2 => " (interrupt)",
             3 => " (quit)",

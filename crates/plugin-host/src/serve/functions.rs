@@ -9,9 +9,9 @@ use lumistack_plugin::abi::{
 };
 use lumistack_plugin::wire::answer;
 
-/// The functions of the interface's tables, for every kind of plugin. They are those of a plugin in
-/// this process, or they forward calls to another process. Functions that do not belong to the
-/// plugin's kind return [`Status::REFUSED`].
+/// The functions of the interface's tables, for every kind of plugin. An implementation calls a
+/// plugin in this process, or forwards the calls to another process. Functions that do not belong
+/// to the plugin's kind return [`Status::REFUSED`].
 ///
 /// # Safety
 /// An implementation follows the interface's rules for a plugin. It does not use borrowed arguments

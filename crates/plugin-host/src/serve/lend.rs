@@ -12,7 +12,7 @@ use lumistack_plugin::{PluginError, Port, Time};
 #[derive(Clone, Copy, Debug)]
 pub enum OutputData<'a> {
     /// The layer stack of a tensor display, and the light field that it was solved for. The views
-    /// of this light field are lent as well; without it the geometry is the display's.
+    /// of this light field are lent as well; without a light field, the geometry is the display's.
     LayerStack(&'a LayerStack, Option<&'a LightField>),
     /// Linear radiance of many views.
     LightField(&'a LightField),
@@ -52,7 +52,7 @@ impl<'a> NodeData<'a> {
     }
 }
 
-/// Data on loan; the C struct's context points here.
+/// Data on loan. The member `context` of the C struct [`Data`] points to this struct.
 pub(crate) struct Lent<'a> {
     data: OutputData<'a>,
     display: &'a Display,
@@ -286,8 +286,8 @@ pub(crate) unsafe fn simulate(data: *const Data, from: *const View, plane: *mut 
     geometry.check().map_err(|error| PluginError::Refused(format!("view: {error}")))?;
     let simulator = lent.simulator.get_or_init(|| Simulator::new(lent.display, stack));
     let owner = Box::new(simulator.seen(&geometry, [0, 0]).radiance.into_data());
-    // SAFETY: guaranteed by the caller; on success the plane owns the values, which a box does not
-    // move.
+    // SAFETY: guaranteed by the caller; on success the plane owns the values. They keep their
+    // address when their box becomes a pointer.
     unsafe {
         give(plane, &owner, [geometry.rows, geometry.cols, 3])?;
         (*plane).owner = Box::into_raw(owner).cast();
@@ -297,12 +297,12 @@ pub(crate) unsafe fn simulate(data: *const Data, from: *const View, plane: *mut 
 }
 
 unsafe extern "C" fn release(owner: *mut c_void) {
-    // SAFETY: the owner of a plane of `simulate`, released once.
+    // SAFETY: `owner` is the box of `simulate`, and a plane is released once.
     drop(unsafe { Box::from_raw(owner.cast::<Vec<f32>>()) });
 }
 
 /// # Safety
-/// `context` is that of [`Lent::to_abi`], and still on loan.
+/// `context` comes from [`Lent::to_abi`], and the data are still on loan.
 unsafe fn lent<'a>(context: *const c_void) -> &'a Lent<'a> {
     // SAFETY: guaranteed by the caller.
     unsafe { &*context.cast::<Lent<'a>>() }

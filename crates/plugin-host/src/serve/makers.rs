@@ -15,7 +15,7 @@ use crate::serve::lend::{Lent, NodeData};
 use crate::serve::plugin::{Plugin, PluginKind};
 use crate::serve::services::{Services, table};
 
-/// Largest number of values in a plugin's light field: 16 GiB.
+/// Largest number of values in a plugin's light field; as `f32` they take 16 GiB.
 const MAX_VALUES: usize = 1 << 32;
 
 /// Reads files for an importer: takes a path relative to the folder of the imported file, and
@@ -158,21 +158,21 @@ pub fn make_stack<S: Services>(
 /// plugins that do not.
 struct Builder<T>(Mutex<T>);
 
-/// A light field under construction: its values, and a flag for each view received.
+/// A light field under construction: its values, and per view whether it was received.
 struct Field {
     made: Option<(LightField, Vec<bool>)>,
 }
 
 struct Stack {
     made: Made,
-    /// Time of the call.
+    /// Time at which the call began.
     began: Instant,
     frames: usize,
     /// Bins of the emission: [bins_y, bins_x].
     bins: [usize; 2],
-    /// Planes received, `[layer][frame]`.
+    /// True for planes that were received, `[layer][frame]`.
     given_layers: Vec<bool>,
-    /// Planes received, `[frame][bin_y][bin_x]`.
+    /// True for planes that were received, `[frame][bin_y][bin_x]`.
     given_bins: Vec<bool>,
 }
 
@@ -186,7 +186,7 @@ impl<T> Builder<T> {
     }
 
     /// # Safety
-    /// `context` is that of a sink whose builder is of this type and alive.
+    /// `context` belongs to a sink whose builder has this type and is alive.
     unsafe fn of<'a>(context: *mut c_void) -> MutexGuard<'a, T> {
         // SAFETY: guaranteed by the caller.
         unsafe { &*context.cast_const().cast::<Self>() }.0.lock().unwrap_or_else(PoisonError::into_inner)
@@ -330,7 +330,9 @@ unsafe extern "C" fn stack_step(
         let mut built = unsafe { Builder::<Stack>::of(context) };
         let seconds = built.began.elapsed().as_secs_f64();
         if built.made.steps.last().is_some_and(|(last, _)| last.iteration >= iteration) {
-            return Err(PluginError::Refused(format!("iteration {iteration}: expected a later one than before")));
+            return Err(PluginError::Refused(format!(
+                "iteration {iteration}: expected a number above that of the last report"
+            )));
         }
         built.made.steps.push((Step { iteration, objective, psnr_view }, seconds));
         Ok(())

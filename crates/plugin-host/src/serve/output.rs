@@ -62,7 +62,7 @@ impl<'a> Output<'a> {
         display: &'a Display,
     ) -> Result<Self, PluginError> {
         let display_json = serde_json::to_string(display).map_err(|error| PluginError::failed("display", error))?;
-        // not a `Box`: moving one would invalidate the plugin's pointer
+        // not a `Box`: by Rust's rules of aliasing, moving a `Box` invalidates the plugin's pointer
         let table = Rc::new(table(services));
         let functions = plugin.of_kind(PluginKind::Output)?.clone();
         let mut instance = std::ptr::null_mut();

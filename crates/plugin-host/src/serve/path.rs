@@ -33,15 +33,16 @@ pub fn path_parts(path: &str) -> Result<Vec<&str>, PluginError> {
     } else {
         let (shown, rest) = path.split_at(path.floor_char_boundary(80));
         Err(PluginError::Refused(format!(
-            "file `{}{}`: expected a path inside the output's folder, without `..`, a leading `/`, names that start with a dot, and \
-             characters or lengths that some system does not take",
+            "file `{}{}`: expected a path inside the output's folder; it must not have `..`, a leading `/`, a name that starts with a dot, or \
+                         characters or lengths that some system refuses",
             shown.escape_debug(),
             if rest.is_empty() { "" } else { "…" }
         )))
     }
 }
 
-/// Detects device names of any system, with or without an extension.
+/// Detects names of Windows' devices, with or without an extension. They are refused on every
+/// system.
 fn is_device(part: &str) -> bool {
     let stem = part.split('.').next().unwrap_or_default().trim_end().to_ascii_lowercase();
     let numbered =

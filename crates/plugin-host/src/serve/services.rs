@@ -50,21 +50,21 @@ pub trait Services: Sync {
     /// Appends bytes to an open file.
     ///
     /// # Errors
-    /// If the handle is not that of an open file or the bytes cannot be written.
+    /// If no open file has this handle, or the bytes cannot be written.
     fn file_append(&self, _file: u64, _bytes: &[u8]) -> Result<(), PluginError> {
         Err(self.no_files())
     }
     /// Completes the file.
     ///
     /// # Errors
-    /// If the handle is not that of an open file or the file cannot be completed.
+    /// If no open file has this handle, or the file cannot be completed.
     fn file_commit(&self, _file: u64) -> Result<(), PluginError> {
         Err(self.no_files())
     }
     /// Discards the file.
     ///
     /// # Errors
-    /// If the handle is not that of an open file or the file cannot be removed.
+    /// If no open file has this handle, or the file cannot be removed.
     fn file_abort(&self, _file: u64) -> Result<(), PluginError> {
         Err(self.no_files())
     }
@@ -78,7 +78,8 @@ pub trait Services: Sync {
     }
 }
 
-/// The C table of a host. It borrows the services; their type is compiled into the functions.
+/// Makes the C table of a host. The table borrows the services; its functions are compiled for
+/// their type.
 pub(crate) fn table<S: Services>(services: &S) -> HostServices {
     HostServices {
         size: size_of::<HostServices>(),
@@ -99,7 +100,7 @@ pub(crate) fn table<S: Services>(services: &S) -> HostServices {
 }
 
 /// # Safety
-/// `context` is that of [`table`] for the same `S`, whose services are alive.
+/// `context` comes from [`table`] for the same `S`, and its services are alive.
 unsafe fn services<'a, S: Services>(context: *const c_void) -> &'a S {
     // SAFETY: guaranteed by the caller.
     unsafe { &*context.cast::<S>() }

@@ -26,7 +26,7 @@ const LOAD: Duration = Duration::from_secs(5);
 /// Longest silence in these tests.
 const SILENCE: Duration = Duration::from_secs(2);
 
-/// Builds `hostile.c`; `kind` is the end of a constant's name.
+/// Builds `hostile.c`. `kind` is the name of a constant `LUMISTACK_KIND_...` after that prefix.
 fn hostile(folder: &Path, id: &str, kind: &str, in_entry: &str) -> PathBuf {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let library = folder.join(common::file_name(id));
@@ -81,7 +81,7 @@ impl Bench {
         run_output(&self.registry, "hostile", &json!({ "fault": fault }), context)
     }
 
-    /// Another output of the same registry still works.
+    /// Asserts that another output of the same registry still works.
     fn others_work(&self, after: &str) {
         let (display, data) = (&self.sample.display, self.sample.data());
         let out_dir = &self.folder.path().join("outputs/images");
@@ -92,7 +92,7 @@ impl Bench {
     }
 }
 
-/// The message if the process ended by `cause` during the operation `doing`.
+/// Returns the expected message if the process ended by `cause` during the operation `doing`.
 fn message(cause: &str, doing: &str) -> String {
     format!("output `hostile` failed: its process ({}) {cause} while {doing}", common::file_name("hostile"))
 }
@@ -155,7 +155,7 @@ fn long_work_with_signs_of_life_is_not_disturbed() {
     let bench = Bench::new();
     let start = Instant::now();
     bench.write("slow").unwrap();
-    assert!(start.elapsed() > SILENCE + Duration::from_millis(500), "it lasts longer than a silence may");
+    assert!(start.elapsed() > SILENCE + Duration::from_millis(500), "the call takes longer than the limit of silence");
     assert_eq!(fs::read_to_string(bench.out().join("a.txt")).unwrap(), "written");
 }
 
@@ -213,7 +213,7 @@ fn libraries_that_misbehave_while_they_are_loaded_are_listed_with_the_cause() {
     }
     hostile(folder.path(), "sound", "OUTPUT", "print");
     let registry = registry(&[folder.path()], LOAD, SILENCE);
-    // a requested plugin is reported with its cause, and no other plugin is loaded
+    // the error of a requested plugin states the cause, and no other plugin is loaded
     let error = registry.get("aborts").unwrap_err().to_string();
     let library = |id: &str| folder.path().join(common::file_name(id)).display().to_string();
     let told = |id: &str| format!("{}: its process ({}) {}", library(id), common::file_name(id), causes[id].1);
@@ -316,7 +316,7 @@ fn a_plugin_needs_memory_for_one_plane() {
     assert_eq!(numbers[0], plane * 18.0 * 4.0);
     println!("{:.0} MB in {seconds:.2} s; most memory of the process {:.0} MB", numbers[0] / 1e6, numbers[1] / 1e3);
     if cfg!(target_os = "linux") {
-        // one plane, and copies of it in transit; all planes together have 207 MB
+        // the process holds one plane and its copies in transit; all planes would take 207 MB
         assert!(numbers[1] * 1024.0 < 6.0 * plane, "{} kB", numbers[1]);
     }
 }
@@ -334,13 +334,13 @@ fn the_process_ends_with_the_program() {
         .spawn()
         .unwrap();
     std::thread::sleep(Duration::from_millis(300));
-    assert!(child.try_wait().unwrap().is_none(), "it hangs");
+    assert!(child.try_wait().unwrap().is_none(), "the plugin should hang, but its process has ended");
     drop(child.stdin.take());
     let start = Instant::now();
     while child.try_wait().unwrap().is_none() {
         if start.elapsed() > Duration::from_secs(10) {
             child.kill().unwrap();
-            panic!("it is still there");
+            panic!("the process still runs although its input was closed");
         }
         std::thread::sleep(Duration::from_millis(5));
     }
@@ -359,7 +359,7 @@ fn a_program_that_cannot_be_started_is_named() {
     let error = load(Some(nothing));
     assert!(error.contains("the process for it cannot be started: /no/such/program: "), "{error}");
     assert!(load(None).contains("the process for it cannot be started: no launcher is set"));
-    // another program than a launcher
+    // a program that does not run plugins
     let other = lumistack_plugin_host::Launcher { program: "echo".into(), args: Vec::new() };
     let error = load(Some(other));
     assert!(error.contains("ended itself with exit code 0 while it was loaded"), "{error}");

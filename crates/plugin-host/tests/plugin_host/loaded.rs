@@ -14,7 +14,7 @@ const FOLDER: &str = "LUMISTACK_TEST_PLUGINS";
 fn load(named: Vec<PathBuf>) -> Registry {
     let mut registry = Registry::default();
     registry.load(&common::paths(named));
-    // load all of them
+    // `infos` loads all libraries
     assert!(registry.infos().count() > 0);
     assert!(registry.failed().is_empty(), "{:?}", registry.failed());
     registry
@@ -33,7 +33,8 @@ fn every_plugin_is_the_same_loaded_as_compiled_in() {
     let mut compared = 0;
     for (info, origin) in loaded.entries() {
         let plugin = loaded.get(&info.id).unwrap();
-        // whole panels of every device, and four billion updates, take too long
+        // These parameters keep their defaults. Tests of their extreme values would take too long:
+        // pictures for every device, and four billion iterations.
         let at_default: &[&str] = match info.id.as_str() {
             "quilt" => &["device"],
             "tensor_display" => &["iterations", "coarse_iterations"],
@@ -170,8 +171,8 @@ const LumistackDescriptor *lumistack_plugin_entry_garbage(void) { return &descri
         let (host, sample) = (MemoryHost::new(), &samples()[0]);
         let output = Output::open(plugin, &host, &json!({}), &sample.display).unwrap();
         let error = output.submit(Time::default(), sample.data()).unwrap_err();
-        // 1234 is the plugin's status of success; otherwise it returns minus the number of calls
-        // that the host answered wrongly
+        // The plugin returns status 1234 if the host answered all calls correctly, otherwise
+        // minus the number of wrong answers.
         assert_eq!(error.to_string(), "no reason given (status 1234)");
         assert_eq!(host.files().into_keys().collect::<Vec<_>>(), ["a.txt"]);
         assert!(host.open_files().is_empty());
@@ -179,7 +180,7 @@ const LumistackDescriptor *lumistack_plugin_entry_garbage(void) { return &descri
     }
 }
 
-/// The tutorial contains whole files, so they must equal the built ones.
+/// The tutorial contains whole files, which must equal the files that the build uses.
 #[test]
 fn the_tutorial_shows_the_samples_as_they_are() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");

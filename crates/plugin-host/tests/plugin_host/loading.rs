@@ -9,7 +9,7 @@ use lumistack_plugin_host::{PluginPaths, Registry};
 
 use crate::common::{self, example, file_name};
 
-/// ELF machine numbers.
+/// ELF's machine numbers, and the names of these machines in messages.
 const ELF_MACHINES: [(u16, &str); 4] = [(62, "x86_64"), (183, "aarch64"), (243, "riscv"), (21, "powerpc64")];
 
 fn load(named: &[&Path]) -> Registry {
@@ -20,7 +20,7 @@ fn load(named: &[&Path]) -> Registry {
     registry
 }
 
-/// The single message from loading this file.
+/// Loads a file, which must fail. Returns the message without the file's path.
 fn failure(path: &Path) -> String {
     let registry = load(&[path]);
     let text = match registry.failed().as_slice() {
@@ -83,7 +83,7 @@ fn libraries_for_other_machines_are_recognized() {
     windows.resize(0x40 + 24 + 0xf0, 0);
     let message = failure(&write(folder.path(), "windows", &windows));
     assert_eq!(message, format!("expected a library for {here} (elf), found one for x86_64 (pe)"));
-    // the right machine, and nothing after the header
+    // a file for the right machine, with nothing after its header
     let mine = ELF_MACHINES.iter().find(|(_, name)| here.starts_with(name));
     if let Some((number, _)) = mine {
         let message = failure(&write(folder.path(), "hollow", &elf_header(*number)));
@@ -106,7 +106,7 @@ fn names_and_places_are_checked() {
     assert!(failure(&upper).starts_with("expected a file named"));
     let missing = failure(&folder.path().join("nothing"));
     assert!(missing.starts_with("expected a plugin or a folder of plugins, found: "), "{missing}");
-    // the ids are those of the exports, not of the file name
+    // ids come from the exported functions, not from the file's name
     let renamed = folder.path().join(file_name("other"));
     fs::copy(example("faulty"), &renamed).unwrap();
     let registry = load(&[&renamed]);

@@ -1,4 +1,5 @@
-//! Outputs on disk: folders after plugins that succeed, fail, panic, are cancelled or misbehave.
+//! Outputs on disk. The tests compare an output's folder after its plugin succeeded, failed,
+//! panicked, was cancelled or misbehaved.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -154,7 +155,7 @@ fn everything_goes_wrong(bench: &Bench) {
 fn any_failure_leaves_no_new_files() {
     for bench in [Bench::new(), Bench::loaded()] {
         everything_goes_wrong(&bench);
-        assert!(bench.tree().is_empty(), "not even the folders above");
+        assert!(bench.tree().is_empty(), "the folders above the output's folder are removed too");
     }
 }
 
@@ -176,7 +177,7 @@ fn a_plugin_that_hangs_ends_after_an_interruption() {
         let start = Instant::now();
         let result = std::thread::scope(|scope| {
             let writer = scope.spawn(|| bench.write(json!({"fault": "hang"})));
-            // wait until it has begun
+            // wait until the plugin has begun
             while !bench.out().with_file_name(".faulty.partial").join("sub0/f.txt").exists() {
                 assert!(start.elapsed() < PATIENCE && !writer.is_finished(), "the plugin hangs in its second file");
                 std::thread::yield_now();

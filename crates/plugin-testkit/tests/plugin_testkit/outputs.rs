@@ -293,7 +293,8 @@ impl<const FAULT: u8> OutputPlugin for Faulty<FAULT> {
     }
 
     fn finish(self) -> Result<(), PluginError> {
-        // all variants write this file, so that only the violated rule differs
+        // A plugin that leaks its files writes this file, so that it does not also violate the
+        // rule that an output writes something.
         if FAULT == LEAKS_FILES { self.host.write("finished.txt", b"") } else { Ok(()) }
     }
 }
@@ -306,7 +307,7 @@ fn the_kit_notices_broken_rules() {
         conformance(export).unwrap_err().rule
     }
     assert_eq!(broken::<IGNORES_CANCEL>(), "returns `cancelled` if cancelled before it begins");
-    assert_eq!(broken::<SWALLOWS_ERRORS>(), "passes on why the host could not write");
+    assert_eq!(broken::<SWALLOWS_ERRORS>(), "reports why the host cannot write");
     assert_eq!(broken::<DIFFERS>(), "writes the same bytes again");
     assert_eq!(broken::<LEAKS_FILES>(), "no file stays open");
     assert_eq!(broken::<LEAVES_STAGES>(), "every stage of progress ends");

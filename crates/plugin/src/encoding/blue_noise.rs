@@ -7,10 +7,10 @@
 //!
 //! 1. Some random dots are placed. The tightest cluster moves to the largest void, repeatedly,
 //!    until both are the same position.
-//! 2. These dots get the low ranks, the highest of them first: the tightest cluster gets a rank and
-//!    is removed, repeatedly.
-//! 3. All other positions get the high ranks, the lowest of them first: the largest void gets a
-//!    rank and a dot, repeatedly.
+//! 2. These dots get the low ranks, in falling order: the tightest cluster gets a rank and is
+//!    removed, repeatedly.
+//! 3. All other positions get the high ranks, in rising order: the largest void gets a rank and a
+//!    dot, repeatedly.
 
 use std::sync::OnceLock;
 
@@ -24,8 +24,8 @@ const COUNT: usize = BLUE_NOISE_SIDE * BLUE_NOISE_SIDE;
 const FIRST: usize = COUNT / 10;
 const SIGMA: f64 = 1.5;
 
-/// Thresholds (rank + ½) / 4096 of a 64 × 64 map that tiles without a seam, row by row. Every rank
-/// occurs once. Computed once.
+/// Returns the thresholds (rank + ½) / 4096 of a 64 × 64 map that tiles without a seam, row by row.
+/// Every rank occurs once. The map is computed at the first call.
 pub fn blue_noise() -> &'static [f32] {
     static MAP: OnceLock<Vec<f32>> = OnceLock::new();
     MAP.get_or_init(|| ranks().into_iter().map(|rank| (rank as f32 + 0.5) / COUNT as f32).collect())

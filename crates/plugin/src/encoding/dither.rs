@@ -24,9 +24,9 @@ pub enum Dither {
     Diffusion,
 }
 
-/// Codes 0..2^bits − 1 of linear values in 0..1, `[row][col][rgb]`; `size` is [rows, cols], `bits`
-/// 1 to 16. Threshold maps are shifted by `pattern` and by channel, so that patterns of different
-/// layers and frames are uncorrelated.
+/// Returns the codes 0..2^bits − 1 of linear values in 0..1, `[row][col][rgb]`. `size` is [rows,
+/// cols], `bits` is 1 to 16. Threshold maps are shifted by the number `pattern` and by channel, so
+/// that the dots of different layers and frames are uncorrelated.
 ///
 /// # Panics
 /// If the length of `rgb` does not match `size`, or `bits` is out of range.
@@ -38,7 +38,10 @@ pub fn panel_codes(
     rgb: &[f32],
     pattern: usize,
 ) -> Vec<u16> {
-    assert!((1..=16).contains(&bits) && rgb.len() == 3 * rows * cols, "values fill the picture");
+    assert!(
+        (1..=16).contains(&bits) && rgb.len() == 3 * rows * cols,
+        "expected 1 to 16 bits, and three values per pixel"
+    );
     let top = (1u32 << bits) - 1;
     let nearest = |channel: usize, value: f32| (transfer.encode(channel, value) * top as f32 + 0.5) as u16;
     if dither == Dither::None {
@@ -64,8 +67,8 @@ pub fn panel_codes(
     codes
 }
 
-/// The brightest code whose light is not above a value, but never the last code. Also the fraction
-/// t of the step to the next code.
+/// Returns the brightest code whose light is not above a value, but never the last code. Also
+/// returns the value's position t in the step to the next code, 0..1.
 fn between(light: &[f32], value: f32) -> (u16, f32) {
     let value = if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) };
     let above = light.partition_point(|&l| l <= value).clamp(1, light.len() - 1);
@@ -96,8 +99,9 @@ impl ThresholdMap {
         Self { side: BLUE_NOISE_SIDE, thresholds: blue_noise().to_vec() }
     }
 
-    /// The `n`-th of a sequence of shifts, [rows, columns]. A step of the sequence exchanges the
-    /// two checkerboards of a Bayer map. On blue noise the shifts are spread evenly over the map.
+    /// Returns shift `n` of a sequence of shifts, [rows, columns]. Each step of the sequence
+    /// exchanges the two checkerboards of a Bayer map. Shifts of a blue-noise map are spread evenly
+    /// over the map.
     fn shift(&self, n: usize) -> [usize; 2] {
         if self.side < BLUE_NOISE_SIDE {
             return [3 * n, 2 * n];
@@ -115,7 +119,7 @@ impl ThresholdMap {
 fn diffuse(light: &[Vec<f32>; 3], [rows, cols]: [usize; 2], rgb: &[f32]) -> Vec<u16> {
     let mut codes = vec![0; rgb.len()];
     for channel in 0..3 {
-        // errors of this row and the next, padded by a column on both sides
+        // errors carried to this row and to the next row, each padded by a column at both ends
         let (mut here, mut below) = (vec![0.0; cols + 2], vec![0.0; cols + 2]);
         for row in 0..rows {
             let reverse = row % 2 == 1;
@@ -170,7 +174,7 @@ mod tests {
                     for channel in 0..3 {
                         let mean = mean_light(&transfer, bits, &codes, channel);
                         // with 64 thresholds the error is at most half of 1/64 of a step between
-                        // codes; the highest step is the largest
+                        // codes; the step between the two brightest codes is the largest
                         let top = ((1u32 << bits) - 1) as f32;
                         let step = 1.0 - transfer.decode(channel, (top - 1.0) / top);
                         let allowed = f64::from(step) / 100.0;

@@ -8,13 +8,13 @@ use lumistack_display::Transfer;
 pub use blue_noise::{BLUE_NOISE_SIDE, blue_noise};
 pub use dither::{Dither, panel_codes};
 
-/// The code of a linear value in one channel (0 red, 1 green, 2 blue), both in 0..1. Values outside
-/// are clamped; NaN becomes 0.
+/// Returns the code, 0..1, of a linear value, 0..1, in one channel (0 red, 1 green, 2 blue). Values
+/// outside this range are clamped; NaN becomes 0.
 pub fn encode(transfer: &Transfer, channel: usize, linear: f32) -> f32 {
     transfer.encode(channel, linear)
 }
 
-/// The linear value of a code in one channel, both in 0..1.
+/// Returns the linear value, 0..1, of a code, 0..1, in one channel.
 pub fn decode(transfer: &Transfer, channel: usize, code: f32) -> f32 {
     transfer.decode(channel, code)
 }

@@ -68,8 +68,8 @@ pub fn keeping(text: &mut String) -> ErrorSink {
     ErrorSink { size: size_of::<ErrorSink>(), context: (&raw mut *text).cast(), write: keep_text }
 }
 
-/// The message of a panic. Drops the payload here, where a panic of its destructor cannot unwind
-/// further.
+/// Returns the message of a panic. Also drops the payload, and catches a panic of the payload's
+/// destructor.
 pub(crate) fn panic_text(payload: Box<dyn Any + Send>) -> String {
     let text = match payload.downcast_ref::<&str>() {
         Some(text) => (*text).to_string(),
@@ -123,7 +123,7 @@ pub unsafe fn lent_bytes<'a>(bytes: Bytes, what: &str) -> Result<&'a [u8], Plugi
     Ok(unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) })
 }
 
-/// [`ErrorSink::write`] of [`keeping`].
+/// The function [`ErrorSink::write`] of the sink that [`keeping`] makes.
 unsafe extern "C" fn keep_text(context: *mut c_void, text: Str) {
     // SAFETY: the callee lends the text for this call; `context` is the string of `keeping`, whose
     // owner waits for the callee.

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def dlpack(array: Any, **options: Any) -> Any:
-    """A DLPack capsule of a read-only NumPy array."""
+    """Returns a DLPack capsule of a read-only NumPy array."""
     try:
         return array.__dlpack__(**options)
     except (BufferError, TypeError):
@@ -18,7 +18,7 @@ def dlpack(array: Any, **options: Any) -> Any:
 
 
 def from_dlpack(tensor: Any, what: str) -> Any:
-    """A NumPy array of an object with DLPack's methods and no other known protocol."""
+    """Converts an object that supports DLPack, and no other known protocol, to a NumPy array."""
     import numpy
 
     try:

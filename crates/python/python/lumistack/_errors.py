@@ -1,4 +1,5 @@
-"""Exceptions of the package; each message is the one that the command line prints."""
+"""Exceptions of the package. They have the messages of the command line, with Python's arguments
+instead of flags."""
 
 
 class Error(Exception):
@@ -18,8 +19,8 @@ class SettingError(Error, ValueError):
 
 
 class DataError(Error, ValueError):
-    """A light field or patterns cannot be used: damaged, incomplete, or of another shape than the
-    display's."""
+    """A light field or patterns cannot be used: damaged, incomplete, or of a shape that does not fit
+    the display."""
 
 
 class SceneError(Error, ValueError):

@@ -21,7 +21,7 @@ def set_progress(shown: bool | None = None) -> None:
     """Sets whether long calls show their progress.
 
     shown: True for always, False for never, None for terminals and notebooks only (the default). A
-    callback of a call replaces this display.
+    call with a callback shows nothing; the callback receives the progress.
 
     >>> set_progress(False)
     """

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 #: Width of thumbnails, pixels.
 _WIDTH = 320
-#: Largest number of views in a notebook: along a single axis of views, and along each of two.
-#: More would make the notebook's file large.
+#: Largest numbers of views per axis in a notebook: for views along one axis, and for views along
+#: two axes. More views would make the notebook's file large.
 _VIEWS = 9
 _VIEWS_OF_TWO = 5
 
@@ -38,8 +38,8 @@ def light_field(light_field: LightField) -> str | None:
 
 
 def layer_stack(stack: LayerStack) -> str | None:
-    """HTML: the seen picture with a slider for the angle, the masks of the first frame, and their
-    properties. None without NumPy."""
+    """HTML: the seen picture with a slider for the angle, the masks of the first frame, and the
+    properties of the patterns. None without NumPy."""
     if not _has_numpy():
         return None
     slopes = sorted(stack.display.slopes[0])
@@ -116,7 +116,7 @@ def _has_numpy() -> bool:
 
 
 def _spread(count: int, most: int) -> list[int]:
-    """Indices spread over an axis, with its ends and its middle."""
+    """Returns at most `most` indices, spread evenly over an axis from its first to its last index."""
     if count <= most:
         return list(range(count))
     return [round(i * (count - 1) / (most - 1)) for i in range(most)]

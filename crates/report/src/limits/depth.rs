@@ -1,16 +1,19 @@
 //! Depth of a view's content, by its disparity to a neighbouring view.
 //!
-//! Block matching: for every pixel, search the shift along the row with the smallest sum of
-//! absolute differences of √luminance over a square, refined by a parabola. Between oblique views,
-//! content at depth z is shifted by −z·Δs/p pixels per step Δs of slope. Between pinholes at
-//! distance D, it is shifted by q = −z·Δs/(1 − z/D) millimetres. If no shift is clearly better than
-//! the others, the pixel takes that of the nearest pixel of its row with a clear one. Rows without
-//! any get the depth of the display plane. A median over squares removes outliers.
+//! Block matching searches, for every pixel, the shift along the row for which a square around the
+//! pixel matches best. The measure is the sum of absolute differences of √luminance over the
+//! square. A parabola refines the shift. Between oblique views, content at depth z is shifted by
+//! −z·Δs/p pixels per step Δs of slope. Between pinholes at distance D, it is shifted by q =
+//! −z·Δs/(1 − z/D) millimetres.
+//!
+//! If no shift is clearly better, a pixel takes the clear shift that is nearest in its row. A row
+//! without a clear shift gets the depth of the display plane. A median over squares removes
+//! outliers.
 
 use lumistack_core::colour::luminance;
 use lumistack_display::{FieldGeometry, LightField, Projection};
 
-/// Depth of every pixel of one view. The resolution may be lower than that of the view.
+/// Depth of every pixel of one view. The resolution may be lower than the view's resolution.
 #[derive(Clone, Debug)]
 pub(crate) struct DepthMap {
     /// Factor by which the rows and columns of the view are reduced.
@@ -26,23 +29,24 @@ pub(crate) struct DepthMap {
 
 /// Row length up to which views are matched at full resolution, pixels.
 const LARGEST_COLS: usize = 480;
-/// Half the side of the compared squares: the number of columns divided by this, within limits.
+/// Half the side of the compared squares is the number of columns divided by this, within limits.
 const RADIUS_SHARE: usize = 80;
 const RADIUS: std::ops::RangeInclusive<usize> = 3..=6;
-/// Largest shift: the number of columns divided by this, and its limits in pixels.
+/// The largest shift is the number of columns divided by this, within limits in pixels.
 const REACH_SHARE: usize = 16;
 const REACH: std::ops::RangeInclusive<usize> = 3..=40;
-/// The best shift is rejected unless its sum of differences is below the mean sum over all shifts
-/// by this much per pixel. Pixels have values of 0 to 4095.
+/// The best shift is rejected unless it is clearly better than the mean. Its sum of differences
+/// must be below the mean sum over all shifts by this much per pixel. Pixels have values of 0 to
+/// 4095.
 const BETTER_BY: u32 = 40;
-/// A change of the shift above this fraction of the columns, and above a pixel, is an edge. Pixels
-/// up to `NEAR` away belong to it.
+/// A change of the shift by more than this fraction of the columns, and by more than one pixel, is
+/// an edge. Pixels up to `NEAR` away belong to the edge.
 const JUMP_SHARE: f32 = 1.0 / 240.0;
 const NEAR: usize = 2;
 
 impl DepthMap {
-    /// Depth of `view`, by matching it with `neighbour` in the same row of views. `None` if both
-    /// have the same direction.
+    /// Computes the depth of `view` by matching it with `neighbour`, a view in the same row of
+    /// views. `None` if both have the same direction.
     pub(crate) fn new(field: &LightField, view: [usize; 2], neighbour: [usize; 2]) -> Option<Self> {
         let geometry = field.geometry();
         let step = geometry.grid.slope_x[neighbour[1]] - geometry.grid.slope_x[view[1]];
@@ -69,8 +73,8 @@ impl DepthMap {
     }
 }
 
-/// Depth, millimetres, of content whose position on z = 0 differs by `shift_mm` between two views,
-/// whose slopes differ by `step`.
+/// Returns the depth of content, millimetres, from its position on z = 0 in two views. The
+/// positions differ by `shift_mm`, and the slopes of the views by `step`.
 fn depth(shift_mm: f64, step: f64, geometry: &FieldGeometry) -> f64 {
     match geometry.grid.projection {
         Projection::Oblique => -shift_mm / step,
@@ -78,7 +82,7 @@ fn depth(shift_mm: f64, step: f64, geometry: &FieldGeometry) -> f64 {
     }
 }
 
-/// √luminance of a view, 0..4095. Integers keep running sums exact.
+/// Values of √luminance in a view, 0..4095. They are integers, so that running sums are exact.
 struct Levels {
     rows: usize,
     cols: usize,
@@ -105,18 +109,19 @@ impl Levels {
         Self { rows, cols, values }
     }
 
-    /// Shift of each pixel's content to the right in `other`, pixels; NaN if matching is ambiguous.
+    /// Returns the shift of each pixel's content to the right in `other`, pixels; NaN if several
+    /// shifts match about equally well.
     fn shifts(&self, other: &Self) -> Vec<f32> {
         let (rows, cols, radius) = (self.rows, self.cols, self.radius());
         let reach = (cols / REACH_SHARE).clamp(*REACH.start(), *REACH.end());
         let candidates = 2 * reach + 1;
         let difference = |row: usize, shift: usize, col: usize| {
-            // read the outermost pixel if the shift goes past the border
+            // if the shift goes past the border, read the outermost pixel
             let to = (col + shift).saturating_sub(reach).min(cols - 1);
             self.values[row * cols + col].abs_diff(other.values[row * cols + to])
         };
-        // sums of the differences over the rows of the square, [shift][column], updated from row to
-        // row
+        // sums of the differences over the rows of a square, [shift][column]; each row of the view
+        // adds one row and removes one
         let mut sums = vec![0u32; candidates * cols];
         let include = |sums: &mut [u32], row: usize| {
             let places = sums.iter_mut().enumerate();
@@ -175,8 +180,8 @@ impl Levels {
     }
 }
 
-/// The shift of least cost, or NaN if it is not clearly better than the mean. `pixels` is the
-/// number of pixels in the sum.
+/// Returns the shift of least cost; NaN if it is not clearly better than the mean. `pixels` is the
+/// number of pixels over which a cost is summed.
 fn best(cost: impl Fn(usize) -> u32, reach: usize, pixels: u32) -> f32 {
     let place = (0..=2 * reach).min_by_key(|&shift| (cost(shift), shift.abs_diff(reach))).unwrap_or(reach);
     let mean = (0..=2 * reach).map(|shift| u64::from(cost(shift))).sum::<u64>() / (2 * reach as u64 + 1);

@@ -9,7 +9,7 @@ use super::limit::{Limit, without};
 use super::variants::{AT_END, BRIGHTER, Tone, USUAL_BITS, bits_are_given, emission_range};
 use crate::{ReportInput, format};
 
-/// Increase of light for which the gain is reported. It is extrapolated from the gain for
+/// The report states the gain for this increase of light. It is extrapolated from the gain for
 /// [`BRIGHTER`].
 const BRIGHTER_SHOWN: f64 = 0.1;
 
@@ -60,7 +60,8 @@ pub(super) fn brightness(
     brighter: Option<SquaredError>,
 ) -> Option<Limit> {
     let relative = ((base.mse() - brighter?.mse()) / base.mse()).max(0.0);
-    // the gain per step falls with the size of the step, so a straight line is an upper bound
+    // the gain per step falls with the size of the step, so extrapolation by a straight line is an
+    // upper bound
     let extrapolated = without((relative * BRIGHTER_SHOWN / BRIGHTER).min(0.99)).max(0.0);
     let mut text = format!("{} are at their brightest. ", listed(&ends.brightest, input.display.layers.len()));
     text += &if relative > 0.0 {

@@ -6,7 +6,7 @@ use super::limit::Limit;
 use crate::measure::FieldScore;
 use crate::{Iteration, ReportInput, format};
 
-/// Smaller gains are invisible, dB.
+/// A gain below this is invisible, dB.
 const NEGLIGIBLE_DB: f64 = 0.05;
 
 pub(super) fn iterations(history: &[Iteration]) -> Option<Limit> {

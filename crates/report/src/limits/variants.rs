@@ -1,5 +1,5 @@
 //! Variants: displays and stacks that differ from the given ones in one property, and the errors of
-//! each.
+//! each variant.
 
 use std::borrow::Cow;
 
@@ -11,12 +11,12 @@ use rayon::prelude::*;
 use crate::measure::{counting, outstanding_views};
 use crate::{ReportError, ReportInput};
 
-/// A value is regarded as at an end of its range if it is at most this far away, as a fraction of
-/// the range.
+/// A value is regarded as at the end of its range if its distance from the end is at most this
+/// fraction of the range.
 pub(super) const AT_END: f32 = 1e-3;
-/// Relative increase of the brightest state, by which its gain is measured.
+/// Relative increase of the brightest state for which a gain is measured.
 pub(super) const BRIGHTER: f64 = 0.01;
-/// Number of bits of a panel if no number is declared.
+/// Number of bits of a panel whose number of bits is not declared.
 pub(super) const USUAL_BITS: u32 = 8;
 
 /// A variant of the display or the stack.
@@ -26,7 +26,7 @@ pub(super) enum Variant {
     Given,
     /// Values at the brightest state are slightly brighter.
     Brighter,
-    /// Values at the darkest state become black, if that state is not.
+    /// Values at the darkest state become black, if the darkest state is not black already.
     Black,
     /// Values are rounded to the panels' codes.
     Quantized,
@@ -121,8 +121,8 @@ pub(super) fn bits_are_given(display: &Display) -> bool {
     display.layers.iter().any(|layer| layer.bits.is_some())
 }
 
-/// Levels that a layer's values can have: those of its codes, or of 8 bits if no layer declares its
-/// bits.
+/// Returns the levels that a layer's values can have: the levels of its codes. If no layer declares
+/// its bits, these are the levels of 8 bits.
 fn levels(display: &Display, layer: &Layer) -> Option<Vec<f32>> {
     if bits_are_given(display) {
         return layer.levels();
@@ -130,8 +130,8 @@ fn levels(display: &Display, layer: &Layer) -> Option<Vec<f32>> {
     Layer { bits: Some(USUAL_BITS), ..layer.clone() }.levels()
 }
 
-/// The stack with every value changed. `change` receives the value, its range, and the width of the
-/// range.
+/// Returns a stack in which every value is changed. `change` receives the value, its range, and the
+/// width of the range.
 fn changed(input: &ReportInput, change: impl Fn(f32, [f32; 2], f32) -> f32 + Sync) -> LayerStack {
     let mut stack = input.stack.clone();
     let ranges = input.display.layers.iter().map(Layer::range).chain(emission_range(input.display));
@@ -150,8 +150,8 @@ pub(super) fn emission_range(display: &Display) -> Option<[f32; 2]> {
     }
 }
 
-/// Error of a variant over the central view and the corners, and the relation of its light to that
-/// of the target.
+/// Returns the error of a variant over the central view and the corner views. Also returns the
+/// regression of the target on the variant's light.
 pub(super) fn simulated_error(
     input: &ReportInput,
     display: &Display,
@@ -209,8 +209,9 @@ impl Tone {
         Self { count: self.count + other.count, sums }
     }
 
-    /// (offset, slope) of x = offset + slope·y, the mean tone curve. Also the fraction of the
-    /// squared error that the best straight line y ≈ a + b·x would remove.
+    /// Returns (offset, slope, fraction) of the regression. The mean tone curve is x = offset +
+    /// slope·y. The fraction is the part of the squared error that the best straight line y ≈ a +
+    /// b·x would remove.
     pub(super) fn fit(self) -> Option<(f64, f64, f64)> {
         let [x, y, xx, xy, yy] = self.sums.map(|sum| sum / self.count);
         let (var_x, var_y, cov) = (xx - x * x, yy - y * y, xy - x * y);

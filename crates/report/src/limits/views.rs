@@ -1,5 +1,5 @@
-//! Distribution of the error: over content outside of the layers' depths, depth discontinuities,
-//! and outer views.
+//! Distribution of the error over three classes of rays: content outside of the layers' depths,
+//! depth discontinuities, and outer views.
 
 use lumistack_core::Task;
 use lumistack_core::metrics::SquaredError;
@@ -16,7 +16,7 @@ use crate::{ReportError, ReportInput, format};
 /// discontinuities.
 const BELIEVABLE_JUMPS: f64 = 0.6;
 
-/// Squared error of a class of pixels, and of all pixels.
+/// Squared error of all pixels, and of a class of pixels (`inside`).
 #[derive(Clone, Copy, Debug, Default)]
 struct Part {
     all: SquaredError,
@@ -36,7 +36,7 @@ impl Part {
         if self.all.sum > 0.0 { self.inside.sum / self.all.sum } else { 0.0 }
     }
 
-    /// Gain in dB if the class had the mean error of all other pixels.
+    /// Returns the gain in dB if the class had the mean error of all other pixels.
     fn gain(self) -> f64 {
         let rest = (self.all.sum - self.inside.sum) / (self.all.count - self.inside.count) as f64;
         if self.inside.count == 0 || self.all.sum == 0.0 {
@@ -83,10 +83,10 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
             Some((place == middle, far, part(&|row, col| depths.is_edge(row, col))))
         })
         .collect();
-    // Sum the classes over the views. Compute the gain if a class had the mean error of all other
-    // pixels.
+    // Sum each class over the views. Then compute the gain if the class had the mean error of all
+    // other pixels.
     let jumps = found.iter().fold(Part::default(), |sum, (_, _, edges)| sum.merged(*edges));
-    // on noise and untextured pictures, matching finds discontinuities everywhere
+    // on noise and pictures without texture, matching finds discontinuities everywhere
     if found.is_empty() || jumps.share_of_rays() > BELIEVABLE_JUMPS {
         return Ok(Vec::new());
     }
@@ -129,7 +129,8 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
     Ok(vec![far, edges])
 }
 
-/// Range of the depths of the layers, of the backlight's lenslets and of z = 0, millimetres.
+/// Returns the range that contains the depths of the layers, the depth of the lenslets, and z = 0,
+/// millimetres.
 fn depth_range(display: &Display) -> (f64, f64) {
     let lenslets = match &display.backlight {
         Backlight::Lenslets(backlight) => Some(backlight.d_mm),

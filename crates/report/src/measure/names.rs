@@ -24,8 +24,8 @@ pub(crate) fn outstanding_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     distinct(places.map(|[y, x]| [down[y], across[x]]))
 }
 
-/// A central view and two opposite corners, as samples of a grid that is not the target's. For a
-/// single row or column of two views, both.
+/// Returns a central view and two opposite corners, as samples of a grid other than the target's.
+/// If the grid has only two views, returns both.
 pub(super) fn sample_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     let (down, across) = (top_to_bottom(grid), left_to_right(grid));
     if down.len() * across.len() == 2 {
@@ -73,7 +73,7 @@ pub(super) fn title(grid: &ViewGrid, target: &ViewGrid, view: [usize; 2]) -> Str
 
 /// Names a view that is not in the grid of the target.
 fn foreign_title(slope: [f64; 2], target: &ViewGrid) -> &'static str {
-    /// Slopes that differ by less than this are the same direction.
+    /// Slopes that differ by less than this are regarded as one direction.
     const SAME: f64 = 1e-9;
     let place = |slope: f64, of: &[f64]| {
         let (low, high) = of.iter().fold((f64::MAX, f64::MIN), |(low, high), s| (low.min(*s), high.max(*s)));

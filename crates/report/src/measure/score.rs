@@ -76,8 +76,8 @@ impl<'a> Judge<'a> {
         Ok(FieldScore { geometry: geometry.clone(), views, brightness: self.input.stack.brightness })
     }
 
-    /// Scores of a direction of the zone. The error is that of the zone score, which excludes noise
-    /// of the references.
+    /// Returns the scores of a direction of the zone. Its error is the error of the zone score,
+    /// from which the references' noise is removed.
     pub(crate) fn zone_view(&self, view: &ZoneView) -> ViewFigures {
         let figures = self.figures(self.input.target.geometry(), &view.target, &view.seen, &view.seen.valid);
         let count = 3 * view.score.pixels as u64;
@@ -104,7 +104,8 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// For each ray of a view, true if scores include it: it hits the display and has a weight.
+/// Returns, for each ray of a view, true if scores include it. Such a ray hits the display and has
+/// a weight above 0.
 pub(crate) fn counting(
     emitted: &EmittedView,
     geometry: &FieldGeometry,
@@ -115,7 +116,8 @@ pub(crate) fn counting(
     emitted.valid.iter().enumerate().map(|(i, valid)| *valid && weight(i) > 0.0).collect()
 }
 
-/// L̃/β. Rays that scores exclude get the target's value, so that they add neither error nor edges.
+/// Returns L̃/β. A ray that scores exclude gets the target's value, so that it adds neither error
+/// nor edges.
 pub(super) fn seen(emitted: &EmittedView, target: &[f32], brightness: f64, counts: &[bool]) -> Vec<f32> {
     let scale = (1.0 / brightness) as f32;
     let pixels = emitted.radiance.data().chunks_exact(3).zip(target.chunks_exact(3)).zip(counts);

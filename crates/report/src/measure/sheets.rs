@@ -6,8 +6,8 @@ use super::names::{left_to_right, top_to_bottom};
 use crate::picture::{self, Embedded, Encoding, Linear, Picture};
 use crate::{ReportError, ReportInput, format};
 
-/// All target views in one picture, with the topmost row and the leftmost column first. Another
-/// picture has all simulated views in the same arrangement.
+/// Two pictures. One has all target views, with the topmost row and the leftmost column first. The
+/// other has all simulated views in the same arrangement.
 #[derive(Clone, Debug)]
 pub(crate) struct Sheets {
     pub(crate) target: Embedded,
@@ -20,7 +20,7 @@ pub(crate) struct Sheets {
 
 /// Maximum number of pixels of one sheet.
 const SHEET_BUDGET: usize = 2_800_000;
-/// Largest width of a view on a sheet, about the width on the page.
+/// Largest width of a view on a sheet, pixels. It is about the width of a view on the page.
 const VIEW_COLS: usize = 640;
 
 /// The two sheets, while views are added.

@@ -27,7 +27,7 @@ pub(crate) struct Comparison {
     pub(crate) flip: Option<Embedded>,
 }
 
-/// A view at full precision, before it is encoded.
+/// A view at full precision, before it is encoded as pictures.
 pub(super) struct Shown {
     pub(super) title: String,
     pub(super) direction: String,
@@ -75,8 +75,8 @@ impl Shown {
     pub(super) fn of_zone(input: &ReportInput, view: &ZoneView, figures: &ViewFigures) -> Self {
         let geometry = input.target.geometry().with_grid(view.direction.clone());
         let shown = Self::new(input, &geometry, &view.target, &Weights::Uniform, [0, 0], figures, view.seen.clone());
-        // directions near the zone's border are outside of the outermost views, so the title does
-        // not name a view
+        // directions near the zone's border are outside of the target's outermost views, so the
+        // title names no view
         Self { title: "Seen picture".into(), ..shown }
     }
 
@@ -105,7 +105,8 @@ impl Shown {
         }
     }
 
-    /// Encodes the pictures of one of `count` comparisons, reduced by `factor`.
+    /// Encodes the pictures of one comparison, reduced by `factor`. `count` is the number of all
+    /// comparisons.
     pub(super) fn compare(&self, amplification: u32, factor: usize, count: usize) -> Result<Comparison, ReportError> {
         let simulated = self.simulated.shrunk(factor).encoded();
         let (rows, cols) = (self.simulated.rows, self.simulated.cols);

@@ -1,4 +1,4 @@
-//! The depth of the scene compared with that of the display.
+//! The depth of the scene compared with the depth of field of the display.
 
 use maud::{Markup, PreEscaped, html};
 

@@ -13,7 +13,7 @@ use crate::{Found, ReportError, ReportInput, Solution, Stage, format, plot};
 /// The bar of main scores under the title.
 pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     let geometry = input.target.geometry();
-    // the number of views of the solution; only some of them are shown
+    // the number of views for which the solver solved; the page shows only some of them
     let [view_cols, view_rows] = input.display.views();
     let pixels = format!("across × up, {} × {} pixels each", geometry.cols, geometry.rows);
     let db = |value: f64| format!("{} dB", format::decibels(value));
@@ -60,7 +60,7 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     }
 }
 
-/// The zone score, and that of the worst tenth of the directions.
+/// Returns the zone score, and the score of the worst tenth of the directions.
 fn zone_figures(input: &ReportInput) -> (String, String) {
     let db = |value: Option<f64>| value.map_or("not known".into(), |value| format!("{} dB", format::decibels(value)));
     (db(input.zone.and_then(|zone| zone.score.psnr())), db(input.zone.and_then(|zone| zone.score.worst_tenth())))
@@ -128,7 +128,8 @@ struct Heat {
     overall: fn(&FieldScore) -> f64,
     text: fn(f64) -> String,
     unit: &'static str,
-    /// Smallest range of the colours. A smaller range would exaggerate invisible differences.
+    /// Smallest difference of the scores at the ends of the colour scale. A smaller one would
+    /// exaggerate invisible differences.
     narrowest: f64,
     /// The range if no view has a finite value.
     fallback: (f64, f64),
@@ -172,8 +173,8 @@ const HEATS: [Heat; 3] = [
     },
 ];
 
-/// PSNR, SSIM and FLIP of each view, in the arrangement of the views. Other views are next to them,
-/// on the same scale.
+/// PSNR, SSIM and FLIP of each view, in the arrangement of the views. Held-out and outside views
+/// are next to the target views, on the same scale.
 pub(super) fn quality(input: &ReportInput, measured: &Measured) -> Markup {
     html! {
         section id="quality" {

@@ -1,5 +1,5 @@
-//! The masks, in the order in which light goes through the layers: large, in close-ups, and every
-//! frame.
+//! The masks: large pictures, close-ups, and every frame. They have the order in which light goes
+//! through the layers.
 
 use lumistack_display::{Backlight, Display, Formation};
 use maud::{Markup, html};
@@ -73,7 +73,7 @@ fn scale(display: &Display) -> &'static str {
     }
 }
 
-/// Typical features of the masks of such a display (section 3.4 of the paper).
+/// Describes features that masks of such a display typically have (section 3.4 of the paper).
 fn expectation(display: &Display, frames: usize) -> &'static str {
     match (&display.backlight, display.layers.len(), frames) {
         (Backlight::Lenslets(_), _, _) => {
@@ -100,8 +100,8 @@ fn name(n: usize, display: &Display) -> String {
     }
 }
 
-/// All layers of one frame next to each other, with a slider. Its pictures are those of the contact
-/// sheets farther down, which the script copies.
+/// All layers of one frame next to each other, with a slider. The script copies the pictures from
+/// the contact sheets farther down.
 fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     let backlight = patterns.emission.iter().map(|emission| ("backlight".to_string(), &emission.panel.frames));
     let layers = patterns.layers.iter().enumerate().map(|(n, sheet)| (name(n, display), &sheet.frames));
@@ -136,7 +136,7 @@ fn large(sheet: &Sheet, name: &str) -> Markup {
     }
 }
 
-/// The same small section of every frame, at full resolution.
+/// A small section of every frame at full resolution. The section is the same in all frames.
 fn close_up(sheet: &Sheet, name: &str) -> Markup {
     let Some(closeup) = &sheet.closeup else { return html! {} };
     let Window { row, col, rows, cols } = closeup.window;
@@ -168,7 +168,8 @@ fn contact_sheet(sheet: &Sheet, name: &str) -> Markup {
     }
 }
 
-/// Number of columns on a wide page: at most eight, and such that rows have about equal length.
+/// Returns the style with the number of columns on a wide page. There are at most eight columns,
+/// and as many as make the rows about equally long.
 fn across(count: usize) -> String {
     format!("--across:{}", count.div_ceil(count.div_ceil(8)).max(3))
 }

@@ -13,7 +13,7 @@ use crate::{ReportInput, format};
 /// Lists with more entries than this are collapsed at first.
 const FOLD: usize = 60;
 
-/// Warnings are above the pictures, since they may explain them.
+/// Warnings are above the pictures, since they may explain errors of the pictures.
 pub(super) fn warnings(warnings: &[Warning]) -> Markup {
     html! {
         @if !warnings.is_empty() {
@@ -173,7 +173,7 @@ fn backlight(display: &Display) -> String {
     }
 }
 
-/// Any JSON value as a table of keys with dots.
+/// Shows any JSON value as a table. A key inside of other tables is written with dots.
 pub(super) fn facts(name: &str, value: &Value) -> Markup {
     let mut rows = Vec::new();
     flatten(String::new(), value, &mut rows);

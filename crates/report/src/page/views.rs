@@ -37,8 +37,8 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
         return html! {};
     }
     let sheet = |picture: &Embedded, name: &str| {
-        // the sheet of all views is moved so that the central view is visible; the script moves it
-        // further
+        // the sheet of all views is shifted so that the central view is visible; the script shifts
+        // it to other views
         let style = format!(
             "width:{}%;transform:translate({}%,{}%)",
             100 * cols,
@@ -73,7 +73,7 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
 }
 
 /// Views at the corners and the centre, the worst view, and views between and outside of the
-/// target's.
+/// target's views.
 pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
     let grid = &input.target.geometry().grid;
     let one_view = grid.views() == [1, 1];

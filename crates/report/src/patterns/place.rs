@@ -1,9 +1,11 @@
 //! Selects the position of the close-ups: where masks have the finest changes between frames.
 //!
-//! The energy of a mask pixel is the sum over frames and channels of squared differences to the
-//! right and lower neighbour. It is computed on each frame's deviation from the mean over frames;
-//! for a single frame, on the frame. The selected point of z = 0 maximizes a sum over the layers:
-//! the energy within a layer's close-up, divided by that of the whole layer.
+//! The energy of a mask pixel is a sum over frames and channels. It sums the squared differences to
+//! the right and to the lower neighbour. If there are several frames, the sum takes each frame's
+//! deviation from the mean over frames instead of the mask itself.
+//!
+//! The selected point of z = 0 maximizes a sum over the layers. A layer contributes the energy
+//! within its close-up, divided by the energy of the whole layer.
 
 use lumistack_core::Tensor;
 use lumistack_display::{Display, Layer};
@@ -27,7 +29,7 @@ struct Totals {
     sums: Vec<f64>,
 }
 
-/// The windows on all layers around one point of z = 0. `None` if no layer is larger than a
+/// Returns the windows on all layers around one point of z = 0. `None` if no layer is larger than a
 /// close-up.
 pub(super) fn on_layers(display: &Display, layers: &[Tensor<4>]) -> Option<Vec<Window>> {
     let larger = |layer: &Layer| layer.resolution[0] > CLOSEUP[0] || layer.resolution[1] > CLOSEUP[1];
@@ -46,7 +48,7 @@ pub(super) fn on_layers(display: &Display, layers: &[Tensor<4>]) -> Option<Vec<W
         let shares = energies.iter().zip(windows).map(|(energy, window)| energy.share(*window));
         shares.sum::<f64>()
     };
-    // if positions are equal, take the first, so that the result is deterministic
+    // if several positions are equally good, take the first, so that the result is deterministic
     found
         .map(|windows| (gain(&windows), windows))
         .reduce(|best, next| if next.0 > best.0 { next } else { best })
@@ -68,7 +70,8 @@ pub(super) fn on_panel(panel: &Tensor<4>) -> Option<Window> {
 }
 
 impl Window {
-    /// A close-up of a layer around a point of z = 0. It is moved so that it is within the layer.
+    /// Returns a close-up of a layer around a point of z = 0. If necessary, it is shifted to be
+    /// within the layer.
     fn around(layer: &Layer, x_mm: f64, y_mm: f64) -> Self {
         let [cols, rows] = layer.resolution;
         let start = |position_mm: f64, count: usize, size: usize| {
@@ -110,7 +113,7 @@ impl Totals {
                 }
             }
         }
-        // In a summed-area table, four values give the energy of any rectangle.
+        // Make a summed-area table, from which four values give the energy of any rectangle.
         let width = cols + 1;
         let mut sums = vec![0.0; (rows + 1) * width];
         for row in 0..rows {
@@ -123,7 +126,7 @@ impl Totals {
         Self { rows, cols, sums }
     }
 
-    /// Energy in a window divided by the total energy; 0 if the total is 0.
+    /// Returns the energy in a window divided by the total energy; 0 if the total is 0.
     fn share(&self, window: Window) -> f64 {
         let width = self.cols + 1;
         let sum = |row: usize, col: usize| self.sums[row * width + col];
@@ -147,7 +150,8 @@ mod tests {
                     [[layers]]\nd_mm = 0.0\nresolution = [200, 120]\npitch_mm = 1.0\n[[layers]]\nd_mm = 5.0\nresolution = [100, 60]\npitch_mm = 2.0\noffset_mm = [10.0, 0.0]\n";
         let display = Display::from_toml(text).unwrap();
         let mut stack = LayerStack::filled(&display, 0.5);
-        // static texture must be ignored, and patterns that change between frames must be found
+        // the top left pattern is equal in all frames and must be ignored; the other pattern
+        // changes between frames and must be found
         for row in 0..40 {
             for col in 0..40 {
                 for frame in 0..2 {
@@ -161,8 +165,8 @@ mod tests {
         let [first, second] = [windows[0], windows[1]];
         assert!(first.row <= 60 && first.row + first.rows >= 100, "{first:?}");
         assert!(first.col <= 140 && first.col + first.cols >= 180, "{first:?}");
-        // the same position on the coarser layer, which is 10 mm farther to the right, clamped to
-        // the layer
+        // the second layer is coarser and 10 mm farther to the right; its window is at the same
+        // point, or at the layer's border
         let centre_mm = first.col as f64 + 36.0 - 100.0;
         let expected = ((centre_mm - 10.0) / 2.0 + 50.0 - 36.0).round().clamp(0.0, 28.0) as usize;
         assert!(second.col.abs_diff(expected) <= 1 && second.rows == 45, "{second:?}");

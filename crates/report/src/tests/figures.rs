@@ -1,7 +1,7 @@
 //! Numbers of report.json other than PSNR, compared with the display crate or with closed forms.
 //!
 //! Limits are simulated for the central view and the corners. The tests of limits have two by two
-//! views, so these are all views.
+//! views, so these are all of their views.
 
 use lumistack_core::metrics::{Flip, ssim};
 use lumistack_display::{Display, LayerStack, LightField, RayMap, Simulator, ViewGrid, Weights, quantize, score};
@@ -110,7 +110,7 @@ fn brightness_is_relative_to_the_backlight() {
         "{text}"
     );
     assert!(report.html.contains("transmit 25.0 %"));
-    // emissive layers add up, and two rotations of 0.5 give 90°, which transmits all light
+    // emissive layers add up to 1; two rotations of 0.5 give 90°, which transmits all light
     for (formation, open) in [("additive", 1.0), ("polarization", 1.0)] {
         let text = display.to_toml().replacen("\"attenuating\"", &format!("\"{formation}\""), 1);
         let display = Display::from_toml(&text).unwrap();
@@ -150,7 +150,7 @@ fn the_limit_of_rounding_agrees_with_the_score() {
             .unwrap()
             .contains("already contain only the values of the layers' 3 bits")
     );
-    // a display without declared bits is assumed to have 8
+    // a display that declares no bits is assumed to have 8 bits
     let plain_display = two_layers([2, 2], [24, 20], "");
     let levels: Vec<f32> = (0..256).map(|code| lumistack_core::colour::srgb_decode(code as f32 / 255.0)).collect();
     let mut rounded = stack.clone();
@@ -201,7 +201,7 @@ fn ends_of_the_range_are_counted_and_the_limit_of_black_agrees_with_the_score() 
 
 #[test]
 fn a_flattened_tone_curve_is_measured() {
-    // every ray is shown as 0.1 + 0.7·L
+    // the stack shows every target value L as 0.1 + 0.7·L
     let display = display(1, 1, [3, 3], [16, 12], "");
     let mut target = noisy_field(&display, None);
     let mut stack = LayerStack::filled(&display, 0.0);
@@ -220,7 +220,7 @@ fn a_flattened_tone_curve_is_measured() {
         "{figures}"
     );
     assert!(number(&figures["share_of_error"]) > 0.999_99);
-    // a single frame on one layer has as many values as one view has rays
+    // one layer with one frame has as many values as one of the nine views has rays
     let ratio = number(&limit(&report, "Frames")["figures"]["ratio"]);
     assert!((ratio - 1.0 / 9.0).abs() < 1e-9, "{ratio}");
 }
@@ -279,8 +279,8 @@ fn stepped_field(display: &Display, z_mm: f64) -> LightField {
 
 #[test]
 fn error_behind_the_layers_is_found_there() {
-    // one layer on z = 0 contains the central view, so it is exact for content on the display, and
-    // wrong behind it
+    // the layer on z = 0 contains the central view, so the display is exact for content on z = 0
+    // and wrong behind it
     let text = "name = \"one\"\nframes = 1\nbrightness = 1.0\n[field]\nresolution = [160, 40]\npitch_mm = 1.0\nviews = [3, 1]\nfov_deg = [20.0, 20.0]\n[[layers]]\nd_mm = 0.0\nresolution = [160, 40]\npitch_mm = 1.0\n";
     let display = Display::from_toml(text).unwrap();
     let target = stepped_field(&display, -40.0);

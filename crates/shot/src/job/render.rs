@@ -267,8 +267,9 @@ impl RenderJob {
         Self::BYTES_PER_RAY * rays as u64 <= self.field_mib << 20
     }
 
-    /// Bytes of each of the files of a light field that may be in memory. At most two are in use
-    /// at a time; the other half is for views and rows in work.
+    /// Number of bytes of each file of a light field that may be in memory: a quarter of
+    /// `field_mib`. At most two files are in use at a time. The other half is for views and rows
+    /// that are being processed.
     pub fn window_bytes(&self) -> usize {
         (self.field_mib << 18) as usize
     }
@@ -278,7 +279,8 @@ impl RenderJob {
         Self::MOST_RAYS.div_ceil(pixels)
     }
 
-    /// Paths per pixel of each of `views` views if the number is not measured.
+    /// Number of paths for each pixel of a view, if the light field has `views` views and the
+    /// number is not measured.
     pub fn samples_of_view(&self, views: usize) -> u32 {
         let spread = (f64::from(self.zone_samples.count()) / views.max(1) as f64).round().clamp(1.0, 65536.0) as u32;
         // a filter compares two halves, so it needs two paths

@@ -28,15 +28,15 @@ const AZIMUTHS: [f64; 8] = [0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0]
 const ELEVATIONS: [f64; 7] = [0.0, 20.0, 40.0, 55.0, -20.0, -40.0, -55.0];
 /// The front stays if it shows this fraction of the largest area.
 const FRONT_SHARE: f64 = 0.125;
-/// The same for captures. Their axes come from training, so +z is not preferred. A guitar on its
-/// stand shows its edge to +z, 0.69 of the largest area, and is seen from another side. A person in
-/// profile shows 0.79 and is not.
+/// The same fraction for captures, whose axes come from training, so +z is not preferred. Two
+/// examples: the edge of a guitar shows 0.69 of the largest area to +z, so the guitar is seen from
+/// another side. A person in profile shows 0.79 to +z, which suffices.
 const CAPTURE_SHARE: f64 = ENOUGH;
 /// Another direction is good enough if it shows this fraction of the largest area. So an elevation
 /// of 40° suffices for a flat board, which shows most at 55° (sin 40° / sin 55° = 0.78). A card is
 /// seen face on, since it shows only 0.71 from 45°.
 const ENOUGH: f64 = 0.745;
-/// Columns and rows of the rays along a candidate direction.
+/// Numbers of columns and rows of the rays along a candidate direction.
 const PROBE: [usize; 2] = [96, 60];
 
 /// Computes the forward and up vectors of a viewer, from the azimuth to the right of +z and the
@@ -50,7 +50,7 @@ pub(crate) fn directions([azimuth_deg, elevation_deg]: [f64; 2]) -> [DVec3; 2] {
 /// Returns the smallest window that holds the visible scene from a direction.
 ///
 /// # Errors
-/// As [`Window::framing`].
+/// The same errors as [`Window::framing`].
 pub(crate) fn framed(scene: &Scene, from_deg: [f64; 2], size_mm: [f64; 2]) -> Result<Window, WindowError> {
     if from_deg == FRONT {
         return Window::framing(scene.seen_bounds(), size_mm);

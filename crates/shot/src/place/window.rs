@@ -17,7 +17,7 @@ const MARGIN: f64 = 0.03;
 const COVERAGE: f64 = 0.26;
 /// Smallest width of a window, relative to the view of a camera that the job does not name.
 const CLOSEST: f64 = 0.58;
-/// Largest number of columns of the straight view that finds where the scene is visible.
+/// Largest number of columns of the view from straight ahead that finds where the scene is visible.
 const PROBE_COLS: usize = 336;
 
 /// A window before depth is fitted.
@@ -27,7 +27,7 @@ pub struct Found {
     pub window: Window,
     /// True if the user chose the depth of the window: by numbers or by a focus distance.
     pub chosen: bool,
-    /// Azimuth and elevation of the viewer that framed the scene, degrees.
+    /// Azimuth and elevation of the viewer for whom the scene was framed, degrees.
     pub looked_from_deg: Option<[f64; 2]>,
 }
 
@@ -84,8 +84,8 @@ fn unlimited_window<S: Subject>(
     if job.from == WindowFrom::Camera && camera.is_none() {
         return Err(ShotError::value(&scene.name, "window.from", "a camera in the scene", "none").into());
     }
-    // The frame is seen from the job's direction or the best side, then shrunk to the visible
-    // scene.
+    // The window frames the scene from the job's direction or the best side, and then shrinks to
+    // the visible scene.
     let framed = || -> Result<Found, S::Error> {
         let from_deg = match job.look_from {
             Some(from_deg) => from_deg,
@@ -125,7 +125,7 @@ fn close_up<S: Subject>(
     let of = format!("{window:?} {recentre}");
     let (place, factor): ([f64; 2], f64) = subject.remembered("window", &of, || {
         let renderer = subject.renderer(task)?;
-        // a coarse straight view suffices to locate the scene
+        // a coarse view from straight ahead suffices to locate the scene
         let cols = geometry.cols.min(PROBE_COLS);
         let pitch_mm = window.size_mm[0] / cols as f64;
         let rows = ((window.size_mm[1] / pitch_mm).round() as usize).max(1);
@@ -153,8 +153,8 @@ fn extents(mask: &Tensor<2>) -> Option<[[usize; 2]; 2]> {
     Some([seen(0, rows)?, seen(1, cols)?])
 }
 
-/// Returns the region of a picture that holds every set pixel and a [margin](MARGIN). It is given
-/// by a factor on the picture's size, and by its centre [row, column] in pixels.
+/// Returns the region of a picture that holds every set pixel and a [margin](MARGIN). The region is
+/// given by a factor on the picture's size, and by its centre [row, column] in pixels.
 fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let size = mask.shape();
     let Some(seen) = extents(mask) else { return (1.0, size.map(|count| 0.5 * count as f64)) };
@@ -235,8 +235,8 @@ mod tests {
 
     #[test]
     fn a_camera_comes_closer_but_cuts_nothing_off() {
-        // two fifths of the height, right of the middle: at a factor of 0.82 it covers enough, but
-        // is cut off at the right
+        // An object of two fifths of the height is right of the middle. A region of factor 0.82
+        // would show it large enough, but would cut it off at the right.
         let beside = mask(100, 160, |row, col| (30..70).contains(&row) && (80..150).contains(&col));
         let (factor, centre) = closer(&beside);
         assert_eq!(centre, [50.0, 80.0], "a camera's axis stays in the middle");

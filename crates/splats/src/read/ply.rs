@@ -18,7 +18,7 @@ use super::found::{Axes, Found, ReadError, cloud, constant, degree_of, exp, from
 
 /// Largest size of a header in bytes; the end of the header is searched only so far.
 const MAX_HEADER: usize = 1 << 16;
-/// Splats per chunk of the compressed form.
+/// Number of splats per chunk of the compressed form.
 const CHUNK: usize = 256;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -231,7 +231,7 @@ fn packed(
         let [w, x, y, z] = from_smallest_three(rest_of, (bits >> 30) as usize);
         cloud.rotations.push(Quat::from_xyzw(x, y, z, w));
         let bits = word(&colour, i);
-        // Colours and opacities are stored as such, so a colour is converted to a coefficient.
+        // Colours and opacities are stored directly, so a colour is converted to a coefficient.
         let rgb = [24, 16, 8].map(|shift| unit(bits, shift, 8));
         cloud.harmonics.extend([0, 1, 2].map(|c| {
             let [low, high] =

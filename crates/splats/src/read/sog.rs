@@ -17,7 +17,7 @@ use super::found::{Axes, Found, MAX_BYTES, ReadError, cloud, degree_of, exp, fro
 
 /// Largest file in a bundle, in bytes.
 const MAX_PICTURE: u64 = 1 << 30;
-/// Entries of the palette per row of the picture of harmonics.
+/// Number of entries of the palette per row of the picture of harmonics.
 const PER_ROW: usize = 64;
 
 #[derive(Deserialize)]

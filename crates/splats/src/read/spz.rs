@@ -62,7 +62,7 @@ impl Header {
         Ok(Self { version, count: word(8) as usize, degree, fractional_bits, flags: bytes[14] })
     }
 
-    /// Bytes per splat of positions, opacities, colours, scales, rotations and harmonics.
+    /// Number of bytes per splat of positions, opacities, colours, scales, rotations and harmonics.
     fn strides(&self) -> [usize; 6] {
         let position = if self.version == 1 { 6 } else { 9 };
         let rotation = if self.version >= 3 { 4 } else { 3 };

@@ -24,7 +24,7 @@ const LIMIT: f32 = 0.5 * CUTOFF * CUTOFF / 16.0;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Flat {
     pub(crate) at: [f32; 2],
-    /// a, b, c of u/16 = a dx² + b dx dy + c dy².
+    /// a, b, c of u/16 = a dx² + b dx dy + c dy²; a splat of opacity o has o e^(−u) at a pixel.
     pub(crate) conic: [f32; 3],
     pub(crate) opacity: f32,
     pub(crate) colour: [f32; 3],

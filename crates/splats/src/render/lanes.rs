@@ -40,7 +40,7 @@ impl Eyes {
 pub(crate) struct Projected {
     /// Column and row of the projected centre.
     pub(crate) at: [Lane; 2],
-    /// a, b, c of u/16 = a dx² + b dx dy + c dy².
+    /// a, b, c of u/16 = a dx² + b dx dy + c dy²; a splat of opacity o has o e^(−u) at a pixel.
     pub(crate) conic: [Lane; 3],
     /// Half the extent along each axis, in pixels.
     pub(crate) reach: [Lane; 2],

@@ -2,12 +2,15 @@
 //!
 //! The splats that any view shows in the tile come in order of depth, a chunk at a time. A chunk is
 //! projected for all views together. Each view blends in its own order. A splat is blended as soon
-//! as no later splat can be nearer. That follows from these bounds of distances:
+//! as no splat of a later chunk can be nearer. These bounds of the distances in a chunk decide it:
 //!
 //! ```text
 //! parallel rays:   distance = −(s·p + z (1 + s²)) ≥ −s·c − |s|₁ r − z₁ (1 + s²)
 //! from an eye:     distance² = (D − z)² (1 + s²)  ≥ (D − z₁)² (1 + least s²)
 //!
+//! s    slope of the ray through the splat's centre
+//! p, z projected centre of the splat, and its depth
+//! D    distance of the eye from the window
 //! c    centre of the tile
 //! r    largest distance from c, along x or y, of the centres of the chunk's splats
 //! z₁   depth of the chunk's first splat
@@ -110,13 +113,14 @@ pub(crate) struct Cuts<'a> {
 /// The views of a block.
 pub(crate) struct Views<'a> {
     pub(crate) eyes: Vec<Eye>,
-    /// Two eyes whose projections bound those of all others.
+    /// Two eyes whose projections bound the projections of all eyes.
     pub(crate) ends: Vec<Eye>,
     cuts: Vec<Option<Cuts<'a>>>,
     lanes: Eyes,
     /// Per placed cloud, the harmonics of each view's direction, for parallel rays.
     bases: Vec<[Lane; MOST]>,
-    /// Per placed cloud, the columns of the map of directions.
+    /// Per placed cloud, the columns of the map from directions in pixels to directions of the
+    /// cloud.
     cloud_from_pixels: Vec<[[f32; 3]; 3]>,
 }
 

@@ -61,9 +61,9 @@ fn opposite(topology: &Topology, corner: u32) -> u32 {
     topology.corners[topology.next(topology.next(corner)) as usize]
 }
 
-/// Unit normals, and the index of the normal of each corner. `control` are the level's points,
-/// `surface` their limit positions. At level 0, at corners and for bilinear surfaces the weights do
-/// not apply, and a normal is the mean of the faces' normals, weighted by angle.
+/// Returns unit normals, and the index of the normal of each corner. `control` are the level's
+/// points, and `surface` their limit positions. The weights do not apply at level 0, at corners and
+/// to bilinear surfaces. There a normal is the mean of the faces' normals, weighted by angle.
 pub(super) fn normals(
     topology: &Topology,
     scheme: Scheme,
@@ -95,8 +95,8 @@ pub(super) fn normals(
     (values, indices)
 }
 
-/// Neighbours along the edges of a fan, counter-clockwise. An open fan has one more neighbour than
-/// corners.
+/// Returns the neighbours along the edges of a fan, counter-clockwise. An open fan has one
+/// neighbour more than it has corners.
 fn spokes(topology: &Topology, fan: &Fan) -> Vec<u32> {
     let end = |corner: u32| topology.corners[topology.next(corner) as usize];
     let mut spokes: Vec<u32> = fan.corners.iter().map(|&corner| end(corner)).collect();
@@ -152,8 +152,9 @@ fn crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -
     (at(first) - at(last)).cross(across)
 }
 
-/// Normal on one side of a crease of triangles (Hoppe et al. 1994). The tangent across it is −sin θ
-/// (e₀ + e_k) + (2 − 2 cos θ) Σ sin iθ e_i. Fewer than four faces have their own weights.
+/// Normal on one side of a crease of triangles (Hoppe et al. 1994). The tangent across the crease
+/// is −sin θ (e₀ + e_k) + (2 − 2 cos θ) Σ sin iθ e_i. A crease with fewer than four faces on this
+/// side has weights of its own.
 fn triangle_crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -> DVec3) -> DVec3 {
     let points: Vec<DVec3> = spokes(topology, fan).into_iter().map(&at).collect();
     let here = at(vertex);

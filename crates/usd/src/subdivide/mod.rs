@@ -5,7 +5,7 @@
 //! the next level. It depends on the topology alone, so all vertex data share its weights.
 //! Refinement is uniform, and each level reduces sharpness by 1 (DeRose, Kass, Truong 1998). A
 //! fractional sharpness blends two rules. The last level is projected to the limit surface, and the
-//! normals are those of its exact tangent planes.
+//! normals are perpendicular to its exact tangent planes.
 //!
 //! Face-varying data are vertex data of a second mesh. It has the same faces, and one vertex per
 //! distinct value at a vertex, so seams are its boundaries.
@@ -40,17 +40,18 @@ pub(crate) enum Boundary {
     EdgeAndCorner,
 }
 
-/// Rules for where face-varying data are not smoothed (`faceVaryingLinearInterpolation`).
+/// Rules that state where face-varying data are not smoothed (`faceVaryingLinearInterpolation`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum FaceVarying {
     /// Data are smoothed everywhere, also at seams and their corners.
     None,
-    /// A value of a single face at a vertex is not smoothed.
+    /// A value at a vertex is not smoothed if only one face has this value there.
     CornersOnly,
-    /// As `CornersOnly`, also where three or more values share a vertex.
+    /// As `CornersOnly`. Also, values are not smoothed at a vertex that has three or more of them.
     #[default]
     CornersPlus1,
-    /// As `CornersPlus1`, also where a seam ends or surrounds a single face.
+    /// As `CornersPlus1`. Also, values are not smoothed at the end of a seam, or if one of two
+    /// values at a vertex belongs to a single face.
     CornersPlus2,
     /// Values at seams are not smoothed.
     Boundaries,
@@ -81,10 +82,11 @@ pub(crate) struct Cage<'a> {
 
 /// Number of levels of refinement for most meshes.
 const LEVEL: u32 = 2;
-/// If more triangles than this would result, refinement stops one level earlier, since a dense mesh
-/// is already smooth.
+/// Largest number of triangles for [`LEVEL`]. A dense mesh is already smooth, so it is refined
+/// less.
 const MOST_TRIANGLES: usize = 200_000;
-/// Number of levels for a mesh of few faces, whose outline would show corners after [`LEVEL`].
+/// Number of levels for a mesh of few faces, whose outline would still show corners after [`LEVEL`]
+/// levels.
 const SPARSE_LEVEL: u32 = 4;
 /// Largest number of triangles for which [`SPARSE_LEVEL`] applies.
 const SPARSE_TRIANGLES: usize = 8_000;
@@ -237,7 +239,8 @@ impl Refinement {
         let starts = starts.collect();
         let mut sharpness = vec![0.0; groups.len()];
         for (vertex, range) in groups_of_vertex.iter().enumerate() {
-            // at a boundary corner, the rule of the data applies, not the rule of the mesh
+            // at a boundary corner, the rule of the face-varying data applies, not the rule of the
+            // mesh
             let given = self.cage.vertex_sharpness[vertex];
             let lone = self.cage.corners_at(vertex as u32).len() == 1;
             sharpness[range.clone()].fill(if lone && rule == FaceVarying::None { 0.0 } else { given });
@@ -267,8 +270,8 @@ impl Refinement {
         Some(Indexed { values: refined, indices })
     }
 
-    /// Unit normals of the surface with these control points: one per smooth region around each
-    /// vertex.
+    /// Returns the unit normals of the surface with these control points. A vertex has one normal
+    /// for each smooth region around it.
     pub(crate) fn normals(&self, points: &[f32]) -> Indexed {
         let control = vectors(&self.refine_values(&self.levels, points, 3));
         let surface = vectors(&self.vertex(points, 3));
@@ -282,8 +285,8 @@ impl Refinement {
         levels.iter().fold(values.to_vec(), |values, stencils| stencils.apply(&values, width))
     }
 
-    /// The projection to the limit surface; `None` if it does not apply, at level 0 and for
-    /// bilinear surfaces.
+    /// Returns the projection to the limit surface; `None` at level 0 and for bilinear surfaces,
+    /// where it does not apply.
     fn limit(&self, finest: &Topology) -> Option<Stencils> {
         (self.level > 0 && self.scheme != Scheme::Bilinear).then(|| limit::positions(finest, self.scheme))
     }
@@ -353,13 +356,14 @@ fn crease(topology: &mut Topology, cage: &Cage<'_>) {
 }
 
 /// Makes face-varying values at a vertex infinitely sharp if the rule requires it. `inside` is true
-/// if the vertex is not on the mesh's boundary.
+/// if the vertex is inside the mesh, not on its boundary.
 fn pin(topology: &mut Topology, rule: FaceVarying, values: Range<u32>, inside: bool) {
     let lone = |value: u32| topology.corners_at(value).len() == 1;
     let at_seam = |value: u32| topology.is_boundary(value);
     let many = values.len() >= 3;
     let cornered = values.len() == 2 && values.clone().any(lone);
-    // a seam ends at a vertex inside the mesh that has a single value on a seam
+    // a seam ends at a vertex inside the mesh if the vertex has only one value and this value is on
+    // a seam
     let ends = |value: u32| inside && values.len() == 1 && at_seam(value);
     let pinned: Vec<u32> = values
         .clone()

@@ -63,7 +63,8 @@ pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Sten
     let mut stencils = Stencils::with_capacity(children);
     for vertex in 0..topology.vertex_count as u32 {
         child_vertex(&mut stencils, topology, vertex, |stencils, weight| {
-            // (n − 2)/n for the vertex, 1/n² for each neighbour and for each face's midpoint
+            // weights: (n − 2)/n for the vertex, 1/n² for each neighbour and for each face's
+            // midpoint
             let corners = topology.corners_at(vertex);
             let n = topology.edges_at(vertex).count() as f64;
             stencils.add(vertex, weight * (n - 2.0) / n);
@@ -76,8 +77,8 @@ pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Sten
             }
         });
     }
-    // Add the children of edges: the midpoint for a crease, otherwise with the midpoints of the
-    // faces.
+    // Add the children of edges. On a crease, a child is the edge's midpoint. Elsewhere the
+    // midpoints of the two faces are averaged in.
     for edge in &topology.edges {
         let crease = if edge.joined { f64::from(edge.sharpness.min(1.0)) } else { 1.0 };
         let faces = edge.corners.map(|corner| topology.face_of_corner.get(corner as usize));
@@ -128,7 +129,8 @@ pub(super) fn loop_scheme(topology: &Topology) -> Stencils {
     stencils
 }
 
-/// Weight of each neighbour of a smooth vertex of a triangle mesh.
+/// Returns the weight of each neighbour of a smooth vertex with `count` neighbours, for Loop's
+/// scheme.
 pub(super) fn loop_weight(count: usize) -> f64 {
     let beta = 0.375 + 0.25 * (TAU / count as f64).cos();
     (0.625 - beta * beta) / count as f64
@@ -214,8 +216,8 @@ pub(super) fn split(topology: &Topology, triangles: bool) -> (Topology, Vec<u32>
     let mut finer = Topology::new(topology.vertex_count + added, starts, corners, sharpness);
     let first_edge_child = topology.vertex_count as u32;
     for edge in &mut finer.edges {
-        // One end of half an edge is a vertex of the parent (the lower index), the other end is the
-        // edge's midpoint.
+        // An edge that is a half of a parent's edge has two ends. The lower index is a vertex of
+        // the parent mesh, and the higher index is the midpoint of the parent's edge.
         let [low, high] = edge.ends;
         if edge.joined
             && low < first_edge_child

@@ -95,8 +95,8 @@ fn a_cube_has_the_points_of_the_textbook() {
     for face in &first[20..] {
         assert!((face.length() - 1.0).abs() < ROUNDING);
     }
-    // Limits: corners are at half the cube's corners, since the weights also hold on the cube
-    // itself; centres of faces are at 68/81.
+    // On the limit surface, corners are at half the cube's corners, since the weights also apply to
+    // the cube itself. Centres of faces are at 68/81.
     for level in 1..=4 {
         let surface = limit(&cage, level, &cube.flat());
         for (point, on_surface) in cube.points.iter().zip(&surface) {
@@ -169,7 +169,7 @@ fn a_regular_mesh_is_a_bicubic_b_spline() {
     let slope = |t: f64| {
         [-3.0 * (1.0 - t).powi(2), 9.0 * t * t - 12.0 * t, -9.0 * t * t + 6.0 * t + 3.0, 3.0 * t * t].map(|b| b / 6.0)
     };
-    // Only the inner faces are compared: in them x and y of the surface are the parameters.
+    // Compare only inner faces, where the surface's x and y equal the parameters of the spline.
     let mut checked = 0;
     let mut corner = 0;
     for (_, face) in refinement.faces() {
@@ -205,9 +205,9 @@ fn a_regular_mesh_is_a_bicubic_b_spline() {
     assert_near(surface[0], mesh.points[0], 0.0);
 }
 
-/// The limit does not depend on the level at which it is computed, so weights, creases, boundaries
-/// and refinement agree. All creases are closed or end at boundaries. Where a crease ends inside,
-/// the smooth weights are only an approximation, as in OpenSubdiv.
+/// The limit does not depend on the level from which it is computed. This shows that weights,
+/// creases, boundaries and refinement agree. All creases here are closed or end at boundaries.
+/// Where a crease ends inside, the smooth weights are only an approximation, as in OpenSubdiv.
 #[test]
 fn limits_are_the_same_from_every_level() {
     let (open, cube) = (Mesh::grid(4, false, 11), Mesh::cube());
@@ -246,8 +246,8 @@ fn normals_are_those_of_the_fine_surface() {
                 });
                 by_vertex
             };
-            // Vertices keep their indices: exact normals at level 1 are compared with the small
-            // faces of level 5.
+            // Vertices keep their indices over the levels. So exact normals at level 1 can be
+            // compared with the small faces of level 5.
             let count = mesh.points.len();
             let fine = Refinement::new(&cage, 5);
             let surface = vectors(&fine.vertex(&mesh.flat(), 3));
@@ -283,12 +283,12 @@ fn sharp_edges_stay_and_sharpness_falls_by_one_a_level() {
     assert_eq!(creased(&[1.0; 12], 1), creased(&[f32::INFINITY; 12], 1));
     assert!(creased(&[1.0; 12], 2)[0].x > -1.0 + 0.1);
     assert_eq!(creased(&[0.0; 12], 2), control(&cube.cage(Scheme::CatmullClark), 2, &cube.flat()));
-    // half the sharpness gives the midpoint of both results
+    // half the sharpness gives the midpoint of the smooth and the sharp result
     let (smooth, half, sharp) = (creased(&[0.0; 12], 1), creased(&[0.5; 12], 1), creased(&[1.0; 12], 1));
     for ((smooth, half), sharp) in smooth.iter().zip(&half).zip(&sharp) {
         assert_near(*half, smooth.midpoint(*sharp), ROUNDING);
     }
-    // sharpness per edge instead of per crease
+    // one sharpness per edge, instead of one per crease
     let mut cage = cube.cage(Scheme::CatmullClark);
     (cage.crease_indices, cage.crease_lengths, cage.crease_sharpnesses) = (&[0, 1, 3], &[3], &[0.0, 10.0]);
     let points = control(&cage, 1, &cube.flat());
@@ -383,7 +383,7 @@ fn bilinear_surfaces_are_only_cut() {
     let normals = refinement.normals(&cube.flat());
     let flat = vectors(&normals.values);
     assert!(flat.iter().all(|normal| normal.abs().max_element() > 0.999_99));
-    // varying data of a smooth surface equal those of the bilinear surface
+    // a smooth surface has the same varying data as the bilinear surface
     let smooth = Refinement::new(&cube.cage(Scheme::CatmullClark), 2);
     assert_eq!(smooth.varying(&cube.flat(), 3), refinement.vertex(&cube.flat(), 3));
 }
@@ -535,6 +535,7 @@ fn levels_stop_at_the_budget() {
     assert_eq!(affordable_level(4000, 2, 7_999), 0);
     assert_eq!(affordable_level(usize::MAX, 9, 200_000), 0);
     assert_eq!(affordable_level(0, 3, 0), 3);
-    // a cube, a mesh of a thousand quadrilaterals, and dense ones
+    // numbers of corners: a cube, one more than level 4 allows, 1000 quadrilaterals, and three
+    // dense meshes
     assert_eq!([24, 63, 4000, 25_000, 30_000, 200_000].map(level_for), [4, 3, 2, 2, 1, 0]);
 }

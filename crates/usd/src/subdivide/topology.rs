@@ -42,7 +42,8 @@ impl Lists {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Edge {
     pub(super) ends: [u32; 2],
-    /// Indices of one or two of these corners.
+    /// Two of the corners at which the edge starts. The second one is [`NONE`] if there is only
+    /// one.
     pub(super) corners: [u32; 2],
     /// True if the edge has exactly two faces that agree on the front side.
     pub(super) joined: bool,
@@ -87,8 +88,8 @@ pub(super) struct Fan {
 }
 
 impl Topology {
-    /// Builds a topology. All vertices of faces must be below `vertex_count`; `starts` is as in the
-    /// field. A vertex that several separate fans share becomes infinitely sharp.
+    /// Builds a topology. All vertices of faces must be below `vertex_count`. `starts` is the field
+    /// of the same name. A vertex that several separate fans share becomes infinitely sharp.
     pub(super) fn new(vertex_count: usize, starts: Vec<u32>, corners: Vec<u32>, vertex_sharpness: Vec<f32>) -> Self {
         let mut face_of_corner = vec![0; corners.len()];
         for face in 0..starts.len() - 1 {
@@ -213,7 +214,8 @@ impl Topology {
         }
     }
 
-    /// Runs of corners around a vertex, separated by gaps and by edges for which `splits` is true.
+    /// Returns the fans around a vertex. Fans are separated by gaps, and by edges for which
+    /// `splits` is true.
     pub(super) fn fans(&self, vertex: u32, splits: impl Fn(&Edge) -> bool) -> Vec<Fan> {
         let corners = self.corners_at(vertex);
         let across = |edge: &Edge, corner: u32| {
@@ -259,7 +261,7 @@ impl Topology {
     }
 }
 
-/// A sharpness after `passed` levels.
+/// Returns a sharpness after `passed` levels of refinement.
 pub(super) fn weaker(sharpness: f32, passed: f32) -> f32 {
     if sharpness >= INFINITE { f32::INFINITY } else { (sharpness - passed).max(0.0) }
 }

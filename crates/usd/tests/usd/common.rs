@@ -4,8 +4,8 @@ use std::ffi::OsString;
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
-/// The Python that `LUMISTACK_PYTHON` names, if it has OpenUSD; otherwise reports the test as
-/// skipped.
+/// Returns the Python that `LUMISTACK_PYTHON` names, if it has OpenUSD. Otherwise reports the test
+/// as skipped.
 pub fn python() -> Option<OsString> {
     static FOUND: OnceLock<Option<OsString>> = OnceLock::new();
     let found = FOUND.get_or_init(|| {

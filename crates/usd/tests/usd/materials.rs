@@ -107,7 +107,7 @@ fn opacity_cuts_or_blends_and_shares_the_texture_of_the_colour() {
     assert_eq!(material.alpha_mode, AlphaMode::Mask { cutoff: 0.25 });
     // the picture itself, since colours and alpha are where the slot reads them
     assert_eq!(texels(&scene, material.base_color_texture.unwrap().texture), [[255, 0, 51, 255], [0, 102, 204, 128]]);
-    // opacity from green, with a constant colour: the texture is white with that alpha
+    // opacity comes from green and the colour is constant, so the texture is white with this alpha
     let (scene, material, _) = preview(json!({"opacity": texture(&[1], 1.0, 0.0, "raw")}));
     assert_eq!((material.alpha_mode, material.base_color), (AlphaMode::Blend, Vec4::new(0.18, 0.18, 0.18, 1.0)));
     assert_eq!(
@@ -179,7 +179,7 @@ fn normal_maps_are_decoded_as_the_shader_says() {
     assert_eq!(material.normal_scale, 1.0);
     assert_eq!(texels(&scene, material.normal_texture.unwrap().texture)[0], [255, 0, 51, 255]);
     assert_eq!(scene.meshes[0].tangents.len(), scene.meshes[0].positions.len());
-    // green is inverted, as some programs bake it
+    // in this map green is inverted, as some programs write it
     let mut flipped = texture(&[0, 1, 2], 2.0, -1.0, "raw");
     (flipped["texture"]["scale"][1], flipped["texture"]["bias"][1]) = (json!(-2.0), json!(1.0));
     let (scene, material, _) = preview(json!({"normal": flipped}));
@@ -199,8 +199,8 @@ fn textures_are_placed_by_their_primvar_and_transform() {
     other["texture"]["primvar"] = json!("lightmap");
     let (scene, material, _) = preview(json!({"diffuseColor": moved, "roughness": other}));
     let base = material.base_color_texture.unwrap();
-    // USD's (0.5, 0.25) is (0.5, 0.75) in the scene. It maps to (1.25, 1.25), in the scene (1.25,
-    // −0.25).
+    // USD's (0.5, 0.25) is (0.5, 0.75) in the scene, where v points down. USD's transform maps it
+    // to (1.25, 1.25), which is (1.25, −0.25) in the scene.
     let found = base.texture_from_mesh.transform_point2(Vec2::new(0.5, 0.75));
     assert!((found - Vec2::new(1.25, -0.25)).length() < 1e-6, "{found}");
     assert_eq!((base.uv_set, material.metallic_roughness_texture.unwrap().uv_set), (0, 1));
@@ -363,7 +363,8 @@ fn domes_look_the_way_openexr_does() {
     let near = |a: Vec3, b: Vec3| assert!((a - b).length() < 1e-6, "{a} {b}");
     let environment = dome(json!({"kind": "dome", "radiance": [2, 3, 4], "image": 0}));
     assert_eq!(environment.strength, Vec3::new(2.0, 3.0, 4.0));
-    // in the scene's picture the centre is −z and the right edge +x; in USD they are +z and −x
+    // the picture's centre is −z and its right edge +x in the scene's environment; in USD they are
+    // +z and −x
     let turn = environment.scene_from_environment;
     near(turn * Vec3::NEG_Z, Vec3::Z);
     near(turn * Vec3::X, Vec3::NEG_X);

@@ -47,7 +47,7 @@ fn file(header: &Value, data: &[u8]) -> Vec<u8> {
 }
 
 /// A mesh of two squares, one of which is a subset; and a camera. An instancer has five copies,
-/// three of which have this prototype. Each copy occurs twice.
+/// three of which are copies of this mesh. A second link doubles each copy.
 fn sample() -> (Value, Vec<u8>) {
     let mut buffers = Buffers::default();
     let header = json!({
@@ -95,7 +95,7 @@ fn a_package_becomes_a_scene() {
     let scene = load(&file(&header, &data)).unwrap().unwrap();
     assert_eq!((scene.meshes.len(), scene.instances.len(), scene.cameras.len()), (2, 12, 1));
     assert_eq!(scene.triangle_count(), 24);
-    // with z up, 9 + 4 along z is 13 along y
+    // z points up, so 9 + 4 along z becomes 13 along y
     assert!((scene.bounds().max.y - 13.0).abs() < 1e-5, "{:?}", scene.bounds());
     assert_eq!(scene.cameras[0].focus_distance, Some(2.0));
 }

@@ -225,7 +225,7 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
         node("ND_remap_vector3FA", "tex", ends).replace("\"last\"", "\"remapped\"")
     });
     assert_eq!(through(&decoded), Some(plain.clone()));
-    // the strength of a map is the weight of a mix with the surface's normal
+    // a mix with the surface's own normal (0, 0, 1) sets the strength of the map
     let mixed = r#"def Shader "last" {
             uniform token info:id = "ND_mix_vector3"
             float3 inputs:fg.connect = </m/map.outputs:out>
@@ -269,7 +269,7 @@ fn a_lamp_is_as_bright_in_every_syntax() {
              color3f inputs:in2 = (8, 4, 2)\n color3f outputs:out\n }}"
         )
     };
-    // the same emission as constants
+    // the emission (8, 4, 2) from constants
     let constant = [
         ("UsdPreviewSurface", "color3f inputs:emissiveColor = (8, 4, 2)"),
         ("ND_UsdPreviewSurface_surfaceshader", "color3f inputs:emissiveColor = (8, 4, 2)"),
@@ -290,7 +290,7 @@ fn a_lamp_is_as_bright_in_every_syntax() {
         assert_eq!(found.emission, Vec3::new(8.0, 4.0, 2.0), "{id}");
         assert!(scene.is_lit(), "{id}");
     }
-    // the same emission from a picture
+    // the same emission (8, 4, 2) from a picture
     let textured = [
         ("UsdPreviewSurface", "color3f inputs:emissiveColor.connect = </m/tinted.outputs:out>"),
         (
@@ -343,8 +343,8 @@ fn curves_and_points_without_widths_take_a_share_of_their_spacing() {
         let mesh = scene.meshes.iter().find(|mesh| mesh.place == place).unwrap();
         mesh.positions.iter().map(|p| p.x).fold(f32::INFINITY, f32::min)
     };
-    // the spacing is 1 and the bounds are 9 × 9 × 9: the width is at most 0.5 % of their diagonal,
-    // 15.6
+    // the spacing is 1, and the bounds are 9 × 9 × 9 with the diagonal 15.6; the width is limited
+    // to 0.5 % of it
     assert!((lowest("/hair") + 0.5 * 0.005 * 243f32.sqrt()).abs() < 1e-4, "{}", lowest("/hair"));
     assert!((lowest("/alone") + 0.5 * 0.005 * 1000.0).abs() < 1e-2, "{}", lowest("/alone"));
     assert!((lowest("/dots") + 0.5 * 0.75 * 2.0).abs() < 1e-3, "{}", lowest("/dots"));
@@ -421,7 +421,8 @@ fn shapes_other_than_meshes_are_there() {
     near(extent("/can"), Vec3::new(2.0, 1.0, 1.0));
     near(extent("/dots"), Vec3::new(1.0, 1.0, 10.0));
     assert!((extent("/hair").y - 5.0).abs() < 1e-5);
-    // the limit surface of a cube: the middle of a face is at 68/81; four levels, of 6 faces
+    // on the limit surface of a cube, the middle of a face is at 68/81; four levels turn 6 faces
+    // into 3072 triangles
     near(extent("/smooth"), Vec3::splat(68.0 / 81.0));
     let smooth = scene.meshes.iter().find(|mesh| mesh.place == "/smooth").unwrap();
     assert_eq!((smooth.triangles.len(), smooth.positions.len()), (3072, 1538));

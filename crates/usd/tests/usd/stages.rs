@@ -254,8 +254,8 @@ fn leg(meshes: &str) -> String {
     )
 }
 
-/// A triangle on the leg: corner i follows the joint with index `indices[i]` in the mesh's own
-/// list.
+/// A triangle on the leg. Corner i follows the joint with index `indices[i]` in the mesh's own list
+/// of joints.
 fn on_leg(name: &str, joints: &str, indices: [usize; 3], interpolation: &str) -> String {
     format!(
         r#"def Mesh "{name}" (prepend apiSchemas = ["SkelBindingAPI"]) {{

@@ -1,5 +1,5 @@
-//! A preview on the GPU: layers as texture arrays with one slice per frame, and the tables of the
-//! rays' hits.
+//! Draws a preview on the GPU. Each layer is a texture array with one slice per frame. Tables, also
+//! as textures, state where the rays hit the layers.
 
 use js_sys::Float32Array;
 use lumistack_display::{Backlight, Formation, Missing};
@@ -10,12 +10,13 @@ use super::parts::{check, location, message, program, texture};
 use crate::preview::Part;
 use crate::{Error, Model, err};
 
-/// One triangle that covers the canvas.
+/// Vertex shader of one triangle that covers the canvas.
 const FULL: &str = include_str!("../shaders/full.vert.glsl");
-/// Computes the seen picture at every pixel of the field. It is the mean light of rays: a ray for
-/// every part of the pixel and every point of the pupil. The rays' hits are looked up in the tables
-/// of `tables.rs`, made by `AreaMap`. With M frames m, the backlight's light b and the values v of
-/// the layers n that a ray hits, the ray's light is
+/// Fragment shader, which computes the seen picture at every pixel of the field. A pixel is the
+/// mean light of its rays: one for every part of the pixel and every point of the pupil. The shader
+/// looks up where a ray hits each layer in the tables of `tables.rs`. Let M be the number of frames
+/// m, b the light of the backlight, and v the value that the ray hits on layer n. Then the ray's
+/// light is
 ///
 /// ```text
 /// attenuating    (1/M) Σ_m b ∏_n v
@@ -23,14 +24,14 @@ const FULL: &str = include_str!("../shaders/full.vert.glsl");
 /// polarization   (1/M) Σ_m b sin²(π/2 Σ_n v)
 /// ```
 ///
-/// The program puts these macros in front of the text: `DECLARE_LAYERS`, `MEET_LAYERS` (`MEET(n,
-/// layer_n)` for every layer), `FORMATION` (0, 1, 2), `DIRECTIONAL`, `LAYERS`. Visitors load the
-/// text, so its comments are short.
+/// [`defines`] puts macros in front of the text: `DECLARE_LAYERS`, `MEET_LAYERS` (`MEET(n,
+/// layer_n)` for every layer), `FORMATION` (0, 1 or 2, in the order above), `DIRECTIONAL` (0 or 1),
+/// `LAYERS`. Visitors load the text, so its comments are short.
 const DISPLAY: &str = include_str!("../shaders/display.frag.glsl");
-/// Texture units in addition to the layers': two tables and the emission.
+/// Number of texture units in addition to one per layer: two tables and the backlight's emission.
 const OTHER_UNITS: usize = 3;
 
-/// Objects of a context that shows a preview.
+/// A WebGL2 context with its objects, which draws a preview.
 pub(crate) struct Gpu {
     gl: Gl,
     display: WebGlProgram,
@@ -40,7 +41,7 @@ pub(crate) struct Gpu {
 }
 
 impl Gpu {
-    /// Creates all objects and uploads the parts that have arrived.
+    /// Creates all objects and uploads the frames that are complete.
     ///
     /// # Errors
     /// If the context is lost or too small for the preview.
@@ -82,7 +83,7 @@ impl Gpu {
         Ok(gpu)
     }
 
-    /// Uploads a complete frame to a slice of the texture arrays.
+    /// Uploads a complete frame to the slice `slot` of the texture arrays.
     pub(crate) fn upload(&self, model: &Model, frame: usize, slot: usize) -> Result<(), Error> {
         let gl = &self.gl;
         check(gl)?;
@@ -210,7 +211,7 @@ impl Drop for Gpu {
     }
 }
 
-/// The display's properties as definitions for the shader.
+/// The display's properties as macros for the shader.
 fn defines(model: &Model) -> String {
     let display = &model.preview().display;
     let count = display.layers.len();
@@ -228,7 +229,7 @@ fn defines(model: &Model) -> String {
     )
 }
 
-/// Checks the limits of the graphics driver for the preview.
+/// Checks that the limits of the graphics driver suffice for the preview.
 fn check_limits(gl: &Gl, model: &Model) -> Result<(), Error> {
     let limit = |name: u32| gl.get_parameter(name).ok().and_then(|value| value.as_f64()).unwrap_or(0.0) as usize;
     let preview = model.preview();

@@ -6,7 +6,7 @@ use web_sys::{WebGlProgram, WebGlShader, WebGlTexture, WebGlUniformLocation};
 
 use crate::{Error, err};
 
-/// sRGB encoding (IEC 61966-2-1), as in `colour.rs`.
+/// Shader function for the sRGB encoding (IEC 61966-2-1).
 const COLOUR: &str = include_str!("../shaders/colour.glsl");
 
 /// The error of a lost context.
@@ -22,7 +22,7 @@ pub(crate) fn check(gl: &Gl) -> Result<(), Error> {
     if gl.is_context_lost() { Err(err(LOST)) } else { Ok(()) }
 }
 
-/// A texture that is read texel by texel.
+/// Makes a texture whose texels are read without interpolation.
 pub(crate) fn texture(gl: &Gl, kind: u32) -> Result<WebGlTexture, Error> {
     let texture = gl.create_texture().ok_or_else(|| err(LOST))?;
     gl.bind_texture(kind, Some(&texture));
@@ -41,8 +41,7 @@ pub(crate) fn location(gl: &Gl, program: &WebGlProgram, name: &str) -> Option<We
     gl.get_uniform_location(program, name)
 }
 
-/// Compiles and links. `defines` precedes the fragment shader, which also gets the colour
-/// functions.
+/// Compiles and links two shaders. `defines` and the sRGB function precede the fragment shader.
 pub(crate) fn program(gl: &Gl, vertex: &str, fragment: &str, defines: &str) -> Result<WebGlProgram, Error> {
     let precision =
         "precision highp float;\nprecision highp int;\nprecision highp sampler2D;\nprecision highp sampler2DArray;\n";

@@ -2,7 +2,7 @@ DECLARE_LAYERS
 uniform sampler2DArray emission;
 uniform sampler2D taps_x;
 uniform sampler2D taps_y;
-uniform ivec2 slots;      // first frame slice, number of slices
+uniform ivec2 slots;      // first drawn slice, number of drawn slices
 uniform ivec4 places;     // points per axis of the pupil; table rows per part; parts along x, y
 uniform float on_disc[81];
 uniform ivec2 lenslets;   // columns, rows
@@ -33,9 +33,9 @@ vec3 read(sampler2DArray layer, vec4 x, vec4 y, int slice) {
     if (x[N].x < 0.0 || y[N].x < 0.0) { counts = counts && !dropped; } \
     else { met JOIN black + (1.0 - black) * read(LAYER, x[N], y[N], slice); }
 
-// Mean light of a pixel's part times its area, and the area; 0 if its ray is left out.
+// Light of a part of a pixel times its area, and the area; all 0 if the part's ray is left out.
 vec4 part_of(ivec2 at, ivec2 table) {
-    // the same in every frame
+    // where the ray hits, alike in all frames
     vec4 x[LAYERS + DIRECTIONAL], y[LAYERS + DIRECTIONAL];
     for (int n = 0; n < LAYERS + DIRECTIONAL; n++) {
         x[n] = texelFetch(taps_x, ivec2(at.x, table.x + n), 0);
@@ -72,7 +72,7 @@ vec4 part_of(ivec2 at, ivec2 table) {
     return counts && slots.y > 0 ? share * vec4(sum / float(slots.y), 1.0) : vec4(0.0);
 }
 
-// Mean light seen from a point of the pupil.
+// Mean light of a pixel, seen from a point of the pupil.
 vec3 seen(ivec2 at, ivec2 place) {
     vec4 sum = vec4(0.0);
     for (int j = 0; j < places.w; j++) {

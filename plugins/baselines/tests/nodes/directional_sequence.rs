@@ -1,4 +1,4 @@
-//! Compares the sum over frames with the target, ray by ray.
+//! Compares the emission, summed over frames, with the target for every ray.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Backlight, Display, LensletBacklight, RayMap, Simulator};
@@ -20,7 +20,8 @@ fn conforms() {
     conformance(&PLUGIN).unwrap();
 }
 
-/// Views that share a frame show their mean; with one frame per view, the view itself.
+/// From the directions of one frame, the display shows the mean of their views. If every view has
+/// its own frame, the display shows each view unchanged.
 #[test]
 fn views_that_share_a_frame_share_its_picture() {
     for frames in [6, 3, 1] {

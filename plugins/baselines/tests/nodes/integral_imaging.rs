@@ -1,4 +1,4 @@
-//! Compares the lens array's light field with the target, ray by ray.
+//! Compares the light field of the lens array with the target for every ray.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Backlight, Display, LensletBacklight, RayMap, Simulator};
@@ -37,7 +37,7 @@ fn with_a_lenslet_per_pixel_all_rays_are_right() {
     }
 }
 
-/// Each lenslet is one pixel and shows the mean over its area.
+/// Lenslets larger than pixels: each shows the mean of the target over its area.
 #[test]
 fn a_coarse_array_shows_means() {
     let display = display(4);

@@ -1,4 +1,5 @@
-//! Known stacks are recovered, and the solution is optimal.
+//! Tests that tomography recovers the light fields of known stacks, and that its solution minimizes
+//! the error.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::core::seed::Stream;
@@ -48,8 +49,8 @@ fn a_light_field_of_a_static_stack_is_reproduced() {
     assert!(many > 40.0 && many > few + 6.0, "{few} {many}");
 }
 
-/// At the minimum of a convex objective over a box, no small change of a pixel lowers the
-/// objective.
+/// The objective is convex in the logarithms, so at its minimum no small change of a pixel lowers
+/// it.
 #[test]
 fn the_optimum_is_one() {
     let display = display(1);

@@ -1,4 +1,5 @@
-//! Every baseline produces its method's result, and refuses other displays.
+//! Tests that every baseline computes the result of its method, and refuses displays for which the
+//! method is not made.
 
 mod directional_sequence;
 mod integral_imaging;

@@ -1,4 +1,4 @@
-//! Compares the masks and the light field with the definition of a barrier, ray by ray.
+//! Compares the masks and the emission along every ray with the definition of a parallax barrier.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, RayMap, Simulator};
@@ -42,7 +42,7 @@ fn with_a_frame_for_every_place_all_rays_are_right() {
         let shown = simulator.view(&map, field.geometry(), view);
         let taps = map.layers[0].x.of_view(view[1]);
         for (i, (shown, wanted)) in shown.radiance.data().iter().zip(field.view(view)).enumerate() {
-            // outside the rear layer there is no picture
+            // rays that miss the rear layer are not compared
             if taps[i / 3 % field.geometry().cols].is_missed() {
                 continue;
             }
@@ -62,7 +62,7 @@ fn one_frame_is_a_static_barrier() {
     for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
         assert_eq!(stack.layers[1].get([0, row, col, 1]), f32::from(col % 3 == 0), "row {row}, column {col}");
     }
-    // every ray through a slit has its own rear pixel
+    // every ray through an open slit is exact, since it has a rear pixel of its own
     let map = RayMap::new(&display, field.geometry());
     let mut through = 0;
     for view in field.geometry().grid.iter() {
@@ -85,7 +85,7 @@ fn views_that_share_a_pixel_are_averaged() {
     let display = display([3, 1], 1);
     let mut field = random_field(&display).unwrap();
     field.radiance_mut().data_mut().fill(0.25);
-    // without a barrier all is open, and a constant light field is constant
+    // with a period of 1 the whole mask is open, and a constant light field gives equal rear pixels
     let stack = made_by(&PLUGIN, r#"{"period_x": 1}"#, &display, &field).unwrap();
     assert_eq!(stack.brightness, 1.0);
     assert!(stack.layers[0].data().iter().all(|value| (value - 0.25).abs() < ROUNDING));

@@ -1,11 +1,11 @@
-//! Compares the update with the matrix rule, and scores with different numbers of frames.
+//! Compares an iteration with the rule for matrices, and scores for different numbers of frames.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, LayerStack, RayMap, Weights, score};
 use lumistack_plugin_baselines::two_layer_nmf::PLUGIN;
 use lumistack_plugin_testkit::{conformance, made_by, random_field};
 
-/// Tolerance of single precision over some updates.
+/// Tolerance of f32 arithmetic over a few iterations.
 const ROUNDING: f64 = 2e-3;
 
 fn display(frames: usize) -> Display {
@@ -18,8 +18,8 @@ fn conforms() {
     conformance(&PLUGIN).unwrap();
 }
 
-/// Applies the equation in f64 to the result of one update, F first, then G. This must give the
-/// plugin's result of two updates.
+/// Applies the equation in f64 to the plugin's result after one iteration, first to F, then to G.
+/// This gives the plugin's result after two iterations.
 #[test]
 fn an_update_is_the_rule_of_the_matrix() {
     let display = display(2);
@@ -28,7 +28,7 @@ fn an_update_is_the_rule_of_the_matrix() {
     let second = made_by(&PLUGIN, r#"{"iterations": 2}"#, &display, &field).unwrap();
     let map = RayMap::new(&display, field.geometry());
     let (channel, rows, cols) = (1, 3, 12);
-    // rays as (rear pixel, front pixel, target)
+    // the known entries of the matrix: (rear pixel, front pixel, target)
     let mut rays = Vec::new();
     for (view, row, col) in (0..3).flat_map(|v| (0..rows).flat_map(move |r| (0..cols).map(move |c| (v, r, c)))) {
         let [rear, front] = [0, 1].map(|n| map.layers[n].x.of_view(view)[col]);

@@ -123,7 +123,8 @@ impl Camera {
         1.0 + r2 * (self.distortion[0] + r2 * self.distortion[1])
     }
 
-    /// The point of the plane, millimetres, at a position of the photograph, pixels.
+    /// Returns the point of the plane, millimetres, that appears at a position of the photograph,
+    /// pixels.
     pub fn on_plane(&self, px: [f64; 2]) -> [f64; 2] {
         let distorted = [0, 1].map(|axis| (px[axis] - self.centre_px[axis]) / self.unit_px);
         let mut u = distorted;

@@ -22,8 +22,8 @@ pub struct Cross {
 const DARK: f32 = 0.4;
 /// Smallest number of pixels of a component.
 const MIN_PIXELS: usize = 12;
-/// Limits of the fraction of its bounding box that a component fills: less for a cross, more than
-/// [`DISC_FILLS`] for a disc.
+/// A component that fills less than this fraction of its bounding box may be a cross. A component
+/// that fills more than [`DISC_FILLS`] may be a disc.
 const CROSS_FILLS: f64 = 0.5;
 const DISC_FILLS: f64 = 0.62;
 /// Largest distance of a neighbour from its expected position, in steps of the array.
@@ -65,7 +65,7 @@ impl Component {
 pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cross>, String> {
     let dark = Darkness::new(photograph);
     let components = dark.components();
-    // Classify components: crosses are those of about the median size.
+    // Classify components: thin components of about the median size are crosses.
     let mut sizes: Vec<f64> =
         components.iter().filter(|p| p.fills() < CROSS_FILLS).map(|p| p.size()[0].max(p.size()[1])).collect();
     if sizes.is_empty() {
@@ -95,7 +95,8 @@ pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cr
         .filter(|at| at[0] < disc[0] && at[1] > disc[1])
         .min_by(|a, b| apart(**a, disc).total_cmp(&apart(**b, disc)))
         .ok_or_else(|| format!("crosses: {}, none below and left of the mark", crosses.len()))?;
-    // Search breadth first: from the central cross to its four neighbours, from these to theirs.
+    // Search breadth first: from the central cross to its four neighbours, from each of these to
+    // its neighbours, and so on.
     let step = usual / (2.0 * ARM_OF_STEP);
     let mut found: BTreeMap<[i32; 2], [f64; 2]> = BTreeMap::from([([0, 0], *middle)]);
     let mut open = VecDeque::from([[0, 0]]);
@@ -201,7 +202,7 @@ impl Darkness {
     }
 
     /// Intersection of the lines of a cross's arms near `at`, pixels; `arm` is the arms' length.
-    /// Iterates until the shift is below 1e-4 pixels.
+    /// Iterates until the shift is below 1e-4 pixels, at most six times.
     fn centre(&self, mut at: [f64; 2], arm: f64) -> Option<[f64; 2]> {
         // slopes of the lines against the photograph's rows and columns
         let mut slope = [0.0f64; 2];

@@ -1,16 +1,16 @@
 //! Homographies from photographs of the crosshair array.
 //!
-//! There is one photograph per layer, all from one camera position e. Each shows the array on that
-//! layer alone, drawn in perspective for e. The reference layer's photograph yields the camera
-//! model of the display plane:
+//! There is one photograph per layer, all from one camera position e. A layer's photograph shows
+//! the array on this layer alone, drawn in perspective for e. The reference layer's photograph
+//! yields the camera model of the display plane:
 //!
 //! ```text
 //! photograph = centre + size · distort(H(P)),   distort(u) = u · (1 + k₁ |u|² + k₂ |u|⁴)
 //! ```
 //!
-//! with a homography H. If a layer at d is misplaced, its cross for point P of that plane appears
-//! at another point P'. The cross was drawn for point q of the layer, but is at point t; D is the
-//! distance of e from the plane:
+//! with a homography H, and half the photograph's diagonal as size. If a layer at d is misplaced,
+//! its cross for point P of the display plane appears at another point P'. The cross was drawn for
+//! point q of the layer, but is at point t; D is the distance of e from the display plane:
 //!
 //! ```text
 //! q = e + (P − e) · (D − d) / D        t = e + (P' − e) · (D − d) / D

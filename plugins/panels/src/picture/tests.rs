@@ -105,7 +105,7 @@ fn limits_of_the_panel_and_beside_it() {
     assert_eq!(pixel(&Picture::new(&display, Shows::Layer(1), [9, 5]).codes(&stack, 0, None), 9, 0, 0), [255; 3]);
     display.formation = Formation::Additive;
     assert_eq!(pixel(&Picture::new(&display, Shows::Layer(1), [9, 5]).codes(&stack, 0, None), 9, 0, 0), [0; 3]);
-    // a code of few bits fills the highest bits of the output's code
+    // a panel of two bits has four codes, spread evenly over the output's codes
     display.layers[1].bits = Some(2);
     display.layers[1].transfer = Transfer::Linear;
     let codes = Picture::new(&display, Shows::Layer(1), [7, 5]).codes(&stack, 0, None);
@@ -154,8 +154,8 @@ fn bilinear_reading_mixes_light_and_not_codes() {
     let codes = Picture::new(&display, Shows::Layer(0), [7, 5]).codes(&stack, 0, None);
     let value = |row: usize, col: usize, c: usize| stack.layers[0].block([0, row, col])[c];
     for (row, col) in (0..4).flat_map(|row| (1..7).map(move |col| (row, col))) {
-        // the lookup is a quarter of a pixel left of the pixel's own centre, and half a pixel below
-        // it
+        // the position is a quarter of a mask pixel left of this mask pixel's centre, and half a
+        // mask pixel below
         let expected = [0, 1, 2].map(|c| {
             let line = |row| 0.25 * value(row, col - 1, c) + 0.75 * value(row, col, c);
             0.5 * line(row) + 0.5 * line(row + 1)

@@ -46,7 +46,7 @@ const REACH: f64 = 1.2;
 /// events from any thread. Call it once per process, on macOS on the main thread.
 ///
 /// # Errors
-/// Without a windowing system, a graphics driver or the required outputs; and if an output is
+/// If there is no windowing system, no graphics driver or too few outputs. If an output is
 /// disconnected or changes.
 pub fn present(
     settings: Settings,
@@ -115,7 +115,7 @@ struct Running {
     report: Receiver<Report>,
     /// Disconnected when the producer has ended.
     produced: Receiver<()>,
-    /// The present loop, and the thread that forwards its retired frame sets.
+    /// The present loop, and the thread that forwards the frame sets that it retires.
     presenting: [JoinHandle<()>; 2],
     producing: JoinHandle<()>,
     failure: Arc<OnceLock<(Instant, String)>>,
@@ -453,7 +453,7 @@ impl App<'_> {
         Ok(())
     }
 
-    /// Warns when refreshes stop: every output waits for the one whose surface is blocked.
+    /// Warns when refreshes stop: every output waits for the output whose surface is blocked.
     fn warn_if_stalled(&mut self) {
         let Some(running) = self.running.as_ref().filter(|running| running.mode != Mode::Window) else { return };
         let now = running.shared.progress.load(Ordering::Relaxed);
@@ -563,7 +563,7 @@ impl App<'_> {
                     running.report.recv_timeout(SHUTDOWN_TIMEOUT).map_err(|_| waits)
                 });
                 // Join all threads that use the GPU: drivers crash if the process exits before
-                // them. A thread that has sent its report may still be freeing driver resources.
+                // these threads. A thread that has sent its report may still free resources.
                 if report.is_ok() {
                     running.presenting.into_iter().for_each(|thread| drop(thread.join()));
                 }

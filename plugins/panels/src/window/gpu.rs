@@ -52,7 +52,7 @@ const SHADER: &str = "
 
 @vertex
 fn corner(@builtin(vertex_index) i: u32) -> @builtin(position) vec4<f32> {
-    // one triangle over everything
+    // one triangle that covers the whole target
     return vec4<f32>(f32(i32(i & 1u) * 4 - 1), f32(i32(i >> 1u) * 4 - 1), 0.0, 1.0);
 }
 
@@ -229,7 +229,8 @@ impl Gpu {
         });
         let bytes: Vec<u8> = [origin[0], origin[1], 0, 0].into_iter().flat_map(u32::to_ne_bytes).collect();
         self.queue.write_buffer(&place, 0, &bytes);
-        // submit the upload of each picture alone, so that no refresh waits for a whole period's
+        // submit the upload of each picture alone, so that no refresh waits for all uploads of a
+        // period
         self.queue.submit([]);
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("picture"),

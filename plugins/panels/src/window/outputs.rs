@@ -132,7 +132,7 @@ mod x11 {
         /// Outputs with a monitor at the start.
         plugged: Vec<String>,
         outputs: Vec<Output>,
-        /// Time of the last change event that no query followed.
+        /// Time of the last change event; `None` after a query has read the changes.
         changed_at: Option<Instant>,
         focus_state: Focus,
     }

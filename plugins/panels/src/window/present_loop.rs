@@ -188,8 +188,8 @@ impl PresentLoop {
             let viewports = self.viewports.iter().filter(|viewport| viewport.screen == screen);
             viewports.map(|viewport| viewport.output.name.as_str()).collect::<Vec<_>>().join(" + ")
         };
-        // a platform that announced presentation times but reported none is treated as one without
-        // them
+        // a platform that announced presentation times but reported none is treated like a platform
+        // without presentation times
         if feedback.tallies().iter().all(|tally| tally.shown == 0) {
             return;
         }

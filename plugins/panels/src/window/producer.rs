@@ -111,7 +111,8 @@ impl Producer {
         let mut frame_set = FrameSet { pictures: Vec::new(), number: self.number };
         match &self.content {
             Content::Stack(stack) => {
-                // One frame per frame of the stack, or per frame and colour in a colour sequence.
+                // Make a picture for each frame of the stack, and in a colour sequence for each
+                // frame and colour.
                 let colours: Vec<Option<usize>> = match self.display.colour_sequence {
                     ColourSequence::Simultaneous => vec![None],
                     ColourSequence::Field => self.display.colour_order.0.map(Some).to_vec(),

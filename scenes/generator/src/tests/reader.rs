@@ -151,7 +151,7 @@ impl Scene {
         }
     }
 
-    /// Every file but the document is named in it and decodes.
+    /// Every file except the document is named in the document, and can be decoded.
     fn check_files(&self) {
         let mut named: BTreeSet<String> = BTreeSet::new();
         let buffers = self.list("buffers").iter().chain(self.list("images"));

@@ -16,8 +16,8 @@ impl Context<'_> {
     pub(super) fn check(&mut self) -> Result<(), PipelineError> {
         let plan = self.plan;
         for (number, part) in plan.parts.iter().enumerate() {
-            // Skip time steps and their nodes, which have the settings of the sequence, and sweeps,
-            // whose designs are checked by `Designs`.
+            // Skip time steps and their nodes, whose settings are checked with the sequence. Skip
+            // also sweeps, whose designs are checked by `Designs`.
             let job = &part.job;
             match (&part.kind, part.parent) {
                 (PartKind::Time(_), _) => continue,
@@ -42,7 +42,7 @@ impl Context<'_> {
             for node in &job.nodes {
                 node::check(node, self.registry)?;
             }
-            // Let outputs refuse displays that they cannot show.
+            // Open the outputs, so that their plugins refuse displays that they cannot show.
             if job.scene.is_some() && !matches!(part.kind, PartKind::Node(_)) {
                 self.open_outputs(
                     job,

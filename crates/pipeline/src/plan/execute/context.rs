@@ -38,7 +38,7 @@ pub(crate) struct Reported {
     pub(super) shown: Option<[Thumbnail; 2]>,
 }
 
-/// Results of the steps of one part, as far as they exist.
+/// Results of the steps of one part. A result is missing until its step is executed.
 #[derive(Default)]
 pub(crate) struct State {
     pub(super) job: Option<Arc<Job>>,
@@ -109,7 +109,7 @@ impl<'a> Context<'a> {
         }
     }
 
-    /// Returns the job of a part, completed with results of earlier steps.
+    /// Returns the job of a part. Values that result from earlier steps are filled in.
     pub(super) fn job(&mut self, part: usize) -> Arc<Job> {
         if let Some(job) = &self.states[part].job {
             return job.clone();
@@ -160,7 +160,7 @@ impl<'a> Context<'a> {
             .ok_or_else(|| PipelineError::value(place, "plan", format!("{name_of_result} of an earlier step"), "none"))
     }
 
-    /// Returns the scene of a part, or else the scene of its sequence.
+    /// Returns the scene of a part. If the part has none, returns the scene of its sequence.
     pub(super) fn ingested(&self, part: usize) -> Result<Arc<Ingested>, PipelineError> {
         let shared = |state: &State| state.ingested.clone();
         let above = self.plan.time(part).map(|(_, sequence)| sequence);
@@ -180,8 +180,8 @@ impl<'a> Context<'a> {
         }
     }
 
-    /// Returns the warnings of all parts for which `concerns` returns true, in the order of their
-    /// occurrence.
+    /// Returns the warnings of all parts for which `concerns` returns true, in the order in which
+    /// they occurred.
     pub(super) fn warnings(&self, concerns: impl Fn(usize) -> bool) -> Vec<Warning> {
         self.warned.iter().filter(|(part, _)| concerns(*part)).map(|(_, warning)| warning.clone()).collect()
     }

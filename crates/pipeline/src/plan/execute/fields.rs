@@ -70,7 +70,7 @@ impl Context<'_> {
         trace::run_block(of.shot(), &views, block, task)
     }
 
-    /// Renders a block of the pictures for the zone score. The exposure need not be known.
+    /// Renders a block of the pictures for the zone score, which does not need the exposure.
     pub(super) fn score_block(&mut self, part: usize, block: Block, task: Task<'_>) -> Result<bool, PipelineError> {
         let of = self.shot(part)?;
         let zone = score::zone_of(&of.job, &of.display, &of.geometry);
@@ -153,13 +153,14 @@ impl Context<'_> {
 
     fn check_geometry(&self, part: usize, path: &Path, found: &FieldGeometry) -> Result<(), PipelineError> {
         let Some((time, _)) = self.plan.time(part).filter(|(time, _)| *time > 0) else { return Ok(()) };
-        // Every time step must have the geometry of the first one, so the message may name the
-        // previous one.
+        // Every time step must have the geometry of the first one. All earlier time steps passed
+        // this check, so the message may name the previous one.
         let first = self.plan.at_time(part, 0).and_then(|first| self.states[first].geometry.as_ref());
         first.map_or(Ok(()), |expected| check_geometry(path, found, expected, &self.source_of(part, time - 1)))
     }
 
-    /// Keeps a light field. If the job has nodes and is not a sweep, also writes its settings.
+    /// Keeps a light field in memory. If the job has nodes and is not a sweep, also writes the
+    /// job's settings.
     fn take_field(&mut self, part: usize, field: Field) -> Result<(), PipelineError> {
         let job = self.job(part);
         if !job.nodes.is_empty() && !matches!(self.plan.parts[0].kind, PartKind::Sweep) {

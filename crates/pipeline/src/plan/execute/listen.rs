@@ -1,9 +1,9 @@
-//! Listeners of a step. They collect its warnings for the report, and add the time step to the
-//! progress that is shown.
+//! Listeners of a step. One collects the step's warnings for the report, the other adds the number
+//! of the time step to the shown progress.
 
 use lumistack_core::{Collector, Progress, Warning, Warnings};
 
-/// Collects warnings for the report, and forwards them.
+/// Collects warnings for the report, and also forwards them.
 pub(super) struct Tee<'a> {
     pub(super) list: Collector,
     next: &'a dyn Warnings,

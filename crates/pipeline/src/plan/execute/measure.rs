@@ -19,7 +19,7 @@ impl Context<'_> {
         let plan = self.plan;
         let (field, patterns) = (self.field(part)?, self.of(part, "patterns", |state| state.patterns.clone())?);
         let Some((time, sequence)) = plan.time(part) else { return Ok(true) };
-        // Flicker compares with patterns and target of the previous time step.
+        // Flicker compares this time step with the patterns and the target of the previous one.
         let before = time.checked_sub(1).and_then(|time| plan.at_time(part, time));
         let before = match before {
             None => None,

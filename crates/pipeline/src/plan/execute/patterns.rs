@@ -25,15 +25,15 @@ impl Context<'_> {
         let (plan, mut job, field, stamps) = (self.plan, self.job(part), self.field(part)?, self.stamps(part));
         let of_node = plan.node(part);
         let display = self.display(part, &field.display, field.target.geometry(), task)?;
-        // Only a display file describes real panels, which may flicker. A preset is a design; the
-        // report contains the refresh rate that it needs, so there is no warning.
+        // Warn only for a display file, since it describes real panels, which may flicker. A preset
+        // is a design, and its report states the required refresh rate.
         if let Some(message) = display.flicker_warning().filter(|_| job.display.file.is_some()) {
             task.warn("display", message);
         }
         let weights = field::weights(&job.factorize, field.target.geometry())?;
         let target = &field.target;
         // Solve, or read the cached patterns. If the content of a time step differs too much from
-        // that of the previous one, the solver does not start from the previous patterns.
+        // the previous one, the solver does not start from the previous patterns.
         let (solved, cached) = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
             Some(node) => {
                 let given = NodeInput { node, seed: job.seed, display: &display, target, weights: &weights };
@@ -53,8 +53,8 @@ impl Context<'_> {
                 tiles::run(solve, &stamps, task)?
             }
         };
-        // Write the settings only now: a run that stopped earlier leaves the older settings,
-        // patterns and report, which match each other.
+        // Write the settings only after the solve. If a run stops earlier, the folder keeps
+        // settings, patterns and report of the last run, which match each other.
         let dir = self.dir(part);
         if of_node.is_none() {
             write_job(&job, &dir)?;
@@ -97,7 +97,7 @@ impl Context<'_> {
     }
 
     /// Returns the display of a part, adapted to the light field. `shared` is the display of the
-    /// run.
+    /// run's job.
     fn display(
         &mut self,
         part: usize,
@@ -114,8 +114,8 @@ impl Context<'_> {
         Ok(display)
     }
 
-    /// Solves the time steps before a chunk again, the first of them without a warm start. The
-    /// results are kept like other patterns.
+    /// Solves the time steps before a chunk again; the first of them has no warm start. The results
+    /// are kept in files like other patterns.
     fn warm_up(&mut self, part: usize, display: &Display, task: Task<'_>) -> Result<(), PipelineError> {
         let plan = self.plan;
         let Some((time, sequence)) = plan.time(part) else { return Ok(()) };
@@ -144,8 +144,8 @@ impl Context<'_> {
         Ok(())
     }
 
-    /// Returns the settings of a time step that starts without patterns; `None` for the first time
-    /// step.
+    /// Returns settings with which a time step is solved without a warm start; `None` for the first
+    /// time step.
     fn fresh(&self, part: usize) -> Option<FactorizeJob> {
         let (time, sequence) = self.plan.time(part)?;
         match &self.plan.parts[sequence].kind {

@@ -20,8 +20,8 @@ impl Context<'_> {
         let (field, of_field) = (self.field(part)?, plan.field_part(part));
         let patterns = self.of(part, "patterns", |state| state.patterns.clone())?;
         let is_time = matches!(plan.parts[part].kind, PartKind::Time(_));
-        // Reports of time steps have keys. Other reports are always written, since they contain the
-        // duration of this run's stages.
+        // The report of a time step has a key, and is reused if the key is current. Other reports
+        // are always written, since they contain the duration of this run's stages.
         let mut key = None;
         if let Some((_, measured)) = self.states[part].measured.as_ref().filter(|_| is_time) {
             let mut of_report = KeyBuilder::new("report", code::REPORTS);
@@ -55,7 +55,7 @@ impl Context<'_> {
             stamps.clear("report")?;
         }
         let report = report::run(&about, &stamps, task)?;
-        // The stamp is written last. So if a run is killed before, the next run writes the report
+        // The stamp is written last. If a run is killed before that, the next run writes the report
         // again.
         if let Some(key) = key {
             stamps.write("report", &key, &["report.html".into(), "report.json".into()])?;

@@ -25,8 +25,8 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
     if !sweep.fov_deg.is_empty() && job.scene.is_none() {
         return Err(PipelineError::job("sweep.fov_deg", "a scene, which can be rendered with other angles", "none"));
     }
-    // Keep only the first of equal displays. They result from combinations that change nothing,
-    // such as lenslets of a uniform backlight.
+    // Keep only the first of equal displays. Displays are equal if a combination changes nothing,
+    // for example the lenslets of a uniform backlight.
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut fields: Vec<(Display, Job)> = Vec::new();
     for (name, display_job) in &bases {
@@ -46,12 +46,12 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
                         DisplayJob { fov_deg: variation.fov_deg.or(display_job.fov_deg), ..display_job.clone() };
                     let mut of = Job { display: shown, sweep: None, outputs: Vec::new(), ..job.clone() };
                     of.render.outside = 0;
-                    // All designs are compared on the same scene, so no design may compress its
-                    // depth.
+                    // All designs must show the same depth, so no design may compress the depth of
+                    // the scene.
                     if of.window.fit_depth == FitDepth::Auto {
                         of.window.fit_depth = FitDepth::Off;
                     }
-                    // The zone score needs the pictures that reports of the time steps would need.
+                    // The zone score needs the pictures that the report of each time step needs.
                     of.sequence.iter_mut().for_each(|sequence| sequence.reports = true);
                     fields.push((display.clone(), of));
                     fields.len() - 1
@@ -68,8 +68,9 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
     Ok((candidates, jobs))
 }
 
-/// Chooses common views for displays that choose their views: those of the display that needs the
-/// most. More views than a display needs only cost time, but fewer reduce its zone score.
+/// Chooses the same views for all displays whose views are automatic: the views of the display that
+/// needs the most. More views than a display needs only cost time, but fewer views reduce its zone
+/// score.
 fn choose_views<'a>(job: &mut Job, candidates: impl Iterator<Item = &'a mut Candidate>) {
     let mut choosing: Vec<&mut Candidate> =
         candidates.filter(|candidate| candidate.display.field.views == Views::Auto).collect();
@@ -138,7 +139,8 @@ mod tests {
         };
         assert_eq!(sweep.count(), 24);
         let (found, fields) = all(&job(sweep.clone()), &sweep).unwrap();
-        // a uniform backlight has no lenslets to vary, so these combinations are equal
+        // a uniform backlight has no lenslets, so combinations that differ only in lenslets are
+        // equal
         assert_eq!((found.len(), fields.len()), (6 + 12, 1));
         assert_eq!(found[5].design.layers, 3);
         assert!(found.iter().all(|candidate| candidate.field == 0 && candidate.display.field.resolution == [16, 10]));

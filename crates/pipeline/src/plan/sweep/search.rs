@@ -1,8 +1,9 @@
 //! Search for a design under constraints, without solving every design to the last iteration.
 //!
-//! Successive halving (Jamieson and Talwalkar 2016) solves all allowed designs with few iterations.
-//! The better ones get more iterations, and only the last few get all. The ranking after few
-//! iterations is nearly that after many. Rows are cached, so a search reuses those of a sweep.
+//! Successive halving (Jamieson and Talwalkar 2016) first solves all allowed designs with few
+//! iterations. The better designs are solved with more iterations, and only the last few with all
+//! iterations. The ranking after few iterations is close to the ranking after many. Rows are
+//! cached, so a search reuses the rows of a sweep.
 
 use lumistack_design::table::{Design, Row};
 
@@ -10,24 +11,24 @@ use crate::error::PipelineError;
 use crate::job::SearchJob;
 use crate::stage::design::Candidate;
 
-/// For each round: fraction of the iterations, and fraction of the candidates that it keeps.
+/// For each round: fraction of the iterations, and fraction of the candidates that the round keeps.
 const RUNGS: [(f64, f64); 2] = [(0.08, 0.5), (0.3, 0.4)];
 /// Minimum number of candidates that a round keeps.
 const LEAST: usize = 6;
-/// If scores differ by less, dB, designs are regarded as equally good, and the cheaper design is
-/// preferred.
+/// Designs whose scores differ by less than this, dB, are regarded as equally good. Among them, the
+/// cheapest is preferred.
 const EQUAL_DB: f64 = 0.3;
-/// A design is dropped if, after few iterations, its PSNR is lower than the requested one by more
-/// than this, dB.
+/// After few iterations, a design's PSNR may be lower than the requested PSNR by this, dB. Designs
+/// with a lower PSNR are kept last.
 const DROP_DB: f64 = 8.0;
 
 /// Returns the candidates that satisfy the constraints.
 ///
 /// # Errors
-/// If no candidate does. The message has the best value of each constraint among the candidates.
+/// If no candidate does. The message states the best value of each constrained quantity.
 pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<Vec<Candidate>, PipelineError> {
     let fits = |d: &Design| {
-        // A single frame does not flicker at any refresh rate, so `refresh_hz` is 0 for it.
+        // A single frame does not flicker at any refresh rate, so its `refresh_hz` is 0.
         let checks = [
             search.max_thickness_mm.is_none_or(|most| d.thickness_mm <= most * (1.0 + 1e-9)),
             search.max_refresh_hz.is_none_or(|most| d.refresh_hz <= most * (1.0 + 1e-9)),
@@ -55,8 +56,8 @@ pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<
 /// rows.
 pub(super) type SolveAll<'a> = &'a mut dyn FnMut(&[Candidate], u32) -> Result<(Vec<Row>, usize), PipelineError>;
 
-/// Returns the rows of the candidates that got all iterations, in their order, the number of cached
-/// rows, and the proposals, best first.
+/// Returns the rows of the candidates that got all iterations, in the order of the candidates. Also
+/// returns the number of cached rows, and the proposals, best first.
 ///
 /// # Errors
 /// If the solver fails on a design, or the task is cancelled.
@@ -77,8 +78,8 @@ pub(super) fn run(
         let mut order: Vec<usize> = (0..candidates.len()).collect();
         match search.enough_db {
             None => order.sort_by(|&a, &b| rows[b].quality_db().total_cmp(&rows[a].quality_db())),
-            // Prefer the cheapest designs among those that may reach the requested PSNR, then the
-            // others by their PSNR.
+            // First come designs that may still reach the requested PSNR, the cheapest first. The
+            // others follow by their PSNR.
             Some(enough) => {
                 let too_low = |i: usize| rows[i].quality_db() < enough - DROP_DB;
                 order.sort_by(|&a, &b| {
@@ -92,7 +93,7 @@ pub(super) fn run(
                 });
             }
         }
-        // Keep the candidates in the order of the designs.
+        // The kept candidates stay in their order.
         let mut chosen: Vec<usize> = order.into_iter().take(goes_on).collect();
         chosen.sort_unstable();
         candidates = chosen.into_iter().map(|i| candidates[i].clone()).collect();
@@ -108,8 +109,9 @@ fn cost(design: &Design) -> [f64; 4] {
     [design.panels as f64, design.frames as f64, design.thickness_mm, -design.brightness]
 }
 
-/// Returns row numbers by rank. Rows that reach `enough_db` come first, from the cheapest on. The
-/// other rows follow by PSNR; among equally good ones, the cheapest is first.
+/// Returns row numbers by rank. Rows that reach `enough_db` come first, the cheapest first. The
+/// other rows follow by PSNR. If PSNRs differ by less than [`EQUAL_DB`], the cheapest row comes
+/// first.
 fn ranked(rows: &[Row], enough_db: Option<f64>) -> Vec<usize> {
     let by_cost = |a: usize, b: usize| {
         cost(&rows[a].design).partial_cmp(&cost(&rows[b].design)).unwrap_or(std::cmp::Ordering::Equal)

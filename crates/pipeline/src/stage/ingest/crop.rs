@@ -34,8 +34,8 @@ pub(crate) fn cropped(scene: Scene, pose: &PoseJob, task: Task<'_>) -> Result<Sc
     })
 }
 
-/// Crops the clouds. A cloud that is used in several places becomes a cloud for each place, since
-/// different splats may remain there.
+/// Crops the clouds. If a cloud is used in several places, different splats may remain in each
+/// place. Such a cloud becomes one cloud per place.
 fn crop(parts: &mut SceneParts, inside: impl Fn(Vec3) -> bool) {
     let clouds = std::mem::take(&mut parts.clouds);
     for mut placed in std::mem::take(&mut parts.placed_clouds) {
@@ -90,7 +90,7 @@ mod tests {
     #[test]
     fn each_placement_is_cropped_where_it_stands() {
         assert_eq!(left(&PoseJob::default()).unwrap().len(), 8);
-        // the corners are in any order, in the scene's axes
+        // the two corners are given in any order
         let crop_box = Some([[2.5, 11.0, 1.0], [0.5, 9.0, -1.0]]);
         assert_eq!(left(&PoseJob { crop_box, ..PoseJob::default() }).unwrap(), [[1.0, 10.0], [2.0, 10.0]]);
         let crop_sphere = Some([0.0, 0.0, 0.0, 2.0]);

@@ -66,11 +66,11 @@ pub(crate) fn panorama(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<Imag
             Ok(())
         })?;
     }
-    // For each texel, read its direction from the face that it points to.
+    // Each texel has a direction. Read its value from the cube face that this direction hits.
     let [width, height] = SIZE;
     let texel = |i: usize| {
         let elevation = std::f64::consts::PI * (0.5 - ((i / width) as f64 + 0.5) / height as f64);
-        // The central column of the map is −z; columns to its right turn towards +x.
+        // The central column of the map is the direction −z; columns to its right turn towards +x.
         let azimuth = std::f64::consts::TAU * (((i % width) as f64 + 0.5) / width as f64 - 0.5);
         let to = DVec3::new(elevation.cos() * azimuth.sin(), elevation.sin(), -elevation.cos() * azimuth.cos());
         let along = |face: &usize| FACES[*face][0].dot(to);

@@ -39,14 +39,15 @@ pub fn load_environment(parts: &mut SceneParts, path: &Path, strength: f32) -> R
     Ok(())
 }
 
-/// Rotates an environment as Blender and three.js do. In its own axes, the central column is −z.
-/// The rotation turns the central column to +x, and the column at a quarter of the width to −z.
+/// Rotates an environment map as Blender and three.js do. Before the rotation, the central column
+/// of the map is the direction −z. The rotation turns the central column to +x, and the column at a
+/// quarter of the width to −z.
 fn as_in_blender() -> Quat {
     Quat::from_rotation_y(-std::f32::consts::FRAC_PI_2)
 }
 
-/// Makes the scene's splats light its meshes. A scene without splats or without meshes does not
-/// change.
+/// Adds an environment by which the scene's splats light its meshes. A scene without splats or
+/// without meshes does not change.
 ///
 /// # Errors
 /// If cancelled, or the scene becomes invalid.
@@ -67,11 +68,13 @@ pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result
 mod tests {
     use super::*;
 
-    /// Expected values are from Blender 4.5: a camera that looks along −z in an imported glTF file
-    /// shows the column at 0.25 of the width. Columns to its right are farther right in the file.
+    /// Expected values are from Blender 4.5. A camera that looks along −z in an imported glTF file
+    /// shows the column at 0.25 of the map's width. Columns farther to the right in the map appear
+    /// farther to the right.
     #[test]
     fn environment_files_lie_as_in_blender() {
-        // columns of the map in its own axes: the central column is −z, and +x is to the right
+        // direction of a column; before the rotation the central column is −z, and columns to its
+        // right turn to +x
         let column = |u: f32| {
             let azimuth = (u - 0.5) * std::f32::consts::TAU;
             as_in_blender() * Vec3::new(azimuth.sin(), 0.0, -azimuth.cos())

@@ -15,12 +15,12 @@ use crate::reader::is_blend;
 use crate::stage::ingest::Ingested;
 use crate::store::views::write_picture;
 
-/// Chooses the renderer of a job's views. Warns about lost features, or reports the reason for the
-/// choice.
+/// Chooses the renderer of a job's views. Warns about features that the conversion lost, or reports
+/// the reason for the choice.
 ///
-/// An engine that the job names is used. With `auto`, our path tracer renders, with one exception:
-/// a `.blend` file with features that the conversion loses is rendered by its own engine, if that
-/// works here. Only our path tracer computes the `variance` of views.
+/// If the job names an engine, it is used. With `auto`, our path tracer renders, with one
+/// exception. A `.blend` file whose conversion loses features is rendered by its own engine, if
+/// that works here. Only our path tracer computes the `variance` of views.
 pub(crate) fn engine(job: &Job, ingested: &Ingested, variance: bool, task: Task<'_>) -> Engine {
     let is_file = job.scene.as_deref().is_some_and(is_blend);
     chosen(
@@ -33,8 +33,8 @@ pub(crate) fn engine(job: &Job, ingested: &Ingested, variance: bool, task: Task<
     )
 }
 
-/// Chooses the renderer without reading files. `plain` is true if the job needs nothing that only
-/// our path tracer can do.
+/// Chooses the renderer without reading files. `plain` is true if the job needs no feature that
+/// only our path tracer has.
 fn chosen(
     render: &RenderJob,
     plain: bool,
@@ -43,7 +43,8 @@ fn chosen(
     name: &str,
     task: Task<'_>,
 ) -> Engine {
-    // If no features are lost, our path tracer renders, unless the job requests Blender.
+    // If the conversion loses no features, our path tracer renders, unless the job requests
+    // Blender.
     let Some(contents) = losing else {
         return if render.engine == Engine::Blender { Engine::Blender } else { Engine::Lumistack };
     };
@@ -96,7 +97,7 @@ pub(crate) fn render(
         let found = job.scene.as_ref().map_or_else(|| "no scene".into(), |scene| scene.display().to_string());
         return Err(PipelineError::job("render.engine", "a .blend file as the scene for `blender`", found));
     };
-    // Blender needs the window as a frame for its cameras, and the slopes of the views.
+    // Blender needs the window as a coordinate frame for its cameras, and the slopes of the views.
     let map = window.scene_from_display;
     let views = BlendViews {
         window: BlendWindow {

@@ -19,14 +19,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 Vector = tuple[float, float, float]
-#: Four rows.
+#: A matrix as four rows.
 Matrix = tuple[tuple[float, ...], ...]
 
 #: Blender's limit on the shift of a camera.
 MOST_SHIFT = 10.0
 #: Width of the film of a perspective camera, millimetres; any value would do.
 SENSOR_MM = 36.0
-#: Distance of the clipping plane, as a fraction of the distance to the scene.
+#: Distance of the near clipping plane. It is a fraction of the distance from the camera to the
+#: window in perspective views, and to the farthest content in oblique views.
 NEAREST = 1e-4
 
 
@@ -67,15 +68,15 @@ class Window:
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
 
     def resized(self, factor: float, shift: Sequence[float] = (0.0, 0.0)) -> Window:
-        """Scales the window by a factor, and moves it in its plane; the shift is in its widths, to
-        the right and up."""
+        """Scales the window by a factor, and moves it in its plane by a shift to the right and up, in
+        widths of the window."""
         width = self.size_mm[0]
         centre = self.point((shift[0] * width, shift[1] * width, 0.0))
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
 
     def as_job(self) -> dict[str, object]:
-        """The window as [window] of a job, in the coordinates of an exported glTF file: Blender's
-        (x, y, z) is its (x, z, -y)."""
+        """The window as [window] of a job, in the coordinates of an exported glTF file: there,
+        Blender's point (x, y, z) is (x, z, -y)."""
         forward = _times(self.back, -1.0)
         return {
             "from": "given",
@@ -96,7 +97,7 @@ class ViewCamera:
     ortho_scale: float | None
     #: Focal length in millimetres for a film of SENSOR_MM; None if orthographic.
     lens_mm: float | None
-    #: Shift of the picture, in its widths.
+    #: Shift of the picture to the right and up, in widths of the picture.
     shift: tuple[float, float]
     clip_start: float
     clip_end: float
@@ -105,7 +106,7 @@ class ViewCamera:
 def window_of_camera(
     matrix: Sequence[Sequence[float]], frame: Sequence[Sequence[float]], orthographic: bool, focus: float, size_mm: tuple[float, float]
 ) -> Window:
-    """A camera's plane of focus, as wide as its frustum there.
+    """Returns the window in a camera's plane of focus, as wide as the camera's frustum there.
 
     matrix: world matrix, rows; frame: corners of the picture in camera space, from
     `Camera.view_frame`; focus: distance, scene units.
@@ -144,7 +145,7 @@ def view_camera(window: Window, slope: Sequence[float], distance_mm: float | Non
     farthest, nearest = min(depth_mm), max(depth_mm)
     scale, (s_x, s_y) = window.scale, slope
     if distance_mm is None:
-        # Place it in front of all content; its distance does not affect the picture.
+        # Place the camera in front of all content; its distance does not affect the picture.
         stand = max(nearest, 0.0) + max(0.05 * (nearest - farthest), 0.01 * window.size_mm[0])
         back = _sum(_times(window.right, s_x), _times(window.up, s_y), window.back)
         origin = window.point((s_x * stand, s_y * stand, stand))
@@ -187,13 +188,13 @@ def seen_at_mm(camera: ViewCamera, window: Window, point: Sequence[float]) -> tu
 
 
 def y_up(vector: Sequence[float]) -> list[float]:
-    """Blender's axes to glTF's."""
+    """Converts a vector from Blender's axes to glTF's axes."""
     x, y, z = vector
     return [x, z, -y]
 
 
 def z_up(vector: Sequence[float]) -> Vector:
-    """glTF's axes to Blender's."""
+    """Converts a vector from glTF's axes to Blender's axes."""
     x, y, z = vector
     return (x, -z, y)
 
@@ -228,6 +229,6 @@ def _unit(vector: Sequence[float]) -> Vector:
 
 
 def _solve(a: Sequence[float], b: Sequence[float], c: Sequence[float], target: Sequence[float]) -> Vector:
-    """x a + y b + z c = target, by Cramer's rule."""
+    """Solves x a + y b + z c = target for (x, y, z), by Cramer's rule."""
     whole = _dot(_cross(a, b), c)
     return (_dot(_cross(target, b), c) / whole, _dot(_cross(a, target), c) / whole, _dot(_cross(a, b), target) / whole)

@@ -7,7 +7,7 @@ import argparse
 from dataclasses import dataclass, field
 from typing import Any, NoReturn, TextIO
 
-#: Progress that is worth another line, as a fraction of the work.
+#: Progress after which another line is printed, as a fraction of the stage.
 WORTH_A_LINE = 0.02
 
 
@@ -29,7 +29,8 @@ class Asked:
     scene: str | None
     #: "move" or "compress", or nothing.
     fit_depth: str | None
-    #: Values of `Scene.lumistack`, and of the scene itself.
+    #: Values of the extension's settings `Scene.lumistack`, and of Blender's own settings of the
+    #: scene (`scene_settings`).
     settings: dict[str, Any] = field(default_factory=dict)
     scene_settings: dict[str, Any] = field(default_factory=dict)
 
@@ -62,7 +63,7 @@ def _frames(text: str) -> tuple[int, int]:
 
 def parse(words: list[str]) -> Asked:
     """Parses the words. Raises `Usage`."""
-    parser = _Parser(prog="blender -b FILE.blend --command lumistack", description="Makes patterns of a scene. Settings that are not given are those of the file.")
+    parser = _Parser(prog="blender -b FILE.blend --command lumistack", description="Makes patterns of a scene. Settings without a flag are taken from the file.")
     parser.add_argument("what", nargs="?", choices=["make", "views"], default="make", help="patterns and outputs (make), or the views alone (views)")
     parser.add_argument("--blend", metavar="FILE", help="another .blend file to open")
     parser.add_argument("--scene", metavar="NAME", help="a scene of the file")
@@ -72,14 +73,14 @@ def parse(words: list[str]) -> Asked:
     parser.add_argument("--distance-mm", type=float, metavar="MM", help="distance of the eyes")
     parser.add_argument("--views", type=_pair, metavar="HxV", help="number of views")
     parser.add_argument("--brightness", type=float, metavar="B", help="brightness scale, above 0 and at most 1")
-    parser.add_argument("--pixels", type=int, metavar="PERCENT", help="share of the display's pixels")
-    parser.add_argument("--iterations", type=int, metavar="N", help="full updates")
+    parser.add_argument("--pixels", type=int, metavar="PERCENT", help="per cent of the display's pixels, on each axis")
+    parser.add_argument("--iterations", type=int, metavar="N", help="iterations of the solver")
     parser.add_argument("--samples", type=int, metavar="N", help="paths per pixel of Lumistack's path tracer")
-    parser.add_argument("--renderer", choices=["blender", "lumistack", "both"], help="who renders the views")
+    parser.add_argument("--renderer", choices=["blender", "lumistack", "both"], help="program that renders the views")
     parser.add_argument("--look", choices=["scene", "linear"], help="as Blender shows the scene, or linear")
-    parser.add_argument("--exposure", type=float, metavar="EV", help="stops, for the linear look")
+    parser.add_argument("--exposure", type=float, metavar="EV", help="exposure in stops, with --look linear")
     parser.add_argument("--window-distance", type=float, metavar="D", help="from the camera to the window, scene units")
-    parser.add_argument("--window-size", type=float, metavar="F", help="width of the window, over that of the camera's picture in its plane")
+    parser.add_argument("--window-size", type=float, metavar="F", help="width of the window, divided by the width of the camera's picture in the window's plane")
     parser.add_argument("--handover", choices=["gltf", "usd", "both"], help="how Lumistack's path tracer gets the scene")
     parser.add_argument("--fit-depth", choices=["move", "compress"], help="bring the scene into the display's depth of field")
     parser.add_argument("--frames", type=_frames, metavar="A..B", help="a range of frames")
@@ -106,7 +107,7 @@ def parse(words: list[str]) -> Asked:
     ):
         if value is not None:
             settings[name] = value
-    # Settings with a switch turn it on.
+    # If a setting has a switch in the extension, the flag also turns the switch on.
     if found.display is not None:
         is_file = found.display.endswith(".toml")
         settings["display_from"] = "FILE" if is_file else "PRESET"
@@ -126,7 +127,7 @@ def parse(words: list[str]) -> Asked:
 
 
 class ProgressPrinter:
-    """Prints progress: a line per stage, and per few per cent."""
+    """Prints progress: a line for every stage, and a line after every few per cent of a stage."""
 
     def __init__(self, file: TextIO) -> None:
         self._file, self._last = file, ("", -1.0)

@@ -89,7 +89,8 @@ def best_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm:
     if distance_mm is None:
         fit = Fit(wanted - (far + near) / 2, 1.0)
     else:
-        # Bisect for the movement that centres both ends; their middle grows with the movement.
+        # Bisect for the movement after which the middle of both ends is the middle of the range.
+        # The middle of both ends grows with the movement.
         least, most = -0.9 * distance_mm, 100.0 * (abs(far) + abs(near) + abs(wanted) + distance_mm)
         for _ in range(200):
             by = (least + most) / 2

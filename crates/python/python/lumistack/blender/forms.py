@@ -1,5 +1,5 @@
 """Parameters of output plugins as Blender's properties. The same schema serves the command line,
-Python, the browser and this panel."""
+Python, the browser and Blender's panel."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-#: Largest whole number of Blender.
+#: Largest value of Blender's whole numbers.
 MOST_INT = 2**31 - 1
 
 
@@ -27,7 +27,7 @@ class Field:
     default: Any = None
     least: Any = None
     most: Any = None
-    #: (value, help) of a choice.
+    #: (value, help) of every option of a choice.
     options: tuple[tuple[str, str], ...] = field(default=())
 
 

@@ -57,15 +57,15 @@ def export_scene(bpy: Any, path: str | Path, warn: Warn, scene: Any = None) -> N
 
 @contextlib.contextmanager
 def in_window(bpy: Any, scene: Any) -> Iterator[None]:
-    """Lends exporters a window that shows the scene: they need one with an active object, which a
-    command (`blender --command`) lacks."""
+    """Gives exporters a context with a window that shows the scene. They need a window, which the
+    context of a command (`blender --command`) lacks."""
     window = bpy.context.window
     if window is not None and bpy.context.screen is not None and bpy.context.scene == scene:
         yield
         return
     windows = [each for manager in bpy.data.window_managers for each in manager.windows]
     if not windows:
-        raise RuntimeError("Blender has no window open, and its exporters need one: start it with a file that has one")
+        raise RuntimeError("Blender has no window open, and its exporters need one: start Blender with a file that has a window")
     window = window or windows[0]
     shown = window.scene
     # The exporter reads the scene of the window.
@@ -78,8 +78,8 @@ def in_window(bpy: Any, scene: Any) -> Iterator[None]:
 
 
 def files_of(bpy: Any) -> tuple[list[str], list[str]]:
-    """The files that the scene depends on, and those that do not exist: libraries, pictures, fonts,
-    caches of geometry."""
+    """Returns the existing and the missing files that the scene depends on: libraries, pictures,
+    fonts, caches of geometry."""
     named = [(data, data.library) for kind in ("images", "cache_files", "volumes", "fonts") for data in getattr(bpy.data, kind, ())]
     named += [(library, None) for library in bpy.data.libraries]
     named += [(modifier, held.library) for held in bpy.data.objects for modifier in held.modifiers if modifier.type == "MESH_CACHE"]
@@ -114,7 +114,8 @@ def untracked(bpy: Any) -> str | None:
 
 @contextlib.contextmanager
 def _as_rendered(bpy: Any) -> Iterator[None]:
-    """Gives modifiers the settings of a render, since the exporter reads those of the viewport."""
+    """Copies the settings of modifiers for renders to their settings for the viewport, which the
+    exporter reads."""
     changed: list[tuple[Any, str, Any]] = []
     added: list[tuple[Any, Any]] = []
 
@@ -135,8 +136,8 @@ def _as_rendered(bpy: Any) -> Iterator[None]:
                     change(modifier, "levels", modifier.render_levels)
             if held.mode == "EDIT":
                 held.update_from_editmode()
-                # Edit Mode hides a mesh's texture coordinates from the exporter, but not those of
-                # its evaluated copy, which the exporter takes where there is a modifier.
+                # In Edit Mode the exporter finds no texture coordinates in a mesh, but it finds
+                # them in the mesh's evaluated copy. It exports this copy if there is a modifier.
                 modifier = held.modifiers.new(TEMPORARY, "DISPLACE") if held.type == "MESH" else None
                 if modifier is not None:
                     modifier.strength = 0.0
@@ -203,7 +204,7 @@ def _add_light(held: Any, matrix: Any, file: Glb, warn: Warn) -> None:
     if not max(power) > 0.0:
         return
     seen = getattr(held, "visible_camera", True)
-    # Cycles may define the power per area.
+    # Without `normalize`, Cycles takes the power as power per area.
     area = light.area(matrix_world=matrix) if hasattr(light, "area") else None
     if not getattr(light, "normalize", True) and light.type != "SUN" and area:
         power = [value * area for value in power]
@@ -329,7 +330,7 @@ def _add_cameras(bpy: Any, scene: Any, file: Glb, warn: Warn) -> None:
             warn(held.name, f"a camera of type {held.data.type.lower()} is left out")
             continue
         if abs(max(xs) + min(xs)) > 1e-3 * width or abs(max(ys) + min(ys)) > 1e-3 * height:
-            warn(held.name, "the camera's picture is shifted; it is taken on its axis")
+            warn(held.name, "the camera's picture is shifted; the camera is exported without the shift")
         matrix = held.evaluated_get(depsgraph).matrix_world.normalized()
         file.add_camera(held.name, y_up(matrix), camera, focus_of(bpy, held))
 

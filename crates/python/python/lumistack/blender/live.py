@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-#: Files of scenes and displays that stay: the program may still read the last few.
+#: Number of the newest files that are kept, of scenes and of displays: the program may still read
+#: them.
 KEPT = 4
 #: Longest text of a message.
 LONGEST = 400
@@ -29,7 +30,8 @@ class State:
 
     #: Address of the page; empty before the first picture.
     address: str = ""
-    #: Number of states, and of contents: every change of the scene or the display is one.
+    #: Number of states, and number of contents: every change of the scene or the display makes a
+    #: new content.
     states: int = 0
     content: int = 0
     #: PSNR of the last state at the solver's views, dB.
@@ -53,13 +55,13 @@ class Live:
         self._process = subprocess.Popen(words, env=dict(environment), stdin=pipe, stdout=pipe, stderr=pipe)
         self._lock = threading.Lock()
         self._state = State()
-        #: Time of the change whose state is awaited, and the content before it.
+        #: Time of the change whose state is awaited, and the content before this change.
         self._sent: tuple[float, int] | None = None
         self._error = b""
         self._threads = [threading.Thread(target=each, name="lumistack live", daemon=True) for each in (self._read, self._read_errors)]
         for thread in self._threads:
             thread.start()
-        # A caller that crashes cannot stop it.
+        # So the program also ends if its caller crashes.
         self.send(stop_at_end=True)
 
     @property
@@ -95,7 +97,7 @@ class Live:
                 stdin.flush()
 
     def stop(self) -> None:
-        """Asks the program to write its run folder and end."""
+        """Makes the program write its run folder and end; does not wait."""
         self.send(stop=True)
 
     def end(self, patience_s: float) -> None:
@@ -169,7 +171,7 @@ class Files:
         return self._path(self._number)
 
     def back(self) -> None:
-        """Removes the newest file: its number is given again."""
+        """Removes the newest file; the next file gets its number."""
         self._path(self._number).unlink(missing_ok=True)
         self._number -= 1
 

@@ -30,7 +30,7 @@ def spread_at(z_mm: float, distance_mm: float | None) -> float:
 
 def depth_box(size_mm: Sequence[float], depth_mm: Sequence[float] | None, distance_mm: float | None) -> list[Line]:
     """The depths that the display shows sharply: a frame at either end, and lines between their
-    corners. Empty for a display without any."""
+    corners. Empty for a display without such depths."""
     if depth_mm is None:
         return []
     most = MOST_DEPTH * size_mm[0]
@@ -54,8 +54,8 @@ def cone(size_mm: Sequence[float], fov_deg: Sequence[float]) -> list[Line]:
 
 
 def slope_of_mouse(mouse_px: Sequence[float], size_px: Sequence[float], fov_deg: Sequence[float]) -> tuple[float, float]:
-    """Converts the mouse's position in an area to the slope of a view: the area's edges are those
-    of the field of view. y points up."""
+    """Converts the mouse's position in an area to the slope of a view: the area's edges stand for
+    the edges of the field of view. y points up."""
     shares = [2.0 * min(max(place / max(size, 1.0), 0.0), 1.0) - 1.0 for place, size in zip(mouse_px, size_px, strict=True)]
     x, y = (share * math.tan(math.radians(angle) / 2) for share, angle in zip(shares, fov_deg, strict=True))
     return (x, y)

@@ -59,7 +59,7 @@ def check_engine(bpy: Any, scene: Any) -> None:
         _can_draw.append(drew)
     if not _can_draw[0]:
         name = "Workbench" if "WORKBENCH" in engine else "EEVEE"
-        raise NoOpenGL(f"{name} needs OpenGL, and without a window Blender finds none here: use Cycles, or give it a display (such as `xvfb-run`)")
+        raise NoOpenGL(f"{name} needs OpenGL, and without a window Blender finds none here: use Cycles, or give Blender a display (such as `xvfb-run`)")
 
 
 class Rig:
@@ -217,8 +217,8 @@ def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: floa
 
 
 def middle_of_view(bpy: Any, scene: Any, camera: Any, columns: int = 15, rows: int = 11) -> float | None:
-    """The middle of the nearest and the farthest visible depth of a camera, scene units; None if it
-    sees nothing."""
+    """The middle of the depths that a camera sees, without the nearest and the farthest tenth, scene
+    units; None if it sees nothing."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     matrix = camera.evaluated_get(depsgraph).matrix_world.normalized()
     frame = [corner.copy() for corner in camera.data.view_frame(scene=scene)]

@@ -135,7 +135,7 @@ def _output(material: Any) -> Any:
 
 
 def _reasons(output: Any) -> Iterator[str]:
-    """The parts before an output that the exporter does not support."""
+    """Names the nodes and settings before an output that the exporter does not support."""
     if output.inputs["Displacement"].is_linked:
         yield "displacement"
     nodes = list(_behind(output.inputs["Surface"], ()))

@@ -15,9 +15,9 @@ class Stopped(Exception):
 class Work:
     """One piece of work on its own thread.
 
-    make(report) does it. It must call report(stage, fraction) regularly, which raises Stopped after
-    a request to stop. report has the signature of the callback of the package's functions, which
-    then stop too.
+    make(report) does the work. It must call report(stage, fraction) regularly, which raises Stopped
+    after a request to stop. report can also be the callback of the package's functions, which then
+    stop too.
     """
 
     def __init__(self, make: Callable[[Callable[[str, float], None]], Any]) -> None:
@@ -34,11 +34,11 @@ class Work:
         return self
 
     def stop(self) -> None:
-        """Requests the work to stop, which happens at its next report."""
+        """Requests that the work stops, which happens at its next report."""
         self._stop.set()
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Waits for the end; returns true at the end."""
+        """Waits for the end, at most this long; returns true if the work has ended."""
         self._thread.join(seconds)
         return self.is_done()
 

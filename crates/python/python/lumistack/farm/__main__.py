@@ -74,7 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
     if given.json:
         print(json.dumps({"event": "done", "seconds": outcome.seconds, "units": len(outcome.done), "lost": outcome.lost}))
     else:
-        lost = f" (of these again: {outcome.lost})" if outcome.lost else ""
+        lost = f" (executed again after a loss: {outcome.lost})" if outcome.lost else ""
         print(f"units done: {len(outcome.done)}{lost}, done before: {outcome.before}; {outcome.seconds:.0f} s")
         print(f"{given.folder}/report.html" if "finish" in outcome.done else given.folder)
     return 0

@@ -35,7 +35,7 @@ MEMORY = "memory"
 
 
 class FarmError(Exception):
-    """A run did not finish; finished units are kept, and the same call continues."""
+    """A run did not finish. Finished units are kept, and a repeated call continues after them."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def run(
     program: Sequence[str] | None = None,
     **engine: Any,
 ) -> Outcome:
-    """Plans a job and executes it; the other arguments are those of `execute`."""
+    """Plans a job and executes it; `engine` are further arguments of `execute`."""
     return execute(plan(job, folder, options=options, program=program), program=program, **engine)
 
 
@@ -126,14 +126,15 @@ def execute(
 
     * `address`: of a Dask scheduler. Without one, and without a `client` of Dask, `workers` processes
       are started on this machine.
-    * `threads`: of a unit; by default the worker's share of its machine.
+    * `threads`: number of threads of a unit; by default the machine's cores divided by the worker's
+    threads.
     * `maps`: texts "/here=/there".
     * `tls`: files of authority, certificate and key.
     * `worker_program`: command that starts lumistack on workers; by default the package of the
       worker's Python.
     * `store`: object store through which workers exchange files if they share no folder, such as
       "s3://bucket/shots".
-    * `send`: folders of this machine whose files go to the store too, such as those of the scene.
+    * `send`: folders of this machine whose files go to the store too, such as the scene's folder.
 
     Raises FarmError if units were abandoned or no worker can be used; finished units are kept.
     """
@@ -154,8 +155,8 @@ def execute(
 
 
 def check_address(address: str, has_tls: bool, insecure: bool) -> None:
-    """Refuses schedulers on other machines without TLS: every process that reaches one can run
-    programs on its workers."""
+    """Refuses schedulers on other machines without TLS: every process that reaches such a scheduler
+    can run programs on its workers."""
     parts = urlsplit(address if "://" in address else f"tcp://{address}")
     host = (parts.hostname or "").lower()
     is_here = host in ("localhost", "::1") or re.fullmatch(r"127(\.\d{1,3}){3}", host) is not None
@@ -164,7 +165,7 @@ def check_address(address: str, has_tls: bool, insecure: bool) -> None:
             raise FarmError(f"{address}: expected the files of --tls-ca, --tls-cert and --tls-key with tls://, found none")
     elif not (is_here or insecure):
         raise FarmError(
-            f"{address}: expected tls:// or an address of this machine, found {parts.scheme}:// to another: every process that reaches "
+            f"{address}: expected tls:// or an address of this machine, found {parts.scheme}:// to another machine: every process that reaches "
             "such a scheduler can run programs on its workers; --insecure allows it"
         )
 
@@ -202,7 +203,7 @@ def connected(address: str | None, client: Any, workers: int, tls: tuple[str, st
             processes=True,
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",
-            # Units are child processes of the workers, which hold no data themselves.
+            # No limit: units are child processes, and the workers themselves hold no data.
             memory_limit=0,
             resources={MEMORY: memory / workers},
             silence_logs=50,
@@ -250,7 +251,7 @@ class Engine:
         self.outcome = Outcome(before=len(self.done))
         self.running: dict[Any, str] = {}
         self.ended: SimpleQueue[Any] = SimpleQueue()
-        # Workers that a task may run on, if not all.
+        # Workers on which a task may run; tasks that may run on all workers have no entry.
         self.bound: dict[Any, list[str]] = {}
         self.failures: dict[str, int] = {}
         self.losses: dict[str, int] = {}
@@ -271,7 +272,7 @@ class Engine:
                     raise FarmError(f"{folder}: expected a folder to send, found none")
             self.store, self.sent = _store.Run(url, self.plan), [str(folder) for folder in sent]
             self.store.begin(self.here, sent)
-            # Files that an earlier call left there.
+            # Units whose files an earlier call left in the store are done.
             found = [unit for unit in self.units if unit not in last and unit not in self.done and self.store.is_done(unit)]
             self.done.update(found)
             self.outcome.before += len(found)
@@ -425,7 +426,7 @@ class Engine:
             if name not in needs:
                 needs[name] = None
                 waiting += self.units[name].inputs
-        # in the order of the plan: of a file that several units write, the last version is used
+        # The order is the plan's: if several units write a file, the last version is used.
         ordered = [name for name in self.units if name in needs]
         return {"url": self.store.store.url, "plan": self.plan, "needs": ordered, "sent": self.sent}
 
@@ -454,7 +455,7 @@ class Engine:
             count = {"done": len(self.done), "units": len(self.units)}
             self.tell({"event": "done_unit", "id": unit, "seconds": answer.get("seconds"), **count})
         elif outcome in ("lost", "cancelled"):
-            # The worker is gone, or the scheduler has given the task to another.
+            # The worker is gone, or the scheduler has given the task to another worker.
             self.lose(unit)
         elif outcome == "refused":
             # The worker came or changed after the check of the workers.

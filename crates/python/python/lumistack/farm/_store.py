@@ -6,8 +6,8 @@ the files of units through it.
     URL/PLAN/start.json              files of the run folder before the first unit, the plan among them
     URL/PLAN/sent/N.json             files of a folder that the client sends
 
-Each worker has its own run folder, the mirror. A unit takes the files of the units on which it
-depends, is executed as in any run folder, and publishes the files that it has written.
+Each worker has its own run folder, the mirror. A unit first takes the files of the units on which
+it depends. Then it is executed as in any run folder, and publishes the files that it has written.
 """
 
 from __future__ import annotations
@@ -130,9 +130,9 @@ class Store:
         return entries
 
     def pull(self, names: Iterable[str], folder: Path) -> list[str]:
-        """Copies the files of lists into a folder, later lists last; returns the lists that do not exist.
+        """Copies the files that lists name into a folder; returns the lists that do not exist.
 
-        A file whose content is already that of the list is not written again. If several units wrote a file, such as
+        A file that already has the content that its list states is not written again. If several lists name a file, such as
         the run's bookkeeping, the version of the last list is used.
         """
         wanted: dict[str, dict[str, Any]] = {}
@@ -164,7 +164,7 @@ class Run:
         need."""
         for number, source in enumerate(sent):
             self.store.publish(f"{self.plan}/sent/{number}.json", source, _files(source))
-        # written last, since it marks the beginning of the run
+        # start.json is written last, since it marks the beginning of the run
         self.store.publish(f"{self.plan}/start.json", folder, _files(folder))
 
     def is_done(self, unit: str) -> bool:
@@ -201,7 +201,7 @@ class Mirror:
         return cls.known[key]
 
     def take(self, needs: list[str], sent: list[str]) -> list[str]:
-        """Copies the files of units into the mirror. Returns the maps that lead to the files that the
+        """Copies the files of units into the mirror. Returns the path mappings to the files that the
         client sent."""
         run = self.run
         new = [unit for unit in needs if unit not in self.taken]

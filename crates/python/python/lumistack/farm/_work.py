@@ -97,10 +97,10 @@ def _threads(given: int | None) -> int:
 def execute(
     words: list[str] | None, folder: str, unit: str, maps: list[str], threads: int | None, store: dict[str, Any] | None = None
 ) -> str:
-    """Executes a unit. Never raises: the text contains the result.
+    """Executes a unit. Never raises: the returned text contains the result, errors included.
 
-    `store`: the object store that replaces a shared folder: its `url`, the id of the `plan`, the
-    units that this one `needs`, and the folders that were `sent`.
+    `store`: the object store that replaces a shared folder. It has its `url`, the id of the `plan`,
+    the units that this unit `needs`, and the folders that were `sent`.
     """
     if store is None:
         return _execute(words, folder, unit, maps, threads)
