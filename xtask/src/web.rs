@@ -35,8 +35,8 @@ const MODULES: [Module; 3] = [
 const PACKAGE: &str = "web/pkg";
 /// Folder of the pages. It is committed.
 const DIST: &str = "web/dist";
-/// File with three lines: the hashes of the modules' sources, of the pages' sources and of the files
-/// of `web/dist`.
+/// File with three lines: the hashes of the modules' sources, of the pages' sources, and of the
+/// files of `web/dist`.
 const HASH: &str = "web/dist/sources.blake3";
 /// The parts of the site: name, files, and the largest compressed size of these files together,
 /// bytes.
