@@ -7,6 +7,8 @@ import { join } from "node:path";
 import { gzipSync } from "node:zlib";
 
 const MODULES = ["lumistack_web_bg.wasm", "lumistack_web_solver_bg.wasm", "lumistack_web_decoders_bg.wasm"];
+/** Scripts that the viewer loads when somebody chooses such a display. */
+const OTHERS = ["headset", "lenticular", "bridge"];
 for (const name of MODULES) {
   if (existsSync(`pkg/${name}`)) continue;
   console.error(`web/pkg/${name} is missing: run \`cargo xtask web\`, which builds it and then this page`);
@@ -19,6 +21,7 @@ await build({
   entryPoints: { viewer: "src/viewer.ts", solve: "src/solve/main.ts" },
   outdir: "dist",
   format: "esm",
+  external: OTHERS.map((name) => `./${name}.js`),
   loader: { ".css": "text" },
   plugins: [
     {
@@ -45,6 +48,7 @@ await build({
     },
   ],
 });
+await build({ ...BROWSERS, entryPoints: Object.fromEntries(OTHERS.map((name) => [name, `src/${name}.ts`])), outdir: "dist", format: "esm" });
 // Only pages of `lumistack live` load this script.
 await build({ ...BROWSERS, entryPoints: { live: "src/live.ts" }, outdir: "dist", format: "esm" });
 // Each page contains its own style sheet, so that the browser fetches nothing before it shows the poster.
@@ -67,7 +71,7 @@ execFileSync(process.execPath, ["node_modules/typescript/bin/tsc", "--emitDeclar
 mkdirSync("dist/types", { recursive: true });
 for (const name of ["viewer.d.ts", "element.d.ts", "state.d.ts"]) copyFileSync(join(all, name), join("dist/types", name));
 rmSync(all, { recursive: true });
-for (const name of ["index.html", "viewer.js", "lumistack_web_bg.wasm", "solve.html", "solve.js", "lumistack_web_solver_bg.wasm", "lumistack_web_decoders_bg.wasm"]) {
+for (const name of ["index.html", "viewer.js", ...OTHERS.map((name) => `${name}.js`), "lumistack_web_bg.wasm", "solve.html", "solve.js", "lumistack_web_solver_bg.wasm", "lumistack_web_decoders_bg.wasm"]) {
   const bytes = readFileSync(`dist/${name}`);
   console.log(`dist/${name}  ${(bytes.length / 1000).toFixed(1)} kB, ${(gzipSync(bytes, { level: 9 }).length / 1000).toFixed(1)} kB gzip`);
 }

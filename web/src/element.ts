@@ -23,6 +23,7 @@ import { layOut } from "./layout.js";
 import { Loader } from "./loader.js";
 import { Ticker } from "./loop.js";
 import { Motion, Tilt } from "./motion.js";
+import { Others, type Views } from "./others.js";
 import type { Wish } from "./painter.js";
 import { Problem, problemOf } from "./problem.js";
 import { quilt } from "./quilt.js";
@@ -139,6 +140,7 @@ export class LumistackViewer extends HTMLElement {
       open: (files) => this.open(files),
       report: (problem) => this.report(problem),
     });
+    new Others(this.face, () => this.views());
   }
 
   // --- public interface
@@ -208,11 +210,10 @@ export class LumistackViewer extends HTMLElement {
 
   /** Saves a quilt of 8 × 6 views for lenticular displays: a PNG, `TITLE_qs8x6aASPECT.png`. */
   async saveQuilt(): Promise<void> {
-    const { content, state } = this;
-    if (!content || content.frames.length === 0) throw new Error("there is no picture yet");
-    const perceived: State = { ...state, mode: "perceived" };
-    const { blob, ending } = await quilt(content.info, (slope) => this.stage.pixels(content.shot(perceived, slope)));
-    download(blob, `${fileName(content.info.title)}${ending}`);
+    const views = this.views();
+    if (!views) throw new Error("there is no picture yet");
+    const { blob, ending } = await quilt(views);
+    download(blob, `${fileName(views.info.title)}${ending}`);
   }
 
   /** Records one turn around the zone and saves it as a video. */
@@ -546,6 +547,27 @@ export class LumistackViewer extends HTMLElement {
   private shot(): Shot | undefined {
     const { content } = this;
     return content && content.frames.length > 0 ? content.shot(this.state, this.motion.slope) : undefined;
+  }
+
+  /** The seen pictures for other displays; undefined without patterns. */
+  private views(): Views | undefined {
+    const info = this.content?.info;
+    if (!info || this.content?.frames.length === 0) return undefined;
+    return {
+      info,
+      picture: async (slope, eyeMm) => {
+        const seen: State = { ...this.state, mode: "perceived", eyeMm: eyeMm ?? this.state.eyeMm };
+        const { content } = this;
+        // The page that solves replaces patterns by better ones of the same size.
+        const same = content?.info.field.cols === info.field.cols && content.info.field.rows === info.field.rows;
+        // The simulator gets both in this order, with nothing in between.
+        content?.apply(seen);
+        const [picture] = same ? await this.stage.pictures(content.shot(seen, slope)) : [];
+        if (!picture) throw new Error("the viewer shows something else now");
+        return picture;
+      },
+      done: () => this.content?.apply(this.state),
+    };
   }
 
   /**

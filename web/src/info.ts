@@ -37,7 +37,7 @@ export interface Info {
   backlight?: { cols: number; rows: number };
   frames: number;
   brightness: number;
-  views: { rows: number; cols: number; slopes: [number, number][]; projection: string };
+  views: { rows: number; cols: number; slopes: [number, number][]; projection: string; distance_mm?: number };
   /** Half the angles of the viewing zone. */
   zone: { x_rad: number; y_rad: number };
   files: FileInfo[];
@@ -67,7 +67,14 @@ export function infoOf(json: string): Info {
     ...(emission && { backlight: { cols: emission.cols, rows: emission.rows } }),
     frames,
     brightness,
-    views: { rows, cols, slopes: target.slope_y.flatMap((y: number) => target.slope_x.map((x: number) => [x, y])), projection: target.projection },
+    views: {
+      rows,
+      cols,
+      slopes: target.slope_y.flatMap((y: number) => target.slope_x.map((x: number) => [x, y])),
+      projection: target.projection,
+      // The eye of the patterns; parallel projections have none.
+      ...(target.distance_mm && { distance_mm: target.distance_mm }),
+    },
     zone: { x_rad: half(0, cols), y_rad: half(1, rows) },
     files,
     ...(poster && { poster }),

@@ -14,7 +14,8 @@ export class Problem extends Error {
 
 /** Converts any error to a Problem; `advice` is the remedy of an error that has none. */
 export function problemOf(error: unknown, advice: string): Problem {
-  if (error instanceof Problem) return error;
+  // Scripts that are loaded later have a class of their own.
+  if (error instanceof Error && error.name === "Problem") return error as Problem;
   return new Problem(error instanceof Error ? error.message : String(error), advice);
 }
 

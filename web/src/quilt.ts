@@ -1,10 +1,17 @@
 // Makes a quilt for lenticular displays: views of the display along one row of slopes.
 import { toPng } from "./capture.js";
 import type { Info } from "./info.js";
+import type { Views } from "./others.js";
 import type { Slope } from "./state.js";
 
-/** Columns and rows of tiles, as the smallest lenticular displays use them. */
+/** Columns and rows of tiles without a known panel, as the smallest lenticular displays use them. */
 const [COLUMNS, ROWS] = [8, 6];
+
+/** Columns and rows of views. */
+export interface Layout {
+  columns: number;
+  rows: number;
+}
 
 /**
  * Returns the slopes of `count` views from left to right, on the central row of the target's views;
@@ -24,18 +31,28 @@ export function slopesAcross({ views }: Pick<Info, "views">, count: number): Slo
   });
 }
 
-/**
- * Draws all views; view 0 is the tile at the bottom left. `picture` returns the view from a slope
- * in the light field's size. `ending` is the end of the file's name, which states the layout.
- */
-export async function quilt(info: Info, picture: (slope: Slope) => Promise<ImageData>): Promise<{ blob: Blob; ending: string }> {
+/** A quilt, the end of its file's name with its layout, and the width of a view over its height. */
+export interface Quilt {
+  blob: Blob;
+  ending: string;
+  aspect: number;
+}
+
+/** Draws all views, view 0 as the bottom-left tile. */
+export async function quilt(views: Views, { columns, rows }: Layout = { columns: COLUMNS, rows: ROWS }): Promise<Quilt> {
   const canvas = document.createElement("canvas");
   const context = canvas.getContext("2d")!;
-  for (const [i, slope] of slopesAcross(info, COLUMNS * ROWS).entries()) {
-    const view = await picture(slope);
-    if (i === 0) [canvas.width, canvas.height] = [COLUMNS * view.width, ROWS * view.height];
-    context.putImageData(view, (i % COLUMNS) * view.width, (ROWS - 1 - Math.floor(i / COLUMNS)) * view.height);
+  try {
+    for (const [i, slope] of slopesAcross(views.info, columns * rows).entries()) {
+      const view = await views.picture(slope);
+      if (i === 0) [canvas.width, canvas.height] = [columns * view.width, rows * view.height];
+      context.drawImage(view, (i % columns) * view.width, (rows - 1 - Math.floor(i / columns)) * view.height);
+      view.close();
+    }
+  } finally {
+    views.done();
   }
-  const aspect = Math.round((1e5 * info.field.width_mm) / info.field.height_mm) / 1e5;
-  return { blob: await toPng(canvas), ending: `_qs${COLUMNS}x${ROWS}a${aspect}.png` };
+  const { width_mm, height_mm } = views.info.field;
+  const aspect = Math.round((1e5 * width_mm) / height_mm) / 1e5;
+  return { blob: await toPng(canvas), ending: `_qs${columns}x${rows}a${aspect}.png`, aspect };
 }

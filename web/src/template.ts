@@ -8,6 +8,7 @@ export const ICONS = {
   link: icon('<path d="M8.5 11.5a3 3 0 0 0 4.3 0l2.4-2.4a3 3 0 0 0-4.3-4.3l-1 1M11.5 8.5a3 3 0 0 0-4.3 0l-2.4 2.4a3 3 0 0 0 4.3 4.3l1-1"/>'),
   camera: icon('<path d="M3 7.5a1 1 0 0 1 1-1h2.4L7.7 4.5h4.6l1.3 2H16a1 1 0 0 1 1 1V15a1 1 0 0 1-1 1H4a1 1 0 0 1-1-1z"/><circle cx="10" cy="11" r="2.7"/>'),
   record: icon('<circle cx="10" cy="10" r="6.5"/><circle cx="10" cy="10" r="2.6" fill="currentColor" stroke="none"/>'),
+  elsewhere: icon('<path d="M2.5 7.5a1 1 0 0 1 1-1h13a1 1 0 0 1 1 1V13a1 1 0 0 1-1 1h-3.2l-1.6-2a2.2 2.2 0 0 0-3.4 0l-1.6 2H3.5a1 1 0 0 1-1-1z"/>'),
   theme: icon('<circle cx="10" cy="10" r="6.5"/><path d="M10 3.5a6.5 6.5 0 0 1 0 13z" fill="currentColor" stroke="none"/>'),
   full: icon('<path d="M4 8V4h4M12 4h4v4M16 12v4h-4M8 16H4v-4"/>'),
   play: icon('<path d="M6.5 4.5v11l9-5.5z" fill="currentColor"/>'),
@@ -36,7 +37,7 @@ export const TEMPLATE = `
     </div>
     <div class="tools">
       ${button("open", "open", "Open a preview, a quilt or a light field")}${button("link", "link", "Copy a link to this view")}${button("camera", "shot", "Save a picture")}
-      ${button("record", "record", "Record a turn as video")}${button("theme", "theme", "Switch between dark and light")}${button("full", "full", "Fill the screen")}
+      ${button("record", "record", "Record a turn as video")}${button("elsewhere", "elsewhere", "Show it on another display")}${button("theme", "theme", "Switch between dark and light")}${button("full", "full", "Fill the screen")}
     </div>
   </header>
   <div class="stage" id="stage" tabindex="0" role="group" aria-roledescription="light field display" aria-label="Picture" aria-describedby="keys">
@@ -108,5 +109,15 @@ export const TEMPLATE = `
     <button type="button" class="wide" id="choose-files">Files: a quilt (name_qs8x6a0.75.png) or views</button>
     <form method="dialog"><button class="text">Cancel</button></form>
   </dialog>
-  <input type="file" id="files" multiple accept="image/*,.json" hidden><input type="file" id="folder" webkitdirectory hidden>
+  <dialog id="others" aria-labelledby="others-title">
+    <h2 id="others-title">Show it on another display</h2>
+    <button type="button" class="wide" id="headset" disabled>Headset<small>The display stands before you in its true size. Needs a headset that this browser knows.</small></button>
+    <button type="button" class="wide" id="lenticular">Lenticular panel<small>Weaves the picture for one panel. Choose its calibration file, visual.json.</small></button>
+    <div class="row" id="woven-row" hidden><button type="button" class="text" id="fill">Fill the screen</button><button type="button" class="text" id="woven">Save the woven picture</button></div>
+    <button type="button" class="wide" id="bridge">Looking Glass Bridge<small>Saves a quilt, and shows it on the panel that Bridge drives on this computer.</small></button>
+    <label class="field">For Bridge: the folder where this browser saves files <input id="stored" autocomplete="off" spellcheck="false"></label>
+    <p id="others-status" role="status"></p>
+    <form method="dialog"><button class="text">Close</button></form>
+  </dialog>
+  <input type="file" id="calibration" accept=".json,application/json" hidden><input type="file" id="files" multiple accept="image/*,.json" hidden><input type="file" id="folder" webkitdirectory hidden>
 </div>`;

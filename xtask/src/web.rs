@@ -2,10 +2,10 @@
 //! and compares them with the committed files.
 //!
 //! `web/dist` is committed, so that the program can write previews on machines without a
-//! WebAssembly toolchain. It contains two hashes: of all its sources, and of its files. If a hash
-//! differs, the page was not rebuilt after a change, or was changed by hand. If both agree, tests
-//! use the committed files, since a build of the same sources would take minutes and give the same
-//! bytes.
+//! WebAssembly toolchain. It contains three hashes: of the modules' sources, of the other sources,
+//! and of its files. If a hash differs, the page was not rebuilt after a change, or was changed by
+//! hand. If all agree, tests use the committed files, since a build of the same sources would take
+//! minutes and give the same bytes.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -35,18 +35,20 @@ const MODULES: [Module; 3] = [
 const PACKAGE: &str = "web/pkg";
 /// Folder of the pages. It is committed.
 const DIST: &str = "web/dist";
-/// File with two lines: the hash of the sources of `web/dist`, and the hash of its files.
+/// File with three lines: the hashes of the modules' sources, of the pages' sources, and of the
+/// files of `web/dist`.
 const HASH: &str = "web/dist/sources.blake3";
 /// The parts of the site: name, files, and the largest compressed size of these files together,
 /// bytes.
-const BUDGETS: [(&str, &[&str], usize); 4] = [
+const BUDGETS: [(&str, &[&str], usize); 5] = [
     ("page", &["index.html", "viewer.js", "lumistack_web_bg.wasm"], 150_000),
+    ("other displays", &["bridge.js", "headset.js", "lenticular.js"], 8_000),
     ("page that solves", &["solve.html", "solve.js"], 15_000),
     ("solver", &["lumistack_web_solver_bg.wasm"], 500_000),
     ("decoders", &["lumistack_web_decoders_bg.wasm"], 600_000),
 ];
-/// Sources of the pages, in addition to the lock file's entries of their dependencies.
-const SOURCES: [&str; 25] = [
+/// Sources of the modules, in addition to the lock file's entries of their dependencies.
+const MODULE_SOURCES: [&str; 19] = [
     "crates/core/src",
     "crates/display/src",
     "crates/factorizer/src",
@@ -64,19 +66,36 @@ const SOURCES: [&str; 25] = [
     "crates/web/src",
     "crates/web-solver/Cargo.toml",
     "crates/web-solver/src",
-    "scenes/dandelion",
     "scenes/displays",
-    "scenes/letters",
-    "scenes/still-life",
-    "web/build.mjs",
-    "web/package-lock.json",
-    "web/src",
     "xtask/examples/bindgen.rs",
 ];
+/// Sources of the pages, beside the modules.
+const PAGE_SOURCES: [&str; 6] =
+    ["scenes/dandelion", "scenes/letters", "scenes/still-life", "web/build.mjs", "web/package-lock.json", "web/src"];
 
 /// Builds modules and pages into `web/dist`, and measures them.
 pub fn build() -> Outcome {
     modules()?;
+    bundle()
+}
+
+/// Builds the pages around the committed modules, in seconds.
+pub fn pages() -> Outcome {
+    let committed = fs::read_to_string(root().join(HASH)).unwrap_or_default();
+    if committed.lines().next() != Some(&module_hash()?) {
+        return Err("web: the modules' sources have changed: run `cargo xtask web`".into());
+    }
+    for Module { name, .. } in &MODULES {
+        let [built, used] = [PACKAGE, DIST].map(|folder| fs::read(root().join(folder).join(format!("{name}_bg.wasm"))));
+        if !matches!((built, used), (Ok(built), Ok(used)) if built == used) {
+            return Err(format!("web: {PACKAGE} has no module {name} like that of {DIST}: run `cargo xtask web`"));
+        }
+    }
+    npm_packages()?;
+    bundle()
+}
+
+fn bundle() -> Outcome {
     tools::run(command("npm").args(["run", "--silent", "build", "--prefix", "web"]))?;
     fs::write(root().join(HASH), hashes()?).map_err(|error| format!("{HASH}: {error}"))?;
     measure()
@@ -86,10 +105,9 @@ pub fn build() -> Outcome {
 /// pages.
 pub fn check() -> Outcome {
     let (now, committed) = (hashes()?, fs::read_to_string(root().join(HASH)).unwrap_or_default());
-    for (what, now, committed) in [
-        ("its sources", now.lines().next(), committed.lines().next()),
-        ("its files", now.lines().nth(1), committed.lines().nth(1)),
-    ] {
+    let parts = ["the modules' sources", "the pages' sources", "its files"];
+    for (i, what) in parts.into_iter().enumerate() {
+        let [now, committed] = [&now, &committed].map(|hashes| hashes.lines().nth(i));
         if now != committed {
             let (now, committed) = (now.unwrap_or("none"), committed.unwrap_or("none"));
             let remedy = "run `cargo xtask web` and commit what it writes";
@@ -106,7 +124,10 @@ fn hashes() -> Outcome<String> {
     let mut dist = Vec::new();
     collect(&root().join(DIST), &mut dist)?;
     dist.retain(|path| *path != root().join(HASH));
-    Ok(format!("{}\n{}\n", sources_hash()?, hash_of(dist)?.finalize().to_hex()))
+    let mut pages = Vec::new();
+    PAGE_SOURCES.iter().try_for_each(|source| collect(&root().join(source), &mut pages))?;
+    let [pages, dist] = [hash_of(pages)?, hash_of(dist)?].map(|hash| hash.finalize().to_hex());
+    Ok(format!("{}\n{pages}\n{dist}\n", module_hash()?))
 }
 
 /// Fetches the browser and the npm packages.
@@ -289,11 +310,11 @@ fn measure() -> Outcome {
     Ok(())
 }
 
-/// Returns a hash of the names and contents of all sources, of the build profile, and of the
-/// versions of all crates in the modules.
-fn sources_hash() -> Outcome<String> {
+/// Returns a hash of the names and contents of the modules' sources, of the build profile, and of
+/// the versions of all crates in the modules.
+fn module_hash() -> Outcome<String> {
     let mut files = Vec::new();
-    for source in SOURCES {
+    for source in MODULE_SOURCES {
         collect(&root().join(source), &mut files)?;
     }
     let mut hash = hash_of(files)?;

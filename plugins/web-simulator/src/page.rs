@@ -12,6 +12,12 @@ use crate::poster::{POSTER, Poster};
 pub const PREVIEW_JSON: &str = "stack/preview.json";
 const INDEX: &str = include_str!("../dist/index.html");
 const SCRIPT: &str = include_str!("../dist/viewer.js");
+/// Scripts that the viewer loads for other displays; the single file does without them.
+const OTHERS: [(&str, &str); 3] = [
+    ("app/bridge.js", include_str!("../dist/bridge.js")),
+    ("app/headset.js", include_str!("../dist/headset.js")),
+    ("app/lenticular.js", include_str!("../dist/lenticular.js")),
+];
 const MODULE: &[u8] = include_bytes!("../dist/lumistack_web_bg.wasm");
 
 /// Part of the page that the single file replaces by the script itself.
@@ -112,12 +118,13 @@ impl<'a> Site<'a> {
     /// Writes the page and preview.json.
     pub(crate) fn finish(self, preview_json: &str) -> Result<(), PluginError> {
         let index = if self.single.is_some() { self.index.clone() } else { cut(&self.index, SINGLE, "")? };
-        for (path, bytes) in [
+        let own = [
             ("index.html", index.as_bytes()),
             ("app/viewer.js", SCRIPT.as_bytes()),
             ("app/lumistack_web_bg.wasm", MODULE),
             (PREVIEW_JSON, preview_json.as_bytes()),
-        ] {
+        ];
+        for (path, bytes) in own.into_iter().chain(OTHERS.map(|(path, script)| (path, script.as_bytes()))) {
             self.host.write(&format!("{}{path}", self.folder), bytes)?;
         }
         self.single.map_or(Ok(()), |single| single.finish(preview_json))

@@ -1,7 +1,7 @@
 import { type Comparison, type Mode, type Path, type Slope } from "./state.js";
 export interface LumistackErrorDetail {
     message: string;
-    /** A possible remedy. */
+    /** A possible remedy, as a sentence; empty if there is none. */
     advice: string;
     /** True if nothing can be shown. */
     fatal: boolean;
@@ -23,7 +23,7 @@ export declare class LumistackViewer extends HTMLElement {
     private readonly loader;
     private state;
     private content;
-    /** Views to look around in before the patterns have arrived. */
+    /** Small views in which the user looks around until the patterns have arrived. */
     private around;
     private resting;
     private frameClockS;
@@ -32,9 +32,9 @@ export declare class LumistackViewer extends HTMLElement {
     private psnrKey;
     private life;
     constructor();
-    /** Resolves with the first picture; rejects if there will be none. */
+    /** Resolves when the first picture is shown; rejects if no picture can be shown. */
     get ready(): Promise<void>;
-    /** Resolves when every file has arrived or failed and there is a picture. */
+    /** Resolves when every file has arrived or failed; rejects if no frame is complete. */
     get complete(): Promise<void>;
     get src(): string;
     set src(value: string);
@@ -43,33 +43,33 @@ export declare class LumistackViewer extends HTMLElement {
     /** The kind of comparison in the mode "compare". */
     get comparison(): Comparison;
     set comparison(comparison: Comparison);
-    /** The slope of the view. Setting it ends swing and inertia. */
+    /** The slope of the view. A new value ends swing and inertia. */
     get slope(): Slope;
     set slope(slope: Slope);
     /** The renderer: "webgl2" or "cpu". */
     get path(): Path;
     /**
-     * RGBA bytes of the current picture, in the light field's size; of a side-by-side comparison
-     * those of the display.
+     * RGBA bytes of the current picture, in the light field's size. In the side-by-side comparison
+     * this is the display's picture, without the target's.
      */
     pixels(): Promise<ImageData>;
     /** The current picture as PNG. */
     screenshot(): Promise<Blob>;
-    /** Saves a quilt of 8 × 6 views for lenticular displays: a PNG whose name ends in `_qs8x6aASPECT`. */
+    /** Saves a quilt of 8 × 6 views for lenticular displays: a PNG, `TITLE_qs8x6aASPECT.png`. */
     saveQuilt(): Promise<void>;
     /** Records one turn around the zone and saves it as a video. */
     saveTurn(): Promise<void>;
-    /** Shows the files (path → file): a preview, a quilt, or the views of a light field. */
+    /** Shows files, given by path: a preview, a quilt, or the views of a light field. */
     open(files: ReadonlyMap<string, File>): Promise<void>;
     /**
-     * Shows patterns that are being computed. `json` is their preview, and `codes` contains all its
-     * pictures in the preview's order, [row][col][rgb] each. Patterns of the current preview are
-     * replaced at once.
+     * Shows patterns that are being computed. `json` is the text of their preview.json. `codes`
+     * contains the pictures of all its files in their order, [row][col][rgb] each. If `json` is the
+     * current preview, only the patterns are replaced, all at once.
      */
     showStack(json: string, codes: Uint8Array<ArrayBuffer>): Promise<void>;
     /**
-     * Replaces the patterns of the current preview at once; `files` has a PNG for every file that it
-     * names.
+     * Replaces all patterns of the current preview at once. `files` contains a PNG for every file of
+     * the preview, in the preview's order.
      */
     renew(files: readonly ArrayBuffer[]): Promise<void>;
     connectedCallback(): void;
@@ -79,9 +79,9 @@ export declare class LumistackViewer extends HTMLElement {
     private load;
     private dropContent;
     private show;
-    /** Called when the simulator of the current content has started. */
+    /** Called when the simulator of the new content has started. */
     private opened;
-    /** The poster in the page, otherwise the one that the preview names. */
+    /** The poster that the page puts into the element; without one, the image of the preview's. */
     private get poster();
     private showPoster;
     private watchPoster;
@@ -103,9 +103,14 @@ export declare class LumistackViewer extends HTMLElement {
     private stateChanged;
     private writeAddress;
     private layOut;
-    /** The picture to show; undefined without patterns. */
+    /** The picture to show; undefined while no frame is complete. */
     private shot;
-    /** True while a substitute is shown: the mean of a few frames is only noise. */
+    /** The seen pictures for other displays; undefined without patterns. */
+    private views;
+    /**
+     * True while the poster or small views replace the picture: the mean of only a few frames is
+     * noisy.
+     */
     private get isEarly();
     private draw;
     /** Called when a picture is on the canvas. */

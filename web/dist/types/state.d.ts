@@ -1,38 +1,38 @@
 /** The mode of the viewer. */
 export type Mode = "perceived" | "slow" | "exploded" | "compare" | "layers";
-/** The kind of comparison of target and display. */
+/** The way in which the mode "compare" shows display and target. */
 export type Comparison = "slider" | "side" | "error";
 /** The renderer of the display's views. */
 export type Path = "webgl2" | "cpu";
-/** Slope of the view: right of the normal, above it. */
+/** Slope of the view: x to the right of the display's normal, y above it. */
 export type Slope = readonly [x: number, y: number];
 export declare const MODES: readonly Mode[];
 export declare const COMPARISONS: readonly Comparison[];
 export interface State {
     mode: Mode;
     comparison: Comparison;
-    /** Position of the comparison's slider, 0..1 from the left. */
+    /** Boundary between display and target in the comparison "slider", 0..1 from the left. */
     split: number;
-    /** Factor on the emitted light; null: 1/β, for an adapted eye. */
+    /** Factor on the emitted light. Null stands for 1/β, the factor of an adapted eye. */
     gain: number | null;
-    /** Error of every gap between layers. */
+    /** Error of every gap between layers, mm. */
     gapMm: number;
-    /** Offset of the front layer. */
+    /** Offset of the front layer to the right and upwards, mm. */
     shiftXMm: number;
     shiftYMm: number;
-    /** Black level of every layer. */
+    /** Black level of every layer, 0..1. */
     blackLevel: number;
-    /** Diameter of the pupil; 0 for a pinhole. */
+    /** Diameter of the pupil, mm; 0 for a pinhole. */
     pupilMm: number;
-    /** Distance of the eye; null: that of the target's views, which may be parallel projections. */
+    /** Distance of the eye, mm. Null stands for the projection of the target's views. */
     eyeMm: number | null;
-    /** Frame and layer of slow motion and of the layers mode. */
+    /** The selected frame (of the modes "slow", "exploded" and "layers"), and the selected layer. */
     frame: number;
     layer: number;
     /** Frames per second of slow motion. */
     rate: number;
     playing: boolean;
-    /** Separation of the exploded layers, 0..1. */
+    /** Separation of the layers in the mode "exploded", 0..1. */
     spread: number;
     yaw: number;
     pitch: number;
@@ -40,9 +40,9 @@ export interface State {
     swing: boolean;
 }
 export declare const DEFAULTS: Readonly<State>;
-/** `mode=compare&x=0.03&…`; defaults are left out. */
+/** Writes a state as `mode=compare&x=0.03&…`, without the values that are defaults. */
 export declare function toHash(state: State, slope: Slope | undefined): string;
-/** Reads the text of `toHash`; unknown or wrong values keep their defaults. */
+/** Reads the text that `toHash` writes. Unknown keys are ignored; wrong values become defaults. */
 export declare function fromHash(hash: string): {
     state: State;
     slope: Slope | undefined;
