@@ -39,9 +39,9 @@ def runs(slope, side):
     """Traces `many` rays per pixel along one axis: 0 is x, 1 is y.
 
     Neighbouring rays that read the same pixels of all parts form a group, called a run; only its first ray is traced further.
-    Returns three arrays: places[part, run, pixel], the pixel of each part (last, with a backlight of lenslets, its bin of
-    directions); shares[run, pixel], the run's fraction of the pixel's width; and inside[run, pixel], whether the run
-    crosses all parts.
+    Returns three arrays. The array places[part, run, pixel] has the pixel of each part. With a backlight of lenslets, the
+    last part is the bin of directions. The array shares[run, pixel] has the run's fraction of the pixel's width. The array
+    inside[run, pixel] is true if the run crosses all parts.
     """
     count, sign = ((cols, 1), (rows, -1))[side]
     offset = ((np.arange(many) + 0.5) / many - 0.5)[:, None]

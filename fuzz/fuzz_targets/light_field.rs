@@ -1,6 +1,6 @@
-//! Reads folders of light fields. The first byte selects the kind: Lumistack's own (the input is
-//! `lightfield.json`, and all views are the same picture), HCI's (the input is `parameters.cfg`),
-//! or a folder of pictures with numbers in their names.
+//! Reads folders of light fields. The first byte selects the kind: Lumistack's own, HCI's, or a
+//! folder of pictures with numbers in their names. The input is the file `lightfield.json` of the
+//! first kind, whose views are all the same picture, and `parameters.cfg` of the second.
 
 #![no_main]
 

@@ -93,8 +93,10 @@ def kill_often(job: Path, folder: Path, options: list[str], count: int) -> int:
 
 
 def seams(place: Path, job: Path, times: int) -> dict[str, Any]:
-    """Measures how much splitting a sequence into four chunks costs: the worst changes of `psnr_view` and `psnr_change` at the first
-    time step of a chunk, relative to the sequence solved as one chain, for several numbers of warm-up steps."""
+    """Measures how much splitting a sequence into four chunks costs, for several numbers of warm-up steps.
+
+    The costs are the worst changes of `psnr_view` and `psnr_change` at the first time step of a chunk, relative to the
+    sequence solved as one chain."""
 
     def report(folder: Path, *options: str) -> list[dict[str, Any]]:
         subprocess.run([*PROGRAM, "run", str(job), "-o", str(folder), *options], check=True, capture_output=True)

@@ -102,8 +102,9 @@ pub fn build(python: &Path) -> Outcome<PathBuf> {
     only_file(&folder)
 }
 
-/// Packs a wheel with the module that the workspace's tests compile, and returns its path. maturin
-/// provides all other files of the wheel; it would compile the module again with other features.
+/// Packs a wheel with the module that the workspace's tests compile. maturin provides all other
+/// files of the wheel; it would compile the module again with other features. Returns the wheel's
+/// path.
 pub fn pack(python: &Path) -> Outcome<PathBuf> {
     tools::build_everything()?;
     let (info, folder) = (empty("target/wheels/info")?, empty("target/wheels/dev")?);

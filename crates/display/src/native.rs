@@ -17,10 +17,11 @@ const VIEWS_PER_BIN: f64 = 3.0;
 /// * p / max |Δd|, which moves some layer by one pixel against the light field or the next layer,
 /// * the change that moves the rays by one bin of the backlight.
 ///
-/// Suppose that all layers have one pitch, and distances that are multiples of one distance. At
-/// multiples of this step, every layer is then shifted by whole pixels. There one ray per pixel is
-/// exact for the pixel's area. Between two neighbouring multiples, two neighbouring layers combine
-/// only pairs of pixels that they also combine at one of the two multiples.
+/// Suppose that all layers have one pitch. At multiples of this step, a layer or a gap with the
+/// largest distance is shifted by whole pixels. If every layer is in the display plane or at ± the
+/// largest distance, this applies to all layers, and one ray per pixel is exact for the pixel's
+/// area. Between two neighbouring multiples, two neighbouring layers combine only pairs of pixels
+/// that they also combine at one of the two multiples.
 pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
     let gaps =

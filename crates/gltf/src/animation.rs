@@ -136,7 +136,10 @@ fn together(document: &Document<'_>, names: &[Option<&str>]) -> Result<Vec<Vec<C
         let fresh = channels.iter().all(|channel| moved.insert((channel.node, channel.property)));
         if !fresh {
             let list: Vec<String> = names.iter().enumerate().map(|(i, name)| label(i, *name)).collect();
-            let message = format!("several animations move the same nodes ({}); the first is shown", list.join(", "));
+            let message = format!(
+                "two or more animations move the same property of a node; only the first is played (animations: {})",
+                list.join(", ")
+            );
             document.task.warn("/animations", message);
             all.truncate(1);
             return Ok(all);

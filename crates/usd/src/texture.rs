@@ -139,7 +139,7 @@ impl<'a> Textures<'a> {
                 Some(bytes) => Picture::decode(&entry.name, bytes),
                 None => Err("in no buffer of the package".into()),
             },
-            (None, None) => Err("nowhere".into()),
+            (None, None) => Err("neither a file nor data of the package".into()),
         };
         let picture = match read {
             Ok(picture) => Some(Rc::new(picture)),

@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 
 use crate::error::Error;
 
-/// A lit scene and its renderer. Results are not cached, since the page needs each result only once.
+/// A lit scene and its renderer. Results are not cached, since the page needs each only once.
 pub(crate) struct Held {
     pub(crate) scene: Arc<Scene>,
     pub(crate) renderer: SceneRenderer,

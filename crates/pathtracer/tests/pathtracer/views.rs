@@ -295,8 +295,8 @@ fn normal_maps_keep_their_relief() {
 
 /// A diffuse surface with a normal map is equally bright from all sides, since only specular
 /// normals are bent towards the viewer. Its bumps shade one another: the cosine of the light is
-/// multiplied by 2 cos θ / (cos θ + √(cos² θ + α² sin² θ)), where θ is the angle between the light
-/// and the geometric normal. The map tilts normals by 45°, so α² = tan² 45° / 8.
+/// multiplied by `2 cos θ / (cos θ + √(cos² θ + α² sin² θ))`. θ is the angle between the light and
+/// the geometric normal. The map tilts normals by 45°, so α² = tan² 45° / 8.
 #[test]
 fn diffuse_normal_maps_do_not_depend_on_the_viewer() {
     use lumistack_scene::{Light, LightKind};

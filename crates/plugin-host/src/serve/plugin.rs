@@ -103,10 +103,13 @@ impl Plugin {
         let (major, minor, size) = unsafe { ((*descriptor).abi_major, (*descriptor).abi_minor, (*descriptor).size) };
         // Refuse other major versions, and structs shorter than this version's.
         if major != ABI_MAJOR {
-            let remedy =
-                if major > ABI_MAJOR { "it needs a newer version of this program" } else { "it must be rebuilt" };
+            let remedy = if major > ABI_MAJOR {
+                "the plugin needs a newer version of this program"
+            } else {
+                "the plugin must be rebuilt"
+            };
             return Err(PluginError::Refused(format!(
-                "built for version {major}.{minor} of the plugin boundary, this program has {ABI_MAJOR}.{ABI_MINOR}: {remedy}"
+                "built for version {major}.{minor} of the plugin boundary, but this program has {ABI_MAJOR}.{ABI_MINOR}: {remedy}"
             )));
         }
         if size < size_of::<Descriptor>() {

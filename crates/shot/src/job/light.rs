@@ -30,8 +30,8 @@ pub struct LightJob {
     /// Add the studio light to a scene without light, or whose light leaves the visible surfaces
     /// dark.
     pub automatic: bool,
-    /// Show the file's light sources that have a surface. Without this key the file decides; if it
-    /// does not, they are invisible.
+    /// Show the scene file's light sources that have a surface. Without this key the scene file
+    /// decides. If it does not, they are invisible.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub visible: Option<bool>,
     /// Exposure in stops. It is added to the automatic exposure, or applied to scene radiance if
