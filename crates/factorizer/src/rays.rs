@@ -58,6 +58,12 @@ pub(crate) struct View<'a> {
 }
 
 impl View<'_> {
+    /// √w; `None` if all weights are 1.
+    #[inline(always)]
+    pub(crate) fn root_weights(&self) -> Option<&Place<'_, f32>> {
+        self.weights.as_ref()
+    }
+
     /// √w of the rays of a block, 0 for invalid rays; `None` if all are invalid.
     ///
     /// # Safety
@@ -114,6 +120,9 @@ pub(crate) struct LineRays<'a> {
     /// it at the same place.
     pub(crate) own: Vec<Place<'a, f32>>,
     pub(crate) own_stride: usize,
+    /// Per view, the weight of the next pixel in every other factor, then in the own one. Empty if
+    /// no ray reads between columns.
+    pub(crate) fractions: Vec<f32>,
     /// Rows to prefetch, as pointers to x = 0: the line's own rows, and the other factors' rows.
     /// Views of a view row read the same rows at neighbouring columns, so only the pointer of the
     /// view that is farthest ahead is listed.
@@ -167,6 +176,7 @@ impl LineRays<'_> {
             others: emptied(self.others),
             strides: emptied(self.strides),
             own: emptied(self.own),
+            fractions: emptied(self.fractions),
             ahead: emptied(self.ahead),
             ..LineRays::default()
         }
@@ -208,12 +218,16 @@ pub(crate) struct RowOfRays {
 
 impl Spare {
     /// Mixes two lines of a factor for every listed row of rays that reads it between lines.
-    pub(crate) fn mix_lines(&mut self, plan: &Plan, factors: &[Factor], channel: usize) {
+    ///
+    /// With `borders`, all lines that are read between columns are mixed or copied, and their
+    /// border pixels are repeated once.
+    pub(crate) fn mix_lines(&mut self, plan: &Plan, factors: &[Factor], channel: usize, borders: bool) {
         let mut end = 0;
         for &RowOfRays { view_y, row } in &self.rows {
             for (map, factor) in plan.maps.iter().zip(factors) {
                 let tap = map.y[view_y][row];
-                if tap.t != 0.0 {
+                let borders = borders && map.mixes_columns;
+                if tap.t != 0.0 || borders {
                     let start = end;
                     end += map.layout.line_len();
                     if self.mixed.len() < end {
@@ -221,6 +235,12 @@ impl Spare {
                     }
                     let lines = [tap.first, tap.second].map(|line| factor.line(channel, line as usize));
                     plan.row.mix(lines, tap.t, &mut self.mixed[start..end]);
+                    if borders {
+                        let (pad, cols) = (map.layout.pad, map.layout.cols());
+                        for row in self.mixed[start..end].chunks_exact_mut(map.layout.stride) {
+                            (row[pad - 1], row[pad + cols]) = (row[pad], row[pad + cols - 1]);
+                        }
+                    }
                 }
             }
         }
@@ -233,18 +253,20 @@ struct Left<'a> {
     mixed: &'a [f32],
     expanded: &'a mut [f32],
     held: std::slice::IterMut<'a, Option<[usize; 5]>>,
+    /// As in [`Spare::mix_lines`].
+    borders: bool,
 }
 
 impl<'a> Left<'a> {
     /// Storage for the listed rows of rays, each expanded `times` times.
-    fn of(spare: &'a mut Spare, plan: &Plan, times: usize) -> (Self, &'a [RowOfRays]) {
+    fn of(spare: &'a mut Spare, plan: &Plan, times: usize, borders: bool) -> (Self, &'a [RowOfRays]) {
         let Spare { mixed, expanded, held, rows } = spare;
         let count = rows.len() * times;
         if held.len() < count {
             expanded.resize(count * plan.frames * expanded_stride(plan), 0.0);
             held.resize(count, None);
         }
-        (Self { mixed, expanded, held: held.iter_mut() }, rows)
+        (Self { mixed, expanded, held: held.iter_mut(), borders }, rows)
     }
 
     /// The line of factor `k` that a row of rays reads, for all frames.
@@ -254,7 +276,7 @@ impl<'a> Left<'a> {
     fn line(&mut self, plan: &Plan, factors: &'a [Factor], k: usize, channel: usize, rays: RowOfRays) -> &'a [f32] {
         let (map, factor) = (&plan.maps[k], &factors[k]);
         let tap = map.y[rays.view_y][rays.row];
-        if tap.t == 0.0 {
+        if tap.t == 0.0 && !(self.borders && map.mixes_columns) {
             return if factor.values.is_empty() { &[] } else { factor.line(channel, tap.first as usize) };
         }
         let (line, rest) = self.mixed.split_at(map.layout.line_len());
@@ -277,7 +299,7 @@ impl<'a> Left<'a> {
     ) -> Place<'a, f32> {
         let map = &plan.maps[k];
         let x = &map.x[rays.view[1]];
-        if let (true, Some(shift)) = (is_there, x.shift) {
+        if let (true, Some((shift, _))) = (is_there, x.between) {
             return Place::new(line, shift - PAD as isize + offset);
         }
         let stride = expanded_stride(plan);
@@ -323,7 +345,7 @@ pub(crate) fn rays_of_column<'a>(
     rays.strides.extend((0..factors.len()).filter(|&k| k != at.factor).map(|k| stride_of(plan, k, view_x)));
     rays.own_stride = stride_of(plan, at.factor, view_x);
     let is_there = |k: usize| plan.maps[k].x[view_x].shift.is_some();
-    let (mut left, rows) = Left::of(spare, plan, (0..factors.len()).filter(|&k| !is_there(k)).count());
+    let (mut left, rows) = Left::of(spare, plan, (0..factors.len()).filter(|&k| !is_there(k)).count(), false);
     for (index, &row_of) in rows.iter().enumerate() {
         let RowOfRays { view_y, row } = row_of;
         let view = plan.view(view_y, view_x);
@@ -380,8 +402,8 @@ pub(crate) fn rays_through<'a>(
         let of_line = map.rays_of_line(view_y, at.line).iter();
         spare.rows.extend(of_line.map(|&(row, _)| RowOfRays { view_y, row: row as usize }));
     }
-    spare.mix_lines(plan, factors, at.channel);
-    let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere);
+    spare.mix_lines(plan, factors, at.channel, false);
+    let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere, false);
     let mut lines = Vec::new();
     for &row_of in rows {
         let RowOfRays { view_y, row } = row_of;
@@ -418,5 +440,55 @@ pub(crate) fn rays_through<'a>(
     // repeat the last row, so that every view prefetches the same number of rows
     let last = rays.ahead.last().copied().unwrap_or(std::ptr::null());
     rays.ahead.resize(rays.ahead.len().max(PREFETCHED * rays.views.len()), last);
+    rays
+}
+
+/// Lists the rays between a line and the next; `spare.rows` has the rows of rays. The own factor
+/// must be [`between`](crate::map::FactorMap::between).
+///
+/// Views without valid rays are left out, as in [`rays_through`].
+pub(crate) fn rays_between<'a>(
+    mut rays: LineRays<'a>,
+    plan: &'a Plan,
+    factors: &'a [Factor],
+    at: LineOf,
+    spare: &'a mut Spare,
+) -> LineRays<'a> {
+    let others = || (0..factors.len()).filter(|&k| k != at.factor);
+    let is_there = |k: usize| plan.maps[k].between;
+    let stride = |k: usize| if is_there(k) { plan.maps[k].layout.stride } else { expanded_stride(plan) };
+    rays.others_per_view = factors.len() - 1;
+    rays.strides.extend(others().map(stride));
+    rays.own_stride = stride(at.factor);
+    spare.mix_lines(plan, factors, at.channel, true);
+    let elsewhere = others().filter(|&k| !is_there(k)).count();
+    let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere, true);
+    let mut lines = Vec::new();
+    for &row_of in rows {
+        let RowOfRays { view_y, row } = row_of;
+        lines.clear();
+        lines.extend((0..factors.len()).map(|k| left.line(plan, factors, k, at.channel, row_of)));
+        for view_x in 0..plan.views[1] {
+            let own = plan.maps[at.factor].x[view_x].between;
+            let ([run], Some((own, _))) = (plan.runs[view_x].as_slice(), own) else { continue };
+            let view = plan.view(view_y, view_x);
+            let offset = PAD as isize - own;
+            rays.views.push(View {
+                valid: (run.start as isize + own) as usize..(run.end as isize + own) as usize,
+                weights: plan.target.weights(view, row).map(|weights| Place::new(weights, offset)),
+            });
+            rays.targets.push(match plan.target.row(at.channel, view, row) {
+                Row::Half(row) => TargetRow::Half(Place::new(row, offset)),
+                Row::Float(row) => TargetRow::Float(Place::new(row, offset)),
+            });
+            let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
+            for k in others().chain([at.factor]) {
+                let list = if k == at.factor { &mut rays.own } else { &mut rays.others };
+                list.push(left.place(plan, lines[k], k, &part, is_there(k), offset));
+                let between = plan.maps[k].x[view_x].between.filter(|_| is_there(k));
+                rays.fractions.push(between.map_or(0.0, |(_, t)| t));
+            }
+        }
+    }
     rays
 }
