@@ -4,9 +4,9 @@
 //! rays of a view column read at the same distance, so pixels gather:
 //!
 //! ```text
-//! for every block of pixels x of line j:
+//! for every part of line j, some columns x:
 //!     low = the high sums of line j − 1 at x,  high = 0
-//!     for every row of rays between the lines j and j + 1:
+//!     for every row of rays between the lines j and j + 1, for every block of pixels:
 //!         sums = Σ over view columns: (1 − t_x) · (w e a_m, w a_m a_k) of the rays before x
 //!                                         + t_x · (w e a_m, w a_m a_k) of the rays one earlier
 //!         low += (1 − t_y) · sums,  high += t_y · sums
@@ -18,31 +18,37 @@
 //! terms are multiplied by the root of the share.
 //!
 //! At the borders a ray reads the border pixel alone. So the lines that rays read are copies whose
-//! border pixels are repeated once, and the border pixels get the whole share.
+//! border pixels are repeated once, and the border pixels get the whole share. These copies and
+//! mixtures are made for one part and one row of rays at a time, so they stay in the first-level
+//! cache, as the sums of a part do.
 
 use std::ops::Range;
 
 use lumistack_simd::{Backend, Function, Kernel, Lanes};
 
 use crate::aligned::Aligned;
-use crate::buffers::{Buffers, GROUP, Group, SumParams, sum_views};
+use crate::buffers::{AHEAD, Buffers, GROUP, Group, SumParams, sum_views};
 use crate::factor::Factor;
-use crate::line::{LineOf, LineStep, Outcome, StepFunctions};
+use crate::line::{Fetch, LineOf, LineStep, Outcome, StepFunctions};
 use crate::plan::Plan;
-use crate::rays::{LineRays, RowOfRays, Spare, rays_between};
-use crate::step::{Block, Rule, Sums};
+use crate::rays::{LineRays, RowOfRays, Spare, Windows, rays_between};
+use crate::step::{Rule, Sums};
 use crate::vector::{self, load, store};
+
+/// Number of columns per part.
+const PART: usize = 128;
 
 /// The functions of an update, for one instruction set and rule.
 pub(crate) struct BetweenFunctions {
     lanes: usize,
     sums: Function<SumsBetween>,
+    fetch: Function<Fetch>,
     step: StepFunctions,
 }
 
 impl BetweenFunctions {
     pub(crate) fn new(backend: Backend, step: StepFunctions) -> Self {
-        Self { lanes: backend.lanes(), sums: backend.function::<SumsBetween>(), step }
+        Self { lanes: backend.lanes(), sums: backend.function::<SumsBetween>(), fetch: backend.function::<Fetch>(), step }
     }
 }
 
@@ -55,7 +61,13 @@ pub(crate) struct Scratch {
     t: Vec<f32>,
     /// The view columns' shares.
     shares: Vec<ColumnShares>,
-    /// The low sums of a block, `[quantity][lane]`.
+    /// Mixtures of lines.
+    windows: Windows,
+    /// Per row of rays, the end of its rows in the list of rows to prefetch.
+    ahead: Vec<usize>,
+    /// Per factor, the smallest and the largest distance from a pixel to where its rays read.
+    spread: Vec<[isize; 2]>,
+    /// The low sums of a part, `[quantity][column]`.
     low: Aligned,
     /// The sums that wait for the next line, `[quantity][x]`.
     high: Vec<f32>,
@@ -79,19 +91,32 @@ impl Scratch {
     pub(crate) fn new(plan: &Plan, n: usize, rule: Rule) -> Self {
         let layout = &plan.maps[n].layout;
         let quantities = rule.sums().count(plan.frames);
-        let vector = lumistack_simd::MAX_LANES;
         Self {
             buffers: Buffers::new(plan.frames),
             rays: LineRays::default(),
             spare: Spare::default(),
             t: Vec::new(),
             shares: shares(plan, n),
-            low: Aligned::filled(0.0, quantities * vector),
+            windows: Windows::new(plan),
+            ahead: Vec::new(),
+            spread: spread(plan, n),
+            low: Aligned::filled(0.0, quantities * PART),
             high: vec![0.0; quantities * layout.stride],
             high_error: 0.0,
             before: Aligned::default(),
         }
     }
+}
+
+/// Per factor, the smallest and the largest distance from a pixel of factor `n` to where its rays
+/// read.
+fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
+    let distances = |k: usize| {
+        let both = plan.maps[k].x.iter().zip(&plan.maps[n].x);
+        both.filter_map(|(other, own)| Some(other.between?.0 - own.between?.0))
+    };
+    let of = |k: usize| [distances(k).min().unwrap_or(0), distances(k).max().unwrap_or(0)];
+    (0..plan.maps.len()).map(of).collect()
 }
 
 /// The shares of every view column that has valid rays.
@@ -149,7 +174,8 @@ impl BetweenBand<'_> {
     /// `step` only the sums of the next line are kept.
     fn add_rays(&mut self, at: LineOf, needed: Sums, mut step: Option<&mut LineStep>) -> Outcome {
         let (plan, factors, functions) = (self.plan, self.factors, self.functions);
-        let Scratch { buffers, rays, spare, t, shares, low, high, high_error, before } = &mut *self.scratch;
+        let Scratch { buffers, rays, spare, t, shares, windows, ahead, spread, low, high, high_error, before } =
+            &mut *self.scratch;
         let map = &plan.maps[at.factor];
         let (layout, lanes) = (&map.layout, functions.lanes);
         // list the rows of rays between the lines
@@ -164,7 +190,9 @@ impl BetweenBand<'_> {
         if step.is_none() && t.iter().all(|&t| t == 0.0) {
             return Outcome::default();
         }
-        let list = rays_between(std::mem::take(rays), plan, factors, at, spare);
+        let windows = windows.lines();
+        let rows = spare.rows.clone();
+        let list = rays_between(std::mem::take(rays), plan, factors, at, (spare, &windows), ahead);
         // the first block has no block before it
         let count = list.views.len() * (plan.frames + 2) * lumistack_simd::MAX_LANES;
         if before.len() < count {
@@ -176,36 +204,76 @@ impl BetweenBand<'_> {
         // a ray before the first pixel reads that pixel second
         let outside = shares.iter().any(|column| !column.second.is_empty() && column.valid.start < layout.pad);
         let first = if outside { layout.pad - lanes } else { layout.pad };
-        for x in (first..layout.pad + layout.cols()).step_by(lanes) {
-            let block =
-                BlockBetween { rays: &list, shares, t, x, params, buffers, low, high, stride: layout.stride, before };
-            // SAFETY: x + lanes lies within padded rows
-            let squares = unsafe { (functions.sums)(block) };
-            *high_error += squares[1];
+        let end = layout.pad + layout.cols().next_multiple_of(lanes);
+        for start in (first..end).step_by(PART) {
+            let part = start..(start + PART).min(end);
+            // the high sums of the previous line are the first low sums of this one
+            for (high, low) in high.chunks_exact_mut(layout.stride).zip(low.chunks_exact_mut(PART)) {
+                low[..part.len()].copy_from_slice(&high[part.clone()]);
+                high[part.clone()].fill(0.0);
+            }
+            for (row, (&rays, &t)) in rows.iter().zip(&*t).enumerate() {
+                for k in (0..factors.len()).filter(|&k| Windows::holds(plan, k, rays)) {
+                    let [from, to] = spread[k];
+                    let len = plan.maps[k].layout.stride as isize;
+                    let columns = [part.start as isize + from, part.end as isize + to + 1].map(|x| x.clamp(0, len));
+                    // SAFETY: only pointers to these values exist
+                    unsafe {
+                        Windows::mix(
+                            windows(k),
+                            plan,
+                            (k, &factors[k]),
+                            at.channel,
+                            rays,
+                            columns[0] as usize..columns[1] as usize,
+                        );
+                    }
+                }
+                let ahead = if row == 0 { 0 } else { ahead[row - 1] }..ahead[row];
+                let part = PartBetween {
+                    rays: &list,
+                    shares,
+                    first: row * shares.len(),
+                    t,
+                    ahead,
+                    part: part.clone(),
+                    params,
+                    buffers,
+                    low,
+                    high,
+                    stride: layout.stride,
+                    before,
+                };
+                // SAFETY: all columns of the part lie within padded rows
+                let squares = unsafe { (functions.sums)(part) };
+                outcome.error += squares * f64::from(1.0 - t);
+                *high_error += squares * f64::from(t);
+            }
             let Some(step) = &mut step else { continue };
-            if x < layout.pad {
-                continue;
+            for x in part.clone().step_by(lanes).filter(|&x| x >= layout.pad) {
+                // SAFETY: the kernel has no requirements
+                unsafe { (functions.fetch)((&*step, &low[x - start..], PART, &mut buffers.block, x)) };
+                step.finish_block(&functions.step, &mut buffers.block, x);
+                outcome.gain += vector::sum_of(&buffers.block.gain[..lanes]);
             }
-            outcome.error += squares[0];
-            for m in 0..plan.frames {
-                let values = &step.values[m * layout.stride + x..][..lanes];
-                buffers.block.values[m * lanes..][..lanes].copy_from_slice(values);
-            }
-            step.finish_block(&functions.step, &mut buffers.block, x);
-            outcome.gain += vector::sum_of(&buffers.block.gain[..lanes]);
         }
         *rays = list.emptied();
         outcome
     }
 }
 
-/// One block of a line, with the rays between the line and the next.
-struct BlockBetween<'a> {
+/// One part of a line, with one row of rays between the line and the next.
+struct PartBetween<'a> {
     rays: &'a LineRays<'a>,
     shares: &'a [ColumnShares],
-    /// The weight of the next line in each row of rays.
-    t: &'a [f32],
-    x: usize,
+    /// The first view of the row of rays.
+    first: usize,
+    /// The weight of the next line.
+    t: f32,
+    /// Rows to prefetch.
+    ahead: Range<usize>,
+    /// x of the part.
+    part: Range<usize>,
     params: SumParams,
     buffers: &'a mut Buffers,
     low: &'a mut Aligned,
@@ -214,82 +282,59 @@ struct BlockBetween<'a> {
     before: &'a mut Aligned,
 }
 
-/// Sums a block's rays: the sums of the line go to the block of the buffers, those of the next line
-/// to `high`. Returns Σ w e² for the line and for the next.
+/// Adds a row of rays to the sums of a part; returns Σ w e².
 struct SumsBetween;
 
 impl Kernel for SumsBetween {
-    type Args<'a> = BlockBetween<'a>;
-    type Output = [f64; 2];
+    type Args<'a> = PartBetween<'a>;
+    type Output = f64;
 
     #[inline(always)]
-    unsafe fn run<V: Lanes>(at: BlockBetween<'_>) -> [f64; 2] {
-        let BlockBetween { rays, shares, t, x, params, buffers, low, high, stride, before } = at;
+    unsafe fn run<V: Lanes>(at: PartBetween<'_>) -> f64 {
+        let PartBetween { rays, shares, first, t, ahead, part, params, buffers, low, high, stride, before } = at;
         let frames = buffers.block.frames;
+        let size = (frames + 2) * V::COUNT;
         // SAFETY: guaranteed by the caller
         unsafe {
-            // the high sums of the previous line are the first low sums of this one
-            for (q, high) in high.chunks_exact_mut(stride).enumerate() {
-                store(load::<V>(high, x), low, q * V::COUNT);
-                store(V::splat(0.0), high, x);
-            }
-            let (mut errors, mut view) = ([V::splat(0.0); 2], 0);
-            for &t in t {
-                let mut squares = V::splat(0.0);
+            let mut squares = V::splat(0.0);
+            for x in part.clone().step_by(V::COUNT) {
+                rays.prefetch(ahead.clone(), x + AHEAD * V::COUNT);
                 let mut group = Group { frames, views: 0, add: false };
-                for column in shares {
+                for (view, column) in shares.iter().enumerate() {
                     if column.valid.start < x + V::COUNT && x < column.valid.end + 1 {
                         // two more views must fit
                         if group.views + 2 > GROUP {
                             sum_views::<V, false>(params.sums, buffers, &[], group);
                             group = Group { frames, views: 0, add: true };
                         }
-                        let before = &mut before[view * (frames + 2) * V::COUNT..][..(frames + 2) * V::COUNT];
-                        let added = add_view::<V>(rays, (view, column), x, params, (group.views, buffers, before));
+                        let before = &mut before[(first + view) * size..][..size];
+                        let to = (group.views, &mut *buffers, before);
+                        let added = add_view::<V>(rays, (first + view, column), x, params, to);
                         group.views += added.0;
                         squares = squares.add(added.1);
                     }
-                    view += 1;
                 }
                 sum_views::<V, false>(params.sums, buffers, &[], group);
-                errors[0] = squares.mul_add(V::splat(1.0 - t), errors[0]);
-                errors[1] = squares.mul_add(V::splat(t), errors[1]);
                 // share the sums between the lines
                 let Buffers { block, .. } = &mut *buffers;
+                let (low, high) = (&mut low[x - part.start..], &mut high[x..]);
                 for m in 0..frames {
-                    share::<V>(&block.residual, m, (low, &mut high[x..], stride), m, t);
+                    share::<V>(&block.residual, m, (low, &mut *high, stride), m, t);
                 }
                 let mut q = frames;
                 for m in 0..frames {
                     if params.sums == Sums::Gram {
                         for k in m..frames {
-                            share::<V>(&block.gram, m * frames + k, (low, &mut high[x..], stride), q, t);
+                            share::<V>(&block.gram, m * frames + k, (low, &mut *high, stride), q, t);
                             q += 1;
                         }
                     } else {
-                        share::<V>(&block.emitted, m, (low, &mut high[x..], stride), q, t);
+                        share::<V>(&block.emitted, m, (low, &mut *high, stride), q, t);
                         q += 1;
                     }
                 }
             }
-            // hand the low sums over
-            let Block { residual, emitted, gram, .. } = &mut buffers.block;
-            for m in 0..frames {
-                store(load::<V>(low, m * V::COUNT), residual, m * V::COUNT);
-            }
-            let mut q = frames;
-            for m in 0..frames {
-                if params.sums == Sums::Gram {
-                    for k in m..frames {
-                        store(load::<V>(low, q * V::COUNT), gram, (m * frames + k) * V::COUNT);
-                        q += 1;
-                    }
-                } else {
-                    store(load::<V>(low, q * V::COUNT), emitted, m * V::COUNT);
-                    q += 1;
-                }
-            }
-            [vector::sum(errors[0]), vector::sum(errors[1])]
+            vector::sum(squares)
         }
     }
 }
@@ -300,8 +345,8 @@ unsafe fn share<V: Lanes>(from: &[f32], at: usize, (low, high, stride): (&mut [f
     // SAFETY: guaranteed by the caller
     unsafe {
         let sum = load::<V>(from, at * V::COUNT);
-        let kept = load::<V>(low, q * V::COUNT);
-        store(sum.mul_add(V::splat(1.0 - t), kept), low, q * V::COUNT);
+        let kept = load::<V>(low, q * PART);
+        store(sum.mul_add(V::splat(1.0 - t), kept), low, q * PART);
         if t != 0.0 {
             let kept = load::<V>(high, q * stride);
             store(sum.mul_add(V::splat(t), kept), high, q * stride);

@@ -39,6 +39,17 @@ impl<'a, T> Place<'a, T> {
         }
     }
 
+    /// A row of `len` values that may be written while the place exists.
+    fn within(row: *const T, len: usize, offset: isize) -> Self {
+        let _ = len;
+        Self {
+            zero: row.wrapping_offset(offset),
+            #[cfg(debug_assertions)]
+            row: row..row.wrapping_add(len),
+            life: PhantomData,
+        }
+    }
+
     /// Pointer to the values from x on, as many as a vector has.
     #[inline(always)]
     pub(crate) fn at<V: Lanes>(&self, x: usize) -> *const T {
@@ -168,6 +179,14 @@ impl LineRays<'_> {
         }
     }
 
+    /// Prefetches the values at x of some of the listed rows.
+    #[inline(always)]
+    pub(crate) fn prefetch(&self, rows: Range<usize>, x: usize) {
+        for row in &self.ahead[rows] {
+            prefetch(row.wrapping_add(x));
+        }
+    }
+
     /// An empty list that keeps the storage of this one.
     pub(crate) fn emptied(self) -> LineRays<'static> {
         LineRays {
@@ -217,17 +236,14 @@ pub(crate) struct RowOfRays {
 }
 
 impl Spare {
-    /// Mixes two lines of a factor for every listed row of rays that reads it between lines.
-    ///
-    /// With `borders`, all lines that are read between columns are mixed or copied, and their
-    /// border pixels are repeated once.
-    pub(crate) fn mix_lines(&mut self, plan: &Plan, factors: &[Factor], channel: usize, borders: bool) {
+    /// Mixes two lines of a factor for every listed row of rays that reads it between lines;
+    /// `mixes` selects the factors.
+    pub(crate) fn mix_lines(&mut self, plan: &Plan, factors: &[Factor], channel: usize, mixes: impl Fn(usize) -> bool) {
         let mut end = 0;
         for &RowOfRays { view_y, row } in &self.rows {
-            for (map, factor) in plan.maps.iter().zip(factors) {
+            for (k, (map, factor)) in plan.maps.iter().zip(factors).enumerate() {
                 let tap = map.y[view_y][row];
-                let borders = borders && map.mixes_columns;
-                if tap.t != 0.0 || borders {
+                if tap.t != 0.0 && mixes(k) {
                     let start = end;
                     end += map.layout.line_len();
                     if self.mixed.len() < end {
@@ -235,12 +251,6 @@ impl Spare {
                     }
                     let lines = [tap.first, tap.second].map(|line| factor.line(channel, line as usize));
                     plan.row.mix(lines, tap.t, &mut self.mixed[start..end]);
-                    if borders {
-                        let (pad, cols) = (map.layout.pad, map.layout.cols());
-                        for row in self.mixed[start..end].chunks_exact_mut(map.layout.stride) {
-                            (row[pad - 1], row[pad + cols]) = (row[pad], row[pad + cols - 1]);
-                        }
-                    }
                 }
             }
         }
@@ -253,20 +263,18 @@ struct Left<'a> {
     mixed: &'a [f32],
     expanded: &'a mut [f32],
     held: std::slice::IterMut<'a, Option<[usize; 5]>>,
-    /// As in [`Spare::mix_lines`].
-    borders: bool,
 }
 
 impl<'a> Left<'a> {
     /// Storage for the listed rows of rays, each expanded `times` times.
-    fn of(spare: &'a mut Spare, plan: &Plan, times: usize, borders: bool) -> (Self, &'a [RowOfRays]) {
+    fn of(spare: &'a mut Spare, plan: &Plan, times: usize) -> (Self, &'a [RowOfRays]) {
         let Spare { mixed, expanded, held, rows } = spare;
         let count = rows.len() * times;
         if held.len() < count {
             expanded.resize(count * plan.frames * expanded_stride(plan), 0.0);
             held.resize(count, None);
         }
-        (Self { mixed, expanded, held: held.iter_mut(), borders }, rows)
+        (Self { mixed, expanded, held: held.iter_mut() }, rows)
     }
 
     /// The line of factor `k` that a row of rays reads, for all frames.
@@ -276,7 +284,7 @@ impl<'a> Left<'a> {
     fn line(&mut self, plan: &Plan, factors: &'a [Factor], k: usize, channel: usize, rays: RowOfRays) -> &'a [f32] {
         let (map, factor) = (&plan.maps[k], &factors[k]);
         let tap = map.y[rays.view_y][rays.row];
-        if tap.t == 0.0 && !(self.borders && map.mixes_columns) {
+        if tap.t == 0.0 {
             return if factor.values.is_empty() { &[] } else { factor.line(channel, tap.first as usize) };
         }
         let (line, rest) = self.mixed.split_at(map.layout.line_len());
@@ -345,7 +353,7 @@ pub(crate) fn rays_of_column<'a>(
     rays.strides.extend((0..factors.len()).filter(|&k| k != at.factor).map(|k| stride_of(plan, k, view_x)));
     rays.own_stride = stride_of(plan, at.factor, view_x);
     let is_there = |k: usize| plan.maps[k].x[view_x].shift.is_some();
-    let (mut left, rows) = Left::of(spare, plan, (0..factors.len()).filter(|&k| !is_there(k)).count(), false);
+    let (mut left, rows) = Left::of(spare, plan, (0..factors.len()).filter(|&k| !is_there(k)).count());
     for (index, &row_of) in rows.iter().enumerate() {
         let RowOfRays { view_y, row } = row_of;
         let view = plan.view(view_y, view_x);
@@ -402,8 +410,8 @@ pub(crate) fn rays_through<'a>(
         let of_line = map.rays_of_line(view_y, at.line).iter();
         spare.rows.extend(of_line.map(|&(row, _)| RowOfRays { view_y, row: row as usize }));
     }
-    spare.mix_lines(plan, factors, at.channel, false);
-    let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere, false);
+    spare.mix_lines(plan, factors, at.channel, |_| true);
+    let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere);
     let mut lines = Vec::new();
     for &row_of in rows {
         let RowOfRays { view_y, row } = row_of;
@@ -443,16 +451,78 @@ pub(crate) fn rays_through<'a>(
     rays
 }
 
+/// Mixtures of two lines of each factor: only the columns that are needed at the moment.
+#[derive(Default)]
+pub(crate) struct Windows {
+    values: Vec<f32>,
+    /// Per factor, the position of its line in `values`.
+    starts: Vec<usize>,
+}
+
+impl Windows {
+    /// Storage for one line of every factor.
+    pub(crate) fn new(plan: &Plan) -> Self {
+        let mut starts = vec![0];
+        starts.extend(plan.maps.iter().scan(0, |end, map| {
+            *end += map.layout.line_len();
+            Some(*end)
+        }));
+        Self { values: vec![0.0; starts[plan.maps.len()]], starts }
+    }
+
+    /// True if a row of rays reads factor `k` through this storage.
+    pub(crate) fn holds(plan: &Plan, k: usize, rays: RowOfRays) -> bool {
+        let map = &plan.maps[k];
+        map.between && (map.mixes_columns || map.y[rays.view_y][rays.row].t != 0.0)
+    }
+
+    /// Mixes the lines that a row of rays reads, within `columns` of the padded lines, and repeats
+    /// the border pixels once.
+    ///
+    /// # Safety
+    /// No reference to these values exists.
+    pub(crate) unsafe fn mix(
+        window: *mut f32,
+        plan: &Plan,
+        (k, factor): (usize, &Factor),
+        channel: usize,
+        rays: RowOfRays,
+        columns: Range<usize>,
+    ) {
+        let (map, layout) = (&plan.maps[k], &plan.maps[k].layout);
+        let tap = map.y[rays.view_y][rays.row];
+        let lines = [tap.first, tap.second].map(|line| factor.line(channel, line as usize));
+        // SAFETY: guaranteed by the caller; a line of the factor begins at `window`
+        let to = unsafe { std::slice::from_raw_parts_mut(window, layout.line_len()) };
+        let rows = lines[0].chunks_exact(layout.stride).zip(lines[1].chunks_exact(layout.stride));
+        for (to, (upper, lower)) in to.chunks_exact_mut(layout.stride).zip(rows) {
+            plan.row.mix([&upper[columns.clone()], &lower[columns.clone()]], tap.t, &mut to[columns.clone()]);
+            if map.mixes_columns {
+                let (pad, cols) = (layout.pad, layout.cols());
+                (to[pad - 1], to[pad + cols]) = (to[pad], to[pad + cols - 1]);
+            }
+        }
+    }
+
+    /// Pointers to the lines of all factors.
+    pub(crate) fn lines(&mut self) -> impl Fn(usize) -> *mut f32 + use<'_> {
+        let first = self.values.as_mut_ptr();
+        move |k| first.wrapping_add(self.starts[k])
+    }
+}
+
 /// Lists the rays between a line and the next; `spare.rows` has the rows of rays. The own factor
-/// must be [`between`](crate::map::FactorMap::between).
+/// must be [`between`](crate::map::FactorMap::between). `windows` are the lines of [`Windows`].
 ///
-/// Views without valid rays are left out, as in [`rays_through`].
+/// Views without valid rays are left out, as in [`rays_through`]. `ahead` gets, per row of rays,
+/// the end of its rows in the list of rows to prefetch; lines in windows have none.
 pub(crate) fn rays_between<'a>(
     mut rays: LineRays<'a>,
     plan: &'a Plan,
     factors: &'a [Factor],
     at: LineOf,
-    spare: &'a mut Spare,
+    (spare, windows): (&'a mut Spare, impl Fn(usize) -> *mut f32),
+    ahead: &mut Vec<usize>,
 ) -> LineRays<'a> {
     let others = || (0..factors.len()).filter(|&k| k != at.factor);
     let is_there = |k: usize| plan.maps[k].between;
@@ -460,14 +530,21 @@ pub(crate) fn rays_between<'a>(
     rays.others_per_view = factors.len() - 1;
     rays.strides.extend(others().map(stride));
     rays.own_stride = stride(at.factor);
-    spare.mix_lines(plan, factors, at.channel, true);
+    spare.mix_lines(plan, factors, at.channel, |k| !is_there(k));
     let elsewhere = others().filter(|&k| !is_there(k)).count();
-    let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere, true);
+    let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere);
     let mut lines = Vec::new();
+    ahead.clear();
     for &row_of in rows {
         let RowOfRays { view_y, row } = row_of;
+        let before = [rays.others.len(), rays.own.len()];
         lines.clear();
-        lines.extend((0..factors.len()).map(|k| left.line(plan, factors, k, at.channel, row_of)));
+        for k in 0..factors.len() {
+            lines.push(match Windows::holds(plan, k, row_of) {
+                false => left.line(plan, factors, k, at.channel, row_of),
+                true => &[],
+            });
+        }
         for view_x in 0..plan.views[1] {
             let own = plan.maps[at.factor].x[view_x].between;
             let ([run], Some((own, _))) = (plan.runs[view_x].as_slice(), own) else { continue };
@@ -484,11 +561,28 @@ pub(crate) fn rays_between<'a>(
             let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
             for k in others().chain([at.factor]) {
                 let list = if k == at.factor { &mut rays.own } else { &mut rays.others };
-                list.push(left.place(plan, lines[k], k, &part, is_there(k), offset));
                 let between = plan.maps[k].x[view_x].between.filter(|_| is_there(k));
+                list.push(match between {
+                    Some((shift, _)) if Windows::holds(plan, k, row_of) => {
+                        Place::within(windows(k), plan.maps[k].layout.line_len(), shift - own)
+                    }
+                    _ => left.place(plan, lines[k], k, &part, is_there(k), offset),
+                });
                 rays.fractions.push(between.map_or(0.0, |(_, t)| t));
             }
         }
+        // as in `rays_through`, but every row of rays has its own prefetches
+        for (index, k) in others().chain([at.factor]).enumerate() {
+            let (places, of) = match k == at.factor {
+                true => (&rays.own[before[1]..], 1),
+                false => (&rays.others[before[0] + index..], rays.others_per_view),
+            };
+            let lead = places.iter().step_by(of).map(|place| place.zero).max();
+            if let Some(lead) = lead.filter(|_| !Windows::holds(plan, k, row_of)) {
+                rays.ahead.extend((0..plan.frames).map(|frame| lead.wrapping_add(frame * stride(k))));
+            }
+        }
+        ahead.push(rays.ahead.len());
     }
     rays
 }

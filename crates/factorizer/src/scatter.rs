@@ -176,7 +176,7 @@ impl ScatterBand<'_> {
         let (quantities, field_stride) = (needed.count(plan.frames), expanded_stride(plan));
         let together = if map.short_sums { GROUP } else { SHORT_ROWS };
         let params = SumParams { brightness: plan.target.brightness, sums: needed };
-        spare.mix_lines(plan, factors, at.channel, false);
+        spare.mix_lines(plan, factors, at.channel, |_| true);
         // sum, per view column, by field columns, then by the pixels that these read
         for view_x in 0..plan.views[1] {
             for run in &plan.runs[view_x] {
