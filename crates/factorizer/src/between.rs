@@ -48,7 +48,12 @@ pub(crate) struct BetweenFunctions {
 
 impl BetweenFunctions {
     pub(crate) fn new(backend: Backend, step: StepFunctions) -> Self {
-        Self { lanes: backend.lanes(), sums: backend.function::<SumsBetween>(), fetch: backend.function::<Fetch>(), step }
+        Self {
+            lanes: backend.lanes(),
+            sums: backend.function::<SumsBetween>(),
+            fetch: backend.function::<Fetch>(),
+            step,
+        }
     }
 }
 
@@ -341,7 +346,13 @@ impl Kernel for SumsBetween {
 
 /// Adds the sum at `at` to quantity `q` of the line and of the next one.
 #[inline(always)]
-unsafe fn share<V: Lanes>(from: &[f32], at: usize, (low, high, stride): (&mut [f32], &mut [f32], usize), q: usize, t: f32) {
+unsafe fn share<V: Lanes>(
+    from: &[f32],
+    at: usize,
+    (low, high, stride): (&mut [f32], &mut [f32], usize),
+    q: usize,
+    t: f32,
+) {
     // SAFETY: guaranteed by the caller
     unsafe {
         let sum = load::<V>(from, at * V::COUNT);
@@ -373,7 +384,8 @@ unsafe fn add_view<V: Lanes>(
         let second = if between { load::<V>(&column.second, x) } else { first };
         let (mut emitted, mut m) = (V::splat(0.0), 0);
         while m < frames {
-            let target = Buffered { to, between, first, second, frames, products: &mut buffers.products, before: &mut *before };
+            let target =
+                Buffered { to, between, first, second, frames, products: &mut buffers.products, before: &mut *before };
             (emitted, m) = match frames - m {
                 1 => (reads.frames::<V, 1>(m, emitted, target), m + 1),
                 2 => (reads.frames::<V, 2>(m, emitted, target), m + 2),

@@ -156,7 +156,8 @@ impl Engine {
         self.plan.target.weight_scale
     }
 
-    /// True if the fast kernel updates factor `n`.
+    /// True if the fast kernel updates factor `n`. If other factors are read between columns,
+    /// [`between`] was no faster for such a factor.
     pub fn is_fast(&self, n: usize) -> bool {
         self.fast && self.plan.is_product() && self.plan.maps[n].shifted
     }

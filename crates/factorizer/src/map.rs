@@ -191,12 +191,24 @@ impl FactorMap {
                     .zip(valid_rows)
                     .all(|(taps, valid)| taps.iter().zip(valid).all(|(tap, valid)| tap.is_some() || !valid));
         let columns_shifted = x.iter().zip(runs).all(|(x, runs)| runs.is_empty() || x.shift.is_some());
-        let between =
-            x.iter().zip(runs).all(|(x, runs)| runs.is_empty() || x.between.is_some() && runs.len() == 1);
+        let between = x.iter().zip(runs).all(|(x, runs)| runs.is_empty() || x.between.is_some() && runs.len() == 1);
         let mixes_columns = between && x.iter().any(|x| x.between.is_some_and(|(_, t)| t != 0.0));
         let mut taps = raw.x.iter().chain(&raw.y).flatten().flatten();
         let nearest = taps.all(|tap| tap.t == 0.0);
-        Self { layout, x, y, rays, after, short_sums, shifted, columns_shifted, between, mixes_columns, nearest, complete }
+        Self {
+            layout,
+            x,
+            y,
+            rays,
+            after,
+            short_sums,
+            shifted,
+            columns_shifted,
+            between,
+            mixes_columns,
+            nearest,
+            complete,
+        }
     }
 }
 

@@ -202,5 +202,8 @@ lanes!(
     |a, b| a | b,
     |mask, then, otherwise| _mm512_mask_blend_ps(mask, otherwise, then),
     u32::from,
-    |lanes, before| _mm512_castsi512_ps(_mm512_alignr_epi32::<15>(_mm512_castps_si512(lanes), _mm512_castps_si512(before)))
+    |lanes, before| _mm512_castsi512_ps(_mm512_alignr_epi32::<15>(
+        _mm512_castps_si512(lanes),
+        _mm512_castps_si512(before)
+    ))
 );
