@@ -257,7 +257,7 @@ impl BetweenBand<'_> {
             let Some(step) = &mut step else { continue };
             for x in part.clone().step_by(lanes).filter(|&x| x >= layout.pad) {
                 // SAFETY: the kernel has no requirements
-                unsafe { (functions.fetch)((&*step, &low[x - start..], PART, &mut buffers.block, x)) };
+                unsafe { (functions.fetch)((*step, &low[x - start..], PART, &mut buffers.block, x)) };
                 step.finish_block(&functions.step, &mut buffers.block, x);
                 outcome.gain += vector::sum_of(&buffers.block.gain[..lanes]);
             }
