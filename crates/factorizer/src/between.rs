@@ -14,13 +14,13 @@
 //! ```
 //!
 //! The terms a_m and e of a ray are computed once. The rays one earlier are the same vector, moved
-//! up by a lane, with the last lane of the block before. Shares are part of the terms as √w is: the
-//! terms are multiplied by the root of the share.
+//! up by a lane, with the last lane of the block before. As with √w, the terms are multiplied by
+//! the root of the share.
 //!
 //! At the borders a ray reads the border pixel alone. So the lines that rays read are copies whose
-//! border pixels are repeated once, and the border pixels get the whole share. These copies and
-//! mixtures are made for one part and one row of rays at a time, so they stay in the first-level
-//! cache, as the sums of a part do.
+//! border pixels are repeated once, and the border pixels get the whole share. Copies and mixtures
+//! are made for one part and one row of rays at a time. So they stay in the first-level cache, as
+//! the sums of a part do; an update by whole lines took 10 % longer.
 
 use std::ops::Range;
 
@@ -429,7 +429,7 @@ unsafe fn put<V: Lanes>(buffers: &mut Buffers, to: usize, ratio: bool, wanted: V
     }
 }
 
-/// What one view's rays read in a block.
+/// One view's rays in a block.
 struct Reads<'a> {
     rays: &'a LineRays<'a>,
     view: usize,

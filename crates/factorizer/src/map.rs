@@ -240,7 +240,7 @@ impl ColumnTaps {
 }
 
 /// A tap that reads one pixel alone if the other one's weight is only rounding. Without it, rays
-/// that meet pixels exactly would read some pixels and some pairs.
+/// that hit pixels exactly would read some pixels and some pairs.
 pub(crate) fn snapped(tap: Tap) -> Tap {
     match tap.t {
         t if t < SAME_WEIGHT => Tap { t: 0.0, ..tap },

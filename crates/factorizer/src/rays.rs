@@ -451,7 +451,7 @@ pub(crate) fn rays_through<'a>(
     rays
 }
 
-/// Mixtures of two lines of each factor: only the columns that are needed at the moment.
+/// Mixtures of two lines of each factor: only the columns that one part needs.
 #[derive(Default)]
 pub(crate) struct Windows {
     values: Vec<f32>,
