@@ -6,6 +6,7 @@ use lumistack_core::{Cancel, Tensor};
 use lumistack_display::{Display, LayerStack, Response};
 
 use crate::aligned::Aligned;
+use crate::between::{self, BetweenBand, BetweenFunctions};
 use crate::device::{Begin, Executor, Updater, stack_of};
 use crate::errors::{ErrorFunctions, ErrorSum, RowErrors};
 use crate::factor::{Factor, Layout};
@@ -158,7 +159,8 @@ impl Engine {
         self.plan.target.weight_scale
     }
 
-    /// True if the fast kernel updates factor `n`.
+    /// True if the fast kernel updates factor `n`. If other factors are read between columns,
+    /// [`between`] was no faster for such a factor.
     pub fn is_fast(&self, n: usize) -> bool {
         self.fast && self.plan.is_product() && self.plan.maps[n].shifted
     }
@@ -276,6 +278,23 @@ impl Engine {
                         let step = steps.of(at.line, &mut line[0]);
                         let gathered = GatherLine { plan, factors, at, functions: &functions, step, scratch };
                         line[0].outcome = gathered.update();
+                    }
+                },
+            );
+        } else if plan.is_product() && plan.maps[n].between && self.fast {
+            let functions = BetweenFunctions::new(plan.backend, functions);
+            bands::for_each_chunk(
+                &mut lines,
+                scatter::BAND,
+                || between::Scratch::new(plan, n, rule),
+                |scratch, index, lines| {
+                    let mut band = BetweenBand { plan, factors, functions: &functions, scratch, before: None };
+                    for (i, line) in lines.iter_mut().enumerate() {
+                        let at = line_of(index * scatter::BAND + i);
+                        if is_line(&at) {
+                            let step = steps.of(at.line, line);
+                            line.outcome = band.update(at, step);
+                        }
                     }
                 },
             );

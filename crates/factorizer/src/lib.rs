@@ -28,6 +28,7 @@
 
 mod aligned;
 mod bands;
+mod between;
 mod block_exact;
 mod buffers;
 mod coarse;

@@ -83,7 +83,7 @@ impl LineStep<'_> {
         let lanes = functions.lanes;
         for x in self.columns.clone().step_by(lanes) {
             // SAFETY: the kernel has no requirements
-            unsafe { (functions.fetch)((self, sums, block, x)) };
+            unsafe { (functions.fetch)((self, &sums[x..], self.stride, block, x)) };
             self.finish_block(functions, block, x);
             gain += vector::sum_of(&block.gain[..lanes]);
         }
@@ -123,15 +123,16 @@ impl LineStep<'_> {
     }
 }
 
-/// Fills a block with the values from x on, and with their sums.
-struct Fetch;
+/// Fills a block with the values from x on, and with their sums: rows, `stride` apart, that begin
+/// at the block.
+pub(crate) struct Fetch;
 
 impl Kernel for Fetch {
-    type Args<'a> = (&'a LineStep<'a>, &'a [f32], &'a mut Block, usize);
+    type Args<'a> = (&'a LineStep<'a>, &'a [f32], usize, &'a mut Block, usize);
     type Output = ();
 
     #[inline(always)]
-    unsafe fn run<V: Lanes>((line, sums, block, x): Self::Args<'_>) {
+    unsafe fn run<V: Lanes>((line, sums, stride, block, x): Self::Args<'_>) {
         let frames = block.frames;
         let copy = |from: &[f32], to: &mut [f32], at: usize| {
             let (from, to) = (&from[..V::COUNT], &mut to[at * V::COUNT..][..V::COUNT]);
@@ -141,7 +142,7 @@ impl Kernel for Fetch {
         for m in 0..frames {
             copy(&line.values[m * line.stride + x..], &mut block.values, m);
         }
-        let mut rows = sums[x..].chunks(line.stride);
+        let mut rows = sums.chunks(stride);
         let mut next = || rows.next().unwrap_or_default();
         for m in 0..frames {
             copy(next(), &mut block.residual, m);

@@ -40,6 +40,10 @@ pub(crate) struct FactorMap {
     /// True if the rays of each view column read columns at a constant shift. They may still read a
     /// mixture of two lines.
     pub(crate) columns_shifted: bool,
+    /// True if each view column's rays read at a constant distance, on pixels or between them.
+    pub(crate) between: bool,
+    /// True if rays read between columns, at a constant distance per view column.
+    pub(crate) mixes_columns: bool,
     /// True if every ray reads a single pixel.
     pub(crate) nearest: bool,
     /// True if every valid ray hits the factor.
@@ -57,6 +61,9 @@ pub(crate) struct ColumnTaps {
     pub(crate) pieces: Vec<Piece>,
     /// Index minus field column, if it is the same for every valid ray and every `t` is 0.
     pub(crate) shift: Option<isize>,
+    /// Index of the first pixel minus field column, and the weight of the second, if both are the
+    /// same for every valid ray. A ray at the border reads the border pixel alone.
+    pub(crate) between: Option<(isize, f32)>,
 }
 
 /// Consecutive field columns whose rays read a factor in the same way.
@@ -130,7 +137,11 @@ impl FactorMap {
         let stride = ((pad + cols + after as usize + PAD).div_ceil(LINE) | 1) * LINE;
         let layout = Layout { bins: raw.bins, size: raw.size, frames, pad, stride, outside: raw.outside };
         // list where rays read; the line after the last one stands for a miss
-        let x: Vec<_> = raw.x.iter().zip(&shifts).map(|(taps, shift)| ColumnTaps::new(taps, *shift, pad)).collect();
+        let column = |((taps, shift), runs): ((_, &Option<isize>), &Vec<Range<usize>>)| {
+            let between = shift.map(|shift| (shift, 0.0)).or_else(|| constant_between(taps, runs, cols));
+            ColumnTaps::new(taps, *shift, between, pad)
+        };
+        let x: Vec<_> = raw.x.iter().map(Vec::as_slice).zip(&shifts).zip(runs).map(column).collect();
         let y: Vec<Vec<LineTap>> = raw
             .y
             .iter()
@@ -183,9 +194,24 @@ impl FactorMap {
                     .zip(valid_rows)
                     .all(|(taps, valid)| taps.iter().zip(valid).all(|(tap, valid)| tap.is_some() || !valid));
         let columns_shifted = x.iter().zip(runs).all(|(x, runs)| runs.is_empty() || x.shift.is_some());
+        let between = x.iter().zip(runs).all(|(x, runs)| runs.is_empty() || x.between.is_some() && runs.len() == 1);
+        let mixes_columns = between && x.iter().any(|x| x.between.is_some_and(|(_, t)| t != 0.0));
         let mut taps = raw.x.iter().chain(&raw.y).flatten().flatten();
         let nearest = taps.all(|tap| tap.t == 0.0);
-        Self { layout, x, y, rays, after, short_sums, shifted, columns_shifted, nearest, complete }
+        Self {
+            layout,
+            x,
+            y,
+            rays,
+            after,
+            short_sums,
+            shifted,
+            columns_shifted,
+            between,
+            mixes_columns,
+            nearest,
+            complete,
+        }
     }
 }
 
@@ -202,7 +228,7 @@ impl ColumnTaps {
             .filter(|(cols, _)| !cols.is_empty())
     }
 
-    fn new(taps: &[Option<Tap>], shift: Option<isize>, pad: usize) -> Self {
+    fn new(taps: &[Option<Tap>], shift: Option<isize>, between: Option<(isize, f32)>, pad: usize) -> Self {
         // a miss reads the padding
         let index = |i: Option<u32>| i.map_or(0, |i| i + pad as u32);
         Self {
@@ -211,7 +237,18 @@ impl ColumnTaps {
             t: taps.iter().map(|tap| tap.map_or(0.0, |tap| tap.t)).collect(),
             pieces: pieces(taps, pad as isize),
             shift: shift.map(|shift| shift + pad as isize),
+            between: between.map(|(by, t)| (by + pad as isize, t)),
         }
+    }
+}
+
+/// A tap that reads one pixel alone if the other one's weight is only rounding. Without it, rays
+/// that hit pixels exactly would read some pixels and some pairs.
+pub(crate) fn snapped(tap: Tap) -> Tap {
+    match tap.t {
+        t if t < SAME_WEIGHT => Tap { t: 0.0, ..tap },
+        t if t > 1.0 - SAME_WEIGHT => Tap { first: tap.second, second: tap.second, t: 0.0 },
+        _ => tap,
     }
 }
 
@@ -300,4 +337,20 @@ fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> O
             None => !(0..cols as isize).contains(&(c as isize + shift)),
         })
         .then_some(shift)
+}
+
+/// First pixel minus field column, and the weight of the second pixel, if both are the same for all
+/// rays of the run. At the borders, rays read the border pixel alone.
+fn constant_between(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<(isize, f32)> {
+    let [run] = runs else { return None };
+    let distance = |c: usize| taps[c].map(|tap| (tap.first as isize - c as isize, tap.t));
+    let (by, t) = run.clone().filter_map(distance).find(|&(_, t)| t != 0.0)?;
+    let last = cols as isize - 1;
+    let alike = |c: usize| {
+        let Some(tap) = taps[c] else { return false };
+        let (first, pixel) = (tap.first as isize, c as isize + by);
+        let border = tap.t == 0.0 && (pixel == -1 && first == 0 || pixel == last && first == last);
+        border || first == pixel && (tap.t - t).abs() < SAME_WEIGHT
+    };
+    run.clone().all(alike).then_some((by, t))
 }

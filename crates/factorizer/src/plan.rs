@@ -11,7 +11,7 @@ use lumistack_display::{
 };
 use lumistack_simd::Backend;
 
-use crate::map::{FactorMap, RawMap};
+use crate::map::{FactorMap, RawMap, snapped};
 use crate::problem::{FactorizeError, Problem};
 use crate::rows::RowFunctions;
 use crate::target::Target;
@@ -222,7 +222,7 @@ impl Plan {
 /// Converts the taps of layers and lenslets to one form; a miss is `None`.
 fn raw_maps(display: &Display, map: &RayMap, views: [usize; 2]) -> Vec<RawMap> {
     // a layer's taps are in the map already
-    let hit = |taps: &[Tap]| taps.iter().map(|tap| (!tap.is_missed()).then_some(*tap)).collect();
+    let hit = |taps: &[Tap]| taps.iter().map(|tap| (!tap.is_missed()).then(|| snapped(*tap))).collect();
     let mut maps: Vec<RawMap> = map
         .layers
         .iter()

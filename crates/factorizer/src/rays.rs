@@ -39,6 +39,17 @@ impl<'a, T> Place<'a, T> {
         }
     }
 
+    /// A row of `len` values that may be written while the place exists.
+    fn within(row: *const T, len: usize, offset: isize) -> Self {
+        let _ = len;
+        Self {
+            zero: row.wrapping_offset(offset),
+            #[cfg(debug_assertions)]
+            row: row..row.wrapping_add(len),
+            life: PhantomData,
+        }
+    }
+
     /// Pointer to the values from x on, as many as a vector has.
     #[inline(always)]
     pub(crate) fn at<V: Lanes>(&self, x: usize) -> *const T {
@@ -58,6 +69,12 @@ pub(crate) struct View<'a> {
 }
 
 impl View<'_> {
+    /// √w; `None` if all weights are 1.
+    #[inline(always)]
+    pub(crate) fn root_weights(&self) -> Option<&Place<'_, f32>> {
+        self.weights.as_ref()
+    }
+
     /// √w of the rays of a block, 0 for invalid rays; `None` if all are invalid.
     ///
     /// # Safety
@@ -114,6 +131,9 @@ pub(crate) struct LineRays<'a> {
     /// the same columns of it.
     pub(crate) own: Vec<Place<'a, f32>>,
     pub(crate) own_stride: usize,
+    /// Per view, the weight of the next pixel in every other factor, then in the own one. Empty if
+    /// no ray reads between columns.
+    pub(crate) fractions: Vec<f32>,
     /// Rows to prefetch, as pointers to x = 0: the line's own rows, and the other factors' rows.
     /// Views of a view row read the same rows at neighbouring columns, so only the pointer of the
     /// view that is farthest ahead is listed.
@@ -159,6 +179,14 @@ impl LineRays<'_> {
         }
     }
 
+    /// Prefetches the values at x of some of the listed rows.
+    #[inline(always)]
+    pub(crate) fn prefetch(&self, rows: Range<usize>, x: usize) {
+        for row in &self.ahead[rows] {
+            prefetch(row.wrapping_add(x));
+        }
+    }
+
     /// Empties the list, and keeps its storage for the next list.
     pub(crate) fn emptied(self) -> LineRays<'static> {
         LineRays {
@@ -167,6 +195,7 @@ impl LineRays<'_> {
             others: emptied(self.others),
             strides: emptied(self.strides),
             own: emptied(self.own),
+            fractions: emptied(self.fractions),
             ahead: emptied(self.ahead),
             ..LineRays::default()
         }
@@ -207,13 +236,14 @@ pub(crate) struct RowOfRays {
 }
 
 impl Spare {
-    /// Mixes two lines of a factor for every listed row of rays that reads it between lines.
-    pub(crate) fn mix_lines(&mut self, plan: &Plan, factors: &[Factor], channel: usize) {
+    /// Mixes two lines of a factor for every listed row of rays that reads it between lines;
+    /// `mixes` selects the factors.
+    pub(crate) fn mix_lines(&mut self, plan: &Plan, factors: &[Factor], channel: usize, mixes: impl Fn(usize) -> bool) {
         let mut end = 0;
         for &RowOfRays { view_y, row } in &self.rows {
-            for (map, factor) in plan.maps.iter().zip(factors) {
+            for (k, (map, factor)) in plan.maps.iter().zip(factors).enumerate() {
                 let tap = map.y[view_y][row];
-                if tap.t != 0.0 {
+                if tap.t != 0.0 && mixes(k) {
                     let start = end;
                     end += map.layout.line_len();
                     if self.mixed.len() < end {
@@ -277,7 +307,7 @@ impl<'a> Left<'a> {
     ) -> Place<'a, f32> {
         let map = &plan.maps[k];
         let x = &map.x[rays.view[1]];
-        if let (true, Some(shift)) = (is_there, x.shift) {
+        if let (true, Some((shift, _))) = (is_there, x.between) {
             return Place::new(line, shift - PAD as isize + offset);
         }
         let stride = expanded_stride(plan);
@@ -380,7 +410,7 @@ pub(crate) fn rays_through<'a>(
         let of_line = map.rays_of_line(view_y, at.line).iter();
         spare.rows.extend(of_line.map(|&(row, _)| RowOfRays { view_y, row: row as usize }));
     }
-    spare.mix_lines(plan, factors, at.channel);
+    spare.mix_lines(plan, factors, at.channel, |_| true);
     let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere);
     let mut lines = Vec::new();
     for &row_of in rows {
@@ -418,5 +448,141 @@ pub(crate) fn rays_through<'a>(
     // repeat the last row, so that every view prefetches the same number of rows
     let last = rays.ahead.last().copied().unwrap_or(std::ptr::null());
     rays.ahead.resize(rays.ahead.len().max(PREFETCHED * rays.views.len()), last);
+    rays
+}
+
+/// Mixtures of two lines of each factor: only the columns that one part needs.
+#[derive(Default)]
+pub(crate) struct Windows {
+    values: Vec<f32>,
+    /// Per factor, the position of its line in `values`.
+    starts: Vec<usize>,
+}
+
+impl Windows {
+    /// Storage for one line of every factor.
+    pub(crate) fn new(plan: &Plan) -> Self {
+        let mut starts = vec![0];
+        starts.extend(plan.maps.iter().scan(0, |end, map| {
+            *end += map.layout.line_len();
+            Some(*end)
+        }));
+        Self { values: vec![0.0; starts[plan.maps.len()]], starts }
+    }
+
+    /// True if a row of rays reads factor `k` through this storage.
+    pub(crate) fn holds(plan: &Plan, k: usize, rays: RowOfRays) -> bool {
+        let map = &plan.maps[k];
+        map.between && (map.mixes_columns || map.y[rays.view_y][rays.row].t != 0.0)
+    }
+
+    /// Mixes the lines that a row of rays reads, within `columns` of the padded lines, and repeats
+    /// the border pixels once.
+    ///
+    /// # Safety
+    /// No reference to these values exists.
+    pub(crate) unsafe fn mix(
+        window: *mut f32,
+        plan: &Plan,
+        (k, factor): (usize, &Factor),
+        channel: usize,
+        rays: RowOfRays,
+        columns: Range<usize>,
+    ) {
+        let (map, layout) = (&plan.maps[k], &plan.maps[k].layout);
+        let tap = map.y[rays.view_y][rays.row];
+        let lines = [tap.first, tap.second].map(|line| factor.line(channel, line as usize));
+        // SAFETY: guaranteed by the caller; a line of the factor begins at `window`
+        let to = unsafe { std::slice::from_raw_parts_mut(window, layout.line_len()) };
+        let rows = lines[0].chunks_exact(layout.stride).zip(lines[1].chunks_exact(layout.stride));
+        for (to, (upper, lower)) in to.chunks_exact_mut(layout.stride).zip(rows) {
+            plan.row.mix([&upper[columns.clone()], &lower[columns.clone()]], tap.t, &mut to[columns.clone()]);
+            if map.mixes_columns {
+                let (pad, cols) = (layout.pad, layout.cols());
+                (to[pad - 1], to[pad + cols]) = (to[pad], to[pad + cols - 1]);
+            }
+        }
+    }
+
+    /// Pointers to the lines of all factors.
+    pub(crate) fn lines(&mut self) -> impl Fn(usize) -> *mut f32 + use<'_> {
+        let first = self.values.as_mut_ptr();
+        move |k| first.wrapping_add(self.starts[k])
+    }
+}
+
+/// Lists the rays between a line and the next; `spare.rows` has the rows of rays. The own factor
+/// must be [`between`](crate::map::FactorMap::between). `windows` are the lines of [`Windows`].
+///
+/// Views without valid rays are left out, as in [`rays_through`]. `ahead` gets, per row of rays,
+/// the end of its rows in the list of rows to prefetch; lines in windows have none.
+pub(crate) fn rays_between<'a>(
+    mut rays: LineRays<'a>,
+    plan: &'a Plan,
+    factors: &'a [Factor],
+    at: LineOf,
+    (spare, windows): (&'a mut Spare, impl Fn(usize) -> *mut f32),
+    ahead: &mut Vec<usize>,
+) -> LineRays<'a> {
+    let others = || (0..factors.len()).filter(|&k| k != at.factor);
+    let is_there = |k: usize| plan.maps[k].between;
+    let stride = |k: usize| if is_there(k) { plan.maps[k].layout.stride } else { expanded_stride(plan) };
+    rays.others_per_view = factors.len() - 1;
+    rays.strides.extend(others().map(stride));
+    rays.own_stride = stride(at.factor);
+    spare.mix_lines(plan, factors, at.channel, |k| !is_there(k));
+    let elsewhere = others().filter(|&k| !is_there(k)).count();
+    let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere);
+    let mut lines = Vec::new();
+    ahead.clear();
+    for &row_of in rows {
+        let RowOfRays { view_y, row } = row_of;
+        let before = [rays.others.len(), rays.own.len()];
+        lines.clear();
+        for k in 0..factors.len() {
+            lines.push(match Windows::holds(plan, k, row_of) {
+                false => left.line(plan, factors, k, at.channel, row_of),
+                true => &[],
+            });
+        }
+        for view_x in 0..plan.views[1] {
+            let own = plan.maps[at.factor].x[view_x].between;
+            let ([run], Some((own, _))) = (plan.runs[view_x].as_slice(), own) else { continue };
+            let view = plan.view(view_y, view_x);
+            let offset = PAD as isize - own;
+            rays.views.push(View {
+                valid: (run.start as isize + own) as usize..(run.end as isize + own) as usize,
+                weights: plan.target.weights(view, row).map(|weights| Place::new(weights, offset)),
+            });
+            rays.targets.push(match plan.target.row(at.channel, view, row) {
+                Row::Half(row) => TargetRow::Half(Place::new(row, offset)),
+                Row::Float(row) => TargetRow::Float(Place::new(row, offset)),
+            });
+            let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
+            for k in others().chain([at.factor]) {
+                let list = if k == at.factor { &mut rays.own } else { &mut rays.others };
+                let between = plan.maps[k].x[view_x].between.filter(|_| is_there(k));
+                list.push(match between {
+                    Some((shift, _)) if Windows::holds(plan, k, row_of) => {
+                        Place::within(windows(k), plan.maps[k].layout.line_len(), shift - own)
+                    }
+                    _ => left.place(plan, lines[k], k, &part, is_there(k), offset),
+                });
+                rays.fractions.push(between.map_or(0.0, |(_, t)| t));
+            }
+        }
+        // as in `rays_through`, but every row of rays has its own prefetches
+        for (index, k) in others().chain([at.factor]).enumerate() {
+            let (places, of) = match k == at.factor {
+                true => (&rays.own[before[1]..], 1),
+                false => (&rays.others[before[0] + index..], rays.others_per_view),
+            };
+            let lead = places.iter().step_by(of).map(|place| place.zero).max();
+            if let Some(lead) = lead.filter(|_| !Windows::holds(plan, k, row_of)) {
+                rays.ahead.extend((0..plan.frames).map(|frame| lead.wrapping_add(frame * stride(k))));
+            }
+        }
+        ahead.push(rays.ahead.len());
+    }
     rays
 }

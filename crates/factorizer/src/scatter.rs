@@ -177,7 +177,7 @@ impl ScatterBand<'_> {
         let (quantities, field_stride) = (needed.count(plan.frames), expanded_stride(plan));
         let together = if map.short_sums { GROUP } else { SHORT_ROWS };
         let params = SumParams { brightness: plan.target.brightness, sums: needed };
-        spare.mix_lines(plan, factors, at.channel);
+        spare.mix_lines(plan, factors, at.channel, |_| true);
         // for each view column, sum by field columns; then add these sums to the pixels that the
         // field columns read
         for view_x in 0..plan.views[1] {

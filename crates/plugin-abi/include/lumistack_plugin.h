@@ -374,7 +374,7 @@ typedef struct LumistackHostServices {
    */
   void (*log)(const void *context, uint32_t level, struct LumistackStr message);
   /**
-   * Starts a stage of `total` steps of kind `unit` ("files").
+   * Starts a stage of `total` steps; `unit` names them, such as "files".
    */
   void (*progress_begin)(const void *context, struct LumistackStr stage, uint64_t total, struct LumistackStr unit);
   /**
@@ -417,9 +417,9 @@ typedef struct LumistackHostServices {
   /**
    * Computes the seen picture of a submitted layer stack from one viewpoint.
    *
-   * The result is emitted linear radiance `[row][col][rgb]`: the mean over the area of each of
-   * the target's pixels, not divided by the stack's brightness. `data` is the argument of
-   * `submit`. The plugin releases the plane.
+   * The result is emitted linear radiance `[row][col][rgb]`, not divided by the stack's
+   * brightness. Each value is the mean over the area of a pixel of the target. `data` is the
+   * argument of `submit`. The plugin releases the plane.
    */
   LumistackStatus (*simulate)(const void *context,
                               const struct LumistackData *data,
@@ -615,7 +615,7 @@ typedef struct LumistackSourceVtable {
   size_t size;
   /**
    * Makes the light field of one time step. It should have the display's geometry; the host
-   * accepts others. `host` offers the same as for importers.
+   * accepts other geometries. `host` offers messages, progress and cancellation, but no files.
    */
   LumistackStatus (*make)(const struct LumistackHostServices *host,
                           struct LumistackStr params_json,
@@ -679,8 +679,8 @@ typedef struct LumistackStackSink {
    *
    * * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
    *   solved first.
-   * * `kkt_residual`: root mean square of the emission's change in a further exact step. The
-   *   older key `unsettled` is accepted too.
+   * * `kkt_residual`: root mean square, over all values, of the emission's change by a further
+   *   exact update of that value. The older key `unsettled` is accepted too.
    * * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
    *   bits, or null.
    */
@@ -698,7 +698,7 @@ typedef struct LumistackNodeVtable {
   /**
    * Makes the patterns of one time step. `data` is a light field of the display's geometry; its
    * description has the further keys for nodes that `Data::description_json` lists. `host`
-   * offers the same as for importers.
+   * offers messages, progress and cancellation, but no files.
    */
   LumistackStatus (*make)(const struct LumistackHostServices *host,
                           struct LumistackStr params_json,

@@ -59,6 +59,18 @@ pub trait Lanes: Copy {
     /// The mask as one bit per lane; lane 0 is the lowest bit.
     unsafe fn bits(mask: Self::Mask) -> u32;
 
+    /// The lanes moved up by one; lane 0 is the last lane of `before`.
+    #[inline(always)]
+    unsafe fn moved_up(self, before: Self) -> Self {
+        let mut values = [0.0f32; 2 * crate::MAX_LANES];
+        // SAFETY: passed on from the caller; a vector has at most MAX_LANES lanes
+        unsafe {
+            before.store(values.as_mut_ptr());
+            self.store(values.as_mut_ptr().add(Self::COUNT));
+            Self::load(values.as_ptr().add(Self::COUNT - 1))
+        }
+    }
+
     /// Calls another kernel with the same vectors. The call is out of line, unless the compiler
     /// finds inlining cheap.
     unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output;

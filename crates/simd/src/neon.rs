@@ -123,6 +123,11 @@ impl Lanes for Neon {
     }
 
     #[inline(always)]
+    unsafe fn moved_up(self, before: Self) -> Self {
+        Self(unsafe { vextq_f32::<3>(before.0, self.0) })
+    }
+
+    #[inline(always)]
     unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output {
         unsafe { run::<K>(args) }
     }

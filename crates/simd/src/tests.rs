@@ -61,6 +61,16 @@ impl Kernel for Everything {
             (0..V::COUNT).for_each(|lane| bits[at + lane] = (mask >> lane & 1) as f32);
         }
         results.push(("bits", bits));
+        // SAFETY: the machine has V; LEN is a multiple of every lane count
+        unsafe {
+            let (mut moved, mut before) = ([0.0; LEN], V::splat(b[0]));
+            for at in (0..LEN).step_by(V::COUNT) {
+                let lanes = V::load(a.as_ptr().add(at));
+                lanes.moved_up(before).store(moved.as_mut_ptr().add(at));
+                before = lanes;
+            }
+            results.push(("moved_up", moved));
+        }
         results
     }
 }
@@ -162,6 +172,7 @@ fn expected([a, b, c]: &Operands, rounds_once: bool) -> Results {
         ("both", each(&|x, y, z| if x < y && y < z { x } else { z })),
         ("either", each(&|x, y, z| if x < y || y < z { x } else { z })),
         ("bits", each(&|x, y, _| f32::from(u8::from(x < y)))),
+        ("moved_up", std::array::from_fn(|i| if i == 0 { b[0] } else { a[i - 1] })),
     ]
 }
 

@@ -124,6 +124,11 @@ impl Lanes for Simd128 {
     }
 
     #[inline(always)]
+    unsafe fn moved_up(self, before: Self) -> Self {
+        Self(i32x4_shuffle::<3, 4, 5, 6>(before.0, self.0))
+    }
+
+    #[inline(always)]
     unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output {
         unsafe { run::<K>(args) }
     }

@@ -20,7 +20,7 @@ pub(crate) unsafe fn avx512<K: Kernel>(args: K::Args<'_>) -> K::Output {
 macro_rules! lanes {
     ($name:ident($vector:ty, $mask:ty), $about:literal, $count:literal, $call:ident, $splat:ident, $load:ident, $half:expr, $store:ident, $add:ident,
      $sub:ident, $mul:ident, $div:ident, $min:ident, $max:ident, $fma:ident, $fnma:ident, $at_most:expr, $below:expr, $both:expr, $either:expr,
-     $select:expr, $bits:expr) => {
+     $select:expr, $bits:expr, $moved_up:expr) => {
         #[doc = $about]
         #[derive(Clone, Copy, Debug)]
         pub struct $name($vector);
@@ -138,6 +138,11 @@ macro_rules! lanes {
             }
 
             #[inline(always)]
+            unsafe fn moved_up(self, before: Self) -> Self {
+                Self(unsafe { $moved_up(self.0, before.0) })
+            }
+
+            #[inline(always)]
             unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output {
                 unsafe { $call::<K>(args) }
             }
@@ -167,7 +172,12 @@ lanes!(
     |a, b| _mm256_and_ps(a, b),
     |a, b| _mm256_or_ps(a, b),
     |mask, then, otherwise| _mm256_blendv_ps(otherwise, then, mask),
-    |mask| _mm256_movemask_ps(mask) as u32
+    |mask| _mm256_movemask_ps(mask) as u32,
+    |lanes, before| {
+        // the upper half of `before` and the lower half of `lanes`
+        let between = _mm256_castps_si256(_mm256_permute2f128_ps::<0x21>(before, lanes));
+        _mm256_castsi256_ps(_mm256_alignr_epi8::<12>(_mm256_castps_si256(lanes), between))
+    }
 );
 lanes!(
     Avx512(__m512, __mmask16),
@@ -191,5 +201,9 @@ lanes!(
     |a, b| a & b,
     |a, b| a | b,
     |mask, then, otherwise| _mm512_mask_blend_ps(mask, otherwise, then),
-    u32::from
+    u32::from,
+    |lanes, before| _mm512_castsi512_ps(_mm512_alignr_epi32::<15>(
+        _mm512_castps_si512(lanes),
+        _mm512_castps_si512(before)
+    ))
 );

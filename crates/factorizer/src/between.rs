@@ -1,0 +1,511 @@
+//! Lines of one factor that rays read between pixels, at a constant distance per view column.
+//!
+//! As in [`scatter`](crate::scatter), each ray adds its sums to four pixels, by shares. Here all
+//! rays of a view column read at the same distance, so pixels gather:
+//!
+//! ```text
+//! for every part of line j, some columns x:
+//!     low = the high sums of line j − 1 at x,  high = 0
+//!     for every row of rays between the lines j and j + 1, for every block of pixels:
+//!         sums = Σ over view columns: (1 − t_x) · (w e a_m, w a_m a_k) of the rays before x
+//!                                         + t_x · (w e a_m, w a_m a_k) of the rays one earlier
+//!         low += (1 − t_y) · sums,  high += t_y · sums
+//!     step the pixels by low, keep high for line j + 1
+//! ```
+//!
+//! The terms a_m and e of a ray are computed once. The rays one earlier are the same vector, moved
+//! up by a lane, with the last lane of the block before. As with √w, the terms are multiplied by
+//! the root of the share.
+//!
+//! At the borders a ray reads the border pixel alone. So the lines that rays read are copies whose
+//! border pixels are repeated once, and the border pixels get the whole share. Copies and mixtures
+//! are made for one part and one row of rays at a time. So they stay in the first-level cache, as
+//! the sums of a part do; an update by whole lines took 10 % longer.
+
+use std::ops::Range;
+
+use lumistack_simd::{Backend, Function, Kernel, Lanes};
+
+use crate::aligned::Aligned;
+use crate::buffers::{AHEAD, Buffers, GROUP, Group, SumParams, sum_views};
+use crate::factor::Factor;
+use crate::line::{Fetch, LineOf, LineStep, Outcome, StepFunctions};
+use crate::plan::Plan;
+use crate::rays::{LineRays, RowOfRays, Spare, Windows, rays_between};
+use crate::step::{Rule, Sums};
+use crate::vector::{self, load, store};
+
+/// Number of columns per part.
+const PART: usize = 128;
+
+/// The functions of an update, for one instruction set and rule.
+pub(crate) struct BetweenFunctions {
+    lanes: usize,
+    sums: Function<SumsBetween>,
+    fetch: Function<Fetch>,
+    step: StepFunctions,
+}
+
+impl BetweenFunctions {
+    pub(crate) fn new(backend: Backend, step: StepFunctions) -> Self {
+        Self {
+            lanes: backend.lanes(),
+            sums: backend.function::<SumsBetween>(),
+            fetch: backend.function::<Fetch>(),
+            step,
+        }
+    }
+}
+
+/// Buffers of one thread, reused from band to band.
+pub(crate) struct Scratch {
+    buffers: Buffers,
+    rays: LineRays<'static>,
+    spare: Spare,
+    /// The weight of the next line in each row of rays.
+    t: Vec<f32>,
+    /// The view columns' shares.
+    shares: Vec<ColumnShares>,
+    /// Mixtures of lines.
+    windows: Windows,
+    /// Per row of rays, the end of its rows in the list of rows to prefetch.
+    ahead: Vec<usize>,
+    /// Per factor, the smallest and the largest distance from a pixel to where its rays read.
+    spread: Vec<[isize; 2]>,
+    /// The low sums of a part, `[quantity][column]`.
+    low: Aligned,
+    /// The sums that wait for the next line, `[quantity][x]`.
+    high: Vec<f32>,
+    /// Σ w e² that waits for the next line.
+    high_error: f64,
+    /// a_m, e and L̃ of each view in the block before, `[view][M + 2][lane]`.
+    before: Aligned,
+}
+
+/// The shares of a view column's rays, as roots, `[x]`: of the ray that reads x first, and of the
+/// ray that reads it second.
+struct ColumnShares {
+    first: Vec<f32>,
+    /// Empty if no ray reads a second pixel.
+    second: Vec<f32>,
+    /// x of the pixels that rays read first.
+    valid: Range<usize>,
+}
+
+impl Scratch {
+    pub(crate) fn new(plan: &Plan, n: usize, rule: Rule) -> Self {
+        let layout = &plan.maps[n].layout;
+        let quantities = rule.sums().count(plan.frames);
+        Self {
+            buffers: Buffers::new(plan.frames),
+            rays: LineRays::default(),
+            spare: Spare::default(),
+            t: Vec::new(),
+            shares: shares(plan, n),
+            windows: Windows::new(plan),
+            ahead: Vec::new(),
+            spread: spread(plan, n),
+            low: Aligned::filled(0.0, quantities * PART),
+            high: vec![0.0; quantities * layout.stride],
+            high_error: 0.0,
+            before: Aligned::default(),
+        }
+    }
+}
+
+/// Per factor, the smallest and the largest distance from a pixel of factor `n` to where its rays
+/// read.
+fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
+    let distances = |k: usize| {
+        let both = plan.maps[k].x.iter().zip(&plan.maps[n].x);
+        both.filter_map(|(other, own)| Some(other.between?.0 - own.between?.0))
+    };
+    let of = |k: usize| [distances(k).min().unwrap_or(0), distances(k).max().unwrap_or(0)];
+    (0..plan.maps.len()).map(of).collect()
+}
+
+/// The shares of every view column that has valid rays.
+fn shares(plan: &Plan, n: usize) -> Vec<ColumnShares> {
+    let map = &plan.maps[n];
+    let (pad, cols) = (map.layout.pad as isize, map.layout.cols());
+    let mut all = Vec::new();
+    for (x, runs) in map.x.iter().zip(&plan.runs) {
+        let ([run], Some((by, t))) = (runs.as_slice(), x.between) else { continue };
+        let valid = (run.start as isize + by)..(run.end as isize + by);
+        let row = |moved: isize, share: f32, border: usize| -> Vec<f32> {
+            let mut row = vec![0.0; map.layout.stride];
+            for pixel in (0..cols).filter(|&pixel| valid.contains(&(pixel as isize + pad - moved))) {
+                row[pixel + map.layout.pad] = if pixel == border && t != 0.0 { 1.0 } else { share.sqrt() };
+            }
+            row
+        };
+        all.push(ColumnShares {
+            first: row(0, 1.0 - t, cols - 1),
+            second: if t == 0.0 { Vec::new() } else { row(1, t, 0) },
+            valid: valid.start as usize..valid.end as usize,
+        });
+    }
+    all
+}
+
+/// Consecutive lines of one factor, to be updated in order.
+pub(crate) struct BetweenBand<'a> {
+    pub(crate) plan: &'a Plan,
+    pub(crate) factors: &'a [Factor],
+    pub(crate) functions: &'a BetweenFunctions,
+    pub(crate) scratch: &'a mut Scratch,
+    /// The previous line, whose high sums wait; `None` at the beginning.
+    pub(crate) before: Option<LineOf>,
+}
+
+impl BetweenBand<'_> {
+    /// Sums and steps the next line.
+    pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
+        let needed = step.rule.sums();
+        let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);
+        // at the start of a band, the rays that begin at the previous line are summed once more
+        if !follows {
+            self.scratch.high.fill(0.0);
+            self.scratch.high_error = 0.0;
+            if at.line > 0 {
+                self.add_rays(LineOf { line: at.line - 1, ..at }, needed, None);
+            }
+        }
+        self.before = Some(at);
+        self.add_rays(at, needed, Some(&mut step))
+    }
+
+    /// Sums the rays between a line and the next, block by block, and steps the line; without
+    /// `step` only the sums of the next line are kept.
+    fn add_rays(&mut self, at: LineOf, needed: Sums, mut step: Option<&mut LineStep>) -> Outcome {
+        let (plan, factors, functions) = (self.plan, self.factors, self.functions);
+        let Scratch { buffers, rays, spare, t, shares, windows, ahead, spread, low, high, high_error, before } =
+            &mut *self.scratch;
+        let map = &plan.maps[at.factor];
+        let (layout, lanes) = (&map.layout, functions.lanes);
+        // list the rows of rays between the lines
+        spare.rows.clear();
+        t.clear();
+        for view_y in 0..plan.views[0] {
+            for &(row, next) in map.rays_after_line(view_y, at.line) {
+                spare.rows.push(RowOfRays { view_y, row: row as usize });
+                t.push(next);
+            }
+        }
+        if step.is_none() && t.iter().all(|&t| t == 0.0) {
+            return Outcome::default();
+        }
+        let windows = windows.lines();
+        let rows = spare.rows.clone();
+        let list = rays_between(std::mem::take(rays), plan, factors, at, (spare, &windows), ahead);
+        // the first block has no block before it
+        let count = list.views.len() * (plan.frames + 2) * lumistack_simd::MAX_LANES;
+        if before.len() < count {
+            *before = Aligned::filled(0.0, count);
+        }
+        before[..count].fill(0.0);
+        let params = SumParams { brightness: plan.target.brightness, sums: needed };
+        let mut outcome = Outcome { error: std::mem::take(high_error), gain: 0.0 };
+        // a ray before the first pixel reads that pixel second
+        let outside = shares.iter().any(|column| !column.second.is_empty() && column.valid.start < layout.pad);
+        let first = if outside { layout.pad - lanes } else { layout.pad };
+        let end = layout.pad + layout.cols().next_multiple_of(lanes);
+        for start in (first..end).step_by(PART) {
+            let part = start..(start + PART).min(end);
+            // the high sums of the previous line are the first low sums of this one
+            for (high, low) in high.chunks_exact_mut(layout.stride).zip(low.chunks_exact_mut(PART)) {
+                low[..part.len()].copy_from_slice(&high[part.clone()]);
+                high[part.clone()].fill(0.0);
+            }
+            for (row, (&rays, &t)) in rows.iter().zip(&*t).enumerate() {
+                for k in (0..factors.len()).filter(|&k| Windows::holds(plan, k, rays)) {
+                    let [from, to] = spread[k];
+                    let len = plan.maps[k].layout.stride as isize;
+                    let columns = [part.start as isize + from, part.end as isize + to + 1].map(|x| x.clamp(0, len));
+                    // SAFETY: only pointers to these values exist
+                    unsafe {
+                        Windows::mix(
+                            windows(k),
+                            plan,
+                            (k, &factors[k]),
+                            at.channel,
+                            rays,
+                            columns[0] as usize..columns[1] as usize,
+                        );
+                    }
+                }
+                let ahead = if row == 0 { 0 } else { ahead[row - 1] }..ahead[row];
+                let part = PartBetween {
+                    rays: &list,
+                    shares,
+                    first: row * shares.len(),
+                    t,
+                    ahead,
+                    part: part.clone(),
+                    params,
+                    buffers,
+                    low,
+                    high,
+                    stride: layout.stride,
+                    before,
+                };
+                // SAFETY: all columns of the part lie within padded rows
+                let squares = unsafe { (functions.sums)(part) };
+                outcome.error += squares * f64::from(1.0 - t);
+                *high_error += squares * f64::from(t);
+            }
+            let Some(step) = &mut step else { continue };
+            for x in part.clone().step_by(lanes).filter(|&x| x >= layout.pad) {
+                // SAFETY: the kernel has no requirements
+                unsafe { (functions.fetch)((*step, &low[x - start..], PART, &mut buffers.block, x)) };
+                step.finish_block(&functions.step, &mut buffers.block, x);
+                outcome.gain += vector::sum_of(&buffers.block.gain[..lanes]);
+            }
+        }
+        *rays = list.emptied();
+        outcome
+    }
+}
+
+/// One part of a line, with one row of rays between the line and the next.
+struct PartBetween<'a> {
+    rays: &'a LineRays<'a>,
+    shares: &'a [ColumnShares],
+    /// The first view of the row of rays.
+    first: usize,
+    /// The weight of the next line.
+    t: f32,
+    /// Rows to prefetch.
+    ahead: Range<usize>,
+    /// x of the part.
+    part: Range<usize>,
+    params: SumParams,
+    buffers: &'a mut Buffers,
+    low: &'a mut Aligned,
+    high: &'a mut [f32],
+    stride: usize,
+    before: &'a mut Aligned,
+}
+
+/// Adds a row of rays to the sums of a part; returns Σ w e².
+struct SumsBetween;
+
+impl Kernel for SumsBetween {
+    type Args<'a> = PartBetween<'a>;
+    type Output = f64;
+
+    #[inline(always)]
+    unsafe fn run<V: Lanes>(at: PartBetween<'_>) -> f64 {
+        let PartBetween { rays, shares, first, t, ahead, part, params, buffers, low, high, stride, before } = at;
+        let frames = buffers.block.frames;
+        let size = (frames + 2) * V::COUNT;
+        // SAFETY: guaranteed by the caller
+        unsafe {
+            let mut squares = V::splat(0.0);
+            for x in part.clone().step_by(V::COUNT) {
+                rays.prefetch(ahead.clone(), x + AHEAD * V::COUNT);
+                let mut group = Group { frames, views: 0, add: false };
+                for (view, column) in shares.iter().enumerate() {
+                    if column.valid.start < x + V::COUNT && x < column.valid.end + 1 {
+                        // two more views must fit
+                        if group.views + 2 > GROUP {
+                            sum_views::<V, false>(params.sums, buffers, &[], group);
+                            group = Group { frames, views: 0, add: true };
+                        }
+                        let before = &mut before[(first + view) * size..][..size];
+                        let to = (group.views, &mut *buffers, before);
+                        let added = add_view::<V>(rays, (first + view, column), x, params, to);
+                        group.views += added.0;
+                        squares = squares.add(added.1);
+                    }
+                }
+                sum_views::<V, false>(params.sums, buffers, &[], group);
+                // share the sums between the lines
+                let Buffers { block, .. } = &mut *buffers;
+                let (low, high) = (&mut low[x - part.start..], &mut high[x..]);
+                for m in 0..frames {
+                    share::<V>(&block.residual, m, (low, &mut *high, stride), m, t);
+                }
+                let mut q = frames;
+                for m in 0..frames {
+                    if params.sums == Sums::Gram {
+                        for k in m..frames {
+                            share::<V>(&block.gram, m * frames + k, (low, &mut *high, stride), q, t);
+                            q += 1;
+                        }
+                    } else {
+                        share::<V>(&block.emitted, m, (low, &mut *high, stride), q, t);
+                        q += 1;
+                    }
+                }
+            }
+            vector::sum(squares)
+        }
+    }
+}
+
+/// Adds the sum at `at` to quantity `q` of the line and of the next one.
+#[inline(always)]
+unsafe fn share<V: Lanes>(
+    from: &[f32],
+    at: usize,
+    (low, high, stride): (&mut [f32], &mut [f32], usize),
+    q: usize,
+    t: f32,
+) {
+    // SAFETY: guaranteed by the caller
+    unsafe {
+        let sum = load::<V>(from, at * V::COUNT);
+        let kept = load::<V>(low, q * PART);
+        store(sum.mul_add(V::splat(1.0 - t), kept), low, q * PART);
+        if t != 0.0 {
+            let kept = load::<V>(high, q * stride);
+            store(sum.mul_add(V::splat(t), kept), high, q * stride);
+        }
+    }
+}
+
+/// Buffers the terms of one view, times the roots of their shares: the rays that read the block
+/// first, then those that read it second. Returns their number and Σ w e² per lane.
+#[inline(always)]
+unsafe fn add_view<V: Lanes>(
+    rays: &LineRays,
+    (view, column): (usize, &ColumnShares),
+    x: usize,
+    params: SumParams,
+    (to, buffers, before): (usize, &mut Buffers, &mut [f32]),
+) -> (usize, V) {
+    // SAFETY: guaranteed by the caller
+    unsafe {
+        let frames = buffers.block.frames;
+        let reads = Reads { rays, view, x, fresh: x < column.valid.end };
+        let between = !column.second.is_empty();
+        let first = load::<V>(&column.first, x);
+        let second = if between { load::<V>(&column.second, x) } else { first };
+        let (mut emitted, mut m) = (V::splat(0.0), 0);
+        while m < frames {
+            let target =
+                Buffered { to, between, first, second, frames, products: &mut buffers.products, before: &mut *before };
+            (emitted, m) = match frames - m {
+                1 => (reads.frames::<V, 1>(m, emitted, target), m + 1),
+                2 => (reads.frames::<V, 2>(m, emitted, target), m + 2),
+                3..=5 => (reads.frames::<V, 3>(m, emitted, target), m + 3),
+                _ => (reads.frames::<V, 6>(m, emitted, target), m + 6),
+            };
+        }
+        let (mut wanted, ratio) = (V::splat(0.0), params.sums == Sums::Ratio);
+        if reads.fresh {
+            emitted = emitted.mul(V::splat(1.0 / frames as f32));
+            wanted = crate::buffers::wanted::<V>(&rays.targets[view], x, params);
+            if let Some(weights) = rays.views[view].root_weights() {
+                wanted = wanted.mul(V::load(weights.at::<V>(x)));
+            }
+        }
+        let error = put::<V>(buffers, to, ratio, wanted, emitted, first);
+        let squares = error.mul(error);
+        if !between {
+            return (1, squares);
+        }
+        let (wanted_at, emitted_at) = (frames * V::COUNT, (frames + 1) * V::COUNT);
+        let moved_wanted = wanted.moved_up(load::<V>(before, wanted_at));
+        let moved_emitted = emitted.moved_up(load::<V>(before, emitted_at));
+        store(wanted, before, wanted_at);
+        store(emitted, before, emitted_at);
+        let error = put::<V>(buffers, to + 1, ratio, moved_wanted, moved_emitted, second);
+        (2, error.mul_add(error, squares))
+    }
+}
+
+/// Buffers e (or βL) and L̃, times the root of their share; returns e.
+#[inline(always)]
+unsafe fn put<V: Lanes>(buffers: &mut Buffers, to: usize, ratio: bool, wanted: V, emitted: V, share: V) -> V {
+    // SAFETY: guaranteed by the caller
+    unsafe {
+        let (wanted, emitted) = (wanted.mul(share), emitted.mul(share));
+        let error = wanted.sub(emitted);
+        store(if ratio { wanted } else { error }, &mut buffers.errors, to * V::COUNT);
+        store(emitted, &mut buffers.emitted, to * V::COUNT);
+        error
+    }
+}
+
+/// One view's rays in a block.
+struct Reads<'a> {
+    rays: &'a LineRays<'a>,
+    view: usize,
+    x: usize,
+    /// False if no ray reads the block first.
+    fresh: bool,
+}
+
+/// Destination of a_m, times the roots of the shares.
+struct Buffered<'a, V> {
+    to: usize,
+    between: bool,
+    first: V,
+    second: V,
+    frames: usize,
+    products: &'a mut [f32],
+    before: &'a mut [f32],
+}
+
+impl Reads<'_> {
+    /// Computes and buffers a_m of the frames m..m + R; returns `emitted` + Σ_m a_m f_m.
+    #[inline(always)]
+    unsafe fn frames<V: Lanes, const R: usize>(&self, m: usize, mut emitted: V, buffered: Buffered<V>) -> V {
+        let Buffered { to, between, first, second, frames, products, before } = buffered;
+        let (rays, view, x) = (self.rays, self.view, self.x);
+        // SAFETY: guaranteed by the caller
+        unsafe {
+            let mut a = [V::splat(0.0); R];
+            if self.fresh {
+                let fractions = &rays.fractions[view * (rays.others_per_view + 1)..][..rays.others_per_view + 1];
+                let weights = rays.views[view].root_weights();
+                a = [if let Some(weights) = weights { V::load(weights.at::<V>(x)) } else { V::splat(1.0) }; R];
+                for k in 0..rays.others_per_view {
+                    let (stride, t) = (rays.strides[k], fractions[k]);
+                    let from = rays.others[view * rays.others_per_view + k].at::<V>(x).wrapping_add(m * stride);
+                    if t == 0.0 {
+                        for i in 0..R {
+                            a[i] = a[i].mul(V::load(from.wrapping_add(i * stride)));
+                        }
+                    } else {
+                        for i in 0..R {
+                            a[i] = a[i].mul(between_pixels(from.wrapping_add(i * stride), t));
+                        }
+                    }
+                }
+                let (from, stride, t) = (rays.own[view].at::<V>(x), rays.own_stride, fractions[rays.others_per_view]);
+                let from = from.wrapping_add(m * stride);
+                if t == 0.0 {
+                    for i in 0..R {
+                        emitted = a[i].mul_add(V::load(from.wrapping_add(i * stride)), emitted);
+                    }
+                } else {
+                    for i in 0..R {
+                        emitted = a[i].mul_add(between_pixels(from.wrapping_add(i * stride), t), emitted);
+                    }
+                }
+            }
+            for i in 0..R {
+                store(a[i].mul(first), products, (to * frames + m + i) * V::COUNT);
+                if between {
+                    let moved = a[i].moved_up(load::<V>(before, (m + i) * V::COUNT));
+                    store(moved.mul(second), products, ((to + 1) * frames + m + i) * V::COUNT);
+                    store(a[i], before, (m + i) * V::COUNT);
+                }
+            }
+            emitted
+        }
+    }
+}
+
+/// The values at `from`, mixed with the next values by `t`.
+#[inline(always)]
+unsafe fn between_pixels<V: Lanes>(from: *const f32, t: f32) -> V {
+    // SAFETY: guaranteed by the caller
+    unsafe {
+        let value = V::load(from);
+        V::load(from.wrapping_add(1)).sub(value).mul_add(V::splat(t), value)
+    }
+}
