@@ -117,5 +117,5 @@ fn fixed_views_are_rendered_and_solved_within_their_bound() {
 #[test]
 fn chosen_views_are_rendered_and_solved_within_their_bound() {
     let render = "[render]\nmax_bounces = 1\n";
-    check(&format!("scene = {:?}\n{}{render}", scene(), display([240, 150], "")), 16, Some("factorize"));
+    check(&format!("scene = {:?}\n{}{render}", scene(), display([288, 180], "")), 24, Some("factorize"));
 }
