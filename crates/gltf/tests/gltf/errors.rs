@@ -104,7 +104,10 @@ fn accessors_that_reach_past_their_bytes() {
         "/accessors/0/byteOffset: expected at most 36, the length of /bufferViews/0, found 18446744073709551615";
     assert_error(&b, expected);
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/byteStride", json!(8)));
-    assert_error(&b, "/bufferViews/0/byteStride: expected at least 12, the size of an element of /accessors/0, found 8");
+    assert_error(
+        &b,
+        "/bufferViews/0/byteStride: expected at least 12, the size of an element of /accessors/0, found 8",
+    );
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/byteLength", json!(37)));
     assert_error(&b, "/bufferViews/0/byteLength: expected at most 36 bytes, which buffer 0 has there, found 37");
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/byteOffset", json!(u64::MAX)));
