@@ -6,7 +6,7 @@ use crate::tools::{self, Outcome, cargo};
 /// The systems with releases, except Linux. A check of types does not need their libraries.
 const TARGETS: [&str; 3] = ["x86_64-pc-windows-gnu", "x86_64-apple-darwin", "aarch64-apple-darwin"];
 
-/// Crates whose tests need neither Debian packages nor a display.
+/// Crates whose tests need neither Debian packages nor a window system.
 const TESTED: [&str; 10] = [
     "lumistack-core",
     "lumistack-scene",

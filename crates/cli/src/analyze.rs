@@ -39,13 +39,14 @@ pub(crate) struct Analyze {
     run: Option<PathBuf>,
     #[command(flatten)]
     files: FileArgs,
-    /// Largest depth for which the bound is computed and plotted, millimetres [default: the depth
-    /// that display and scene need]
+    /// Largest depth for which the highest spatial frequency (the paper's bound, eqs. 23 and 26) is
+    /// computed and plotted, millimetres [default: the depth that display and scene need]
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
     /// Solve every display for gratings at many depths and frequencies (up to a minute each).
-    /// Report three contrasts, each compared with the bound. Two are seen from the solver's views
-    /// and from the whole zone. The third is seen from the whole zone after a solve for more views
+    /// Report three contrasts of every grating, next to the bound. The first is seen from the
+    /// solver's views, the second from the whole zone. The third is seen from the whole zone, after
+    /// a solve for more views
     #[arg(long)]
     contrast: bool,
     /// Folder for analysis.json and the plots, as SVG and PNG

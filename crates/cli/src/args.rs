@@ -237,7 +237,8 @@ pub(crate) struct Factorize {
 pub(crate) struct Simulate {
     /// A run folder
     pub(crate) dir: PathBuf,
-    /// Viewing direction: X to the right, Y up, degrees; a parallel projection [default: 0,0]
+    /// Direction from the display to the eye, which is far away (a parallel projection): X to the
+    /// right, Y up, degrees [default: 0,0]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with_all = ["eye", "sweep"])]
     pub(crate) view: Option<Numbers<2>>,
     /// Eye position from the display's centre: X right, Y up, Z in front, millimetres; a

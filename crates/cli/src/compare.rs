@@ -14,7 +14,7 @@ use crate::values::Numbers;
 
 pub(crate) const EXAMPLES: &str = "\
 Examples:
-  lumistack compare runs/three-layer runs/directional -o compared         both runs at the first run's views: each against the first run's target, and the second against the first
+  lumistack compare runs/three-layer runs/directional -o compared         both runs at the first run's views: each with the first run's target, and the second run with the first
   lumistack compare runs/figure-9 -o compared                             all displays of a run that has several, in one picture
   lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier              two displays of one run
   lumistack compare runs/a photo.png --eye 0,0,2000 --corners 210,160,1830,150,1850,1170,190,1180 -o compared

@@ -56,8 +56,8 @@ pub(crate) struct Show {
     /// plane]
     #[arg(long, value_name = "N", requires = "full_resolution_2d")]
     pub(crate) layer: Option<usize>,
-    /// Show a test pattern: crosshairs, ramp, code=V, code=R,G,B, lenslet=COLUMN,ROW, view=X,Y,
-    /// clear or identify
+    /// Show a test pattern: crosshairs, ramp, code=V, code=R,G,B (codes 0 to 255),
+    /// lenslet=COLUMN,ROW, view=X,Y, clear or identify
     #[arg(long, value_name = "PATTERN")]
     pub(crate) pattern: Option<String>,
     /// Show the pattern on one panel only, given as a layer's number or `backlight`; the other
@@ -79,8 +79,8 @@ pub(crate) struct Show {
     /// End after this many seconds
     #[arg(long, value_name = "S")]
     pub(crate) duration_s: Option<f64>,
-    /// Read commands on standard input, one a line: hold K, run, step N, nudge PANEL RIGHT DOWN,
-    /// save, look X Y, report, quit
+    /// Read commands on standard input, one a line: hold K, run, step N, nudge PANEL RIGHT DOWN
+    /// (pixels), save, look X Y (degrees to the right and up), report, quit
     #[arg(long)]
     pub(crate) control: bool,
     /// CSV file to write, with a line per submitted frame. The columns are the number of the

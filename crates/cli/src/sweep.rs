@@ -36,10 +36,10 @@ pub(crate) struct Sweep {
     /// memory, without running it
     #[arg(long)]
     plan: bool,
-    /// Plots of PSNR [default: few]. Few draws maps over two axes, and one plot of curves along
-    /// every other axis, at most six plots. The two axes are the first pair of these that both
-    /// vary: frames and layers, frames and brightness, layers and brightness. All draws maps over
-    /// each of these pairs, and curves along every axis
+    /// Plots of PSNR [default: few]. `few`: maps over one pair of axes, and a plot of curves along
+    /// each remaining axis, at most six plots. The pair is the first one of which both axes vary:
+    /// frames and layers, frames and brightness, layers and brightness. `all`: maps over each of
+    /// these pairs, and curves along every axis
     #[arg(long, value_enum)]
     plots: Option<PlotsArg>,
     #[command(flatten)]

@@ -150,7 +150,7 @@ pub(crate) const NODE: StageInfo = StageInfo {
     code: code::PLUGINS,
 };
 
-/// Writes patterns or light field by an output plugin.
+/// Writes patterns or light field through an output plugin.
 pub(crate) const OUTPUT: StageInfo = StageInfo {
     name: "output",
     label: Some("output"),
