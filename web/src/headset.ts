@@ -1,6 +1,7 @@
 // Shows the display in a headset, in its true size. Each eye sees the picture for its own position.
 import type { Views } from "./others.js";
 import { Problem, problemOf } from "./problem.js";
+import { link } from "./program.js";
 import type { Slope } from "./state.js";
 
 /** Metres from the head to the display, for patterns without a distance of their own. */
@@ -76,7 +77,7 @@ class Theatre {
     private readonly gl: WebGL2RenderingContext,
     private readonly views: Views,
   ) {
-    this.program = link(gl);
+    this.program = link(gl, VERTEX, FRAGMENT);
     // The trigger brings the display before the viewer.
     session.addEventListener("select", () => (this.place = undefined));
   }
@@ -181,20 +182,4 @@ function matrixOf({ centre, sine, cosine }: Place): Float32Array {
 
 function times(a: Float32Array, b: Float32Array): Float32Array {
   return Float32Array.from({ length: 16 }, (_, i) => [0, 1, 2, 3].reduce((sum, k) => sum + a[(i % 4) + 4 * k]! * b[4 * Math.floor(i / 4) + k]!, 0));
-}
-
-function link(gl: WebGL2RenderingContext): WebGLProgram {
-  const program = gl.createProgram();
-  for (const [kind, text] of [
-    [gl.VERTEX_SHADER, VERTEX],
-    [gl.FRAGMENT_SHADER, FRAGMENT],
-  ] as const) {
-    const shader = gl.createShader(kind)!;
-    gl.shaderSource(shader, text);
-    gl.compileShader(shader);
-    gl.attachShader(program, shader);
-  }
-  gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Problem(`WebGL2 does not draw: ${gl.getProgramInfoLog(program)}`, "Use another browser.", false);
-  return program;
 }

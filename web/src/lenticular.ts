@@ -3,6 +3,7 @@
 import { zoneSlope, type Info } from "./info.js";
 import type { Views } from "./others.js";
 import { Problem } from "./problem.js";
+import { link } from "./program.js";
 import type { Slope } from "./state.js";
 
 /** Number of views. A lens covers fewer subpixels. */
@@ -183,19 +184,9 @@ export async function weave(views: Views, panel: Calibration): Promise<HTMLCanva
   } finally {
     views.done();
   }
-  const program = gl.createProgram();
-  for (const [kind, text] of [
-    [gl.VERTEX_SHADER, VERTEX],
-    [gl.FRAGMENT_SHADER, FRAGMENT],
-  ] as const) {
-    const shader = gl.createShader(kind)!;
-    gl.shaderSource(shader, text);
-    gl.compileShader(shader);
-    gl.attachShader(program, shader);
-  }
-  gl.linkProgram(program);
+  const program = link(gl, VERTEX, FRAGMENT);
   gl.useProgram(program);
-  if (gl.getError() !== gl.NO_ERROR || !gl.getProgramParameter(program, gl.LINK_STATUS)) {
+  if (gl.getError() !== gl.NO_ERROR) {
     throw new Problem(`WebGL2 does not weave ${VIEWS} views of ${cols} × ${rows} pixels here.`, "Use another browser or computer.", false);
   }
   const at = (name: string): WebGLUniformLocation | null => gl.getUniformLocation(program, name);
