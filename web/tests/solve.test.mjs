@@ -299,6 +299,7 @@ test("axe finds no violation on a desk, on a phone and in forced colours", async
   ]) {
     const at = await page("#scene=dandelion&preset=paper-three-layer&cols=96&frames=2&zone_samples=30&iterations=1", options);
     await stage(at, "done");
+    assert.deepEqual(at.trouble, [], name);
     await at.evaluate(AXE);
     const { violations } = await at.evaluate(() => window.axe.run());
     assert.deepEqual(
@@ -316,7 +317,7 @@ test("axe finds no violation on a desk, on a phone and in forced colours", async
       await at.keyboard.press("Tab");
       reached.add(await at.evaluate(() => document.activeElement.id || document.activeElement.textContent));
     }
-    for (const id of ["choose", "preset", "cols", "layers", "gap_mm", "frames", "brightness", "save", "quilt", "turn", "link", "closer"]) assert.ok(reached.has(id), `${name}: ${id}`);
+    for (const id of ["choose", "preset", "cols", "layers", "gap_mm", "frames", "brightness", "save", "quilt", "turn", "link", "closer"]) assert.ok(reached.has(id), `${name}: ${id} is not among ${[...reached].join(", ")}`);
     assert.deepEqual(at.trouble, []);
     await at.context().close();
   }

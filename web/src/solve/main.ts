@@ -23,6 +23,7 @@ let settling: ReturnType<typeof setTimeout> | undefined;
 /** The newest patterns that are not shown yet. They wait until the viewer shows the previous ones. */
 let next: Extract<SolverMessage, { kind: "stack" }> | undefined;
 let showing = false;
+let stage: State["stage"] | undefined;
 /** True while a quilt or a video is saved; new patterns are shown only after that. */
 let saving = false;
 /** Number of the newest call of `solve`; earlier calls end when they see a newer one. */
@@ -98,6 +99,12 @@ async function show(): Promise<void> {
     refuse(problemOf(error, ""));
   }
   showing = false;
+  markStage();
+}
+
+/** Sets the page's attribute `data-stage`, which is "done" only after the viewer shows the last patterns. */
+function markStage(): void {
+  if (stage && !(stage === "done" && showing)) document.documentElement.dataset.stage = stage;
 }
 
 /** Shows title and caption of the current patterns below the viewer. */
@@ -109,13 +116,15 @@ function tell({ title, caption }: { title: string; caption: string }): void {
   at("caption").hidden = !viewer.hasAttribute("plain");
 }
 
-function showState({ stage, share, psnr, warnings }: State): void {
+function showState({ stage: now, share, psnr, warnings }: State): void {
+  stage = now;
   at<HTMLProgressElement>("bar").value = share;
   const quality = Number.isFinite(psnr) ? ` ${psnr.toFixed(1)} dB over its views.` : "";
   const words = { scene: input?.isField ? "Reading the light field…" : "Reading the scene…", views: `Rendering views, ${Math.floor(100 * share)} %.`, patterns: `Solving, ${Math.floor(100 * share)} %.`, done: "Finished." };
   const rest = paused && stage !== "done" ? "Stopped." : words[stage];
   say(`${rest}${quality}`);
-  Object.assign(document.documentElement.dataset, { stage, psnr });
+  document.documentElement.dataset.psnr = String(psnr);
+  markStage();
   for (const id of ["save", "closer", "quilt", "turn"]) at<HTMLButtonElement>(id).disabled = Number.isNaN(psnr) || saving;
   if (stage === "done") {
     performance.mark("lumistack-done");

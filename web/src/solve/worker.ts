@@ -115,12 +115,14 @@ function turn(): void {
 function report(patterns: boolean): void {
   if (!solver) return;
   reported = performance.now();
+  // The patterns come first: when the page reads the last state, it already has the last patterns.
+  if (patterns) {
+    const codes = solver.codes() as Uint8Array<ArrayBuffer>;
+    send({ kind: "stack", json: solver.preview(title), codes }, [codes.buffer]);
+  }
   warnings.push(...solver.warnings());
   send({ kind: "state", state: { stage: solver.stage() as State["stage"], share: solver.share(), psnr: solver.psnr(), warnings } });
   warnings = [];
-  if (!patterns) return;
-  const codes = solver.codes() as Uint8Array<ArrayBuffer>;
-  send({ kind: "stack", json: solver.preview(title), codes }, [codes.buffer]);
 }
 
 /** Reads the files of a request, and starts to solve, unless a newer request has arrived. */
