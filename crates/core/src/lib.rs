@@ -3,6 +3,7 @@
 //!
 //! The crate uses no file system, no clock and no threads, so that it also compiles to wasm32.
 
+pub mod bytes;
 pub mod colour;
 pub mod config;
 pub mod metrics;

@@ -8,6 +8,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use exr::prelude::f16;
+use lumistack_core::bytes::append;
 use npyz::{DType, Endianness, NpyHeader, Order, TypeChar, WriteOptions, WriterBuilder};
 
 use crate::{FieldError, atomic};
@@ -72,7 +73,7 @@ pub(crate) fn write_values(mut writer: impl Write, data: &[f32]) -> io::Result<(
     let mut bytes = Vec::with_capacity(4 * CHUNK);
     for chunk in data.chunks(CHUNK) {
         bytes.clear();
-        bytes.extend(chunk.iter().flat_map(|value| value.to_le_bytes()));
+        append(&mut bytes, chunk);
         writer.write_all(&bytes)?;
     }
     Ok(())

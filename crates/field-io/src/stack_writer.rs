@@ -3,6 +3,7 @@
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use lumistack_core::bytes::append;
 use lumistack_display::{Display, LayerStack, Region, StackIndex};
 use tempfile::NamedTempFile;
 
@@ -106,7 +107,7 @@ impl Array {
             let (plane, row) = (number / rows, number % rows + region.rows.start);
             let pixel = (plane * self.rows + row) * self.cols + region.cols.start;
             bytes.clear();
-            bytes.extend(line.iter().flat_map(|value| value.to_le_bytes()));
+            append(&mut bytes, line);
             let file = self.file.as_file_mut();
             file.seek(SeekFrom::Start(self.header + 12 * pixel as u64))?;
             file.write_all(&bytes)?;

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use lumistack_core::bytes;
 use lumistack_display::LightField;
 use serde::Serialize;
 
@@ -76,7 +77,7 @@ impl KeyBuilder {
         let mut buffer = Vec::with_capacity(4 * 4096);
         for chunk in values.chunks(4096) {
             buffer.clear();
-            chunk.iter().for_each(|value| buffer.extend_from_slice(&value.to_le_bytes()));
+            bytes::append(&mut buffer, chunk);
             self.0.update(&buffer);
         }
         self

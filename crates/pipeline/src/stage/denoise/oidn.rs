@@ -7,6 +7,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use lumistack_core::bytes;
 use lumistack_pathtracer::Features;
 
 use crate::error::{PipelineError, read};
@@ -97,7 +98,7 @@ impl Oidn {
 fn pfm(values: &[f32], rows: usize, cols: usize) -> Vec<u8> {
     let mut bytes = format!("PF\n{cols} {rows}\n-1.0\n").into_bytes();
     for row in values.chunks_exact(3 * cols).rev() {
-        row.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+        bytes::append(&mut bytes, row);
     }
     bytes
 }
