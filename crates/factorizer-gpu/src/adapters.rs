@@ -56,7 +56,7 @@ fn described(adapter: &wgpu::Adapter) -> Adapter {
         kind,
         driver: [info.driver, info.driver_info].join(" ").trim().to_owned(),
         buffer_bytes: [limits.max_buffer_size, limits.max_storage_buffer_binding_size],
-        // browsers do not tell the kinds of graphics processors apart
+        // a browser does not report the kind of a graphics processor
         is_hardware: ["discrete", "integrated", "virtual"].contains(&kind)
             || (info.backend == wgpu::Backend::BrowserWebGpu && kind == "other"),
     }

@@ -13,7 +13,7 @@ interface Program {
 
 /** `device` in the page's address: `cpu`, or `gpu`, which also accepts an adapter in software. */
 const DEVICE = new URLSearchParams(location.hash.slice(1)).get("device");
-/** What the page needs of WebGPU, which the types of this compiler do not contain yet. */
+/** The part of WebGPU that the page uses. The types of this compiler do not contain it yet. */
 type Gpu = { requestAdapter(): Promise<{ info: { isFallbackAdapter: boolean } } | null> };
 
 /** Finds out why no graphics processor can solve; returns undefined if one can. */

@@ -107,8 +107,8 @@ const turns = new MessageChannel();
 turns.port1.onmessage = () => enqueue(turn);
 
 /**
- * The newest turn or message. Each waits for the one before it, since a solver accepts no call while
- * it waits for a graphics processor.
+ * The newest turn or message. Each waits for the one before it, since a solver accepts no call
+ * while it waits for a graphics processor.
  */
 let last = Promise.resolve();
 let waiting = 0;
