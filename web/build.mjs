@@ -3,10 +3,10 @@ import { build } from "esbuild";
 import { execFileSync } from "node:child_process";
 import { copyFileSync, existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
-import { join } from "node:path";
+import { join, resolve } from "node:path";
 import { gzipSync } from "node:zlib";
 
-const MODULES = ["lumistack_web_bg.wasm", "lumistack_web_solver_bg.wasm", "lumistack_web_decoders_bg.wasm"];
+const MODULES = ["lumistack_web_bg.wasm", "lumistack_web_solver_bg.wasm", "lumistack_web_solver_gpu_bg.wasm", "lumistack_web_decoders_bg.wasm"];
 /** Scripts that the viewer loads when somebody chooses such a display. */
 const OTHERS = ["headset", "lenticular", "bridge"];
 for (const name of MODULES) {
@@ -49,6 +49,22 @@ await build({
   ],
 });
 await build({ ...BROWSERS, entryPoints: Object.fromEntries(OTHERS.map((name) => [name, `src/${name}.ts`])), outdir: "dist", format: "esm" });
+// The solver's thread with the module for WebGPU. Only browsers with a graphics processor load it.
+await build({
+  ...BROWSERS,
+  entryPoints: { "solve-gpu": "src/solve/worker.ts" },
+  outdir: "dist",
+  format: "iife",
+  define: { "import.meta.url": '""' },
+  plugins: [
+    {
+      name: "gpu",
+      setup({ onResolve }) {
+        onResolve({ filter: /\/lumistack_web_solver\.js$/ }, () => ({ path: resolve("pkg/lumistack_web_solver_gpu.js") }));
+      },
+    },
+  ],
+});
 // Only pages of `lumistack live` load this script.
 await build({ ...BROWSERS, entryPoints: { live: "src/live.ts" }, outdir: "dist", format: "esm" });
 // Each page contains its own style sheet, so that the browser fetches nothing before it shows the poster.
@@ -71,7 +87,7 @@ execFileSync(process.execPath, ["node_modules/typescript/bin/tsc", "--emitDeclar
 mkdirSync("dist/types", { recursive: true });
 for (const name of ["viewer.d.ts", "element.d.ts", "state.d.ts"]) copyFileSync(join(all, name), join("dist/types", name));
 rmSync(all, { recursive: true });
-for (const name of ["index.html", "viewer.js", ...OTHERS.map((name) => `${name}.js`), "lumistack_web_bg.wasm", "solve.html", "solve.js", "lumistack_web_solver_bg.wasm", "lumistack_web_decoders_bg.wasm"]) {
+for (const name of ["index.html", "viewer.js", ...OTHERS.map((name) => `${name}.js`), "lumistack_web_bg.wasm", "solve.html", "solve.js", "solve-gpu.js", ...MODULES.slice(1)]) {
   const bytes = readFileSync(`dist/${name}`);
   console.log(`dist/${name}  ${(bytes.length / 1000).toFixed(1)} kB, ${(gzipSync(bytes, { level: 9 }).length / 1000).toFixed(1)} kB gzip`);
 }

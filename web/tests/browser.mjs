@@ -12,10 +12,11 @@ export const SHOTS = process.env.LUMISTACK_WEB_SHOTS ?? join(WEB, "shots");
 
 const ARGUMENTS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"];
 
-export async function launch() {
+/** Starts Chromium, with more arguments if given. */
+export async function launch(more = []) {
   const path = process.env.LUMISTACK_CHROMIUM ?? "/usr/bin/chromium";
   if (!existsSync(path)) throw new Error(`no browser at ${path}: install Chromium (Debian: apt-get install chromium) or name one in LUMISTACK_CHROMIUM`);
-  return chromium.launch({ executablePath: path, headless: true, args: ARGUMENTS });
+  return chromium.launch({ executablePath: path, headless: true, args: [...ARGUMENTS, ...more] });
 }
 
 /** Serves the built page with a preview: a folder, or files in memory (path → bytes) that a test may exchange. */
@@ -45,6 +46,8 @@ export async function open(browser, url, options = {}) {
   page.on("console", (message) => {
     // The driver warns of the tests' own reads of pixels.
     if (/GPU stall due to ReadPixels/.test(message.text())) return;
+    // Chromium states that it has no adapter for WebGPU, where the page has a message of its own.
+    if (message.text() === "No available adapters.") return;
     if (message.type() === "error" || message.type() === "warning") page.trouble.push(message.text());
   });
   page.on("pageerror", (error) => page.trouble.push(error.message));

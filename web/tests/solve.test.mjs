@@ -8,6 +8,7 @@ import { dirname, join } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import { DIST, launch, open, pixels, SHOTS } from "./browser.mjs";
+import { npy, unpacked } from "./saved.mjs";
 import { serve } from "./server.mjs";
 import { stripes } from "./stripes.mjs";
 
@@ -46,24 +47,6 @@ const problem = async (at) => {
   await at.waitForSelector("#problem:not([hidden])");
   return at.textContent("#problem");
 };
-
-/** The files of a zip without compression: path → bytes. */
-function unpacked(zip) {
-  const files = new Map();
-  for (let at = 0; zip.readUInt32LE(at) === 0x04034b50; ) {
-    const [size, name, extra] = [zip.readUInt32LE(at + 18), zip.readUInt16LE(at + 26), zip.readUInt16LE(at + 28)];
-    const start = at + 30 + name + extra;
-    files.set(zip.toString("utf8", at + 30, at + 30 + name), zip.subarray(start, start + size));
-    at = start + size;
-  }
-  return files;
-}
-
-/** The values of a float32 array file. */
-function npy(bytes) {
-  const values = bytes.subarray(10 + bytes.readUInt16LE(8));
-  return new Float32Array(values.buffer.slice(values.byteOffset, values.byteOffset + values.length));
-}
 
 async function save(at, name) {
   const [download] = await Promise.all([at.waitForEvent("download"), at.click("#save")]);

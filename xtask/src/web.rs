@@ -17,6 +17,8 @@ use crate::tools::{self, Outcome, command, output_of, root};
 /// A WebAssembly module.
 struct Module {
     package: &'static str,
+    /// Features of the package.
+    features: &'static str,
     /// Name of the module and of the files around it.
     name: &'static str,
     profile: &'static str,
@@ -26,10 +28,29 @@ struct Module {
 }
 
 /// The viewer's module, and the modules of the page that solves.
-const MODULES: [Module; 3] = [
-    Module { package: "lumistack-web", name: "lumistack_web", profile: "web", bare: false },
-    Module { package: "lumistack-web-solver", name: "lumistack_web_solver", profile: "web-solver", bare: true },
-    Module { package: "lumistack-web-decoders", name: "lumistack_web_decoders", profile: "web-solver", bare: true },
+const MODULES: [Module; 4] = [
+    Module { package: "lumistack-web", features: "", name: "lumistack_web", profile: "web", bare: false },
+    Module {
+        package: "lumistack-web-solver",
+        features: "",
+        name: "lumistack_web_solver",
+        profile: "web-solver",
+        bare: true,
+    },
+    Module {
+        package: "lumistack-web-solver",
+        features: "gpu",
+        name: "lumistack_web_solver_gpu",
+        profile: "web-solver",
+        bare: true,
+    },
+    Module {
+        package: "lumistack-web-decoders",
+        features: "",
+        name: "lumistack_web_decoders",
+        profile: "web-solver",
+        bare: true,
+    },
 ];
 /// Folder of the modules and of the scripts that load them. It is not committed.
 const PACKAGE: &str = "web/pkg";
@@ -40,18 +61,21 @@ const DIST: &str = "web/dist";
 const HASH: &str = "web/dist/sources.blake3";
 /// The parts of the site: name, files, and the largest compressed size of these files together,
 /// bytes.
-const BUDGETS: [(&str, &[&str], usize); 5] = [
+const BUDGETS: [(&str, &[&str], usize); 6] = [
     ("page", &["index.html", "viewer.js", "lumistack_web_bg.wasm"], 150_000),
     ("other displays", &["bridge.js", "headset.js", "lenticular.js"], 8_000),
     ("page that solves", &["solve.html", "solve.js"], 15_000),
     ("solver", &["lumistack_web_solver_bg.wasm"], 500_000),
+    ("solver with WebGPU", &["solve-gpu.js", "lumistack_web_solver_gpu_bg.wasm"], 600_000),
     ("decoders", &["lumistack_web_decoders_bg.wasm"], 600_000),
 ];
 /// Sources of the modules, in addition to the lock file's entries of their dependencies.
-const MODULE_SOURCES: [&str; 19] = [
+const MODULE_SOURCES: [&str; 21] = [
     "crates/core/src",
     "crates/display/src",
     "crates/factorizer/src",
+    "crates/factorizer-gpu/Cargo.toml",
+    "crates/factorizer-gpu/src",
     "crates/field-io/src",
     "crates/files/src",
     "crates/gltf/src",
@@ -145,7 +169,7 @@ pub fn modules() -> Outcome {
     MODULES.iter().try_for_each(module)
 }
 
-fn module(&Module { package: name_of_package, name, profile, bare }: &Module) -> Outcome {
+fn module(&Module { package: name_of_package, features, name, profile, bare }: &Module) -> Outcome {
     if !tools::wasm_target() {
         return Err(
             "web: this machine cannot get the Rust target wasm32-unknown-unknown (`rustup target add` adds it)".into(),
@@ -155,6 +179,7 @@ fn module(&Module { package: name_of_package, name, profile, bare }: &Module) ->
     let mut flags = rustflags();
     let mut build = command("cargo");
     build.args(["build", "--quiet", "--profile", profile, "--target", WASM, "--package", name_of_package]);
+    build.args(["--features", features]);
     if bare {
         // these options make the module a third smaller; RUSTC_BOOTSTRAP allows them, since the
         // workspace's compiler still calls them unstable
@@ -163,7 +188,7 @@ fn module(&Module { package: name_of_package, name, profile, bare }: &Module) ->
         build.env("RUSTC_BOOTSTRAP", "1").arg("-Zbuild-std=std,panic_abort");
     }
     tools::run(build.args(["--config", &format!("target.{WASM}.rustflags={flags:?}")]))?;
-    let built = target.join(WASM).join(profile).join(format!("{name}.wasm"));
+    let built = target.join(WASM).join(profile).join(format!("{}.wasm", name_of_package.replace('-', "_")));
     let package = root().join(PACKAGE);
     fs::create_dir_all(&package).map_err(|error| format!("{}: {error}", package.display()))?;
     let mut bindgen = command("cargo");
@@ -200,8 +225,10 @@ fn rustflags() -> Vec<String> {
     flags
 }
 /// Options of the optimizer that allow the WebAssembly instructions that the compiler uses.
-const FEATURES: [&str; 7] = [
+const FEATURES: [&str; 8] = [
     "--enable-bulk-memory",
+    // only in the module with WebGPU, whose exports can be suspended
+    "--enable-exception-handling",
     "--enable-nontrapping-float-to-int",
     "--enable-sign-ext",
     "--enable-mutable-globals",
@@ -323,10 +350,10 @@ fn module_hash() -> Outcome<String> {
     hash.update(&manifest.as_bytes()[profile..]);
     // hash names, versions and checksums of dependencies, as cargo prints them
     let mut crates = Vec::new();
-    for Module { package, .. } in &MODULES {
+    for Module { package, features, .. } in &MODULES {
         let tree = ["tree", "--package", package, "--target", WASM, "--edges", "normal,build", "--prefix", "none"];
-        let tree =
-            output_of(command("cargo").args(tree).args(["--format", "{p}", "--locked"])).ok_or("cargo tree failed")?;
+        let rest = ["--features", features, "--format", "{p}", "--locked"];
+        let tree = output_of(command("cargo").args(tree).args(rest)).ok_or("cargo tree failed")?;
         crates.extend(tree.lines().map(|line| line.split(" (").next().unwrap_or(line).to_owned()));
     }
     crates.sort_unstable();

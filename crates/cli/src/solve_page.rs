@@ -17,6 +17,7 @@ macro_rules! files {
 files!(
     "solve.html",
     "solve.js",
+    "solve-gpu.js",
     "viewer.js",
     "bridge.js",
     "headset.js",
@@ -24,6 +25,7 @@ files!(
     "lumistack_web_bg.wasm",
     "lumistack_web_decoders_bg.wasm",
     "lumistack_web_solver_bg.wasm",
+    "lumistack_web_solver_gpu_bg.wasm",
     "scenes/dandelion/dandelion.spz",
     "scenes/letters/charts.png",
     "scenes/letters/graph-paper.png",

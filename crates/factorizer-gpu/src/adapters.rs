@@ -2,12 +2,14 @@
 
 use wgpu::{Backends, DeviceType};
 
+use crate::wait;
+
 /// A graphics adapter, as its driver describes it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adapter {
     /// Name of the adapter.
     pub name: String,
-    /// Interface to the adapter: Vulkan, Metal or Direct3D 12.
+    /// Interface to the adapter: Vulkan, Metal, Direct3D 12 or WebGPU.
     pub backend: String,
     /// Kind: `discrete`, `integrated`, `virtual`, `software` or `other`.
     pub kind: &'static str,
@@ -29,7 +31,7 @@ fn found() -> Vec<(Adapter, wgpu::Adapter)> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
     descriptor.backends = Backends::PRIMARY;
     let instance = wgpu::Instance::new(descriptor);
-    let mut all: Vec<_> = pollster::block_on(instance.enumerate_adapters(Backends::PRIMARY))
+    let mut all: Vec<_> = wait::block_on(async move { instance.enumerate_adapters(Backends::PRIMARY).await })
         .into_iter()
         .map(|adapter| (described(&adapter), adapter))
         .collect();
@@ -48,12 +50,15 @@ fn described(adapter: &wgpu::Adapter) -> Adapter {
         DeviceType::Other => "other",
     };
     Adapter {
-        name: info.name,
+        // most browsers keep the name secret
+        name: if info.name.is_empty() { "graphics processor".into() } else { info.name },
         backend: format!("{:?}", info.backend).to_lowercase(),
         kind,
         driver: [info.driver, info.driver_info].join(" ").trim().to_owned(),
         buffer_bytes: [limits.max_buffer_size, limits.max_storage_buffer_binding_size],
-        is_hardware: ["discrete", "integrated", "virtual"].contains(&kind),
+        // a browser does not report the kind of a graphics processor
+        is_hardware: ["discrete", "integrated", "virtual"].contains(&kind)
+            || (info.backend == wgpu::Backend::BrowserWebGpu && kind == "other"),
     }
 }
 

@@ -2,18 +2,15 @@
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 use lumistack_factorizer::FactorizeError;
 
 use crate::adapters::{self, Adapter};
 use crate::text::{FIRST_FACTOR, Program};
+use crate::wait;
 
 /// Number of bytes that are written or read at a time.
 pub(crate) const CHUNK: u64 = 32 << 20;
-
-/// Longest wait for the callback of a read whose data has arrived.
-const CALLBACK_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// An open device.
 pub struct Gpu {
@@ -37,7 +34,7 @@ impl Gpu {
         let limits = found.limits();
         let descriptor =
             wgpu::DeviceDescriptor { label: Some("factorizer"), required_limits: limits.clone(), ..Default::default() };
-        let (device, queue) = pollster::block_on(found.request_device(&descriptor))
+        let (device, queue) = wait::block_on(async move { found.request_device(&descriptor).await })
             .map_err(|error| failed(&adapter.name, error.to_string()))?;
         let failure = Arc::new(Mutex::new(None));
         let record = |failure: &Arc<Mutex<Option<String>>>| {
@@ -48,11 +45,10 @@ impl Gpu {
         };
         let (heard, lost) = (record(&failure), record(&failure));
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| heard(error.to_string())));
+        // a page solves on the processor then, without an option
+        let remedy = if cfg!(target_arch = "wasm32") { "" } else { "; run again, or use --device cpu" };
         device.set_device_lost_callback(move |_, message| {
-            lost(
-                format!("the device was lost: {message}").trim_end_matches(": ").to_owned()
-                    + "; run again, or use --device cpu",
-            );
+            lost(format!("the device was lost: {message}").trim_end_matches(": ").to_owned() + remedy);
         });
         Ok(Self { adapter, device, queue, limits, programs: Mutex::default(), failure })
     }
@@ -138,12 +134,13 @@ impl Gpu {
             let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             encoder.copy_buffer_to_buffer(buffer, start, &staging, 0, len);
             self.queue.submit([encoder.finish()]);
-            let (sender, receiver) = std::sync::mpsc::channel();
-            staging.map_async(wgpu::MapMode::Read, 0..len, move |result| drop(sender.send(result)));
-            self.wait();
-            // if another thread waits too, it may run the callback, slightly later
-            let mapped = receiver.recv_timeout(CALLBACK_TIMEOUT).map_err(|_| "the device does not answer".to_owned());
-            match mapped.and_then(|result| result.map_err(|error| error.to_string())) {
+            let mapped = wait::answer(|reply| {
+                staging.map_async(wgpu::MapMode::Read, 0..len, reply);
+                self.wait();
+            });
+            let unread = || "the device does not answer".to_owned();
+            let mapped = mapped.ok_or_else(unread);
+            match mapped.and_then(|result| result.map_err(|error| format!("{}: {error}", unread()))) {
                 Ok(()) => match staging.get_mapped_range(0..len) {
                     Ok(view) => {
                         let words = view.as_chunks::<4>().0;

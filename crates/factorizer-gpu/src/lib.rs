@@ -1,5 +1,5 @@
 //! The factorizer's updates as compute shaders, on any adapter of wgpu with Vulkan, Metal or
-//! Direct3D 12.
+//! Direct3D 12, and in a page with WebGPU.
 //!
 //! ```text
 //! Plan ──tables──▶ words ┐
@@ -28,6 +28,7 @@ mod tables;
 mod target;
 mod text;
 mod values;
+mod wait;
 
 use std::sync::Arc;
 

@@ -13,6 +13,7 @@ use crate::tables::Tables;
 use crate::target::Target;
 use crate::text::{FIRST_FACTOR, Program, Update};
 use crate::values::Values;
+use crate::wait;
 
 /// Threads per workgroup, as in the shaders.
 const GROUP: usize = 64;
@@ -76,7 +77,7 @@ impl State {
         let scopes =
             [wgpu::ErrorFilter::Validation, wgpu::ErrorFilter::OutOfMemory].map(|f| gpu.device.push_error_scope(f));
         let state = Self::upload(gpu.clone(), begin);
-        let errors = scopes.into_iter().rev().map(|scope| pollster::block_on(scope.pop()));
+        let errors = scopes.into_iter().rev().map(|scope| wait::block_on(scope.pop()));
         let errors: Vec<_> = errors.flatten().collect();
         if let Some(error) = errors.first() {
             let memory = matches!(error, wgpu::Error::OutOfMemory { .. });

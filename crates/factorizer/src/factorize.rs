@@ -301,14 +301,36 @@ impl Ongoing {
         warm: Option<&LayerStack>,
         task: Task,
     ) -> Result<Self, FactorizeError> {
+        Self::begin_on(&Processor, problem, settings, warm, task)
+    }
+
+    /// As [`begin`](Self::begin), with the patterns on an executor.
+    ///
+    /// # Errors
+    /// As [`begin`](Self::begin), and if the executor cannot solve the problem.
+    pub fn begin_on(
+        executor: &dyn Executor,
+        problem: &Problem,
+        settings: &Settings,
+        warm: Option<&LayerStack>,
+        task: Task,
+    ) -> Result<Self, FactorizeError> {
         let plan = Arc::new(Plan::new(problem)?);
-        start_run(&Processor, (problem, &plan), &settings.resolved(), warm, task).map(Self)
+        start_run(executor, (problem, &plan), &settings.resolved(), warm, task).map(Self)
+    }
+
+    /// Checks that the patterns still exist.
+    ///
+    /// # Errors
+    /// [`FactorizeError::Device`] if a device lost them.
+    pub fn check(&self) -> Result<(), FactorizeError> {
+        self.0.check()
     }
 
     /// Runs one iteration.
     ///
     /// # Errors
-    /// When cancelled.
+    /// When cancelled, or if a device lost the patterns.
     pub fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError> {
         self.0.step(cancel)
     }

@@ -67,11 +67,6 @@ impl Solver {
         Ok(self.work.change(Settings::from_json(settings)?)?)
     }
 
-    /// Computes the next piece.
-    pub fn advance(&mut self) -> Thrown<()> {
-        Ok(self.work.advance()?)
-    }
-
     /// `scene`, `views`, `patterns` or `done`.
     pub fn stage(&self) -> String {
         match self.work.stage() {
@@ -119,5 +114,42 @@ impl Solver {
     pub fn zip(&self) -> Thrown<Uint8Array> {
         let stack = self.work.stack().ok_or_else(|| Error::value("zip", "patterns", "none yet"))?;
         Ok(Uint8Array::from(patterns::zip(self.work.display(), stack, &self.work.job())?.as_slice()))
+    }
+}
+
+#[cfg(not(feature = "gpu"))]
+#[wasm_bindgen]
+impl Solver {
+    /// Computes the next piece.
+    pub fn advance(&mut self) -> Thrown<()> {
+        Ok(self.work.advance()?)
+    }
+}
+
+/// The functions that wait for a graphics processor return promises. Until one settles, other calls
+/// of the same solver throw.
+#[cfg(feature = "gpu")]
+// the deprecation of `jspi` only states that it is experimental
+#[allow(deprecated)]
+#[wasm_bindgen]
+impl Solver {
+    /// Computes the next piece.
+    #[wasm_bindgen(jspi)]
+    pub fn advance(&mut self) -> Thrown<()> {
+        Ok(self.work.advance()?)
+    }
+
+    /// True if a graphics processor solves.
+    pub fn on_device(&self) -> bool {
+        self.work.is_on_device()
+    }
+
+    /// Opens the browser's graphics processor for this solve. An adapter in software is used only
+    /// if `software` is true.
+    #[wasm_bindgen(jspi)]
+    pub fn open_device(&mut self, software: bool) -> Thrown<()> {
+        let device = lumistack_factorizer_gpu::Device::open(software.then_some("")).map_err(Error::from)?;
+        self.work.solve_on(Box::new(device));
+        Ok(())
     }
 }

@@ -4,7 +4,8 @@ use std::collections::VecDeque;
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Display, LayerStack, LightField, Weights};
-use lumistack_factorizer::{Ongoing, Problem, has_levels, reoptimize_on_levels};
+use lumistack_factorizer::device::Executor;
+use lumistack_factorizer::{FactorizeError, Ongoing, Problem, Processor, has_levels, reoptimize_on_levels};
 use lumistack_scene::Scene;
 use lumistack_shot::{LightJob, light};
 
@@ -29,6 +30,9 @@ const SPLAT_VIEWS: usize = 5;
 const REFRESHES: usize = 4;
 /// Seed of the solver, as in the command.
 const SEED: u64 = 1;
+
+/// False in the module without WebGPU. Its size has a limit, so it omits the code for devices.
+const HAS_DEVICES: bool = cfg!(any(feature = "gpu", not(target_arch = "wasm32")));
 
 /// Progress of the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,6 +67,8 @@ enum Piece {
     /// Makes the light field of all views, and starts a solve for it without a warm start, as the
     /// command does.
     BeginAnew,
+    /// Starts the current solve again, after its device failed.
+    BeginAgain,
     Step,
     /// Updates the patterns to show.
     Show,
@@ -81,7 +87,10 @@ pub struct Work {
     views: Option<Views>,
     pieces: VecDeque<Piece>,
     planned: usize,
+    /// The device that solves; `None` for the processor.
+    device: Option<Box<dyn Executor>>,
     run: Option<Ongoing>,
+    begun: Begun,
     target: Option<LightField>,
     stack: Option<LayerStack>,
     /// Number of times that `stack` was set.
@@ -89,6 +98,15 @@ pub struct Work {
     psnr: f64,
     warnings: Collector,
     cancel: Cancel,
+}
+
+/// The current solve: its planned iterations, the finished ones, and whether it started from the
+/// current patterns.
+#[derive(Clone, Copy, Default)]
+struct Begun {
+    iterations: u32,
+    steps: u32,
+    warm: bool,
 }
 
 impl Work {
@@ -124,7 +142,9 @@ impl Work {
             views: None,
             pieces,
             planned: 0,
+            device: None,
             run: None,
+            begun: Begun::default(),
             target: None,
             stack: None,
             shown: 0,
@@ -132,6 +152,17 @@ impl Work {
             warnings: Collector::default(),
             cancel: Cancel::default(),
         })
+    }
+
+    /// Solves on a device. If it cannot solve a display, or fails, the processor solves from then
+    /// on, and a warning reports it.
+    pub fn solve_on(&mut self, device: Box<dyn Executor>) {
+        self.device = Some(device);
+    }
+
+    /// True if a device solves.
+    pub fn is_on_device(&self) -> bool {
+        HAS_DEVICES && self.device.is_some()
     }
 
     /// Restarts with another display; the scene stays in memory.
@@ -230,9 +261,8 @@ impl Work {
                 self.planned = self.pieces.len();
             }
             Piece::BeginField => {
-                let Some(field) = &self.target else { return Ok(()) };
-                let iterations = self.settings.iterations(&self.display);
-                self.run = Some(begin(&self.display, field, iterations, None, task)?);
+                self.begun = Begun { iterations: self.settings.iterations(&self.display), ..Begun::default() };
+                self.begin_solve()?;
             }
             Piece::Read => {
                 let Some(files) = &mut self.files else { return Ok(()) };
@@ -254,58 +284,93 @@ impl Work {
             Piece::Trace { view, samples } => views(&mut self.views)?.trace(view, samples, task)?,
             Piece::Splats(some) => views(&mut self.views)?.render_splats(&some, task)?,
             Piece::Begin(picked) => {
-                let field = views(&mut self.views)?.field(&picked, task)?;
-                self.run = Some(begin(&self.display, &field, WARM, self.stack.as_ref(), task)?);
-                self.target = Some(field);
+                self.target = Some(views(&mut self.views)?.field(&picked, task)?);
+                self.begun = Begun { iterations: WARM, warm: true, ..Begun::default() };
+                self.begin_solve()?;
             }
             Piece::BeginAnew => {
                 let views = views(&mut self.views)?;
-                let field = views.field(&Picked::all(views.grid()), task)?;
-                let iterations = self.settings.iterations(&self.display);
-                self.run = Some(begin(&self.display, &field, iterations, None, task)?);
-                self.target = Some(field);
+                self.target = Some(views.field(&Picked::all(views.grid()), task)?);
+                self.begun = Begun { iterations: self.settings.iterations(&self.display), ..Begun::default() };
+                self.begin_solve()?;
             }
-            Piece::Step => {
-                if let Some(run) = &mut self.run {
-                    run.step(&self.cancel)?;
+            Piece::BeginAgain => self.begin_solve()?,
+            Piece::Step | Piece::Show | Piece::Finish => match self.solve(&piece) {
+                Err(error @ FactorizeError::Device { .. }) if self.is_on_device() => {
+                    self.leave_device(&error);
+                    // repeat the iterations that the device has lost
+                    let lost = (0..self.begun.steps).map(|_| Piece::Step);
+                    let again: Vec<_> = std::iter::once(Piece::BeginAgain).chain(lost).chain([piece]).collect();
+                    self.planned += again.len();
+                    again.into_iter().rev().for_each(|piece| self.pieces.push_front(piece));
                 }
+                done => done?,
+            },
+        }
+        Ok(())
+    }
+
+    /// Starts a solve for the target.
+    fn begin_solve(&mut self) -> Result<(), FactorizeError> {
+        let Some(target) = &self.target else { return Ok(()) };
+        self.begun.steps = 0;
+        let task = Task::quiet(&self.warnings, &self.cancel);
+        let problem = Problem { display: &self.display, target, weights: &Weights::Uniform };
+        let settings =
+            lumistack_factorizer::Settings { iterations: self.begun.iterations, seed: SEED, ..Default::default() };
+        let warm = self.stack.as_ref().filter(|_| self.begun.warm);
+        let begin = |device: &dyn Executor| Ongoing::begin_on(device, &problem, &settings, warm, task);
+        let run = match begin(self.device.as_deref().filter(|_| HAS_DEVICES).unwrap_or(&Processor)) {
+            Err(error @ FactorizeError::Device { .. }) if self.is_on_device() => {
+                let run = begin(&Processor);
+                self.leave_device(&error);
+                run
             }
-            Piece::Show => {
-                if let Some(run) = &mut self.run {
-                    self.psnr = run.objective().psnr_view;
-                    self.stack = Some(run.patterns());
-                    self.shown += 1;
-                }
+            run => run,
+        };
+        self.run = Some(run?);
+        Ok(())
+    }
+
+    /// Computes a piece of the current solve.
+    fn solve(&mut self, piece: &Piece) -> Result<(), FactorizeError> {
+        match (piece, &mut self.run) {
+            (Piece::Step, Some(run)) => {
+                run.step(&self.cancel)?;
+                self.begun.steps += 1;
             }
-            Piece::Finish => {
-                let (Some(run), Some(target)) = (self.run.take(), &self.target) else { return Ok(()) };
+            (Piece::Show, Some(run)) => {
+                let (psnr, stack) = (run.objective().psnr_view, run.patterns());
+                run.check()?;
+                (self.psnr, self.stack) = (psnr, Some(stack));
+                self.shown += 1;
+            }
+            (Piece::Finish, run) => {
+                let (Some(run), Some(target)) = (run.take(), &self.target) else { return Ok(()) };
+                let task = Task::quiet(&self.warnings, &self.cancel);
                 let problem = Problem { display: &self.display, target, weights: &Weights::Uniform };
                 let (mut stack, objective) = run.finish()?;
-                self.psnr = objective.psnr_view;
                 if has_levels(&problem) {
                     stack = reoptimize_on_levels(&problem, stack, task)?;
                 }
-                self.stack = Some(stack);
+                (self.psnr, self.stack) = (objective.psnr_view, Some(stack));
                 self.shown += 1;
             }
+            _ => {}
         }
         Ok(())
+    }
+
+    /// Continues on the processor, and reports why.
+    fn leave_device(&mut self, why: &FactorizeError) {
+        (self.device, self.run) = (None, None);
+        let task = Task::quiet(&self.warnings, &self.cancel);
+        task.warn("factorize", format!("{why}; the processor solves instead"));
     }
 }
 
 fn views(views: &mut Option<Views>) -> Result<&mut Views, Error> {
     views.as_mut().ok_or_else(|| Error("the scene is not loaded yet".into()))
-}
-
-fn begin(
-    display: &Display,
-    target: &LightField,
-    iterations: u32,
-    warm: Option<&LayerStack>,
-    task: Task<'_>,
-) -> Result<Ongoing, Error> {
-    let settings = lumistack_factorizer::Settings { iterations, seed: SEED, ..Default::default() };
-    Ok(Ongoing::begin(&Problem { display, target, weights: &Weights::Uniform }, &settings, warm, task)?)
 }
 
 /// Plans the pieces after a light field is read: a single solve. Its patterns are shown after each

@@ -3,23 +3,68 @@
 import type { SolverRequest, SolverMessage } from "./worker.js";
 import WORKER from "worker:./worker.ts";
 
-let compiling: Promise<WebAssembly.Module> | undefined;
+/** The program of the thread. */
+interface Program {
+  module: WebAssembly.Module;
+  script: string;
+  /** Why no graphics processor solves; undefined if one does. */
+  obstacle: string | undefined;
+}
 
-function compile(): Promise<WebAssembly.Module> {
-  const get = async (): Promise<WebAssembly.Module> => {
-    const response = await fetch(new URL("lumistack_web_solver_bg.wasm", import.meta.url));
-    if (!response.ok) throw new Error(`the server answers ${response.status} for lumistack_web_solver_bg.wasm`);
-    return WebAssembly.compile(await response.arrayBuffer());
-  };
-  compiling ??= get();
-  compiling.catch(() => (compiling = undefined));
-  return compiling;
+/** `device` in the page's address: `cpu`, or `gpu`, which also accepts an adapter in software. */
+const DEVICE = new URLSearchParams(location.hash.slice(1)).get("device");
+/** The part of WebGPU that the page uses. The types of this compiler do not contain it yet. */
+type Gpu = { requestAdapter(): Promise<{ info: { isFallbackAdapter: boolean } } | null> };
+
+/** Finds out why no graphics processor can solve; returns undefined if one can. */
+async function obstacleOf(): Promise<string | undefined> {
+  if (DEVICE === "cpu") return "the address of this page asks for it";
+  const { gpu } = navigator as { gpu?: Gpu };
+  if (!gpu) return "this browser has no WebGPU";
+  // The module is suspended while it waits for the graphics processor.
+  if (!("Suspending" in WebAssembly && "JSTag" in WebAssembly)) return "this browser cannot suspend WebAssembly";
+  const adapter = await gpu.requestAdapter().catch(() => null);
+  if (!adapter) return "this browser offers no graphics processor";
+  return adapter.info.isFallbackAdapter && DEVICE !== "gpu" ? "this browser offers only a graphics adapter in software" : undefined;
+}
+
+async function fetched(name: string): Promise<Response> {
+  const response = await fetch(new URL(name, import.meta.url));
+  if (!response.ok) throw new Error(`the server answers ${response.status} for ${name}`);
+  return response;
+}
+
+async function compiled(name: string): Promise<WebAssembly.Module> {
+  return WebAssembly.compile(await (await fetched(name)).arrayBuffer());
+}
+
+async function load(): Promise<Program> {
+  let obstacle = await obstacleOf();
+  if (obstacle === undefined) {
+    try {
+      const [module, script] = await Promise.all([compiled("lumistack_web_solver_gpu_bg.wasm"), fetched("solve-gpu.js").then((response) => response.text())]);
+      return { module, script, obstacle };
+    } catch (error) {
+      obstacle = error instanceof Error ? error.message : String(error);
+    }
+  }
+  return { module: await compiled("lumistack_web_solver_bg.wasm"), script: WORKER, obstacle };
+}
+
+let loading: Promise<Program> | undefined;
+
+function program(): Promise<Program> {
+  loading ??= load();
+  loading.catch(() => (loading = undefined));
+  return loading;
 }
 
 export class Solver {
   private worker: Worker | undefined;
   /** Resolves when the thread has sent its presets. */
   private ready: Promise<void> = Promise.resolve();
+  /** Why no graphics processor solves; undefined if one does, or before the start. */
+  obstacle: string | undefined;
 
   constructor(private readonly receive: (what: SolverMessage) => void) {}
 
@@ -30,9 +75,10 @@ export class Solver {
 
   /** Starts the thread if there is none, and waits for its presets. */
   async start(): Promise<void> {
-    const module = await compile();
+    const { module, script: text, obstacle } = await program();
     if (this.worker) return this.ready;
-    const script = URL.createObjectURL(new Blob([WORKER], { type: "text/javascript" }));
+    this.obstacle = obstacle;
+    const script = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
     const worker = (this.worker = new Worker(script));
     this.ready = new Promise((resolve, reject) => {
       worker.onmessage = ({ data }: MessageEvent<SolverMessage>) => {
@@ -48,7 +94,7 @@ export class Solver {
         this.receive({ kind: "error", message: message || "The solver’s thread does not start." });
       };
     });
-    this.ask({ kind: "start", module, decoders: new URL("lumistack_web_decoders_bg.wasm", import.meta.url).href });
+    this.ask({ kind: "start", module, decoders: new URL("lumistack_web_decoders_bg.wasm", import.meta.url).href, software: DEVICE === "gpu" });
     return this.ready;
   }
 

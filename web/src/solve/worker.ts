@@ -1,11 +1,13 @@
 // The thread that solves. It works in short turns and handles messages between them, so that the
 // page can stop it at any time.
 import * as decoders from "../../pkg/lumistack_web_decoders.js";
+// In solve-gpu.js this is the module with WebGPU (see build.mjs).
 import { Dropped, initSync, presets, Solver } from "../../pkg/lumistack_web_solver.js";
+import type { Solver as DeviceSolver } from "../../pkg/lumistack_web_solver_gpu.js";
 
 /** Messages from the page to the thread. */
 export type SolverRequest =
-  | { kind: "start"; module: WebAssembly.Module; decoders: string }
+  | { kind: "start"; module: WebAssembly.Module; decoders: string; software: boolean }
   | { kind: "solve"; files: [path: string, content: Blob][]; path: string; title: string; isField: boolean; settings: string }
   | { kind: "change"; settings: string }
   | { kind: "pause" | "resume" }
@@ -17,6 +19,8 @@ export interface State {
   share: number;
   psnr: number;
   warnings: string[];
+  /** True if a graphics processor solves. */
+  onDevice: boolean;
 }
 
 /** Messages from the thread to the page. */
@@ -84,7 +88,9 @@ Object.assign(globalThis, {
 const TURN_MS = 25;
 const REPORT_MS = 100;
 
-let solver: Solver | undefined;
+let solver: Solver | DeviceSolver | undefined;
+/** True if a graphics adapter in software may solve. */
+let software = false;
 let title = "";
 let running = false;
 let paused = false;
@@ -98,12 +104,27 @@ let warnings: string[] = [];
 // A turn ends with a message that starts the next turn. Timers would be slower: browsers delay each
 // by four milliseconds after five in a row.
 const turns = new MessageChannel();
-turns.port1.onmessage = () => guarded(turn);
+turns.port1.onmessage = () => enqueue(turn);
 
-function turn(): void {
+/**
+ * The newest turn or message. Each waits for the one before it, since a solver accepts no call
+ * while it waits for a graphics processor.
+ */
+let last = Promise.resolve();
+let waiting = 0;
+
+function enqueue(work: () => void | Promise<void>): void {
+  waiting += 1;
+  last = last.then(() => {
+    waiting -= 1;
+    return guarded(work);
+  });
+}
+
+async function turn(): Promise<void> {
   if (!solver || !running) return;
   const start = performance.now();
-  while (performance.now() - start < TURN_MS && solver.stage() !== "done" && solver.shown() === shown) solver.advance();
+  while (waiting === 0 && performance.now() - start < TURN_MS && solver.stage() !== "done" && solver.shown() === shown) await solver.advance();
   const done = solver.stage() === "done";
   const patterns = solver.shown() !== shown;
   if (patterns) shown = solver.shown();
@@ -121,7 +142,7 @@ function report(patterns: boolean): void {
     send({ kind: "stack", json: solver.preview(title), codes }, [codes.buffer]);
   }
   warnings.push(...solver.warnings());
-  send({ kind: "state", state: { stage: solver.stage() as State["stage"], share: solver.share(), psnr: solver.psnr(), warnings } });
+  send({ kind: "state", state: { stage: solver.stage() as State["stage"], share: solver.share(), psnr: solver.psnr(), warnings, onDevice: "on_device" in solver && solver.on_device() } });
   warnings = [];
 }
 
@@ -135,11 +156,12 @@ async function begin({ files, path, isField }: Extract<SolverRequest, { kind: "s
       throw new Error(`${name}: expected a readable file, found an error: ${error instanceof Error ? error.message : error}`);
     }
   });
-  const contents = await Promise.all(read).catch((error: Error) => guarded(() => {
+  const contents = await Promise.all(read).catch((error: Error) => enqueue(() => {
     if (own === newest) throw error;
   }));
-  if (own !== newest || !contents) return;
-  guarded(() => {
+  if (!contents) return;
+  enqueue(async () => {
+    if (own !== newest) return;
     if (isField) {
       ready().hold(contents.map(([name]) => name), contents.map(([, bytes]) => new Uint8Array(bytes)));
       solver = Solver.of_field(path, settings);
@@ -148,8 +170,19 @@ async function begin({ files, path, isField }: Extract<SolverRequest, { kind: "s
       for (const [name, bytes] of contents) dropped.add(name, new Uint8Array(bytes));
       solver = new Solver(dropped, path, settings);
     }
+    await openDevice();
     run();
   });
+}
+
+/** Opens the graphics processor for a new solve, if this is the module with WebGPU. */
+async function openDevice(): Promise<void> {
+  if (!solver || !("open_device" in solver)) return;
+  try {
+    await solver.open_device(software);
+  } catch (error) {
+    warnings.push(`${error instanceof Error ? error.message : error}; the processor solves instead`);
+  }
 }
 
 function run(): void {
@@ -167,9 +200,9 @@ function send(what: SolverMessage, handed: Transferable[] = []): void {
  * Runs `work` and sends its errors to the page. Errors of the module are messages for the user. If
  * the module stopped, it is unusable, and the message states the likely reason.
  */
-function guarded(work: () => void): void {
+async function guarded(work: () => void | Promise<void>): Promise<void> {
   try {
-    work();
+    await work();
   } catch (error) {
     running = false;
     if (stopped(error)) {
@@ -182,11 +215,11 @@ function guarded(work: () => void): void {
 }
 
 onmessage = ({ data }: MessageEvent<SolverRequest>) =>
-  guarded(() => {
+  enqueue(() => {
     switch (data.kind) {
       case "start":
         initSync({ module: data.module });
-        address = data.decoders;
+        ({ decoders: address, software } = data);
         return send({ kind: "presets", json: presets() });
       case "solve":
         running = paused = false;
@@ -207,7 +240,7 @@ onmessage = ({ data }: MessageEvent<SolverRequest>) =>
         return report(false);
       case "resume":
         paused = false;
-        return solver && run();
+        return solver ? run() : undefined;
       case "zip": {
         const bytes = solver!.zip() as Uint8Array<ArrayBuffer>;
         return send({ kind: "zip", bytes }, [bytes.buffer]);
