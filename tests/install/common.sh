@@ -60,3 +60,14 @@ first_job() {
 small() {
     "$1" run "$2/still-life/job.toml" --resolution 96x60 --views 3x3 --iterations 4 -o "${3:-$WORK/run}"
 }
+
+# same_quality RUN OTHER: fails if the PSNR of two runs over the viewing zone differs by more than
+# 0.01 dB
+same_quality() {
+    echo "$(zone_psnr "$1") $(zone_psnr "$2")" | awk '
+        { difference = $1 - $2; if (difference < 0) difference = -difference }
+        { print "PSNR over the viewing zone: " $1 " dB, natively " $2 " dB" }
+        END { exit !(NF == 2 && $1 > 0 && difference <= 0.01) }'
+}
+
+zone_psnr() { sed -n 's/.*"psnr_zone": *\([0-9.]*\).*/\1/p' "$1/report.json" | head -n 1; }

@@ -9,7 +9,11 @@ use std::time::Instant;
 use crate::tools::{self, Outcome, command, output_of, run};
 
 /// Names of the scripts in `tests/install`.
-pub const WAYS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "pages"];
+pub const WAYS: [&str; 8] = ["tarball", "deb", "wheel", "npm", "blender", "pages", "arm", "windows"];
+
+/// The way of a program that only `--target x86_64-pc-windows-gnu` makes. It is tested if it is
+/// named, or if the program is there.
+const WINDOWS: &str = "windows";
 
 /// Folders and files of the repository that scripts read, in addition to `tests/install`.
 const READ: [&str; 3] = ["docs", "scenes", "plugins/blender/tests"];
@@ -21,7 +25,9 @@ pub fn test(ways: &[&str], dist: &Path) -> Outcome {
         .ok();
     let mut times = Vec::new();
     let mut failed = Vec::new();
-    for way in WAYS.into_iter().filter(|way| ways.is_empty() || ways.contains(way)) {
+    let there = super::files_of(dist, &format!("{}.zip", super::build::MINGW)).is_ok_and(|zips| !zips.is_empty());
+    let wanted = |way: &&str| if ways.is_empty() { *way != WINDOWS || there } else { ways.contains(way) };
+    for way in WAYS.into_iter().filter(wanted) {
         println!("\n=== {way}");
         let start = Instant::now();
         let result = match &clean {
