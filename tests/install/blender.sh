@@ -5,6 +5,7 @@
 . "$(dirname "$0")/common.sh"
 case $(uname -m) in x86_64) platform=linux_x64 ;; *) platform=linux_arm64 ;; esac
 zip=$(one "lumistack-blender-*-$platform.zip")
+documented "$zip"
 if [ -n "${CLEAN:-}" ]; then
     no_rust
     packages blender python3-numpy

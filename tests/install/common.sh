@@ -17,6 +17,11 @@ one() {
     echo "$1"
 }
 
+# documented FILE: fails if README does not name a file of a release, on the machine that it names
+documented() {
+    [ "$(uname -m)" != x86_64 ] || grep -qF "${1##*/}" "$HERE/../../README.md" || { echo "README.md does not name ${1##*/}" >&2; exit 1; }
+}
+
 # installs the system's packages that a user is assumed to have
 packages() {
     if [ -n "${CLEAN:-}" ]; then
@@ -39,7 +44,9 @@ no_rust() {
 # unpacks the tarball; tests of the wheel and of the npm package use its scenes
 tarball() {
     mkdir -p "$HOME/.local"
-    installs tar xzf "$(one "lumistack-*-$(uname -m)-unknown-linux-gnu.tar.gz")" -C "$HOME/.local" --strip-components=1
+    file=$(one "lumistack-*-$(uname -m)-unknown-linux-gnu.tar.gz")
+    documented "$file"
+    installs tar xzf "$file" -C "$HOME/.local" --strip-components=1
 }
 
 # first_job PROGRAM SCENES: runs README's first job in a small size, and checks its files

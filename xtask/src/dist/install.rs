@@ -16,7 +16,7 @@ pub const WAYS: [&str; 8] = ["tarball", "deb", "wheel", "npm", "blender", "pages
 const WINDOWS: &str = "windows";
 
 /// Folders and files of the repository that scripts read, in addition to `tests/install`.
-const READ: [&str; 3] = ["docs", "scenes", "plugins/blender/tests"];
+const READ: [&str; 4] = ["README.md", "docs", "scenes", "plugins/blender/tests"];
 
 /// Runs the scripts of the named ways on the files in `dist`; all scripts if no way is named.
 pub fn test(ways: &[&str], dist: &Path) -> Outcome {
