@@ -79,7 +79,7 @@ fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
         let shared = tree::shared(&build::own_program()?, &licences.text())?;
         for target in &targets {
             let files = tree::with_program(&shared, &build::program(target)?, target)?;
-            paths::check(&files)?;
+            paths::check(files.iter().map(|file| (file.path.as_str(), file.bytes.as_slice())))?;
             if wanted("tarball") {
                 let name = format!("lumistack-{VERSION}-{}", target.triple);
                 if target.is_windows() {

@@ -8,7 +8,6 @@ use std::io::Read as _;
 use std::path::Path;
 use std::process::Command;
 
-use super::tree::File;
 use crate::tools::{self, Outcome, command, output_of};
 
 /// A folder of this machine, and the name that replaces it in releases.
@@ -43,13 +42,13 @@ pub fn replace(builder: &mut Command) -> Outcome {
     Ok(())
 }
 
-/// Checks the files of an installation.
+/// Checks files, which are given by name and content.
 ///
 /// # Errors
 /// If a file contains the path of one of the folders; the message quotes the first.
-pub fn check(files: &[File]) -> Outcome {
+pub fn check<'a>(mut files: impl Iterator<Item = (&'a str, &'a [u8])>) -> Outcome {
     let folders = folders()?;
-    files.iter().try_for_each(|file| check_bytes(&file.path, &file.bytes, &folders))
+    files.try_for_each(|(name, bytes)| check_bytes(name, bytes, &folders))
 }
 
 /// Checks the files in a zip or a wheel.
