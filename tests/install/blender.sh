@@ -1,16 +1,11 @@
 #!/bin/sh
-<<<<<<< HEAD
-# Installs the extension with its wheel by Blender's own command in Debian's Blender, and presses
-# its button. Without a clean Debian, uses the module bpy of $BLENDER_PYTHON, which `cargo xtask
-# blender` fetches.
-=======
-# On a clean Debian, installs the extension (which contains the wheel) with Blender's own command. Then runs the operator
-# of its button (press.py), and its command `lumistack make`. On other machines uses the module bpy of $BLENDER_PYTHON, which
-# `cargo xtask blender` fetches.
->>>>>>> h-w5
+# On a clean Debian, installs the extension (which contains the wheel) with Blender's own command.
+# Then runs the operator of its button (press.py), and its command `lumistack make`. On other
+# machines uses the module bpy of $BLENDER_PYTHON, which `cargo xtask blender` fetches.
 . "$(dirname "$0")/common.sh"
 case $(uname -m) in x86_64) platform=linux_x64 ;; *) platform=linux_arm64 ;; esac
 zip=$(one "lumistack-blender-*-$platform.zip")
+documented "$zip"
 if [ -n "${CLEAN:-}" ]; then
     no_rust
     packages blender python3-numpy

@@ -1,10 +1,6 @@
-<<<<<<< HEAD
-# Functions for the other scripts. They find files in $DIST, and run the first job in a small size.
-# CLEAN is set if the whole machine belongs to the test.
-=======
-# Functions of the other scripts, which install the files of $DIST and run the first job in a small size. CLEAN is set on a
-# machine that is used for this test only, so that a script may install packages of the system.
->>>>>>> h-w5
+# Functions of the other scripts, which install the files of $DIST and run the first job in a small
+# size. CLEAN is set on a machine that is used for this test only, so that a script may install
+# packages of the system.
 set -eu
 : "${DIST:?must name the folder target/dist}"
 HERE=$(cd "$(dirname "$0")" && pwd)
@@ -12,11 +8,7 @@ WORK=$(mktemp -d)
 trap 'rm -rf "$WORK"' EXIT
 cd "$WORK"
 
-<<<<<<< HEAD
-# prints the only file of target/dist that matches a pattern
-=======
 # prints the path of the only file in $DIST that matches a pattern
->>>>>>> h-w5
 one() {
     # shellcheck disable=SC2086
     set -- "$DIST"/$1
@@ -25,11 +17,12 @@ one() {
     echo "$1"
 }
 
-<<<<<<< HEAD
-# installs programs that a user's system has already
-=======
+# documented FILE: fails if README does not name a file of a release, on the machine that it names
+documented() {
+    [ "$(uname -m)" != x86_64 ] || grep -qF "${1##*/}" "$HERE/../../README.md" || { echo "README.md does not name ${1##*/}" >&2; exit 1; }
+}
+
 # installs the system's packages that a user is assumed to have
->>>>>>> h-w5
 packages() {
     if [ -n "${CLEAN:-}" ]; then
         apt-get update -qq
@@ -37,11 +30,7 @@ packages() {
     fi
 }
 
-<<<<<<< HEAD
-# runs the command that installs, and prints its duration
-=======
 # runs an installing command and prints its time
->>>>>>> h-w5
 installs() {
     start=$(date +%s.%N)
     "$@"
@@ -52,21 +41,15 @@ no_rust() {
     if command -v cargo >/dev/null; then echo "cargo is on PATH, but this test needs a machine without Rust" >&2; exit 1; fi
 }
 
-<<<<<<< HEAD
-# unpacks the tarball; tests of other packages use its scenes
-=======
 # unpacks the tarball; tests of the wheel and of the npm package use its scenes
->>>>>>> h-w5
 tarball() {
     mkdir -p "$HOME/.local"
-    installs tar xzf "$(one "lumistack-*-$(uname -m)-unknown-linux-gnu.tar.gz")" -C "$HOME/.local" --strip-components=1
+    file=$(one "lumistack-*-$(uname -m)-unknown-linux-gnu.tar.gz")
+    documented "$file"
+    installs tar xzf "$file" -C "$HOME/.local" --strip-components=1
 }
 
-<<<<<<< HEAD
-# runs the first job of README in a small size: first_job PROGRAM SCENES
-=======
 # first_job PROGRAM SCENES: runs README's first job in a small size, and checks its files
->>>>>>> h-w5
 first_job() {
     "$1" --version
     "$1" doctor
@@ -76,11 +59,7 @@ first_job() {
     done
     "$1" simulate "$WORK/run" --view 4,-2 -o "$WORK/view.png"
     [ -s "$WORK/view.png" ]
-<<<<<<< HEAD
     # a second run reuses all results
-=======
-    # again: now all results are in the cache
->>>>>>> h-w5
     small "$@" | grep PSNR
 }
 
@@ -88,3 +67,14 @@ first_job() {
 small() {
     "$1" run "$2/still-life/job.toml" --resolution 96x60 --views 3x3 --iterations 4 -o "${3:-$WORK/run}"
 }
+
+# same_quality RUN OTHER: fails if the PSNR of two runs over the viewing zone differs by more than
+# 0.01 dB
+same_quality() {
+    echo "$(zone_psnr "$1") $(zone_psnr "$2")" | awk '
+        { difference = $1 - $2; if (difference < 0) difference = -difference }
+        { print "PSNR over the viewing zone: " $1 " dB, natively " $2 " dB" }
+        END { exit !(NF == 2 && $1 > 0 && difference <= 0.01) }'
+}
+
+zone_psnr() { sed -n 's/.*"psnr_zone": *\([0-9.]*\).*/\1/p' "$1/report.json" | head -n 1; }

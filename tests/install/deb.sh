@@ -3,6 +3,7 @@
 . "$(dirname "$0")/common.sh"
 no_rust
 deb=$(one "lumistack_*_$(dpkg --print-architecture).deb")
+documented "$deb"
 if [ -n "${CLEAN:-}" ]; then
     apt-get update -qq
     export DEBIAN_FRONTEND=noninteractive

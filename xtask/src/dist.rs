@@ -5,6 +5,7 @@ mod archive;
 mod build;
 mod install;
 mod licences;
+mod paths;
 mod tree;
 
 use std::path::{Path, PathBuf};
@@ -28,10 +29,11 @@ cargo xtask dist sums
   blender   the extension of Blender, a zip for every wheel
   sbom      all parts with their licences, as CycloneDX
   test      installs the parts in a clean Debian, or into an empty prefix if there is none, and runs the first job;
-            WAY is tarball, deb, wheel, npm, blender, or pages: every command of the first pages
+            WAY is tarball, deb, wheel, npm, blender, pages (every command of the first pages), arm (in qemu) or windows (in Wine)
   sums      computes the checksums again
 
 Without a PART it makes all parts. On Linux they are for x86-64 and ARM with a glibc from 2.17 on (zig links); elsewhere for this machine.
+On Linux `tarball --target x86_64-pc-windows-gnu` makes a zip with a program for Windows (mingw links), which Wine can test.
 Every part contains the licences of all dependencies. SHA256SUMS has the checksums of target/dist.
 ";
 
@@ -77,6 +79,7 @@ fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
         let shared = tree::shared(&build::own_program()?, &licences.text())?;
         for target in &targets {
             let files = tree::with_program(&shared, &build::program(target)?, target)?;
+            paths::check(files.iter().map(|file| (file.path.as_str(), file.bytes.as_slice())))?;
             if wanted("tarball") {
                 let name = format!("lumistack-{VERSION}-{}", target.triple);
                 if target.is_windows() {
@@ -98,6 +101,7 @@ fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
             let wheels: Vec<&str> = wheels.iter().filter_map(|wheel| wheel.to_str()).collect();
             blender::build(&wheels)?;
             for zip in files_of(&tools::root().join("target/blender"), ".zip")? {
+                paths::check_zip(&zip)?;
                 let name =
                     zip.file_name().unwrap_or_default().to_string_lossy().replacen("lumistack", "lumistack-blender", 1);
                 std::fs::copy(&zip, dist.join(name)).map_err(|error| format!("{}: {error}", zip.display()))?;

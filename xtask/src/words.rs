@@ -6,6 +6,7 @@
 //! * No sentence begins with What, Whether or Of.
 //! * A crate or top folder has at most one `what` in 1000 words.
 //! * A line that holds nothing but a comment has at most 100 columns.
+//! * No file, of any kind, has a mark of an unfinished merge.
 //!
 //! All files must follow these rules, except the files in [`EXCEPTIONS`]. `cargo xtask words --all`
 //! also reports problems of the exceptions, without failing.
@@ -34,6 +35,9 @@ const NO_BEGINNING: [&str; 3] = ["what", "whether", "of"];
 
 /// Endings of the names of files that have prose.
 const READ: [&str; 5] = ["rs", "ts", "py", "wgsl", "md"];
+
+/// The lines that git writes around the two sides of a conflict, as a regular expression.
+const MERGE_MARK: &str = "^(<{7}|>{7}) ";
 
 /// File with the banned words.
 const GLOSSARY: &str = "docs/GLOSSARY.md";
@@ -75,6 +79,12 @@ pub fn check(all: bool) -> Outcome {
         }
         failed += if excepted { 0 } else { problems.len() };
         crates.entry((crate_of(path), excepted)).or_default().add(&sum);
+    }
+
+    // `git grep` fails if it finds nothing
+    for mark in output_of(command("git").args(["grep", "-InE", MERGE_MARK])).unwrap_or_default().lines() {
+        println!("{mark}: a mark of an unfinished merge");
+        failed += 1;
     }
 
     println!("{:>8} {:>16} {:>8}  crate", "words", "what per 1000", "problems");

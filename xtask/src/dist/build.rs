@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use super::paths;
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
 /// The oldest glibc of programs and wheels: the oldest that Rust's standard library supports.
@@ -36,11 +37,16 @@ const fn target(triple: &'static str, debian: Option<&'static str>) -> Target {
     Target { triple, debian }
 }
 
+/// The target of Windows that Linux can build, with the linker of mingw. Releases have Microsoft's
+/// instead, which needs Windows; this one is for tests with Wine.
+pub const MINGW: &str = "x86_64-pc-windows-gnu";
+
 /// All targets.
-const TARGETS: [Target; 5] = [
+const TARGETS: [Target; 6] = [
     target("x86_64-unknown-linux-gnu", Some("amd64")),
     target("aarch64-unknown-linux-gnu", Some("arm64")),
     target("x86_64-pc-windows-msvc", None),
+    target(MINGW, None),
     target("x86_64-apple-darwin", None),
     target("aarch64-apple-darwin", None),
 ];
@@ -124,16 +130,57 @@ fn link_by_zig(builder: &mut Command, python: &Path, target: &Target) -> Outcome
     Ok(())
 }
 
+/// Finds or installs the linker that rustc uses for mingw.
+fn mingw() -> Outcome {
+    if output_of(command("x86_64-w64-mingw32-gcc").arg("--version")).is_some() {
+        return Ok(());
+    }
+    tools::apt(&["gcc-mingw-w64-x86-64"], "link programs for Windows")
+}
+
 /// Builds the program, including the windows for panels, and returns its path.
 pub fn program(target: &Target) -> Outcome<PathBuf> {
     tools::rust_target(target.triple)?;
     let words = [&["--release", "--locked", "--bin", "lumistack"][..], &PACKAGES, &["--target"]].concat();
     let mut cargo = command("cargo");
+    paths::replace(&mut cargo)?;
     if target.is_linux() {
         link_by_zig(&mut cargo, &builders()?, target)?;
+    } else if target.triple == MINGW && cfg!(target_os = "linux") {
+        mingw()?;
     }
     run(cargo.arg("build").args(words).arg(target.triple))?;
-    Ok(tools::root().join("target").join(target.triple).join("release").join(target.program()))
+    let path = tools::root().join("target").join(target.triple).join("release").join(target.program());
+    if target.is_linux() {
+        let bytes = std::fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+        check_program(&bytes, target).map_err(|error| format!("{}: {error}", path.display()))?;
+    }
+    Ok(path)
+}
+
+/// Checks that a program of Linux is for the target's processor, and needs no newer glibc than
+/// [`GLIBC`].
+fn check_program(bytes: &[u8], target: &Target) -> Outcome {
+    // `e_machine` of ELF's header: EM_X86_64 or EM_AARCH64
+    let machine = if target.triple.starts_with("x86_64") { 62 } else { 183 };
+    if !bytes.starts_with(b"\x7fELF") || bytes.get(18..20) != Some(&[machine, 0]) {
+        return Err(format!("is not an ELF program for {}", target.triple));
+    }
+    // the names of versions are strings in the table of dynamic symbols
+    let number = |text: &str| -> Option<(u32, u32)> {
+        let (major, rest) = text.split_once('.')?;
+        Some((major.parse().ok()?, rest.split('.').next()?.parse().ok()?))
+    };
+    let newest = bytes
+        .split(|&byte| byte == 0)
+        .filter_map(|text| number(std::str::from_utf8(text.strip_prefix(b"GLIBC_")?).ok()?))
+        .max()
+        .ok_or("names no version of glibc")?;
+    if Some(newest) > number(GLIBC) {
+        return Err(format!("needs glibc {}.{}, expected at most {GLIBC}", newest.0, newest.1));
+    }
+    println!("{}: needs glibc {}.{}", target.triple, newest.0, newest.1);
+    Ok(())
 }
 
 /// Builds the program for this machine, which then writes the manual pages and completions for all
@@ -151,6 +198,7 @@ pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf>
     let mut maturin = command(python.with_file_name("maturin"));
     maturin.args(["build", "--release", "--locked", "--features", "panels", "--target"]);
     maturin.arg(target.triple).arg("--out").arg(&out).arg("--interpreter").arg(&python);
+    paths::replace(&mut maturin)?;
     if target.is_linux() {
         link_by_zig(&mut maturin, &python, target)?;
         maturin.args(["--compatibility", &format!("manylinux_{}", GLIBC.replace('.', "_"))]);
@@ -164,7 +212,28 @@ pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf>
         wheels.flatten().map(|entry| entry.path()).find(|path| path.extension().is_some_and(|end| end == "whl"));
     let wheel = wheel.ok_or_else(|| format!("maturin left no wheel in {}", out.display()))?;
     run(command(&python).arg("xtask/python/licences.py").arg(&wheel).arg(&text))?;
+    paths::check_zip(&wheel)?;
     let place = folder.join(wheel.file_name().unwrap_or_default());
     std::fs::copy(&wheel, &place).map_err(|error| format!("{}: {error}", place.display()))?;
     Ok(place)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_program_for_another_processor_or_a_newer_glibc_is_refused() {
+        let check = |machine: u8, versions: &str| {
+            let mut bytes = b"\x7fELF".to_vec();
+            bytes.resize(18, 0);
+            bytes.extend([machine, 0, 0]);
+            bytes.extend(versions.as_bytes());
+            check_program(&bytes, &TARGETS[0])
+        };
+        assert_eq!(check(62, "GLIBC_2.2.5\0GLIBC_2.17\0"), Ok(()));
+        assert_eq!(check(62, "GLIBC_2.3\0GLIBC_2.28\0").unwrap_err(), "needs glibc 2.28, expected at most 2.17");
+        assert_eq!(check(62, "text").unwrap_err(), "names no version of glibc");
+        assert!(check(183, "GLIBC_2.17\0").is_err());
+    }
 }

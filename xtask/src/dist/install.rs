@@ -6,13 +6,18 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
 
+use super::build::MINGW;
 use crate::tools::{self, Outcome, command, output_of, run};
 
 /// Names of the scripts in `tests/install`.
-pub const WAYS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "pages"];
+pub const WAYS: [&str; 8] = ["tarball", "deb", "wheel", "npm", "blender", "pages", "arm", "windows"];
+
+/// The way of a program that only `--target x86_64-pc-windows-gnu` makes. It is tested if it is
+/// named, or if the program is there.
+const WINDOWS: &str = "windows";
 
 /// Folders and files of the repository that scripts read, in addition to `tests/install`.
-const READ: [&str; 3] = ["docs", "scenes", "plugins/blender/tests"];
+const READ: [&str; 4] = ["README.md", "docs", "scenes", "plugins/blender/tests"];
 
 /// Runs the scripts of the named ways on the files in `dist`; all scripts if no way is named.
 pub fn test(ways: &[&str], dist: &Path) -> Outcome {
@@ -21,7 +26,9 @@ pub fn test(ways: &[&str], dist: &Path) -> Outcome {
         .ok();
     let mut times = Vec::new();
     let mut failed = Vec::new();
-    for way in WAYS.into_iter().filter(|way| ways.is_empty() || ways.contains(way)) {
+    let there = dist.join(format!("lumistack-{}-{MINGW}.zip", env!("CARGO_PKG_VERSION"))).is_file();
+    let wanted = |way: &&str| if ways.is_empty() { *way != WINDOWS || there } else { ways.contains(way) };
+    for way in WAYS.into_iter().filter(wanted) {
         println!("\n=== {way}");
         let start = Instant::now();
         let result = match &clean {

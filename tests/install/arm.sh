@@ -1,0 +1,17 @@
+#!/bin/sh
+# Runs README's first job with the program for ARM in qemu, and compares its quality with that of
+# the program for this machine. Both make a small size of the job.
+. "$(dirname "$0")/common.sh"
+packages qemu-user libc6-arm64-cross libgcc-s1-arm64-cross
+other=$(one "lumistack-*-aarch64-unknown-linux-gnu.tar.gz")
+tarball
+mkdir other
+installs tar xzf "$other" -C other --strip-components=1
+cat >arm <<SCRIPT
+#!/bin/sh
+exec qemu-aarch64 -L /usr/aarch64-linux-gnu "$WORK/other/bin/lumistack" "\$@"
+SCRIPT
+chmod +x arm
+first_job ./arm "$HOME/.local/share/lumistack/scenes"
+small "$HOME/.local/bin/lumistack" "$HOME/.local/share/lumistack/scenes" "$WORK/native"
+same_quality run native
