@@ -22,8 +22,8 @@ pub struct Prediction {
     pub memory: Memory,
 }
 
-/// Places the job's display in the job's scene as a run does. Then traces the display's views of the
-/// scene, and measures their depth, coverage and memory.
+/// Places the job's display in the job's scene as a run does. Then traces the depth of the views,
+/// and measures the scene's depth, coverage and memory.
 ///
 /// # Errors
 /// If the job has no scene, or its scene, display or window is wrong.

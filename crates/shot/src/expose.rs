@@ -28,8 +28,8 @@ pub fn expose_over(
         }
         return;
     }
-    // Expose only the light of the surfaces in the pixel, and blend it with the background after the
-    // tone curve. So an edge is a blend of shown values, not of radiance.
+    // Expose only the light of the surfaces in the pixel, and blend it with the background after
+    // the tone curve. So an edge is a blend of shown values, not of radiance.
     for (pixel, &missed) in rgb.chunks_exact_mut(3).zip(missed) {
         let covered = 1.0 - missed;
         if covered > 0.0 {
@@ -44,8 +44,8 @@ pub fn expose_over(
     }
 }
 
-/// Collects two values for each of at most four million rays, which are spread evenly over the given
-/// views: the largest of the ray's channels, and true if the ray hits a surface.
+/// Collects two values per ray: the largest channel, and true if the ray hits a surface. At most four
+/// million rays are measured, spread evenly over the given views.
 ///
 /// # Errors
 /// The errors of `picture`.

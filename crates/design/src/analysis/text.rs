@@ -113,7 +113,7 @@ impl Analysis {
     fn rate_text(&self) -> String {
         let timing = &self.timing;
         if timing.subframes == 1 {
-            return format!("static: one frame, so every refresh rate suffices (here {} Hz)", number(timing.refresh_hz));
+            return format!("static: one frame, at any refresh rate (here {} Hz)", number(timing.refresh_hz));
         }
         let wanted = number(timing.wanted_hz);
         let flicker = if timing.flickers {

@@ -18,8 +18,8 @@ use lumistack_testkit::statistics::{FALSE_ALARM_RATE, Mean, assert_counts, z_lim
 const ENERGY_TOLERANCE: f64 = 4e-3;
 /// The same tolerance for clear rough glass, whose table is coarser.
 const GLASS_TOLERANCE: f64 = 1e-2;
-/// Largest fraction of light that a white surface may return in addition to all of the light. Tables
-/// and the albedos of stretched lobes are approximate, so some surfaces gain light.
+/// A white surface may return up to this fraction more light than it receives, since tables and the
+/// albedos of stretched lobes are approximate.
 const ENERGY_GAIN: f64 = 0.02;
 /// Numbers of cells of the chi-square tests, over cos θ and φ of the whole sphere.
 const CELLS: [usize; 2] = [16, 16];
