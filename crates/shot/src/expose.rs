@@ -44,8 +44,8 @@ pub fn expose_over(
     }
 }
 
-/// Collects two values per ray: the largest channel, and true if the ray hits a surface. At most four
-/// million rays are measured, spread evenly over the given views.
+/// Collects two values per ray: the largest channel, and true if the ray hits a surface. At most
+/// four million rays are measured, spread evenly over the given views.
 ///
 /// # Errors
 /// The errors of `picture`.
