@@ -139,8 +139,8 @@ fn frames_run_in_order_and_late_ones_are_counted() {
     }
     let interval = report["interval_s"].as_f64().unwrap();
     let late = rows.windows(2).filter(|pair| pair[1][3] - pair[0][3] > 1.5 * interval).count() as i64;
-    // the log rounds times to microseconds, so it may have one late gap more or less than the
-    // report
+    // The log rounds times to microseconds, so a gap near the limit may be late in only one of log
+    // and report. The test allows one such gap.
     assert!((report["submitted"]["late"].as_i64().unwrap() - late).abs() <= 1, "{late} gaps in the log");
     // if the compositor reports presentation times, the times must rise and the skew must be known
     if report["presented"].as_object().is_some_and(|presented| !presented.is_empty()) {

@@ -26,7 +26,7 @@ export function listenToPointer(stage: HTMLElement, motion: Motion, target: Inpu
   let last: { x: number; y: number } | undefined;
   const ours = (event: PointerEvent): boolean => !(event.target as Element).closest("button, .card, .notice");
 
-  // Press: a drag begins, by touch or on the exploded stack.
+  // Press: a finger or a pen begins a drag anywhere, a mouse only on the exploded stack.
   stage.addEventListener("pointerdown", (event) => {
     if (!ours(event) || event.button !== 0) return;
     if (event.pointerType !== "mouse" || target.mode() === "exploded") {

@@ -10,23 +10,23 @@ use crate::groups::{
 };
 use crate::values::Numbers;
 
-/// Turn 3D scenes into glasses-free 3D: path-trace the light field of a scene and factorize it
-/// into the layer patterns of a tensor display.
+/// Turn 3D scenes into glasses-free 3D: render a scene from many directions, and compute the
+/// patterns with which a display of stacked layers shows it.
 #[derive(Debug, Parser)]
 #[command(name = "lumistack", version, max_term_width = 110, args_override_self = true)]
 pub(crate) struct Args {
-    /// Print the causes of errors
+    /// After an error message, print the causes of the error
     #[arg(short, long, global = true)]
     pub(crate) verbose: bool,
-    /// Print progress and results as JSON, one object a line
+    /// Print progress and results as JSON, one object per line
     #[arg(long, global = true)]
     pub(crate) json: bool,
-    /// Worker threads; results do not depend on their number [default: all cores]
+    /// Number of threads that compute; results do not depend on it [default: one per core]
     #[arg(long, global = true, value_name = "N")]
     pub(crate) threads: Option<usize>,
-    /// A plugin, or a folder of plugins (shared libraries `lumistack_plugin_ID`). It takes
-    /// precedence over LUMISTACK_PLUGIN_PATH and over lumistack/plugins in your data folder. The
-    /// flag may be given several times
+    /// Use the plugins in this shared library `lumistack_plugin_ID`, or in all such libraries of
+    /// this folder. They take precedence over plugins with the same id in LUMISTACK_PLUGIN_PATH and
+    /// in lumistack/plugins of your data folder. The flag may be given several times
     #[cfg(feature = "dynamic")]
     #[arg(long, global = true, value_name = "FILE|DIR")]
     pub(crate) plugin_path: Vec<PathBuf>,
@@ -36,81 +36,82 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Run a job or a scene from the views to the outputs: render, factorize, write, report
+    /// Render a job or a scene, compute the patterns of its display, and write outputs and a report
     #[command(
-        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run scenes/still-life/job.toml --plan        its steps, which of them are cached, estimated time and memory\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk        a sequence: a run folder per time step, and a report of error and flicker\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o runs/fox      the scene's animation plays\n\nA scene without a job file gets pictures and the browser simulator as outputs. The same command continues a run that was stopped."
+        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run scenes/still-life/job.toml --plan\n      prints the steps of the job, and estimates of their time and memory, but does not run them\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk\n      a sequence of 24 time steps, in which the viewer walks 30° around the scene\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o runs/fox\n      a sequence of 24 time steps, in which the scene's animation plays for 0.7 s\n\nA scene that is given without a job file gets pictures of the layers and a browser simulator as outputs; a sequence gets only pictures. If a run was stopped, the same command continues it."
     )]
     Run(Run),
-    /// Write a commented job file from three answers: scene, display, outputs
+    /// Write a job file with comments, from three answers or options: scene, display and outputs
     #[command(after_help = crate::new::EXAMPLES)]
     New(crate::new::New),
-    /// Render only the views of a scene, into a light-field folder
+    /// Render only the views of a scene, and write them into a folder
     #[command(
-        after_help = "Examples:\n  lumistack render model.glb -o views                                    all views of the display, exposed and tone-mapped\n  lumistack render model.glb --linear --layers depth,normal -o views     scene-linear radiance, with depth and normals\n  lumistack render model.glb --views 7x7 --only-views 3,* -o row         the middle one of seven rows of views\n\nViews are OpenEXR pictures; lightfield.json states the geometry of their rays. `lumistack factorize DIR -o RUN` reads the folder."
+        after_help = "Examples:\n  lumistack render model.glb -o views\n      all views of the display, exposed and tone-mapped\n  lumistack render model.glb --linear --layers depth,normal -o views\n      scene-linear radiance, with depth and normals\n  lumistack render model.glb --views 7x7 --only-views 3,* -o row\n      only the middle one of seven rows of views\n\nThe folder contains a picture (OpenEXR) for each view, and lightfield.json, which states the geometry of the rays. `lumistack factorize DIR -o RUN` reads such a folder."
     )]
     Render(Render),
-    /// Make layer patterns from a given light field, for example one that another program rendered
+    /// Compute patterns for views that you have, such as those that another program rendered
     #[command(
-        after_help = "Reads our own light-field folders, HCI and Stanford folders, quilts and .npy arrays [view_y][view_x][row][col][rgb].\n\nExamples:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 --display paper-three-layer -o runs/views\n  lumistack factorize times/ --sequence --fov 20x20 --pitch-mm 2.961 -o runs/times      times/t0001.npy, times/t0002.npy, ..."
+        after_help = "The views (the light field) may be a folder that `lumistack render` wrote, a folder in HCI's or Stanford's form, a quilt, a picture of tiles, or an array [view_y][view_x][row][col][rgb] in a .npy file.\n\nExamples:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 -o runs/views\n  lumistack factorize times/ --sequence --fov 20x20 --pitch-mm 2.961 -o runs/times\n      a sequence, whose time steps are times/t0001.npy, times/t0002.npy, ..."
     )]
     Factorize(Factorize),
     /// Write the picture that the display of a finished run shows, seen from a direction or
     /// position
     #[command(
-        after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png      4° from the right, 2° from below\n  lumistack simulate runs/still-life --eye 100,0,2000 -o eye.png  an eye 2 m in front, 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png       seven views from left to right"
+        after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png      from 4° to the right and 2° below\n  lumistack simulate runs/still-life --eye 100,0,2000 -o eye.png  from 2 m in front and 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png       seven views from left to right"
     )]
     Simulate(Simulate),
-    /// Open the browser simulator: look at the display of a finished run from anywhere
+    /// Show the display of a finished run in the browser, where you can look at it from all sides
     #[command(
-        after_help = "Examples:\n  lumistack preview runs/still-life     the run's patterns\n  lumistack preview --solve             a page that solves: drop a model there\n\nIt serves this machine alone, opens the browser, and reloads the page when the patterns change. A preview folder also works on any\nweb server as it is; its preview.html opens by a double click."
+        after_help = "Examples:\n  lumistack preview runs/still-life     the display of this run\n  lumistack preview --solve             a page that computes the patterns of a model that you drop there\n\nThe command opens the page in your browser. Other machines cannot open it. When the run's patterns change, the page shows the new ones. A folder that the output plugin web_simulator wrote also works on any web server, and its file preview.html opens by a double click."
     )]
     Preview(Preview),
-    /// Analyze displays by their geometry: depth of field, spectral support, viewing zone, frame
-    /// rate, brightness
+    /// Report the limits that follow from the geometry of displays: depth of field, spectral
+    /// support, viewing zone, refresh rate and brightness
     #[command(after_help = crate::analyze::EXAMPLES)]
     Analyze(crate::analyze::Analyze),
-    /// Compare many designs on one light field by PSNR and brightness, in a table and plots. With
-    /// constraints, propose the design to build
+    /// Compare many designs of a display for one scene, by a table and plots of PSNR and
+    /// brightness. With constraints, also propose a design
     #[command(after_help = crate::sweep::EXAMPLES)]
     Sweep(crate::sweep::Sweep),
-    /// Run a job or a sweep on many machines: by Dask, or as a job for a farm manager
+    /// Run a job or a sweep on many machines, through Dask or a farm manager
     #[command(after_help = crate::farm::EXAMPLES)]
     Farm(Box<crate::farm::Farm>),
-    /// Compare two runs, or a run with a photograph of its panels. With --focus also write the
-    /// pictures of an eye that focuses at given distances
+    /// Compare two runs, the displays of one run, or a run with a photograph of its panels. For two
+    /// runs, --focus also writes pictures of an eye that focuses at given distances
     #[command(after_help = crate::compare::EXAMPLES)]
     Compare(crate::compare::Compare),
-    /// Drive physical panels: every layer on its output, frame after frame
+    /// Show a run on physical panels: each layer on its own panel, one frame after another
     #[command(
-        after_help = "Examples:\n  lumistack show --list                                          outputs and their names\n  lumistack show runs/still-life                                 one surface per output\n  lumistack show my-display.toml --pattern crosshairs --only 1   for aligning a stack\n  lumistack show runs/still-life --preview                       no panels: a preview in a window, the mouse moves the viewer\n\nKeys: space holds a frame or resumes, comma and full stop show the previous and the next frame, Tab selects a panel, arrows shift it,\ns saves the shifts, r reports, q ends. In a preview the arrows turn the view.\n\nNew patterns replace the shown ones at the end of a period, after all frames. docs/PANELS.md explains how to build and calibrate a stack."
+        after_help = "Examples:\n  lumistack show --list                                          lists the outputs for panels\n  lumistack show runs/still-life                                 shows each layer on its output\n  lumistack show my-display.toml --pattern crosshairs --only 1   helps to align a stack\n  lumistack show runs/still-life --preview                       shows a window, without panels\n\nKeys: space holds the current frame, or resumes. Comma and full stop show the previous and the next frame. Tab selects a panel, the arrows shift it, and s saves the shifts. r reports how many frames were late, and q ends. In a preview the arrows turn the view.\n\nIf the patterns of the run change, the new ones appear after the last frame of the current cycle. docs/PANELS.md explains how to build and calibrate a stack."
     )]
     Show(Box<crate::show::Show>),
-    /// Show a display that follows its scene while settings, files, time and viewers change
+    /// Show a display, and update it while its scene, settings, time or viewers change
     #[command(after_help = crate::live::EXAMPLES)]
     Live(Box<crate::live::Live>),
     /// Print the contents of a scene, a light field, a layer stack, a run folder, a display or a
     /// job
     Info(Info),
-    /// Remove files that were left in a run folder by runs that were stopped, and cached results
-    /// that the last run did not use. The results of the last run stay
+    /// Remove files from run folders: those that stopped runs left behind, and cached results that
+    /// the last run did not use. The results of the last run stay
     #[command(
-        after_help = "Examples:\n  lumistack clean runs/still-life --dry-run     sizes of the files that would be removed, by kind\n  lumistack clean runs/*                        every run, sequence and sweep\n  lumistack clean runs/still-life --all         also all cached views: the next run with other settings renders them again"
+        after_help = "Examples:\n  lumistack clean runs/still-life --dry-run     prints the sizes of the files, and removes none\n  lumistack clean runs/*                        cleans every run, sequence and sweep in the folder runs\n  lumistack clean runs/still-life --all         also removes all cached views"
     )]
     Clean(Clean),
     /// List all plugins with their parameters and files, and the libraries that could not be loaded
     #[command(
-        after_help = "Example:\n  lumistack plugins tensor-display      one plugin, with the values that its parameters take"
+        after_help = "Example:\n  lumistack plugins tensor-display      only this plugin, with the values that its parameters accept"
     )]
     Plugins {
         /// Only these plugins
         #[arg(value_name = "ID")]
         ids: Vec<String>,
     },
-    /// List the graphics processors that can solve, and the one that `--device auto` uses
+    /// List the graphics processors that can compute patterns, and the one that `--device auto`
+    /// uses
     Devices,
-    /// List the presets of displays
+    /// List the built-in displays (the presets)
     Displays,
-    /// Write a display file for your own panels, or calibrate it
+    /// Write a display file for your own panels, or measure the positions of the panels
     Display {
         #[command(subcommand)]
         what: crate::display::DisplayCommand,
@@ -118,20 +119,20 @@ pub(crate) enum Command {
     /// Report which optional software and hardware this machine has, and how to get the rest
     #[command(after_help = crate::doctor::EXAMPLES)]
     Doctor,
-    /// Install optional software that some files need
+    /// Install optional software that some kinds of scene files need
     Setup {
         #[command(subcommand)]
         what: Setup,
     },
     /// Print the JSON Schema of job or display files; editors use it to complete and check keys
     #[command(
-        after_help = "Example:\n  lumistack schema display > display.schema.json\n\nEditors that use taplo (Even Better TOML and others) read it if the file's first line is `#:schema ./display.schema.json`. The schema of jobs\nhas the parameters of all plugins that are found."
+        after_help = "Example:\n  lumistack schema display > display.schema.json\n\nEditors that use taplo, such as Visual Studio Code with Even Better TOML, need one more line. Write `#:schema ./display.schema.json` as the first line of your display file. The schema of job files includes the parameters of all plugins that are found."
     )]
     Schema {
-        /// Kind of file
+        /// Kind of file that the schema describes
         what: Schema,
     },
-    /// Print a shell's completions
+    /// Print a script with which a shell completes commands and options
     Completions {
         /// The shell
         shell: clap_complete::Shell,
@@ -157,13 +158,15 @@ pub(crate) enum Schema {
 pub(crate) enum Setup {
     /// Install a Python environment with OpenUSD in your data folder, for USD files
     ///
-    /// It is not needed if a Python of yours has the package usd-core. The program tries the Python
-    /// of the active virtual environment, the one that LUMISTACK_PYTHON names, and the one on PATH.
+    /// You need this command only if no Python on this machine has the package usd-core. If
+    /// LUMISTACK_PYTHON names a Python, only that one is tried. Otherwise the program tries the
+    /// Python of the active virtual or conda environment, this command's environment, and PATH.
     Usd {
-        /// Install usd-exchange instead of usd-core: its OpenUSD also reads MaterialX files (.mtlx)
+        /// Install the package usd-exchange instead of usd-core, to read also MaterialX files
+        /// (.mtlx)
         #[arg(long)]
         materialx: bool,
-        /// Python to make the environment with [default: python3 on PATH]
+        /// Python that makes the environment [default: python3 on PATH]
         #[arg(long, value_name = "PROGRAM")]
         python: Option<PathBuf>,
     },
@@ -173,8 +176,8 @@ pub(crate) enum Setup {
 pub(crate) struct Run {
     /// Job file (.toml) or scene (.gltf, .glb, USD, or a file of an importer plugin)
     pub(crate) input: PathBuf,
-    /// Print the steps of the run with their keys, cached results, and estimates of time and
-    /// memory, without running it
+    /// Do not run. Print the steps of the run, those whose results are cached, and estimates of
+    /// time and memory
     #[arg(long)]
     pub(crate) plan: bool,
     #[command(flatten)]
@@ -188,16 +191,17 @@ pub(crate) struct Render {
     /// Folder for the views
     #[arg(short, long, value_name = "DIR")]
     pub(crate) output: PathBuf,
-    /// Write scene-linear radiance as 32-bit OpenEXR: neither exposed nor tone-mapped nor clipped
+    /// Write scene-linear radiance in 32 bits, without exposure, tone curve and clipping
     #[arg(long, help_heading = "Views", conflicts_with_all = ["exposure_ev", "tone", "background"])]
     pub(crate) linear: bool,
-    /// Data of the visible surfaces, written into a file layers_YY_XX.exr per view. LIST has some
-    /// of these, separated by commas: depth (millimetres in front of the display plane), normal,
+    /// Also write other data of each view, into a file layers_YY_XX.exr. LIST has some of these
+    /// names, separated by commas: depth (millimetres in front of the display plane), normal,
     /// albedo, variance, coverage
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Views")]
     pub(crate) layers: Vec<lumistack_pipeline::ExtraChannel>,
-    /// Render these views only, ROW,COL as in view_ROW_COL.exr. Each is a number from 0, a range
-    /// such as 0..2, or *; the flag may be given several times
+    /// Render only some views. ROW and COL are the numbers in their file names view_ROW_COL.exr,
+    /// from 0. Each is a number, a range such as 0..2 (0, 1 and 2), or * for all. The flag may be
+    /// given several times
     #[arg(long, value_name = "ROW,COL", help_heading = "Views")]
     pub(crate) only_views: Vec<lumistack_pipeline::ViewSelection>,
     #[command(flatten)]
@@ -208,7 +212,8 @@ pub(crate) struct Render {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Factorize {
-    /// Light field: a folder, a quilt or .npy; with --sequence a folder of light fields
+    /// The views: a folder, a quilt, a picture of tiles or a .npy file. With --sequence, a folder
+    /// that contains such views for each time step
     pub(crate) light_field: PathBuf,
     /// Folder for the results
     #[arg(short, long, value_name = "DIR")]
@@ -221,11 +226,11 @@ pub(crate) struct Factorize {
     pub(crate) display: FactorizeDisplayArgs,
     #[command(flatten)]
     pub(crate) factorize: FactorizeArgs,
-    /// Seed of all random streams
+    /// Seed of the random numbers; the same seed gives the same results [default: 1]
     #[arg(long)]
     pub(crate) seed: Option<u64>,
-    /// Read the folder as a sequence: one light field per time step, folders or .npy files in the
-    /// order of their names
+    /// Read the folder as a sequence. It contains a folder, a .npy file or a quilt for each time
+    /// step, in the order of their names
     #[arg(long, help_heading = "Sequence")]
     pub(crate) sequence: bool,
     /// Iterations at every time step after the first [default: 5]
@@ -237,21 +242,22 @@ pub(crate) struct Factorize {
 pub(crate) struct Simulate {
     /// A run folder
     pub(crate) dir: PathBuf,
-    /// Direction from the display to the eye, which is far away (a parallel projection): X to the
-    /// right, Y up, degrees [default: 0,0]
+    /// Direction from the display to an eye that is far away (parallel projection). X is to the
+    /// right, Y up, degrees [default, without --eye and --sweep: 0,0]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with_all = ["eye", "sweep"])]
     pub(crate) view: Option<Numbers<2>>,
-    /// Eye position from the display's centre: X right, Y up, Z in front, millimetres; a
-    /// perspective view
+    /// Position of an eye that is near (perspective projection): X to the right of, Y above and Z
+    /// in front of the display's centre, millimetres
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "sweep")]
     pub(crate) eye: Option<Numbers<3>>,
-    /// Write a film strip of this many views across the horizontal field of view
+    /// Write N views side by side, spread evenly over the horizontal field of view, 1 to 64
     #[arg(long, value_name = "N")]
     pub(crate) sweep: Option<usize>,
-    /// Write the emitted light itself, not the seen picture (emitted / β)
+    /// Write the light that the display emits. Without this flag it is divided by the brightness
+    /// scale β, so that the picture is as bright as the scene's
     #[arg(long)]
     pub(crate) raw: bool,
-    /// Picture to write: .png (sRGB-encoded) or .exr (linear)
+    /// Picture to write: .png (encoded as sRGB) or .exr (linear values)
     #[arg(short, long, value_name = "FILE")]
     pub(crate) output: PathBuf,
 }
@@ -261,23 +267,25 @@ pub(crate) struct Clean {
     /// Folders of runs, sequences, sweeps or rendered views
     #[arg(required = true, value_name = "RUN")]
     pub(crate) dirs: Vec<PathBuf>,
-    /// Also remove all cached views; they only save time at the next run
+    /// Also remove all cached views. No result is lost, but the next run renders views again if its
+    /// settings differ
     #[arg(long)]
     pub(crate) all: bool,
-    /// Report what would be removed, but remove nothing
+    /// Report the files that would be removed, but remove none
     #[arg(long)]
     pub(crate) dry_run: bool,
 }
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Preview {
-    /// A run folder, or a preview that the output plugin `web_simulator` wrote
+    /// A run folder, or a folder that the output plugin `web_simulator` wrote
     #[arg(required_unless_present = "solve")]
     pub(crate) dir: Option<PathBuf>,
-    /// Serve the page that solves: drop a model there, and watch its patterns form
+    /// Show another page, which computes patterns in the browser. Drop a model or a light field
+    /// there
     #[arg(long, conflicts_with = "dir")]
     pub(crate) solve: bool,
-    /// Port; 0 for any free port
+    /// Port of this machine at which the page is served; 0 for any free port
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(crate) port: u16,
     /// Do not open the browser
@@ -287,21 +295,25 @@ pub(crate) struct Preview {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Info {
-    /// The file or folder, or the name of a display preset
+    /// The file or folder, or the name of a built-in display
     pub(crate) file: PathBuf,
-    /// For a scene or a job: compare its depth with the depth of field of this display, a preset or
-    /// a display file
+    /// Compare the depth of the scene or job with the depth of field of this display, which is a
+    /// built-in display or a display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Depth")]
     pub(crate) display: Option<OsString>,
-    /// Camera, by name or number; its plane of focus becomes the display plane
+    /// Camera that sees the scene, by its name or its number from 0. Its plane of focus becomes the
+    /// display plane
     #[arg(long, value_name = "NAME|N", requires = "display", help_heading = "Depth")]
     pub(crate) camera: Option<String>,
-    /// View the scene from this azimuth and elevation, degrees
+    /// View the scene from this azimuth (0 is the front, above 0 to its right) and elevation,
+    /// degrees
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true, requires = "display", help_heading = "Depth")]
     pub(crate) look_from: Option<Numbers<2>>,
-    /// Bring the scene into the display's depth of field: auto, off, move or compress. With move,
-    /// the window moves along its normal. With compress, it moves, and depth is compressed if the
-    /// scene still does not fit. Auto acts as compress if the scene does not fit. Without HOW: move
+    /// How the scene is brought into the display's depth of field: auto, off, move or compress.
+    /// With move, the window (the display's place in the scene) moves along its normal. With
+    /// compress, depth is also compressed, if the scene still does not fit. With auto, the same is
+    /// done if the scene does not fit, but a window that the job places stays. `--fit-depth`
+    /// without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]

@@ -120,7 +120,7 @@ pub(crate) fn respond(response: &Response, stored: &Factor, effective: &mut Alig
     let layout = &stored.layout;
     let (rows, cols) = (layout.lines(), layout.cols());
     let mix = response.mix();
-    // filter and blur each channel of a frame
+    // apply A to a frame, except for the mixture of channels: filter each channel, then blur it
     let frame_of = |frame: usize| -> [Vec<f32>; 3] {
         let (mut plane, mut scratch) = (vec![0.0; rows * cols], Vec::new());
         [0, 1, 2].map(|channel: usize| {
@@ -135,7 +135,7 @@ pub(crate) fn respond(response: &Response, stored: &Factor, effective: &mut Alig
             blurred
         })
     };
-    // then mix the channels of each pixel into the lines that rays read
+    // mix the three channels of each pixel, and write the results to the lines that rays read
     let frames: Vec<[Vec<f32>; 3]> = bands::map(layout.frames, || (), |(), frame| frame_of(frame));
     bands::for_each_chunk(
         effective,

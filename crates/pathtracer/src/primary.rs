@@ -132,7 +132,8 @@ impl<'a> PrimaryRays<'a> {
                 (1.0 + self.start / distance_mm, pitch * self.millimetre / (distance_mm * along.length()))
             }
         };
-        // largest width of the bundle of the pixel's rays inside the bounds, summed over both axes
+        // Width of the region that the pixel's rays cross at the depth where it is largest, summed
+        // over both axes. A ray is at most half of this width away from the central ray.
         let spreading: f64 =
             [0, 1].map(|axis| pitch + self.deepest * (turn[axis].abs() + self.slope_width[axis])).into_iter().sum();
         let half_size = self.half_size + 0.5 * spreading * self.millimetre;

@@ -22,7 +22,8 @@ pub struct Prediction {
     pub memory: Memory,
 }
 
-/// Places the job's display in its scene as a run does, and measures the depth of its views.
+/// Places the job's display in the job's scene as a run does. Then traces the depth of the views,
+/// and measures the scene's depth, coverage and memory.
 ///
 /// # Errors
 /// If the job has no scene, or its scene, display or window is wrong.

@@ -37,8 +37,8 @@ pub(crate) struct Sheet {
     pub(crate) closeup: Option<CloseUp>,
 }
 
-/// A section of a layer's green channel as grey, with stretched contrast. Channels are solved
-/// separately, so a fine pattern of all three channels together resembles noise.
+/// A section of a layer's green channel, shown in grey with stretched contrast. All three channels
+/// together would resemble noise, since each channel is solved separately.
 #[derive(Clone, Debug)]
 pub(crate) struct CloseUp {
     pub(crate) window: Window,
@@ -52,9 +52,10 @@ pub(crate) struct CloseUp {
 /// Pictures of the backlight, one for each frame.
 #[derive(Clone, Debug)]
 pub(crate) struct Emission {
-    /// A tile for each lenslet, which contains the lenslet's angular bins.
+    /// The whole backlight. It has a tile for each lenslet; each tile shows the angular bins of its
+    /// lenslet.
     pub(crate) panel: Sheet,
-    /// Emission into the central bin: one pixel per lenslet.
+    /// One picture per frame: the emission of each lenslet into the central bin, as one pixel.
     pub(crate) central_bin: Vec<Embedded>,
     /// Row and column of the central bin.
     pub(crate) bin: [usize; 2],

@@ -190,7 +190,7 @@ impl SceneParts {
         let count =
             self.placed_clouds.iter().try_fold(0usize, |sum, placed| sum.checked_add(clouds[placed.cloud].len()));
         if count.is_none_or(|count| count > MOST_SPLATS) {
-            let found = format!("more, by {} placed clouds", self.placed_clouds.len());
+            let found = format!("more, in {} placed clouds", self.placed_clouds.len());
             return Err(SceneError::new(&self.name, format!("at most {MOST_SPLATS} placed splats"), found));
         }
         Ok(())
@@ -200,7 +200,7 @@ impl SceneParts {
         for image in &self.images {
             let texels = image.width.checked_mul(image.height);
             if texels != Some(image.pixels.len()) || image.pixels.is_empty() {
-                let expected = format!("{} × {} texels, at least one", image.width, image.height);
+                let expected = format!("{} × {} texels, and at least one", image.width, image.height);
                 return Err(SceneError::new(&image.name, expected, image.pixels.len().to_string()));
             }
             if let Pixels::RgbF32(texels) = &image.pixels

@@ -28,8 +28,8 @@ pub fn expose_over(
         }
         return;
     }
-    // Expose the covered fraction of the pixel alone, so that an edge blends shown values and not
-    // radiance.
+    // Expose only the light of the surfaces in the pixel, and blend it with the background after
+    // the tone curve. So an edge is a blend of shown values, not of radiance.
     for (pixel, &missed) in rgb.chunks_exact_mut(3).zip(missed) {
         let covered = 1.0 - missed;
         if covered > 0.0 {
@@ -44,8 +44,8 @@ pub fn expose_over(
     }
 }
 
-/// For evenly spread rays of some views, collects the brightest channel, and whether the ray hits a
-/// surface.
+/// Collects two values per ray: the largest channel, and true if the ray hits a surface. At most
+/// four million rays are measured, spread evenly over the given views.
 ///
 /// # Errors
 /// The errors of `picture`.

@@ -325,7 +325,7 @@ impl Model {
     /// If there is no such layer or frame or it has not arrived.
     pub fn render_layer(&self, layer: usize, frame: usize) -> Result<Vec<u8>, Error> {
         let codes = self.codes(Part::Layer { layer, frame });
-        Ok(on_light_table(codes.ok_or_else(|| err(format!("layer {layer}, frame {frame}: it has not arrived")))?))
+        Ok(on_light_table(codes.ok_or_else(|| err(format!("layer {layer}, frame {frame}: missing, or not yet here")))?))
     }
 
     /// The backlight's emission in a frame, with angular bins side by side as in its file: linear
@@ -335,7 +335,7 @@ impl Model {
     /// If the backlight is uniform, there is no such frame, or it has not arrived.
     pub fn render_backlight(&self, frame: usize) -> Result<Vec<u8>, Error> {
         let codes = self.codes(Part::Emission { frame });
-        Ok(on_light_table(codes.ok_or_else(|| err(format!("backlight, frame {frame}: it has not arrived")))?))
+        Ok(on_light_table(codes.ok_or_else(|| err(format!("backlight, frame {frame}: missing, or not yet here")))?))
     }
 
     /// The error map for the target's view L nearest to a slope. The error of a pixel is the
@@ -383,7 +383,7 @@ impl Model {
     /// If there is no such view or it has not arrived.
     pub fn target(&self, view: [usize; 2]) -> Result<&[u8], Error> {
         self.codes(Part::Target { view })
-            .ok_or_else(|| err(format!("target view {}, {}: it has not arrived", view[0], view[1])))
+            .ok_or_else(|| err(format!("target view {}, {}: missing, or not yet here", view[0], view[1])))
     }
 
     /// [view_y, view_x] of the target's view nearest to a slope.

@@ -7,10 +7,11 @@ mod session;
 
 use session::{SWAY, Session};
 
-/// Shortest stall, seconds; without a stall a stack arrives every 0.3 s.
+/// Time without a new stack, seconds. A run with a stall, which lasts 2 s, has a longer one. A run
+/// without a stall, in which a stack arrives every 0.3 s, has only shorter ones.
 const STALL_S: f64 = 1.5;
-/// Number of refreshes that a busy machine may lose during a stall, in addition to refreshes that
-/// are lost without a stall. A present loop that waited for the solver would lose 120.
+/// Number of refreshes by which a run with a stall may be worse than a run without one, since the
+/// machine may be busy. A present loop that waited for the solver would lose 120 refreshes in 2 s.
 const NOISE: usize = 20;
 /// Rows of the log: refresh number, position in the period, number of the stack, seconds.
 type Log = Vec<[f64; 4]>;

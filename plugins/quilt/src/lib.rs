@@ -2,13 +2,13 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `NAME_qs<C>x<R>a<A>.png` | the views of one row from left to right, view 0 in the bottom-left tile; see [`layout`] |
+//! | `NAME_qs<C>x<R>a<A>.png` | quilt of C × R tiles with the aspect ratio A. The tiles are the views of one row of the light field, from left to right; view 0 is in the bottom-left tile. See [`layout`] |
 //! | `NAME_native.png` | with a calibration, the screen's native picture: every subpixel shows the view for the direction into which its lens sends its light; see [`weave`] |
-//! | `quilt.json` | sizes; the slope of every view, and the way in which it was made |
+//! | `quilt.json` | sizes, the slope of every view, and the way in which each view was made |
 //!
 //! Pictures are 8-bit sRGB without alpha. Time steps of a sequence are `NAME_f0000_qs…`,
-//! `NAME_f0001_qs…`, …, the numbering that video encoders read. One quilt, one view and the native
-//! picture are in memory.
+//! `NAME_f0001_qs…`, …, the numbering that video encoders read. At most one quilt, one view and
+//! the native picture are in memory.
 
 pub mod devices;
 pub mod layout;

@@ -113,13 +113,13 @@ impl Analysis {
     fn rate_text(&self) -> String {
         let timing = &self.timing;
         if timing.subframes == 1 {
-            return format!("static: one frame, any refresh rate ({} Hz)", number(timing.refresh_hz));
+            return format!("static: one frame, at any refresh rate (here {} Hz)", number(timing.refresh_hz));
         }
         let wanted = number(timing.wanted_hz);
         let flicker = if timing.flickers {
-            format!("flickers; 60 periods a second need {wanted} Hz")
+            format!("so it flickers; at {wanted} Hz there are 60 periods a second")
         } else {
-            "does not flicker".into()
+            "so it does not flicker".into()
         };
         let (refreshes, hz) = (timing.subframes, number(timing.refresh_hz));
         format!("{refreshes} refreshes at {hz} Hz: {:.1} periods a second, {flicker}", timing.period_hz)

@@ -13,12 +13,13 @@ use crate::normals::Normals;
 use lumistack_core::seed::Stream;
 use lumistack_testkit::statistics::{FALSE_ALARM_RATE, Mean, assert_counts, z_limit};
 
-/// White metals and dielectrics return all light up to the interpolation error of the albedo table.
+/// Largest deviation from 1 of the fraction of light that white metals and dielectrics return. The
+/// albedo table is interpolated, so the fraction is not exactly 1.
 const ENERGY_TOLERANCE: f64 = 4e-3;
 /// The same tolerance for clear rough glass, whose table is coarser.
 const GLASS_TOLERANCE: f64 = 1e-2;
-/// Energy that white surfaces may gain by their tables and by the approximate albedos of stretched
-/// lobes.
+/// A white surface may return up to this fraction more light than it receives, since tables and the
+/// albedos of stretched lobes are approximate.
 const ENERGY_GAIN: f64 = 0.02;
 /// Numbers of cells of the chi-square tests, over cos θ and φ of the whole sphere.
 const CELLS: [usize; 2] = [16, 16];

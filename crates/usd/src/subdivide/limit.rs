@@ -125,8 +125,9 @@ fn smooth_normal(topology: &Topology, scheme: Scheme, fan: &Fan, at: impl Fn(u32
     along_cos.cross(along_sin)
 }
 
-/// Normal on one side of a crease with k ≥ 2 faces, from two tangents. With θ = π/k and R = (1 +
-/// cos θ)/sin θ:
+/// Normal of a vertex v on one side of a crease, from two tangents. The side has k ≥ 2 faces. Its
+/// edges at v end at e₀ to e_k, and f_i is the corner of face i opposite to v. With θ = π/k and
+/// R = (1 + cos θ)/sin θ:
 ///
 /// ```text
 /// along    e₀ − e_k

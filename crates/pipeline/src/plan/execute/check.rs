@@ -1,4 +1,5 @@
-//! Checks a plan before the work, so that no error is found after hours of rendering.
+//! Checks the settings of a plan before its steps run. So a wrong setting is reported at once, and
+//! not after hours of rendering.
 
 use lumistack_plugin_host::PluginKind;
 
@@ -16,8 +17,9 @@ impl Context<'_> {
     pub(super) fn check(&mut self) -> Result<(), PipelineError> {
         let plan = self.plan;
         for (number, part) in plan.parts.iter().enumerate() {
-            // Skip time steps and their nodes, whose settings are checked with the sequence. Skip
-            // also sweeps, whose designs are checked by `Designs`.
+            // Skip time steps, whose settings are checked with the sequence. Skip the nodes of all
+            // time steps but the first, which have the settings of the first time step's nodes.
+            // Skip sweeps, since `Designs` checks their designs.
             let job = &part.job;
             match (&part.kind, part.parent) {
                 (PartKind::Time(_), _) => continue,
