@@ -278,7 +278,8 @@ test("axe finds no violation on a desk, on a phone and in forced colours", async
   for (const [name, options] of [
     ["desk", { colorScheme: "light" }],
     ["phone", { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true, deviceScaleFactor: 2 }],
-    ["forced", { forcedColors: "active" }],
+    ["forced", { forcedColors: "active", colorScheme: "light" }],
+    ["forced-dark", { forcedColors: "active", colorScheme: "dark" }],
   ]) {
     const at = await page("#scene=dandelion&preset=paper-three-layer&cols=96&frames=2&zone_samples=30&iterations=1", options);
     await stage(at, "done");
