@@ -16,12 +16,16 @@ use crate::groups::{FileArgs, change_importer, job_or_scene};
 
 pub(crate) const EXAMPLES: &str = "\
 Examples:
-  lumistack analyze paper-directional                       depth of field, with the paper's eqs. 23 and 26
-  lumistack analyze paper-three-layer:layers=2 paper-three-layer paper-directional paper-directional:layers=2,gap_mm=8.5 -o bounds
-                                                            the curves of the paper's Figure 6, and the supports of Figure 4
-  lumistack analyze paper-three-layer --contrast -o bounds  the contrast that a solver reaches, against the bound
-  lumistack analyze my.toml --scene model.glb               the scene's depth compared with the display's
-  lumistack analyze runs/still-life                         a finished run: its display and its scene";
+  lumistack analyze paper-directional
+      the limits of a built-in display
+  lumistack analyze paper-three-layer paper-three-layer:layers=2 paper-directional -o bounds
+      three displays in the same plots; the second one is the first with two layers
+  lumistack analyze paper-three-layer --contrast -o bounds
+      also the contrast that a solver reaches, compared with the limit
+  lumistack analyze my.toml --scene model.glb
+      also the depth of the scene, compared with the depth that the display shows sharply
+  lumistack analyze runs/still-life
+      the display and the scene of a finished run";
 
 /// Displays to analyze.
 #[derive(Debug, clap::Args)]
@@ -39,14 +43,14 @@ pub(crate) struct Analyze {
     run: Option<PathBuf>,
     #[command(flatten)]
     files: FileArgs,
-    /// Largest depth for which the highest spatial frequency (the paper's bound, eqs. 23 and 26) is
-    /// computed and plotted, millimetres [default: the depth that display and scene need]
+    /// Largest distance from the display plane for which the depth of field is computed and
+    /// plotted, millimetres [default: the distance that display and scene need]
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
-    /// Solve every display for gratings at many depths and frequencies (up to a minute each).
-    /// Report three contrasts of every grating, next to the bound. The first is seen from the
-    /// solver's views, the second from the whole zone. The third is seen from the whole zone, after
-    /// a solve for more views
+    /// Also compute patterns of every display for gratings at many depths and frequencies, which
+    /// takes up to a minute per display. Three contrasts of each shown grating are reported. The
+    /// first is seen from the solver's views, the second from the whole viewing zone. The third is
+    /// seen from the whole zone after a solve for more views
     #[arg(long)]
     contrast: bool,
     /// Folder for analysis.json and the plots, as SVG and PNG

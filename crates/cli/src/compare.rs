@@ -14,14 +14,18 @@ use crate::values::Numbers;
 
 pub(crate) const EXAMPLES: &str = "\
 Examples:
-  lumistack compare runs/three-layer runs/directional -o compared         both runs at the first run's views: each with the first run's target, and the second run with the first
-  lumistack compare runs/figure-9 -o compared                             all displays of a run that has several, in one picture
-  lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier              two displays of one run
-  lumistack compare runs/a photo.png --eye 0,0,2000 --corners 210,160,1830,150,1850,1170,190,1180 -o compared
-                                                                          a photograph of the panels, scaled to the simulation's exposure
-  lumistack compare runs/a photo.jpg --focal-35mm 28 --corners ...        the same, with the camera's position computed from the corners
-  lumistack compare runs/a runs/b --focus -60,0,60 --eye 0,0,600 --pupil-mm 4 -o compared
-                                                                          pictures of an eye that focuses behind, on and in front of the display";
+  lumistack compare runs/three-layer runs/directional -o compared
+      two runs, at the views of the first run: each with the target of the first run, and with each other
+  lumistack compare runs/figure-9 -o compared
+      all displays of a run that has several, in one picture
+  lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier
+      two displays of one run
+  lumistack compare runs/a photo.png --eye 0,0,2000 --corners 210,160,1830,150,1850,1170,190,1180
+      a run and a photograph of its panels; the photograph gets the simulation's exposure
+  lumistack compare runs/a photo.jpg --focal-35mm 28 --corners 210,160,1830,150,1850,1170,190,1180
+      the same, if the position of the camera is not known: it is computed from the corners
+  lumistack compare runs/a runs/b --focus -60,0,60 -o compared
+      also pictures of an eye that focuses behind, on and in front of the display";
 
 /// The runs or photograph to compare, and how.
 #[derive(Debug, clap::Args)]
@@ -31,16 +35,16 @@ pub(crate) struct Compare {
     /// Another run folder, or a photograph (PNG, JPEG, EXR, ...). Without it, all displays of the
     /// first run are compared
     other: Option<PathBuf>,
-    /// Direction from the display to the photograph's camera, which is far away: angles right and
-    /// up, degrees [default: 0,0]
+    /// Direction from the display to the camera of the photograph, if the camera was far away. X is
+    /// to the right, Y up, degrees [default, without --eye and --focal-35mm: 0,0]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with = "eye")]
     view: Option<Numbers<2>>,
-    /// Position of the photograph's camera, or of the eye: right of, above and in front of the
-    /// display's centre, millimetres [default for the eye: 0,0,600]
+    /// Position of the camera of the photograph, or of the eye of --focus. X is to the right of, Y
+    /// above and Z in front of the display's centre, millimetres [default for --focus: 0,0,600]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     eye: Option<Numbers<3>>,
-    /// 35-mm equivalent focal length of the photograph's lens, millimetres (EXIF:
-    /// FocalLengthIn35mmFilm). The camera's position is then computed from the corners. The
+    /// Focal length of the photograph's lens, as equivalent for 35-mm film, millimetres (EXIF:
+    /// FocalLengthIn35mmFilm). The position of the camera is then computed from the corners. The
     /// photograph must not be cropped
     #[arg(long = "focal-35mm", value_name = "MM", requires = "corners", conflicts_with_all = ["eye", "view"])]
     focal_35mm: Option<f64>,
@@ -48,11 +52,12 @@ pub(crate) struct Compare {
     /// right, bottom left [default: the whole photograph]
     #[arg(long, value_name = "X,Y,X,Y,X,Y,X,Y", allow_hyphen_values = true)]
     corners: Option<Numbers<8>>,
-    /// Distances from the display plane at which an eye focuses, millimetres towards the viewer,
-    /// separated by commas. Each run gives a picture for each distance
+    /// Also write pictures of an eye that focuses at these distances, one for each run and
+    /// distance. LIST has distances in front of the display plane, millimetres, separated by
+    /// commas; they are negative behind it. This works for two runs only
     #[arg(long, value_name = "LIST", value_delimiter = ',', allow_hyphen_values = true, requires = "output")]
     focus: Vec<f64>,
-    /// Diameter of the pupil, millimetres
+    /// Diameter of the pupil of the eye of --focus, millimetres
     #[arg(long, value_name = "MM", default_value = "4")]
     pupil_mm: f64,
     /// Folder for the pictures

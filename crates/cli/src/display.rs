@@ -17,15 +17,15 @@ use crate::values::{Angles, Numbers, Size};
 /// Actions on display files.
 #[derive(Debug, Subcommand)]
 pub(crate) enum DisplayCommand {
-    /// Write a display file for your own panels; ask questions about missing options
+    /// Write a display file for your own panels. The command asks questions about missing options
     #[command(
-        after_help = "Examples:\n  lumistack display new my-display.toml\n  lumistack display new my-display.toml --gaps-mm 40,40 --panel-resolution 1680x1050 --diagonal-inch 22 --outputs DP-1,DP-2,DP-3 --no-questions\n\nA display of one layer has --gaps-mm 0. With --lens-pitch-mm the display has one more panel than layers: the rearmost,\nbehind a lens array. --gaps-mm is then 0 by default, a single layer."
+        after_help = "Examples:\n  lumistack display new my-display.toml\n  lumistack display new my-display.toml --gaps-mm 40,40 --panel-resolution 1680x1050 --diagonal-inch 22 --no-questions\n\nFor a display of a single layer use --gaps-mm 0. With --lens-pitch-mm the display has a lens array, and one more panel than layers, which is behind the lenses. The default is then a single layer."
     )]
     New(Box<New>),
-    /// Compute the positions of the panels from photographs of
-    /// `lumistack show --pattern crosshairs --only N`, one per layer
+    /// Compute the positions of the panels from photographs. Each shows the crosshairs on one
+    /// layer, as `lumistack show --pattern crosshairs --only N` draws them
     #[command(
-        after_help = "Example:\n  lumistack display calibrate my-display.toml --eye-mm 0,0,2000 --reference 1=middle.jpg --photo 0=rear.jpg --photo 2=front.jpg\n\ndocs/PANELS.md explains how to take the photographs."
+        after_help = "Example:\n  lumistack display calibrate my-display.toml --reference 1=middle.jpg --photo 0=rear.jpg --photo 2=front.jpg\n\ndocs/PANELS.md explains how to take the photographs."
     )]
     Calibrate(Calibrate),
 }
@@ -53,18 +53,19 @@ pub(crate) struct New {
     /// Names of the outputs, from rear to front, as `lumistack show --list` prints them
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     pub(crate) outputs: Option<Vec<String>>,
-    /// Panel pixels per pixel of the masks and of the light field, on each axis [default: 2]
+    /// Number of panel pixels per mask pixel on each axis. The light field has the masks'
+    /// resolution [default: 2]
     #[arg(long, value_name = "N")]
     pub(crate) panel_pixels: Option<usize>,
-    /// Views of the light field [default: 5x5]
+    /// Number of views of the light field, horizontal and vertical [default: 5x5]
     #[arg(long, value_name = "HxV")]
     pub(crate) views: Option<Size>,
     /// Full horizontal and vertical field of view, degrees [default: 20x20, or the field of view of
     /// the lenses]
     #[arg(long, value_name = "HxV")]
     pub(crate) fov: Option<Angles>,
-    /// Time-multiplexed frames M [default: as many as do not flicker: the refresh rate divided by
-    /// 60, rounded down, at least 1]
+    /// Number of frames M that the display shows in quick succession. The default is the largest
+    /// number that does not flicker: the refresh rate divided by 60, rounded down, at least 1
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
     /// Refresh rate of the panels, hertz [default: the rate of the first output, or 60]
@@ -95,7 +96,7 @@ pub(crate) struct New {
     /// Use defaults instead of asking; options without a default are required
     #[arg(long, conflicts_with = "questions")]
     pub(crate) no_questions: bool,
-    /// Ask even though standard input is no terminal
+    /// Ask questions even if standard input is not a terminal
     #[arg(long)]
     pub(crate) questions: bool,
 }
@@ -114,7 +115,7 @@ pub(crate) struct Calibrate {
     /// front, millimetres [default: the default of `lumistack show`]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) eye_mm: Option<Numbers<3>>,
-    /// Report the result, but change no file
+    /// Print the result, but do not write it to the display file
     #[arg(long)]
     pub(crate) dry_run: bool,
 }

@@ -11,8 +11,8 @@ use serde_json::json;
 use crate::console::say;
 use crate::program;
 
-pub(crate) const EXAMPLES: &str = "All of this is optional: without it the program still turns a glTF scene into patterns, pictures and a page.\n\n\
-    Examples:\n  lumistack doctor\n  lumistack --json doctor      the same as one JSON object";
+pub(crate) const EXAMPLES: &str = "All listed software and hardware is optional: without it the program still turns a glTF scene into patterns, pictures and a web page.\n\n\
+    Examples:\n  lumistack doctor\n  lumistack --json doctor      prints the same as one JSON object";
 
 /// Memory or disk space that a run of the paper's size may need, MiB.
 const ENOUGH_MIB: u64 = 4096;

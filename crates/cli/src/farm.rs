@@ -18,14 +18,18 @@ use crate::values::{duration_text, size_text};
 
 pub(crate) const EXAMPLES: &str = "\
 Examples:
-  lumistack farm job.toml -o runs/shot                                two workers on this machine, through dask.distributed
+  lumistack farm job.toml -o runs/shot
+      runs the job on two workers of this machine, which Python's package dask.distributed starts
   lumistack farm job.toml -o /mnt/shots/one --dask tls://head:8786 --tls-ca ca.pem --tls-cert me.pem --tls-key me-key.pem
-                                                                      on the workers of a Dask scheduler, which share the folder
-  lumistack farm plan job.toml -o runs/shot                           the units of work with their inputs, times and memory
-  lumistack farm export makefile job.toml -o runs/shot --to Makefile  then `make -j8` runs the units
-  lumistack farm export openjd job.toml -o /mnt/shots/one --to jobs   for a farm manager
+      runs the job on the workers of a Dask scheduler, which share the folder /mnt/shots/one
+  lumistack farm plan job.toml -o runs/shot
+      lists the units of work with their inputs, times and memory
+  lumistack farm export makefile job.toml -o runs/shot --to Makefile
+      writes a Makefile; `make -j8` then runs the units
+  lumistack farm export openjd job.toml -o /mnt/shots/one --to jobs
+      writes a job for farm managers that read Open Job Description
 
-The results equal those of `lumistack run`, byte for byte. The same command continues a run that was stopped or killed. docs/FARM.md has recipes.";
+The results are the same as those of `lumistack run`, byte for byte. If a run was stopped or killed, the same command continues it. docs/FARM.md has recipes.";
 
 /// Assumed time to start a unit, for predictions, seconds.
 const OVERHEAD_SECONDS: f64 = 0.1;
@@ -48,7 +52,7 @@ pub(crate) struct Farm {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
-    /// Cut a run into units of work, write them into its folder, and print them
+    /// Divide a run into units of work, write their list into the run folder, and print it
     Plan {
         /// Job file (.toml), with a table [sweep] or without, or a scene
         input: PathBuf,
@@ -69,26 +73,27 @@ enum What {
         #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
         workers: Vec<usize>,
     },
-    /// Execute one unit of work; farms call this
+    /// Execute one unit of work. Farm managers call this command
     Unit {
         /// The run folder
         dir: PathBuf,
         /// Id of the unit
         id: String,
-        /// Path mapping from the planning machine to this one; the flag may be given several times
+        /// Replace the folder /THERE of the planning machine by /HERE of this machine, in all
+        /// paths. The flag may be given several times
         #[arg(long, value_name = "/THERE=/HERE")]
         map: Vec<Map>,
         /// Time to wait for the results of other units, seconds; a network file system may show
         /// files late
         #[arg(long, value_name = "SECONDS", default_value_t = 60)]
         patience: u64,
-        /// End when standard input ends, so that no unit outlives its worker
+        /// End the unit when standard input closes, so that no unit outlives its worker
         #[arg(long)]
         attached: bool,
     },
     /// Write the units of a run as a job for a farm manager
     Export {
-        /// Format
+        /// Farm manager, or form of the files
         format: FormatArg,
         /// Job file (.toml), with a table [sweep] or without, or a scene
         input: PathBuf,
@@ -96,15 +101,17 @@ enum What {
         job: JobArgs,
         #[command(flatten)]
         cut: CutArgs,
-        /// Folder to write into. For a format that writes a single file, this may be the file's
-        /// path: a name with an extension, or the format's own file name, such as Makefile
+        /// Folder to write into. If the format writes a single file, this may be the path of the
+        /// file. It is a path with an extension, or with the format's own file name, such as
+        /// Makefile
         #[arg(long, value_name = "FILE|DIR", default_value = ".")]
         to: PathBuf,
         /// Command line that starts the program on a worker; spaces separate its words [default:
         /// this program for makefile and shell, otherwise lumistack]
         #[arg(long, value_name = "WORDS")]
         program: Option<String>,
-        /// Path mapping from this machine to the workers; may be given several times
+        /// Replace the folder /HERE of this machine by /THERE of the workers, in all paths. The
+        /// flag may be given several times
         #[arg(long, value_name = "/HERE=/THERE")]
         map: Vec<Map>,
     },
@@ -116,13 +123,15 @@ enum What {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Farm")]
 struct EngineArgs {
-    /// A running Dask scheduler, such as tls://host:8786 [default: workers of this machine]
+    /// Address of a running Dask scheduler, such as tls://host:8786 [default: no scheduler, but
+    /// workers on this machine]
     #[arg(long, value_name = "ADDRESS")]
     dask: Option<String>,
-    /// Workers of this machine, without a scheduler [default: 2]
+    /// Number of workers on this machine, if --dask is not given [default: 2]
     #[arg(long, value_name = "N")]
     workers: Option<usize>,
-    /// Path mapping from this machine to the workers; may be given several times
+    /// Replace the folder /HERE of this machine by /THERE of the workers, in all paths. The flag
+    /// may be given several times
     #[arg(long, value_name = "/HERE=/THERE")]
     map: Vec<Map>,
     /// Certificate of the authority that signed the certificates of scheduler and workers, PEM
@@ -151,10 +160,11 @@ struct EngineArgs {
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Units of work")]
 struct CutArgs {
-    /// Expected time of a block of views, seconds
+    /// Expected time of a block of views, seconds. Each block is a unit of work [default: 20]
     #[arg(long, value_name = "SECONDS")]
     block_seconds: Option<f64>,
-    /// Number of blocks of every light field, independent of their time
+    /// Number of blocks into which the views of every light field are divided, instead of
+    /// --block-seconds
     #[arg(long, value_name = "N", conflicts_with = "block_seconds")]
     blocks: Option<usize>,
 }

@@ -20,16 +20,18 @@ pub const DEFAULT_DISPLAY: &str = "paper-three-layer";
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Display")]
 pub(crate) struct DisplayArgs {
-    /// A preset (see `lumistack displays`) or a display file
+    /// The display: a name that `lumistack displays` lists, or a display file [default: the display
+    /// of the job file, or paper-three-layer]
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) display: Option<OsString>,
-    /// Columns and rows of the light field; the masks' resolutions change by the same factor
+    /// Columns and rows of the views. The resolutions of the display's layers change by the same
+    /// factor
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
-    /// Time-multiplexed frames M
+    /// Number of frames M that the display shows in quick succession [default: the display's]
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
-    /// Brightness scale β, above 0 and at most 1
+    /// Scale β of the picture's brightness, above 0 and at most 1 [default: the display's]
     #[arg(long, value_name = "B")]
     pub(crate) brightness: Option<f64>,
 }
@@ -38,15 +40,15 @@ pub(crate) struct DisplayArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Rendering")]
 pub(crate) struct RenderArgs {
-    /// Views that sample the viewing zone: auto (enough that directions between the views are
-    /// correct too), or columns and rows
+    /// Number of views, as columns and rows. With auto, there are so many that the display is also
+    /// right between the views
     #[arg(long, value_name = "auto|CxR")]
     pub(crate) views: Option<Views>,
-    /// Paths per pixel, summed over all views. With auto, about as many as still improve the
-    /// display's picture [default: auto]
+    /// Number of paths per pixel, summed over all views. With auto, it is so large that more paths
+    /// would hardly improve the display's picture [default: auto]
     #[arg(long, value_name = "auto|N")]
     pub(crate) zone_samples: Option<lumistack_pipeline::ZoneSamples>,
-    /// Paths per pixel of each view, instead of --zone-samples
+    /// Number of paths per pixel of each view; use it instead of --zone-samples
     #[arg(long, value_name = "N", conflicts_with = "zone_samples")]
     pub(crate) samples: Option<u32>,
     /// Program that renders the views: lumistack, blender or auto. Blender renders .blend scenes
@@ -54,22 +56,25 @@ pub(crate) struct RenderArgs {
     /// has content that lumistack does not support
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
-    /// Largest number of bounces of a path; the first hit counts as a bounce. 0 shows only emission
+    /// Largest number of bounces of a path; the first hit counts as a bounce. With 0
+    /// only the light that surfaces emit is visible
     #[arg(long, value_name = "N")]
     pub(crate) max_bounces: Option<u32>,
     /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, light
     /// of a surface point that does not depend on the direction of view is averaged over all views
     /// that see this point. With guided, Lumistack's filter works on all views together. With oidn,
-    /// Open Image Denoise filters each view, if it is installed. Auto is shared if the display
+    /// Open Image Denoise filters each view, if it is installed. Auto means shared if the display
     /// chooses the views and Lumistack's path tracer renders them, otherwise off
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
-    /// Camera, by name or number; its plane of focus becomes the display plane
+    /// Camera that sees the scene, by its name or its number from 0. Its plane of focus becomes the
+    /// display plane
     #[arg(long, value_name = "NAME|N")]
     pub(crate) camera: Option<String>,
     /// View the scene from this azimuth and elevation, degrees, even if the file has a camera.
-    /// Azimuth 0 is the front, +z; positive azimuths lie to its right, towards +x [default: the
-    /// front, or another side if the front shows hardly anything]
+    /// Azimuth 0 is the front, +z; positive azimuths lie to its right, towards +x. Without a camera
+    /// and this flag, the scene is seen from the front, or from another side if the front shows
+    /// hardly anything
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
     pub(crate) look_from: Option<Numbers<2>>,
     /// Hide content that is farther in front of the window than this distance: auto, off, or a
@@ -78,7 +83,7 @@ pub(crate) struct RenderArgs {
     /// Otherwise auto hides nothing
     #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
     pub(crate) near: Option<lumistack_pipeline::Near>,
-    /// Show light sources that have a surface [default: as the file states, otherwise no]
+    /// Make light sources that have a surface visible [default: as the file states, otherwise no]
     #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub(crate) lights_visible: Option<bool>,
     /// Time of the scene's animations, seconds [default: the pose without animation, or 0 with
@@ -89,28 +94,32 @@ pub(crate) struct RenderArgs {
     /// them move the same object]
     #[arg(long, value_name = "NAME|N")]
     pub(crate) animation: Option<String>,
-    /// glTF: name or number of the material variant. USD: SET=VARIANT on every prim that has the
-    /// set, /PRIM{SET=VARIANT} on one prim; the flag may be given several times
+    /// Variant of the scene. For glTF, it is the name or number of a material variant. For USD, it
+    /// is SET=VARIANT for every prim that has the set, or /PRIM{SET=VARIANT} for one prim. For USD
+    /// the flag may be given several times
     #[arg(long, value_name = "NAME|N|SET=VARIANT")]
     pub(crate) variant: Vec<String>,
-    /// Opposite corners of a box, scene units; splats whose centres lie outside are left out
+    /// Keep only the splats whose centres lie in this box, given by two opposite corners in scene
+    /// units
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true)]
     pub(crate) crop_box: Option<Numbers<6>>,
-    /// Centre and radius of a sphere, scene units; splats whose centres lie outside are left out
+    /// Keep only the splats whose centres lie in this sphere, given by centre and radius in scene
+    /// units
     #[arg(long, value_name = "X,Y,Z,R", allow_hyphen_values = true)]
     pub(crate) crop_sphere: Option<Numbers<4>>,
     /// Environment map (Radiance HDR or EXR) that replaces the scene's environment
     #[arg(long, value_name = "FILE")]
     pub(crate) environment: Option<PathBuf>,
-    /// Factor on the light of the environment or the studio light
+    /// Factor that multiplies the light of the environment, or of the studio light, which a scene
+    /// without light gets
     #[arg(long, value_name = "K")]
     pub(crate) environment_strength: Option<f32>,
-    /// Rotation of the environment about the up axis, degrees; positive values move the part that
-    /// lies straight ahead to the left
+    /// Rotation of the environment about the up axis, degrees; above 0 the part that lies straight
+    /// ahead moves to the left
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     pub(crate) environment_rotation: Option<f64>,
-    /// Background where a ray misses every surface: environment, or a colour such as #202028; a
-    /// colour does not light surfaces
+    /// Background behind all surfaces: environment, or a colour such as #202028. A colour does not
+    /// light the surfaces
     #[arg(long, value_name = "COLOUR")]
     pub(crate) background: Option<lumistack_pipeline::Background>,
     /// Stops added to the automatic exposure
@@ -119,21 +128,22 @@ pub(crate) struct RenderArgs {
     /// Tone curve of all views: auto, linear, khronos-neutral or agx
     #[arg(long, value_name = "CURVE", value_parser = ["auto", "linear", "khronos-neutral", "agx"])]
     pub(crate) tone: Option<String>,
-    /// Bring the scene into the display's depth of field: auto, off, move or compress. With move,
-    /// the window moves along its normal. With compress, it moves, and depth is compressed if the
-    /// scene still does not fit. Auto acts as compress if the scene does not fit, but keeps a
-    /// window that the job places and a given depth scale. In a sweep auto acts as off. Without
-    /// HOW: move
+    /// How the scene is brought into the display's depth of field: auto, off, move or compress.
+    /// With move, the window (the display's place in the scene) moves along its normal. With
+    /// compress, depth is also compressed if the scene still does not fit. Auto acts as compress if
+    /// the scene does not fit, but keeps a window that the job places, and a depth scale that is
+    /// given. In a sweep auto acts as off. `--fit-depth` without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
-    /// Factor on the parallax between views, and thereby on depth
+    /// Factor that multiplies the parallax between views, and so the visible depth
     #[arg(long, value_name = "K")]
     pub(crate) depth_scale: Option<f64>,
-    /// Full angle of a lens's aperture, seen from the display plane, degrees. The lens is focused
-    /// on the display plane; content off the plane blurs [default: 0, no lens]
+    /// Render every view through a lens that is focused on the display plane, so that content off
+    /// the plane blurs. DEG is the full angle of the lens's aperture, seen from the display plane,
+    /// degrees [default: 0, no blur]
     #[arg(long, value_name = "DEG")]
     pub(crate) lens_deg: Option<f64>,
-    /// Seed of all random streams
+    /// Seed of the random numbers; the same seed gives the same results [default: the job's, or 1]
     #[arg(long)]
     pub(crate) seed: Option<u64>,
     #[command(flatten)]
@@ -146,7 +156,7 @@ pub(crate) struct FileArgs {
     /// Let a glTF or OBJ scene read files outside of its own folder
     #[arg(long, help_heading = "Scene files")]
     pub(crate) allow_outside: bool,
-    /// Memory for the decoded pictures of a glTF or OBJ scene, MiB [default: 8192]
+    /// Largest memory for the decoded pictures of a glTF or OBJ scene, MiB [default: 8192]
     #[arg(long, value_name = "MIB", help_heading = "Scene files", value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
     pub(crate) picture_budget: Option<u64>,
 }
@@ -155,21 +165,22 @@ pub(crate) struct FileArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Factorization")]
 pub(crate) struct FactorizeArgs {
-    /// Iterations; each updates every layer, and the backlight, once
+    /// Number of iterations of the solver. Each updates every layer, and a directional backlight,
+    /// once [default: 50, or 16 if the display chooses the views of a scene]
     #[arg(long, value_name = "N")]
     pub(crate) iterations: Option<u32>,
-    #[arg(long, value_name = "NAME", help = format!("Solver: {}", either(solver_names())))]
+    #[arg(long, value_name = "NAME", help = format!("Solver, which computes the patterns: {}", either(solver_names())))]
     pub(crate) solver: Option<String>,
-    /// Device that solves: auto, cpu, gpu or gpu:NAME. `lumistack devices` lists the names
-    /// [default: auto, which uses a graphics processor if there is one]
+    /// Device that computes the patterns: auto, cpu, gpu or gpu:NAME. `lumistack devices` lists the
+    /// names [default: auto, a graphics processor if there is one and this build supports it]
     #[arg(long, value_name = "DEVICE")]
     pub(crate) device: Option<String>,
-    #[arg(long, value_name = "NAME", help = format!("Starting values: {}", either(StartKind::names())))]
+    #[arg(long, value_name = "NAME", help = format!("Initial patterns of the solver: {}", either(StartKind::names())))]
     pub(crate) start: Option<String>,
-    /// Start from the patterns in this `layers` folder of a run
+    /// Start from the patterns of another run: DIR is the folder `layers` of that run
     #[arg(long, value_name = "DIR")]
     pub(crate) warm_start: Option<PathBuf>,
-    /// Weights ≥ 0 as .npy, one per view or one per ray
+    /// A .npy file with the weights of the solver's errors, ≥ 0, one per view or one per ray
     #[arg(long, value_name = "FILE")]
     pub(crate) weights: Option<PathBuf>,
 }
@@ -179,31 +190,31 @@ pub(crate) struct FactorizeArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Sequence")]
 pub(crate) struct SequenceArgs {
-    /// Number of time steps; each has a run folder t0001, t0002, ... and starts from the patterns
-    /// of the previous one
+    /// Number of time steps. Each has a run folder (t0001, t0002, ...), and its solver starts from
+    /// the patterns of the previous time step
     #[arg(long, value_name = "N")]
     pub(crate) times: Option<usize>,
-    /// Rotation of the window about its vertical axis from the first time step to the last,
-    /// degrees; above 0 the viewer walks to the right
+    /// Angle by which the window turns about its vertical axis from the first time step to the
+    /// last, degrees. Above 0 the viewer walks to the right
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     pub(crate) turn_deg: Option<f64>,
-    /// Movement of the window from the first time step to the last: X right, Y up, Z to the viewer,
-    /// in display space, millimetres
+    /// Movement of the window from the first time step to the last, millimetres of the display: X
+    /// right, Y up, Z to the viewer
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) shift_mm: Option<Numbers<3>>,
     /// Time that the scene's animations advance from the first time step to the last, seconds; they
     /// start at --time, or at 0
     #[arg(long, value_name = "S", allow_hyphen_values = true)]
     pub(crate) duration_s: Option<f64>,
-    /// Iterations at every time step after the first [default: 5]
+    /// Number of iterations at every time step after the first [default: 5]
     #[arg(long, value_name = "N")]
     pub(crate) sequence_iterations: Option<u32>,
-    /// Time steps per chunk; chunks do not need each other's patterns, so machines solve them in
-    /// parallel [default: one chain of all time steps]
+    /// Divide the sequence into chunks of N time steps. Chunks do not need each other's patterns,
+    /// so several machines can solve them at the same time [default: one chunk of all time steps]
     #[arg(long, value_name = "N")]
     pub(crate) chunk_times: Option<usize>,
-    /// Time steps before each chunk that are solved once more, so that the chunk starts from good
-    /// patterns [default: 2]
+    /// Number of time steps before each chunk that are solved once more for the chunk, so that it
+    /// starts from good patterns [default: 2]
     #[arg(long, value_name = "N")]
     pub(crate) warm_up_times: Option<usize>,
 }
@@ -242,14 +253,14 @@ pub(crate) struct FieldLookArgs {
 #[derive(Debug, ClapArgs)]
 #[command(next_help_heading = "Display")]
 pub(crate) struct FactorizeDisplayArgs {
-    /// A preset (see `lumistack displays`) or a display file. It takes the light field's resolution
-    /// and views
+    /// The display: a name that `lumistack displays` lists, or a display file. The light field
+    /// replaces the display's resolution and views by its own
     #[arg(long, value_name = "NAME|FILE", default_value = "paper-three-layer")]
     pub(crate) display: OsString,
-    /// Time-multiplexed frames M
+    /// Number of frames M that the display shows in quick succession [default: the display's]
     #[arg(long, value_name = "M")]
     pub(crate) frames: Option<usize>,
-    /// Brightness scale β, above 0 and at most 1
+    /// Scale β of the picture's brightness, above 0 and at most 1 [default: the display's]
     #[arg(long, value_name = "B")]
     pub(crate) brightness: Option<f64>,
 }
@@ -258,33 +269,34 @@ pub(crate) struct FactorizeDisplayArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Light field")]
 pub(crate) struct GeometryArgs {
-    /// Projection of the views: oblique (parallel projections) or perspective (pinholes)
+    /// Projection of the views: oblique (each view is a parallel projection) or perspective (each
+    /// is the picture of a pinhole camera)
     #[arg(long, value_name = "KIND", value_parser = ["oblique", "perspective"])]
     pub(crate) grid: Option<String>,
-    /// Full horizontal and vertical field of view, degrees
+    /// Full horizontal and vertical angle of the viewing zone that the views cover, degrees
     #[arg(long, value_name = "HxV")]
     pub(crate) fov: Option<Angles>,
-    /// Pixel pitch on the display plane, millimetres
+    /// Distance between neighbouring pixels on the display plane, millimetres
     #[arg(long, value_name = "MM")]
     pub(crate) pitch_mm: Option<f64>,
-    /// Viewing distance of a perspective grid, millimetres
+    /// Distance of the eyes from the display plane, for perspective views, millimetres
     #[arg(long, value_name = "MM")]
     pub(crate) distance_mm: Option<f64>,
-    /// Number of views to keep of a larger set, horizontal and vertical
+    /// Use only this number of views of a larger set, horizontal and vertical
     #[arg(long, value_name = "HxV")]
     pub(crate) views: Option<Size>,
-    /// Columns and rows of a quilt whose name does not state them
+    /// Columns and rows of views in a quilt, if the name of the file does not state them
     #[arg(long, value_name = "CxR")]
     pub(crate) quilt: Option<Size>,
-    /// Number of views of a picture that has all views as tiles, view (0, 0) at the top left;
-    /// horizontal and vertical
+    /// Read a picture that contains all views as tiles. View (0, 0), the leftmost and topmost
+    /// viewpoint, is at the top left. HxV is the number of views, horizontal and vertical
     #[arg(long, value_name = "HxV")]
     pub(crate) tiles: Option<Size>,
     /// Reduce every view to this many columns and rows
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
-    /// Pixels by which content on the display plane moves to the left from one view to the next
-    /// view on the right
+    /// Number of pixels by which content on the display plane moves to the left, from each view to
+    /// its neighbour on the right
     #[arg(long, value_name = "PX", allow_hyphen_values = true)]
     pub(crate) focus_px: Option<f64>,
     /// Reverse the order of views from left to right
@@ -293,8 +305,8 @@ pub(crate) struct GeometryArgs {
     /// Reverse the order of views from top to bottom
     #[arg(long)]
     pub(crate) mirror_y: bool,
-    /// Average every kept view over the slopes that the display cannot separate. The average also
-    /// uses the views that --views leaves out
+    /// Replace every used view by an average over the directions that the display cannot separate.
+    /// The average also uses the views that --views leaves out
     #[arg(long)]
     pub(crate) prefilter: bool,
 }

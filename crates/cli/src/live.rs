@@ -45,7 +45,7 @@ use crate::server::{Site, listen, port_of, serve};
 use crate::values::Numbers;
 
 /// For `lumistack live --help`.
-pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb                          the display follows when the model is saved again\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n  lumistack live views/ --times --rate 12           a video: one light field per time step, in the order of the names\n  lumistack live model.glb --opentrack 4242         viewers tracked by OpenTrack (output: UDP over network)\n\nCommands on standard input, one JSON object a line: {\"set\": {KEY: VALUE, ...}} with keys of the job, {\"time\": SECONDS}, {\"viewers\": [[X, Y, Z], ...]} in millimetres,\n{\"reload\": true}, {\"stop\": true}, {\"stop_at_end\": true} (the end of the input also stops it). After Ctrl-C the last state remains as a run folder. docs/LIVE.md has the details.";
+pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb                      updates the display when the model is saved again\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n  lumistack live views/ --times --rate 12       plays a video of 12 light fields per second\n  lumistack live model.glb --opentrack 4242     follows the head that OpenTrack reports (UDP over network)\n\nStandard input accepts commands. Each line is a JSON object, such as:\n  {\"set\": {KEY: VALUE, ...}}       changes keys of the job\n  {\"time\": SECONDS}                changes the time of the scene's animation\n  {\"viewers\": [[X, Y, Z], ...]}    states the positions of the viewers' heads, millimetres\n  {\"reload\": true}                 reads all files again\n  {\"stop\": true}                   ends the display\n  {\"stop_at_end\": true}            ends the display when standard input ends\n\nAfter the end, also by Ctrl-C, the last state of the display is a run folder. docs/LIVE.md has the details.";
 
 /// Interval at which files are checked for changes.
 const LOOK: Duration = Duration::from_millis(100);
@@ -60,7 +60,7 @@ pub(crate) struct Live {
     /// Folder for the last state [default: runs/NAME-live]
     #[arg(short, long, value_name = "DIR")]
     pub(crate) output: Option<PathBuf>,
-    /// Port of the page; 0 for any free port
+    /// Port of this machine at which the page is served; 0 for any free port
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(crate) port: u16,
     /// Do not open the browser

@@ -12,8 +12,8 @@ use crate::console::{say, tell};
 use crate::groups::DEFAULT_DISPLAY;
 use crate::questions::{Questions, asks};
 
-pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack new                                                   asks questions, and writes job.toml here\n  lumistack new figurine/job.toml --scene figurine.glb --display paper-three-layer --outputs images,web_simulator\n\n\
-    The command also writes job.schema.json next to the job file: editors of TOML use it to complete and check keys. It replaces no file.";
+pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack new      asks questions, and writes job.toml into this folder\n  lumistack new figurine/job.toml --scene figurine.glb --display paper-three-layer --outputs images,web_simulator\n\n\
+    The command also writes job.schema.json next to the job file. Editors use it to complete and check keys. Existing files are never replaced.";
 
 /// Default outputs.
 const OUTPUTS: &str = "images,web_simulator";
@@ -36,7 +36,7 @@ pub(crate) struct New {
     /// Use defaults instead of asking; --scene is required
     #[arg(long, conflicts_with = "questions")]
     pub(crate) no_questions: bool,
-    /// Ask questions even if standard input is no terminal
+    /// Ask questions even if standard input is not a terminal
     #[arg(long)]
     pub(crate) questions: bool,
 }

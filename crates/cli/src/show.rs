@@ -29,13 +29,15 @@ const LOOK: Duration = Duration::from_millis(200);
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Show {
-    /// A run folder; with --pattern also a display file or the name of a preset
+    /// A run folder. With --pattern or --full-resolution-2d, it may also be a display file or the
+    /// name of a built-in display
     #[arg(required_unless_present = "list")]
     pub(crate) dir: Option<PathBuf>,
-    /// List the outputs of this session
+    /// List the outputs of this desktop session, to which panels may be connected
     #[arg(long)]
     pub(crate) list: bool,
-    /// Draw one surface across all outputs, so that all layers change together (X11, or sway)
+    /// Draw one surface across all outputs, so that all layers change their frames together. This
+    /// works on X11, and on Wayland with sway
     #[arg(long)]
     pub(crate) span: bool,
     /// Show a preview of the display in an ordinary window; the mouse moves the viewer
@@ -44,16 +46,16 @@ pub(crate) struct Show {
     /// Initial direction of the preview's viewer, degrees to the right and up
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, requires = "preview")]
     pub(crate) from: Option<Numbers<2>>,
-    /// Scale the masks to the panels, for a run that was made for other panels. The distances
-    /// between the panels must then be scaled too
+    /// Scale the masks to your panels, if the run was made for panels of other sizes. The distances
+    /// between the panels must then be scaled by the printed factor
     #[arg(long, conflicts_with_all = ["preview", "pattern"])]
     pub(crate) fit: bool,
     /// Show a picture (PNG, JPEG, WebP) on one layer at the panel's full resolution; the other
     /// layers are clear
     #[arg(long, value_name = "FILE", conflicts_with = "pattern")]
     pub(crate) full_resolution_2d: Option<PathBuf>,
-    /// Layer of --full-resolution-2d, 0 for the rearmost [default: the nearest to the display
-    /// plane]
+    /// Layer that shows the picture of --full-resolution-2d; 0 is the rearmost [default: the layer
+    /// nearest to the display plane]
     #[arg(long, value_name = "N", requires = "full_resolution_2d")]
     pub(crate) layer: Option<usize>,
     /// Show a test pattern: crosshairs, ramp, code=V, code=R,G,B (codes 0 to 255),
@@ -69,22 +71,23 @@ pub(crate) struct Show {
     /// distance, or at 2000 mm if it has none
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, requires = "pattern")]
     pub(crate) eye_mm: Option<Numbers<3>>,
-    /// Hold frame K, from 0, instead of showing all frames in turn
+    /// Hold frame K, counted from 0, instead of showing all frames in turn
     #[arg(long, value_name = "K")]
     pub(crate) hold: Option<usize>,
-    /// Display file with the panels' calibration; shifts of panels are saved to it [default:
-    /// display.toml of the run]
+    /// Display file with the calibration of the panels. The key s saves shifts of panels to this
+    /// file [default: display.toml of the run]
     #[arg(long, value_name = "FILE")]
     pub(crate) calibration: Option<PathBuf>,
     /// End after this many seconds
     #[arg(long, value_name = "S")]
     pub(crate) duration_s: Option<f64>,
-    /// Read commands on standard input, one a line: hold K, run, step N, nudge PANEL RIGHT DOWN
+    /// Read commands from standard input, one per line: hold K, run, step N, nudge PANEL RIGHT DOWN
     /// (pixels), save, look X Y (degrees to the right and up), report, quit
     #[arg(long)]
     pub(crate) control: bool,
-    /// CSV file to write, with a line per submitted frame. The columns are the number of the
-    /// refresh, the position in the cycle of frames, the number of the layer stack, and seconds
+    /// Write a CSV file with a line for each submitted frame. Its columns are the number of the
+    /// refresh, the position in the cycle of frames, the number of the patterns, and the time since
+    /// the first frame in seconds
     #[arg(long, value_name = "FILE")]
     pub(crate) log: Option<PathBuf>,
 }

@@ -14,15 +14,18 @@ use crate::groups::{
 use crate::values::{Angles, Size};
 
 pub(crate) const EXAMPLES: &str = "\
-Every combination of values of the axes is a design; an axis without values keeps the display's value. A LIST of numbers has numbers and
-ranges, separated by commas: 1..5 or 1,2,4..8. A range may have a step: 0.1..1:0.1. The results are DIR/sweep.csv, DIR/sweep.json and
-DIR/plots/. The same command continues a sweep that was stopped or killed.
+An axis is a property of the display with several values, such as --layers 1..5. Every combination of \
+values is a design. A property without values keeps the display's value. A LIST has numbers and ranges, \
+separated by commas: 1..5 or 1,2,4..8. A range may have a step: 0.1..1:0.1.
+
+The results are sweep.csv, sweep.json and plots in the folder of --output. If a sweep was stopped or killed, \
+the same command continues it.
 
 Examples:
   lumistack sweep scenes/sweeps/figure-7.toml
   lumistack sweep model.glb --resolution 105x66 --layers 1..5 --frames 1,2,4,8 -o sweeps/model
-  lumistack sweep views.toml --brightness 0.1..1:0.1 --displays fig7-uniform,fig7-directional --gap-mm 40
-  lumistack sweep model.glb --layers 1..6 --frames 1..8 --search --max-refresh-hz 240 --max-panels 3 --enough-db 35";
+  lumistack sweep job.toml --displays fig7-uniform,fig7-directional --brightness 0.1..1:0.1
+  lumistack sweep model.glb --layers 1..6 --frames 1..8 --max-panels 3 --enough-db 35";
 
 /// The sweep to run.
 #[derive(Debug, clap::Args)]
@@ -32,25 +35,26 @@ pub(crate) struct Sweep {
     /// Folder for the results [default: sweeps/NAME]
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// Print the steps of the sweep with their keys, cached results, and estimates of time and
-    /// memory, without running it
+    /// Do not run. Print the steps of the sweep, those whose results are cached, and estimates of
+    /// time and memory
     #[arg(long)]
     plan: bool,
-    /// Plots of PSNR [default: few]. `few`: maps over one pair of axes, and a plot of curves along
-    /// each remaining axis, at most six plots. The pair is the first one of which both axes vary:
-    /// frames and layers, frames and brightness, layers and brightness. `all`: maps over each of
-    /// these pairs, and curves along every axis
+    /// Number of plots of PSNR [default: few]. With few, there are at most six: maps over one pair
+    /// of axes, and curves along every other axis. The pair is the first of these of which the
+    /// sweep varies both: frames and layers, frames and brightness, layers and brightness. With
+    /// all, there are maps over each of these pairs, and curves along every axis
     #[arg(long, value_enum)]
     plots: Option<PlotsArg>,
     #[command(flatten)]
     axes: Axes,
     #[command(flatten)]
     search: Search,
-    /// Display to vary instead of the job's display: a preset (see `lumistack displays`) or a
+    /// Display to vary, instead of the job's display: a name that `lumistack displays` lists, or a
     /// display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Display")]
     display: Option<std::ffi::OsString>,
-    /// Columns and rows of the light field; the masks' resolutions change by the same factor
+    /// Columns and rows of the views. The resolutions of the display's layers change by the same
+    /// factor
     #[arg(long, value_name = "CxR", help_heading = "Display")]
     resolution: Option<Size>,
     #[command(flatten)]
@@ -71,7 +75,7 @@ enum PlotsArg {
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Axes")]
 struct Axes {
-    /// Displays to vary, presets or files, separated by commas
+    /// Several displays to vary: names of built-in displays, or display files, separated by commas
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     displays: Vec<String>,
     /// Numbers of layers N, such as 1..5 or 1,3
@@ -87,7 +91,7 @@ struct Axes {
     /// 20,40
     #[arg(long, value_name = "LIST")]
     gap_mm: Option<List>,
-    /// Fields of view, HxV, degrees, separated by commas
+    /// Full horizontal and vertical fields of view, HxV, degrees, separated by commas
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     fov: Vec<Angles>,
     /// Columns and rows of lenslets, CxR, separated by commas
@@ -99,23 +103,26 @@ struct Axes {
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Search")]
 struct Search {
-    /// Propose a design: solve all designs with few iterations, and only the promising ones to the
-    /// end
+    /// Search for the best design and propose it. All designs are solved with few iterations, and
+    /// only the promising ones to the end
     #[arg(long)]
     search: bool,
     /// Largest distance from the rearmost to the frontmost layer or lens array, millimetres
     #[arg(long, value_name = "MM")]
     max_thickness_mm: Option<f64>,
-    /// Highest refresh rate of the panels, hertz
+    /// Highest refresh rate of the panels, hertz. All frames of a design must repeat 60 times a
+    /// second
     #[arg(long, value_name = "HZ")]
     max_refresh_hz: Option<f64>,
-    /// Number of available panels, for the layers and for the backlight behind lenslets
+    /// Number of available panels. A design needs one for each layer, and one behind the lenslets
+    /// of a directional backlight
     #[arg(long, value_name = "N")]
     max_panels: Option<usize>,
     /// Smallest brightness scale β
     #[arg(long, value_name = "B")]
     min_brightness: Option<f64>,
-    /// Sufficient PSNR, dB: propose the design that reaches it with the fewest panels and frames
+    /// Sufficient PSNR, dB. The proposed design is then the one that reaches it with the fewest
+    /// panels and frames
     #[arg(long, value_name = "DB")]
     enough_db: Option<f64>,
 }
