@@ -39,7 +39,7 @@ const OVERHEAD_SECONDS: f64 = 0.1;
 pub(crate) struct Farm {
     #[command(subcommand)]
     what: Option<What>,
-    /// Job file (.toml), with a table [sweep] or without, or a scene
+    /// Job file (.toml; it may have a table [sweep]) or scene
     #[arg(required = true)]
     input: Option<PathBuf>,
     #[command(flatten)]
@@ -54,13 +54,13 @@ pub(crate) struct Farm {
 enum What {
     /// Divide a run into units of work, write their list into the run folder, and print it
     Plan {
-        /// Job file (.toml), with a table [sweep] or without, or a scene
+        /// Job file (.toml; it may have a table [sweep]) or scene
         input: PathBuf,
         #[command(flatten)]
         job: JobArgs,
         #[command(flatten)]
         cut: CutArgs,
-        /// Numbers of workers for which the total time is predicted
+        /// Numbers of workers, separated by commas. The total time is predicted for each
         #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
         workers: Vec<usize>,
     },
@@ -68,8 +68,8 @@ enum What {
     Show {
         /// The run folder
         dir: PathBuf,
-        /// Numbers of workers for which the total time is predicted, from the measured times of
-        /// finished units and the estimated times of others
+        /// Numbers of workers, separated by commas. The total time is predicted for each, from the
+        /// measured times of finished units and the estimated times of others
         #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
         workers: Vec<usize>,
     },
@@ -93,9 +93,9 @@ enum What {
     },
     /// Write the units of a run as a job for a farm manager
     Export {
-        /// Farm manager, or form of the files
+        /// Form of the job: a farm manager, or a format that several managers read
         format: FormatArg,
-        /// Job file (.toml), with a table [sweep] or without, or a scene
+        /// Job file (.toml; it may have a table [sweep]) or scene
         input: PathBuf,
         #[command(flatten)]
         job: JobArgs,

@@ -56,14 +56,14 @@ pub(crate) struct RenderArgs {
     /// has content that lumistack does not support
     #[arg(long, value_name = "NAME")]
     pub(crate) engine: Option<lumistack_pipeline::Engine>,
-    /// Largest number of bounces of a path; the first hit counts as a bounce. With 0
-    /// only the light that surfaces emit is visible
+    /// Largest number of bounces of a path; the first hit counts as a bounce. With 0 only the light
+    /// that surfaces emit is visible [default: 6]
     #[arg(long, value_name = "N")]
     pub(crate) max_bounces: Option<u32>,
-    /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, light
-    /// of a surface point that does not depend on the direction of view is averaged over all views
-    /// that see this point. With guided, Lumistack's filter works on all views together. With oidn,
-    /// Open Image Denoise filters each view, if it is installed. Auto means shared if the display
+    /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, the
+    /// light of a surface point that is the same in all directions is averaged over the views that
+    /// see the point. With guided, Lumistack's filter works on all views together. With oidn, Open
+    /// Image Denoise filters each view, if it is installed. Auto means shared if the display
     /// chooses the views and Lumistack's path tracer renders them, otherwise off
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
@@ -86,8 +86,9 @@ pub(crate) struct RenderArgs {
     /// Make light sources that have a surface visible [default: as the file states, otherwise no]
     #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub(crate) lights_visible: Option<bool>,
-    /// Time of the scene's animations, seconds [default: the pose without animation, or 0 with
-    /// --animation; USD: the first time code; .blend: the saved frame]
+    /// Time at which the scene's animations are shown, seconds. Without this flag, glTF scenes have
+    /// the pose of the file, or with --animation that of time 0. USD scenes have the pose of the
+    /// first time code, and .blend scenes that of the saved frame
     #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
     pub(crate) time_s: Option<f64>,
     /// Animation, by name or number [default: all animations together, or only the first if two of
@@ -122,7 +123,8 @@ pub(crate) struct RenderArgs {
     /// light the surfaces
     #[arg(long, value_name = "COLOUR")]
     pub(crate) background: Option<lumistack_pipeline::Background>,
-    /// Stops added to the automatic exposure
+    /// Number of stops by which the views are brighter than with the automatic exposure; below 0
+    /// they are darker
     #[arg(long, value_name = "EV", allow_hyphen_values = true)]
     pub(crate) exposure_ev: Option<f64>,
     /// Tone curve of all views: auto, linear, khronos-neutral or agx
@@ -180,7 +182,8 @@ pub(crate) struct FactorizeArgs {
     /// Start from the patterns of another run: DIR is the folder `layers` of that run
     #[arg(long, value_name = "DIR")]
     pub(crate) warm_start: Option<PathBuf>,
-    /// A .npy file with the weights of the solver's errors, ≥ 0, one per view or one per ray
+    /// A .npy file with weights ≥ 0, one per view or one per ray, by which the solver multiplies
+    /// the squared errors of the rays
     #[arg(long, value_name = "FILE")]
     pub(crate) weights: Option<PathBuf>,
 }
@@ -202,8 +205,8 @@ pub(crate) struct SequenceArgs {
     /// right, Y up, Z to the viewer
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) shift_mm: Option<Numbers<3>>,
-    /// Time that the scene's animations advance from the first time step to the last, seconds; they
-    /// start at --time, or at 0
+    /// Time that the scene's animations advance from the first time step to the last, seconds. They
+    /// start at --time, or at 0 [default: 0, they stand still]
     #[arg(long, value_name = "S", allow_hyphen_values = true)]
     pub(crate) duration_s: Option<f64>,
     /// Number of iterations at every time step after the first [default: 5]

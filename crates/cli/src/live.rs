@@ -67,7 +67,7 @@ pub(crate) struct Live {
     #[arg(long)]
     pub(crate) no_open: bool,
     /// Also show the display outside of the browser, in a build with panels. MODE is outputs (one
-    /// surface per panel), span (as show --span) or window (a preview, as show --preview)
+    /// surface per panel), span (one surface across all panels) or window (a preview in a window)
     #[arg(long, value_name = "MODE", value_parser = ["outputs", "span", "window"])]
     pub(crate) show: Option<String>,
     /// Largest number of iterations from one shown state to the next. It is reduced if the
@@ -96,7 +96,8 @@ pub(crate) struct Live {
     /// --head-mm
     #[arg(long, requires = "show", conflicts_with = "opentrack", help_heading = "Viewers")]
     pub(crate) mouse: bool,
-    /// Width (standard deviation σ) of the Gaussian weight around each tracked head, millimetres
+    /// Standard deviation of the Gaussian weight around each tracked head, millimetres. The solver
+    /// gives the rays near a head the largest weights
     #[arg(long, value_name = "MM", default_value_t = lumistack_live::SIGMA_MM, help_heading = "Viewers")]
     pub(crate) sigma_mm: f64,
     #[command(flatten)]

@@ -30,7 +30,7 @@ Examples:
 /// The sweep to run.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Sweep {
-    /// Job file (.toml), with a table [sweep] or without, or a scene
+    /// Job file (.toml; it may have a table [sweep]) or scene
     input: PathBuf,
     /// Folder for the results [default: sweeps/NAME]
     #[arg(short, long, value_name = "DIR")]
