@@ -70,6 +70,10 @@ const EYE_MM: [f64; 3] = [0.0, 0.0, 600.0];
 
 pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let out = args.output.as_deref();
+    if !args.focus.is_empty() && !args.other.as_ref().is_some_and(|other| other.is_dir()) {
+        let found = args.other.as_ref().map_or("one run".into(), |other| format!("one run and {}", other.display()));
+        return Err(PipelineError::option("--focus", "LIST", "two runs, each a folder", found));
+    }
     let Some(other) = &args.other else {
         return displays(args, json, task);
     };
