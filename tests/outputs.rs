@@ -126,7 +126,8 @@ fn files_in_parameters_are_the_jobs_own() {
     screen(0.75);
     run_job(&job, &run);
     assert!(!cached(&run, "output-quilt") && cached(&run, "factorize") && before != native());
-    // a run of the job in the run folder finds the calibration file from another working folder
+    // the job file in the run folder finds its calibration file, even if lumistack is started in
+    // another working folder
     succeed(lumistack().arg("run").arg(run.join("job.toml")).arg("-o").arg(&run).current_dir(folder.path()));
     assert!(cached(&run, "output-quilt"));
 }

@@ -81,8 +81,9 @@ fn fetch_program() -> Outcome {
     if has_blender() { Ok(()) } else { Err("Blender's program does not start".into()) }
 }
 
-/// Tests the extension's command in a `blender` process without a window, since the module bpy
-/// always has a window. Uses the program on `PATH`, otherwise Debian's.
+/// Tests the extension's command without a window. This needs a `blender` process, since
+/// `bpy.context` of the module bpy always has a window. Uses the program on `PATH`, otherwise
+/// that of Debian's package.
 fn program(python: &Path, wheel: &Path) -> Outcome {
     if let Err(error) = fetch_program() {
         tools::skipped("blender's program", &error);

@@ -267,8 +267,8 @@ pub(crate) struct Clean {
     /// Folders of runs, sequences, sweeps or rendered views
     #[arg(required = true, value_name = "RUN")]
     pub(crate) dirs: Vec<PathBuf>,
-    /// Also remove all cached views. No result is lost, but the next run renders views again if its
-    /// settings differ
+    /// Also remove all cached views. No result is lost, but a run with settings other than those of
+    /// the last run renders its views again
     #[arg(long)]
     pub(crate) all: bool,
     /// Report the files that would be removed, but remove none
@@ -311,9 +311,9 @@ pub(crate) struct Info {
     pub(crate) look_from: Option<Numbers<2>>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
-    /// compress, depth is also compressed, if the scene still does not fit. With auto, the same is
-    /// done if the scene does not fit, but a window that the job places stays. `--fit-depth`
-    /// without HOW means move [default: auto]
+    /// compress, depth is also compressed, if the scene still does not fit. Auto acts as compress
+    /// if the scene does not fit, but keeps a window that the job places. `--fit-depth` without HOW
+    /// means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]

@@ -56,7 +56,7 @@ impl Light {
             return "No ray of the target hits the display.".into();
         }
         let mut text = format!(
-            "On average the display emits {} of {}: the target's mean luminance is {}, and β is {}.",
+            "The mean luminance of the display is {} of {}. The target's mean luminance is {}, and β is {}.",
             format::percent(self.emitted),
             match display.formation {
                 Formation::Additive => "the emission of one fully driven layer",

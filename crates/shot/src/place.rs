@@ -2,15 +2,15 @@
 //! along its normal. If that does not suffice, depth is compressed.
 //!
 //! The view from straight ahead stays the same. The window moves back by t and slopes are scaled by
-//! k. Then
-//! content at depth z appears at
+//! k. Then content at depth z appears at
 //!
 //! ```text
 //! oblique:       z' = k (z + t)
 //! perspective:   z' with z'/(D − z') = k y/(D − y),   y = (z + t) D/(D + t)
 //! ```
 //!
-//! In perspective the eye stays at the distance D, and the window scales to the eye's frustum.
+//! In perspective the eye stays in place, and the window grows by (D + t)/D to fill the eye's
+//! frustum. So the eye's distance in display space remains D.
 //!
 //! By default this happens only if the scene does not fit. A window that the user placed stays in
 //! place, and depth is compressed about it: content in the display plane remains there.

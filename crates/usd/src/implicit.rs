@@ -233,7 +233,7 @@ mod tests {
         check(&cube(3.0), 54.0, 27.0);
         for axis in [Axis::X, Axis::Y, Axis::Z] {
             check(&cylinder(0.5, 0.5, 3.0, axis), PI * (3.0 + 0.5), PI * 0.75);
-            // a frustum: π(R + r)·slant + π(R² + r²); πh/3·(R² + Rr + r²)
+            // a frustum: area π(R + r)·slant + π(R² + r²), volume πh/3·(R² + Rr + r²)
             let slant = (1.0f64 + 9.0).sqrt();
             check(&cylinder(0.5, 1.5, 3.0, axis), PI * (2.0 * slant + 2.5), PI * (0.25 + 0.75 + 2.25));
             check(&cone(2.0, 3.0, axis), PI * 2.0 * (2.0 + 13.0f64.sqrt()), PI * 4.0);

@@ -119,7 +119,7 @@ impl TryFrom<Entry> for File {
             (kind, ..) => {
                 let path = &entry.path;
                 return Err(format!(
-                    "file `{path}` of unknown kind `{kind}`, or without the layer, frame or view of its kind"
+                    "file `{path}`: its kind `{kind}` is unknown, or it lacks the layer, frame or view that this kind requires"
                 ));
             }
         };

@@ -112,7 +112,7 @@ impl<'a> Element<'a> {
     fn column(&self, name: &str) -> Result<Column<'a>, ReadError> {
         self.find(name).ok_or_else(|| {
             let names: Vec<&str> = self.properties.iter().map(|property| property.name.as_str()).take(20).collect();
-            let expected = format!("a property {name}: a .ply of splats, not of a mesh or of points");
+            let expected = format!("a property {name}, which every .ply of splats has, but no mesh or point cloud");
             ReadError::new(format!("element {}", self.name), expected, names.join(" "))
         })
     }
