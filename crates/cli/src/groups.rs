@@ -62,9 +62,9 @@ pub(crate) struct RenderArgs {
     pub(crate) max_bounces: Option<u32>,
     /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, the
     /// diffuse light of each surface point is averaged over the views that see the point. With
-    /// guided, Lumistack's filter works on all views together. With oidn, Open Image Denoise filters
-    /// each view, if it is installed. Auto means shared if the display chooses the views and
-    /// Lumistack's path tracer renders them, otherwise off
+    /// guided, Lumistack's filter works on all views together. With oidn, Open Image Denoise
+    /// filters each view, if it is installed. Auto means shared if the display chooses the views
+    /// and Lumistack's path tracer renders them, otherwise off
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
     /// Camera that sees the scene, by its name or its number from 0. Its plane of focus becomes the

@@ -52,8 +52,8 @@ pub struct Feature {
     pub gloss: f32,
     /// Width of the lobe that depends on the viewer's direction: squared roughness, 0..1.
     pub alpha: f32,
-    /// Depth in display space of the first hit of one path, in millimetres. Of the pixel's paths it
-    /// is the one nearest to the pixel's centre. `None` if that path hits nothing.
+    /// Depth in display space of the first hit of one path, in millimetres: the path that is
+    /// nearest to the pixel's centre. `None` if that path hits nothing.
     pub central_z_mm: Option<f32>,
 }
 
