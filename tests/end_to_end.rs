@@ -229,7 +229,8 @@ fn a_view_that_one_layer_can_show_is_not_rounded() {
     assert!(psnr > 110.0, "{psnr} dB");
 }
 
-/// Arguments of a small run. With three frames, panels would flicker.
+/// Arguments of a small run. Three frames would flicker on panels; the preset has no panels, so the
+/// run may not warn of flicker.
 const SMALL_RUN: [&str; 10] =
     ["--resolution", "84x52", "--frames", "3", "--samples", "4", "--iterations", "10", "--max-bounces", "3"];
 

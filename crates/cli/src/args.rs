@@ -278,7 +278,8 @@ pub(crate) struct Clean {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Preview {
-    /// A run folder, or a folder that the output plugin `web_simulator` wrote
+    /// A run folder, or a folder that the output plugin `web_simulator` wrote; required without
+    /// --solve
     #[arg(required_unless_present = "solve")]
     pub(crate) dir: Option<PathBuf>,
     /// Show another page, which computes patterns in the browser. Drop a model or a light field

@@ -40,8 +40,8 @@ pub(crate) struct DisplayArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Rendering")]
 pub(crate) struct RenderArgs {
-    /// Number of views, as columns and rows. With auto, there are so many that the display is also
-    /// right between the views
+    /// Number of views, as columns and rows. With auto, the display chooses the views: so many that
+    /// it is also right between them
     #[arg(long, value_name = "auto|CxR")]
     pub(crate) views: Option<Views>,
     /// Number of paths per pixel, summed over all views. With auto, it is so large that more paths

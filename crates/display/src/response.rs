@@ -93,7 +93,7 @@ impl Response {
         self.spread.apply::<true>([rows, cols], input, output, scratch);
     }
 
-    /// Applies the whole map to a layer `[frame][row][col][rgb]`.
+    /// Applies filters, blur and crosstalk to the masks `[frame][row][col][rgb]` of the layer.
     pub fn apply(&self, layer: &Tensor<4>) -> Tensor<4> {
         let mut effective = layer.clone();
         let [frames, rows, cols, _] = layer.shape();

@@ -16,7 +16,7 @@
 //!
 //! blurs a plane at z over |z| δs = 1/(2 ω(z)), as a pixel of pitch p = 1/(2 ω) does on the
 //! display. The pixel and δs together are the prefilter of the display (section 4.1). For lens
-//! arrays δs is the width of a view's bin.
+//! arrays alone δs is the width of an angular bin.
 
 use crate::Display;
 use crate::depth::{cross, cutoff, width};

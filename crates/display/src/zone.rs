@@ -126,7 +126,8 @@ impl ZoneScore {
         mean(&self.scored()).map(psnr)
     }
 
-    /// PSNR of the mean error over the worst tenth of the directions, rounded up, dB.
+    /// PSNR of the mean error over the worst tenth of the directions, dB. A tenth of their number
+    /// is rounded up.
     pub fn worst_tenth(&self) -> Option<f64> {
         let mut scored = self.scored();
         scored.sort_by(|a, b| b.total_cmp(a));

@@ -117,7 +117,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if gram
-    // sweeps of coordinate steps within the box
+    // coordinate descent: each frame's value in turn steps to its minimum, clamped to low..high
 //@ frames
     let inverse{m} = f32(FRAMES) / max(g{m}_{m}, LEAST_CURVATURE);
     let before{m} = r{m};

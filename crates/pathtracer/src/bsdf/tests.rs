@@ -497,7 +497,8 @@ fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
     assert_counts(&observed, &expected, FALSE_ALARM_RATE);
 }
 
-/// Without gloss the model equals its diffuse special case, even where the specular normal is bent.
+/// Without gloss the model equals its diffuse special case, even if a steep normal map changes the
+/// normal of specular reflection.
 #[test]
 fn diffuse_light_is_that_of_lambert_surfaces() {
     let surface = Appearance { ior: 1.0, roughness: 1.0, base: Vec3::new(0.9, 0.5, 0.2), ..appearance() };

@@ -429,7 +429,7 @@ unsafe fn fetch(
     let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
     if size < size_of::<Plane>() {
         // SAFETY: guaranteed by the caller.
-        unsafe { write_error(error, &format!("the plane's `size` is {size} bytes, less than in this version")) };
+        unsafe { write_error(error, &format!("the plane's `size` is {size} bytes, too few for this ABI version")) };
         return Status::REFUSED;
     }
     let (answer, body) = link.ask(what(*call), &[]);
@@ -589,7 +589,7 @@ unsafe fn give(
     let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
     if size < size_of::<Plane>() {
         // SAFETY: guaranteed by the caller.
-        unsafe { write_error(error, &format!("the plane's `size` is {size} bytes, less than in this version")) };
+        unsafe { write_error(error, &format!("the plane's `size` is {size} bytes, too few for this ABI version")) };
         return Status::REFUSED;
     }
     // SAFETY: guaranteed by the caller; the plugin keeps ownership, so nothing is released.

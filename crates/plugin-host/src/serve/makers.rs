@@ -271,7 +271,11 @@ unsafe extern "C" fn stack_layer(
         let Stack { made: Made { stack, .. }, frames, given_layers, .. } = &mut *built;
         let what = || format!("layer {layer}, frame {frame}");
         if layer >= stack.layers.len() || frame >= *frames {
-            let text = format!("{}: expected a layer below {} and a frame below {frames}", what(), stack.layers.len());
+            let text = format!(
+                "{}: expected a layer index less than {} and a frame index less than {frames}",
+                what(),
+                stack.layers.len()
+            );
             return Err(PluginError::Refused(text));
         }
         let [_, rows, cols, channels] = stack.layers[layer].shape();
@@ -370,7 +374,7 @@ unsafe fn values_of(
     // SAFETY: guaranteed by the caller.
     let size = unsafe { (*plane).size };
     if size < size_of::<Plane>() {
-        return refused(format!("the plane's `size` is {size} bytes, less than in this version"));
+        return refused(format!("the plane's `size` is {size} bytes, too few for this ABI version"));
     }
     // SAFETY: guaranteed by the caller; the plugin keeps ownership, so nothing is released.
     let view = unsafe { PlaneView::new(Plane { release: None, ..*plane })? };

@@ -82,8 +82,8 @@ pub(crate) struct Cage<'a> {
 
 /// Number of levels of refinement for most meshes.
 const LEVEL: u32 = 2;
-/// Largest number of triangles for [`LEVEL`]. A dense mesh is already smooth, so it is refined
-/// less.
+/// Largest number of triangles after [`LEVEL`] levels. A denser mesh is already smooth, so it is
+/// refined by fewer levels.
 const MOST_TRIANGLES: usize = 200_000;
 /// Number of levels for a mesh of few faces, whose outline would still show corners after [`LEVEL`]
 /// levels.
