@@ -87,7 +87,7 @@ pub(crate) struct Show {
     pub(crate) control: bool,
     /// Write a CSV file with a line for each submitted frame. Its columns are the number of the
     /// refresh, the position in the cycle of frames, the number of the patterns, and the time since
-    /// the first frame in seconds
+    /// the first frame in seconds. The file has at most the first 1,048,576 frames
     #[arg(long, value_name = "FILE")]
     pub(crate) log: Option<PathBuf>,
 }
