@@ -25,8 +25,9 @@ pub(crate) struct Args {
     #[arg(long, global = true, value_name = "N")]
     pub(crate) threads: Option<usize>,
     /// Use the plugins in this shared library `lumistack_plugin_ID`, or in all such libraries of
-    /// this folder. They take precedence over plugins with the same id in LUMISTACK_PLUGIN_PATH and
-    /// in lumistack/plugins of your data folder. The flag may be given several times
+    /// this folder. These plugins take precedence over plugins with the same id in
+    /// LUMISTACK_PLUGIN_PATH and in lumistack/plugins of your data folder. The flag may be given
+    /// several times
     #[cfg(feature = "dynamic")]
     #[arg(long, global = true, value_name = "FILE|DIR")]
     pub(crate) plugin_path: Vec<PathBuf>,
@@ -102,7 +103,7 @@ pub(crate) enum Command {
         after_help = "Example:\n  lumistack plugins tensor-display      only this plugin, with the values that its parameters accept"
     )]
     Plugins {
-        /// Only these plugins
+        /// Ids of the plugins to list [default: all plugins]
         #[arg(value_name = "ID")]
         ids: Vec<String>,
     },
@@ -116,7 +117,8 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: crate::display::DisplayCommand,
     },
-    /// Report which optional software and hardware this machine has, and how to get the rest
+    /// Report which optional software and hardware this machine has, and how to get the missing
+    /// parts
     #[command(after_help = crate::doctor::EXAMPLES)]
     Doctor,
     /// Install optional software that some kinds of scene files need
@@ -253,8 +255,8 @@ pub(crate) struct Simulate {
     /// Write N views side by side, spread evenly over the horizontal field of view, 1 to 64
     #[arg(long, value_name = "N")]
     pub(crate) sweep: Option<usize>,
-    /// Write the light that the display emits. Without this flag it is divided by the brightness
-    /// scale β, so that the picture is as bright as the scene's
+    /// Write the light that the display emits. Without this flag the light is divided by the
+    /// brightness scale β, so that the picture is as bright as the scene's
     #[arg(long)]
     pub(crate) raw: bool,
     /// Picture to write: .png (encoded as sRGB) or .exr (linear values)
@@ -282,8 +284,8 @@ pub(crate) struct Preview {
     /// --solve
     #[arg(required_unless_present = "solve")]
     pub(crate) dir: Option<PathBuf>,
-    /// Show another page, which computes patterns in the browser. Drop a model or a light field
-    /// there
+    /// Show another page, which computes patterns in the browser for a model or a light field that
+    /// you drop there
     #[arg(long, conflicts_with = "dir")]
     pub(crate) solve: bool,
     /// Port of this machine at which the page is served; 0 for any free port
@@ -306,8 +308,8 @@ pub(crate) struct Info {
     /// display plane
     #[arg(long, value_name = "NAME|N", requires = "display", help_heading = "Depth")]
     pub(crate) camera: Option<String>,
-    /// View the scene from this azimuth (0 is the front, above 0 to its right) and elevation,
-    /// degrees
+    /// View the scene from this azimuth and elevation, degrees. Azimuth 0 is the front, positive
+    /// azimuths lie to its right
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true, requires = "display", help_heading = "Depth")]
     pub(crate) look_from: Option<Numbers<2>>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.

@@ -31,7 +31,7 @@ Examples:
 
 The results are the same as those of `lumistack run`, byte for byte. If a run was stopped or killed, the same command continues it. docs/FARM.md has recipes.";
 
-/// Assumed time to start a unit, for predictions, seconds.
+/// Assumed time to start a unit of work, seconds. Predictions add it to the time of each unit.
 const OVERHEAD_SECONDS: f64 = 0.1;
 
 #[derive(Debug, clap::Args)]

@@ -81,7 +81,8 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
 
 fn scene(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     let path = args.file.as_path();
-    // describe the file's own light, without the studio light
+    // Describe only the file's own light: without `automatic`, a scene without light gets no studio
+    // light.
     let light = LightJob { automatic: false, ..LightJob::default() };
     let mut importer = ImporterJob::default();
     change_importer(&mut importer, &args.files);

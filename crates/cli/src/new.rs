@@ -81,7 +81,7 @@ fn taken(file: &Path) -> PipelineError {
 
 /// Makes the text of a job file from options and answers.
 fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<String, PipelineError> {
-    // this error comes before the first question
+    // Report an existing file before the first question, so that no answers are lost.
     if args.file.exists() {
         return Err(taken(&args.file));
     }
@@ -152,7 +152,7 @@ fn seen_from(folder: &Path, path: &Path) -> String {
 }
 
 fn quoted(text: &str) -> String {
-    // JSON's escapes are valid in TOML
+    // JSON escapes the text, since JSON's escapes are also valid in TOML.
     json!(text).to_string()
 }
 

@@ -49,7 +49,8 @@ fn started_as(first: &str, by_cargo: bool, folders: &[PathBuf]) -> String {
     }
     let path = Path::new(first);
     let Some(file) = path.file_name().filter(|_| path.components().count() > 1) else { return first.into() };
-    // a shell starts a script on PATH with its whole path
+    // A shell passes the whole path of a script that it finds on PATH. The user typed only the
+    // file's name.
     let canonical = |path: &Path| std::fs::canonicalize(path).ok();
     let on_path = folders.iter().map(|folder| folder.join(file)).find(|found| found.is_file());
     match on_path {

@@ -67,8 +67,8 @@ pub(crate) struct Show {
     #[arg(long, value_name = "N|backlight", requires = "pattern")]
     pub(crate) only: Option<String>,
     /// Position of the eye or camera for which the crosshairs of all layers coincide: X right, Y
-    /// up, Z in front, millimetres. The default is straight ahead at the display's viewing
-    /// distance, or at 2000 mm if it has none
+    /// up, Z in front of the display, millimetres. The default is straight ahead at the display's
+    /// viewing distance, or at 2000 mm if the display has none
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, requires = "pattern")]
     pub(crate) eye_mm: Option<Numbers<3>>,
     /// Hold frame K, counted from 0, instead of showing all frames in turn
@@ -156,7 +156,8 @@ fn subject(args: &Show, dir: &Path) -> Result<Subject, PipelineError> {
         subject.file = Some(path.clone());
     }
     if args.fit {
-        // the panels are not the file's panels, so their shifts must not be saved to the file
+        // With --fit the panels differ from those of the display file, so shifts of panels must not
+        // be saved to that file.
         subject.file = None;
     }
     Ok(subject)

@@ -63,7 +63,7 @@ pub(crate) struct Sweep {
     factorize: FactorizeArgs,
 }
 
-/// Number of plots.
+/// The plots of PSNR that a sweep writes.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum PlotsArg {
     None,
@@ -110,8 +110,8 @@ struct Search {
     /// Largest distance from the rearmost to the frontmost layer or lens array, millimetres
     #[arg(long, value_name = "MM")]
     max_thickness_mm: Option<f64>,
-    /// Highest refresh rate of the panels, hertz. All frames of a design must repeat 60 times a
-    /// second
+    /// Highest refresh rate of the panels, hertz. At this rate all frames of a design must repeat
+    /// 60 times a second
     #[arg(long, value_name = "HZ")]
     max_refresh_hz: Option<f64>,
     /// Number of available panels. A design needs one for each layer, and one behind the lenslets
@@ -151,7 +151,7 @@ impl FromStr for List {
             if !(step > 0.0 && (0.0..1e6).contains(&count)) {
                 return Err(format!("expected a rising range, found `{part}`"));
             }
-            // rounding, since 0.1 + 2 · 0.1 is not 0.3 in binary
+            // Round to 9 decimals, since 0.1 + 2 · 0.1 is not exactly 0.3 in binary.
             numbers.extend((0..=count as usize).map(|i| ((from + i as f64 * step) * 1e9).round() / 1e9));
         }
         Ok(Self(numbers))

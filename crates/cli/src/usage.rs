@@ -46,7 +46,7 @@ fn in_words(text: &str) -> String {
     ]
     .iter()
     .fold(text.to_owned(), |text, (rust, words)| text.replace(rust, words));
-    // rewrites "70000 is not in 0..=65535"
+    // Rewrites clap's message about a number outside of a range: "70000 is not in 0..=65535".
     let Some((before, after)) = text.split_once(" is not in ") else { return text };
     let end = after.find(|c: char| !(c.is_ascii_digit() || ".=-".contains(c))).unwrap_or(after.len());
     let (range, rest) = after.split_at(end);

@@ -54,7 +54,7 @@ pub const SHOWN: f64 = 0.5;
 pub const POINTS: usize = 3;
 /// The x at which sin(πx)/(πx) = ½.
 pub const HALF_SINC: f64 = 0.603;
-/// Approximate number of slopes of the measures over the whole zone.
+/// Approximate number of slopes in the whole zone at which contrast between the views is measured.
 const SLOPES: usize = 40;
 /// Largest number of views of a strip.
 const MOST_VIEWS: usize = 48;
@@ -160,7 +160,8 @@ impl Gratings {
         Ok(found)
     }
 
-    /// Contrast at the target views, and over rays in between.
+    /// Solves a strip for one grating. Returns the contrast at the target views, and the contrast
+    /// over rays between these views.
     fn one(&self, strip: &Display, z_mm: f64, frequency: f64, task: Task<'_>) -> Result<[f64; 2], ContrastError> {
         let geometry = strip.geometry()?;
         let mut target = LightField::black(geometry.clone())?;
@@ -190,7 +191,7 @@ struct Grating {
 }
 
 impl Grating {
-    /// φ of value `i` of a view.
+    /// The grating's phase φ at value `i` of a view, whose values are [col][rgb].
     fn phase(&self, geometry: &FieldGeometry, view: usize, i: usize) -> f64 {
         let x = geometry.x_mm(i / 3);
         let s = geometry.grid.slope_at([0, view], [x, 0.0])[0];
@@ -234,7 +235,8 @@ fn finer(geometry: &FieldGeometry) -> FieldGeometry {
     }
 }
 
-/// Number of views with one per angular footprint. More views add no detail that the bound allows.
+/// Number of views at which each angular footprint has one view. More views add no detail that the
+/// bound allows.
 fn useful_views(display: &Display, axis: usize) -> usize {
     let zone = 2.0 * (0.5 * display.field.fov_deg[axis].to_radians()).tan();
     let footprint = display.angular_footprint()[axis];
@@ -251,14 +253,15 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     strip.field.views = Views::Fixed([views, 1]);
     strip.field.fov_deg = [display.field.fov_deg[axis], 0.0];
     for layer in &mut strip.layers {
-        // as wide as the rays require, but no wider than the layer itself
+        // The layer becomes as wide as the rays require, but not wider than it was.
         let needed = ((width_mm + 2.0 * layer.d_mm.abs() * half) / layer.pitch_mm).ceil() as usize + 2;
         layer.resolution = [needed.min(layer.resolution[axis]).max(1), 1];
         layer.offset_mm = [layer.offset_mm[axis], 0.0];
     }
     if let Backlight::Lenslets(backlight) = &mut strip.backlight {
         let needed = ((width_mm + 2.0 * backlight.d_mm.abs() * half) / backlight.pitch_mm).ceil() as usize + 2;
-        // keep the count odd or even, since the lenslets of odd and even arrays differ by half a
+        // Keep the count odd or even, since a lenslet's centre lies on the axis only if the count
+        // is odd.
         // lenslet
         let count = needed.min(backlight.lenslets[axis]);
         let same_parity = count + (backlight.lenslets[axis] - count) % 2;
@@ -397,8 +400,8 @@ mod tests {
         Display { brightness: 0.3, ..display }
     }
 
-    /// A lens array of Δx = 4 pixels with a layer in its plane. If `open`, the layer is clear, so
-    /// the display is integral imaging.
+    /// A lens array of pitch Δx = 4 pixels with a layer in its plane. If `open`, the layer is
+    /// clear, so that the display works by integral imaging alone.
     fn lenses(frames: usize, open: bool) -> Display {
         let mut display = stack(&[0.0], frames);
         display.backlight = Backlight::Lenslets(LensletBacklight::new(-1e-6, [16, 10], 2.0, [5, 5], [20.0, 20.0]));
@@ -428,8 +431,8 @@ mod tests {
     #[test]
     fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();
-        // a depth at which the frequency is above the lens array's limit, 1/(2Δx), and below the
-        // bound with the layer, 1/(2 z Δs)
+        // At this depth the frequency is above the limit 1/(2Δx) of the lens array alone. It is
+        // below the bound 1/(2 z Δs) with the layer, where Δs is the width of an angular bin.
         let off = 0.45 * 2.0 / bin;
         let gratings = |display: &Display| {
             let found = measured(display, &[0.0, off], &[0.45]);
@@ -444,11 +447,12 @@ mod tests {
         assert!(many[0] > 0.9 && many[1] > SHOWN, "six frames: {many:?}");
     }
 
-    /// Over the whole emission no display exceeds its bound by more than the term for narrow zones,
-    /// `alike`. At the target views, each of these displays exceeds it.
+    /// Over the whole emission no display exceeds its bound, except by the term `alike` for narrow
+    /// zones. At the target views, each of these displays exceeds its bound.
     #[test]
     fn the_bound_holds_for_all_that_is_emitted() {
-        // the half-contrast frequency is interpolated between two measured frequencies
+        // The half-contrast frequency is interpolated between two measured frequencies, which
+        // causes an error of about this size.
         const BETWEEN_FREQUENCIES: f64 = 0.01;
         let zone = 2.0 * 10f64.to_radians().tan();
         let depths = [-90.0, -50.0, -30.0, 25.0, 60.0];

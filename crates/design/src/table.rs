@@ -30,7 +30,8 @@ pub struct Design {
     pub panels: usize,
     /// Lowest refresh rate at which the display does not flicker, hertz; 0 for a static display.
     pub refresh_hz: f64,
-    /// Values of the patterns per ray of the light field: degrees of freedom. With 1 or more, each
+    /// Values of the patterns per ray of the light field: the degrees of freedom. With 1 or more,
+    /// each
     /// ray could have a value of its own.
     pub values_per_ray: f64,
 }
@@ -74,7 +75,7 @@ pub struct Row {
     /// pictures.
     #[serde(default)]
     pub psnr_zone_db: Option<f64>,
-    /// As `psnr_zone_db`, but over the worst tenth of the directions, dB.
+    /// As `psnr_zone_db`, but only over the tenth of the directions with the lowest PSNR, dB.
     #[serde(default)]
     pub psnr_zone_worst_tenth_db: Option<f64>,
     /// PSNR of L̃/β against L, dB, at most [`MOST_DB`].
@@ -83,12 +84,12 @@ pub struct Row {
     pub psnr_raw_db: f64,
     /// PSNR of L̃/β at views between the target's views, dB; `None` if these views are not known.
     pub psnr_between_db: Option<f64>,
-    /// For several time steps, the PSNR of L̃/β against L of the worst one, dB. The values above
-    /// are over all time steps.
+    /// PSNR of L̃/β against L at the worst time step of a sequence, dB; `None` for a still. The
+    /// other scores are over all time steps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_worst_db: Option<f64>,
-    /// For a job with several nodes, the results of each. The fields above have the results of the
-    /// first node.
+    /// Results of each node, for a job with several nodes. The other fields of this row have the
+    /// results of the first node.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeRow>,
 }
@@ -305,9 +306,9 @@ struct Sketch {
     others: Vec<Axis>,
 }
 
-/// Plots of the axes along which designs differ, by [`Row::quality_db`]. There are maps over two of
-/// N, M and β (Figures 7 and 8), and curves along single axes. Also returns the number of omitted
-/// plots.
+/// Draws plots of [`Row::quality_db`] over the axes along which designs differ. Maps have two of
+/// the axes layers, frames and brightness (the paper's Figures 7 and 8), and curves have one axis.
+/// Also returns the number of omitted plots.
 ///
 /// # Errors
 /// If drawing fails.
@@ -436,7 +437,7 @@ fn map_of(all: &[Row], part: &[Row], x: Axis, y: Axis, others: &[Axis]) -> Resul
         columns,
         rows,
         values,
-        // the paper's threshold refers to target views
+        // The paper's threshold refers to target views, so plots of zone scores do not mark it.
         mark_from: (!of_zone(all)).then_some(GOOD_DB),
         range: if of_zone(all) { [lowest.min(15.0), 35.0] } else { [lowest.min(20.0), 50.0] },
     })
@@ -525,9 +526,9 @@ mod tests {
         for stem in ["psnr-frames-layers-01", "psnr-frames-layers-02", "psnr-layers-01", "psnr-frames-01"] {
             assert!(all.iter().any(|other| other == stem), "{stem} is not among {all:?}");
         }
-        // a single layer has no gap to vary
+        // Gaps get no plot, since a single layer has no gap to vary.
         assert!(!all.iter().any(|stem| stem.contains("brightness") || stem.contains("gap")), "{all:?}");
-        // axes that the maps show need no curves
+        // The axes layers and frames need no curves, since the maps show them.
         assert_eq!(stems(Plots::Few), ["psnr-frames-layers-01", "psnr-frames-layers-02"]);
         assert_eq!(plots(&rows(), Plots::None).unwrap(), (Vec::new(), all.len()));
         assert!(plots(&rows()[..1], Plots::All).unwrap().0.is_empty(), "one design is no trend");

@@ -16,7 +16,7 @@ pub enum Kind {
     Score,
     /// A light field, made of its views, a file or a source.
     Field,
-    /// The patterns of one tile of a display, in one round.
+    /// The patterns of one tile (a rectangle of the display) in one round over all tiles.
     Tile,
     /// The patterns of a display at a time step.
     Patterns,
@@ -57,11 +57,11 @@ pub struct Unit {
     pub inputs: Vec<String>,
     /// Ids of the plan's steps that this unit executes.
     pub steps: Vec<String>,
-    /// If the step is cut into blocks: [number of this block from 1, number of blocks].
+    /// If the unit is one block of a divided step: [number of this block from 1, number of blocks].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub block: Option<[usize; 2]>,
-    /// If the unit is a tile: number of the round, from 1. Tiles exchange their borders between
-    /// rounds.
+    /// If the unit is a tile: number of the round over all tiles, from 1. Tiles exchange their
+    /// borders between rounds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub round: Option<usize>,
     /// Files and folders that this unit publishes, relative to the run folder.
@@ -170,7 +170,7 @@ impl Graph {
 pub(crate) mod tests {
     use super::*;
 
-    /// Two time steps with two blocks of views each.
+    /// Makes a graph of two time steps with two blocks of views each.
     pub(crate) fn sample() -> Graph {
         let unit = |id: &str, kind, inputs: &[&str], seconds| Unit {
             id: id.into(),

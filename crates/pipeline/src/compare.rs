@@ -39,7 +39,7 @@ pub struct RunComparison {
     pub second_zone: Option<ZoneLikeness>,
     /// Number of directions of the first run's viewing zone whose seen pictures were compared.
     pub directions: usize,
-    /// The second run compared with the first run, over these directions.
+    /// The second run compared with the first run, over the compared directions.
     pub between: Likeness,
     /// Number of views of the first run's target that were compared; 0 without a target.
     pub views: usize,
@@ -176,7 +176,7 @@ pub fn refocused(
             continue;
         }
         let view = picture_from(display, stack, Viewpoint::Eye([eye_mm[0] + dx, eye_mm[1] + dy, distance]), false)?;
-        // rows count downwards, and y points up
+        // Rows count downwards, but y points up, so dy changes its sign.
         let shift = [-dy, dx].map(|offset| offset * focus_mm / ((distance - focus_mm) * pixels.pitch_mm));
         add_moved(&mut sum, &view, shift);
         count += 1;
@@ -185,7 +185,8 @@ pub fn refocused(
     Ok(sum)
 }
 
-/// Adds a picture that is shifted by [rows, columns]. Pixels of the edge are repeated outwards.
+/// Adds a picture that is shifted by [rows, columns]. Shifted pixels from outside of the picture
+/// have the values of its edge.
 fn add_moved(sum: &mut Tensor<3>, view: &Tensor<3>, [down, right]: [f64; 2]) {
     let [rows, cols, _] = view.shape();
     let axis = |i: usize, shift: f64, count: usize| {

@@ -53,7 +53,7 @@ pub struct Job {
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub scene: Option<PathBuf>,
-    /// Light field of another program: a folder, `.npy`, a quilt.
+    /// Light field of another program: a folder of views, a `.npy` file or a quilt.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub light_field: Option<PathBuf>,
@@ -74,10 +74,10 @@ pub struct Job {
     /// Light and exposure.
     #[serde(default)]
     pub light: LightJob,
-    /// Path tracer.
+    /// Settings of the path tracer.
     #[serde(default)]
     pub render: RenderJob,
-    /// Factorizer.
+    /// Settings of the factorizer.
     #[serde(default)]
     pub factorize: FactorizeJob,
     /// Time steps of a sequence; without it the job is a still.
@@ -86,7 +86,7 @@ pub struct Job {
     /// Designs to compare, for `lumistack sweep`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sweep: Option<SweepJob>,
-    /// Report.
+    /// Settings of the report.
     #[serde(default)]
     pub report: ReportJob,
     /// Plugin, folders and memory for reading the scene's files.
@@ -138,7 +138,7 @@ pub struct PoseJob {
     pub crop_sphere: Option<[f64; 4]>,
 }
 
-/// Report.
+/// Settings of the report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReportJob {
@@ -259,7 +259,8 @@ impl Job {
         own.into_iter().chain(of_nodes).flatten()
     }
 
-    /// Returns the display of the job. If its views are automatic, their number is chosen.
+    /// Returns the display of the job. If the display's views are automatic, their number is
+    /// chosen.
     ///
     /// # Errors
     /// If the preset is unknown, the file does not parse, or a changed value is out of range.

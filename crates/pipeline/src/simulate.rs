@@ -73,7 +73,7 @@ impl RunFolder {
         task: Task<'_>,
     ) -> Result<Vec<PathBuf>, PipelineError> {
         let folder = self.dir.join("target");
-        // The folder of a node has no target, and old runs may have none.
+        // The target is optional: the folder of a node has none, and neither have old runs.
         let target = if folder.join("lightfield.json").is_file() {
             Some(lumistack_field_io::read_field_folder(&folder).map_err(field_error)?.0)
         } else {
@@ -215,9 +215,9 @@ fn share_outside_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
         let place = [place[0] * size_mm[0], place[1] * size_mm[1]];
         let slope = slope_of(place)?;
         let is_outside = |axis: usize| {
-            // A perspective zone is a range of eye positions, so follow the ray to the distance of
-            // the eyes. An axis with a single view does not limit the zone, since all eyes see the
-            // same view.
+            // The zone of perspective views is a range of eye positions, so follow the ray to the
+            // distance of the eyes. An axis with a single view does not limit the zone, since all
+            // eyes see the same view.
             let seen = match field.distance_mm {
                 Some(distance_mm) if field.projection == ProjectionKind::Perspective => {
                     place[axis] / distance_mm + slope[axis]
@@ -305,7 +305,8 @@ mod tests {
         // nearer, so it sees the sides of the display from outside of the zone.
         assert_eq!(share(Viewpoint::Eye([100.0, 0.0, 2000.0])), 0.0);
         let near = share(Viewpoint::Eye([100.0, 0.0, 600.0]));
-        // part of the display inside the zone: |x - 100| <= 105.8 of ±237.5, |y| <= 105.8 of ±148.4
+        // At 600 mm, 10° correspond to 105.8 mm. So the part inside the zone has |x − 100| and |y|
+        // of at most 105.8 mm, on a display of ±237.5 × ±148.4 mm.
         assert!((near - (1.0 - (211.6 / 475.0) * (211.6 / 296.9))).abs() < 0.05, "{near}");
         assert_eq!(share_outside_zone(&display, Viewpoint::Sweep(3)), None);
         let mut perspective = display.clone();

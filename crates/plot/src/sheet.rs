@@ -64,7 +64,7 @@ pub struct Map {
     pub rows: Vec<String>,
     /// `[row][column]`; NaN for missing values.
     pub values: Vec<Vec<f64>>,
-    /// Values of at least this have a frame.
+    /// Cells with at least this value have a frame.
     pub mark_from: Option<f64>,
     /// Values at the ends of the colour scale.
     pub range: [f64; 2],

@@ -16,7 +16,7 @@ use crate::{ReportInput, format};
 pub(crate) struct Light {
     /// Mean of L̃.
     pub(crate) emitted: f64,
-    /// Mean of L, before β.
+    /// Mean luminance of the target L, without the factor β.
     pub(crate) wanted: f64,
     /// Mean luminance if all pixels are at their brightest; NaN if no ray hits the display.
     pub(crate) open: f64,

@@ -41,7 +41,7 @@ pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Resu
         return Ok(Vec::new());
     }
     if base.sum == 0.0 {
-        // an exact result has no other limits
+        // An exact result is limited by nothing but its number of frames.
         return Ok(vec![solver::frames(input, target, None)]);
     }
     let error = |variant| errors.iter().find(|(other, _)| *other == variant).map(|(_, error)| *error);

@@ -26,7 +26,8 @@ pub(crate) struct Measured {
     pub(crate) zone: Option<ZoneLooks>,
     pub(crate) held_out: Option<FieldScore>,
     pub(crate) outside: Option<FieldScore>,
-    /// The central view, large.
+    /// The large comparison: the median direction of the zone or, without a zone score, the central
+    /// view.
     pub(crate) headline: Comparison,
     /// The central view and the corner views, the worst view, and views between and outside of the
     /// target's views.
@@ -47,7 +48,7 @@ pub(crate) struct ZoneLooks {
     pub(crate) flip: Mean,
 }
 
-/// Maximum number of pixels in the four pictures of the headline.
+/// Maximum number of pixels in the four pictures of the large comparison.
 const HEADLINE_BUDGET: usize = 2_000_000;
 /// Maximum number of pixels in all other comparisons.
 const ROWS_BUDGET: usize = 4_000_000;

@@ -162,8 +162,8 @@ fn encode_sheet(
 fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp, ReportError> {
     /// Fraction of the values that may be clipped at each end.
     const CLIPPED: f64 = 0.01;
-    /// If the contrast could be stretched only by less than this, the difference would be
-    /// invisible.
+    /// The contrast is stretched only if the section's darkest or brightest value is farther than
+    /// this from the end of the range. Otherwise the stretch would be invisible.
     const LITTLE: f32 = 0.02;
     let [frames, rows, cols, _] = layer.shape();
     let part = |whole: &Linear| whole.cropped(window.row, window.col, window.rows, window.cols).green();
@@ -192,7 +192,7 @@ fn encode_emission(
 ) -> Result<Emission, ReportError> {
     let [frames, bins_y, bins_x, rows, cols, _] = emission.shape();
     let bin = [bins_y / 2, bins_x / 2];
-    // if there is only one bin, the panel shows this picture already
+    // If there is only one bin, the picture of the panel is the same, so this picture is omitted.
     let central = (0..frames).filter(|_| bins_y * bins_x > 1).map(|frame| {
         Ok(Linear::new(rows, cols, emission.block([frame, bin[0], bin[1]]), 1.0).encoded().embedded(Encoding::Png)?)
     });

@@ -67,7 +67,7 @@ pub(crate) fn disparities(budget: &DepthBudget) -> Result<String, ReportError> {
 /// # Errors
 /// If the plot cannot be drawn.
 pub(crate) fn bound(budget: &DepthBudget) -> Result<String, ReportError> {
-    // near the depth of a single layer the bound is infinite
+    // Near the depth of a single layer the bound is infinite, so clamp it to the plotted range.
     let points: Vec<(f64, f64)> = budget.bound.iter().map(|(z, bound)| (*z, bound.min(MOST_DETAIL))).collect();
     Ok(page::against(&points, 1.0, ["depth, mm towards the viewer", "finest detail / that of the pixels"])?)
 }

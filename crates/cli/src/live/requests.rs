@@ -26,10 +26,10 @@ pub(super) struct Requests {
     /// The newest request.
     pub(super) newest: Mailbox<Request>,
     tracker: Mutex<Tracker>,
-    /// Cancels the running pass, which a newer request makes useless.
+    /// Cancels the running pass, whose light field is useless after a newer request.
     pass: Mutex<Option<Cancel>>,
     stopped: AtomicBool,
-    /// The end of standard input also stops the display.
+    /// True if the end of standard input also stops the display.
     stops_at_end: AtomicBool,
 }
 

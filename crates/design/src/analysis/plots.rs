@@ -29,7 +29,7 @@ impl Analysis {
                     let of = if form.equation == 23 { "its lens array alone" } else { "closed form" };
                     let name = format!("eq. {}: {of}", form.equation);
                     let points = form.bound.clone();
-                    // several displays with the same lens array have one curve for it
+                    // Displays with the same lens array share one curve for it.
                     let same = |other: &Curve| other.name == name && other.points.first() == points.first();
                     if curves.iter().any(same) {
                         continue;
@@ -84,7 +84,7 @@ impl Analysis {
     }
 }
 
-/// The scene's depth histogram, scaled so that the largest bar fills the axis.
+/// The scene's depth histogram, scaled so that the largest bar has 0.9 of the plot's height.
 fn bars(scene: &Scene) -> Vec<[f64; 3]> {
     let most = scene.shares.iter().map(|bar| bar[2]).fold(1e-9, f64::max);
     scene.shares.iter().map(|[from, to, share]| [*from, *to, 0.9 * share / most]).collect()

@@ -48,7 +48,8 @@ pub struct PhotoComparison {
     pub likeness: Likeness,
     /// Factor g on the photograph's linear values.
     pub gain: f64,
-    /// Fraction of the display's pixels where the photograph is clipped; they are excluded.
+    /// Fraction of the display's pixels at which the photograph is clipped. These pixels are
+    /// excluded from the comparison.
     pub clipped: f64,
     /// The camera's position that the corners give, if it was not known: `[x, y, z]` in display
     /// space, millimetres.

@@ -15,10 +15,10 @@ pub struct SweepJob {
     /// Presets, or display files relative to the job; default: the job's display.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub displays: Vec<String>,
-    /// Layers N.
+    /// Numbers of layers N.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub layers: Vec<usize>,
-    /// Frames M.
+    /// Numbers of frames M.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub frames: Vec<usize>,
     /// Brightness scales β.

@@ -117,7 +117,8 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     let (machine, sizes) = (multiply_adds_per_second(), sizes(plan));
     for (index, key) in keys.into_iter().enumerate() {
         let record = records.get(&plan.steps[index].id);
-        // Without a record, the result is not cached. Without a key, only a run can find out.
+        // Without a record, the result is not cached. Without a key, only a run can find out if the
+        // result is current.
         let cached = match (&key, record) {
             (_, None) => Some(false),
             (None, Some(_)) => None,
@@ -240,7 +241,7 @@ fn is_there(plan: &Plan, index: usize) -> bool {
     let job = &plan.parts[step.part].job;
     let exists = |names: &[&str]| names.iter().all(|name| dir.join(name).exists());
     match step.kind {
-        // every run reads or makes these again
+        // Every run makes the results of these steps again, so they are never cached.
         StepKind::Ingest | StepKind::Place | StepKind::Read => false,
         StepKind::Trace | StepKind::Denoise | StepKind::Score => exists(&["cache/views"]),
         StepKind::Expose | StepKind::Source => stamps.is_whole("target"),
@@ -335,7 +336,8 @@ impl Memory {
         let (render, threads) = (&job.render, rayon::current_num_threads());
         let rays = |geometry: &FieldGeometry| (geometry.grid.iter().count() * geometry.rows * geometry.cols) as f64;
         let (view, window) = (RGB * (geometry.rows * geometry.cols) as f64, render.window_bytes() as f64);
-        // For a light field in a mapped file, each thread may use one view beside the window.
+        // For a light field in a mapped file, `window` bytes of the file are in memory, and one
+        // view per thread.
         let in_use = |bytes: f64, of_thread: f64| bytes.min(window + threads as f64 * of_thread);
         let of_field = |geometry: &FieldGeometry| match render.is_held(geometry) {
             true => RGB * rays(geometry),
@@ -432,7 +434,7 @@ fn cost(stage: &str) -> f64 {
 
 /// Bytes of a pixel: three floats.
 const RGB: f64 = 12.0;
-/// Bytes of the rays that choose an exposure, in two copies.
+/// Bytes of the rays from which an exposure is chosen; the program has two copies of them.
 const EXPOSURE: f64 = (64 << 20) as f64;
 /// Bytes of the program itself: its code, libraries and threads, and memory that the allocator
 /// keeps.
@@ -503,7 +505,7 @@ fn multiply_adds_per_second() -> f64 {
         .into_par_iter()
         .map(|thread| (0..ROUNDS).fold([thread as f32; 8], |sum, _| sum.map(|x| x * 0.999 + 0.5)).iter().sum())
         .collect();
-    // The compiler would remove the loop if its result were not used.
+    // Use the sums, since the compiler would otherwise remove the loop.
     let scale = if sums.iter().all(|sum| sum.is_finite()) { 8.0 } else { 1.0 };
     scale * f64::from(ROUNDS) * threads as f64 / start.elapsed().as_secs_f64().max(1e-6)
 }

@@ -42,7 +42,7 @@ pub struct Step {
     /// Hash of everything that the result depends on: equal keys give equal results. `None` if the
     /// key contains the list of the scene's files, which only a run finds.
     pub key: Option<String>,
-    /// True if the run folder has the result; `None` if only a run can find out.
+    /// True if the run folder has the current result; `None` if only a run can find out.
     pub cached: Option<bool>,
     /// Upper bound of the memory, bytes, computed from the sizes of arrays. A light field larger
     /// than the job's `render.field_mib` counts only by its parts that are in memory.
@@ -94,7 +94,7 @@ pub(crate) struct Part {
     pub(crate) parent: Option<usize>,
 }
 
-/// Kinds of folders.
+/// Kinds of parts.
 #[derive(Clone, Debug)]
 pub(crate) enum PartKind {
     /// A still, or several nodes with one light field.
@@ -195,7 +195,7 @@ impl Plan {
         }
     }
 
-    /// The time step that a part belongs to, and the part of its sequence.
+    /// The number of the time step that a part belongs to, and the index of the sequence's part.
     pub(crate) fn time(&self, part: usize) -> Option<(usize, usize)> {
         let of_field = self.field_part(part);
         match (&self.parts[of_field].kind, self.parts[of_field].parent) {

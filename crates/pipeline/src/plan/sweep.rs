@@ -143,7 +143,7 @@ pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Design
                 if is_sequence { add_times(plan, part, true)? } else { vec![add_field(plan, part, Before::default())] };
             let steps = plan.steps.iter().filter(|step| ids.contains(&step.id));
             parts = steps.map(|step| step.part).collect();
-            // Add the pictures for the zone score, which every time step has.
+            // Add the steps that render the pictures for the zone score of every time step.
             let of_fields = parts.iter().copied().zip(ids.clone()).collect::<Vec<(usize, String)>>();
             ids.extend(of_fields.into_iter().flat_map(|(part, id)| add_score(plan, part, &id)));
         }

@@ -105,9 +105,10 @@ impl<'a> Cutter<'a> {
             StepKind::FieldOutput(_) | StepKind::StackOutput(_) | StepKind::Measure => return self.add_result(step),
             StepKind::Report if self.is_report_of_time(step) => return self.add_result(step),
             StepKind::Design(number) => return self.add_design(step, number),
-            // each unit that reads these results makes them again
+            // Each unit that reads these results makes them again, so they get no unit of their
+            // own.
             StepKind::Ingest | StepKind::Place | StepKind::Denoise => return self.pass(step),
-            // the last unit makes these results
+            // The last unit makes these results, so they get no unit of their own.
             StepKind::Report | StepKind::Search => return,
         };
         let mut inputs = self.inputs(&step.inputs);

@@ -58,8 +58,8 @@ pub(crate) struct Denoised {
 /// Bytes per ray while the guided filter works. The filter needs all views at once.
 pub(crate) const GUIDED_BYTES: u64 = 192;
 
-/// Checks before any rendering that the filter is installed, and that the job allows the memory it
-/// needs.
+/// Checks before any rendering that the filter is installed, and that the job allows the memory
+/// that the filter needs.
 ///
 /// # Errors
 /// If Open Image Denoise is not installed, or the guided filter needs more memory than the job

@@ -80,8 +80,8 @@ impl SolverDevice {
     /// Adds the device to a key, since a graphics processor rounds differently from the processor.
     pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
         match self {
-            // Results of the processor have equal keys in builds with and without the feature
-            // `gpu`.
+            // Add nothing, so that results of the processor have equal keys in builds with and
+            // without the feature `gpu`.
             Self::Processor => _ = key,
             #[cfg(feature = "gpu")]
             Self::Device { device, .. } => {

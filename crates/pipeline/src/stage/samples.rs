@@ -349,8 +349,8 @@ pub(crate) fn bytes(job: &Job, display: &Display, geometry: &FieldGeometry, thre
     exposure + rendering.max(solving)
 }
 
-/// Returns the number of bytes of a part's files that may be in memory. All parts are compared in
-/// parallel.
+/// Returns the number of bytes of a part's files that may be in memory. It is an eighth of the
+/// job's limit, since several parts are compared in parallel.
 fn window_bytes(job: &Job) -> usize {
     job.render.window_bytes() / 8
 }

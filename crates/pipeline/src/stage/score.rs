@@ -123,7 +123,7 @@ impl References {
             let settings = Settings {
                 samples: SAMPLES[usize::from(i >= CLEAN)] / 2,
                 max_bounces: job.render.max_bounces,
-                // Clamped references would lack light.
+                // Samples are not clamped, since clamped references would lack light.
                 clamp: None,
                 seed: seed::derive(job.seed, &[STREAM, i as u64, half as u64]),
                 angular_filter: AngularFilter::Point,
@@ -276,8 +276,8 @@ impl References {
         Ok([one(0)?, one(1)?])
     }
 
-    /// Reads one picture. Returns `None` if its file is missing or damaged. With a background
-    /// colour, this also applies to the file with the fraction of samples that hit no surface.
+    /// Reads one picture and, with a background colour, the fraction of samples that hit no
+    /// surface. Returns `None` if a file is missing or damaged.
     fn one(&self, i: usize, half: usize) -> Option<Vec<f32>> {
         let (folder, tone_mapping, background, space) = match &self.pictures {
             Pictures::Rendered { folder, tone_mapping, background, space } => {

@@ -62,7 +62,7 @@ fn is_empty_folder(path: &Path) -> bool {
 
 /// Checks that the work overwrites none of the job's inputs.
 fn check_inputs(dir: &Path, work: Work, job: &Job, registry: &Registry) -> Result<(), PipelineError> {
-    // a folder that does not exist contains no input
+    // A folder that does not exist contains no input.
     let Ok(root) = dir.canonicalize() else { return Ok(()) };
     for (role, path) in inputs(job, registry) {
         let Ok(found) = path.canonicalize() else { continue };
@@ -97,7 +97,7 @@ fn inputs(job: &Job, registry: &Registry) -> Vec<(&'static str, PathBuf)> {
         ("weights", &job.factorize.weights),
     ];
     list.extend(named.into_iter().filter_map(|(role, path)| Some((role, path.clone()?))));
-    // Add files that nodes name. It has no effect that some files are listed twice.
+    // Add files that nodes name. Some files are listed twice, which has no effect.
     list.extend(job.paths_mut().map(|path| ("input", path.clone())));
     let displays = job.sweep.iter().flat_map(|sweep| &sweep.displays).filter(|name| name.ends_with(".toml"));
     list.extend(displays.map(|name| ("display file", job.folder.join(name))));
@@ -188,7 +188,8 @@ mod tests {
         let job = job(folder.path());
         let path = folder.path().join("job.toml");
         let accepted = || try_take(folder.path(), Work::Run, &job).map(drop);
-        // first a file of a version that wrote all defaults and no hash; then a file with a hash
+        // First check a file of a version that wrote all defaults and no hash, then a file with a
+        // hash.
         std::fs::write(&path, job.to_toml()).unwrap();
         assert_eq!(accepted(), Ok(()));
         std::fs::write(&path, format!("{}# mine\n", job.to_toml())).unwrap();
@@ -237,7 +238,7 @@ mod tests {
         assert!(try_take(dir, Work::Run, &job(dir)).is_err());
         let stamp = format!("{{\"key\": \"{}\", \"files\": [[\"layers/stack.json\", 2]]}}", "a".repeat(64));
         std::fs::write(dir.join("cache/factorize.json"), stamp).unwrap();
-        // a job file of an older version, which has fewer keys
+        // This job file is from an older version, which had fewer keys.
         let old = job(dir).to_toml().replace("seed = 1\n", "");
         std::fs::write(dir.join("job.toml"), old).unwrap();
         drop(try_take(dir, Work::Run, &job(dir)).unwrap());

@@ -151,7 +151,8 @@ impl FolderLock {
 
 impl Drop for FolderLock {
     fn drop(&mut self) {
-        // another process holds the lock, or the lock is shared, or the file system has no locks
+        // Keep all files if another process holds the lock, units share the lock, or the file
+        // system has no locks.
         if self.lock.is_none() || self.hold == Hold::Shared {
             return;
         }

@@ -17,7 +17,7 @@ pub(crate) enum Work {
     Run,
     /// A sequence. Each of its time steps has a folder.
     Sequence,
-    /// Views only.
+    /// Rendering of views, without patterns.
     Views,
     /// A sweep over designs.
     Sweep,

@@ -46,8 +46,8 @@ pub(crate) fn write_display(path: &Path, display: &Display) -> Result<(), Pipeli
     write_sealed(path, &display.to_toml())
 }
 
-/// Lumistack changed the text of a settings file from `before` to `after`, for example by a
-/// calibration. Returns the text to write. If `before` has a valid hash, the result has a new hash;
+/// Renews the hash of a settings file whose text Lumistack changed from `before` to `after`, for
+/// example by a calibration. If `before` has a valid hash, the result is `after` with a new hash;
 /// otherwise the result is `after`.
 pub fn with_new_seal(before: &str, after: &str) -> String {
     match (is_whole(before), after.strip_prefix(SEAL).and_then(|rest| rest.split_once('\n'))) {

@@ -7,8 +7,8 @@ use lumistack_core::{Cancel, Collector, Task};
 use lumistack_pipeline::{Job, Plan, Registry, plan, run, run_step, sweep};
 use serde_json::Value;
 
-/// Tolerance of a sweep's scores against the scores of a run, dB. Both sum the same errors, in
-/// different orders.
+/// Tolerance of a sweep's scores against the scores of a run, dB. Sweep and run sum the same errors
+/// in different orders.
 const AGREEMENT_DB: f64 = 1e-9;
 
 const DISPLAY: &str = "[display]\npreset = \"paper-three-layer\"\nresolution = [24, 15]\nviews = [3, 3]\nframes = 2\n";
@@ -190,7 +190,7 @@ fn every_step_can_be_executed_alone() {
     let [whole, parts] = ["whole", "parts"].map(|name| folder.path().join(name));
     with_task(|task| run(&job, &whole, &registry, None, task)).unwrap();
     for step in plan(&job, &parts, &registry).unwrap().steps {
-        // the processes of the steps share only the run folder
+        // Each step is executed alone. Its only inputs are the files in the run folder.
         with_task(|task| run_step(&job, &parts, &step.id, &registry, task)).unwrap();
     }
     assert!(results(&whole) == results(&parts));
@@ -208,7 +208,7 @@ fn a_light_field_in_a_file_gives_what_one_in_memory_gives() {
     let display = "[display]\npreset = \"paper-three-layer\"\nresolution = [60, 40]\nviews = [5, 5]\nframes = 2\n";
     let report = "[report]\nzone_directions = 0\n";
     let mut found = Vec::new();
-    // 60,000 rays of 32 bytes: more than one MiB
+    // The light field has 60,000 rays of 32 bytes, which is more than one MiB.
     for (name, limit) in [("held", 4096), ("paged", 1)] {
         let render = format!("[render]\nsamples = 1\nmax_bounces = 1\nfield_mib = {limit}\n");
         let job = job(folder.path(), &head, &[display, &render, report]);

@@ -70,7 +70,7 @@ fn units_of_a_still_give_the_bytes_of_a_run() {
         ["place", "trace/1-of-2", "trace/2-of-2", "expose", "score/1-of-2", "score/2-of-2", "factorize", "finish"];
     assert_eq!(ids(&plan), expected);
     assert_eq!(results(&one), results(&many));
-    // the report has the scores of the report of a run
+    // The report after the units has the same zone score as the report of a run.
     let figure = |dir: &PathBuf| json(&dir.join("report.json"))["psnr_zone"].clone();
     assert!(figure(&one).is_number() && figure(&one) == figure(&many));
 
@@ -156,7 +156,8 @@ fn chunks_of_a_sequence_do_not_wait_for_each_other() {
         // step
         assert_eq!(inputs(4), ["t0002/expose", "t0003/expose", "t0004/expose"]);
         assert!(inputs(5).contains(&format!("t0004/{node}factorize")));
-        // a time step may prefer a fresh start, so its job does not show that there was a warm-up
+        // The job of a time step does not show a warm-up, since a time step may prefer a fresh
+        // start. So check the files.
         let warm_up = many.join("cache/warm-up/t0004/t0003").join(node).join("layers/stack.json");
         assert!(warm_up.is_file() && !many.join("cache/warm-up/t0005").exists());
         // the content moves little, so the error is close to the error of a sequence without chunks

@@ -16,7 +16,7 @@ use crate::compose::{results, with_task};
 const STEP: &str = "LUMISTACK_TEST_MEMORY_STEP";
 /// Environment variable that names the job file of a child. The run folder is beside this file.
 const JOB: &str = "LUMISTACK_TEST_MEMORY_JOB";
-/// Columns, rows, and views per axis. The given light field and the fixed views have this size.
+/// Columns, rows, and views per axis, of the given light field and of the jobs with fixed views.
 const SIZE: [usize; 3] = [208, 140, 17];
 
 /// Peak of a run, and the bound of its plan, bytes.
@@ -61,8 +61,8 @@ fn peak_of(folder: &Path, name: &str, mib: u64, tables: &str, step: Option<&str>
     (path.with_extension(""), peak)
 }
 
-/// Compares a run that may keep only `mib` of a light field in memory with a run that keeps
-/// everything.
+/// Checks a run that may keep only `mib` of a light field in memory. It must have the results of a
+/// run that keeps everything, and use less memory.
 fn check(tables: &str, mib: u64, step: Option<&str>) {
     let folder = tempfile::tempdir().unwrap();
     let (held_dir, held) = peak_of(folder.path(), "held", 4096, tables, step);

@@ -11,9 +11,9 @@ use lumistack_pipeline::{BlockSize, Job, Registry, farm_plan, farm_unit, run};
 
 use crate::compose::{results, with_task};
 
-/// Maximum loss of PSNR in a band around seams against a solve without tiles, dB.
+/// Maximum loss of PSNR near seams (borders between tiles) against a solve without tiles, dB.
 const SEAM_DB: f64 = 0.1;
-/// Width of the band on either side of a seam, pixels of the light field.
+/// Distance from a seam up to which a pixel is near the seam, pixels of the light field.
 const BAND: usize = 4;
 const CUT: BlockSize = BlockSize { block_seconds: 1.0, blocks: Some(1) };
 
@@ -29,7 +29,7 @@ fn still_life(folder: &Path, name: &str, tiles: &str) -> Job {
     Job::load(&path).unwrap()
 }
 
-/// Returns the PSNR in the band around seams, and the PSNR outside of it.
+/// Returns two PSNR values: over the pixels for which `near` is true, and over the other pixels.
 fn figures(dir: &Path, target: &LightField, display: &Display, near: &dyn Fn(usize, usize) -> bool) -> [f64; 2] {
     let (stack, geometry) = (read_stack(&dir.join("layers")).unwrap(), target.geometry());
     let (simulator, map) = (Simulator::new(display, &stack), RayMap::new(display, geometry));
@@ -55,7 +55,8 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     let [of_whole, of_tiles, farm] = ["whole", "tiles", "farm"].map(|name| folder.path().join(name));
     with_task(|task| run(&whole, &of_whole, &registry, None, task)).unwrap();
 
-    // stop the tiled run in the middle of its solve, and run it again; the second run must continue
+    // Stop the tiled run in the middle of its solve, and run it again. The second run must
+    // continue.
     std::fs::create_dir_all(&of_tiles).unwrap();
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let stops = StopsAt { stage: "factorize", after: 5, seen: Default::default(), cancel: &cancel };

@@ -75,8 +75,8 @@ def Camera "above"
 }
 "#;
 
-/// A glowing panel above a dark floor. Both materials have a shader with this `id`. `color` and
-/// `rough` are the names of inputs, and `glow` sets the emission of the panel.
+/// Returns a scene of a glowing panel above a dark floor. Both materials have a shader with this
+/// `id`. `color` and `rough` are the names of inputs, and `glow` sets the emission of the panel.
 fn lit_room(id: &str, color: &str, rough: &str, glow: &str) -> String {
     let material = |name: &str, inputs: &str| {
         format!(

@@ -13,7 +13,7 @@ use crate::{Found, ReportError, ReportInput, Solution, Stage, format, plot};
 /// The bar of main scores under the title.
 pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     let geometry = input.target.geometry();
-    // the number of views for which the solver solved; the page shows only some of them
+    // Show the number of views for which the solver solved, since the page shows only some of them.
     let [view_cols, view_rows] = input.display.views();
     let pixels = format!("across × up, {} × {} pixels each", geometry.cols, geometry.rows);
     let db = |value: f64| format!("{} dB", format::decibels(value));
@@ -68,7 +68,7 @@ fn zone_figures(input: &ReportInput) -> (String, String) {
 
 /// Quality over the zone: a map of the measured directions.
 pub(super) fn zone(input: &ReportInput) -> Markup {
-    /// Side of the map, in units of the map.
+    /// Side of the square map of directions, SVG units.
     const SIDE: f64 = 400.0;
     const DOT: f64 = 19.0;
     let Some(zone) = input.zone else {
@@ -131,7 +131,7 @@ struct Heat {
     /// Smallest difference of the scores at the ends of the colour scale. A smaller one would
     /// exaggerate invisible differences.
     narrowest: f64,
-    /// The range if no view has a finite value.
+    /// Ends of the colour scale if no view has a finite value.
     fallback: (f64, f64),
     larger_is_better: bool,
 }

@@ -168,8 +168,8 @@ fn contact_sheet(sheet: &Sheet, name: &str) -> Markup {
     }
 }
 
-/// Returns the style with the number of columns on a wide page. There are at most eight columns,
-/// and as many as make the rows about equally long.
+/// Returns the style with the number of columns on a wide page: three to eight, such that all rows
+/// are about equally long.
 fn across(count: usize) -> String {
     format!("--across:{}", count.div_ceil(count.div_ceil(8)).max(3))
 }

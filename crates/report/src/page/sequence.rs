@@ -71,7 +71,7 @@ fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
 
 /// Central views, with the target above and the display below.
 fn pictures(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
-    // evenly spaced, including the first and the last time step
+    // Show evenly spaced time steps, including the first and the last one.
     let count = times.len().min(PICTURES);
     let chosen = (0..count).map(|i| &times[i * (times.len() - 1) / (count - 1).max(1)]);
     let mut cells = Vec::new();

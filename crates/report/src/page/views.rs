@@ -7,7 +7,7 @@ use crate::measure::{Comparison, Measured};
 use crate::picture::{DIVERGING, Embedded, MAGMA};
 use crate::{ReportInput, format};
 
-/// The central view, large.
+/// The large comparison, at the top of the page.
 pub(super) fn headline(measured: &Measured) -> Markup {
     let k = measured.headline.amplification;
     html! {

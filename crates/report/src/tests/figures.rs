@@ -257,8 +257,8 @@ fn blur_and_crosstalk_are_compared_with_a_display_without() {
     assert!(report["limits"].as_array().unwrap().iter().all(|limit| limit["name"] != "Blur and crosstalk"));
 }
 
-/// A plane with a fine texture is at `z_mm` in the left half of the picture, and on z = 0 in the
-/// right half.
+/// Returns a light field of two planes with a fine texture. One is at `z_mm`, in the left half of
+/// the picture; the other is on z = 0, in the right half.
 fn stepped_field(display: &Display, z_mm: f64) -> LightField {
     let mut field = LightField::black(display.geometry().unwrap()).unwrap();
     let geometry = field.geometry().clone();

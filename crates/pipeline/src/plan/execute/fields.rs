@@ -45,7 +45,8 @@ impl Context<'_> {
         let cache = self.cache(part);
         let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
         let samples = match self.plan.time(part) {
-            // All time steps are rendered with the same number of samples.
+            // All time steps are rendered with the number of samples that the sequence has
+            // measured.
             Some((_, sequence)) => self.states[sequence].samples,
             None => samples::measured(&job, &ingested, &placement, &display, &cache, task)?,
         };

@@ -93,7 +93,7 @@ pub(super) fn run(
                 });
             }
         }
-        // The kept candidates stay in their order.
+        // Sort by number, so that the kept candidates stay in their original order.
         let mut chosen: Vec<usize> = order.into_iter().take(goes_on).collect();
         chosen.sort_unstable();
         candidates = chosen.into_iter().map(|i| candidates[i].clone()).collect();
