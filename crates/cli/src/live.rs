@@ -44,7 +44,7 @@ use crate::groups::{
 use crate::server::{Site, listen, port_of, serve};
 use crate::values::Numbers;
 
-/// For `lumistack live --help`.
+/// Examples and commands that `lumistack live --help` prints.
 pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb                      updates the display when the model is saved again\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n  lumistack live views/ --times --rate 12       plays a video of 12 light fields per second\n  lumistack live model.glb --opentrack 4242     follows the head that OpenTrack reports (UDP over network)\n\nStandard input accepts commands. Each line is a JSON object, such as:\n  {\"set\": {KEY: VALUE, ...}}       changes keys of the job\n  {\"time\": SECONDS}                changes the time of the scene's animation\n  {\"viewers\": [[X, Y, Z], ...]}    states the positions of the viewers' heads, millimetres\n  {\"reload\": true}                 reads all files again\n  {\"stop\": true}                   ends the display\n  {\"stop_at_end\": true}            ends the display when standard input ends\n\nAfter the end, also by Ctrl-C, the last state of the display is a run folder. docs/LIVE.md has the details.";
 
 /// Interval at which files are checked for changes.

@@ -173,7 +173,8 @@ fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Disp
         let expected = "the layers and lenslets that the patterns were made for";
         return Err(PipelineError::value(path, "layers", expected, "others"));
     }
-    // distances and frames must stay as they are in the patterns' display
+    // Take only the calibration. Distances and frames must stay those for which the patterns were
+    // solved.
     let mut display = display.clone();
     for (own, measured) in display.layers.iter_mut().zip(&measured.layers) {
         own.panel.clone_from(&measured.panel);

@@ -100,7 +100,8 @@ pub struct Zone {
     pub whole_from_mm: f64,
     /// Width and height of the zone at the distance `at_mm`, millimetres.
     pub width_mm: [f64; 2],
-    /// Twice `whole_from_mm`, or the viewing distance of pinhole views, millimetres.
+    /// Distance from the display for `width_mm` and `views_between_eyes`, millimetres: twice
+    /// `whole_from_mm`, or the viewing distance of pinhole views.
     pub at_mm: f64,
     /// Number of views between two eyes that are 63 mm apart, at the distance `at_mm`.
     pub views_between_eyes: f64,

@@ -107,19 +107,19 @@ impl Row {
 pub struct NodeRow {
     /// Name of the node.
     pub id: String,
-    /// Defined as in [`Row`].
+    /// Zone score of the node, dB; `None` without reference pictures.
     #[serde(default)]
     pub psnr_zone_db: Option<f64>,
-    /// Defined as in [`Row`].
+    /// Zone score over the tenth of the directions with the lowest PSNR, dB.
     #[serde(default)]
     pub psnr_zone_worst_tenth_db: Option<f64>,
-    /// Defined as in [`Row`].
+    /// PSNR of L̃/β against L, dB, at most [`MOST_DB`].
     pub psnr_view_db: f64,
-    /// Defined as in [`Row`].
+    /// PSNR of L̃ against βL, dB.
     pub psnr_raw_db: f64,
-    /// Defined as in [`Row`].
+    /// PSNR of L̃/β at views between the target's views, dB; `None` if these views are not known.
     pub psnr_between_db: Option<f64>,
-    /// Defined as in [`Row`].
+    /// PSNR of L̃/β against L at the worst time step of a sequence, dB; `None` for a still.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_worst_db: Option<f64>,
 }

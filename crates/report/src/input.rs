@@ -83,8 +83,8 @@ pub struct Denoising<'a> {
 pub struct ZoneFigures {
     /// Errors of seen pictures, for each direction.
     pub score: ZoneScore,
-    /// True if the references are views of a given light field that the solver did not use. False
-    /// if they are renders.
+    /// True if the reference pictures are views of a given light field that the solver did not use.
+    /// False if they are renders.
     pub left_out: bool,
     /// Directions whose references have enough samples for SSIM, FLIP and pictures on the page.
     pub views: Vec<ZoneView>,

@@ -215,7 +215,7 @@ impl Picture {
     /// If the encoder refuses the size.
     pub(crate) fn embedded(&self, encoding: Encoding) -> ImageResult<Embedded> {
         let (width, height, mut bytes) = (self.cols as u32, self.rows as u32, Vec::new());
-        // JPEG stores width and height in 16 bits
+        // JPEG stores width and height in 16 bits, so a larger picture is a PNG.
         let encoding = if width.max(height) > 65_500 { Encoding::Png } else { encoding };
         let mime =
             match encoding {

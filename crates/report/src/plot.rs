@@ -69,7 +69,7 @@ pub(crate) fn disparities(budget: &DepthBudget) -> Result<String, ReportError> {
 pub(crate) fn bound(budget: &DepthBudget) -> Result<String, ReportError> {
     // Near the depth of a single layer the bound is infinite, so clamp it to the plotted range.
     let points: Vec<(f64, f64)> = budget.bound.iter().map(|(z, bound)| (*z, bound.min(MOST_DETAIL))).collect();
-    Ok(page::against(&points, 1.0, ["depth, mm towards the viewer", "finest detail / that of the pixels"])?)
+    Ok(page::against(&points, 1.0, ["depth, mm towards the viewer", "finest detail / finest detail of the pixels"])?)
 }
 
 fn shares(histogram: &Histogram, label: &str, band: Option<[f64; 2]>, lines: &[f64]) -> Result<String, ReportError> {

@@ -1,4 +1,4 @@
-//! The analysis as text.
+//! Formats the analysis of a display as text.
 
 use std::fmt::Write as _;
 

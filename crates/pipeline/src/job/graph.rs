@@ -74,7 +74,8 @@ pub struct NodeJob {
 }
 
 impl NodeJob {
-    /// Id of the node that is the built-in factorizer. Its parameters are the table `factorize`.
+    /// Id of the node plugin that is the built-in factorizer. Its parameters are the table
+    /// `factorize`.
     pub const TENSOR_DISPLAY: &'static str = "tensor-display";
 }
 

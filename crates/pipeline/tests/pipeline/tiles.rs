@@ -65,7 +65,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     let kept = |name: &str| of_tiles.join("cache/tiles").join(name).join("layers/stack.json").is_file();
     assert!(kept("round-1/tile-4") && kept("round-2/tile-1") && !kept("round-4/tile-1"));
     with_task(|task| run(&tiled, &of_tiles, &registry, None, task)).unwrap();
-    assert!(!of_tiles.join("cache/tiles").exists(), "a run that finished has no use of them");
+    assert!(!of_tiles.join("cache/tiles").exists(), "a finished run does not need the results of tiles");
 
     let display = tiled.resolve_display().unwrap();
     let (target, _) = read_field_folder(&of_tiles.join("target")).unwrap();
@@ -90,7 +90,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     for unit in &plan.units {
         let before = (unit.id == "factorize").then(written);
         with_task(|task| farm_unit(&farm, &unit.id, &[], Duration::ZERO, &registry, task)).unwrap();
-        assert!(before.is_none_or(|before| before == written()), "patterns take up the tiles of units");
+        assert!(before.is_none_or(|before| before == written()), "the run reuses the tiles that units solved");
     }
     assert!(results(&of_tiles) == results(&farm));
     assert!(std::fs::read_to_string(of_tiles.join("report.json")).unwrap().contains("\"psnr_view\""));

@@ -130,7 +130,7 @@ pub(super) fn blur_and_crosstalk(gain: f64) -> Limit {
         )
     } else {
         format!(
-            "On layers without blur and crosstalk this layer stack would be {} dB worse, since it compensates for those of this display.",
+            "On layers without blur and crosstalk this layer stack would be {} dB worse, since it compensates for the blur and crosstalk of this display.",
             format::decibels_fine(-gain)
         )
     };

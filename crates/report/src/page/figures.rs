@@ -76,7 +76,7 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
             section id="zone" {
                 h2 { "Whole viewing zone" }
                 p class="quiet" {
-                    "Unknown: the solver used all views of the given light field, so there are no references between them. The scores below are those of these views. "
+                    "Unknown: the solver used all views of the given light field, so there are no references between them. The scores below are the scores of these views. "
                     "If a light field has more views than the display needs, keep fewer (" code { "--views" } "). The others are then the references of the zone."
                 }
             }

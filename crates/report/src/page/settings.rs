@@ -25,7 +25,7 @@ pub(super) fn warnings(warnings: &[Warning]) -> Markup {
     }
 }
 
-/// The last section of the page.
+/// Makes the last section of the page: display, job, scene and versions.
 pub(super) fn section(input: &ReportInput) -> Markup {
     html! {
         section id="settings" {

@@ -15,9 +15,9 @@ pub(super) fn headline(measured: &Measured) -> Markup {
             div class="compare group" { (pictures(&measured.headline)) }
             div class="beside" {
                 p {
-                    @if measured.zone.is_some() { "A seen picture in a direction between the solver's views; of those below, it has the median score. " } @else { "The view from straight ahead. " }
+                    @if measured.zone.is_some() { "A seen picture in a direction between the solver's views; its score is the median of the directions with pictures. " } @else { "The view from straight ahead. " }
                     "A good display shows the picture of the target, and the difference is almost white. Red is too bright, blue is too dark. The error is "
-                    "amplified " strong { "× " (k) } " (that of the colour channel with the largest error, in linear light)."
+                    "amplified " strong { "× " (k) } " (the error of the colour channel with the largest error, in linear light)."
                     @if measured.has_dropped_rays { " Grey squares are rays that leave a layer or have weight 0; scores exclude them, and the display may show black there." }
                     " Views are divided by the brightness β, clamped to 0..1 and sRGB-encoded." (shrunk_note(measured.headline_shrunk))
                     " Click a picture for full size; there the arrow keys flip between target, simulated, difference and FLIP error in place. FLIP shows where an eye sees a difference between "
