@@ -184,7 +184,7 @@ fn looked_at(
 ) -> Result<Scene, PipelineError> {
     let mut job = job_or_scene(scene)?;
     change_importer(&mut job.importer, files);
-    // The budget must contain the scene's own depth, so depth is not compressed for the display.
+    // The analysis needs the scene's own depth, so do not compress depth for the display.
     if job.window.fit_depth == FitDepth::Auto {
         job.window.fit_depth = FitDepth::Off;
     }

@@ -194,7 +194,8 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     if let Some(bad) = gaps_mm.iter().find(|gap| !(gap.is_finite() && **gap > 0.0)) {
         return Err(PipelineError::value("--gaps-mm", "MM", "distances above 0", bad.to_string()));
     }
-    // Panels: default values come from the outputs that the system reports.
+    // Request the settings of the panels. Default values come from the outputs that the system
+    // reports.
     let layers = gaps_mm.len() + 1;
     let panels = layers + usize::from(lens_pitch_mm > 0.0);
     let known: Vec<String> = outputs.iter().take(panels).map(|(name, ..)| name.clone()).collect();

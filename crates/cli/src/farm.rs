@@ -293,7 +293,7 @@ fn planned(
 fn own_words() -> Vec<String> {
     let program = std::env::current_exe().map_or("lumistack".into(), |path| path.to_string_lossy().into_owned());
     let stem = Path::new(&program).file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    // in the Python package the command runs inside the interpreter
+    // In a Python interpreter the program is Python, so the words must also name the module.
     if !stem.starts_with("python") {
         return vec![program];
     }

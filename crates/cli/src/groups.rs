@@ -63,8 +63,8 @@ pub(crate) struct RenderArgs {
     /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, the
     /// diffuse light of each surface point is averaged over the views that see the point. With
     /// guided, Lumistack's filter works on all views together. With oidn, Open Image Denoise
-    /// filters each view, if it is installed. Auto means shared if the display chooses the views
-    /// and Lumistack's path tracer renders them, otherwise off
+    /// filters each view, if it is installed. Auto means shared if the number of views is automatic
+    /// and Lumistack's path tracer renders the views, otherwise off
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
     /// Camera that sees the scene, by its name or its number from 0. Its plane of focus becomes the
@@ -87,8 +87,8 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub(crate) lights_visible: Option<bool>,
     /// Time at which the scene's animations are shown, seconds. Without this flag, glTF scenes have
-    /// the pose of the file, or with --animation that of time 0. USD scenes have the pose of the
-    /// first time code, and .blend scenes that of the saved frame
+    /// the pose of the file, or the pose at time 0 with --animation. USD scenes have the pose at
+    /// the first time code, and .blend scenes the pose at the saved frame
     #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
     pub(crate) time_s: Option<f64>,
     /// Animation, by name or number [default: all animations together, or only the first if two of

@@ -133,7 +133,7 @@ fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<
     Ok(text)
 }
 
-/// Ids and descriptions of the output plugins that write files.
+/// Returns the ids and descriptions of the output plugins that write files.
 fn writers(registry: &Registry) -> impl Iterator<Item = (&str, &str)> {
     let outputs = registry.infos().filter(|info| json!(info.kind) == "output" && !info.presents);
     outputs.map(|info| (info.id.as_str(), info.doc.as_str()))

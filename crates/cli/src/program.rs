@@ -12,7 +12,8 @@ static NAME: OnceLock<String> = OnceLock::new();
 /// Stores the name under which the command was started. `first` is the first word of its command
 /// line.
 pub(crate) fn remember(first: Option<&OsStr>) {
-    // cargo names the package in the environment of a program that it runs
+    // Cargo names the package in the environment of a program that it runs, so `cargo lumistack` is
+    // recognized by this name.
     let by_cargo =
         std::env::var_os("CARGO").is_some() && std::env::var("CARGO_PKG_NAME").is_ok_and(|name| name == PACKAGE);
     let first = first.map_or_else(|| "lumistack".into(), |word| word.to_string_lossy().into_owned());
@@ -43,7 +44,7 @@ fn started_as(first: &str, by_cargo: bool, folders: &[PathBuf]) -> String {
     if by_cargo {
         return "cargo lumistack".into();
     }
-    // the Python package passes a name of several words
+    // The Python package passes the complete name, such as `python -m lumistack`.
     if first.contains(" -m ") {
         return first.into();
     }

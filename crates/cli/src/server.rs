@@ -67,7 +67,7 @@ pub(crate) fn listen(port: u16) -> io::Result<Server> {
     Ok(Server { listener, address })
 }
 
-/// The port that a server listens on.
+/// Returns the port that a server listens on.
 pub(crate) fn port_of(server: &Server) -> u16 {
     server.address.port()
 }
@@ -83,12 +83,13 @@ pub(crate) struct Site<'a> {
 
 /// States of a display that changes.
 pub(crate) trait Feed: Sync {
-    /// The script that requests states.
+    /// Returns the script that requests states.
     fn script(&self) -> &'static str;
     /// Waits for a state newer than the query's, or for a timeout. Returns the response, or `None`
     /// if there is no such state.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
-    /// The word that a query of [`look`](Self::look) must have; `None` where pages move no viewer.
+    /// Returns the word that a query of [`look`](Self::look) must have; `None` where pages move no
+    /// viewer.
     fn word(&self) -> Option<&str>;
     /// Moves the viewer of a page. Returns whether the query is valid.
     fn look(&self, query: &str) -> bool;
@@ -568,8 +569,9 @@ mod tests {
         (stream, text)
     }
 
-    /// Uses real sockets, and a server that listens to this machine alone. A browser opens six
-    /// connections at a time, and keeps as many as the server allows.
+    /// A browser opens six connections at a time, and keeps as many as the server allows. The page
+    /// must also arrive over many open connections. This test uses real sockets on this machine
+    /// alone.
     #[test]
     fn browsers_with_many_connections_get_the_page() {
         const CONNECTIONS: usize = 24;

@@ -99,7 +99,7 @@ pub(crate) fn show_command(args: &Show, registry: &Registry, json: bool, task: T
     let dir = args.dir.as_deref().unwrap_or(Path::new("."));
     let Subject { display, stack, file } = subject(args, dir)?;
     let params = params(args)?;
-    // a test pattern or a picture does not change with the run
+    // Only patterns of a run may change later; a test pattern or a picture stays.
     let first = stack.filter(|_| args.pattern.is_none() && args.full_resolution_2d.is_none());
     let (send, input) = channel();
     if first.is_some() {
@@ -156,8 +156,8 @@ fn subject(args: &Show, dir: &Path) -> Result<Subject, PipelineError> {
         subject.file = Some(path.clone());
     }
     if args.fit {
-        // With --fit the panels differ from those of the display file, so shifts of panels must not
-        // be saved to that file.
+        // With --fit the shown panels are not the panels of the display file, so their shifts must
+        // not be saved to this file.
         subject.file = None;
     }
     Ok(subject)
@@ -173,7 +173,7 @@ fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Disp
         let expected = "the layers and lenslets that the patterns were made for";
         return Err(PipelineError::value(path, "layers", expected, "others"));
     }
-    // Take only the calibration. Distances and frames must stay those for which the patterns were
+    // Take only the calibration. Distances and frames must stay as they were when the patterns were
     // solved.
     let mut display = display.clone();
     for (own, measured) in display.layers.iter_mut().zip(&measured.layers) {

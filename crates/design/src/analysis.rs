@@ -95,7 +95,7 @@ pub struct Zone {
     /// Difference of slope between neighbouring views.
     pub step: [f64; 2],
     /// Smallest distance at which an eye on the axis sees the whole display within the zone,
-    /// millimetres. For pinhole views, which are made for eyes at one distance, it is that viewing
+    /// millimetres. For pinhole views, which are made for eyes at one distance, it is this
     /// distance.
     pub whole_from_mm: f64,
     /// Width and height of the zone at the distance `at_mm`, millimetres.
@@ -181,7 +181,8 @@ impl Analysis {
             Backlight::Lenslets(backlight) => Some(backlight.d_mm),
             Backlight::Uniform => None,
         };
-        // Sample depths up to the requested reach, or up to the extent of layers, scene and field.
+        // Sample depths up to the requested depth, or else beyond the layers, the scene and the
+        // depth of field.
         let parts = || layers_mm.iter().copied().chain(backlight_mm);
         let (rear, front) = parts().fold((f64::MAX, f64::MIN), |(a, b), d| (a.min(d), b.max(d)));
         let of_scene = scene.iter().flat_map(|scene| &scene.percentiles).map(|p| 1.2 * p[0].abs());
@@ -221,13 +222,14 @@ impl Analysis {
 }
 
 impl Analysis {
-    /// Largest depth at which the bound is sampled, millimetres.
+    /// Returns the largest depth at which the bound is sampled, millimetres.
     pub fn reach_mm(&self) -> f64 {
         self.axes[0].bound.last().map_or(0.0, |last| last[0])
     }
 }
 
-/// Fraction of the hits between two depths. A bar that the limits cut contributes in proportion.
+/// Returns the fraction of the hits between two depths. A bar that the limits cut contributes in
+/// proportion.
 fn share_between(bars: &[[f64; 3]], low: f64, high: f64) -> Option<f64> {
     let all: f64 = bars.iter().map(|bar| bar[2]).sum();
     let inside =
@@ -360,7 +362,8 @@ mod tests {
         assert!(analysis.text().contains("eq. 25") && analysis.text().contains("the same"), "{}", analysis.text());
     }
 
-    /// An eye at distance D sees the edges of a display of width W at slopes of ±W/(2D).
+    /// Oracle: an eye at distance D sees the edges of a display of width W at slopes of ±W/(2D).
+    /// The zone must contain these slopes.
     #[test]
     fn the_zone_holds_the_whole_display() {
         let zone = Analysis::of(&directional(), None, None).zone;

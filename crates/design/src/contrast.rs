@@ -64,7 +64,8 @@ const MOST_VIEWS: usize = 48;
 pub struct Gratings {
     /// Depths, millimetres.
     pub depths_mm: Vec<f64>,
-    /// Frequencies, relative to the highest of the light field's pixels, above 0 and at most 1.
+    /// Frequencies of the gratings, divided by the highest frequency of the light field's pixels;
+    /// above 0 and at most 1.
     pub frequencies: Vec<f64>,
     /// Iterations of the solver.
     pub iterations: u32,
@@ -85,7 +86,8 @@ pub struct Contrast {
     pub contrast: f64,
     /// Contrast of the whole emission into the viewing zone.
     pub between: f64,
-    /// Contrast of the whole emission, for patterns that are solved for more views; see the module.
+    /// Contrast of the whole emission, for patterns that are solved for as many views as the bound
+    /// can use.
     pub dense: f64,
 }
 
@@ -101,7 +103,7 @@ pub enum Achieved {
 }
 
 impl Contrast {
-    /// The contrast of the grating by one measure.
+    /// Returns the contrast of the grating by one measure.
     pub fn of(&self, achieved: Achieved) -> f64 {
         match achieved {
             Achieved::AtTheViews => self.contrast,
@@ -111,7 +113,7 @@ impl Contrast {
     }
 }
 
-/// The contrast cannot be measured.
+/// Reasons for which the contrast cannot be measured.
 #[derive(Debug, Error)]
 pub enum ContrastError {
     /// The display cannot be reduced to a strip.
@@ -126,7 +128,7 @@ pub enum ContrastError {
 }
 
 impl Gratings {
-    /// Eight frequencies at depths up to `reach_mm` on both sides.
+    /// Returns gratings of eight frequencies at depths up to `reach_mm` on both sides.
     pub fn up_to(reach_mm: f64) -> Self {
         Self {
             depths_mm: (0..17).map(|i| reach_mm * (f64::from(i) / 8.0 - 1.0)).collect(),
@@ -191,17 +193,18 @@ struct Grating {
 }
 
 impl Grating {
-    /// The grating's phase φ at value `i` of a view, whose values are [col][rgb].
+    /// Returns the grating's phase φ at value `i` of a view, whose values are [col][rgb].
     fn phase(&self, geometry: &FieldGeometry, view: usize, i: usize) -> f64 {
         let x = geometry.x_mm(i / 3);
         let s = geometry.grid.slope_at([0, view], [x, 0.0])[0];
         TAU * (self.frequency * (x + self.z_mm * s) + (i % 3) as f64 / 3.0 + 0.1)
     }
 
-    /// Contrast at the rays of a geometry.
+    /// Returns the contrast along the rays of a geometry.
     fn share_of(&self, display: &Display, stack: &LayerStack, geometry: &FieldGeometry) -> f64 {
         let (simulator, map) = (Simulator::new(display, stack), RayMap::new(display, geometry));
-        // Σ of weight, L, L̃/β and cos φ, and of the products of L and L̃/β with cos φ, per channel
+        // `sums` has, for each channel, Σ of weight, L, L̃/β and cos φ, and of the products of L
+        // and L̃/β with cos φ.
         let mut sums = [[0.0f64; 6]; 3];
         for view in 0..geometry.grid.views()[1] {
             let emitted = simulator.view(&map, geometry, [0, view]);
@@ -218,7 +221,8 @@ impl Grating {
     }
 }
 
-/// The geometry of a strip with more rays: [`POINTS`] per pixel, and slopes in between.
+/// Returns the geometry of a strip with more rays: [`POINTS`] per pixel, and more slopes between
+/// the views.
 fn finer(geometry: &FieldGeometry) -> FieldGeometry {
     let slopes = &geometry.grid.slope_x;
     let per_view = (SLOPES / slopes.len()).max(2);
@@ -235,15 +239,15 @@ fn finer(geometry: &FieldGeometry) -> FieldGeometry {
     }
 }
 
-/// Number of views at which each angular footprint has one view. More views add no detail that the
-/// bound allows.
+/// Returns the number of views at which each angular footprint has one view. More views add no
+/// detail that the bound allows.
 fn useful_views(display: &Display, axis: usize) -> usize {
     let zone = 2.0 * (0.5 * display.field.fov_deg[axis].to_radians()).tan();
     let footprint = display.angular_footprint()[axis];
     if footprint > 0.0 { ((zone / footprint - 1e-9).ceil() as usize).clamp(1, MOST_VIEWS) } else { 1 }
 }
 
-/// The display reduced to one row of pixels, and to `views` views, along an axis.
+/// Returns the display reduced to one row of pixels, and to `views` views, along an axis.
 fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, ContrastError> {
     let mut strip = display.clone();
     let cols = display.field.resolution[axis].min(MOST_COLS);
@@ -262,7 +266,6 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
         let needed = ((width_mm + 2.0 * backlight.d_mm.abs() * half) / backlight.pitch_mm).ceil() as usize + 2;
         // Keep the count odd or even, since a lenslet's centre lies on the axis only if the count
         // is odd.
-        // lenslet
         let count = needed.min(backlight.lenslets[axis]);
         let same_parity = count + (backlight.lenslets[axis] - count) % 2;
         backlight.lenslets = [same_parity.max(1), 1];
@@ -274,8 +277,8 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     Ok(strip)
 }
 
-/// The highest frequency with a contrast of at least [`SHOWN`], by depth: [z in millimetres,
-/// frequency relative to the highest of the pixels].
+/// Returns the highest frequency with a contrast of at least [`SHOWN`] for each depth. A pair is [z
+/// in millimetres, frequency divided by the highest frequency of the pixels].
 pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> {
     let mut by_depth: Vec<(f64, Vec<&Contrast>)> = Vec::new();
     for contrast in found {
@@ -286,8 +289,8 @@ pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> 
     }
     let cutoff = |mut list: Vec<&Contrast>| {
         list.sort_by(|a, b| a.frequency.total_cmp(&b.frequency));
-        // interpolate between the last contrast above the threshold and the first one below it; the
-        // contrast is 1 at frequency 0
+        // Interpolate between the last contrast above the threshold and the first contrast below
+        // it. At frequency 0 the contrast is 1.
         let (mut frequency, mut before) = (0.0, 1.0);
         for contrast in list {
             if contrast.of(achieved) < SHOWN {
@@ -301,7 +304,7 @@ pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> 
     by_depth.into_iter().map(|(z, list)| [z, cutoff(list)]).collect()
 }
 
-/// [`Contrast::dense`] over depth as SVG: a curve per frequency.
+/// Draws [`Contrast::dense`] over depth as SVG, with a curve for each frequency.
 ///
 /// # Errors
 /// If there are no results.
@@ -326,7 +329,7 @@ pub fn contrast_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
     plot::curves(&axes, &curves.collect::<Vec<_>>(), &[], &[])
 }
 
-/// Axes of the half-contrast frequency over depth.
+/// Makes the axes for plots of the frequency with half contrast over depth.
 fn cutoff_axes(title: String) -> Axes {
     Axes {
         title,
@@ -343,7 +346,8 @@ fn bound_of(found: &[Contrast]) -> Vec<[f64; 2]> {
     bound
 }
 
-/// The half-contrast frequency of a display over depth, by each measure, next to its bound, as SVG.
+/// Draws the frequency with half contrast of a display over depth as SVG: a curve for each measure,
+/// and the bound.
 ///
 /// # Errors
 /// If there are no results.
@@ -365,8 +369,8 @@ pub fn achieved_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
     plot::curves(&cutoff_axes(format!("{name}: half contrast")), &curves, &[], &[])
 }
 
-/// The half-contrast frequencies of several displays by [`Contrast::dense`], and the displays'
-/// bounds, as SVG.
+/// Draws the frequencies with half contrast of several displays as SVG, by [`Contrast::dense`], and
+/// the displays' bounds.
 ///
 /// # Errors
 /// If there are no results.
@@ -400,8 +404,8 @@ mod tests {
         Display { brightness: 0.3, ..display }
     }
 
-    /// A lens array of pitch Δx = 4 pixels with a layer in its plane. If `open`, the layer is
-    /// clear, so that the display works by integral imaging alone.
+    /// Returns a lens array of pitch Δx = 4 pixels with a layer in its plane. If `open`, the layer
+    /// is clear, so that the display works by integral imaging alone.
     fn lenses(frames: usize, open: bool) -> Display {
         let mut display = stack(&[0.0], frames);
         display.backlight = Backlight::Lenslets(LensletBacklight::new(-1e-6, [16, 10], 2.0, [5, 5], [20.0, 20.0]));
@@ -427,7 +431,8 @@ mod tests {
     }
 
     /// The paper's Figure 11, over the whole emission: a layer in front of integral imaging
-    /// improves the display plane with a single frame. Off that plane it needs more than one frame.
+    /// improves the display plane with a single frame. Off that plane the layer needs more than one
+    /// frame.
     #[test]
     fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();
@@ -447,8 +452,9 @@ mod tests {
         assert!(many[0] > 0.9 && many[1] > SHOWN, "six frames: {many:?}");
     }
 
-    /// Over the whole emission no display exceeds its bound, except by the term `alike` for narrow
-    /// zones. At the target views, each of these displays exceeds its bound.
+    /// Over the whole emission no display exceeds its bound, except by the term `alike`. In narrow
+    /// zones, even a picture that is alike for all slopes has contrast. At the target views, each
+    /// of these displays exceeds its bound.
     #[test]
     fn the_bound_holds_for_all_that_is_emitted() {
         // The half-contrast frequency is interpolated between two measured frequencies, which
@@ -489,7 +495,8 @@ mod tests {
         let views = Achieved::AtTheViews;
         assert_eq!(achieved_cutoff(&[at(0.5, 1.0), at(1.0, 0.0)], views), [[3.0, 0.75]]);
         assert_eq!(achieved_cutoff(&[at(1.0, 0.9), at(0.5, 1.0)], views), [[3.0, 1.0]]);
-        // linear from contrast 1 at frequency 0 to contrast ¼ at the first frequency
+        // The contrast falls linearly from 1 at frequency 0 to ¼ at frequency 0.5, so it is ½ at
+        // two thirds of the way.
         assert_eq!(achieved_cutoff(&[at(0.5, 0.5)], Achieved::InBetween), [[3.0, 0.5 * 0.5 / 0.75]]);
         assert!(contrast_plot("a", &[at(0.5, 1.0), at(1.0, 0.0)]).unwrap().contains("contrast of gratings"));
         assert!(achieved_plot("a", &[at(0.5, 1.0)]).unwrap().contains("a: half contrast"));

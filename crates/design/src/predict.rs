@@ -17,13 +17,14 @@ use lumistack_display::Display;
 
 use crate::table::Design;
 
-/// Constants c_0 to c_3, dB.
+/// Constants c_0 to c_3 of the prediction, dB.
 pub const COEFFICIENTS: [f64; 4] = [26.1, 7.7, 0.9, 14.7];
 
 /// Number of depths over which the bound is averaged.
 const DEPTHS: usize = 65;
 
-/// The features of a display: log2 ρ, log2 1/β, and the mean detail.
+/// Returns the features of a display: log2 of the patterns' values per ray, log2 1/β, and the mean
+/// detail that the bound allows.
 pub fn features(display: &Display) -> [f64; 3] {
     let design = Design::of("", display);
     let own = 0.5 / display.field.pitch_mm;
@@ -40,14 +41,14 @@ pub fn features(display: &Display) -> [f64; 3] {
     [design.values_per_ray.log2(), -display.brightness.log2(), detail]
 }
 
-/// Predicted PSNR, dB.
+/// Returns the predicted PSNR, dB.
 pub fn predicted_db(display: &Display) -> f64 {
     let [c0, rest @ ..] = COEFFICIENTS;
     c0 + rest.iter().zip(features(display)).map(|(c, feature)| c * feature).sum::<f64>()
 }
 
-/// Spearman's rank correlation of two lists of equal length. Equal values have the mean of their
-/// ranks. NaN if a list is constant.
+/// Returns Spearman's rank correlation of two lists of equal length. Equal values have the mean of
+/// their ranks. NaN if a list is constant.
 pub fn rank_correlation(first: &[f64], second: &[f64]) -> f64 {
     let [a, b] = [first, second].map(ranks);
     let mean = (a.len() as f64 - 1.0) / 2.0;

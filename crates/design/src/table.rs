@@ -37,7 +37,7 @@ pub struct Design {
 }
 
 impl Design {
-    /// The design of a display.
+    /// Returns the design of a display.
     pub fn of(name: &str, display: &Display) -> Self {
         let layers = &display.layers;
         let d_mm = || layers.iter().map(|layer| layer.d_mm);
@@ -95,8 +95,8 @@ pub struct Row {
 }
 
 impl Row {
-    /// PSNR by which designs are ranked, dB: the zone score. Without it, as for sequences, the PSNR
-    /// at the target views.
+    /// Returns the PSNR by which designs are ranked, dB: the zone score or, without reference
+    /// pictures, the PSNR at the target views.
     pub fn quality_db(&self) -> f64 {
         self.psnr_zone_db.unwrap_or(self.psnr_view_db)
     }
@@ -127,8 +127,8 @@ pub struct NodeRow {
 /// Largest PSNR in the table. An exact display has an infinite PSNR, which JSON cannot store.
 pub const MOST_DB: f64 = 200.0;
 
-/// The table as CSV: a line of names, then a line per row. Several time steps add a column for the
-/// worst one. Several nodes add columns for each node.
+/// Writes the table as CSV: a line of names, then a line per row. Several time steps add a column
+/// for the worst time step. Several nodes add columns for each node.
 pub fn csv(rows: &[Row]) -> String {
     let mut text = String::from(
         "display,layers,frames,brightness,gap_mm,fov_x_deg,fov_y_deg,lenslets_x,lenslets_y,thickness_mm,panels,refresh_hz,values_per_ray,\
@@ -183,7 +183,7 @@ pub fn csv(rows: &[Row]) -> String {
     text
 }
 
-/// A number with at most `digits` decimals.
+/// Returns a number with at most `digits` decimals.
 fn rounded(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
@@ -205,7 +205,7 @@ impl Axis {
     const ALL: [Self; 7] =
         [Self::Display, Self::Layers, Self::Frames, Self::Brightness, Self::Gap, Self::Fov, Self::Lenslets];
 
-    /// Label with its unit.
+    /// Returns the label of the axis, with the unit.
     fn label(self) -> &'static str {
         match self {
             Self::Display => "display",
@@ -222,7 +222,7 @@ impl Axis {
         ["display", "layers", "frames", "brightness", "gap", "fov", "lenslets"][self as usize]
     }
 
-    /// Position of a design on this axis.
+    /// Returns the position of a design on this axis.
     fn number(self, design: &Design) -> f64 {
         match self {
             Self::Display => f64::NAN,
@@ -244,7 +244,7 @@ impl Axis {
         }
     }
 
-    /// Value of a design on this axis, as text that differs between values.
+    /// Returns the value of a design on this axis as a text. Different values have different texts.
     fn name(self, design: &Design) -> String {
         match self {
             Self::Display => design.display.clone(),
@@ -252,7 +252,7 @@ impl Axis {
         }
     }
 
-    /// Name and value of a design on this axis, for titles.
+    /// Returns the name and value of a design on this axis, for titles.
     fn with_value(self, design: &Design) -> String {
         let value = self.name(design);
         match self {
@@ -284,10 +284,12 @@ const GOOD_DB: f64 = 40.0;
 pub enum Plots {
     /// No plots.
     None,
-    /// Maps of one pair of N, M and β, and a plot for every other axis.
+    /// Maps over one pair of the axes layers, frames and brightness, and curves along every other
+    /// axis.
     #[default]
     Few,
-    /// Maps of every pair and curves along every axis, for all values of the other axes.
+    /// Maps over every pair of these axes and curves along every axis, for all values of the other
+    /// axes.
     All,
 }
 
@@ -375,7 +377,7 @@ fn few(all: Vec<Sketch>) -> Vec<Sketch> {
     chosen
 }
 
-/// The values of an axis in rising order; displays in order of appearance.
+/// Returns the values of an axis in rising order; displays are in the order of the rows.
 fn values(rows: &[Row], axis: Axis) -> Vec<String> {
     let mut found: Vec<(f64, String)> = Vec::new();
     for row in rows.iter().filter(|row| axis.concerns(&row.design)) {
@@ -390,7 +392,7 @@ fn values(rows: &[Row], axis: Axis) -> Vec<String> {
     found.into_iter().map(|(_, name)| name).collect()
 }
 
-/// Groups of rows that have equal values on all of `axes`, in order of appearance.
+/// Returns groups of rows that have equal values on all of `axes`, in order of appearance.
 fn groups(rows: &[Row], axes: &[Axis]) -> Vec<Vec<Row>> {
     let mut found: Vec<(Vec<String>, Vec<Row>)> = Vec::new();
     for row in rows {

@@ -29,7 +29,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Name of the kind in files.
+    /// Returns the name of the kind in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Place => "place",
@@ -72,7 +72,7 @@ pub struct Unit {
     pub memory_bytes: u64,
 }
 
-/// All units of a run, and the command that executes one.
+/// All units of a run, and the command that executes a unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Graph {
     /// Name of the job.
@@ -99,17 +99,17 @@ pub(crate) struct Group<'a> {
 }
 
 impl Group<'_> {
-    /// Expected time of the longest unit, seconds.
+    /// Returns the expected time of the longest unit, seconds.
     pub(crate) fn seconds(&self) -> f64 {
         self.units.iter().map(|unit| unit.seconds).fold(0.0, f64::max)
     }
 
-    /// Expected memory of the largest unit, bytes.
+    /// Returns the expected memory of the largest unit, bytes.
     pub(crate) fn memory_bytes(&self) -> u64 {
         self.units.iter().map(|unit| unit.memory_bytes).max().unwrap_or(0)
     }
 
-    /// Id of a unit, with a placeholder for the number of the block.
+    /// Returns the id of a unit, with a placeholder for the number of the block.
     pub(crate) fn id_with(&self, number: &str) -> String {
         match self.units[0].block {
             Some([_, count]) => format!("{}/{number}-of-{count}", self.name),
@@ -119,17 +119,17 @@ impl Group<'_> {
 }
 
 impl Graph {
-    /// Command line of a unit.
+    /// Returns the command line of a unit.
     pub fn command(&self, id: &str) -> Vec<String> {
         self.command.iter().cloned().chain([self.folder.clone(), id.to_owned()]).collect()
     }
 
-    /// Index of each unit, by the unit's id.
+    /// Returns the index of each unit, by the unit's id.
     pub(crate) fn indices(&self) -> HashMap<&str, usize> {
         self.units.iter().enumerate().map(|(index, unit)| (unit.id.as_str(), index)).collect()
     }
 
-    /// For each unit, the indices of its inputs.
+    /// Returns, for each unit, the indices of its inputs.
     pub(crate) fn inputs(&self) -> Vec<Vec<usize>> {
         let indices = self.indices();
         let of = |unit: &Unit| unit.inputs.iter().filter_map(|id| indices.get(id.as_str()).copied()).collect();

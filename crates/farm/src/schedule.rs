@@ -101,8 +101,9 @@ mod tests {
         assert_eq!(paths(&graph, 0.0)[0], longest);
         assert_eq!(predict(&graph, 1000, 0.0).makespan_seconds, longest);
         assert_eq!(predict(&graph, 1, 0.5).makespan_seconds, sum + 0.5 * graph.units.len() as f64);
-        // the order is: place; the views of each time step in pairs; both light fields in parallel;
-        // the factorizations one after the other; finish
+        // Two workers begin with place, then trace the views of each time step in pairs, then make
+        // both light fields in parallel. The factorizations follow one after the other, then
+        // finish.
         assert_eq!(predict(&graph, 2, 0.0).makespan_seconds, 1.0 + 8.0 + 8.0 + 1.0 + 2.0 + 2.0 + 1.0);
     }
 }

@@ -146,8 +146,8 @@ pub fn compare_runs(
 /// Samples of a pupil per axis; samples outside of its disc are skipped.
 const PUPIL_SAMPLES: usize = 7;
 
-/// The picture for an eye at `eye_mm` with a pupil of diameter `pupil_mm` that focuses on the depth
-/// `focus_mm`: `[row][col][rgb]`, linear, L̃/β.
+/// Returns the picture for an eye at `eye_mm` with a pupil of diameter `pupil_mm` that focuses on
+/// the depth `focus_mm`: `[row][col][rgb]`, linear, L̃/β.
 ///
 /// # Errors
 /// If the eye is not in front of the display and of the focus.

@@ -176,7 +176,7 @@ impl Job {
     /// The inputs that a job may have, for messages.
     pub(crate) const INPUTS: &'static str = "one of `scene`, `light_field` and `source`";
 
-    /// A job for a display, with defaults for everything else.
+    /// Returns a job for a display, with defaults for everything else.
     pub fn new(display: DisplayJob) -> Self {
         Self {
             schema: format(),
@@ -242,7 +242,7 @@ impl Job {
         Ok(job)
     }
 
-    /// All paths in the job.
+    /// Returns all paths in the job.
     pub fn paths_mut(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let own = [
             &mut self.scene,
@@ -370,12 +370,12 @@ impl Job {
             .map_or(Ok(()), |sequence| sequence.check(self.scene.is_some(), self.light_field.is_some()))
     }
 
-    /// The job as JSON, for a report.
+    /// Returns the job as JSON, for a report.
     pub(crate) fn to_json(&self) -> serde_json::Value {
         serde_json::to_value(self).expect("a job holds nothing that JSON cannot")
     }
 
-    /// The text of a job file, with all defaults.
+    /// Returns the text of a job file, with all defaults.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a job holds nothing that TOML cannot")
     }
@@ -429,8 +429,8 @@ impl Job {
         Ok(())
     }
 
-    /// The plugins of the job: the key in the job file, the plugin's id and its parameters. The id
-    /// of an importer is empty if the scene's extension selects the plugin.
+    /// Returns the plugins of the job: the key in the job file, the plugin's id and its parameters.
+    /// The id of an importer is empty if the scene's extension selects the plugin.
     pub(crate) fn plugins_mut(
         &mut self,
     ) -> impl Iterator<Item = (String, &str, &mut serde_json::Map<String, serde_json::Value>)> {
@@ -444,7 +444,7 @@ impl Job {
         importer.into_iter().chain(source).chain(nodes).chain(outputs)
     }
 
-    /// The outputs whose input is `from`: a node's id or `light_field`.
+    /// Returns the outputs whose input is `from`: a node's id or `light_field`.
     pub(crate) fn outputs_of(&self, from: &str) -> impl Iterator<Item = &OutputJob> {
         let only = self.nodes.len() < 2;
         self.outputs

@@ -206,7 +206,7 @@ fn without_sweep(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
     plugin_files::resolved(job, registry)
 }
 
-/// The kind of work that a job requires.
+/// Returns the kind of work that a job requires.
 pub(crate) fn work_of(job: &Job) -> Work {
     match (&job.sweep, &job.sequence) {
         (Some(_), _) => Work::Sweep,

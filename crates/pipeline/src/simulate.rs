@@ -31,7 +31,7 @@ pub struct RunFolder {
     pub stack: LayerStack,
 }
 
-/// The title in the report of a run; empty without a report.
+/// Returns the title in the report of a run; empty without a report.
 fn title_of(dir: &Path) -> String {
     let report = std::fs::read(dir.join("report.json")).ok();
     let report = report.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
@@ -105,7 +105,7 @@ impl RunFolder {
         (share > 0.0).then(|| format!("this viewpoint sees {part} of the display from outside of its viewing zone of {zone}, where the solver does not constrain the emitted light"))
     }
 
-    /// The picture of the run from a viewpoint; see [`picture_from`].
+    /// Returns the picture of the run from a viewpoint; see [`picture_from`].
     ///
     /// # Errors
     /// If the viewpoint is behind the display, or its numbers are out of range.
@@ -154,8 +154,8 @@ fn preview_key(dir: &Path, registry: &Registry) -> Result<String, PipelineError>
     Ok(key.add("title", title_of(dir).as_bytes()).finish())
 }
 
-/// The picture that patterns on a display show to a viewpoint: `[row][col][rgb]`, linear. The
-/// values are L̃/β, or L̃ if `raw` is true.
+/// Returns the picture that patterns on a display show to a viewpoint: `[row][col][rgb]`, linear.
+/// The values are L̃/β, or L̃ if `raw` is true.
 ///
 /// # Errors
 /// If the viewpoint is behind the display, or its numbers are out of range.
@@ -196,8 +196,8 @@ pub fn picture_from(
     Ok(picture)
 }
 
-/// Fraction of the display, 0..1, that a viewpoint sees along rays outside of the viewing zone.
-/// `None` for a sweep, and for viewpoints that [`picture_from`] refuses.
+/// Returns the fraction of the display, 0..1, that a viewpoint sees along rays outside of the
+/// viewing zone. `None` for a sweep, and for viewpoints that [`picture_from`] refuses.
 fn share_outside_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
     let field = &display.field;
     let size_mm = display.field_pixels().size_mm();
@@ -294,7 +294,8 @@ mod tests {
 
     #[test]
     fn the_zone_ends_where_the_outermost_views_do() {
-        // The display is 475 mm wide; its field of view is 20° × 20°.
+        // The field of view is 20° × 20°, so parallel projections at less than 10° are within the
+        // zone.
         let display = presets::load("paper-three-layer").unwrap();
         let share = |viewpoint| share_outside_zone(&display, viewpoint).unwrap();
         assert_eq!(share(Viewpoint::Angle([4.0, -2.0])), 0.0);

@@ -96,7 +96,7 @@ fn text(size: i32) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&BLACK)
 }
 
-/// Number of decimals of tick labels: at most two, since there is little room.
+/// Returns the number of decimals of tick labels: at most two, since there is little room.
 fn decimals(range: [f64; 2]) -> usize {
     digits(range).min(2)
 }

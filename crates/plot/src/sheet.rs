@@ -320,7 +320,7 @@ fn colour(place: usize) -> RGBColor {
     COLOURS.get(place).map_or(BLACK, |&[r, g, b]| RGBColor(r, g, b))
 }
 
-/// Colour scale from dark blue through green to yellow, with increasing lightness.
+/// Returns a colour of a scale from dark blue through green to yellow, with increasing lightness.
 fn heat(share: f64) -> RGBColor {
     const STOPS: [[f64; 3]; 5] =
         [[49.0, 38.0, 96.0], [52.0, 84.0, 140.0], [32.0, 138.0, 134.0], [98.0, 190.0, 92.0], [246.0, 226.0, 60.0]];
@@ -366,7 +366,7 @@ fn inside(points: &[[f64; 2]], [low, high]: [f64; 2]) -> Vec<Vec<(f64, f64)>> {
     parts
 }
 
-/// Lines of at most `most` characters, broken at spaces.
+/// Breaks a text at spaces into lines of at most `most` characters.
 fn wrapped(text: &str, most: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split(' ') {
@@ -381,7 +381,7 @@ fn wrapped(text: &str, most: usize) -> Vec<String> {
     lines
 }
 
-/// Twice the area of a polygon.
+/// Returns twice the area of a polygon.
 fn surface(corners: &[[f64; 2]]) -> f64 {
     let next = corners.iter().cycle().skip(1);
     corners.iter().zip(next).map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum::<f64>().abs()

@@ -11,10 +11,10 @@ pub(crate) struct Reached {
     pub(crate) psnr_view: f64,
 }
 
-/// Largest number of lines. If there are more, the latest are kept.
+/// Largest number of lines in the table of PSNR over time. If there are more, the latest are kept.
 const LINES: usize = 12;
 
-/// PSNR at round numbers of seconds, and at the end of the solver.
+/// Returns the PSNR at round numbers of seconds, and at the end of the solver.
 pub(crate) fn reached(history: &[Iteration]) -> Vec<Reached> {
     let Some(end) = history.last().filter(|last| last.seconds.is_finite()) else { return Vec::new() };
     let round = (-3..9).flat_map(|power| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(power)));

@@ -115,7 +115,7 @@ impl DepthBudget {
         !self.inside.is_nan()
     }
 
-    /// The budget as a sentence.
+    /// Returns the budget as a sentence.
     pub fn sentence(&self) -> String {
         if !self.is_seen() {
             return "no surface is seen".into();
@@ -151,7 +151,7 @@ impl DepthBudget {
         format!("; to fit the scene, {} (`fit_depth = \"off\"` prevents this)", done.join(" and "))
     }
 
-    /// Advice if the scene does not fit; `None` if it fits.
+    /// Returns advice if the scene does not fit; `None` if it fits.
     pub fn advice(&self) -> Option<String> {
         if !self.is_seen() || self.inside >= FEW {
             return None;
@@ -163,7 +163,7 @@ impl DepthBudget {
         ))
     }
 
-    /// JSON for report.json.
+    /// Returns the budget as JSON for report.json.
     pub fn to_json(&self) -> Value {
         let [p2, p25, p50, p75, p98] = self.depth_mm.map(figure);
         let [median, most, largest] = self.disparity_px.map(figure);
@@ -202,7 +202,8 @@ impl Histogram {
 mod tests {
     use super::*;
 
-    /// Three layers, 40 mm apart. The slopes of the 5 views over 20° are 0.0705 apart.
+    /// Returns a display of three layers, 40 mm apart. The slopes of the 5 views over 20° are
+    /// 0.0705 apart.
     fn display() -> Display {
         Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2)
     }

@@ -30,7 +30,8 @@ pub(crate) fn light(input: &ReportInput, target: &FieldScore) -> Light {
     }
 }
 
-/// Mean luminance, seen from straight ahead, of a display with all pixels at their brightest.
+/// Returns the mean luminance, seen from straight ahead, of a display with all pixels at their
+/// brightest.
 fn open(display: &Display, geometry: &FieldGeometry) -> f64 {
     let mut display = Display { frames: 1, ..display.clone() };
     // a total rotation of 90° is the brightest; a larger rotation would darken the pixel again
@@ -49,7 +50,7 @@ fn open(display: &Display, geometry: &FieldGeometry) -> f64 {
 }
 
 impl Light {
-    /// The brightness in a few sentences.
+    /// Describes the brightness in a few sentences.
     pub(crate) fn sentence(&self, input: &ReportInput) -> String {
         let display = input.display;
         if self.emitted.is_nan() {

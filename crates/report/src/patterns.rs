@@ -90,7 +90,7 @@ impl Size {
     }
 }
 
-/// Number of progress steps of [`encode`].
+/// Returns the number of progress steps of [`encode`].
 pub(crate) fn count(stack: &LayerStack) -> usize {
     (stack.layers.len() + usize::from(stack.emission.is_some())) * stack.frames()
 }

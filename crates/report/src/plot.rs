@@ -43,7 +43,7 @@ pub(crate) fn line(points: &[(f64, f64)], label: &str, value_label: &str) -> Res
     Ok(page::line(points, [label, value_label])?)
 }
 
-/// Fractions of hits by depth, with the depth of field and the layers.
+/// Draws the fractions of hits by depth, with the depth of field and the layers.
 ///
 /// # Errors
 /// If the plot cannot be drawn.
@@ -52,7 +52,7 @@ pub(crate) fn depths(budget: &DepthBudget) -> Result<String, ReportError> {
     shares(&budget.by_depth, label, budget.depth_of_field_mm, &budget.layers_mm)
 }
 
-/// Fractions of hits by disparity between neighbouring views.
+/// Draws the fractions of hits by disparity between neighbouring views.
 ///
 /// # Errors
 /// If the plot cannot be drawn.
@@ -61,8 +61,8 @@ pub(crate) fn disparities(budget: &DepthBudget) -> Result<String, ReportError> {
     shares(&budget.by_disparity, label, Some([0.0, 1.0]), &[])
 }
 
-/// The highest spatial frequency over depth, relative to the highest frequency of the light field's
-/// pixels. A horizontal line marks the value 1.
+/// Draws the highest spatial frequency over depth, relative to the highest frequency of the light
+/// field's pixels. A horizontal line marks the value 1.
 ///
 /// # Errors
 /// If the plot cannot be drawn.

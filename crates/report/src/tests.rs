@@ -16,7 +16,7 @@ use crate::{DenoisedView, Denoising, Iteration, Output, Report, ReportError, Rep
 /// in the same order.
 const SAME_DB: f64 = 1e-9;
 
-/// A display of `layers` layers, `frames` frames and [horizontal, vertical] views.
+/// Returns a display of `layers` layers, `frames` frames and [horizontal, vertical] views.
 fn display(layers: usize, frames: usize, views: [usize; 2], resolution: [usize; 2], extra: &str) -> Display {
     let [cols, rows] = resolution;
     let mut text = format!(

@@ -86,7 +86,8 @@ impl Shared {
         self.stopped.load(Ordering::SeqCst)
     }
 
-    /// Files of the current light field, and the time at which the pass that first read them began.
+    /// Returns the files of the current light field, and the time at which the pass that first read
+    /// these files began.
     pub(super) fn files(&self) -> (Vec<PathBuf>, SystemTime) {
         lock(&self.files).clone()
     }
@@ -157,8 +158,8 @@ pub(super) fn render(
                 continue;
             }
         }
-        // A new request must not cancel the first pass of the previous one: otherwise a series of
-        // requests would show nothing.
+        // A new request must not cancel the first pass of the previous request, since a series of
+        // requests would then show nothing.
         let cancel = if is_new { task.cancel.clone() } else { requests.pass() };
         let begun = SystemTime::now();
         let pass = live_fields.pass(registry, Task { cancel: &cancel, ..task });

@@ -149,8 +149,8 @@ const DIAGONAL_35MM: f64 = 43.266_615;
 /// Linear value of the code 254 of 255; from this value on, a pixel is regarded as clipped.
 const CLIPPED: f32 = 0.991;
 
-/// The camera's position in display space, millimetres. `map` is the homography from the unit
-/// square to the picture. The unit square represents the display of `size_mm`.
+/// Returns the camera's position in display space, millimetres. `map` is the homography from the
+/// unit square to the picture. The unit square represents the display of `size_mm`.
 fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_px: f64) -> Option<[f64; 3]> {
     let m = &map.0;
     let unit = DMat3::from_cols_array_2d(m).transpose();
@@ -168,7 +168,8 @@ fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_
     let (a, b) = (h.x_axis.try_normalize()?, h.y_axis.try_normalize()?);
     let (sum, difference) = ((a + b).try_normalize()?, (a - b).try_normalize()?);
     let [r_1, r_2] = [sum + difference, sum - difference].map(|r| r * std::f64::consts::FRAC_1_SQRT_2);
-    // The camera's frame is left-handed, and the display's z axis points to the camera.
+    // The cross product has the opposite sign, since the camera's frame is left-handed. The
+    // display's z axis points to the camera.
     let r_3 = -r_1.cross(r_2);
     let t = h.z_axis / scale;
     Some([-r_1.dot(t), -r_2.dot(t), -r_3.dot(t)])
@@ -177,8 +178,8 @@ fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_
 /// Number of sample points per axis in each pixel of the rectified picture.
 const POINTS: usize = 4;
 
-/// The part of a picture to which a homography maps the unit square, resampled to [rows, cols]. The
-/// picture is `[row][col][rgb]` of size [width, height].
+/// Returns the part of a picture to which a homography maps the unit square, resampled to [rows,
+/// cols]. The picture is `[row][col][rgb]` of size [width, height].
 fn rectified(rgb: &[f32], [width, height]: [usize; 2], map: &Homography, [rows, cols]: [usize; 2]) -> Vec<f32> {
     let mut result = vec![0.0f32; 3 * rows * cols];
     let share = 1.0 / (POINTS * POINTS) as f32;

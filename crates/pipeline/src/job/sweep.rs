@@ -67,7 +67,7 @@ pub struct SearchJob {
 }
 
 impl SweepJob {
-    /// Number of designs, including equal ones.
+    /// Returns the number of designs, including equal ones.
     pub fn count(&self) -> usize {
         let lengths = [
             self.displays.len(),

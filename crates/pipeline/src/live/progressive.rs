@@ -135,8 +135,8 @@ impl Progressive {
         Ok(Radiance { field, brightest })
     }
 
-    /// Fraction of each pixel of view `number` that shows the background; empty without a
-    /// background colour.
+    /// Returns the fraction of each pixel of view `number` that shows the background; empty without
+    /// a background colour.
     pub(super) fn missed(&self, number: usize) -> &[f32] {
         &self.views[number].missed
     }

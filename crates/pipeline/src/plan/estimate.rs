@@ -42,7 +42,7 @@ use crate::store::key::{KeyBuilder, content_hash};
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// File of the records, relative to the run folder.
+/// File with the [`Record`] of every executed step, relative to the run folder.
 const FILE: &str = "cache/steps.json";
 /// Number of hexadecimal digits of a key that is shown.
 const DIGITS: usize = 16;
@@ -409,7 +409,8 @@ fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
     }
 }
 
-/// Returns the additional iterations of a time step that begins a chunk.
+/// Returns the additional iterations of a time step that begins a chunk, since it also solves some
+/// earlier time steps.
 fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
     let Some((time, sequence)) = plan.time(part) else { return 0 };
     let PartKind::Sequence(times) = &plan.parts[sequence].kind else { return 0 };
@@ -419,8 +420,8 @@ fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
     }
 }
 
-/// Number of multiply-adds that take as long as one unit of a stage's work. It includes memory
-/// accesses, was measured once, and is right to an order of magnitude.
+/// Returns the number of multiply-adds that take as long as one unit of a stage's work. It includes
+/// memory accesses, was measured once, and is right to an order of magnitude.
 fn cost(stage: &str) -> f64 {
     match stage {
         "ingest" | "place" => 1e8,

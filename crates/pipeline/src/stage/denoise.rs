@@ -142,7 +142,8 @@ fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), Pipeli
     // The scores are written last, since they mark the light field as finished.
     write_json(&figures_path(&folder), &written)?;
     if kind == Denoise::Shared {
-        // Split views take gigabytes, and the report shows only the central one.
+        // Remove all split views but the central one, since they take gigabytes and the report
+        // shows only the central one.
         let middle = middle(geometry);
         for view in geometry.grid.iter().filter(|view| *view != middle) {
             let path = split_path(&field.folder, view);

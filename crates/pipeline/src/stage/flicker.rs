@@ -104,8 +104,7 @@ mod tests {
     use super::*;
     use crate::presets;
 
-    /// Tolerance against the naive computation, dB. Both computations sum the values of the
-    /// simulator in f64.
+    /// Tolerance against the oracle, dB. Both computations sum the values of the simulator in f64.
     const AGREEMENT_DB: f64 = 1e-6;
 
     fn display() -> Display {

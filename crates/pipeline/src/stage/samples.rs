@@ -66,8 +66,8 @@ const MOST_RAYS: usize = 4_000_000;
 /// Number of a sequence of random numbers that no view uses.
 const STREAM: u64 = 0x5a3b_0001;
 
-/// Returns the number of paths per pixel and view, if the job sets no number. The number is
-/// measured once, and cached in a folder.
+/// Returns the number of paths per pixel and view that the display needs, measured once and cached
+/// in a folder. `None` if the job sets the number, or the measurement does not apply.
 ///
 /// # Errors
 /// If rendering or solving fails or is cancelled, or the folder cannot be written.
@@ -390,7 +390,7 @@ fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Pa
 
 /// Returns `count` points of the unit square; the first is the centre.
 fn spread(count: usize) -> Vec<[f64; 2]> {
-    // the real root of x³ = x + 1, for Roberts' sequence R₂
+    // This is the real root of x³ = x + 1, from which Roberts' sequence R₂ is made.
     const RATIO: f64 = 1.324_717_957_244_746;
     (0..count).map(|i| [1.0, 2.0].map(|power| (0.5 + i as f64 * RATIO.powf(-power)).fract())).collect()
 }

@@ -139,7 +139,8 @@ impl References {
             if let (Some(splats), Some(space)) = (splats.get(i), space) {
                 put_before(space, splats.data(), picture.data_mut());
             }
-            // A background needs the fraction of each pixel that shows it.
+            // Keep the fraction of each pixel that shows the background, since the background is
+            // added later.
             if background != Background::Environment {
                 let shape = [geometry.rows, geometry.cols];
                 let mut missed = if ingested.scene.instances.is_empty() {

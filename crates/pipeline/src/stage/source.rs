@@ -29,7 +29,7 @@ fn path(stamps: &Stamps) -> PathBuf {
 }
 
 impl SourceRecord {
-    /// Writes the file. The light field must be in its folder already.
+    /// Writes the JSON file. The light field must be in its folder already.
     ///
     /// # Errors
     /// If the file cannot be written.

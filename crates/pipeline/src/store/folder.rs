@@ -69,8 +69,8 @@ fn check_inputs(dir: &Path, work: Work, job: &Job, registry: &Registry) -> Resul
         let Ok(inside) = found.strip_prefix(&root) else { continue };
         let written = match inside.components().next() {
             Some(Component::Normal(first)) => work.writes(first),
-            // The input is the folder itself. Only a sequence refuses this, since it would write
-            // time steps among the light fields that it reads.
+            // An input may be the folder itself, except for a sequence. A sequence would write time
+            // steps among the light fields that it reads.
             _ => work == Work::Sequence,
         };
         // The job file of a run folder may be run again, since the job file that replaces it has

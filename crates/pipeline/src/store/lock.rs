@@ -159,8 +159,8 @@ impl Drop for FolderLock {
         if self.file == LOCK {
             let _ = std::fs::remove_file(self.cache.join(OWNER));
         }
-        // If a run fails before it keeps a file, its folder is removed. Only Unix can remove open
-        // files.
+        // If a run fails before it keeps a file, its folder is removed. This works only on Unix,
+        // which can remove open files.
         if cfg!(unix) && !self.made.is_empty() {
             let others = std::fs::read_dir(&self.cache)
                 .map_or(1, |list| list.flatten().filter(|e| e.file_name() != self.file).count());

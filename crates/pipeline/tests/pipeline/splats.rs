@@ -126,8 +126,8 @@ fn a_background_stands_behind_a_capture() {
     assert_near(middle(&dir, [15, 24]), [0.1, 0.2, 0.4].map(|value| srgb(0.5 + 0.5 * encoded(value))));
 }
 
-/// A glowing white wall is between two red balls of splats. The left ball is in front of the wall,
-/// and the right ball behind it.
+/// A glowing white wall is between two red balls of splats. The left ball must hide the wall behind
+/// it, and the wall must hide the right ball.
 #[test]
 fn splats_and_meshes_hide_one_another() {
     let folder = tempfile::tempdir().unwrap();
@@ -158,7 +158,8 @@ fn splats_and_meshes_hide_one_another() {
     }
 }
 
-/// A grey wall is inside a ball of splats. The near plane removes the splats in front of the wall.
+/// A grey wall is inside a ball of splats, which must light the wall only with `from_splats`. The
+/// near plane removes the splats in front of the wall.
 #[test]
 fn splats_light_meshes_only_if_asked() {
     let folder = tempfile::tempdir().unwrap();

@@ -64,7 +64,7 @@ impl DepthMap {
         Some(Self { factor, cols: first.cols, z_mm, edge: edges(&shifts, first.rows, first.cols), resolution_mm })
     }
 
-    /// Depth at a pixel of the view, millimetres.
+    /// Returns the depth at a pixel of the view, millimetres.
     pub(crate) fn z_mm(&self, row: usize, col: usize) -> f64 {
         f64::from(self.z_mm[row / self.factor * self.cols + col / self.factor])
     }
@@ -157,12 +157,12 @@ impl Levels {
         shifts
     }
 
-    /// Half the side of the compared squares.
+    /// Returns half the side of the compared squares, pixels.
     fn radius(&self) -> usize {
         (self.cols / RADIUS_SHARE).clamp(*RADIUS.start(), *RADIUS.end())
     }
 
-    /// Median over squares, which are cut at the border of the picture.
+    /// Replaces each shift by the median over a square, which is cut at the border of the picture.
     fn median(&self, shifts: &[f32]) -> Vec<f32> {
         let (rows, cols, radius) = (self.rows, self.cols, self.radius().div_ceil(2));
         let mut square = Vec::with_capacity((2 * radius + 1).pow(2));
@@ -214,7 +214,7 @@ fn filled(mut shifts: Vec<f32>, cols: usize) -> Vec<f32> {
     shifts
 }
 
-/// True for pixels near a discontinuity of the shift.
+/// Returns, for each pixel, true if it is near a discontinuity of the shift.
 fn edges(shifts: &[f32], rows: usize, cols: usize) -> Vec<bool> {
     let mut near = vec![false; rows * cols];
     let jump = (JUMP_SHARE * cols as f32).max(1.0);

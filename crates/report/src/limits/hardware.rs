@@ -38,7 +38,7 @@ impl Ends {
     }
 }
 
-/// A list such as "12 %, 3 % and 40 % of the values of layers 0 to 2".
+/// Makes a list such as "12 %, 3 % and 40 % of the values of layers 0 to 2".
 fn listed(shares: &[f64], layers: usize) -> String {
     let percents: Vec<String> = shares.iter().map(|share| format::percent(*share)).collect();
     let text = match percents.split_last() {

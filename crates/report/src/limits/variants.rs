@@ -36,7 +36,7 @@ pub(super) enum Variant {
     Still,
 }
 
-/// The variants that apply to this display, [`Variant::Given`] first.
+/// Returns the variants that apply to this display, [`Variant::Given`] first.
 pub(super) fn variants(input: &ReportInput) -> Vec<Variant> {
     let layers = &input.display.layers;
     let mut variants = vec![Variant::Given, Variant::Quantized];

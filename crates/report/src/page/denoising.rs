@@ -63,7 +63,7 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
     })
 }
 
-/// A value and its standard error.
+/// Formats a value and its standard error.
 fn estimate([value, error]: [f64; 2]) -> String {
     format!("{value:.2e} ± {error:.0e}")
 }

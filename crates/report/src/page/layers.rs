@@ -100,8 +100,8 @@ fn name(n: usize, display: &Display) -> String {
     }
 }
 
-/// All layers of one frame next to each other, with a slider. The script copies the pictures from
-/// the contact sheets farther down.
+/// Makes a group of all layers of one frame next to each other, with a slider for the frame. The
+/// script copies the pictures from the contact sheets farther down.
 fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     let backlight = patterns.emission.iter().map(|emission| ("backlight".to_string(), &emission.panel.frames));
     let layers = patterns.layers.iter().enumerate().map(|(n, sheet)| (name(n, display), &sheet.frames));
@@ -121,7 +121,7 @@ fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     }
 }
 
-/// The mean of a layer, and its change over the frames.
+/// Shows the mean of a layer, and its change over the frames.
 fn large(sheet: &Sheet, name: &str) -> Markup {
     html! {
         div class="large group" {
@@ -136,7 +136,7 @@ fn large(sheet: &Sheet, name: &str) -> Markup {
     }
 }
 
-/// A small section of every frame at full resolution. The section is the same in all frames.
+/// Shows a small section of every frame at full resolution. The section is the same in all frames.
 fn close_up(sheet: &Sheet, name: &str) -> Markup {
     let Some(closeup) = &sheet.closeup else { return html! {} };
     let Window { row, col, rows, cols } = closeup.window;

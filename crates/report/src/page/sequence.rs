@@ -29,7 +29,7 @@ pub(crate) fn render(input: &SequenceInput, report: &SequenceReport) -> Result<S
     Ok(document(input.title, input.version, &header, &main))
 }
 
-/// The section of one display over time.
+/// Makes the section of one display over time.
 fn section(series: &SequenceSeries<'_>) -> Result<Markup, ReportError> {
     let name = |name: &str| series.id.map_or(name.to_owned(), |id| format!("{name}-{id}"));
     Ok(html! {
@@ -69,7 +69,7 @@ fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
     }
 }
 
-/// Central views, with the target above and the display below.
+/// Shows central views, with the target above and the display below.
 fn pictures(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
     // Show evenly spaced time steps, including the first and the last one.
     let count = times.len().min(PICTURES);

@@ -7,7 +7,7 @@ use crate::measure::{Comparison, Measured};
 use crate::picture::{DIVERGING, Embedded, MAGMA};
 use crate::{ReportInput, format};
 
-/// The large comparison, at the top of the page.
+/// Makes the large comparison at the top of the page.
 pub(super) fn headline(measured: &Measured) -> Markup {
     let k = measured.headline.amplification;
     html! {
@@ -29,7 +29,7 @@ pub(super) fn headline(measured: &Measured) -> Markup {
     }
 }
 
-/// Two pictures whose view follows the pointer.
+/// Shows two pictures whose view follows the pointer: target and simulation.
 pub(super) fn look_around(measured: &Measured) -> Markup {
     let sheets = &measured.sheets;
     let (rows, cols) = (sheets.up.len(), sheets.across.len());
@@ -72,7 +72,7 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
     }
 }
 
-/// Views at the corners and the centre, the worst view, and views between and outside of the
+/// Shows views at the corners and the centre, the worst view, and views between and outside of the
 /// target's views.
 pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
     let grid = &input.target.geometry().grid;
@@ -131,7 +131,8 @@ fn facts(view: &Comparison) -> String {
     facts
 }
 
-/// Target, simulated view, difference and FLIP error. Without a target, only the simulated view.
+/// Shows target, simulated view, difference and FLIP error. Without a target, only the simulated
+/// view.
 fn pictures(view: &Comparison) -> Markup {
     let amplification = view.amplification;
     let name = |what: &str| format!("{what}: {}, {}", view.title, view.direction);

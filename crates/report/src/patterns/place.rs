@@ -55,7 +55,7 @@ pub(super) fn on_layers(display: &Display, layers: &[Tensor<4>]) -> Option<Vec<W
         .map(|(_, windows)| windows)
 }
 
-/// The window of a backlight's panel. `None` if the panel is no larger than a close-up.
+/// Returns the window of a backlight's panel. `None` if the panel is no larger than a close-up.
 pub(super) fn on_panel(panel: &Tensor<4>) -> Option<Window> {
     let [_, rows, cols, _] = panel.shape();
     if cols <= CLOSEUP[0] && rows <= CLOSEUP[1] {

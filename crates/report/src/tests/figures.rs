@@ -13,7 +13,7 @@ use crate::{Iteration, ReportInput};
 /// Tolerance of means over f32 pictures.
 const SAME: f64 = 1e-6;
 
-/// A display of two layers, with the lines `extra` in the table of each layer.
+/// Returns a display of two layers, with the lines `extra` in the table of each layer.
 fn two_layers(views: [usize; 2], resolution: [usize; 2], extra: &str) -> Display {
     let [cols, rows] = resolution;
     let mut text = format!(

@@ -62,7 +62,8 @@ impl Context<'_> {
         write_display(&dir.join("display.toml"), &display)?;
         let mut above = (!cached).then_some(part);
         while let Some(part) = above {
-            // The reports of the part, and of the parts around it, belong to older patterns.
+            // Remove the reports of the part and of the parts around it, since they describe older
+            // patterns.
             remove_reports(&self.dir(part))?;
             above = plan.parts[part].parent;
         }
