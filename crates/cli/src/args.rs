@@ -92,7 +92,7 @@ pub(crate) enum Command {
     /// Print the contents of a scene, a light field, a layer stack, a run folder, a display or a
     /// job
     Info(Info),
-    /// Remove files from run folders: those that stopped runs left behind, and cached results that
+    /// Remove files from run folders: files that stopped runs left behind, and cached results that
     /// the last run did not use. The results of the last run stay
     #[command(
         after_help = "Examples:\n  lumistack clean runs/still-life --dry-run     prints the sizes of the files, and removes none\n  lumistack clean runs/*                        cleans every run, sequence and sweep in the folder runs\n  lumistack clean runs/still-life --all         also removes all cached views"
@@ -178,7 +178,7 @@ pub(crate) enum Setup {
 pub(crate) struct Run {
     /// Job file (.toml) or scene (.gltf, .glb, USD, or a file of an importer plugin)
     pub(crate) input: PathBuf,
-    /// Do not run. Print the steps of the run, those whose results are cached, and estimates of
+    /// Do not run. Print the steps of the run, which of them have cached results, and estimates of
     /// time and memory
     #[arg(long)]
     pub(crate) plan: bool,
@@ -269,8 +269,8 @@ pub(crate) struct Clean {
     /// Folders of runs, sequences, sweeps or rendered views
     #[arg(required = true, value_name = "RUN")]
     pub(crate) dirs: Vec<PathBuf>,
-    /// Also remove all cached views. No result is lost, but a run with settings other than those of
-    /// the last run renders its views again
+    /// Also remove all cached views. No result is lost, but a later run with other settings renders
+    /// its views again
     #[arg(long)]
     pub(crate) all: bool,
     /// Report the files that would be removed, but remove none

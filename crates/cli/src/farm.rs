@@ -266,7 +266,8 @@ pub(crate) fn run(
             Ok(())
         }
         (None, Some(input)) => {
-            // a missing Python is reported before planning, which may take a minute
+            // Find Python before planning, which may take a minute, so that a missing Python is
+            // reported early.
             let python = python()?;
             let (_, dir) = planned(input, &args.job, &args.cut, registry, task)?;
             engine(&args.engine, &python, &dir, threads, json, task)

@@ -216,8 +216,8 @@ pub(crate) struct SequenceArgs {
     /// so several machines can solve them at the same time [default: one chunk of all time steps]
     #[arg(long, value_name = "N")]
     pub(crate) chunk_times: Option<usize>,
-    /// Number of time steps before each chunk that are also solved for this chunk, so that it
-    /// starts from good patterns [default: 2]
+    /// Number of time steps before each chunk that are solved again for the chunk, so that the
+    /// chunk starts from good patterns [default: 2]
     #[arg(long, value_name = "N")]
     pub(crate) warm_up_times: Option<usize>,
 }
@@ -387,7 +387,7 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
         None => {}
     }
     change_importer(&mut job.importer, &args.files);
-    // the command line takes precedence over the job file
+    // The command line takes precedence over the job file.
     if args.camera.is_some() {
         job.window.camera = args.camera.clone();
         job.window.look_from = None;

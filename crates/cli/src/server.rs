@@ -181,7 +181,7 @@ impl Connections {
         }
         if open.streams.len() >= MOST {
             let waits = open.streams.iter().position(|connection| !connection.complete);
-            // the thread of the closed connection wakes up and ends
+            // The shutdown wakes the thread of this connection, which then ends.
             let _ = open.streams.remove(waits.unwrap_or(0)).stream.shutdown(Shutdown::Both);
         }
         open.last += 1;
@@ -335,7 +335,7 @@ fn write(mut stream: &TcpStream, reply: Reply, with_content: bool) -> io::Result
     match reply.content {
         Content::Bytes(bytes) => stream.write_all(&bytes),
         Content::File(file, length) => {
-            // send exactly the announced length, even if the file grows in the meantime
+            // Send exactly the announced length, even if the file grows in the meantime.
             let (mut file, mut part) = (file.take(length), vec![0; PART]);
             loop {
                 match file.read(&mut part)? {
@@ -629,7 +629,8 @@ mod tests {
     /// Sends these bytes to the server, and returns the whole response.
     fn response_to(port: u16, bytes: &[u8]) -> String {
         let mut stream = connect(port);
-        // the server may refuse the request before all bytes are written
+        // The server may refuse the request before all bytes are written, so ignore errors of the
+        // write.
         let _ = stream.write_all(bytes);
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);
@@ -647,7 +648,8 @@ mod tests {
                 let stuck: Vec<TcpStream> = (0..200)
                     .map(|_| {
                         let mut stream = connect(port);
-                        // the server may have closed the connection already
+                        // The server may have closed the connection already, so ignore errors of
+                        // the write.
                         let _ = stream.write_all(start.as_bytes());
                         stream
                     })

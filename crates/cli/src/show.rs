@@ -85,9 +85,9 @@ pub(crate) struct Show {
     /// (pixels), save, look X Y (degrees to the right and up), report, quit
     #[arg(long)]
     pub(crate) control: bool,
-    /// Write a CSV file with a line for each submitted frame. Its columns are the number of the
-    /// refresh, the position in the cycle of frames, the number of the patterns, and the time since
-    /// the first frame in seconds. The file has at most the first 1,048,576 frames
+    /// Write a CSV file with a line for each submitted frame. Its columns are: number of the
+    /// refresh, position in the cycle of frames, number of the patterns, seconds since the first
+    /// frame. The file has at most the first 1,048,576 frames
     #[arg(long, value_name = "FILE")]
     pub(crate) log: Option<PathBuf>,
 }
@@ -210,7 +210,7 @@ fn params(args: &Show) -> Result<Value, PipelineError> {
         }
     };
     set("hold", args.hold.map(Value::from));
-    // for the presenter 0 means "not set", so the options refuse 0
+    // For the presenter 0 means "not set", so the options refuse 0.
     for (flag, value) in [("--duration-s", args.duration_s), ("--eye-mm", args.eye_mm.map(|eye| eye.0[2]))] {
         if let Some(found) = value.filter(|value| *value <= 0.0) {
             return Err(PipelineError::value(flag, "value", "a number above 0", found.to_string()));

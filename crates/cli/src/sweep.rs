@@ -35,8 +35,8 @@ pub(crate) struct Sweep {
     /// Folder for the results [default: sweeps/NAME]
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// Do not run. Print the steps of the sweep, those whose results are cached, and estimates of
-    /// time and memory
+    /// Do not run. Print the steps of the sweep, which of them have cached results, and estimates
+    /// of time and memory
     #[arg(long)]
     plan: bool,
     /// Number of plots of PSNR [default: few]. With few, there are at most six: maps over one pair
@@ -180,7 +180,7 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     let table = job.sweep.get_or_insert_default();
     let Axes { displays, layers, frames, brightness, gap_mm, fov, lenslets } = &args.axes;
     if !displays.is_empty() {
-        // paths on the command line are relative to the working folder, not to the job's folder
+        // Paths on the command line are relative to the working folder, not to the job's folder.
         table.displays = displays.iter().map(|name| typed(name)).collect();
     }
     if let Some(layers) = layers {

@@ -15,7 +15,7 @@ pub(crate) fn print(error: &Error) {
     let styled = error.render();
     let text = if is_terminal { styled.ansi().to_string() } else { styled.to_string() };
     let text = hinted(&in_words(&text));
-    // a pipe that the reader has closed is no error
+    // Ignore errors of the write, since a reader may close the pipe early.
     let _ = if to_stdout {
         std::io::stdout().write_all(text.as_bytes())
     } else {

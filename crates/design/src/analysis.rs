@@ -181,8 +181,8 @@ impl Analysis {
             Backlight::Lenslets(backlight) => Some(backlight.d_mm),
             Backlight::Uniform => None,
         };
-        // Sample depths up to the requested depth, or else beyond the layers, the scene and the
-        // depth of field.
+        // Sample depths up to the requested depth, or else up to some distance past the layers, the
+        // scene and the depth of field.
         let parts = || layers_mm.iter().copied().chain(backlight_mm);
         let (rear, front) = parts().fold((f64::MAX, f64::MIN), |(a, b), d| (a.min(d), b.max(d)));
         let of_scene = scene.iter().flat_map(|scene| &scene.percentiles).map(|p| 1.2 * p[0].abs());

@@ -85,7 +85,7 @@ mod tests {
         let close = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-12, "{found}");
         close(rank_correlation(&[1.0, 2.0, 3.0], &[10.0, 20.0, 1e9]), 1.0);
         close(rank_correlation(&[1.0, 2.0, 3.0], &[3.0, 2.0, 1.0]), -1.0);
-        // without equal values, the correlation is 1 − 6 Σ d²/(n (n² − 1))
+        // Without equal values, the correlation is 1 − 6 Σ d²/(n (n² − 1)).
         close(rank_correlation(&[1.0, 2.0, 3.0, 4.0], &[2.0, 1.0, 4.0, 3.0]), 1.0 - 6.0 * 4.0 / 60.0);
         close(rank_correlation(&[1.0, 1.0, 2.0], &[5.0, 5.0, 7.0]), 1.0);
         assert!(rank_correlation(&[1.0, 1.0], &[1.0, 2.0]).is_nan());

@@ -143,7 +143,7 @@ pub fn compare_runs(
     })
 }
 
-/// Samples of a pupil per axis; samples outside of its disc are skipped.
+/// Samples of a pupil per axis; samples outside of the pupil's disc are skipped.
 const PUPIL_SAMPLES: usize = 7;
 
 /// Returns the picture for an eye at `eye_mm` with a pupil of diameter `pupil_mm` that focuses on
@@ -166,7 +166,7 @@ pub fn refocused(
         let expected = format!("a depth below {distance} mm, the distance of the eye");
         return Err(PipelineError::option("--focus", "Z", expected, focus_mm.to_string()));
     }
-    // Average over a square grid of samples, without those outside of the pupil's disc.
+    // Average over a square grid of samples, without the samples outside of the pupil's disc.
     let pixels = display.field_pixels();
     let mut sum = Tensor::zeros(["row", "col", "rgb"], [pixels.rows, pixels.cols, 3]);
     let mut count = 0u32;

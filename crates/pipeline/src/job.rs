@@ -278,7 +278,7 @@ impl Job {
         if self.may_render_in_blender() { most.min(MOST_OF_BLENDER) } else { most }
     }
 
-    /// Returns the job with values for those automatic settings that depend on the display's views.
+    /// Returns the job with values for the automatic settings that depend on the display's views.
     ///
     /// A display that does not load changes nothing here: [`Self::resolve_display`] returns its
     /// error.

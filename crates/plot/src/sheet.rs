@@ -257,7 +257,7 @@ fn framed(
             .build_cartesian_2d(x[0]..x[1], y[0]..y[1])?;
         let (x_digits, y_digits) = (digits(x), digits(y));
         let number = |value: f64, digits: usize| {
-            // print −0 as 0
+            // Print −0 as 0.
             let value = if value.abs() < 0.5 * 0.1f64.powi(digits as i32) { 0.0 } else { value };
             format!("{value:.digits$}").replace('-', "−")
         };
@@ -341,7 +341,7 @@ fn inside(points: &[[f64; 2]], [low, high]: [f64; 2]) -> Vec<Vec<(f64, f64)>> {
     }
     for pair in points.windows(2) {
         let ([x0, y0], [x1, y1]) = (pair[0], pair[1]);
-        // position of height y on the segment, 0 at its start and 1 at its end
+        // Returns the position of the height y on the segment: 0 at its start, 1 at its end.
         let at = |y: f64| if y1 == y0 { f64::NAN } else { (y - y0) / (y1 - y0) };
         let (a, b) = (at(low).min(at(high)), at(low).max(at(high)));
         let (from, to) = if y1 == y0 {

@@ -25,7 +25,7 @@ pub(crate) fn reached(history: &[Iteration]) -> Vec<Reached> {
             Some(Reached { seconds, iteration: it.iteration, psnr_view: it.psnr_view })
         })
         .collect();
-    // if several round times have the same last iteration, keep only the first of these times
+    // If several round times have the same last iteration, keep only the first of these times.
     lines.dedup_by(|later, earlier| later.iteration == earlier.iteration && later.seconds != end.seconds);
     lines.drain(..lines.len().saturating_sub(LINES));
     lines

@@ -8,7 +8,7 @@ pub(crate) fn figure(value: f64) -> Value {
     match value {
         f64::INFINITY => "Infinity".into(),
         f64::NEG_INFINITY => "-Infinity".into(),
-        // serde_json writes NaN as null
+        // For NaN this gives null, as serde_json does for every NaN.
         finite => finite.into(),
     }
 }
@@ -79,7 +79,7 @@ fn number_short_round(value: f64) -> String {
 /// Formats a slope (tangent) as a signed angle with its unit: "+8.0°".
 pub(crate) fn angle(slope: f64) -> String {
     let degrees = slope.atan().to_degrees();
-    // avoid "−0.0°"
+    // Avoid "−0.0°".
     if degrees.abs() < 0.05 { "0.0°".into() } else { minus(format!("{degrees:+.1}°")) }
 }
 

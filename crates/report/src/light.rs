@@ -34,7 +34,7 @@ pub(crate) fn light(input: &ReportInput, target: &FieldScore) -> Light {
 /// brightest.
 fn open(display: &Display, geometry: &FieldGeometry) -> f64 {
     let mut display = Display { frames: 1, ..display.clone() };
-    // a total rotation of 90° is the brightest; a larger rotation would darken the pixel again
+    // A total rotation of 90° is the brightest; a larger rotation would darken the pixel again.
     let rotation: f64 = display.layers.iter().map(|layer| layer.peak).sum();
     let share = if display.formation == Formation::Polarization { (1.0 / rotation).min(1.0) } else { 1.0 };
     display.layers.iter_mut().for_each(|layer| layer.peak *= share);

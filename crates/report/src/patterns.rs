@@ -42,7 +42,7 @@ pub(crate) struct Sheet {
 #[derive(Clone, Debug)]
 pub(crate) struct CloseUp {
     pub(crate) window: Window,
-    /// Values shown as black and as white.
+    /// Values of the layer that are shown as black and as white.
     pub(crate) stretch: [f32; 2],
     /// Mean over the frames, if there are several.
     pub(crate) mean: Option<Embedded>,
@@ -171,7 +171,7 @@ fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp,
         (0..frames).map(|frame| part(&Linear::new(rows, cols, layer.block([frame]), 1.0))).collect();
     let mut values: Vec<f32> = parts.iter().flat_map(|part| part.data.iter().copied()).collect();
     let [low, high] = [CLIPPED, 1.0 - CLIPPED].map(|share| percentile(&mut values, share));
-    // do not stretch a section that is constant, or that already fills the range
+    // Do not stretch a section that is constant, or that already fills the range.
     let worth_it = high - low > 1e-3 && (low > LITTLE || high < 1.0 - LITTLE);
     let stretch = if worth_it { [low, high] } else { [0.0, 1.0] };
     let embed = |part: &Linear| part.stretched(stretch).encoded().embedded(Encoding::Png);

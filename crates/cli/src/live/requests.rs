@@ -176,7 +176,7 @@ impl<'a> Once<'a> {
 
 impl Warnings for Once<'_> {
     fn warn(&self, warning: Warning) {
-        // on the page, errors of the live display itself need no place in front of the message
+        // On the page, errors of the live display itself need no place in front of the message.
         let is_own = warning.place == "live";
         self.messages.say(if is_own { warning.message.clone() } else { warning.to_string() });
         let mut seen = lock(&self.seen);

@@ -89,7 +89,7 @@ mod tests {
         assert_eq!(look(), [false, true, false]);
         // A call with fewer files than the last call reports no change.
         assert!(!watched.have_changed(&paths[..1], read) && !watched.have_changed(&paths[..1], read));
-        // a file has changed if it was written after the program began to read it
+        // A file has changed if it was written after the program began to read it.
         let mut late = Watched::default();
         let before = read.checked_sub(std::time::Duration::from_secs(60)).unwrap();
         assert_eq!([0; 3].map(|_| late.have_changed(&paths, before)), [false, true, false]);

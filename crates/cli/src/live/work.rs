@@ -140,8 +140,8 @@ pub(super) fn render(
             continue;
         }
         if is_video {
-            // time steps are solved in order: the next one starts when the previous one has
-            // patterns
+            // Time steps are solved in order: the next one starts when the previous one has
+            // patterns.
             match is_solved.then(|| player.next(now())) {
                 Some(Due::Time(time)) => {
                     let job = Job { light_field: Some(rates.times[time].clone()), ..live_fields.job().clone() };

@@ -264,7 +264,7 @@ struct Sizes {
     pixels: f64,
     /// Views of the target.
     views: f64,
-    /// Views of the light fields that only the report needs.
+    /// Number of views in the light fields that only the report needs.
     others: f64,
     layers: f64,
     /// Number of values in the patterns of all frames.

@@ -187,7 +187,7 @@ pub(crate) fn execute(
     for parts in &designs.fields {
         fields.push(shared(&mut executor, parts, job)?);
     }
-    // Solve all designs, or those that the search selects.
+    // Solve all designs, or the designs that the search selects.
     let solver = Solver { job, fields, folder: dir.join("designs"), later: later(job), registry };
     let sweep = Sweep { solver, used: Mutex::default(), task };
     let (rows, kept, proposed) = match job.sweep.as_ref().and_then(|sweep| sweep.search.as_ref()) {

@@ -101,7 +101,8 @@ pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
     !kind.filters() || (read_figures(&folder).is_some() && shows && field.traced.grid.iter().all(is_there))
 }
 
-/// Filters the views. Writes the error estimates last; they mark the filter as finished.
+/// Filters the views. Writes the error estimates last, since these estimates mark the filter as
+/// finished.
 ///
 /// # Errors
 /// If cancelled, if a file cannot be written, or if Open Image Denoise fails.

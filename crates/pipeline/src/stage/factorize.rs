@@ -232,7 +232,7 @@ pub(crate) fn reuse_or_write(
     stamps.reuse_or_make(stage, key, kept, make)
 }
 
-/// The choice of a time step's start, in the form of its JSON file.
+/// The choice between a warm start and a fresh start of a time step, in the form of its JSON file.
 #[derive(Serialize, Deserialize)]
 struct Choice {
     key: String,

@@ -57,7 +57,7 @@ mod tests {
     #[test]
     fn paths_follow_from_noise_and_error_within_limits() {
         let choose = |noise, error, views| Samples::new(noise, error, views);
-        // without noise one path is enough, for any error of the display
+        // Without noise one path is enough, for any error of the display.
         assert_eq!((choose(0.0, 1e-3, 169).per_view, choose(0.0, 0.0, 169).limited), (1, false));
         // The equation n = V / (η D) of `samples.rs` gives 4.9, which is rounded up to the next
         // allowed number.

@@ -154,8 +154,8 @@ fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) 
         })?;
     }
 
-    // Distribute directions over the sections. They are generated like the directions of the zone
-    // score.
+    // Distribute directions over the sections. The directions are generated like the directions of
+    // the zone score.
     let zone = score::zone_of(job, display, geometry);
     let directions = zone.directions(parts.len() * DIRECTIONS);
     let measured = parts.par_iter().zip(&halves).enumerate().map(|(number, (part, halves))| {
@@ -374,7 +374,7 @@ fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Pa
     let [rows, cols] = [edge.min(geometry.rows), edge.min(geometry.cols)];
     let area = (geometry.rows * geometry.cols) as f64 / (rows * cols) as f64;
     let count = ((MOST_AREA * area) as usize).clamp(1, PARTS);
-    // if there is only one section, it is in the middle of the picture
+    // The first place is the centre, so a single section is in the middle of the picture.
     let places = spread(count);
     let [free_rows, free_cols] = [geometry.rows - rows, geometry.cols - cols].map(|free| free as f64);
     places
@@ -494,7 +494,7 @@ mod tests {
                 for (row, col) in [(0, 0), (rows - 1, cols - 1), (3, 7)] {
                     let own = [part.geometry.x_mm(col), part.geometry.y_mm(row)];
                     let whole = [0, 1].map(|axis| own[axis] + part.centre_mm[axis]);
-                    // the position must be the centre of a pixel of the whole picture
+                    // The position must be the centre of a pixel of the whole picture.
                     let place = (whole[0] / 1.5 + 149.5, 109.5 - whole[1] / 1.5);
                     assert!((place.0 - place.0.round()).abs() < 1e-9 && (-0.1..299.1).contains(&place.0), "{place:?}");
                     assert!((place.1 - place.1.round()).abs() < 1e-9 && (-0.1..219.1).contains(&place.1), "{place:?}");

@@ -142,7 +142,7 @@ mod tests {
         assert!(error.contains(&run.display().to_string()) && error.contains(&process), "{error}");
         drop(first);
         assert!(!folder.path().join("runs").exists(), "nothing was kept, so nothing is left");
-        // the owner's file that a dead process left does not lock the folder
+        // The owner's file that a dead process left does not lock the folder.
         std::fs::create_dir_all(run.join("cache")).unwrap();
         std::fs::write(run.join("cache").join(LOCK), "").unwrap();
         std::fs::write(run.join("cache").join(OWNER), "{\"process\":1,\"host\":\"gone\"}").unwrap();
@@ -176,7 +176,7 @@ mod tests {
             assert_eq!(std::fs::read_to_string(&path).unwrap(), "mine");
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing was written");
         }
-        // files with names that the work does not write are allowed
+        // Files with names that the work does not write are allowed.
         std::fs::write(base.path().join("notes.txt"), "mine").unwrap();
         std::fs::create_dir(base.path().join("outputs")).unwrap();
         drop(try_take(base.path(), Work::Run, &job).unwrap());
@@ -197,7 +197,7 @@ mod tests {
         write_sealed(&path, &job.to_toml()).unwrap();
         assert_eq!(accepted(), Ok(()));
         assert_eq!(config::parse::<Job>(&std::fs::read_to_string(&path).unwrap()).unwrap(), job);
-        // the job file of a run may be run from its run folder
+        // The job file of a run may be run from its run folder.
         let again = Job { file: Some(path.clone()), ..job.clone() };
         assert!(try_take(folder.path(), Work::Run, &again).is_ok());
         let text = std::fs::read_to_string(&path).unwrap().replace("seed = 1", "seed = 2");
@@ -222,7 +222,7 @@ mod tests {
         assert!(is_written_by_us(&path, false), "Lumistack calibrated it");
         write_display(&path, &display).unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), after);
-        // a display file is replaced if the display has changed
+        // A display file is replaced if the display has changed.
         write_display(&path, &Display { frames: display.frames + 1, ..display }).unwrap();
         assert!(std::fs::read_to_string(&path).unwrap() != after);
         assert_eq!(with_new_seal("a = 1", "a = 2"), "a = 2");

@@ -43,8 +43,8 @@ fn child() {
     println!("\npeak {} of {said}", kib << 10);
 }
 
-/// Runs a job made of these tables in a separate process, up to a step. The job may keep `mib` of a
-/// light field in memory. Returns the run folder and the peak.
+/// Runs a job with the tables `tables` in a separate process, up to `step` or to the end. The job
+/// may keep `mib` MiB of a light field in memory. Returns the run folder and the peak.
 fn peak_of(folder: &Path, name: &str, mib: u64, tables: &str, step: Option<&str>) -> (PathBuf, Peak) {
     let path = folder.join(format!("{name}.toml"));
     let render = tables.replace("[render]\n", &format!("[render]\nfield_mib = {mib}\n"));
@@ -71,7 +71,7 @@ fn check(tables: &str, mib: u64, step: Option<&str>) {
     for peak in [held, streamed] {
         assert!(peak.found <= peak.said, "more than the plan said: {peak:?}");
     }
-    // the test is useful only if a light field in memory exceeds the bound of the streamed run
+    // The test is useful only if a light field in memory exceeds the bound of the streamed run.
     assert!(held.found > streamed.said, "held {held:?}, streamed {streamed:?}");
     let (expected, found) = (results(&held_dir), results(&dir));
     assert!(expected.len() > 3 && expected.keys().eq(found.keys()), "{:?}", found.keys());

@@ -118,7 +118,7 @@ impl Levels {
         let reach = (cols / REACH_SHARE).clamp(*REACH.start(), *REACH.end());
         let candidates = 2 * reach + 1;
         let difference = |row: usize, shift: usize, col: usize| {
-            // if the shift goes past the border, read the outermost pixel
+            // If the shift goes past the border, read the outermost pixel.
             let to = (col + shift).saturating_sub(reach).min(cols - 1);
             self.values[row * cols + col].abs_diff(other.values[row * cols + to])
         };

@@ -67,8 +67,8 @@ impl Variant {
             Self::Brighter => {
                 let factors = match display.formation {
                     Formation::Additive => 1.0,
-                    // distribute the increase over the layers, so that a fully open display is
-                    // brighter by BRIGHTER in total
+                    // Distribute the increase over the layers, so that a fully open display is
+                    // brighter by BRIGHTER in total.
                     _ => (stack.layers.len() + usize::from(stack.emission.is_some())) as f64,
                 };
                 let factor = (1.0 + BRIGHTER).powf(1.0 / factors) as f32;

@@ -37,8 +37,8 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
         return html! {};
     }
     let sheet = |picture: &Embedded, name: &str| {
-        // the sheet of all views is shifted so that the central view is visible; the script shifts
-        // it to other views
+        // The sheet of all views is shifted so that the central view is visible. The script shifts
+        // the sheet to other views.
         let style = format!(
             "width:{}%;transform:translate({}%,{}%)",
             100 * cols,
