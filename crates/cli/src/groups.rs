@@ -168,7 +168,7 @@ pub(crate) struct FileArgs {
 #[command(next_help_heading = "Factorization")]
 pub(crate) struct FactorizeArgs {
     /// Number of iterations of the solver. Each updates every layer, and a directional backlight,
-    /// once [default: 50; for a scene with --views auto: 16]
+    /// once [default: 50, or 16 for a scene whose number of views is automatic]
     #[arg(long, value_name = "N")]
     pub(crate) iterations: Option<u32>,
     #[arg(long, value_name = "NAME", help = format!("Solver, which computes the patterns: {}", either(solver_names())))]

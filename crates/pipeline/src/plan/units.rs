@@ -72,7 +72,7 @@ fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
         Some(node) => display_of_node(node, &job.resolve_display().ok()?, &display, &geometry).ok()?.0,
     };
     let tiles = Tiles::of(&job.factorize, &display, &geometry)?;
-    // A tile reads its pixels from one whole view at a time, so the memory of that view is included
+    // A tile reads its pixels from one whole view at a time, so add the memory of a view.
     let bytes = tiles.bytes(&display, &geometry) + 12 * (geometry.rows * geometry.cols) as u64;
     Some((tiles, bytes))
 }

@@ -160,7 +160,7 @@ fn chunks_of_a_sequence_do_not_wait_for_each_other() {
         // start. So check the files.
         let warm_up = many.join("cache/warm-up/t0004/t0003").join(node).join("layers/stack.json");
         assert!(warm_up.is_file() && !many.join("cache/warm-up/t0005").exists());
-        // The content moves little, so the error is close to the error of a sequence without chunks
+        // The content moves little, so chunks change the error only slightly.
         let chain = folder.path().join(format!("chain{}", nodes.len()));
         let mut whole = job.clone();
         (whole.sequence.as_mut().unwrap().chunk_times, whole.sequence.as_mut().unwrap().warm_up_times) = (None, None);
