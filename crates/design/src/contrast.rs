@@ -78,7 +78,7 @@ pub struct Gratings {
 pub struct Contrast {
     /// Depth of the grating, millimetres.
     pub z_mm: f64,
-    /// Frequency of the grating, relative to the highest of the light field's pixels.
+    /// Frequency of the grating, relative to the highest frequency of the light field's pixels.
     pub frequency: f64,
     /// The bound at this depth, relative to the highest frequency of the light field's pixels.
     pub bound: f64,
@@ -329,7 +329,8 @@ pub fn contrast_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
     plot::curves(&axes, &curves.collect::<Vec<_>>(), &[], &[])
 }
 
-/// Makes the axes for plots of the frequency with half contrast over depth.
+/// Makes the axes of a plot that shows, for each depth, the highest frequency with a contrast of at
+/// least ½.
 fn cutoff_axes(title: String) -> Axes {
     Axes {
         title,
@@ -346,8 +347,8 @@ fn bound_of(found: &[Contrast]) -> Vec<[f64; 2]> {
     bound
 }
 
-/// Draws the frequency with half contrast of a display over depth as SVG: a curve for each measure,
-/// and the bound.
+/// Draws, as SVG, the highest frequency with a contrast of at least ½ at each depth. The plot has a
+/// curve for each measure of contrast, and the display's bound.
 ///
 /// # Errors
 /// If there are no results.
@@ -369,8 +370,8 @@ pub fn achieved_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
     plot::curves(&cutoff_axes(format!("{name}: half contrast")), &curves, &[], &[])
 }
 
-/// Draws the frequencies with half contrast of several displays as SVG, by [`Contrast::dense`], and
-/// the displays' bounds.
+/// Draws, as SVG, the highest frequency with a contrast of at least ½ at each depth, for several
+/// displays. The measure is [`Contrast::dense`]. The plot also shows the displays' bounds.
 ///
 /// # Errors
 /// If there are no results.

@@ -288,8 +288,8 @@ pub enum Plots {
     /// axis.
     #[default]
     Few,
-    /// Maps over every pair of these axes and curves along every axis, for all values of the other
-    /// axes.
+    /// Maps over every pair of the axes layers, frames and brightness, and curves along every axis.
+    /// Values of further axes have plots of their own.
     All,
 }
 

@@ -5,7 +5,8 @@ use crate::Iteration;
 /// The last iteration that was complete at a number of seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Reached {
-    /// 1, 2 or 5 times a power of ten. In the last entry, the time at which the solver ended.
+    /// Time in seconds: 1, 2 or 5 times a power of ten. The last entry has the time at which the
+    /// solver ended.
     pub(crate) seconds: f64,
     pub(crate) iteration: u32,
     pub(crate) psnr_view: f64,

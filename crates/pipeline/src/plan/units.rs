@@ -219,7 +219,7 @@ impl<'a> Cutter<'a> {
         let mut inputs = self.inputs(&step.inputs);
         inputs.retain(|input| Some(*input) != known);
         let unit = self.unit(step, id, UnitKind::Results, inputs);
-        // If the part has such a unit already, merge the step into it.
+        // If the part has a unit `results` already, merge the step into that unit.
         let Some(known) = known else { return self.push(step, unit) };
         self.made_by.entry(&step.id).or_default().insert(known);
         let all = &mut self.units[known];

@@ -23,7 +23,7 @@ use crate::store::stamps::Stamps;
 pub(crate) struct Solved {
     pub(crate) stack: LayerStack,
     pub(crate) steps: Vec<Iteration>,
-    /// `None` if the node reports no solution.
+    /// The solver's settings and the quality of its result; `None` if a node plugin reports none.
     pub(crate) solution: Option<Solution>,
 }
 

@@ -49,7 +49,8 @@ pub struct References {
 enum Pictures {
     /// In a folder of the cache, with two pictures per direction.
     Rendered { folder: PathBuf, tone_mapping: ToneMapping, background: Background, space: Option<Space> },
-    /// In memory, display-referred. Pictures without noise are stored as two equal pictures.
+    /// In memory, display-referred, with two pictures per direction. If a picture has no noise, the
+    /// two pictures are equal.
     Held { pictures: Vec<[Arc<Vec<f32>>; 2]>, left_out: bool },
 }
 

@@ -29,11 +29,12 @@ pub(crate) struct DepthMap {
 
 /// Row length up to which views are matched at full resolution, pixels.
 const LARGEST_COLS: usize = 480;
-/// Half the side of the compared squares is the number of columns divided by this, within
-/// [`RADIUS`], pixels.
+/// Half the side of the compared squares, in pixels: the number of columns divided by
+/// `RADIUS_SHARE`, limited to [`RADIUS`].
 const RADIUS_SHARE: usize = 80;
 const RADIUS: std::ops::RangeInclusive<usize> = 3..=6;
-/// The largest shift is the number of columns divided by this, within [`REACH`], pixels.
+/// The largest shift that the matching tries, in pixels: the number of columns divided by
+/// `REACH_SHARE`, limited to [`REACH`].
 const REACH_SHARE: usize = 16;
 const REACH: std::ops::RangeInclusive<usize> = 3..=40;
 /// The best shift is rejected unless it is clearly better than the mean. Its sum of differences

@@ -73,7 +73,8 @@ fn scale(display: &Display) -> &'static str {
     }
 }
 
-/// Describes features that masks of such a display typically have (section 3.4 of the paper).
+/// Describes features that masks typically have on a display with this backlight, number of layers
+/// and number of frames (section 3.4 of the paper).
 fn expectation(display: &Display, frames: usize) -> &'static str {
     match (&display.backlight, display.layers.len(), frames) {
         (Backlight::Lenslets(_), _, _) => {
