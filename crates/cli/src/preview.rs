@@ -54,7 +54,8 @@ pub(crate) fn preview_command(
     Ok(())
 }
 
-/// Serves the page that solves, which is part of the program.
+/// Serves the page that solves light fields in the browser. The program contains the files of this
+/// page.
 fn solve_command(args: &Preview, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let page = solve_page::write()?;
     let server = announced(args, page.path(), json, task)?;

@@ -47,8 +47,8 @@ pub struct SweepJob {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SearchJob {
-    /// Maximum distance from the rearmost to the frontmost part, millimetres. Parts are the layers
-    /// and the backlight.
+    /// Maximum distance from the rearmost to the frontmost component, millimetres. The components
+    /// are the layers and the backlight.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_thickness_mm: Option<f64>,
     /// Maximum refresh rate of the panels, Hz. All frames together must be shown 60 times a second.
