@@ -228,7 +228,8 @@ fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<V
     displays.iter().zip(all).map(measure).collect()
 }
 
-/// Formats the frequencies of half contrast at some depths, in one line per [`Achieved`].
+/// Formats the highest frequencies with a contrast of at least ½ at some depths, in one line per
+/// [`Achieved`].
 fn achieved(found: &[Contrast]) -> [String; 3] {
     let at = |[z, frequency]: &[f64; 2]| format!("{frequency:.2} at {z:.0} mm").replace('-', "−");
     let line = |head: &str, of: &str, achieved| {

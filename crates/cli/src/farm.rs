@@ -479,7 +479,7 @@ fn engine(
     if json {
         command.arg("--json");
     }
-    // Ctrl-C reaches the module too, which then ends cleanly
+    // Ctrl-C also reaches the Python module, which then ends cleanly. So only wait for its end.
     let status = command.status().map_err(PipelineError::command)?;
     task.cancel.check()?;
     match status.success() {

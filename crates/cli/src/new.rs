@@ -126,7 +126,7 @@ fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<
         let first = doc.split_inclusive(". ").next().unwrap_or(doc).trim();
         let _ = write!(text, "\n# {first}\n[[outputs]]\nplugin = {}\n", quoted(id));
         if id == "web_simulator" {
-            // `lumistack preview` looks for this name first
+            // `lumistack preview` looks for this name first.
             text.push_str("name = \"preview\"\n");
         }
     }

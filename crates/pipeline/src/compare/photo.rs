@@ -36,8 +36,9 @@ use crate::simulate::{RunFolder, Viewpoint};
 pub enum Pose {
     /// A measured position.
     Known(Viewpoint),
-    /// Computed from the corners and this focal length in millimetres, for a picture of 36 mm × 24
-    /// mm (EXIF: FocalLengthIn35mmFilm).
+    /// The position is computed from the corners of the display in the photograph and from the
+    /// focal length. The focal length is in millimetres, for a picture of 36 mm × 24 mm (EXIF:
+    /// FocalLengthIn35mmFilm).
     FocalMm(f64),
 }
 

@@ -276,19 +276,20 @@ struct Sizes {
 /// Memory that is used at the same time, bytes. A light field in a mapped file counts only by the
 /// part of it that is in memory.
 struct Memory {
-    /// The light fields: the target, and the light fields for the report.
+    /// Memory of the light fields: the target, and the light fields for the report.
     fields: f64,
-    /// The solver, without the light fields.
+    /// Memory of the solver, without the light fields.
     solving: f64,
-    /// The denoiser.
+    /// Memory of the denoiser.
     denoising: f64,
-    /// The measurement of the number of paths.
+    /// Memory for the measurement of the number of paths.
     measuring: f64,
-    /// Depths of the target's views.
+    /// Memory of the depths of the target's views.
     depths: f64,
-    /// Views that are left out of a given light field, for its zone score.
+    /// Memory of the views of a given light field that are left out of the target. They serve for
+    /// the zone score.
     left_out: f64,
-    /// The decoded file of a given light field, if the file is one picture.
+    /// Memory of the decoded file of a given light field, if the file is one picture.
     picture: f64,
 }
 

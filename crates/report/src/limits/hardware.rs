@@ -9,8 +9,8 @@ use super::limit::{Limit, without};
 use super::variants::{AT_END, BRIGHTER, Tone, USUAL_BITS, bits_are_given, emission_range};
 use crate::{ReportInput, format};
 
-/// Relative increase of the brightest state for which the report states a gain. It is extrapolated
-/// from the gain for [`BRIGHTER`].
+/// The report states the gain for a brightest state that is brighter by this fraction. The gain is
+/// extrapolated from the measured gain for the smaller fraction [`BRIGHTER`].
 const BRIGHTER_SHOWN: f64 = 0.1;
 
 /// Fractions of the stack's values that are at the ends of their ranges.
