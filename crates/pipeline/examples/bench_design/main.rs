@@ -31,7 +31,8 @@ fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let result = match words.as_slice() {
-        // The second part starts this program as a child process, and kills it.
+        // The function `killing` starts this program with these words as a child process, and kills
+        // it.
         ["child", job, folder] => child(Path::new(job), Path::new(folder)),
         // Print the data to which the constants of the prediction can be fitted.
         ["features", seed] => print_features(seed.parse().unwrap_or(1000)),

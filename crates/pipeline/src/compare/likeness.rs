@@ -13,7 +13,7 @@ use crate::simulate::simulate_to_file;
 /// Similarity of two pictures or light fields.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Likeness {
-    /// Peak signal-to-noise ratio, dB; `None` if both are equal.
+    /// Peak signal-to-noise ratio, dB; `None` if the two compared pictures are equal.
     pub psnr_db: Option<f64>,
     /// Structural similarity, at most 1.
     pub ssim: f64,

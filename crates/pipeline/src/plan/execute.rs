@@ -225,7 +225,7 @@ impl<'a> Executor<'a> {
             }
             return Ok(());
         }
-        // The folder of a time step may also be used as a run folder, so it is checked like one.
+        // The folder of a time step may also be used as a run folder, so check it as a run folder.
         let in_sweep = matches!(self.context.plan.parts[0].kind, PartKind::Sweep);
         let owned = match of_part.kind {
             PartKind::Time(_) if !in_sweep => {

@@ -23,7 +23,7 @@ pub(crate) fn is_factorized(node: Option<&NodeJob>) -> bool {
 /// Checks a node's plugin and parameters, without any work.
 ///
 /// # Errors
-/// If there is no such node, or it refuses the parameters.
+/// If the node plugin does not exist, or it refuses the parameters.
 pub(crate) fn check(node: &NodeJob, registry: &Registry) -> Result<(), PipelineError> {
     if is_factorized(Some(node)) {
         return Ok(());

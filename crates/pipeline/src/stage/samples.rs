@@ -324,8 +324,8 @@ pub(crate) fn bytes(job: &Job, display: &Display, geometry: &FieldGeometry, thre
     if !(job.render.samples_are_measured() && is_chosen) {
         return 0;
     }
-    // The bound depends only on the sizes of the parts, so any window in a scene gives the same
-    // value.
+    // The bound depends only on the sizes of the sections, not on their places in a scene. So use
+    // any window.
     let scene_from_display = Similarity { rotation: DQuat::IDENTITY, scale: 1.0, translation: DVec3::ZERO };
     let window = Window { scene_from_display, size_mm: geometry.size_mm(), near_mm: None };
     let parts = parts(display, geometry, &window);
