@@ -24,7 +24,7 @@ impl SolverDevice {
     /// Opens the device that a job names: `auto`, `cpu`, `gpu` or `gpu:NAME`.
     ///
     /// # Errors
-    /// If the name is another one, or the device is not available.
+    /// If the name is none of these, or the device is not available.
     pub(crate) fn of(device: &str) -> Result<Self, PipelineError> {
         check(device)?;
         #[cfg(feature = "gpu")]

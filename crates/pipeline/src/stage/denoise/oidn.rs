@@ -16,7 +16,7 @@ use crate::store::files::write;
 /// Python code that prints the path of the program in the package.
 const ASK_PYTHON: &str = "import importlib.util as u, os; print(os.path.join(os.path.dirname(u.find_spec('pyoidn').origin), 'oidn', 'bin', 'oidnDenoise'))";
 
-/// The program. A successful call has shown that it works.
+/// The program of Open Image Denoise. A successful call has shown that it works.
 pub(crate) struct Oidn {
     program: PathBuf,
     /// Version, from the first line of the program's help.
