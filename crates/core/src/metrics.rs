@@ -99,8 +99,8 @@ impl MetricMap {
         self.mean_where(|_| true)
     }
 
-    /// Mean over the pixels for which `counts` returns true. It receives the index in `values`.
-    /// Pixels of the border are never included.
+    /// Mean over the pixels for which `counts` returns true. The function `counts` receives a
+    /// pixel's index in `values`. Pixels of the border, which is `margin` wide, are never included.
     pub fn mean_where(&self, counts: impl Fn(usize) -> bool) -> Mean {
         let mut mean = Mean::default();
         for row in self.margin..self.rows.saturating_sub(self.margin) {

@@ -2,7 +2,8 @@
 //!
 //! A path that is UTF-8 is a text. Any other path is a table `{ percent = "m%F6bel.glb" }`, in
 //! which `%` and two hexadecimal digits stand for a byte. So a job that was written leads to the
-//! same file when it is read back. In paths that are only shown, U+FFFD replaces other bytes.
+//! same file when it is read back. In paths that are only shown, U+FFFD replaces bytes that are not
+//! UTF-8.
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +13,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 const ENCODED: &AsciiSet = &CONTROLS.add(b'%');
 
-/// The one key of the table.
+/// The only key of the table for a path that is not UTF-8.
 const KEY: &str = "percent";
 
 /// For an optional path that is opened again: `#[serde(with =

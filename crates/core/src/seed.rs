@@ -33,7 +33,7 @@ impl Stream {
         Self(seed)
     }
 
-    /// The stream as it is after `numbers` further numbers.
+    /// Returns the stream in the state that it has after `numbers` more numbers.
     #[must_use]
     pub fn after(&self, numbers: u64) -> Self {
         Self(self.0.wrapping_add(numbers.wrapping_mul(0x9e37_79b9_7f4a_7c15)))

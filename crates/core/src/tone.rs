@@ -6,8 +6,8 @@
 //!
 //! * [`ToneCurve::Linear`]: min(x, 1), channel by channel.
 //! * [`ToneCurve::KhronosNeutral`]: Khronos PBR Neutral (Khronos Group, 2024, specification and
-//!   sample in `KhronosGroup/ToneMapping`). With F = 0.04, the reflection that a dielectric adds to
-//!   its base colour, K_s = 0.8 − F and K_d = 0.15:
+//!   sample in `KhronosGroup/ToneMapping`). It maps a channel c of (R, G, B) with K_s = 0.8 − F,
+//!   K_d = 0.15 and F = 0.04. F is the reflection that a dielectric adds to its base colour.
 //!
 //! ```text
 //! x = min(R, G, B),   f = x − x²/4F for x ≤ 2F, else F
@@ -66,13 +66,13 @@ const REC2020_FROM_BT709: Matrix =
 /// BT.2020 to BT.709 primaries.
 const BT709_FROM_REC2020: Matrix =
     [[1.660_491, -0.587_641, -0.072_85], [-0.124_55, 1.132_9, -0.008_349], [-0.018_151, -0.100_579, 1.118_73]];
-/// AgX's inset.
+/// AgX's inset matrix, which draws colours together.
 const INSET: Matrix = [
     [0.856_627_15, 0.095_121_24, 0.048_251_606],
     [0.137_318_97, 0.761_242, 0.101_439_04],
     [0.111_898_21, 0.076_799_42, 0.811_302_4],
 ];
-/// AgX's outset: the inverse of another inset matrix.
+/// AgX's outset matrix, which spreads colours again. It is the inverse of another inset matrix.
 const OUTSET: Matrix = [
     [1.127_100_6, -0.110_606_64, -0.016_493_94],
     [-0.141_329_76, 1.157_823_7, -0.016_493_94],
@@ -144,8 +144,8 @@ fn stops(value: f32) -> f32 {
     (((value.max(1e-10) / MIDDLE_GREY).log2() - STOPS[0]) / (STOPS[1] - STOPS[0])).clamp(0.0, 1.0)
 }
 
-/// AgX's sigmoid. Its slope at middle grey (x₀, y₀) is SLOPE. On either side, s is such that the
-/// end of the range, 0 or 1, is kept:
+/// AgX's sigmoid. Its slope at middle grey (x₀, y₀) is SLOPE. On each side of x₀, s is chosen so
+/// that the end of the range keeps its value, 0 or 1:
 ///
 /// ```text
 /// s·h(SLOPE (x − x₀)/s) + y₀,   h(t) = t/(1 + |t|^POWER)^(1/POWER)
@@ -191,7 +191,7 @@ fn hue([r, g, b]: [f32; 3]) -> Option<f32> {
     Some(hue.rem_euclid(6.0))
 }
 
-/// Raises all channels equally until none is below 0, then scales back to the luminance.
+/// Raises all channels equally until none is below 0, then scales them to the luminance of `rgb`.
 fn raised(rgb: [f32; 3]) -> [f32; 3] {
     let least = rgb[0].min(rgb[1]).min(rgb[2]);
     if least >= 0.0 {
@@ -282,7 +282,8 @@ mod tests {
             for i in 1..=60_000 {
                 let exposed = i as f32 / 10_000.0;
                 let shown = curve.apply([exposed; 3]);
-                // the slope is never above 2, except for rounding
+                // exposures are 1e-4 apart, and the slope of a curve is at most 2, except for
+                // rounding
                 let step = shown[1] - last[1];
                 assert!((-1e-6..=2.1e-4).contains(&step), "{name}: from {last:?} to {shown:?} at {exposed}");
                 assert!(shown.iter().all(|v| (v - shown[1]).abs() < 2e-3), "{name}: a grey stays grey: {shown:?}");
@@ -313,8 +314,9 @@ mod tests {
         }
     }
 
-    /// Measures the hue of the hexcone in degrees. The neutral curve keeps the hue exactly (it
-    /// scales and mixes with grey), AgX within the change of Blender's table.
+    /// The hue of the hexcone, in degrees, stays nearly the same. The neutral curve keeps it
+    /// exactly, since it only scales colours and mixes them with grey. AgX changes it by at most
+    /// 45°.
     #[test]
     fn hues_stay() {
         let mut stream = Stream::new(6);

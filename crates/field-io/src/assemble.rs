@@ -43,16 +43,16 @@ pub struct LeftOut {
 pub struct Reading<'a> {
     /// The display's footprint, for [`GeometryFlags::prefilter`].
     pub footprint: Option<Footprint<'a>>,
-    /// Greatest number of views between the kept ones that are read too.
+    /// Greatest number of views, among those between the kept ones, that are read too.
     pub most_left_out: usize,
-    /// For light fields that memory shall not hold: a folder for the file, and the bytes that may
-    /// be in memory.
+    /// Decides whether the light field is kept in a file. `None` keeps every light field in memory.
     pub paging: Option<Paging<'a>>,
     /// Changes every view, `[row][col][rgb]`, after it is read.
     pub change: Option<&'a dyn Fn(&mut [f32])>,
 }
 
-/// Decides by geometry where a light field is kept; `None` keeps it in memory.
+/// Returns the folder for a light field's file, and the number of its bytes that may be in memory.
+/// The result `None` keeps the light field in memory.
 pub type Paging<'a> = &'a dyn Fn(&FieldGeometry) -> Option<(&'a Path, usize)>;
 
 /// The parts of a source to read, and their geometry.
@@ -186,7 +186,7 @@ fn left_out(
     order.into_iter().map(|(_, i)| all[i].clone()).collect()
 }
 
-/// (√5 − 1)/2.
+/// The golden ratio's fraction, (√5 − 1)/2.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
 /// The views that are averaged into every kept view, with their weights. The first list has a row

@@ -170,7 +170,7 @@ mod tests {
         };
         let left = folder.path().join(".lumistack-a1b2c3.tmp");
         fs::write(&left, "half").unwrap();
-        assert!(!is_abandoned(&left), "its writer may just have made it");
+        assert!(!is_abandoned(&left), "a file this young may have a writer");
         age(&left);
         assert!(is_abandoned(&left));
         let other = folder.path().join("a.tmp");

@@ -137,7 +137,7 @@ fn parse_name(stem: &str) -> Option<CameraName> {
 }
 
 fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, FieldError> {
-    // Index pictures by row and column; each must be unique.
+    // Index pictures by row and column. Two pictures of the same row and column are an error.
     let mut by_index = BTreeMap::<(u32, u32), (CameraName, PathBuf)>::new();
     for (name, file) in cameras {
         if let Some((_, other)) = by_index.get(&(name.row, name.col)) {

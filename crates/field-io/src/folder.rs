@@ -11,8 +11,8 @@
 //!               "slope": [s_x, s_y], "eye_mm": [x, y, z] }] }
 //! ```
 //!
-//! Slopes are tangents, x right, y up. `eye_mm` (perspective views only) is D·(s_x, s_y, 1). The
-//! index is written last.
+//! Slopes are tangents, x right, y up. `eye_mm` (perspective views only) is D·(s_x, s_y, 1), with D
+//! = `distance_mm`. The index is written last, so a folder with an index is complete.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -163,7 +163,8 @@ pub fn write_views(
 ) -> Result<(), FieldError> {
     let geometry = field.geometry();
     atomic::create_folder(folder)?;
-    // Without an index, a folder whose writing was interrupted is not taken for a light field.
+    // Remove the index first: readers refuse a folder without an index, so an interrupted write
+    // leaves no light field that seems complete.
     atomic::remove(&folder.join(INDEX))?;
     for &view in views {
         write_view_as(folder, geometry, view, field.view(view), precision)?;
@@ -387,7 +388,8 @@ fn listed_files(
         if !plain || entry.file.is_empty() {
             return bad("file", "a name inside the folder".into(), entry.file.clone());
         }
-        // a link may lead outside of the folder; a missing file is reported when it is read
+        // A link that leads outside of the folder is an error. A missing file is an error only when
+        // it is read.
         if let Err(refusal @ Refusal::Outside { .. }) = inside.resolve(name) {
             return bad("file", "a name inside the folder".into(), format!("{}: {refusal}", entry.file));
         }

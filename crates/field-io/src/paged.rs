@@ -1,7 +1,8 @@
 //! Light fields larger than memory, in an unnamed file of which few pages are in memory.
 //!
-//! Views are written one by one, and read like memory. Arrays of similar size that are computed
-//! from such a light field have a place in the same folder ([`Tensor::storage`]).
+//! Views are written one by one. The finished light field is read like an array in memory. Arrays
+//! of similar size that are computed from it can be stored in the same folder
+//! ([`Tensor::storage`]).
 
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Write};
@@ -187,7 +188,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let grid = ViewGrid::uniform(Projection::Oblique, [3, 2], [20.0, 20.0]).unwrap();
         let geometry = FieldGeometry { rows: 70, cols: 90, pitch_mm: 1.0, grid };
-        // a limit below one view, so that pages are released between views
+        // the limit is smaller than one view, so pages are released between views
         let mut paged = Paged::begin(geometry.clone(), folder.path(), 1 << 14).unwrap();
         let value = |view: [usize; 2], i: usize| (i + 7919 * view[0] + 104_729 * view[1]) as f32;
         for view in geometry.grid.iter() {

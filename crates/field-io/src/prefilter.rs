@@ -71,7 +71,7 @@ mod tests {
         assert_eq!(of(0.1), alone(&[0, 4, 8]));
         close(&of(0.2)[1], &[(3, 0.25), (4, 0.5), (5, 0.25)]);
         close(&of(0.3)[1], &[(3, 1.0 / 3.0), (4, 1.0 / 3.0), (5, 1.0 / 3.0)]);
-        // at the end, only views that exist
+        // the mean of an outermost view contains only views that exist
         close(&of(0.3)[0], &[(0, 0.5), (1, 0.5)]);
         assert_eq!(shares(&[0.0], &[4], &positions, 1.0), alone(&[4]), "one view has no step");
     }

@@ -165,7 +165,7 @@ mod tests {
             let own: Vec<Region> = tiling.tile(number).parts.into_iter().map(|part| part.own).collect();
             writer.write(&own, &stack.cut(&own)).unwrap();
         }
-        assert!(!parts.join("stack.json").exists(), "not before it is finished");
+        assert!(!parts.join("stack.json").exists(), "the index appears only when the stack is finished");
         writer.finish().unwrap();
         let files = |folder: &Path| {
             let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();

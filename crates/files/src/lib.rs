@@ -55,16 +55,14 @@ pub fn is_file(path: &Path) -> bool {
 
 /// Returns whether the path leads to a folder.
 ///
-/// # Errors
-/// When it leads to nothing.
+/// # Errors If no file or folder has this path.
 pub fn is_folder(path: &Path) -> io::Result<bool> {
     system::is_folder(path)
 }
 
 /// Paths of all entries of a folder, sorted.
 ///
-/// # Errors
-/// When it cannot be listed.
+/// # Errors If the folder cannot be listed.
 pub fn list(folder: &Path) -> io::Result<Vec<PathBuf>> {
     system::list(folder)
 }

@@ -83,7 +83,7 @@ impl<'a> Accessor<'a> {
             return Err(Fault::new(format!("{place}/count"), format!("a count in 1..{most}"), count));
         }
         let count = count as usize;
-        // dense elements, sparse replacements, or both
+        // read the dense elements, and the sparse elements that replace some of them
         let dimensions = kind.multiplicity();
         let size = component.size() * dimensions;
         // only vertex attributes may be interleaved, and all of them are vectors
@@ -225,8 +225,8 @@ impl<'a> Accessor<'a> {
         if self.normalized { (value / largest).max(-1.0) } else { value }
     }
 
-    /// Treats integers as normalized. glTF requires `normalized` for these attributes, but some
-    /// writers do not set it.
+    /// Treats integers as normalized. glTF requires `normalized` for every attribute that is opened
+    /// in this way, but some writers do not set it.
     pub(crate) fn assume_normalized(mut self) -> Self {
         self.normalized = true;
         self

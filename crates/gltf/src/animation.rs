@@ -236,15 +236,16 @@ fn key_interval(times: &[f32], time_s: f64) -> KeyInterval {
     KeyInterval { key: after - 1, share: (time_s - before_s) / gap_s, gap_s }
 }
 
-/// Values of a channel before and after a time, with the factors that blend them. Each value is a
-/// group of `group` elements of `N` numbers.
+/// Values of a channel before and after a time, with the factors that blend them. A value is a list
+/// of elements of `N` numbers, such as the weights of all morph targets of a node.
 enum Values<const N: usize> {
     Held(Vec<[f64; N]>),
     Linear {
         values: [Vec<[f64; N]>; 2],
         share: f64,
     },
-    /// v_k, b_k, a_{k+1} and v_{k+1}, with their factors.
+    /// Out-tangent b and value v at the key before the time, in-tangent a and value v at the key
+    /// after it: v_k, b_k, a_{k+1}, v_{k+1}, with their factors in the spline of the file's head.
     Cubic {
         values: [Vec<[f64; N]>; 4],
         factors: [f64; 4],

@@ -26,9 +26,9 @@ use crate::{
 /// `name` is the file's name in messages, `bytes` is its content, and `resolver` reads the files to
 /// which it refers. Only objects that the default scene uses are read.
 ///
-/// # Errors
-/// [`GltfError`] with the place in the file. A file may be missing or broken, or require an
-/// extension that is not supported. Or no object in it can be rendered, or the task was cancelled.
+/// # Errors [`GltfError`] with the place in the file. The file may be broken, refer to a missing
+/// file, or require an extension that is not supported. It may have no object that can be rendered.
+/// The task may have been cancelled.
 pub fn load(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Scene, GltfError> {
     load_with(name, bytes, resolver, &LoadOptions::default(), task)
 }
@@ -140,7 +140,7 @@ fn load_scene(
 /// Marks the materials that the meshes of the scene use.
 fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, Fault> {
     let mut used = vec![false; document.root.materials.len()];
-    // a flag per mesh, since thousands of nodes may share a mesh of thousands of primitives
+    // thousands of nodes may share a mesh of thousands of primitives, so each mesh is searched once
     let mut seen = vec![false; document.root.meshes.len()];
     for &node in &nodes.shown {
         let Some(index) = document.root.nodes[node].mesh else { continue };
@@ -165,7 +165,8 @@ fn place_meshes(
     materials: &mut Materials,
     parts: &mut SceneParts,
 ) -> Result<(), Fault> {
-    // by mesh; also by node, if the node's skin or weights give the mesh another shape
+    // the key is a mesh; it has a node too if the node's skin or weights give the mesh another
+    // shape
     let mut loaded: HashMap<(usize, Option<usize>), Range<usize>> = HashMap::new();
     let mut loaded_splats: HashMap<usize, Vec<(usize, DAffine3)>> = HashMap::new();
     let mut default_material = None;

@@ -51,7 +51,7 @@ const COLOR: Format = Format {
 
 /// The primitive to read, with everything that determines its mesh.
 pub(crate) struct Request<'a> {
-    /// `/meshes/I/primitives/J`.
+    /// JSON pointer to the primitive, `/meshes/I/primitives/J`.
     pub(crate) place: String,
     pub(crate) primitive: &'a json::mesh::Primitive,
     /// Index into the scene's materials.
@@ -84,7 +84,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         document.leave_out(place, "a primitive without POSITION is left out".into());
         return Ok(None);
     };
-    // triangles, from the Draco stream, or from indices by the mode
+    // make the triangles: from the Draco stream, or from the indices as the primitive's mode states
     let count = positions.count;
     let (mut triangles, left_over) = match &decoded {
         Some(decoded) if decoded.vertices == count => {

@@ -14,8 +14,8 @@ use gltf::json;
 
 const NAMES: [&str; 2] = ["KHR_meshopt_compression", "EXT_meshopt_compression"];
 
-/// Largest ratio of compression: a block of 256 vertices takes at least a byte for every four
-/// columns of bytes.
+/// Largest ratio of compression. A block of 256 vertices takes at least one byte for every four
+/// columns of bytes, which are 1024 bytes unpacked.
 const MAX_RATIO: u64 = 1024;
 
 /// A packed view.

@@ -1,7 +1,8 @@
 //! Skins: linear blend skinning, in the pose that the nodes have.
 //!
-//! p' = Σ w_j · G_j · B_j · p, with G_j the joint's global transform and B_j its inverse bind
-//! matrix (glTF 2.0, section 3.7.3). The placement of the node that has the mesh is ignored.
+//! p' = Σ w_j · G_j · B_j · p. For each joint j of a vertex p, w_j is the joint's weight. G_j is
+//! its global transform, and B_j its inverse bind matrix (glTF 2.0, section 3.7.3). The placement
+//! of the node that has the mesh is ignored.
 
 use glam::{Affine3A, DAffine3, DMat4, Mat3A, Vec3A};
 use gltf::json;

@@ -81,7 +81,8 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
         document.spend(place, found.cloud.bytes(), 1)?;
         found.left_out.into_iter().for_each(|message| document.task.warn(place, message));
         let cloud = Cloud { place: place.to_owned(), encoding, ..found.cloud };
-        // SPZ has x to the right and z to the back, glTF has x to the left and z to the front
+        // SPZ has x to the right and z to the back, glTF has x to the left and z to the front. A
+        // half turn about y converts one to the other.
         let mesh_from_cloud = DAffine3::from_quat(DQuat::from_xyzw(0.0, 1.0, 0.0, 0.0));
         return Ok(Splats { cloud, mesh_from_cloud });
     }
@@ -115,7 +116,8 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
     let rotations = needed(&own("ROTATION"), &ROTATION, count)?.assume_normalized().floats::<4>(document, all, 0.0)?;
     let scales = needed(&own("SCALE"), &SCALE, count)?.floats::<3>(document, all, 0.0)?;
     let opacities = needed(&own("OPACITY"), &OPACITY, count)?.assume_normalized().floats::<1>(document, all, 0.0)?;
-    // harmonics up to the first absent degree; each degree must have all of its coefficients
+    // read the spherical harmonics up to the first degree that is absent; a degree that is present
+    // must have all of its coefficients
     let mut harmonics = Vec::new();
     for degree in 0..=lumistack_scene::MAX_DEGREE {
         let mut of_degree = Vec::new();

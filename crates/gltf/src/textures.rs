@@ -25,8 +25,8 @@ pub(crate) struct Loader<'d, 'f> {
     pub(crate) images: Images,
     /// Index into `textures`, by the texture's index in the file.
     position: HashMap<usize, usize>,
-    /// Index of the image with roughness, by an image with glossiness and the bits of the factor on
-    /// it.
+    /// Index of an image with roughness that was made from an image with glossiness. The key is the
+    /// index of the image with glossiness, and the bits of the factor on it.
     pub(crate) roughness_images: HashMap<(usize, u32), usize>,
 }
 

@@ -143,8 +143,8 @@ pub struct Anisotropy {
     pub texture: Option<TextureUse>,
 }
 
-/// Marks a surface that represents a light source of the file. Glowing objects are not lamps but
-/// geometry.
+/// Marks a surface that represents a light source of the file. A glowing object of the scene is an
+/// ordinary surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Lamp {
     /// An ordinary surface.

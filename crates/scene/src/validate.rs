@@ -78,7 +78,7 @@ impl Scene {
             let factor = material.emission.max_element();
             factor > 0.0 && factor * material.emission_texture.as_ref().map_or(1.0, brightest) > 1.0
         };
-        // per material, since there may be millions of instances
+        // test every material once, since there may be millions of instances
         let lamps: Vec<bool> = self.materials.iter().map(is_lamp).collect();
         let shows_lamp = |instance: &Instance| lamps[self.meshes[instance.mesh].material];
         self.environment.is_some() || !self.lights.is_empty() || self.instances.iter().any(shows_lamp)
@@ -434,7 +434,8 @@ fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<
 
 /// Unit normal of a triangle; `None` for a triangle without area.
 fn face_normal(positions: &[Vec3], triangle: [u32; 3]) -> Option<Vec3> {
-    // in f64 and scaled to the longest edge, so that tiny and huge triangles keep their normals
+    // compute in f64, scaled to the longest edge, so that tiny and huge triangles keep their
+    // normals
     let [a, b, c] = triangle.map(|i| positions[i as usize].as_dvec3());
     let (u, v) = (b - a, c - a);
     let scale = u.abs().max_element().max(v.abs().max_element());

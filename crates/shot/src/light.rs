@@ -20,7 +20,7 @@ use crate::tone_mapping::automatic_tone_mapping;
 const STUDIO: [usize; 2] = [128, 64];
 /// Numbers of columns and rows of the picture that measures whether lamps light a scene.
 const PROBE: [usize; 2] = [96, 60];
-/// Number of paths per pixel of that picture.
+/// Number of paths per pixel of the picture that measures whether lamps light a scene.
 const PROBE_SAMPLES: u32 = 16;
 /// Surfaces darker than this after exposure are taken as unlit.
 const DARK: f64 = 0.02;

@@ -1,8 +1,8 @@
 //! Places the display in the scene and fits the scene into its depth of field. The window moves
 //! along its normal. If that does not suffice, depth is compressed.
 //!
-//! The view from straight ahead stays the same. The window moves back by t and slopes are scaled by
-//! k. Then content at depth z appears at
+//! The view from straight ahead stays the same. The window moves back by t, slopes are scaled by k,
+//! and the viewing distance is D. Then content at depth z appears at
 //!
 //! ```text
 //! oblique:       z' = k (z + t)
@@ -12,8 +12,8 @@
 //! In perspective the eye stays in place, and the window grows by (D + t)/D to fill the eye's
 //! frustum. So the eye's distance in display space remains D.
 //!
-//! By default this happens only if the scene does not fit. A window that the user placed stays in
-//! place, and depth is compressed about it: content in the display plane remains there.
+//! By default, fitting has an effect only if the scene does not fit. A window that the user placed
+//! stays in place, and depth is compressed about it: content in the display plane remains there.
 //!
 //! Scaling the slopes is the same as moving all viewpoints closer together: every displacement
 //! between views shrinks by k. In oblique views it is an affine compression along the window's
@@ -326,8 +326,8 @@ mod tests {
         assert_eq!(Means::of(&job(FitDepth::Compress, 0.5), true), Some(COMPRESS));
     }
 
-    /// Three layers 40 mm apart show their pixels up to 80 mm away. The bound falls as 1/z, so they
-    /// show an eighth of the detail up to 640 mm.
+    /// Three layers 40 mm apart show the full detail of their pixels up to 80 mm away. The detail
+    /// that they show falls as 1/z, so an eighth of it remains at 640 mm.
     #[test]
     fn before_a_given_window_is_seen_what_can_be_shown() {
         let display = Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2);

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 use crate::error::ShotError;
 
-/// Number of rays per pixel and axis that find the surface at which splats end.
+/// Number of rays per pixel and axis that find the surface that hides splats behind it.
 const CUTS: usize = 2;
 
 /// A scene prepared for rendering.
@@ -35,8 +35,7 @@ pub struct SceneRenderer {
 impl SceneRenderer {
     /// Prepares a scene.
     ///
-    /// # Errors
-    /// When it cannot be rendered, or when cancelled.
+    /// # Errors If the scene cannot be rendered, or the task was cancelled.
     pub fn new(scene: Arc<Scene>, task: Task<'_>) -> Result<Self, ShotError> {
         let has_surfaces = !scene.instances.is_empty();
         // splats bring their own light, so warnings about missing light do not apply
@@ -137,8 +136,8 @@ impl SceneRenderer {
         splats.render(window, geometry, slopes, &surfaces, Wanted::Light, task, done)
     }
 
-    /// Traces depths of the first surfaces on `per_axis`² rays of every pixel; `None` where there
-    /// are no surfaces.
+    /// Traces depths of the first surfaces on `per_axis`² rays of every pixel. `None` if the scene
+    /// has no surfaces.
     fn surfaces(
         &self,
         window: &Window,

@@ -50,8 +50,8 @@ fn main() {
         renderer.render(&window, &geometry, slopes, &none, wanted, task, done).expect("views");
         (start.elapsed().as_secs_f64(), processor_s() - used, sum)
     };
-    // Render once to warm up, then all views together, then some of them one by one, and those with
-    // the naive renderer.
+    // Render once to warm up, then all views together. Then render some views one by one, and the
+    // same views with the naive renderer.
     render(&slopes[..1], Wanted::Light);
     let (together, of_together, _) = render(&slopes, Wanted::Light);
     let (depth, of_depth, _) = render(&slopes, Wanted::Depth);

@@ -12,10 +12,10 @@
 //! d       from the splat's projected centre to the pixel's
 //! ```
 //!
-//! A naive renderer projects, shades and sorts all splats for every view. This one transforms and
-//! sorts them by depth once per window. Blocks of views share lists of splats per tile. For each
-//! view a list is corrected to the view's order, by an insertion sort of nearly sorted keys. A
-//! splat is projected and shaded only if nearer splats do not hide it.
+//! A naive renderer projects, shades and sorts all splats for every view. This renderer transforms
+//! and sorts them by depth once per window. Blocks of views share lists of splats per tile. Each
+//! view sorts the splats of a list again by its own distances, a part at a time. A splat is
+//! projected and shaded only if nearer splats do not hide it.
 //!
 //! The filter P with its lowered peak is the 2D filter of mip-splatting (Yu et al., CVPR 2024).
 

@@ -155,7 +155,7 @@ fn project(scene: &Scene, window: &Window, projection: Projection, slope: [f64; 
                     (to, to.length(), -to.truncate() / (distance_mm - at.z), distance_mm / (distance_mm - at.z))
                 }
             };
-            // columns of J
+            // columns of J, the Jacobian of the projection onto z = 0
             let j = [DVec2::X * m, DVec2::Y * m, -slope * m];
             let mut flat = DMat2::ZERO;
             for (a, u) in j.iter().enumerate() {
@@ -222,7 +222,7 @@ fn views_are_those_of_the_equations() {
             let quality = psnr(&view.light, |row, col| {
                 pixel(&splats, DVec2::new(geometry.x_mm(col), geometry.y_mm(row)), 3.0, f64::NEG_INFINITY)
             });
-            // measured values are 90 dB and more
+            // the views reached 90 dB and more when this limit was set
             assert!(quality > LEAST_PSNR + 20.0, "{projection:?} {slope:?}: {quality} dB");
         }
     }
@@ -332,7 +332,8 @@ fn the_same_bytes_come_out_of_any_block_of_views_and_any_number_of_threads() {
     }
 }
 
-/// The depth is that of the splat at which the transmittance falls below one half.
+/// The depth of a pixel is the depth of the splat at which the pixel's transmittance falls below
+/// one half.
 #[test]
 fn depth_is_where_half_of_the_light_is_gone() {
     let mut wall = Cloud::default();
@@ -362,7 +363,7 @@ fn depth_is_where_half_of_the_light_is_gone() {
         renderer.render(window, &geometry, &[[0.0; 2]], &none, Wanted::Depth, task, done).unwrap();
         z
     };
-    // the first two splats transmit 0.7 · 0.6 = 0.42
+    // the first two splats transmit 0.7 · 0.6 = 0.42, so the depth is the second splat's
     assert_eq!(z_of(&window), 5.0);
     // a near plane that removes the first splat, then one that removes all
     assert_eq!(z_of(&Window { near_mm: Some(7.0), ..window }), -5.0);

@@ -49,8 +49,8 @@ impl Mean {
     /// Asserts that the mean is `expected`.
     ///
     /// # Panics
-    /// If it differs by more than the systematic error and chance at this false-alarm rate, or is
-    /// not a number.
+    /// If the mean differs from `expected` by more than the systematic error and chance at this
+    /// false-alarm rate, or is not a number.
     #[track_caller]
     pub fn assert_is(self, expected: f64, systematic_error: f64, false_alarm_rate: f64) {
         let (z, limit) = (self.z(expected, systematic_error), z_limit(false_alarm_rate));

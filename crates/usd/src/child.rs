@@ -47,7 +47,7 @@ pub(crate) struct Request<'a> {
     pub(crate) contents_only: bool,
 }
 
-/// A package in a file, with its origin.
+/// A package in a file, and the Python that wrote the file.
 pub(crate) struct Answer {
     file: Option<Mmap>,
     /// The Python that wrote the file.
@@ -290,7 +290,8 @@ mod tests {
             ("silent", "cat >/dev/null", "nothing"),
         ] {
             let text = error(&[fake(folder.path(), name, script), sound.clone()]);
-            let start = format!("scene.usda: expected a scene from {}, found ", folder.path().join(name).display());
+            let start =
+                format!("scene.usda: expected {} to return a scene, found ", folder.path().join(name).display());
             assert!(text.starts_with(&start) && text.contains(expected), "{name}: {text}");
         }
     }
@@ -330,7 +331,8 @@ mod tests {
         assert!(!alive.success(), "process {pid} is still there");
     }
 
-    /// The boot script reports that OpenUSD is missing.
+    /// A Python without OpenUSD is reported by the boot script. With OpenUSD, the file that does
+    /// not exist is refused.
     #[test]
     fn a_real_python_answers() {
         let python = Candidate { program: "python3".into(), from: "PATH", given: false };

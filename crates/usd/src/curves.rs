@@ -230,7 +230,7 @@ impl Place<'_> {
     }
 }
 
-/// Cross-section of a tube, or rib of a ribbon, at one sample.
+/// Cross-section of a tube, or line across a ribbon, at one sample.
 struct Rib {
     position: Vec3,
     tangent: Vec3,
@@ -300,7 +300,8 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     if !(total > ROUNDING * largest && total.is_finite()) {
         return None;
     }
-    // if two points coincide, the point has the tangent of a neighbour
+    // a point that coincides with its neighbours has no tangent, and takes the tangent of the rib
+    // before it
     let tangent = |i: usize| -> Option<Vec3> {
         let before = if i == 0 && closed {
             positions[last] - positions[last - 1]

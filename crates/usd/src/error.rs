@@ -43,7 +43,9 @@ pub enum UsdError {
         found: String,
     },
     /// Python or Blender ended without a scene.
-    #[error("{file}: expected a scene from {python}, found {found}")]
+    #[error(
+        "{file}: expected {python} to return a scene, found {found}. Test the file in a USD viewer or in Blender, or name another program in LUMISTACK_PYTHON (USD) or LUMISTACK_BLENDER (.blend)"
+    )]
     Child {
         /// The file as the caller named it.
         file: String,

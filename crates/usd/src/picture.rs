@@ -86,7 +86,7 @@ fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
     let broken = |error: image::ImageError| format!("no readable {format:?} picture ({error})");
     let decoder = reader.into_decoder().map_err(broken)?;
     let (width, height) = decoder.dimensions();
-    // four channels of at most four bytes
+    // a texel takes at most 16 bytes: four channels of at most four bytes
     if u64::from(width) * u64::from(height) * 16 > MOST_BYTES || width.max(height) > MOST_TEXELS_A_SIDE {
         return Err(format!("{width} × {height} texels, more than fit into {} MiB", MOST_BYTES >> 20));
     }

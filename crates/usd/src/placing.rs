@@ -41,7 +41,7 @@ mod tests {
             *value = if i % 5 == 0 { 1.0 } else { 0.0 };
         }
         matrix[12..15].copy_from_slice(&[7.0, 8.0, 9.0]);
-        // maps x to y
+        // the matrix maps the x axis to the y axis
         (matrix[0], matrix[1]) = (0.0, 1.0);
         let affine = affine(&matrix);
         assert_eq!(affine.transform_point3(glam::DVec3::X), glam::DVec3::new(7.0, 9.0, 9.0));

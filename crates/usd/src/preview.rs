@@ -36,7 +36,7 @@ pub(crate) fn build(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> &'static 
     builder.coat(&weight, &coat_roughness, &normal);
     builder.material.normal_texture = builder.normal(&normal);
     // Read these inputs, so that no warning lists them. The path tracer itself computes occlusion,
-    // and the mode has no effect.
+    // and the opacity mode has no effect.
     inputs.number("occlusion", 1.0);
     inputs.text("opacityMode");
     &WITHOUT

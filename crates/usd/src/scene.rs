@@ -123,7 +123,8 @@ struct Assembly<'a> {
     /// Materials by their index in the package; `None` if the shader is unknown, so that the
     /// display colour applies.
     materials: Vec<Option<Bound>>,
-    /// Materials for display colours, by the bits of the colour and true if it is transparent.
+    /// Indices of materials for display colours. The key is the bits of the colour, and true if the
+    /// material is transparent.
     plain: HashMap<([u32; 4], bool), usize>,
     /// One-sided copies of materials, by the index of the original.
     one_sided: HashMap<usize, usize>,

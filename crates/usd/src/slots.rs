@@ -243,7 +243,7 @@ impl<'a> Builder<'_, 'a> {
             (false, true) => AlphaMode::Mask { cutoff: threshold },
             (false, false) => AlphaMode::Blend,
         };
-        // an alpha mask with a constant above the threshold hides nothing
+        // an alpha mask with a constant opacity above the threshold hides nothing
         if alpha_channel_is_unused(&alpha_channel) && !opaque && threshold > 0.0 && alpha >= threshold {
             self.material.alpha_mode = AlphaMode::Opaque;
         }
@@ -280,8 +280,8 @@ impl<'a> Builder<'_, 'a> {
         self.slot([channels[0], channels[1], channels[2], Channel::Unused], Kind::Normal)
     }
 
-    /// Sets the emission, which is a colour times a weight. At most one of the two may be a
-    /// texture.
+    /// Sets the emission, which is a colour times a weight. Either the colour or the weight may be
+    /// a texture, but not both.
     pub(crate) fn emission(&mut self, color: &Value<3>, weight: &Value<1>) {
         let (color, factor) = match (color, weight) {
             (color, Value::Constant([factor])) => (color.clone(), *factor),
@@ -363,8 +363,8 @@ impl<'a> Builder<'_, 'a> {
             (material.attenuation_color, material.attenuation_distance) = (color, depth);
             tint = Vec3::ONE;
         }
-        // The base colour tints both diffuse and transmitted light, so it becomes a mix of their
-        // two tints.
+        // The base colour of the scene tints diffuse and transmitted light alike. So it becomes a
+        // mix of the shader's diffuse colour and of its transmission colour.
         let base = material.base_color.truncate().lerp(tint, factor.clamp(0.0, 1.0));
         material.base_color = base.extend(material.base_color.w);
         if factor >= 1.0 {

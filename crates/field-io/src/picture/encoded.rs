@@ -35,7 +35,7 @@ pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
 fn reader(path: &Path) -> Result<ImageReader<BufReader<lumistack_files::File>>, FieldError> {
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
     let mut reader = ImageReader::new(BufReader::new(file));
-    // set the format by the extension; it holds for files without a signature
+    // set the format by the extension, which decides for files without a signature
     if let Ok(format) = ImageFormat::from_path(path) {
         reader.set_format(format);
     }

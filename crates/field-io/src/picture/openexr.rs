@@ -44,8 +44,9 @@ pub fn write_exr(path: &Path, size: [usize; 2], rgb: &[f32], precision: Precisio
 }
 
 /// Writes like [`write_exr`], but uncompressed and with a text in the header's attribute
-/// `comments`, which [`Picture::read_noted`] returns. Such files are soon read again. For a noisy
-/// view of few samples, compression would take half as long as the rendering.
+/// `comments`, which [`Picture::read_noted`] returns. The file is not compressed because it is soon
+/// read again. Compression of a noisy view with few samples would take half as long as its
+/// rendering.
 ///
 /// # Errors
 /// If writing fails.
@@ -75,8 +76,8 @@ pub fn exr_bytes(size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Res
     Ok(bytes)
 }
 
-/// Encodes a picture. Pixels are read from `rgb` when their block is compressed. A copy of all
-/// pixels would be the largest allocation for a large picture.
+/// Encodes a picture. The encoder reads pixels from `rgb` block by block, so memory never holds a
+/// second copy of all pixels.
 fn encode(
     writer: impl io::Write + io::Seek,
     size: [usize; 2],

@@ -86,8 +86,8 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     let (field, warnings) = open(folder.path(), &GeometryFlags::default(), &defaults());
     assert_eq!(label(&field.unwrap(), [1, 2]), [2, 1]);
     assert!(warnings.iter().any(|w| w.contains("the cameras' own angles are 0.9° × 0.6°")), "{warnings:?}");
-    // without a default angle, the slopes follow from the cameras: 50 mm at 10 m; the viewing
-    // distance is width · f / sensor
+    // Without a default angle, the slopes follow from the cameras: they are 50 mm apart, at a
+    // distance of 10 m. The viewing distance is width · f / sensor.
     let own = GeometryDefaults { width_mm: Some(350.0), fov_deg: None };
     let field = open(folder.path(), &GeometryFlags::default(), &own).0.unwrap();
     let grid = &field.geometry().grid;
@@ -177,8 +177,8 @@ fn the_shop_is_put_in_focus_and_can_keep_its_own_angles() {
     let field = field.unwrap();
     println!("{warnings:#?}");
     assert!(warnings.iter().any(|w| w.contains("is moved to z = 0")), "{warnings:?}");
-    // slopes to the plane with 9 ± 3 pixels per view: the focal length is 800 pixels, and kept
-    // views are four views apart
+    // The plane at z = 0 had a disparity of 9 ± 3 pixels per view. The focal length is 800 pixels,
+    // and kept views are four views apart, so their slopes differ by 4 · (9 ± 3)/800.
     let grid = &field.geometry().grid;
     assert!((6.0 / 800.0 * 4.0..12.0 / 800.0 * 4.0).contains(&grid.slope_x[2]), "{grid:?}");
     assert!((grid.slope_x[2] - grid.slope_y[0]).abs() < EXACT);

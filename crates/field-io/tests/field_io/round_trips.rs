@@ -112,9 +112,10 @@ fn a_field_that_cannot_be_written_leaves_no_index() {
     assert!(error.contains("view_00_00.exr: output folder: expected a folder or nothing, found a file"), "{error}");
 }
 
-/// A plane at z with a grating of frequency ω is in 45 views, of which 9 are kept. With a footprint
-/// of n views, each kept view has sin(πωznΔs)/(n sin(πωzΔs)) of the contrast, about sinc(ω z δs).
-/// Without a prefilter the contrast does not change.
+/// A plane at z with a grating of frequency ω is in 45 views, whose slopes are Δs apart. Nine views
+/// are kept. A footprint δs = nΔs averages n views into each kept view. This leaves sin(πωznΔs)/(n
+/// sin(πωzΔs)) of the contrast, about sinc(ω z δs). Without a prefilter the contrast does not
+/// change.
 #[test]
 fn a_prefilter_removes_detail_above_the_bound() {
     let grid = lumistack_display::ViewGrid::uniform(Projection::Oblique, [45, 2], [20.0, 2.0]).unwrap();
@@ -315,7 +316,8 @@ np.save("theirs.npy", a[:, ::-1].astype(">f8"))
 "#;
     let output = Command::new(python).args(["-c", script]).current_dir(folder.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // the copy has big-endian doubles and reversed rows, so its first row is our last row
+    // NumPy wrote a copy of layer 0 with big-endian doubles and reversed rows, so its first row is
+    // our last row
     let (shape, values) = npy::read(&folder.path().join("theirs.npy")).unwrap();
     assert_eq!(shape, [2, 5, 7, 3]);
     assert_eq!(values[..21], stack.layers[0].data()[4 * 21..5 * 21]);

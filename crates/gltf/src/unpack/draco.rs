@@ -23,7 +23,8 @@ pub(super) fn decode(bytes: &[u8], attributes: &[u32], max_bytes: u64) -> Result
         let dimensions = usize::from(source.num_components());
         let size = component.as_ref().map_or(0, |component| component.size()) * dimensions;
         used += (vertices * size) as u64;
-        // the caller counts these bytes too, and refuses the file
+        // over the limit nothing is unpacked; the caller counts these bytes too, and refuses the
+        // file
         let elements = if used > max_bytes { Ok(Vec::new()) } else { elements(source, vertices, size) };
         Some(Attribute { component, dimensions, elements })
     };

@@ -1,4 +1,4 @@
-//! Pictures: PNG, JPEG, WebP and KTX2 of codes, Radiance of linear values.
+//! Decodes pictures. PNG, JPEG, WebP and KTX2 hold codes, and Radiance holds linear values.
 //!
 //! The content decides the format; names and MIME types are often wrong. Colour profiles and
 //! orientation tags are ignored, as glTF requires (2.0, section 3.8.3).
@@ -72,7 +72,7 @@ fn open(usage: Use, bytes: &[u8]) -> Result<(ImageFormat, impl ImageDecoder + '_
         let expected = format!("at most {MAX_SIDE} texels a side");
         return Err(Unsound::new(expected, format!("{width} × {height} texels of {:?}", decoder.color_type())));
     }
-    // the picture itself is in the budget before it is decoded
+    // the caller has counted the texels; the decoder may hold them twice, besides rows and tables
     limits.max_alloc = Some(decoder.total_bytes().saturating_mul(2).saturating_add(DECODER_BYTES));
     decoder.set_limits(limits).map_err(|error| unreadable(format, error))?;
     Ok((format, decoder))

@@ -81,13 +81,13 @@ fn splines_have_the_values_and_tangents_of_their_keys() {
     for step in 0..=20 {
         let t = 0.5 + 2.5 * step as f32 / 20.0;
         let expected = value(t);
-        // corners (1, 0, 0) and (0, 1, 0); the scale along y is half of the scale along x
+        // the animated scale along y is half of the scale along x
         let size = at_scale(&b, f64::from(t));
         assert!((size.x - expected).abs() < 1e-4 && (size.y - 0.5 * expected).abs() < 1e-4, "{t}: {size} {expected}");
     }
 }
 
-/// Scale of node 1 along its axes, which may be zero.
+/// Scale of node 1 along each of its axes. A scale may be zero.
 fn at_scale(b: &Builder, time_s: f64) -> Vec3 {
     let mut b = b.clone();
     // the translation of a child shows the scale, even if a scale of zero hides the mesh
@@ -121,7 +121,8 @@ fn rotations_take_the_shorter_arc_at_constant_speed() {
 
 #[test]
 fn rotations_come_in_every_width() {
-    // the keys are no rotation and half a turn about z; the time is halfway between them
+    // the keys are no rotation and half a turn about z; at a time halfway between the keys, the
+    // node has made a quarter turn
     let cases: [(u32, Vec<u8>); 5] = [
         (F32, [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect()),
         (I8, vec![0, 0, 0, 127, 0, 0, 127, 0]),
@@ -355,7 +356,7 @@ fn the_fox_stands_where_numpy_puts_it() {
         let sum: glam::DVec3 = corners.iter().map(|corner| corner.as_dvec3()).sum();
         let found = [bounds.min, bounds.max, (sum / corners.len() as f64).as_vec3()];
         for (found, expected) in found.into_iter().zip([low, high, mean]) {
-            // the fox is 155 units long
+            // the tolerance is small compared with the fox, which is 155 units long
             assert!(found.distance(expected.into()) < 2e-3, "{animation} at {time_s}: {found} {expected:?}");
         }
     }

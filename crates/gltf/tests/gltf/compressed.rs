@@ -94,7 +94,7 @@ fn meshopt_views_are_unpacked() {
         let plain = load_choosing(&data("grid.glb"), &options).0.unwrap().instances[0].scene_from_mesh;
         let x = turned.transform_vector3(Vec3::X).normalize();
         assert!(x.distance(plain.transform_vector3(Vec3::X).normalize()) < 1e-3, "{name}: {x}");
-        // an eighth of a turn about z
+        // at this time, the node has made an eighth of a turn about z
         assert!(x.distance(Vec3::new(1.0, 1.0, 0.0).normalize()) < 1e-3, "{name}: {x}");
     }
     // KHR_meshopt_compression: the second version of the codec
@@ -169,7 +169,8 @@ fn picture(bytes: &[u8]) -> Builder {
 
 #[test]
 fn basis_pictures_are_decoded() {
-    // KHR_texture_basisu; in ETC1S the colours of a block lie on one line in the space of colours
+    // KHR_texture_basisu. In ETC1S the colours of a block lie on one line in the space of colours,
+    // so its tolerance is larger.
     for (name, tolerance) in [("etc1s", 24), ("uastc", 8), ("uastc-zstd", 8)] {
         let file = data(&format!("{name}.ktx2"));
         let scene = scene(&picture(&file));

@@ -98,8 +98,9 @@ fn sample_assets_load_or_are_refused_for_their_extensions() {
     }
 }
 
-/// glTF-Asset-Generator: modes 0 to 6 without indices, then with indices; the last two files have
-/// other sizes of indices. Modes that make triangles show a unit square that faces +z.
+/// Checks a file of glTF-Asset-Generator by its number. Files 0 to 6 have the modes 0 to 6 without
+/// indices, and files 7 to 13 with indices. The last two files have other sizes of indices. Modes
+/// that make triangles show a unit square that faces +z.
 fn check_primitive_mode(file: usize, result: Result<Scene, GltfError>) {
     if file % 7 < 4 && file < 14 {
         assert!(result.unwrap_err().to_string().contains("at least one triangle"));
@@ -116,7 +117,7 @@ fn quantized_and_plain_meshes_are_the_same_surface() {
     let plain = load_file(&folder.join("TransmissionRoughnessTest/TransmissionRoughnessTest.glb")).0.unwrap();
     let name = "TransmissionRoughnessTest-quantized/TransmissionRoughnessTest-quantized.glb";
     let quantized = load_file(&folder.join(name)).0.unwrap();
-    // positions have 14 bits over an extent of 2
+    // compressed positions have 14 bits over an extent of 2
     let tolerance = 2.0 / 16384.0;
     let corners = |scene: &Scene| -> Vec<Vec3> {
         let placed = scene.instances.iter().flat_map(|instance| {
@@ -193,14 +194,14 @@ fn with_a_triangle(path: &Path) -> Option<Vec<u8>> {
     let file: Value = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
     let (mut b, [_, node]) = add_triangle(&file)?;
     let scene = b.json.get("scene").and_then(Value::as_u64).unwrap_or_default();
-    // without scenes every node without a parent is shown
+    // if a file has no scenes, every node without a parent is shown
     if let Some(scene) = b.json.pointer_mut(&format!("/scenes/{scene}")) {
         scene.as_object_mut()?.entry("nodes").or_insert_with(|| json!([])).as_array_mut()?.push(json!(node));
     }
     Some(b.json.to_string().into_bytes())
 }
 
-/// Files with errors that are harmless in them, and the reason.
+/// Files that load although the validator finds an error in them, and the reason why this is right.
 const LENIENT: [(&str, &str); 6] = [
     ("buffer/invalid_uri_data.glb", "shows nothing; its twin in JSON is refused when shown"),
     ("buffer/no_bin_chunk.glb", "shows nothing; the same is refused when shown in the tests of errors"),
@@ -210,7 +211,7 @@ const LENIENT: [(&str, &str); 6] = [
     ("root/extensions_non_objects.gltf", "extensions of this form are not read"),
 ];
 
-/// Files that are refused although all of their errors are harmless, and the reason.
+/// Files that are refused although all of their errors are in [`HARMLESS`], and the reason.
 const STRICT: [(&str, &str); 1] = [(
     "animation_data/quaternion_non_unit_values.gltf",
     "its times have no data and so are all zero, which the validator does not look at",
@@ -262,8 +263,8 @@ fn hostile_files_do_no_harm() {
     }
     println!("{loaded} load, {refused} refused");
     assert!(disagreements.is_empty(), "{disagreements:#?}");
-    // every file that shows nothing states a reason, and files with different defects do not all
-    // state the same
+    // every file that shows nothing states a reason, and different defects give more than one
+    // reason
     assert!(reasons.iter().all(|reason| reason.starts_with("none: ")), "{reasons:#?}");
     let count = reasons.len();
     reasons.sort();
@@ -309,8 +310,8 @@ fn hostile_objects_do_no_harm_when_shown() {
     }
     messages.iter().for_each(|message| println!("{message}"));
     println!("{loaded} load, {refused} refused");
-    // an index just past the end of a list refers to the appended entry, so such indices are tested
-    // elsewhere
+    // [`add_triangle`] appends entries, so an index just past the end of a list is valid here;
+    // other tests check such indices
     for (file, expected) in [
         ("mesh/accessor_unequal_count", "/attributes/COLOR_0: expected"),
         ("mesh/position_accessor_invalid_format", "/attributes/POSITION: expected VEC3"),

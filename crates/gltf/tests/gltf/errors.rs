@@ -112,7 +112,7 @@ fn accessors_that_reach_past_their_bytes() {
     assert_error(&b, "/bufferViews/0/byteLength: expected at most 36 bytes, which buffer 0 has there, found 37");
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/byteOffset", json!(u64::MAX)));
     assert_error(&b, "/bufferViews/0/byteLength: expected at most 0 bytes, which buffer 0 has there, found 36");
-    // 2³² becomes 0 in the typed reader
+    // 2³² becomes 0 in the typed reader, so the reader has to compare the index as it is written
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/buffer", json!(1u64 << 32)));
     assert_error(&b, "/bufferViews/0/buffer: expected an index below 1, found 4294967296");
     // an accessor without a buffer view: zeros, which take no space in the file
@@ -211,12 +211,12 @@ fn scenes_with_nothing_to_see() {
     assert!(error(&b).contains("every node that the scene lists is hidden"), "{}", error(&b));
     let b = triangle_with(|b| _ = b.set("/meshes/0/primitives", json!([])));
     assert_error(&b, &format!("/scenes/0: {nothing}: /meshes/0 has no primitives"));
-    // the first of several reasons
+    // of several reasons, the message states the first
     let primitives = json!([{"attributes": {"POSITION": 0}, "mode": 1}, {"attributes": {}}]);
     let b = triangle_with(|b| _ = b.set("/meshes/0/primitives", primitives));
     let reason = "/meshes/0/primitives/0: a primitive of mode Lines has no surface and is left out (primitives left out in all: 2)";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
-    // data that the scene does not use is broken as well
+    // the message also names a defect of data that the scene does not use
     let b = triangle_with(|b| {
         b.set("/nodes/0", json!({}));
         b.set("/accessors/0/count", json!(4));

@@ -180,7 +180,7 @@ fn shared_meshes_become_instances_under_their_parents() {
     let place = |i: usize| scene.instances[i].scene_from_mesh.transform_point3(Vec3::X);
     assert_near(place(0), Vec3::X);
     assert_near(place(1), Vec3::new(1.0, 0.0, 1.0));
-    // rotated by 90° about z, scaled by two, then lifted by the parent
+    // node 2 is scaled by two and turned by 90° about z, then its parent lifts it
     assert_near(place(2), Vec3::new(0.0, 2.0, 1.0));
     assert_near(place(3), Vec3::new(3.0, 5.0, 6.0));
 }
@@ -194,7 +194,7 @@ fn the_default_scene_is_chosen() {
     assert_eq!(scene(&b).bounds().min.x, 0.0);
     b.set("/scene", json!(1));
     assert_eq!(scene(&b).bounds().min.x, 9.0);
-    // without scenes every node without a parent is shown
+    // if a file has no scenes, every node without a parent is shown
     b.remove("/scene").remove("/scenes");
     assert_eq!(scene(&b).instances.len(), 2);
 }
@@ -222,7 +222,7 @@ fn gpu_instancing_places_copies() {
     let scene = scene(&b);
     let place = |i: usize| scene.instances[i].scene_from_mesh.transform_point3(Vec3::Y);
     assert_near(place(0), Vec3::new(1.0, 1.0, 0.0));
-    // half a turn about z, then 3 towards z
+    // copy 1 makes half a turn about z, and is then moved by 3 along z
     assert_near(place(1), Vec3::new(1.0, -1.0, 3.0));
 }
 

@@ -130,7 +130,7 @@ fn glossiness_becomes_roughness() {
     assert_eq!(moved(material.specular_color_texture), texture(1).1);
     let rough = material.metallic_roughness_texture.unwrap();
     assert_eq!(moved(Some(rough)), texture(1).1);
-    // 1 − glossiness · alpha, for alpha 0, 1, 0.4 and 0.2
+    // roughness is 1 − glossinessFactor · alpha, with the factor 0.5 and alpha 0, 1, 0.4 and 0.2
     let Pixels::Rgba8(texels) = &found.images[found.textures[rough.texture].image].pixels else { panic!() };
     let green: Vec<u8> = texels.iter().map(|texel| texel[1]).collect();
     assert_eq!(green, [255, 128, 204, 230]);

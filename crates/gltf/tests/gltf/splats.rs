@@ -56,7 +56,7 @@ fn accessors_become_a_cloud() {
         assert_eq!(cloud.scales[1], Vec3::new(0.4, 0.5, 0.6));
         assert_eq!(cloud.opacities, [1.0, 0.2, 0.0]);
         assert!((cloud.rotations[1] * Vec3::Y - Vec3::Z).length() < 1e-6);
-        // [splat][coefficient][rgb]
+        // the harmonics of a cloud are `[splat][coefficient][rgb]`
         let coefficients = (degree + 1).pow(2);
         for (i, rgb) in cloud.harmonics.chunks_exact(3).enumerate() {
             let (splat, coefficient) = (i / coefficients, i % coefficients);

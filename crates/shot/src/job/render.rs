@@ -209,8 +209,8 @@ impl Denoise {
         ("oidn", Self::Oidn),
     ];
 
-    /// Returns whether a filter changes the views. [`Auto`](Self::Auto) must be resolved before; it
-    /// returns false.
+    /// Returns whether a filter changes the views. [`Auto`](Self::Auto) stands for another value,
+    /// which the caller resolves first; `Auto` itself returns false.
     pub fn filters(self) -> bool {
         !matches!(self, Self::Auto | Self::Off)
     }
@@ -287,8 +287,8 @@ impl RenderJob {
         self.samples.unwrap_or(if self.denoise.takes_halves() { spread.max(2) } else { spread })
     }
 
-    /// Returns whether the number of paths is measured. Filters that compare halves change the
-    /// noise too much for that.
+    /// Returns whether the number of paths is measured. The measurement relies on the noise of the
+    /// views, which filters that compare halves change too much.
     pub fn samples_are_measured(&self) -> bool {
         self.samples.is_none() && self.zone_samples == ZoneSamples::Auto && !self.denoise.takes_halves()
     }

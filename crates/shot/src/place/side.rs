@@ -28,7 +28,7 @@ const AZIMUTHS: [f64; 8] = [0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0]
 const ELEVATIONS: [f64; 7] = [0.0, 20.0, 40.0, 55.0, -20.0, -40.0, -55.0];
 /// The front stays if it shows this fraction of the largest area.
 const FRONT_SHARE: f64 = 0.125;
-/// The same fraction for captures, whose axes come from training, so +z is not preferred. Two
+/// [`FRONT_SHARE`] for captures, whose axes come from training, so +z is not preferred. Two
 /// examples: the edge of a guitar shows 0.69 of the largest area to +z, so the guitar is seen from
 /// another side. A person in profile shows 0.79 to +z, which suffices.
 const CAPTURE_SHARE: f64 = ENOUGH;
@@ -220,7 +220,8 @@ mod tests {
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(2.0 * quarter)), false)), [180.0, 0.0]);
     }
 
-    /// 32 pieces on a board, which is a narrow strip from the front.
+    /// 32 pieces stand on a board. From the front, the board is a narrow strip, so it is seen from
+    /// above.
     #[test]
     fn a_chess_board_is_seen_from_above() {
         let mut parts = block(Vec3::new(8.0, 0.2, 8.0), Vec3::ZERO);

@@ -73,7 +73,7 @@ fn unlimited_window<S: Subject>(
         let window = Window::given(centre, forward, up, width, size_mm).map_err(error)?;
         return Ok(Found { window, chosen: true, looked_from_deg: None });
     }
-    // The job's camera, otherwise the first one of the file.
+    // Use the camera that the job names, or else the first camera of the file.
     let camera = match (job.from, &job.camera) {
         (WindowFrom::Bounds, _) => None,
         (_, Some(wanted)) => Some(find_camera(scene, wanted)?),
@@ -210,8 +210,8 @@ mod tests {
 
     #[test]
     fn what_is_framed_is_shown_whole() {
-        // a head on a thin stand; a slender animal; a wide row of small things; a speck in a
-        // corner; a full mask
+        // every case is the mask of an object: a head on a thin stand; a slender animal; a wide row
+        // of small things; a speck in a corner; a full mask
         let cases: [(&str, Box<dyn Fn(usize, usize) -> bool>); 5] = [
             ("bust", Box::new(|row, col| col.abs_diff(80) < if row < 40 { 22 } else { 3 })),
             ("animal", Box::new(|row, col| (2..98).contains(&row) && col.abs_diff(80) < 9)),
@@ -224,7 +224,8 @@ mod tests {
             let [[top, bottom], [left, right]] = extents(&mask).unwrap().map(|ends| ends.map(|end| end as f64));
             let kept = edges(&mask, whole(&mask));
             assert!(kept[0] < top && kept[1] > bottom && kept[2] < left && kept[3] > right, "{name}: {kept:?}");
-            // no larger than needed: a margin on both sides of the longer axis
+            // the window is no larger than needed: the longer axis has a margin of 3 % on both
+            // sides
             let spare = ((kept[1] - kept[0]) / (bottom - top + 1.0)).min((kept[3] - kept[2]) / (right - left + 1.0));
             assert!((spare - 1.06).abs() < 1e-9, "{name}: {spare}");
         }

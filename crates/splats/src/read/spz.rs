@@ -1,5 +1,5 @@
-//! `.spz`, versions 1 to 4: quantized attributes, each stored for all splats in turn (in version 4
-//! as separate streams).
+//! `.spz`, versions 1 to 4: quantized attributes. Each attribute is stored for all splats, and then
+//! the next one follows. Version 4 stores every attribute in a stream of its own.
 //!
 //! ```text
 //! position   24-bit fixed point (version 1: half floats)

@@ -24,7 +24,8 @@ const LIMIT: f32 = 0.5 * CUTOFF * CUTOFF / 16.0;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Flat {
     pub(crate) at: [f32; 2],
-    /// a, b, c of u/16 = a dx² + b dx dy + c dy²; a splat of opacity o has o e^(−u) at a pixel.
+    /// Coefficients [a, b, c] of u/16 = a dx² + b dx dy + c dy², for a pixel at the offset (dx, dy)
+    /// from `at`. A splat of opacity o has the opacity o e^(−u) at this pixel.
     pub(crate) conic: [f32; 3],
     pub(crate) opacity: f32,
     pub(crate) colour: [f32; 3],
@@ -119,8 +120,8 @@ impl Kernel for Blend {
                     red = weight.mul_add(V::splat(splat.colour[0]), red);
                     green = weight.mul_add(V::splat(splat.colour[1]), green);
                     blue = weight.mul_add(V::splat(splat.colour[2]), blue);
-                    // The depth is that of the splat at which the transmittance falls below one
-                    // half.
+                    // The depth of a pixel is the depth of the splat at which the pixel's
+                    // transmittance falls below one half.
                     let left = through.sub(weight);
                     depth = z.where_else(V::both(half.at_most(through), left.below(half)), depth);
                     through = left;

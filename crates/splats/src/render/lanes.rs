@@ -40,7 +40,8 @@ impl Eyes {
 pub(crate) struct Projected {
     /// Column and row of the projected centre.
     pub(crate) at: [Lane; 2],
-    /// a, b, c of u/16 = a dx² + b dx dy + c dy²; a splat of opacity o has o e^(−u) at a pixel.
+    /// Coefficients [a, b, c] of u/16 = a dx² + b dx dy + c dy², for a pixel at the offset (dx, dy)
+    /// from `at`. A splat of opacity o has the opacity o e^(−u) at this pixel.
     pub(crate) conic: [Lane; 3],
     /// Half the extent along each axis, in pixels.
     pub(crate) reach: [Lane; 2],
@@ -91,8 +92,8 @@ impl Kernel for Project {
         let Args { splat, eyes, origin, harmonics, bases, cloud_from_pixels, to } = args;
         let [x, y, z] = splat.centre;
         let [xx, xy, xz, yy, yz, zz] = splat.covariance;
-        // Compute per view the slope of the ray through the centre, and the magnification m at the
-        // splat's depth; `prepare.rs` defines both.
+        // Compute per view the slope of the ray through the splat's centre, and the magnification m
+        // at the centre's depth. The head of `prepare.rs` has both equations.
         let (mut slope_x, mut slope_y, mut m) = (eyes.x, eyes.y, 1.0);
         match eyes.distance {
             None => {

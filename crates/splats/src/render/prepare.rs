@@ -10,8 +10,9 @@
 //! ```
 //!
 //! The ray from an eye at e through the centre μ has s = (e − μ)/(D − z) and m = D/(D − z). Here D
-//! is the distance of the eye. Within one splat rays are treated as parallel. This is the affine
-//! approximation that KHR_gaussian_splatting prescribes, for the sheared frustum of the window.
+//! is the distance of the eye from the window, and z the depth of μ. Within one splat rays are
+//! treated as parallel. This is the affine approximation that KHR_gaussian_splatting prescribes,
+//! for the sheared frustum of the window.
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use lumistack_display::{FieldGeometry, Projection};

@@ -183,7 +183,7 @@ impl Canvas {
         }
     }
 
-    /// Blocks in which a sample has an unfinished pixel.
+    /// One bit for each block in which a sample has an unfinished pixel.
     fn open(&self) -> u16 {
         self.open.iter().fold(0, |all, open| all | open)
     }
@@ -312,10 +312,11 @@ fn take(
     origin: [f32; 2],
     same_space: bool,
 ) {
-    // Bits of the blocks, per axis, that have a pixel's centre within the splat's extent.
+    // Along each axis, set a bit for each row or column of blocks that has the centre of a pixel
+    // within the splat's extent.
     let blocks = |axis: usize| -> u32 {
         let (middle, reach) = (projected.at[axis][v] - origin[axis], projected.reach[axis][v]);
-        // the conversions to integers truncate
+        // conversions to integers truncate, so `last` is rounded down; `first` is rounded up
         let (low, last) = ((middle - reach).max(0.0), (middle + reach).min(TILE as f32 - 1.0) as i32);
         let first = low as i32 + i32::from(low > low as i32 as f32);
         if first > last || middle + reach < 0.0 {
@@ -332,7 +333,7 @@ fn take(
     if canvas.used == canvas.flats.len() {
         canvas.flats.push((Flat::default(), 0));
     }
-    // field by field, since a whole struct would be copied through memory
+    // write field by field, since a whole struct would be copied through memory
     let (flat, own) = &mut canvas.flats[canvas.used];
     *own = mask;
     (0..2).for_each(|axis| flat.at[axis] = projected.at[axis][v]);
@@ -364,7 +365,8 @@ struct Scratch {
 fn blend_up_to(shared: &Shared<'_>, canvas: &mut Canvas, distance: f32, origin: [f32; 2], scratch: &mut Scratch) {
     canvas.pending.sort_unstable_by_key(|(key, _)| *key);
     let ready = canvas.pending.partition_point(|(found, _)| *found < key(distance, 0));
-    // Chunks keep the indices within 16 bits. Each splat is listed in the blocks that it covers.
+    // Blend at most 4096 splats at a time, so that their indices fit into 16 bits. Each splat is
+    // listed in the blocks that it covers.
     for part in canvas.pending[..ready].chunks(1 << 12) {
         scratch.ordered.clear();
         scratch.over.iter_mut().for_each(Vec::clear);

@@ -1,7 +1,8 @@
 //! Limit positions and normals of a refined mesh's vertices.
 //!
 //! Weights apply to the control points of a level at which all faces are quadrilaterals (triangles
-//! for Loop). A vertex v has n neighbours e and n opposite corners f.
+//! for Loop). A vertex v has n neighbours e and n opposite corners f. In Loop's scheme, w is the
+//! weight of a neighbour in the refinement of v.
 //!
 //! ```text
 //! Catmull–Clark   position  (n v + Σ (4 e + f)/n) / (n + 5)
@@ -62,8 +63,9 @@ fn opposite(topology: &Topology, corner: u32) -> u32 {
 }
 
 /// Returns unit normals, and the index of the normal of each corner. `control` are the level's
-/// points, and `surface` their limit positions. The weights do not apply at level 0, at corners and
-/// to bilinear surfaces. There a normal is the mean of the faces' normals, weighted by angle.
+/// points, and `surface` their limit positions. At level 0, at corners and on bilinear surfaces the
+/// tangents of the file's head do not apply. In these cases a normal is the mean of the faces'
+/// normals, weighted by angle.
 pub(super) fn normals(
     topology: &Topology,
     scheme: Scheme,
@@ -153,9 +155,9 @@ fn crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -
     (at(first) - at(last)).cross(across)
 }
 
-/// Normal on one side of a crease of triangles (Hoppe et al. 1994). The tangent across the crease
-/// is −sin θ (e₀ + e_k) + (2 − 2 cos θ) Σ sin iθ e_i. A crease with fewer than four faces on this
-/// side has weights of its own.
+/// Normal on one side of a crease of triangles (Hoppe et al. 1994). The side has k faces, and its
+/// edges end at e₀ to e_k; θ is π/k. The tangent across the crease is −sin θ (e₀ + e_k) + (2 − 2
+/// cos θ) Σ sin iθ e_i. A crease with fewer than four faces on this side has weights of its own.
 fn triangle_crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -> DVec3) -> DVec3 {
     let points: Vec<DVec3> = spokes(topology, fan).into_iter().map(&at).collect();
     let here = at(vertex);

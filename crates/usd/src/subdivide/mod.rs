@@ -7,8 +7,9 @@
 //! fractional sharpness blends two rules. The last level is projected to the limit surface, and the
 //! normals are perpendicular to its exact tangent planes.
 //!
-//! Face-varying data are vertex data of a second mesh. It has the same faces, and one vertex per
-//! distinct value at a vertex, so seams are its boundaries.
+//! Face-varying data are vertex data of a second mesh. It has the faces of the first mesh. Each of
+//! its vertices is a distinct value at a vertex of the first mesh. At a seam, two neighbouring
+//! faces have different values, so seams are boundaries of the second mesh.
 //!
 //! Source: the rules of OpenSubdiv 3 to which UsdGeomMesh refers (interpolateBoundary,
 //! faceVaryingLinearInterpolation, triangleSubdivisionRule). Limits and tangents: Halstead, Kass,
@@ -40,14 +41,15 @@ pub(crate) enum Boundary {
     EdgeAndCorner,
 }
 
-/// Rules that state where face-varying data are not smoothed (`faceVaryingLinearInterpolation`).
+/// Rules that state where face-varying data are not smoothed (`faceVaryingLinearInterpolation`). A
+/// seam is an edge whose two faces have different values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum FaceVarying {
     /// Data are smoothed everywhere, also at seams and their corners.
     None,
-    /// A value at a vertex is not smoothed if only one face has this value there.
+    /// A value at a vertex is not smoothed if only one face has this value at the vertex.
     CornersOnly,
-    /// As `CornersOnly`. Also, values are not smoothed at a vertex that has three or more of them.
+    /// As `CornersOnly`. Also, a vertex with three or more values has none of them smoothed.
     #[default]
     CornersPlus1,
     /// As `CornersPlus1`. Also, values are not smoothed at the end of a seam, or if one of two
@@ -99,7 +101,7 @@ pub(crate) fn level_for(corner_count: usize) -> u32 {
 
 /// The largest number of levels, up to `wanted`, that gives at most `most_triangles` triangles.
 fn affordable_level(corner_count: usize, wanted: u32, most_triangles: usize) -> u32 {
-    // a corner becomes a quadrilateral at the first level, and each quadrilateral four at the next
+    // a corner becomes a quadrilateral of two triangles; each further level makes four of each
     (1..=wanted).rev().find(|&level| corner_count.saturating_mul(2 << (2 * (level - 1))) <= most_triangles).unwrap_or(0)
 }
 
@@ -378,8 +380,8 @@ fn pin(topology: &mut Topology, rule: FaceVarying, values: Range<u32>, inside: b
     pinned.into_iter().for_each(|value| topology.vertex_sharpness[value as usize] = f32::INFINITY);
 }
 
-/// Refines a mesh. Returns the stencils of each level, the topology of the last level, and the
-/// index of the input's face for each of its faces.
+/// Refines a mesh. Returns the stencils of each level, and the topology of the last level. Also
+/// returns, for each face of the last level, the index of the input's face that contains it.
 fn refine(cage: &Topology, scheme: Scheme, smooth_triangles: bool, level: u32) -> (Vec<Stencils>, Topology, Vec<u32>) {
     let mut topology = cage.clone();
     let mut parents: Vec<u32> = (0..cage.face_count() as u32).collect();
@@ -398,7 +400,7 @@ fn refine(cage: &Topology, scheme: Scheme, smooth_triangles: bool, level: u32) -
     (levels, topology, parents)
 }
 
-/// Refines without smoothing.
+/// Refines a mesh without smoothing; returns the results of [`refine`].
 fn refine_linearly(cage: &Topology, scheme: Scheme, level: u32) -> (Vec<Stencils>, Topology, Vec<u32>) {
     let triangles = scheme == Scheme::Loop;
     let mut topology = cage.clone();

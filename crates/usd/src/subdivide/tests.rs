@@ -82,7 +82,7 @@ fn a_cube_has_the_points_of_the_textbook() {
     let cube = Mesh::cube();
     let cage = cube.cage(Scheme::CatmullClark);
     let first = control(&cage, 1, &cube.flat());
-    // 8 vertices, 12 edges, 6 faces
+    // one child for each of 8 vertices, 12 edges and 6 faces
     assert_eq!(first.len(), 26);
     for (point, child) in cube.points.iter().zip(&first) {
         assert_near(*child, *point * (5.0 / 9.0), ROUNDING);
@@ -95,8 +95,8 @@ fn a_cube_has_the_points_of_the_textbook() {
     for face in &first[20..] {
         assert!((face.length() - 1.0).abs() < ROUNDING);
     }
-    // On the limit surface, corners are at half the cube's corners, since the weights also apply to
-    // the cube itself. Centres of faces are at 68/81.
+    // On the limit surface, the corners are at half of their coordinates, and the centres of faces
+    // are at 68/81 from the middle. The limit does not depend on the level.
     for level in 1..=4 {
         let surface = limit(&cage, level, &cube.flat());
         for (point, on_surface) in cube.points.iter().zip(&surface) {
@@ -288,13 +288,13 @@ fn sharp_edges_stay_and_sharpness_falls_by_one_a_level() {
     for ((smooth, half), sharp) in smooth.iter().zip(&half).zip(&sharp) {
         assert_near(*half, smooth.midpoint(*sharp), ROUNDING);
     }
-    // one sharpness per edge, instead of one per crease
+    // the list may have a sharpness per edge instead of one per crease
     let mut cage = cube.cage(Scheme::CatmullClark);
     (cage.crease_indices, cage.crease_lengths, cage.crease_sharpnesses) = (&[0, 1, 3], &[3], &[0.0, 10.0]);
     let points = control(&cage, 1, &cube.flat());
     let middle = |a: usize, b: usize| cube.points[a].midpoint(cube.points[b]);
     assert!(points[8..20].contains(&middle(1, 3)) && !points[8..20].contains(&middle(0, 1)));
-    // a sharp corner
+    // a vertex with a sharp corner keeps its position
     let mut cage = cube.cage(Scheme::CatmullClark);
     (cage.corner_indices, cage.corner_sharpnesses) = (&[5], &[10.0]);
     let surface = limit(&cage, 2, &cube.flat());
@@ -306,7 +306,7 @@ fn sharp_edges_stay_and_sharpness_falls_by_one_a_level() {
 fn creased_normals_part_at_the_crease_alone() {
     let cube = Mesh::cube();
     let mut cage = cube.cage(Scheme::CatmullClark);
-    // the four edges around the top face
+    // the crease consists of the four edges around the top face
     (cage.crease_indices, cage.crease_lengths, cage.crease_sharpnesses) = (&[4, 5, 7, 6, 4], &[5], &[10.0]);
     let refinement = Refinement::new(&cage, 2);
     let surface = vectors(&refinement.vertex(&cube.flat(), 3));
@@ -486,8 +486,8 @@ fn face_varying_data_without_seams_are_vertex_data() {
     }
 }
 
-/// Random polygons over few vertices, with repeated vertices, edges of many faces, inconsistent
-/// orientation and invalid indices.
+/// Refines random polygons over few vertices. Vertices repeat, edges have many faces, the
+/// orientation is inconsistent, and some indices are invalid.
 #[test]
 fn broken_meshes_do_not_panic_and_stay_in_their_hull() {
     let mut stream = Stream::new(17);
@@ -535,7 +535,7 @@ fn levels_stop_at_the_budget() {
     assert_eq!(affordable_level(4000, 2, 7_999), 0);
     assert_eq!(affordable_level(usize::MAX, 9, 200_000), 0);
     assert_eq!(affordable_level(0, 3, 0), 3);
-    // numbers of corners: a cube, one more than level 4 allows, 1000 quadrilaterals, and three
-    // dense meshes
+    // The meshes have 24 corners (a cube), one corner more than level 4 allows, and 4000 corners
+    // (1000 quadrilaterals). The last three meshes are dense.
     assert_eq!([24, 63, 4000, 25_000, 30_000, 200_000].map(level_for), [4, 3, 2, 2, 1, 0]);
 }

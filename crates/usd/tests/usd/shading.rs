@@ -219,7 +219,7 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
         through(&node("ND_transformnormal_vector3", "map", "string inputs:tospace = \"world\"")),
         Some(plain.clone())
     );
-    // decoded by arithmetic: 2 x − 1
+    // here the nodes decode the picture by arithmetic: 2 x − 1
     let ends = "float inputs:outlow = -1\n float inputs:outhigh = 1";
     let decoded = format!("{}\n{}", node("ND_normalize_vector3", "remapped", ""), {
         node("ND_remap_vector3FA", "tex", ends).replace("\"last\"", "\"remapped\"")
@@ -236,7 +236,7 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     assert_eq!(through(mixed), Some(plain.clone()));
     let half = through(&mixed.replace("mix = 1", "mix = 0.5")).unwrap();
     assert!(half != plain && half.len() == plain.len());
-    // the map with inverted green
+    // nodes that invert green turn the map's normals over along y
     let flipped = through(&node("ND_normalmap", "flipped", "")).unwrap();
     let directions = |pixels: &Pixels| -> Vec<Vec3> {
         let texels: Vec<Vec3> = match pixels {
@@ -269,7 +269,7 @@ fn a_lamp_is_as_bright_in_every_syntax() {
              color3f inputs:in2 = (8, 4, 2)\n color3f outputs:out\n }}"
         )
     };
-    // the emission (8, 4, 2) from constants
+    // every shader states the emission (8, 4, 2) by constants
     let constant = [
         ("UsdPreviewSurface", "color3f inputs:emissiveColor = (8, 4, 2)"),
         ("ND_UsdPreviewSurface_surfaceshader", "color3f inputs:emissiveColor = (8, 4, 2)"),
@@ -290,7 +290,7 @@ fn a_lamp_is_as_bright_in_every_syntax() {
         assert_eq!(found.emission, Vec3::new(8.0, 4.0, 2.0), "{id}");
         assert!(scene.is_lit(), "{id}");
     }
-    // the same emission (8, 4, 2) from a picture
+    // every shader reads the same emission (8, 4, 2) from a picture
     let textured = [
         ("UsdPreviewSurface", "color3f inputs:emissiveColor.connect = </m/tinted.outputs:out>"),
         (
@@ -379,7 +379,7 @@ fn lights_have_the_radiance_of_their_inputs() {
         scene.materials[mesh.material].emission
     };
     let sphere = emission("/a");
-    // the radiance compensates for the mesh's missing area
+    // the mesh has a smaller area than the sphere, so its radiance is a little higher
     assert!((1.0..1.05).contains(&(sphere.x / 12.0)) && (sphere.x / sphere.z - 4.0).abs() < 1e-4, "{sphere}");
     let warm = emission("/b");
     assert!((warm - Vec3::ONE).abs().max_element() < 0.1, "6500 K is near white: {warm}");
