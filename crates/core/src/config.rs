@@ -8,11 +8,11 @@ use thiserror::Error;
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("line {line}, column {column}: {message}{}", suggestion.as_ref().map_or(String::new(), |key| format!("; did you mean `{key}`?")))]
 pub struct ConfigError {
-    /// Line, from 1.
+    /// Line of the error in the text, from 1.
     pub line: usize,
-    /// Column, from 1.
+    /// Column of the error in its line, from 1.
     pub column: usize,
-    /// Byte range in the text.
+    /// Range of bytes in the text to which the error applies.
     pub span: std::ops::Range<usize>,
     /// One sentence with the expected and the found value.
     pub message: String,

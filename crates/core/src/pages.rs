@@ -114,9 +114,9 @@ unsafe impl<T: Plain, const N: usize> Plain for [T; N] where [T; N]: Default {}
 
 /// A large array, in memory or in a file.
 pub enum Array<T> {
-    /// In memory.
+    /// The values are in memory.
     Held(Vec<T>),
-    /// In a file; pages that are used are in memory.
+    /// The values are in a file, of which only pages in use are in memory.
     Paged(Pages),
 }
 

@@ -34,20 +34,20 @@ const STILL_PX: f64 = 0.5;
 pub struct LeftOut {
     /// Direction of the view, as a grid that has only this view.
     pub grid: ViewGrid,
-    /// Linear radiance, `[row][col][rgb]`, with the pixels of the kept views.
+    /// Linear radiance, `[row][col][rgb]`, with as many rows and columns as a kept view.
     pub radiance: Vec<f32>,
 }
 
 /// How a light field is read.
 #[derive(Clone, Copy, Default)]
 pub struct Reading<'a> {
-    /// The display's footprint, for [`GeometryFlags::prefilter`].
+    /// The display's footprint. It is needed only if [`GeometryFlags::prefilter`] is set.
     pub footprint: Option<Footprint<'a>>,
     /// Greatest number of views, among those between the kept ones, that are read too.
     pub most_left_out: usize,
     /// Decides whether the light field is kept in a file. `None` keeps every light field in memory.
     pub paging: Option<Paging<'a>>,
-    /// Changes every view, `[row][col][rgb]`, after it is read.
+    /// Function that changes every view, `[row][col][rgb]`, after it is read.
     pub change: Option<&'a dyn Fn(&mut [f32])>,
 }
 
@@ -57,7 +57,7 @@ pub type Paging<'a> = &'a dyn Fn(&FieldGeometry) -> Option<(&'a Path, usize)>;
 
 /// The parts of a source to read, and their geometry.
 pub(crate) struct Plan {
-    /// Kept views: [view rows, view columns].
+    /// Indices of the kept views in the source: view rows, then view columns.
     picks: [Vec<usize>; 2],
     window: Window,
     pub(crate) geometry: FieldGeometry,
@@ -247,8 +247,8 @@ struct Window {
     corner: [f64; 2],
     size: [f64; 2],
     out_size: [usize; 2],
-    /// Offsets of the corner: x for each view column in `shift[0]`, y for each view row in
-    /// `shift[1]`.
+    /// Offset of `corner` in each view: x for each view column in `shift[0]`, y for each view row
+    /// in `shift[1]`, in pixels.
     shift: [Vec<f64>; 2],
 }
 

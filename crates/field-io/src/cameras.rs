@@ -82,9 +82,9 @@ struct CameraName {
     prefix: String,
     row: u32,
     col: u32,
-    /// Centre of the camera, (Y, X).
+    /// Centre of the camera (Y, X), if the name has it.
     centre: Option<[f64; 2]>,
-    /// Focal length and sensor width, millimetres.
+    /// Focal length and sensor width in millimetres, if the name has them.
     lens: Option<[f64; 2]>,
 }
 

@@ -9,11 +9,11 @@ use lumistack_core::colour;
 /// Motion of content from the first picture to the second, pixels; positive towards higher indices.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Motion {
-    /// 10th percentile of the blocks' shifts.
+    /// 10th percentile of the shifts of all blocks, pixels.
     pub(crate) low: f64,
-    /// 50th percentile of the blocks' shifts.
+    /// 50th percentile of the shifts of all blocks, pixels.
     pub(crate) median: f64,
-    /// 90th percentile of the blocks' shifts.
+    /// 90th percentile of the shifts of all blocks, pixels.
     pub(crate) high: f64,
 }
 

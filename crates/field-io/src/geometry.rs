@@ -63,9 +63,9 @@ fn is_unset(mirror: &[bool; 2]) -> bool {
 /// an error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryDefaults {
-    /// Width of the light field on z = 0, millimetres.
+    /// Width of the light field on the display plane z = 0, millimetres.
     pub width_mm: Option<f64>,
-    /// [horizontal, vertical] full angle, degrees.
+    /// Full angle of all views, [horizontal, vertical], degrees.
     pub fov_deg: Option<[f64; 2]>,
 }
 
@@ -76,7 +76,7 @@ pub(crate) struct Hints {
     pub(crate) distance_mm: Option<f64>,
     pub(crate) pitch_mm: Option<f64>,
     pub(crate) fov_deg: Option<[f64; 2]>,
-    /// Slopes of view columns (x) and view rows (y, up).
+    /// Slopes of the view columns (x, right) and of the view rows (y, up), if the files have them.
     pub(crate) slopes: [Option<Vec<f64>>; 2],
     pub(crate) cameras: Option<Cameras>,
     /// Width of one view divided by its height, for anamorphic tiles.
@@ -94,8 +94,8 @@ pub(crate) struct Cameras {
     /// Slope between neighbouring cameras: a step divided by the distance of the plane of zero
     /// disparity. 0 for parallel cameras, for which that plane is at infinity.
     pub(crate) slope_per_step: f64,
-    /// True if the pictures may be unsheared, or sheared to any plane. Then the focus is found by
-    /// the content of the pictures.
+    /// True if the file does not state the plane of zero disparity. The focus then follows from the
+    /// content of the pictures.
     pub(crate) plane_unknown: bool,
 }
 
@@ -145,7 +145,7 @@ impl GeometryJson {
 
 /// Relates the pixels of the result to the pixels of the files.
 pub(crate) struct Pixels {
-    /// [columns, rows] of the result.
+    /// Number of [columns, rows] of each resulting view.
     pub(crate) size: [usize; 2],
     /// Width of the rectangle that is read from a file's view, in pixels of the file.
     pub(crate) window_cols: f64,

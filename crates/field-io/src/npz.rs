@@ -16,7 +16,7 @@ const LARGE: u64 = 1 << 31;
 /// An archive in progress.
 pub struct NpzWriter<W: Write> {
     zip: ZipWriter<StreamWriter<W>>,
-    /// Number of values still to be written to the array.
+    /// Number of values that the current array still lacks.
     missing: usize,
 }
 

@@ -21,14 +21,14 @@ const PART: usize = 1 << 14;
 
 /// A light field that is written view by view, into memory or into a file.
 pub enum FieldWriter {
-    /// In memory.
+    /// The views are in memory.
     Held {
-        /// Its geometry.
+        /// Geometry of the light field.
         geometry: FieldGeometry,
-        /// The views so far.
+        /// The views that have been written so far.
         values: Vec<f32>,
     },
-    /// In a file.
+    /// The views are in a file.
     Paged(Paged),
 }
 
@@ -87,9 +87,9 @@ impl FieldWriter {
 pub struct Paged {
     geometry: FieldGeometry,
     file: BufWriter<File>,
-    /// Folder of the file.
+    /// Folder on whose disk the file is.
     folder: PathBuf,
-    /// Bytes that may be in memory.
+    /// Largest number of bytes of the file that may be in memory.
     limit: usize,
     bytes: Vec<u8>,
 }

@@ -16,7 +16,8 @@ use crate::{FieldError, atomic, npy};
 pub struct StackWriter {
     folder: PathBuf,
     index: StackIndex,
-    /// The layers from rear to front, then the backlight.
+    /// The arrays of the layers from rear to front, then the array of the backlight if there is
+    /// one.
     arrays: Vec<Array>,
 }
 
@@ -25,7 +26,7 @@ pub struct StackWriter {
 struct Array {
     path: PathBuf,
     file: NamedTempFile,
-    /// Number of bytes before the values.
+    /// Number of bytes of the file in front of the array's values.
     header: u64,
     rows: usize,
     cols: usize,

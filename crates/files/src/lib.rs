@@ -124,7 +124,7 @@ pub struct Folder {
 pub enum Refusal {
     /// The operating system refused, or the name does not lead to a regular file.
     Io(io::Error),
-    /// The name leads out of the folder.
+    /// The name leads out of the folder that it may not leave.
     Outside {
         /// The path that the name leads to, with all links resolved.
         found: PathBuf,

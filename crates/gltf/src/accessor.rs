@@ -21,7 +21,7 @@ const MAX_IMPLICIT_COUNT: u64 = 1 << 24;
 pub(crate) struct Format {
     pub(crate) types: &'static [Type],
     pub(crate) components: &'static [ComponentType],
-    /// Types and component types in glTF's words, for messages.
+    /// The allowed types and component types in glTF's words, for messages.
     pub(crate) text: &'static str,
 }
 
@@ -50,7 +50,7 @@ struct Elements<'a> {
 }
 
 struct Sparse<'a> {
-    /// Indices of the replaced elements, strictly increasing.
+    /// Indices of the elements that `values` replaces, strictly increasing.
     indices: Vec<u32>,
     values: Elements<'a>,
 }

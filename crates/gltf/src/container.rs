@@ -14,7 +14,7 @@ pub(crate) struct Container<'a> {
     pub(crate) raw: Value,
     /// The JSON as typed values, whose indices are not checked yet.
     pub(crate) root: json::Root,
-    /// The binary chunk of a `.glb`.
+    /// The binary chunk of a `.glb`, if the file has one.
     pub(crate) bin: Option<&'a [u8]>,
 }
 

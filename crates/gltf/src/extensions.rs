@@ -7,12 +7,12 @@ use crate::error::Fault;
 /// Handling of an extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Handling {
-    /// It is read, and a file may require it.
+    /// The extension is read, and a file may require it.
     Read,
-    /// It does not change the picture, and a file may require it.
+    /// The extension does not change the picture, and a file may require it.
     WithoutEffect,
-    /// It is not read. A file that requires it is refused, and a file that uses it is loaded with a
-    /// warning. Holds advice for the user, which starts with "; " or is empty.
+    /// The extension is not read. A file that requires it is refused, and a file that uses it is
+    /// loaded with a warning. The text is advice for the user, which starts with "; " or is empty.
     NotRead(&'static str),
 }
 

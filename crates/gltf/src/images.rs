@@ -16,7 +16,7 @@ use crate::unpack::{Packed, Unpacked, Use};
 pub(crate) struct Images {
     /// Sizes of the images; also their pixels, after [`decode`](Self::decode).
     pub(crate) decoded: Vec<Image>,
-    /// Index into `decoded`, by the image's index in the file.
+    /// Position in `decoded` of an image; the key is the image's index in the file.
     position: HashMap<usize, usize>,
     /// Sources of the images without pixels, in the order of `decoded`.
     waiting: Vec<Waiting>,
@@ -24,7 +24,7 @@ pub(crate) struct Images {
 
 /// The source of an image.
 enum Waiting {
-    /// A picture.
+    /// The picture in `content`, at the place `place` of the file.
     Picture { content: Content, place: String, usage: Use },
     /// Roughness: 1 − `factor` times the alpha of the image at the position `from`, which holds
     /// glossiness.

@@ -242,7 +242,7 @@ fn read_splats(
 
 /// A mesh with one shape. One node shows it in this shape, or all nodes that share the mesh do.
 struct Shape<'a> {
-    /// The node's weights of morph targets, if it has any.
+    /// The node's weights of morph targets, if the node has its own.
     weights: Option<&'a [f32]>,
     mesh: &'a json::Mesh,
     number: usize,

@@ -21,7 +21,8 @@ use crate::{glossiness, material_extensions};
 /// Materials in the file's order, with their textures and images.
 pub(crate) struct Materials {
     pub(crate) materials: Vec<Material>,
-    /// Per material, the texture coordinate sets of the file that become sets 0 and 1 of the mesh.
+    /// For each material, the texture coordinate sets of the file that become sets 0 and 1 of a
+    /// mesh.
     pub(crate) uv_sets: Vec<[u32; 2]>,
     pub(crate) textures: Vec<Texture>,
     pub(crate) images: Images,

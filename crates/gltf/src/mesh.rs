@@ -54,14 +54,14 @@ pub(crate) struct Request<'a> {
     /// JSON pointer to the primitive, `/meshes/I/primitives/J`.
     pub(crate) place: String,
     pub(crate) primitive: &'a json::mesh::Primitive,
-    /// Index into the scene's materials.
+    /// Index of the primitive's material in the scene.
     pub(crate) material: usize,
     pub(crate) appearance: &'a Material,
-    /// The texture coordinate sets of the file that become sets 0 and 1 of the mesh.
+    /// The texture coordinate sets of the file that the material uses as sets 0 and 1.
     pub(crate) uv_sets: [u32; 2],
-    /// Weights of the morph targets.
+    /// Weights of the mesh's morph targets.
     pub(crate) weights: &'a [f32],
-    /// Joint matrices of a skinned mesh.
+    /// Joint matrices of the skin, if the node that shows the mesh has one.
     pub(crate) pose: Option<&'a Pose>,
 }
 

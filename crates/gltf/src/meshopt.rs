@@ -21,7 +21,7 @@ const MAX_RATIO: u64 = 1024;
 /// A packed view.
 pub(crate) struct Packed<'d> {
     fields: Fields<'d>,
-    /// `byteLength` of the view.
+    /// Size of the view after decompression: its `byteLength`.
     unpacked_bytes: u64,
     stride: Option<usize>,
 }

@@ -24,9 +24,9 @@ pub(crate) struct Nodes {
     pub(crate) scene_place: Option<String>,
     /// Nodes of the scene, parents before children, without those that `KHR_node_visibility` hides.
     pub(crate) shown: Vec<usize>,
-    /// Placement of every node of the file in the scene.
+    /// Placement in the scene of every node of the file; the index is the node's number.
     pub(crate) scene_from_node: Vec<DAffine3>,
-    /// Animated values of nodes.
+    /// Animated values, which replace a node's own; the key is the node's number.
     pub(crate) poses: HashMap<usize, NodePose>,
 }
 

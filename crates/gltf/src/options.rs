@@ -22,9 +22,9 @@ pub struct LoadOptions {
     /// Name or number of the material variant (`KHR_materials_variants`). `None`: the default
     /// materials.
     pub variant: Option<String>,
-    /// Largest number of bytes that the scene without its pictures may decode to. Small files can
-    /// require any amount (many primitives over one accessor, pictures of one colour). Files that
-    /// exceed this are refused, so that they cannot exhaust the machine. Default 8 GiB.
+    /// Largest number of bytes that the scene without its pictures may decode to. A small file can
+    /// decode to any size, since many primitives may share one accessor. A file over the limit is
+    /// refused, so that it cannot exhaust the machine. Default 8 GiB.
     pub max_decoded_bytes: u64,
     /// Largest number of bytes that all decoded pictures of the scene may take, in addition to
     /// `max_decoded_bytes`. The sizes in all headers are added up before the first picture is

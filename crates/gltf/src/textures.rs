@@ -23,7 +23,7 @@ pub(crate) struct Loader<'d, 'f> {
     pub(crate) document: &'d Document<'f>,
     pub(crate) textures: Vec<Texture>,
     pub(crate) images: Images,
-    /// Index into `textures`, by the texture's index in the file.
+    /// Position in `textures` of a texture; the key is the texture's index in the file.
     position: HashMap<usize, usize>,
     /// Index of an image with roughness that was made from an image with glossiness. The key is the
     /// index of the image with glossiness, and the bits of the factor on it.

@@ -18,9 +18,9 @@ use serde_json::{Value, map};
 /// A value of another type than expected.
 #[derive(Debug)]
 pub(crate) struct Mistyped {
-    /// JSON pointer.
+    /// JSON pointer to the value.
     pub(crate) place: String,
-    /// The description of the error by serde.
+    /// The description of the error by the library serde.
     pub(crate) message: String,
 }
 
@@ -266,7 +266,7 @@ impl<'v> SeqAccess<'v> for &mut List<'v> {
 
 struct Table<'v> {
     left: map::Iter<'v>,
-    /// The member whose key was read.
+    /// The member whose key was read last, and whose value comes next.
     value: Option<(&'v str, &'v Value)>,
 }
 

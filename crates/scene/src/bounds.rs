@@ -5,9 +5,9 @@ use glam::Vec3;
 /// Axis-aligned box; empty if `min > max` on any axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
-    /// Smallest corner.
+    /// Corner with the smallest x, y and z.
     pub min: Vec3,
-    /// Largest corner.
+    /// Corner with the largest x, y and z.
     pub max: Vec3,
 }
 

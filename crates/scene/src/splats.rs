@@ -23,20 +23,20 @@ pub const MAX_DEGREE: usize = 3;
 pub struct Cloud {
     /// Place in the file ("/meshes/3/primitives/0"), for messages.
     pub place: String,
-    /// Centres μ.
+    /// Centres μ of the splats.
     pub positions: Vec<Vec3>,
     /// Rotations from a splat's axes to the cloud's; the validator makes them unit quaternions.
     pub rotations: Vec<Quat>,
-    /// Standard deviations along a splat's axes, ≥ 0.
+    /// Standard deviations of each splat along its own axes, ≥ 0.
     pub scales: Vec<Vec3>,
-    /// Opacity at the centre, 0..1.
+    /// Opacity of each splat at its centre, 0..1.
     pub opacities: Vec<f32>,
     /// Degree of the harmonics, 0..=[`MAX_DEGREE`].
     pub degree: usize,
     /// Coefficients c_lm, `[splat][coefficient][rgb]`, in the cloud's axes. There are (degree + 1)²
     /// coefficients, in the order of degree l, then of order m.
     pub harmonics: Vec<f32>,
-    /// Space of the colours, in which they are also blended.
+    /// Colour space of the harmonics, in which splats are also blended.
     pub encoding: Encoding,
 }
 
@@ -56,7 +56,7 @@ pub enum Encoding {
 pub struct PlacedCloud {
     /// Index into [`SceneParts::clouds`](crate::SceneParts::clouds).
     pub cloud: usize,
-    /// Any invertible affine map.
+    /// Placement of the cloud: any invertible affine map.
     pub scene_from_cloud: Affine3A,
 }
 

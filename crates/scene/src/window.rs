@@ -11,11 +11,11 @@ use crate::{Bounds, Camera, Projection};
 /// A map x ↦ translation + scale · rotation · x without reflection: scale > 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Similarity {
-    /// Unit quaternion.
+    /// Rotation as a unit quaternion.
     pub rotation: DQuat,
     /// Scale factor, > 0.
     pub scale: f64,
-    /// The point to which the origin is mapped.
+    /// The point to which the map moves the origin.
     pub translation: DVec3,
 }
 

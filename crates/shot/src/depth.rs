@@ -14,9 +14,10 @@ const MOST_COLS: usize = 240;
 /// z of the first surface along rays of all views, in display space.
 #[derive(Clone, Debug)]
 pub struct Depths {
-    /// Grid and pixels at which the views are traced.
+    /// Grid and coarse pixels at which the views are traced.
     pub geometry: FieldGeometry,
-    /// `[view_y][view_x][row][col]`, mm towards the viewer, NaN where a ray misses.
+    /// z of the first surface in display space, `[view_y][view_x][row][col]`, mm. NaN where a ray
+    /// misses.
     pub z_mm: Vec<f32>,
 }
 

@@ -51,15 +51,16 @@ const LEAST_SCALE: f64 = 0.01;
 /// A window in the scene, and the depth scale with which the scene fits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
-    /// The window after the movement.
+    /// The window, after fitting has moved it.
     pub window: Window,
-    /// Distance by which the window moved back, in display space before the movement, mm.
+    /// Distance by which fitting moved the window back, in mm of the display space before the move.
     pub moved_back_mm: f64,
     /// Factor on the slopes at which views are traced.
     pub depth_scale: f64,
     /// True if fitting changed the window or the scale.
     pub fitted: bool,
-    /// Azimuth and elevation of the viewer for whom the scene was framed, degrees.
+    /// Azimuth and elevation in degrees of the viewer for whom the scene was framed. `None` if the
+    /// window was not framed.
     pub looked_from_deg: Option<[f64; 2]>,
 }
 

@@ -25,7 +25,7 @@ const CUTS: usize = 2;
 
 /// A scene prepared for rendering.
 pub struct SceneRenderer {
-    /// Renders triangles and light.
+    /// Renders the triangles and the light of the scene.
     pub tracer: Renderer,
     /// Renders splats, if the scene has any.
     pub splats: Option<Splats>,

@@ -51,8 +51,8 @@ pub struct SplatView {
     /// `[row][col][r, g, b, T]`: the colour, blended in the scene's [`Space`] over black, and the
     /// transmittance T of all splats, 0..1.
     pub light: Tensor<3>,
-    /// `[row][col]`: z in display space, in millimetres, of the splat at which T falls below one
-    /// half; NaN if T does not.
+    /// `[row][col]`: z in display space, in millimetres, of the splat at which the transmittance
+    /// falls below one half. NaN if it stays above.
     pub z_mm: Tensor<2>,
 }
 

@@ -18,9 +18,9 @@ const LEAST_EXPECTED: f64 = 8.0;
 /// Mean and standard error of independent samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mean {
-    /// x̄.
+    /// Mean x̄ of the samples.
     pub value: f64,
-    /// s/√n; 0 for a single sample.
+    /// Standard error s/√n of the mean; 0 for a single sample.
     pub standard_error: f64,
 }
 

@@ -45,9 +45,9 @@ pub struct BlendContents {
     pub scenes: Vec<String>,
     /// First and last frame of the active scene.
     pub frames: [i32; 2],
-    /// Frames per second.
+    /// Frames per second of the active scene.
     pub frames_per_second: f64,
-    /// The render engine that the scene uses.
+    /// Name of the render engine that the active scene uses.
     pub engine: String,
     /// Messages for the user about content that renders show but the export drops. There is one
     /// message per kind of content, with the names of the objects.
@@ -69,7 +69,7 @@ impl BlendContents {
 pub struct HandedOver {
     /// A binary glTF file that refers to no other file.
     pub glb: Vec<u8>,
-    /// Blender's report on the export.
+    /// Blender's report on the export of this scene.
     pub account: BlendAccount,
 }
 
@@ -77,9 +77,9 @@ pub struct HandedOver {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct BlendAccount {
-    /// Blender's version.
+    /// Version of the Blender that exported the scene.
     pub blender: String,
-    /// The Blender program, or the file of the module bpy.
+    /// Path of the Blender program, or of the module bpy.
     pub program: PathBuf,
     /// Files other than the `.blend` on which the scene depends: libraries, pictures.
     pub files: Vec<PathBuf>,
@@ -143,24 +143,24 @@ pub struct BlendViews {
     pub window: BlendWindow,
     /// Width and height of the window, in millimetres.
     pub size_mm: [f64; 2],
-    /// Number of columns and of rows.
+    /// Number of columns and number of rows of a view, in pixels.
     pub resolution: [usize; 2],
     /// Distance of the eyes from the window, in millimetres; `None` for oblique views.
     pub distance_mm: Option<f64>,
-    /// Slope of every view, right and up.
+    /// Slope of every view: x to the right, y up.
     pub slopes: Vec<[f64; 2]>,
 }
 
 /// A window in the scene, with the arguments of `Window::given`.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlendWindow {
-    /// The window's centre.
+    /// Centre of the window, in the scene.
     pub centre: [f64; 3],
     /// Direction in which the window's viewer looks.
     pub forward: [f64; 3],
-    /// Upward direction.
+    /// Direction that is up for the window's viewer.
     pub up: [f64; 3],
-    /// Width in scene units.
+    /// Width of the window in scene units.
     pub width: f64,
 }
 
@@ -235,7 +235,7 @@ struct Failure {
 
 /// The failure of one program.
 enum Failed {
-    /// This program cannot read the file, but another one may.
+    /// This program cannot read the file, so the next one is tried, if there is one.
     Unfit(String),
     Final(UsdError),
 }

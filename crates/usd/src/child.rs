@@ -67,7 +67,7 @@ impl Answer {
 
 /// The failure of one candidate.
 enum Failed {
-    /// This Python cannot read USD, but another one may.
+    /// This Python cannot read USD files, so the next one is tried, if there is one.
     Unfit(String),
     Final(UsdError),
 }

@@ -17,14 +17,14 @@ use crate::geometry::Geometry;
 /// Basis by which control points define a curve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Basis {
-    /// Straight lines.
+    /// Segments are straight lines.
     Linear,
-    /// Cubic, with four points per segment; neighbouring segments share a point.
+    /// Segments are cubic, with four points each; neighbouring segments share a point.
     #[default]
     Bezier,
-    /// Cubic; in general the curve does not pass through its points.
+    /// Segments are cubic; in general the curve does not pass through its points.
     BSpline,
-    /// Cubic; the curve passes through its points.
+    /// Segments are cubic; the curve passes through its points.
     CatmullRom,
 }
 
@@ -43,13 +43,13 @@ pub(crate) enum Wrap {
 /// The number of values that an attribute has on curves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Interpolation {
-    /// One value for all curves.
+    /// All curves together have one value.
     Constant,
-    /// One value per curve.
+    /// Every curve has one value.
     Uniform,
-    /// One value per end of a segment.
+    /// Every end of a segment has one value.
     Varying,
-    /// One value per point.
+    /// Every point has one value.
     Vertex,
 }
 
@@ -68,11 +68,11 @@ pub(crate) struct Curves<'a> {
     pub(crate) vertex_counts: &'a [i32],
     pub(crate) basis: Basis,
     pub(crate) wrap: Wrap,
-    /// Diameters of tubes, or widths of ribbons.
+    /// Diameters of the tubes, or widths of the ribbons.
     pub(crate) widths: Data<'a>,
     /// If present, the curves are ribbons with these normals, visible from both sides.
     pub(crate) normals: Option<Data<'a>>,
-    /// RGB or RGBA values.
+    /// RGB or RGBA values of the curves.
     pub(crate) colors: Option<Data<'a>>,
     /// Texture coordinates as in USD, where v points up.
     pub(crate) uvs: [Option<Data<'a>>; 2],
@@ -91,9 +91,9 @@ const ROUNDING: f32 = 1e-5;
 /// The weighted control points whose sum is one sample.
 #[derive(Clone, Debug, Default)]
 struct Sample {
-    /// Indices of points within the curve, with their weights.
+    /// Indices of control points within the curve, with the weights of their values.
     points: Vec<(usize, f32)>,
-    /// Indices of the ends of segments, with their weights.
+    /// Indices of ends of segments within the curve, with the weights of their values.
     ends: Vec<(usize, f32)>,
 }
 
@@ -234,12 +234,12 @@ impl Place<'_> {
 struct Rib {
     position: Vec3,
     tangent: Vec3,
-    /// Unit vector perpendicular to the tangent.
+    /// Unit vector perpendicular to the tangent, carried along the curve without twist.
     across: Vec3,
     radius: f32,
     /// Derivative of the radius along the curve.
     slope: f32,
-    /// Arc length from the start, as a fraction of the curve's length.
+    /// Arc length from the curve's start, as a fraction of the curve's length.
     along: f32,
 }
 

@@ -6,13 +6,13 @@ use glam::{Vec2, Vec3, Vec4};
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Geometry {
     pub(crate) positions: Vec<Vec3>,
-    /// Unit vectors, on the side from which triangles are counter-clockwise.
+    /// Unit normals of the vertices, on the side from which triangles are counter-clockwise.
     pub(crate) normals: Vec<Vec3>,
     /// Texture coordinates as in the scene: v points down (in USD v points up).
     pub(crate) uvs: [Vec<Vec2>; 2],
-    /// Linear RGBA values.
+    /// Linear RGBA values of the vertices.
     pub(crate) colors: Vec<Vec4>,
-    /// Vertex indices.
+    /// Vertex indices of the corners of each triangle.
     pub(crate) triangles: Vec<[u32; 3]>,
     /// The face of the source (a polygon or a curve) that contains each triangle.
     pub(crate) face_of_triangle: Vec<u32>,

@@ -37,7 +37,7 @@ struct Entry {
     kind: String,
     radiance: [f32; 3],
     normalize: bool,
-    /// Full angle, in degrees.
+    /// Full angle of a distant light's disc in the sky, degrees.
     angle: f32,
     radius: f32,
     width: f32,
@@ -49,7 +49,7 @@ struct Entry {
     image: Option<usize>,
     format: String,
     pole_z: bool,
-    /// Matrix for row vectors, as in USD.
+    /// Matrix from the light's space to the stage, for row vectors as in USD.
     matrix: Option<[f64; 16]>,
 }
 
@@ -60,7 +60,7 @@ struct Shaping {
     /// Half angle of the cone, in degrees.
     #[serde(rename = "cone:angle")]
     angle: f32,
-    /// Fraction of the angle over which the light decreases to 0.
+    /// Fraction of the cone's angle over which the light decreases to 0.
     #[serde(rename = "cone:softness")]
     softness: f32,
     focus: f32,

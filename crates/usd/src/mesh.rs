@@ -52,11 +52,12 @@ fn newell(ring: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
 struct Vertices<'a> {
     polygons: &'a Polygons,
     geometry: Geometry,
-    /// First vertex at every point.
+    /// For every point, the first vertex of its linked list.
     first: Vec<u32>,
-    /// Next vertex at the same point, for every vertex.
+    /// For every vertex, the next vertex of the linked list of its point.
     next: Vec<u32>,
-    /// True if all corners at a point have equal attributes. Then one vertex per point is enough.
+    /// True if all corners at any point have equal attributes, so that one vertex per point is
+    /// enough.
     single: bool,
 }
 

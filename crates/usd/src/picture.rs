@@ -32,9 +32,9 @@ pub(crate) struct Picture {
 /// alpha is 1.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Texels {
-    /// Codes 0..=255.
+    /// 8-bit codes 0..=255 of red, green, blue and alpha.
     Codes8(Vec<[u8; 4]>),
-    /// Codes 0..=65535.
+    /// 16-bit codes 0..=65535 of red, green, blue and alpha.
     Codes16(Vec<[u16; 4]>),
     /// Linear, finite values, from HDR and OpenEXR.
     Float(Vec<[f32; 4]>),

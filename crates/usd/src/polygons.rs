@@ -10,10 +10,10 @@ pub(crate) struct Polygons {
     pub(crate) points: Vec<[f32; 3]>,
     /// Number of corners per face, ≥ 0. Their sum is the length of [`corners`](Self::corners).
     pub(crate) counts: Vec<i32>,
-    /// Index of the point of every corner.
+    /// For every corner of a face, the index of its point.
     pub(crate) corners: Vec<i32>,
     pub(crate) left_handed: bool,
-    /// Indices of faces that are holes; may be out of range.
+    /// Indices of faces that are holes; an index may be out of range.
     pub(crate) holes: Vec<i32>,
     pub(crate) normals: Option<Attribute<3>>,
     pub(crate) uvs: [Option<Attribute<2>>; 2],
@@ -26,7 +26,8 @@ pub(crate) struct Polygons {
 pub(crate) struct Attribute<const N: usize> {
     pub(crate) values: Vec<[f32; N]>,
     pub(crate) interpolation: Interpolation,
-    /// Index of the value of each element. Without indices, element i has value i.
+    /// For each element that has a value, the index of the value. Without this list, element i has
+    /// value i.
     pub(crate) indices: Option<Vec<u32>>,
 }
 

@@ -10,7 +10,7 @@ pub(crate) const VARIABLE: &str = "LUMISTACK_PYTHON";
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Candidate {
     pub(crate) program: PathBuf,
-    /// Origin of the Python, for messages.
+    /// Source of the Python's path, such as a variable or `PATH`, for messages.
     pub(crate) from: &'static str,
     /// True if the user named this Python.
     pub(crate) given: bool,
@@ -22,7 +22,7 @@ pub(crate) struct Surroundings {
     pub(crate) given: Option<PathBuf>,
     /// Folders of the active virtual and conda environments.
     pub(crate) active: [Option<PathBuf>; 2],
-    /// The environment that `lumistack setup usd` makes.
+    /// Folder of the environment that `lumistack setup usd` makes.
     pub(crate) own: Option<PathBuf>,
 }
 

@@ -108,11 +108,11 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
 
 /// A material of the package, with its index in the scene.
 struct Bound {
-    /// Index in the scene's materials.
+    /// Index of the material in the scene.
     material: usize,
-    /// Primvars that its textures read as texture coordinates.
+    /// Names of the primvars that the material's textures read as coordinate sets 0 and 1.
     uv_names: [Option<String>; 2],
-    /// True if vertex colours multiply its base colour.
+    /// True if vertex colours multiply the material's base colour.
     reads_colors: bool,
 }
 
@@ -126,9 +126,9 @@ struct Assembly<'a> {
     /// Indices of materials for display colours. The key is the bits of the colour, and true if the
     /// material is transparent.
     plain: HashMap<([u32; 4], bool), usize>,
-    /// One-sided copies of materials, by the index of the original.
+    /// Indices of one-sided copies of materials; the key is the index of the original.
     one_sided: HashMap<usize, usize>,
-    /// Indices of the meshes or of the cloud of a shape, by the shape and its materials.
+    /// Indices of the meshes or of the cloud of a shape. The key is the shape and its materials.
     shown: HashMap<(usize, Vec<Option<usize>>), Vec<usize>>,
 }
 

@@ -25,11 +25,11 @@ pub(crate) struct Input {
 #[derive(Clone, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "a material has about twenty values, and only while it is read")]
 pub(crate) enum Value<const N: usize> {
-    /// A constant value.
+    /// The value is constant.
     Constant([f32; N]),
-    /// A texture.
+    /// The value comes from a texture.
     Texture(Source),
-    /// Vertex colours.
+    /// The value is the vertex colour.
     Colors,
 }
 

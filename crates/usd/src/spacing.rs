@@ -9,11 +9,12 @@ const ASKED: usize = 256;
 /// box.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rule {
-    /// Fraction of the median distance between neighbours.
+    /// Width as a fraction of the median distance between neighbours.
     pub(crate) of_spacing: f32,
-    /// The largest width. It also applies if there are no neighbours.
+    /// Largest width, as a fraction of the diagonal of the bounding box. It also applies if there
+    /// are no neighbours.
     pub(crate) largest: f32,
-    /// The smallest width.
+    /// Smallest width, as a fraction of the diagonal of the bounding box.
     pub(crate) smallest: f32,
 }
 

@@ -28,14 +28,15 @@ pub(crate) struct Source {
     pub(crate) channels: Vec<usize>,
     pub(crate) scale: Vec<f32>,
     pub(crate) bias: Vec<f32>,
-    /// Value that is used if the picture cannot be read.
+    /// Value of each component if the picture cannot be read.
     pub(crate) fallback: Vec<f32>,
-    /// Rules for u and v outside 0..1: `repeat`, `clamp`, `mirror` or `black`.
+    /// Rules for coordinates outside 0..1, for u and for v: `repeat`, `clamp`, `mirror` or `black`.
     pub(crate) wrap: [String; 2],
     pub(crate) color_space: String,
     /// Name of the primvar with the texture coordinates.
     pub(crate) primvar: String,
-    /// u' = t₀ u + t₂ v + t₄, v' = t₁ u + t₃ v + t₅; v points up.
+    /// Affine map of the texture coordinates: u' = t₀ u + t₂ v + t₄, v' = t₁ u + t₃ v + t₅, where v
+    /// points up.
     pub(crate) transform: [f32; 6],
 }
 
@@ -76,11 +77,11 @@ impl Source {
 /// One channel of a slot.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Channel<'s> {
-    /// No shader reads the channel.
+    /// The scene does not read this channel, so its value does not matter.
     Unused,
-    /// A constant value.
+    /// The channel has the same value at all texels.
     Constant(f32),
-    /// A component of the texture that a shader reads.
+    /// The channel is the component with this index of a shader's texture.
     Component(&'s Source, usize),
 }
 
@@ -89,7 +90,7 @@ pub(crate) enum Channel<'s> {
 pub(crate) enum Kind {
     /// Reflectance 0..1: RGB is sRGB-encoded, alpha is linear.
     Color,
-    /// As `Color`, but values above 1 are kept.
+    /// Radiance: as `Color`, but values above 1 are kept.
     Light,
     /// Linear values, 0..1.
     Data,

@@ -66,7 +66,7 @@ struct Seen {
     lightness: Vec<f32>,
     a: Vec<f32>,
     b: Vec<f32>,
-    /// Strength of edges and of points.
+    /// Strength of edges and of points at every pixel, from the derivatives of Y.
     edges: Vec<f32>,
     points: Vec<f32>,
 }
@@ -189,7 +189,7 @@ fn scaled(weights: &[f64], factor: f64) -> Vec<f32> {
 struct Colours {
     opponent_from_rgb: [[f32; 3]; 3],
     rgb_from_opponent: [[f32; 3]; 3],
-    /// X/X_n, Y/Y_n, Z/Z_n.
+    /// Matrix from linear RGB to (X/X_n, Y/Y_n, Z/Z_n), relative to the white point.
     relative_from_rgb: [[f32; 3]; 3],
     /// The largest colour distance, raised to `COLOUR_EXPONENT`. It is the distance of green and
     /// blue.

@@ -19,7 +19,7 @@ use crate::{FieldError, atomic};
 pub enum Precision {
     /// Half float: 11 significant bits, largest value 65504.
     Half,
-    /// Single float.
+    /// Single float: 24 significant bits.
     Float,
 }
 

@@ -23,11 +23,12 @@ const PROBE_COLS: usize = 336;
 /// A window before depth is fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
-    /// The window.
+    /// The window that was found.
     pub window: Window,
     /// True if the user chose the depth of the window: by numbers or by a focus distance.
     pub chosen: bool,
-    /// Azimuth and elevation of the viewer for whom the scene was framed, degrees.
+    /// Azimuth and elevation in degrees of the viewer for whom the scene was framed. `None` if the
+    /// window was not framed.
     pub looked_from_deg: Option<[f64; 2]>,
 }
 

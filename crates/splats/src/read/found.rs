@@ -28,7 +28,7 @@ impl Axes {
 /// A cloud as read from a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {
-    /// The splats, before validation.
+    /// The splats of the file, before validation.
     pub cloud: Cloud,
     /// The axes of the cloud's positions and rotations.
     pub axes: Axes,
@@ -40,11 +40,11 @@ pub struct Found {
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{place}: expected {expected}, found {found}")]
 pub struct ReadError {
-    /// Place in the file.
+    /// Place in the file of the wrong value.
     pub place: String,
-    /// The values that the format allows.
+    /// The values that the format allows at this place.
     pub expected: String,
-    /// The value in the file.
+    /// The value that the file has.
     pub found: String,
 }
 

@@ -37,7 +37,7 @@ pub(crate) struct Flat {
 pub(crate) struct Sums {
     pub(crate) rgb: [[f32; PIXELS]; 3],
     pub(crate) transmittance: [f32; PIXELS],
-    /// Depth at which the transmittance falls below one half; NaN until then.
+    /// Depth of the splat at which the transmittance falls below one half; NaN until this happens.
     pub(crate) z: [f32; PIXELS],
 }
 
@@ -49,11 +49,11 @@ impl Sums {
 /// A block of pixels and the splats that cover it.
 pub(crate) struct Args<'a> {
     pub(crate) splats: &'a [Flat],
-    /// Indices of the splats that are blended, nearest first.
+    /// Indices into `splats` of the splats that are blended, nearest first.
     pub(crate) chosen: &'a [u16],
-    /// Column and row of the first pixel.
+    /// Column and row of the block's first pixel in the light field.
     pub(crate) first: [f32; 2],
-    /// Depth of a surface per pixel, which hides splats behind it; −∞ without a surface.
+    /// For each pixel, the depth of the surface that hides splats behind it; −∞ without a surface.
     pub(crate) cuts: &'a [f32; PIXELS],
     pub(crate) sums: &'a mut Sums,
 }

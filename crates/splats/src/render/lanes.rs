@@ -38,18 +38,18 @@ impl Eyes {
 /// The projections of a splat into all views of a block.
 #[derive(Clone, Debug)]
 pub(crate) struct Projected {
-    /// Column and row of the projected centre.
+    /// Column and row of the splat's projected centre, in each view.
     pub(crate) at: [Lane; 2],
     /// Coefficients [a, b, c] of u/16 = a dx² + b dx dy + c dy², for a pixel at the offset (dx, dy)
     /// from `at`. A splat of opacity o has the opacity o e^(−u) at this pixel.
     pub(crate) conic: [Lane; 3],
-    /// Half the extent along each axis, in pixels.
+    /// Half of the splat's extent along each axis, in pixels, in each view.
     pub(crate) reach: [Lane; 2],
     pub(crate) opacity: Lane,
     pub(crate) colour: [Lane; 3],
     /// Key of the view's blending order; it increases with the distance from the viewer.
     pub(crate) distance: Lane,
-    /// One bit per view in which the splat is visible in the tile.
+    /// One bit for each view in which the splat is visible in the tile.
     pub(crate) seen: u32,
 }
 
@@ -71,9 +71,10 @@ pub(crate) struct Args<'a> {
     pub(crate) eyes: &'a Eyes,
     /// Column and row of the first pixel of the tile.
     pub(crate) origin: [f32; 2],
-    /// Coefficients of the splat, `[coefficient][rgb]`; empty if no colours are computed.
+    /// Coefficients of the splat's harmonics, `[coefficient][rgb]`; empty if no colours are
+    /// computed.
     pub(crate) harmonics: &'a [f32],
-    /// The harmonics of each view's direction, for parallel rays.
+    /// The basis functions Y_lm of each view's direction. They are used only for parallel rays.
     pub(crate) bases: &'a [Lane; MOST],
     /// Columns of the map from directions in pixels to directions of the cloud.
     pub(crate) cloud_from_pixels: &'a [[f32; 3]; 3],

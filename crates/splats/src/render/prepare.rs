@@ -32,9 +32,9 @@ pub(crate) const NEAREST: f32 = 0.05;
 /// A splat in the window's coordinates, in pixels.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Splat {
-    /// Column, row and depth of the centre.
+    /// Column, row and depth of the splat's centre.
     pub(crate) centre: [f32; 3],
-    /// Covariance: xx, xy, xz, yy, yz, zz.
+    /// Covariance of the splat in pixels²: xx, xy, xz, yy, yz, zz.
     pub(crate) covariance: [f32; 6],
     pub(crate) opacity: f32,
     /// Index of the placed cloud (`placed`), and of the splat in the cloud (`index`).
@@ -54,7 +54,7 @@ pub(crate) enum Eye {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Seen {
     pub(crate) at: [f32; 2],
-    /// Covariance xx, xy, yy, without the pixel's variance.
+    /// Covariance of the projection in pixels²: xx, xy, yy, without the pixel's variance.
     pub(crate) covariance: [f32; 3],
 }
 
@@ -139,7 +139,7 @@ pub(crate) struct Prepared {
     pub(crate) splats: Vec<Splat>,
     /// Indices of the splats, nearest to the viewer first.
     pub(crate) by_depth: Vec<u32>,
-    /// Per placed cloud, the rotation from directions in pixels to directions of the cloud.
+    /// For each placed cloud, the rotation from directions in pixels to directions of the cloud.
     pub(crate) cloud_from_pixels: Vec<Mat3>,
 }
 

@@ -117,9 +117,10 @@ pub(crate) struct Views<'a> {
     pub(crate) ends: Vec<Eye>,
     cuts: Vec<Option<Cuts<'a>>>,
     lanes: Eyes,
-    /// Per placed cloud, the harmonics of each view's direction, for parallel rays.
+    /// For each placed cloud, the basis functions Y_lm of each view's direction. They are used only
+    /// for parallel rays.
     bases: Vec<[Lane; MOST]>,
-    /// Per placed cloud, the columns of the map from directions in pixels to directions of the
+    /// For each placed cloud, the columns of the map from directions in pixels to directions of the
     /// cloud.
     cloud_from_pixels: Vec<[[f32; 3]; 3]>,
 }
@@ -144,12 +145,12 @@ impl<'a> Views<'a> {
 
 /// One view of a tile during blending.
 struct Canvas {
-    /// Sums, `[sample][block]`.
+    /// Colour, transmittance and depth so far, `[sample][block]`.
     sums: Vec<[Sums; BLOCKS]>,
     cuts: Vec<[[f32; PIXELS]; BLOCKS]>,
-    /// Per sample, one bit for each block with an unfinished pixel.
+    /// For each sample of a pixel, one bit for each block with an unfinished pixel.
     open: Vec<u16>,
-    /// Splats that are projected but not yet blended: key of the order, and index into `flats`.
+    /// Splats that are projected but not yet blended: [`key`] of the order, and index into `flats`.
     pending: Vec<(u64, u32)>,
     /// Projected splats, with a bit for each block that they cover; the first `used` are valid.
     flats: Vec<(Flat, u16)>,
@@ -356,7 +357,7 @@ fn key(distance: f32, number: u32) -> u64 {
 #[derive(Default)]
 struct Scratch {
     ordered: Vec<Flat>,
-    /// Per block, the splats that cover it, in blending order.
+    /// For each block, indices of the splats that cover it, in blending order.
     over: [Vec<u16>; BLOCKS],
     kept: Vec<(Flat, u16)>,
 }

@@ -36,7 +36,7 @@ pub(crate) enum Boundary {
     None,
     /// The boundary is a smooth curve.
     EdgeOnly,
-    /// As `EdgeOnly`, but vertices with one face keep their positions.
+    /// The boundary is a smooth curve, but vertices with only one face keep their positions.
     #[default]
     EdgeAndCorner,
 }
@@ -72,7 +72,7 @@ pub(crate) struct Cage<'a> {
     pub(crate) hole_indices: &'a [i32],
     pub(crate) crease_indices: &'a [i32],
     pub(crate) crease_lengths: &'a [i32],
-    /// One value per crease, or one value per edge.
+    /// The list has one sharpness per crease, or one per edge of a crease.
     pub(crate) crease_sharpnesses: &'a [f32],
     pub(crate) corner_indices: &'a [i32],
     pub(crate) corner_sharpnesses: &'a [f32],
@@ -108,23 +108,23 @@ fn affordable_level(corner_count: usize, wanted: u32, most_triangles: usize) -> 
 /// A refined mesh, ready to interpolate values.
 pub(crate) struct Refinement {
     cage: Topology,
-    /// Index of the corner of the input's faces, for each corner of `cage`.
+    /// For each corner of `cage`, the index of the same corner among the faces of the input.
     source_corners: Vec<u32>,
     source_corner_count: usize,
     scheme: Scheme,
     smooth_triangles: bool,
     level: u32,
     levels: Vec<Stencils>,
-    /// The topology of the last level, before the projection to the limit.
+    /// The topology of the last level, whose vertices are not yet projected to the limit surface.
     finest: Topology,
-    /// Index of the face of the input, for each face of `finest`; `None` in holes.
+    /// For each face of `finest`, the index of the input's face that contains it; `None` in holes.
     sources: Vec<Option<u32>>,
 }
 
 /// Values, and the index of the value for each corner of [`Refinement::faces`].
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Indexed {
-    /// The values, with `width` numbers each.
+    /// The values, each with as many numbers as the input's values.
     pub(crate) values: Vec<f32>,
     pub(crate) indices: Vec<u32>,
 }

@@ -13,7 +13,8 @@ const SMOOTH_TRIANGLE_WEIGHT: f64 = 0.47;
 /// Child values as weighted sums of parent values.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Stencils {
-    /// Index of the first entry of each child, and the total number of entries.
+    /// For each child, the index of its first entry in `parents` and `weights`; then the number of
+    /// entries.
     starts: Vec<u32>,
     parents: Vec<u32>,
     weights: Vec<f32>,

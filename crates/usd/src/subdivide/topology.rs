@@ -42,8 +42,8 @@ impl Lists {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Edge {
     pub(super) ends: [u32; 2],
-    /// Two of the corners at which the edge starts. The second one is [`NONE`] if there is only
-    /// one.
+    /// Two of the corners at which the edge starts. If it starts at one corner only, the second is
+    /// [`NONE`].
     pub(super) corners: [u32; 2],
     /// True if the edge has exactly two faces that agree on the front side.
     pub(super) joined: bool,
@@ -55,12 +55,12 @@ pub(super) struct Edge {
 #[derive(Clone, Debug)]
 pub(super) struct Topology {
     pub(super) vertex_count: usize,
-    /// Index of the first corner of each face, and the total number of corners.
+    /// Index of the first corner of each face, then the number of all corners.
     starts: Vec<u32>,
-    /// Vertex of each corner.
+    /// For each corner, the index of its vertex.
     pub(super) corners: Vec<u32>,
     pub(super) face_of_corner: Vec<u32>,
-    /// The edge that leaves each corner.
+    /// For each corner, the index of the edge that leads to the face's next corner.
     pub(super) edge_of_corner: Vec<u32>,
     pub(super) edges: Vec<Edge>,
     corners_of_vertex: Lists,
@@ -72,11 +72,12 @@ pub(super) struct Topology {
 /// Treatment of a vertex, which depends on the sharp edges around it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rule {
-    /// At most one sharp edge ends at the vertex.
+    /// The vertex is smoothed, since at most one sharp edge ends at it.
     Smooth,
-    /// Two sharp edges lead to these vertices: the vertex moves along the crease.
+    /// The vertex moves along the crease of two sharp edges, which lead to these vertices.
     Crease([u32; 2]),
-    /// The vertex keeps its position.
+    /// The vertex keeps its position, for example since it is sharp or has more than two sharp
+    /// edges.
     Corner,
 }
 

@@ -27,7 +27,7 @@ struct Counted {
     /// Number of visible meshes of render geometry that have faces.
     #[serde(default)]
     shown: usize,
-    /// The reason why there is no package.
+    /// The reason why the walker wrote no package; `None` if it wrote one.
     refused: Option<String>,
 }
 
