@@ -93,7 +93,7 @@ impl Pages {
     ///
     /// # Safety The conditions of [`Window::new`] hold for `mapped`. The mapping begins at a page.
     pub unsafe fn new(mapped: Box<dyn MappedBytes>, limit: usize) -> Self {
-        // SAFETY: guaranteed by the caller; the box does not move the mapping
+        // SAFETY: the caller guarantees the conditions; the box does not move the mapping
         let window = unsafe { Window::new((*mapped).as_ref(), limit) };
         Self { mapped, window }
     }
@@ -202,7 +202,7 @@ unsafe fn madvise(start: usize, length: usize, advice: i32) {
     unsafe extern "C" {
         fn madvise(address: *mut c_void, length: usize, advice: c_int) -> c_int;
     }
-    // SAFETY: guaranteed by the caller
+    // SAFETY: the caller guarantees that the advice is harmless
     unsafe { madvise(start as *mut c_void, length, advice) };
 }
 

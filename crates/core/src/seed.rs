@@ -77,7 +77,7 @@ mod tests {
         let mut stream = Stream::new(derive(7, &[3]));
         let n = 100_000;
         let mean = (0..n).map(|_| f64::from(stream.next_f32())).sum::<f64>() / f64::from(n);
-        // five standard errors, each 0.29 / sqrt(n) = 9e-4
+        // the limit is five standard errors, each 0.29 / sqrt(n) = 9e-4
         assert!((mean - 0.5).abs() < 4.6e-3, "{mean}");
     }
 }

@@ -104,7 +104,7 @@ impl ToneCurve {
     /// Exposed radiance of the grey that is shown as `level`, 0 < `level` < 1.
     pub fn grey_shown_as(self, level: f32) -> f32 {
         let (mut low, mut high) = (0.0f32, 1e4f32);
-        // the curves are monotone on greys
+        // bisection finds the level, since the curves are monotone on greys
         for _ in 0..100 {
             let middle = 0.5 * (low + high);
             if self.apply([middle; 3])[1] < level { low = middle } else { high = middle }
@@ -257,13 +257,13 @@ mod tests {
     #[test]
     fn khronos_neutral_follows_its_specification() {
         let cases = [
-            // x = 0.02: f = 0.02 − 0.0025
+            // the least channel x is 0.02, so f = 0.02 − 0.0025 is subtracted from every channel
             ([0.02, 0.5, 0.3], [0.0025, 0.4825, 0.2825]),
             ([0.2, 0.5, 0.3], [0.16, 0.46, 0.26]),
-            // p = 1.96, p_n = 1 − 0.0576/1.44 = 0.96, g = 1/1.15: c = (c − f) · 0.48979592 ·
-            // 0.86956522 + 0.96 · 0.13043478
+            // The largest channel p = 1.96 is compressed to p_n = 1 − 0.0576/1.44 = 0.96, with g =
+            // 1/1.15. A channel becomes (c − f) · 0.48979592 · 0.86956522 + 0.96 · 0.13043478.
             ([2.0, 1.0, 0.5], [0.96, 0.534_086_6, 0.321_135_8]),
-            // grey keeps its colour: p = 3.96, p_n = 1 − 0.0576/3.44
+            // a compressed grey stays grey: p = 3.96 becomes p_n = 1 − 0.0576/3.44
             ([4.0; 3], [0.983_256; 3]),
         ];
         for (exposed, expected) in cases {
@@ -334,8 +334,8 @@ mod tests {
                 }
             }
         }
-        // base colours below the compression stay as they are, less the reflection that a
-        // dielectric's surface adds
+        // base colours below the compression keep their values, less the reflection that a
+        // dielectric's surface adds, 0.04
         let [r, g, b] = ToneCurve::KhronosNeutral.apply([0.64, 0.24, 0.14]);
         assert!((r - 0.6).abs() < ROUNDED && (g - 0.2).abs() < ROUNDED && (b - 0.1).abs() < ROUNDED);
     }

@@ -100,7 +100,7 @@ pub(crate) fn assemble(
     // Reserve a place for the result, and read views one at a time.
     let place = reading.paging.and_then(|paging| paging(&geometry));
     let mut all = match place {
-        // memory is only reserved here and touched later, since a header may claim any size
+        // only reserve memory; a header may claim any size, so pages are touched when values arrive
         None => FieldWriter::Held { geometry: geometry.clone(), values: reserved(&path, count)? },
         Some(_) => FieldWriter::begin(geometry.clone(), place)?,
     };
@@ -132,7 +132,7 @@ pub(crate) fn assemble(
         all.write(&part)?;
         task.progress.advance(1, "");
     }
-    // Read the views between the kept ones in the same geometry.
+    // Read the left-out views between the kept ones, in the same geometry.
     let mut left_out = Vec::with_capacity(others.len());
     for (view, grid) in others {
         task.cancel.check()?;
@@ -158,7 +158,7 @@ fn left_out(
 ) -> Vec<([usize; 2], ViewGrid)> {
     let grid = &geometry.grid;
     let positions = positions(source);
-    // per axis: the views that are kept or lie between two kept ones, each with its slope
+    // along each axis, list the views that are kept or lie between two kept ones, with their slopes
     let along = |axis: usize, slopes: &[f64]| -> Vec<(usize, f64)> {
         let (kept, positions) = (&picks[1 - axis], &positions[axis]);
         let mut found = vec![(kept[0], slopes[0])];
@@ -178,7 +178,7 @@ fn left_out(
             all.push(([*row, *col], ViewGrid::single(grid.projection, [*slope_x, *slope_y])));
         }
     }
-    // multiples of the golden ratio, modulo 1, are evenly spread for any count
+    // choose `most` of the views: multiples of the golden ratio, modulo 1, are evenly spread
     let mut order: Vec<(f64, usize)> = (0..all.len()).map(|i| ((i as f64 * GOLDEN).fract(), i)).collect();
     order.sort_by(|a, b| a.0.total_cmp(&b.0));
     order.truncate(most);

@@ -70,8 +70,8 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
         return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder has this name"));
     }
     let mut beside = temporary_beside(folder)?;
-    // The lock shows other processes that the writer is alive; see [`is_abandoned`]. If the file
-    // system has no locks, no file is regarded as abandoned.
+    // The lock shows other processes that the writer is alive; see [`is_abandoned`]. On a file
+    // system without locks, no file counts as abandoned.
     let _ = beside.as_file().try_lock();
     {
         let mut writer = BufWriter::with_capacity(1 << 16, beside.as_file_mut());
@@ -107,8 +107,8 @@ pub fn is_abandoned(path: &Path) -> bool {
 pub(crate) fn temporary_beside(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
-    // by default only the user can read a temporary file; results have the permissions of other
-    // files
+    // by default only the user can read a temporary file; give it the permissions of other files,
+    // since it becomes a result
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder.tempfile_in(folder)

@@ -92,15 +92,15 @@ struct CameraName {
 pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, FieldError> {
     let mut cameras = Vec::new();
     for file in pictures(folder)? {
-        // only the numbers are used; the name before them may have any encoding
+        // read only the numbers of a name; the text in front of them may have any encoding
         let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         if let Some(name) = parse_name(&stem) {
             cameras.push((name, file));
         }
     }
     let Some((first, _)) = cameras.first() else { return Ok(None) };
-    // depth or disparity maps may have another prefix; the largest group of names is the light
-    // field
+    // depth or disparity maps may have another prefix, so take the prefix of most names as the
+    // light field's
     let mut groups = BTreeMap::<&str, usize>::new();
     cameras.iter().for_each(|(name, _)| *groups.entry(&name.prefix).or_default() += 1);
     let prefix = groups.iter().max_by_key(|(_, count)| **count).map_or(&first.prefix[..], |(prefix, _)| prefix);
@@ -154,7 +154,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
     };
     let mut rows = distinct(|key| key.0);
     let mut cols = distinct(|key| key.1);
-    // The grid must be complete.
+    // Refuse a grid in which a row and a column have no picture.
     for &row in &rows {
         for &col in &cols {
             if !by_index.contains_key(&(row, col)) {

@@ -56,7 +56,7 @@ pub struct Description {
 pub fn describe(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<Description, FieldError> {
     let mut source = detect::detect(path, flags, task)?;
     let [rows, cols] = source.views;
-    // Statistics of all values need every view once.
+    // Read every view once, since the statistics are over all values.
     let (mut minimum, mut maximum) = (f32::INFINITY, f32::NEG_INFINITY);
     let (mut sum, mut finite, mut not_finite) = (0.0, 0u64, 0);
     task.progress.begin("read views", (rows * cols) as u64, "views");

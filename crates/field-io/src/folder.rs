@@ -110,7 +110,7 @@ pub fn write_field(folder: &Path, field: &LightField, info: &Map<String, Value>)
     atomic::create_folder(folder)?;
     atomic::remove(&folder.join(INDEX))?;
     let views: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
-    // compression takes longer than writing, so it runs in parallel
+    // write views in parallel, since their compression takes longer than writing
     views.par_iter().try_for_each(|&view| write_view(folder, field.geometry(), view, field.view(view)))?;
     write_index(folder, field.geometry(), info)
 }
@@ -215,7 +215,7 @@ fn write_index_of(
         Projection::Oblique => None,
         Projection::Perspective { distance_mm } => Some(distance_mm),
     };
-    // Entries repeat slope and eye position, for readers that do not interpret the grid.
+    // Each entry repeats its slope and eye position, for readers that do not interpret the grid.
     let entry = |(view, file): ([usize; 2], String)| {
         let slope = [grid.slope_x[view[1]], grid.slope_y[view[0]]];
         ViewEntry {

@@ -265,7 +265,7 @@ fn slopes(
 ) -> Result<([Vec<f64>; 2], bool), FieldError> {
     let counts = [picks[1].len(), picks[0].len()];
     let spread = |fov_deg: [f64; 2]| spread(path, fov_deg, hints, picks);
-    // First choice: the angles of the flags. Warn if they differ from the files' angles.
+    // The angles of the flags come first. Warn if they differ from the files' angles.
     if let Some(fov_deg) = flags.fov_deg {
         let slopes = spread(fov_deg)?;
         let of_file = |axis: usize| {
@@ -286,7 +286,7 @@ fn slopes(
         }
         return Ok((slopes, false));
     }
-    // Second choice: slopes in the files, then full angles in the files.
+    // Next come slopes in the files, and then full angles in the files.
     let explicit = [0, 1].map(|axis| {
         let all = hints.slopes[axis].as_ref()?;
         Some(picks[1 - axis].iter().map(|&view| all[view]).collect::<Vec<f64>>())
@@ -305,7 +305,7 @@ fn slopes(
     if counts == [1, 1] {
         return Ok((filled([vec![0.0], vec![0.0]]), false));
     }
-    // Third choice: the default angles, with a warning. Last choice: the slopes of the cameras.
+    // Then come the default angles, with a warning. The cameras' own slopes come last.
     if let Some(fov_deg) = defaults.fov_deg {
         let [x, y] = fov_deg;
         let mut message = format!("its views are spread over {x}° × {y}° (--fov sets the angles)");

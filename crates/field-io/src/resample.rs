@@ -45,8 +45,7 @@ pub(crate) fn area(source: &[f32], size: [usize; 2], rect: Rect, out_size: [usiz
 
 fn covers(start: f64, length: f64, count: usize, limit: usize) -> Vec<Cover> {
     let step = length / count as f64;
-    // rectangles lie within the source; past its edge, by a rounding error, the border pixel is
-    // read
+    // rectangles lie within the source; an edge that a rounding error puts outside is clamped
     let inside = |edge: f64| edge.clamp(0.0, limit as f64);
     let cover = |index: usize| {
         let from = inside(start + index as f64 * step);

@@ -63,7 +63,7 @@ impl<'a> Accessor<'a> {
         used_at: &str,
         format: &Format,
     ) -> Result<Self, Fault> {
-        // the accessor's type has to fit its use
+        // check that the accessor's type fits its use
         let accessor = document.get(index, used_at)?;
         let place = format!("/accessors/{}", index.value());
         let invalid = |field: &str| {
@@ -86,7 +86,7 @@ impl<'a> Accessor<'a> {
         // read the dense elements, and the sparse elements that replace some of them
         let dimensions = kind.multiplicity();
         let size = component.size() * dimensions;
-        // only vertex attributes may be interleaved, and all of them are vectors
+        // allow a stride only for vectors, since only vertex attributes may be interleaved
         let may_stride = matches!(kind, Type::Vec2 | Type::Vec3 | Type::Vec4);
         let offset = accessor.byte_offset.unwrap_or_default().0;
         let dense = match accessor.buffer_view {
@@ -248,7 +248,7 @@ impl<'a> Elements<'a> {
     ) -> Result<Self, Fault> {
         let view = document.view(view, &format!("{place}/bufferView"))?;
         let length = view.bytes.len();
-        // the distance from one element to the next
+        // the stride is the distance from the start of one element to the start of the next
         let mut stride = view.stride.unwrap_or(size);
         if stride != size && !may_stride {
             // glTF allows no stride here. Most readers apply a stride under which the elements fit
@@ -305,7 +305,7 @@ impl<'a> Sparse<'a> {
             let expected = format!("a count in 1..{accessor_count}");
             return Err(Fault::new(format!("{place}/count"), expected, sparse.count.0));
         };
-        // indices and values are in separate views
+        // read the indices and the new values, which are in separate views
         let elements = |view, part: &str, offset: u64, size| {
             let (part, count_place) = (format!("{place}/{part}"), format!("{place}/count"));
             Elements::open(document, view, &part, &count_place, offset, count, size, false)
@@ -314,7 +314,7 @@ impl<'a> Sparse<'a> {
         let raw = elements(indices.buffer_view, "indices", indices.byte_offset.0, index_size)?;
         let values = elements(values.buffer_view, "values", values.byte_offset.0, size)?;
         document.spend(&place, count, size_of::<u32>())?;
-        // indices increase, so all are in range if the last one is
+        // check only the last index, since indices increase
         let indices: Vec<u32> = (0..count).map(|i| unsigned(raw.get(i))).collect();
         let place = format!("{place}/indices");
         if let Some(at) = indices.windows(2).position(|pair| pair[0] >= pair[1]) {

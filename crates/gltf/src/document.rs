@@ -93,7 +93,7 @@ impl<'a> Document<'a> {
     where
         json::Root: Get<T> + AsRef<[T]>,
     {
-        // the typed reader keeps 32 bits only, so the index as written is compared too
+        // the typed reader keeps only 32 bits of an index, so compare the index as written too
         let written = self.json(place).and_then(Value::as_u64);
         match self.root.get(index) {
             // if there is no number at `place`, then `place` is the object itself
@@ -200,8 +200,8 @@ impl<'a> Document<'a> {
                 return Err(Fault::new(format!("{place}/uri"), expected, "none"));
             }
         };
-        // the binary chunk is padded, and files may be longer, so only the buffer's own length is
-        // used
+        // the binary chunk is padded, and a file may be longer than its buffer, so use only the
+        // buffer's own length
         usize::try_from(buffer.byte_length.0).ok().and_then(|length| bytes.get(..length)).ok_or_else(|| {
             let expected = format!("at most {} bytes, which the buffer's data has", bytes.len());
             Fault::new(format!("{place}/byteLength"), expected, buffer.byte_length.0)
@@ -215,7 +215,7 @@ impl<'a> Document<'a> {
             return decode_data_uri(data, place);
         }
         let scheme = uri.split_once(':').map(|(scheme, _)| scheme);
-        // a scheme of one letter is a Windows drive, about which the resolver decides
+        // a scheme of one letter is a Windows drive, so the resolver decides about it
         if scheme.is_some_and(|scheme| {
             scheme.len() > 1 && scheme.bytes().all(|b| b.is_ascii_alphanumeric() || b"+-.".contains(&b))
         }) {

@@ -118,7 +118,7 @@ fn load_scene(
     };
     place_meshes(&document, &nodes, &mut materials, &mut parts)?;
     if parts.instances.is_empty() && parts.placed_clouds.is_empty() {
-        // there is nothing to validate; [`cause`] finds the reason
+        // without meshes there is nothing to validate, so [`cause`] finds the reason
         return Err(cause::nothing_to_show(&document, &nodes));
     }
     materials.images.decode(&document)?;
@@ -190,7 +190,7 @@ fn place_meshes(
         let animated_weights = nodes.poses.get(&number).and_then(|pose| pose.weights.as_deref());
         let weights = animated_weights.or(node.weights.as_deref());
         let own_shape = pose.is_some() || weights.is_some();
-        // read the mesh once per shape
+        // read the mesh once for each shape that it has
         let clouds = match loaded_splats.entry(index.value()) {
             Entry::Occupied(entry) => entry.into_mut(),
             Entry::Vacant(entry) => entry.insert(read_splats(document, mesh, index.value(), &mut parts.clouds)?),

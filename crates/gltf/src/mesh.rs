@@ -97,7 +97,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         }
         None => {
             let indices = indices(document, request, count)?;
-            // at most one triangle per index
+            // there is at most one triangle per index
             document.spend(place, indices.len(), size_of::<[u32; 3]>())?;
             triangles(mode, &indices)
         }
@@ -115,8 +115,8 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         material: request.material,
         ..Mesh::default()
     };
-    // normals and tangents may lack a direction; the scene's validator and `mend_tangents` replace
-    // them then
+    // a normal or tangent may have no direction; the scene's validator mends normals, and
+    // `mend_tangents` mends tangents
     if let Some(normals) = attributes.open(Semantic::Normals, &NORMAL, Some(count))? {
         mesh.normals = vec3s(normals.assume_normalized().floats::<3>(document, &selection, 0.0)?);
         if let Some(tangents) = attributes.open(Semantic::Tangents, &TANGENT, Some(count))? {
@@ -206,7 +206,7 @@ fn select_used_vertices(triangles: &mut [[u32; 3]], count: usize) -> Selection {
         return Selection::All;
     }
     for vertex in corners {
-        // the search succeeds, since `used` holds all of the corners
+        // the search succeeds, since `used` holds every vertex of the corners
         *vertex = used.binary_search(vertex).unwrap_or_default() as u32;
     }
     Selection::Some(used)

@@ -47,7 +47,7 @@ impl<'d> Packed<'d> {
         let fields = &self.fields;
         let number =
             |key: &str| fields.count(key)?.ok_or_else(|| Fault::new(fields.place(key), "a whole number", "nothing"));
-        // the extension's numbers must agree with the view's, and they bound the memory
+        // check that the extension's numbers agree with the view's numbers, which bound the memory
         let (count, stride, length) = (number("count")?, number("byteStride")?, number("byteLength")?);
         let offset = fields.count("byteOffset")?.unwrap_or_default();
         let source = document.range(fields.needed_index("buffer")?, offset, length, fields.here())?;

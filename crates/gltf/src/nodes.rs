@@ -46,7 +46,8 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
         Some(scene) => Some((document.get(scene, "/scene")?, scene.value())),
         None => root.scenes.first().map(|scene| (scene, 0)),
     };
-    // the roots: of the scene, or all nodes without a parent if the file has no scene
+    // find the roots: the nodes that the scene lists, or all nodes without a parent if there is no
+    // scene
     let mut roots = Vec::new();
     match scene {
         Some((scene, number)) => {
@@ -104,7 +105,7 @@ fn adopt(
     let found = format!("expected a node without a parent, found node {node}, a child of node {parent}");
     let (mut path, mut at, mut shown) = (Vec::new(), Some(parent), false);
     while let Some(ancestor) = at {
-        // a path longer than the number of nodes is a cycle, which is refused later
+        // a path with more nodes than the file has is a cycle, which is refused later
         if listed[ancestor] || path.len() > parents.len() {
             shown = true;
             break;
@@ -158,7 +159,8 @@ fn placements(
     let nodes = &document.root.nodes;
     let mut placements: Vec<Option<DAffine3>> = vec![None; nodes.len()];
     for start in 0..nodes.len() {
-        // go up to the nearest ancestor that is placed already, then down again
+        // go up to the nearest ancestor that is placed already, then place the nodes of the path
+        // downwards
         let mut path = Vec::new();
         let mut at = Some(start);
         while let Some(node) = at.filter(|&node| placements[node].is_none()) {
@@ -249,7 +251,7 @@ pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<
         let index = index.ok_or_else(|| Fault::new(&place, "an accessor's index", quote(Some(value))))?;
         Accessor::open(document, json::Index::new(index), &place, format).map(Some)
     };
-    // absent attributes have their defaults; all others must have the same count
+    // an absent attribute has its default; present attributes must have the same count
     let translations = open("TRANSLATION", &TRANSLATION)?;
     let rotations = open("ROTATION", &ROTATION)?.map(Accessor::assume_normalized);
     let scales = open("SCALE", &TRANSLATION)?;

@@ -72,7 +72,7 @@ impl Pose {
         selection: &Selection,
         count: usize,
     ) -> Result<(), Fault> {
-        // sum the weighted joint matrices of every vertex, over all sets of joints
+        // for every vertex, sum the weighted joint matrices over all sets of joints
         let mut sums = vec![(Affine3A::ZERO, 0.0f32); mesh.positions.len()];
         let mut first_joints = Vec::new();
         for set in 0.. {
@@ -97,7 +97,8 @@ impl Pose {
             }
         }
         for (i, (matrix, weight)) in sums.into_iter().enumerate() {
-            // weights may have any sum; a vertex whose weights are all 0 follows its first joint
+            // divide by the sum of weights, which may be any; without weights a vertex follows its
+            // first joint
             let matrix = if weight > 0.0 {
                 Affine3A { matrix3: matrix.matrix3 * weight.recip(), translation: matrix.translation / weight }
             } else {

@@ -55,7 +55,7 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
     if mode != 0 {
         return Err(Fault::new(format!("{place}/mode"), "0 (POINTS), as splats have", mode));
     }
-    // an unknown value is treated as the value that is named here, with a warning
+    // replace a value that is not known by the value that is named here, with a warning
     let text = |key: &str| document.json(&format!("{here}/{key}")).and_then(serde_json::Value::as_str);
     let encoding = match text("colorSpace") {
         Some("srgb_rec709_display") => Encoding::Srgb,
@@ -111,7 +111,7 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
     let positions = needed("POSITION", &POSITION, None)?;
     let count = Some(positions.count);
     let all = &Selection::All;
-    // the validator drops splats with values that are not finite or out of range
+    // values are not checked here: the validator drops splats that are not finite or out of range
     let positions = positions.floats::<3>(document, all, 0.0)?;
     let rotations = needed(&own("ROTATION"), &ROTATION, count)?.assume_normalized().floats::<4>(document, all, 0.0)?;
     let scales = needed(&own("SCALE"), &SCALE, count)?.floats::<3>(document, all, 0.0)?;
@@ -136,7 +136,7 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
             }
         }
     }
-    // interleave the harmonics splat by splat
+    // the harmonics come coefficient by coefficient, so interleave them splat by splat
     let count = positions.len();
     document.spend(place, count, harmonics.len() * size_of::<[f32; 3]>())?;
     let interleaved = (0..count).flat_map(|i| harmonics.iter().flat_map(move |of_all| of_all[i]));

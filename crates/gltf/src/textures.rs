@@ -73,8 +73,8 @@ impl<'d, 'f> Loader<'d, 'f> {
         }
         let place = format!("/textures/{}", index.value());
         let better = ["KHR_texture_basisu", "EXT_texture_webp"].map(|name| format!("{place}/extensions/{name}/source"));
-        // use the picture of the extension if there is one; `source` is for readers without the
-        // extension
+        // use the picture that an extension names, if there is one; `source` is for readers without
+        // the extension
         let image = match better.iter().find_map(|place| Some((document.json(place)?.as_u64()?, place))) {
             Some((source, place)) => self.images.texture(document, json::Index::new(source as u32), place)?,
             None => self.images.texture(document, texture.source, &format!("{place}/source"))?,

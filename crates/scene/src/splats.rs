@@ -138,7 +138,7 @@ impl Cloud {
             let expected = format!("a degree of harmonics up to {MAX_DEGREE}");
             return Err(SceneError::new(&self.place, expected, self.degree.to_string()));
         }
-        // every list has an entry per splat
+        // check that every list has an entry per splat
         let count = self.len();
         let lengths = [
             ("rotations", self.rotations.len(), count),
@@ -168,7 +168,7 @@ impl Cloud {
             task.warn(&self.place, message);
         }
         self.rotations.iter_mut().for_each(|rotation| *rotation = rotation.normalize());
-        // splats that are close in space become close in memory
+        // sort the splats of a large cloud, so that splats close in space are close in memory
         if self.len() > UNSORTED {
             self.sort_by_place();
         }
@@ -181,7 +181,7 @@ impl Cloud {
         let mut bounds = Bounds::EMPTY;
         self.positions.iter().for_each(|at| bounds.include(*at));
         let steps = (1u32 << 21) as f32 / bounds.size().max_element().max(f32::MIN_POSITIVE);
-        // the bits of a number, with two zeros between neighbouring bits
+        // insert two zeros between neighbouring bits of a number
         let spread = |value: f32| {
             let mut bits = u64::from((value * steps) as u32).min((1 << 21) - 1);
             for (shift, mask) in [
@@ -195,7 +195,7 @@ impl Cloud {
             }
             bits
         };
-        // Morton code of a position
+        // compute the Morton code of a position
         let key = |at: Vec3| {
             let [x, y, z] = (at - bounds.min).to_array();
             spread(x) | spread(y) << 1 | spread(z) << 2
@@ -218,8 +218,8 @@ impl Cloud {
     /// axis, and the splats near the bulk. To find the bulk, splats are weighted by opacity × area.
     pub(crate) fn seen_bounds(&self, scene_from_cloud: Affine3A) -> Bounds {
         let points: Vec<Vec3> = self.positions.iter().map(|p| scene_from_cloud.transform_point3(*p)).collect();
-        // The area that a splat covers. The largest tenth of the splats are sky and haze, so their
-        // areas count only as much as the largest of the other areas.
+        // Compute the area that each splat covers. The largest tenth of the splats are sky and
+        // haze, so their areas count only as much as the largest of the other areas.
         let mut areas: Vec<f32> = self.scales.iter().map(|s| (s.x * s.y).max(s.y * s.z).max(s.z * s.x)).collect();
         let mut sorted = areas.clone();
         sorted.sort_by(f32::total_cmp);
@@ -251,7 +251,7 @@ impl Cloud {
             }
         }
         if bounds.is_empty() {
-            // if all splats near the bulk are faint, use them in spite of their opacity
+            // all splats near the bulk are faint, so use them in spite of their opacity
             points.iter().filter(|point| fence.contains(**point)).for_each(|point| bounds.include(*point));
         }
         bounds

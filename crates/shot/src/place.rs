@@ -84,7 +84,8 @@ impl Means {
             FitDepth::Off => None,
             FitDepth::Move => Some(Self { moves: true, compresses: false, at_need: false }),
             FitDepth::Compress => Some(Self { moves: true, compresses: true, at_need: false }),
-            // the user's position of the window and the user's scale of depth stay
+            // fitting changes neither a window that the user placed nor a depth scale that the user
+            // set
             FitDepth::Auto if chosen && scaled => None,
             FitDepth::Auto => Some(Self { moves: !chosen, compresses: !scaled, at_need: true }),
         }
@@ -184,7 +185,7 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         Projection::Oblique => z + by,
         Projection::Perspective { distance_mm } => (z + by) * distance_mm / (distance_mm + by),
     };
-    // the window must stay in front of the eye
+    // the window must stay in front of the eye, which limits how far it moves forward
     let least = match projection {
         Projection::Oblique => f64::NEG_INFINITY,
         Projection::Perspective { distance_mm } => -0.9 * distance_mm,
@@ -218,14 +219,14 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         let scale = scale_at(by);
         (ends.map(|end| shown(end, by, scale)).into_iter().sum::<f64>() - (low + high)).abs()
     };
-    // the moves go from the whole scene in front of the depth of field to the whole scene behind it
+    // try moves from the whole scene in front of the depth of field to the whole scene behind it
     let (first, last) = ((low - nearest).min(0.0).max(least), (high - farthest).max(0.0).max(least));
     let at = |i: usize| first + (last - first) * i as f64 / (TRIED - 1) as f64;
     let moves = if means.moves { TRIED } else { 0 };
     let tried: Vec<(f64, f64, f64)> = (0..moves).map(at).chain([0.0]).map(|by| (by, share(by), scale_at(by))).collect();
     let most = tried.iter().fold(0.0, |most: f64, (_, share, _)| most.max(*share));
     let good = tried.iter().filter(|(_, share, _)| *share >= most - AS_GOOD);
-    // choose the least compression first, then the most even position
+    // choose the moves with the least compression, and among them the most even position
     let largest = good.clone().fold(0.0, |largest: f64, (_, _, scale)| largest.max(*scale));
     let good = good.filter(|(_, _, scale)| *scale >= largest * (1.0 - AS_GOOD));
     let best = good.min_by(|a, b| uneven(a.0).total_cmp(&uneven(b.0)));
@@ -267,7 +268,7 @@ mod tests {
 
     #[test]
     fn a_deep_scene_is_placed_where_most_of_it_is_shown() {
-        // nine tenths between −310 and −210 mm, the rest far behind
+        // nine tenths of the depths are between −310 and −210 mm, and the rest is far behind
         let mut depths = evenly(-310.0, -210.0);
         depths.extend(evenly(-2000.0, -1500.0).iter().step_by(10));
         depths.sort_by(f64::total_cmp);
@@ -301,7 +302,7 @@ mod tests {
     fn unasked_nothing_changes_where_the_scene_fits() {
         let stay = Fit { moved_back_mm: 0.0, depth_scale: 1.0 };
         for means in [AUTO, IN_PLACE] {
-            // a fiftieth of the depths at either end may be outside
+            // a fiftieth of the depths at either end may be outside, so nothing changes
             assert_eq!(best_fit(&evenly(-81.0, 81.0), RANGE, Projection::Oblique, 1.0, means), stay);
             assert_eq!(best_fit(&evenly(10.0, 60.0), RANGE, PERSPECTIVE, 1.0, means), stay);
             assert_ne!(best_fit(&evenly(-120.0, 81.0), RANGE, Projection::Oblique, 1.0, means), stay);

@@ -84,8 +84,8 @@ impl SceneRenderer {
             });
         };
         let slopes = slopes(geometry, views);
-        // Take the depth of the splats. Where a ray goes through all splats, take the surface
-        // behind.
+        // Take the depth of the splats. Where a ray goes through all splats, take the depth of the
+        // surface behind them.
         let surfaces = |number: usize| self.surfaces(window, geometry, slopes[number], 1, task).map_err(E::from);
         splats.render(window, geometry, &slopes, &surfaces, Wanted::Depth, task, |number, view| {
             let mut z_mm = view.z_mm;

@@ -111,7 +111,7 @@ impl Renderer {
             let first = number * VIEWS;
             let surfaces: Vec<Option<Surfaces>> =
                 (0..block.len()).map(|i| surfaces(first + i)).collect::<Result<_, E>>()?;
-            // Depths in pixels; a miss is farther than all splats.
+            // Convert depths to pixels; a miss becomes farther than all splats.
             let cuts: Vec<Option<Vec<f32>>> = surfaces
                 .iter()
                 .map(|surfaces| {
@@ -210,8 +210,8 @@ fn bin(prepared: &Prepared, ends: &[Eye], tiles: [usize; 2]) -> (Vec<usize>, Vec
             row + usize::from(left)..row + usize::from(end)
         })
     };
-    // A counting sort: count the splats per tile, sum the counts to starts, then fill the lists in
-    // order of depth.
+    // Sort by counting: count the splats of each tile, sum the counts to starts, then fill the
+    // lists in order of depth.
     let mut starts = vec![0usize; count + 1];
     for reach in &reaches {
         for range in each_row(*reach) {
@@ -241,7 +241,7 @@ fn tiles_of(splat: &Splat, ends: &[Eye], tiles: [usize; 2]) -> [u16; 4] {
     for eye in ends {
         let Some(seen) = eye.project(splat) else { return [0; 4] };
         for (axis, variance) in [seen.covariance[0], seen.covariance[2]].into_iter().enumerate() {
-            // slightly more than the cutoff, since rounding differs between views
+            // take slightly more than the cutoff, since rounding differs between views
             let reach = 1.001 * CUTOFF * (variance.max(0.0) + PIXEL_VARIANCE).sqrt() + 0.01;
             low[axis] = low[axis].min(seen.at[axis] - reach);
             high[axis] = high[axis].max(seen.at[axis] + reach);

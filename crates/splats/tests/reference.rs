@@ -292,7 +292,7 @@ fn surfaces_hide_the_splats_behind_them() {
     let scene = two_clouds();
     let geometry = geometry(PERSPECTIVE, 1);
     let (rows, cols) = (geometry.rows, geometry.cols);
-    // a surface that tilts from left to right, and no surface at the right
+    // the surface tilts from left to right, and the right part of the picture has no surface
     let z = |col: usize| if col < 40 { col as f32 * 2.0 - 40.0 } else { f32::NAN };
     let values = (0..rows * cols).flat_map(|i| [z(i % cols); 2]).collect();
     let surfaces = Surfaces { z_mm: Tensor::from_vec(["row", "col", "sample"], [rows, cols, 2], values).unwrap() };
@@ -325,7 +325,7 @@ fn the_same_bytes_come_out_of_any_block_of_views_and_any_number_of_threads() {
                 all.iter().zip(&again).for_each(|(a, b)| same(a, b));
             });
         }
-        // one view per call, from the last to the first
+        // rendering one view per call, from the last to the first, gives the same views
         for (slope, view) in slopes.iter().zip(&all).rev().step_by(5) {
             same(view, &render(&scene, &geometry, &[*slope], None)[0]);
         }
@@ -365,7 +365,7 @@ fn depth_is_where_half_of_the_light_is_gone() {
     };
     // the first two splats transmit 0.7 · 0.6 = 0.42, so the depth is the second splat's
     assert_eq!(z_of(&window), 5.0);
-    // a near plane that removes the first splat, then one that removes all
+    // a near plane at 7 mm removes the first splat, and one at −7 mm removes all splats
     assert_eq!(z_of(&Window { near_mm: Some(7.0), ..window }), -5.0);
     assert!(z_of(&Window { near_mm: Some(-7.0), ..window }).is_nan());
 }

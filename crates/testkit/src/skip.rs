@@ -38,7 +38,7 @@ fn account(why: &str, test: Option<&str>, is_ci: bool, list: Option<&Path>) -> R
     if let Some(list) = list {
         let line = format!("test {}: {}\n", test.unwrap_or("?"), why.replace('\n', " "));
         let file = std::fs::OpenOptions::new().create(true).append(true).open(list);
-        // a single write, since tests run in parallel
+        // write the line at once, since tests run in parallel
         if let Err(error) = file.and_then(|mut file| file.write_all(line.as_bytes())) {
             println!("{}: {error}", list.display());
         }

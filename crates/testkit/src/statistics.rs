@@ -27,7 +27,7 @@ pub struct Mean {
 impl Mean {
     /// Mean of independent samples.
     pub fn of(samples: impl IntoIterator<Item = f64>) -> Self {
-        // Welford's recurrence
+        // Welford's recurrence sums the squares without loss of precision
         let (mut count, mut mean, mut squares) = (0.0, 0.0, 0.0);
         for sample in samples {
             count += 1.0;

@@ -179,7 +179,7 @@ pub fn render_views(
 ) -> Result<(), UsdError> {
     let folder = temporary()?;
     let mut next = 0;
-    // Blender finishes the views in order.
+    // Take every finished view in order, since Blender finishes the views in order.
     let mut collect = || {
         while next < views.slopes.len() {
             let picture = folder.path().join(format!("done_{next:05}.exr"));

@@ -103,8 +103,8 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     let python = program.display().to_string();
     let io = |source| Failed::Final(UsdError::Io { place: "a temporary file".into(), source });
     let file = tempfile::tempfile().map_err(io)?;
-    // Start the child. Modules in the working folder do not shadow Python's own, and file names are
-    // UTF-8.
+    // Start the child. With these variables, modules in the working folder do not shadow Python's
+    // own, and file names are UTF-8.
     let mut command = Command::new(program);
     command.args(["-c", BOOT]).env("PYTHONSAFEPATH", "1").env("PYTHONUTF8", "1");
     command.stdin(Stdio::piped()).stdout(file.try_clone().map_err(io)?).stderr(Stdio::piped());
@@ -131,7 +131,7 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     let failed = |found| Failed::Final(UsdError::Child { file: request.path.into(), python: python.clone(), found });
     let answer = Answer { file: map(&file).map_err(io)?, python: python.clone() };
     if answer.file.is_none() && status.code().is_some_and(|code| code != 0) {
-        // The boot script did not run, or this Python could not parse it.
+        // Without output, the boot script did not run, or this Python could not parse it.
         return Err(Failed::Unfit(ended(status, &said)));
     }
     if !status.success() {

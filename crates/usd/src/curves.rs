@@ -170,7 +170,7 @@ fn weights(basis: Basis, t: f32) -> [f32; 4] {
 fn samples(curves: &Curves<'_>, count: usize, segments: usize, steps: usize) -> Vec<Sample> {
     let periodic = curves.wrap == Wrap::Periodic;
     let stride = if curves.basis == Basis::Bezier { 3 } else { 1 };
-    // offset from the start of a segment to the first of its four points
+    // number of points from the start of a segment to the first of its four points
     let shift = match (curves.basis, curves.wrap) {
         (Basis::BSpline | Basis::CatmullRom, Wrap::Pinned) => -1,
         _ => 0,
@@ -264,8 +264,8 @@ fn sweep(curves: &Curves<'_>, mut place: Place<'_>, samples: &[Sample], sides: u
             sides + 1
         }
     };
-    // Data are constant around a rib. The vertices of the caps come after the vertices of the ribs,
-    // and have the data of the curve's ends.
+    // All vertices of a rib have the data of its sample. The vertices of the caps follow, and have
+    // the data of the curve's ends.
     let added = place.geometry.positions.len() - first;
     let sample_of = |vertex: usize| match vertex / count {
         rib if rib < samples.len() => &samples[rib],
@@ -360,7 +360,7 @@ fn tube(place: &mut Place<'_>, ribs: &[Rib], sides: usize, closed: bool) {
         let (sine, cosine) = (TAU * (side % sides) as f32 / sides as f32).sin_cos();
         cosine * rib.across + sine * rib.tangent.cross(rib.across)
     };
-    // Add the side: one ring of vertices per rib, which is joined to the next ring.
+    // Add the side of the tube: one ring of vertices per rib, which is joined to the next ring.
     for rib in ribs {
         for side in 0..=sides {
             let out = around(rib, side);
@@ -510,13 +510,13 @@ mod tests {
             spine(&geometry, 8 * segments + 1, 12)
         };
         let close = |a: Vec3, b: Vec3| assert!(a.distance(b) < 1e-5, "{a} {b}");
-        // Bézier: passes through every third point; at t = ½ it is (p0 + 3 p1 + 3 p2 + p3)/8
+        // a Bézier curve passes through every third point; at t = ½ it is (p0 + 3 p1 + 3 p2 + p3)/8
         let bezier = run(Basis::Bezier, Wrap::Nonperiodic);
         assert_eq!(bezier.len(), 17);
         close(bezier[8], points[3]);
         close(bezier[4], Vec3::new(2.0, 1.5, 0.0));
         close(bezier[16], points[6]);
-        // B-spline: (p0 + 4 p1 + p2)/6 where segments join
+        // a B-spline is (p0 + 4 p1 + p2)/6 where segments join
         let spline = run(Basis::BSpline, Wrap::Nonperiodic);
         assert_eq!(spline.len(), 33);
         close(spline[0], (points[0] + 4.0 * points[1] + points[2]) / 6.0);
@@ -524,7 +524,7 @@ mod tests {
         let pinned = run(Basis::BSpline, Wrap::Pinned);
         close(pinned[0], points[0]);
         close(pinned[48], points[6]);
-        // Catmull–Rom: passes through the points
+        // a Catmull–Rom curve passes through its points
         let catmull = run(Basis::CatmullRom, Wrap::Nonperiodic);
         close(catmull[0], points[1]);
         close(catmull[16], points[3]);
@@ -539,7 +539,7 @@ mod tests {
 
     #[test]
     fn a_closed_tube_is_a_torus() {
-        // control points of a B-spline close to a circle of radius 2
+        // the control points are close to a circle of radius 2
         let points: Vec<Vec3> = (0..24)
             .map(|i| TAU * i as f32 / 24.0)
             .map(|a| 2.0 * Vec3::new(a.cos(), a.sin(), 0.3 * (2.0 * a).sin()))
@@ -551,7 +551,7 @@ mod tests {
         }
         let flat: Vec<Vec3> = points.iter().map(|p| Vec3::new(p.x, p.y, 0.0)).collect();
         let torus = tessellate(&curves(&flat, &[24], Basis::CatmullRom, Wrap::Periodic));
-        // by Pappus's theorem, the volume is 2π·2 times the area of the cross-section
+        // by Pappus's theorem, the volume is the area of the cross-section times 2π·2
         assert!((torus.volume() / (4.0 * PI * 0.75) - 1.0).abs() < 0.01, "{}", torus.volume());
     }
 

@@ -233,7 +233,7 @@ mod tests {
         check(&cube(3.0), 54.0, 27.0);
         for axis in [Axis::X, Axis::Y, Axis::Z] {
             check(&cylinder(0.5, 0.5, 3.0, axis), PI * (3.0 + 0.5), PI * 0.75);
-            // a frustum: area π(R + r)·slant + π(R² + r²), volume πh/3·(R² + Rr + r²)
+            // a frustum has the area π(R + r)·slant + π(R² + r²) and the volume πh/3·(R² + Rr + r²)
             let slant = (1.0f64 + 9.0).sqrt();
             check(&cylinder(0.5, 1.5, 3.0, axis), PI * (2.0 * slant + 2.5), PI * (0.25 + 0.75 + 2.25));
             check(&cone(2.0, 3.0, axis), PI * 2.0 * (2.0 + 13.0f64.sqrt()), PI * 4.0);
@@ -247,12 +247,13 @@ mod tests {
         let geometry = capsule(top, bottom, height, Axis::Z);
         geometry.assert_sound();
         geometry.assert_closed();
-        // along its normal, every vertex is as far out as the outermost point of both balls
+        // along its normal, every vertex is as far out as the outermost point of the capsule's two
+        // balls
         for (&position, &normal) in geometry.positions.iter().zip(&geometry.normals) {
             let support = (top + normal.z * 0.5 * height).max(bottom - normal.z * 0.5 * height);
             assert!((position.dot(normal) - support).abs() < 1e-5, "{position} {normal}");
         }
-        // a capsule in which one ball contains the other
+        // if one ball of a capsule contains the other, the result is the larger ball
         let ball = capsule(0.5, 3.0, 2.0, Axis::Z);
         assert!((ball.volume() / (4.0 / 3.0 * PI * 27.0) - 1.0).abs() < TESSELLATION);
         ball.assert_closed();

@@ -193,7 +193,7 @@ impl Lights {
             if entry.kind == "cylinder" {
                 return task.warn(&entry.place, "a cylinder with a cone is not supported and is left out");
             }
-            // seen from any side, a sphere's disc has a quarter of the sphere's surface area
+            // a sphere's disc, as seen from any side, has a quarter of the sphere's surface area
             let seen = if is_sphere { 0.25 } else { 1.0 };
             let intensity = if entry.normalize { seen * given } else { seen * scene_area * given };
             if entry.image.is_some() {

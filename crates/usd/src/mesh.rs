@@ -142,7 +142,7 @@ impl Cutter {
         };
         let convex = (0..count).all(|i| turn(i) >= 0.0);
         if count == 4 && !convex {
-            // the diagonal begins at the concave corner, so both triangles contain this corner
+            // start the diagonal at a concave corner, so that it is inside the polygon
             let hub = if turn(1) < 0.0 || turn(3) < 0.0 { 1 } else { 0 };
             self.triangles.extend([[hub, hub + 1, hub + 2], [hub, hub + 2, (hub + 3) % 4]]);
             return &self.triangles;
@@ -261,7 +261,7 @@ mod tests {
         for (interpolation, count) in all {
             for indexed in [false, true] {
                 let values: Vec<[f32; 2]> = (0..count).map(|i| [i as f32, 0.5]).collect();
-                // the indices are in reverse order, so that an index differs from the number of its
+                // reverse the order of the indices, so that an index differs from the number of its
                 // element
                 let indices: Vec<u32> = (0..count as u32).rev().collect();
                 let attribute = Attribute { values, interpolation, indices: indexed.then_some(indices) };
@@ -302,7 +302,8 @@ mod tests {
             triangulate(&Polygons { opacities: Some(opacities), ..pair() }).positions.len()
         };
         assert_eq!(agree([0.5; 8]), 6);
-        // the faces have different values along their common edge
+        // the two faces have different values along their common edge, so its points get two
+        // vertices each
         assert_eq!(agree([0., 0., 0., 0., 1., 1., 1., 1.]), 8);
     }
 

@@ -169,7 +169,7 @@ mod tests {
         picture.write_to(&mut Cursor::new(&mut png), ImageFormat::Png).unwrap();
         let decoded = Picture::decode("anything.jpg", &png).unwrap();
         assert_eq!(decoded.texels, Texels::Codes16(vec![[0, 0, 0, 65535], [65535; 4]]));
-        // an uncompressed TGA with one blue texel, stored from the top left
+        // this TGA is uncompressed and has one blue texel, stored from the top left
         let mut tga = vec![0, 0, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 1, 0, 24, 0x20];
         tga.extend([255, 0, 0]);
         assert_eq!(Picture::decode("a.TGA", &tga).unwrap().texels, Texels::Codes8(vec![[0, 0, 255, 255]]));

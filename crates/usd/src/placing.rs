@@ -24,7 +24,7 @@ mod tests {
     fn chains_multiply_from_the_inside() {
         let translate = |x: f64| DAffine3::from_translation(glam::DVec3::new(x, 0.0, 0.0));
         let scale = |s: f64| DAffine3::from_scale(glam::DVec3::splat(s));
-        // two copies, which are then scaled about the origin by three factors
+        // each of two copies is scaled about the origin by three factors, which gives six copies
         let links = vec![vec![translate(1.0), translate(2.0)], vec![scale(10.0), scale(100.0), scale(1000.0)]];
         let mut found = Vec::new();
         expand(&translate(0.5), &links, &mut |matrix| found.push(matrix.translation.x));

@@ -191,7 +191,7 @@ impl Reader<'_, '_> {
             }
         };
         let found = indices.as_ref().map_or(values.len(), Vec::len);
-        // a constant may be the first value of a list with more values
+        // a list for a constant may have more values, of which the first is used
         if found < elements || (found > elements && interpolation != Interpolation::Constant) {
             return Err(format!("a list of length {found}, but {} needs {elements}", primvar.interpolation));
         }

@@ -84,7 +84,7 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
     }
     assembly.light(&mut textures, &scene_from_stage);
     (assembly.parts.images, assembly.parts.textures) = (textures.images, textures.textures);
-    // Cameras that show nothing are left out.
+    // Convert the cameras, and leave out cameras that show nothing.
     for entry in &header.cameras {
         if entry.aperture_offset != [0.0, 0.0] {
             task.warn(&entry.place, "the offset of the camera's aperture is not supported; the aperture is centred");
@@ -180,7 +180,8 @@ impl<'a> Assembly<'a> {
             }
             Shape::Points(entry) => (shapes::balls(self.package, entry, self.task)?, &entry.primvars),
         };
-        // If the vertices have no colours, a constant display colour of the whole shape applies.
+        // Read a constant display colour of the whole shape, which applies if the vertices have no
+        // colours.
         let constant = primvars.iter().filter(|primvar| primvar.interpolation == "constant").cloned().collect();
         let whole = MeshEntry { place: shape.place().to_owned(), primvars: constant, ..MeshEntry::default() };
         let whole = polygons::read(self.package, &whole, [None, None], &mut |_| {})?;
@@ -348,7 +349,7 @@ impl<'a> Assembly<'a> {
                 let task = self.task;
                 let mut warn = |message: String| task.warn(&entry.place, message);
                 let polygons = polygons::read(self.package, entry, names, &mut warn)?;
-                // a bilinear surface consists of the polygons themselves, so it is not refined
+                // a bilinear surface consists of the polygons themselves, so do not refine it
                 let smooth = entry.subdivision.as_ref().filter(|subdivision| subdivision.scheme != "bilinear");
                 let (polygons, parents) = match smooth {
                     Some(subdivision) => {

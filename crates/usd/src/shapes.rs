@@ -128,7 +128,7 @@ pub(crate) fn curves(
         "pinned" => Wrap::Pinned,
         _ => Wrap::Nonperiodic,
     };
-    // Read the attributes; missing widths follow from the spacing of the curves.
+    // Read the attributes. If widths are missing, they follow from the spacing of the curves.
     let list = |array: &Option<Array>, name: &str| -> Result<Option<Owned>, Fault> {
         let Some(array) = array else { return Ok(None) };
         let (values, width) = reals(package, array, place)?;
@@ -179,7 +179,7 @@ pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) 
         task.warn(place, format!("of {} points the first {MOST_POINTS} are shown", points.len()));
         points.truncate(MOST_POINTS);
     }
-    // Missing widths follow from the spacing of the points.
+    // If widths are missing, they follow from the spacing of the points.
     let widths = match &entry.widths {
         Some(array) => reals(package, array, place)?.0,
         None => Vec::new(),

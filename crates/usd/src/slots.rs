@@ -222,7 +222,7 @@ impl<'a> Builder<'_, 'a> {
         };
         let textured = |channel: &Channel<'_>| matches!(channel, Channel::Component(..));
         if !channels.iter().any(textured) {
-            // The texture contains only the opacity, so its colour is white.
+            // The colour is constant. If opacity needs a texture, the texture's colour is white.
             let constant = |channel: &Channel<'_>| if let Channel::Constant(value) = channel { *value } else { 1.0 };
             factor = Vec3::new(constant(&channels[0]), constant(&channels[1]), constant(&channels[2]));
             channels = [Channel::Constant(1.0); 3];
@@ -262,7 +262,7 @@ impl<'a> Builder<'_, 'a> {
         material.roughness = part(&rough).unwrap_or(material.roughness);
         material.metallic = part(&metal).unwrap_or(material.metallic);
         fn place(found: &Option<(Vec3, Source)>) -> Channel<'_> {
-            // a constant is in the factor, so the texture's channel is 1
+            // the constant is in the material's factor, so the texture's channel is 1
             found.as_ref().map_or(Channel::Constant(1.0), |(_, source)| Channel::Component(source, 0))
         }
         if rough.is_some() || metal.is_some() {
@@ -285,7 +285,7 @@ impl<'a> Builder<'_, 'a> {
     pub(crate) fn emission(&mut self, color: &Value<3>, weight: &Value<1>) {
         let (color, factor) = match (color, weight) {
             (color, Value::Constant([factor])) => (color.clone(), *factor),
-            // the weight's texture is multiplied by the constant colour
+            // multiply the texture of the weight by the constant colour
             (Value::Constant(color), Value::Texture(source)) => (Value::Texture(tinted(source, *color)), 1.0),
             (color, Value::Texture(source)) => {
                 self.warn("an emission whose colour and weight are both pictures is not supported; the weight's fallback is used");

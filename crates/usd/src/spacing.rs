@@ -36,7 +36,7 @@ pub(crate) fn width(places: &[Vec3], points: &[Vec3], rule: Rule) -> Option<f32>
 /// Median distance to the nearest other position, without coincident positions. `None` if no
 /// position has a neighbour.
 fn median_spacing(places: &[Vec3]) -> Option<f32> {
-    // an evenly spread sample of the positions is compared with all positions
+    // compare an evenly spread sample of the positions with all positions
     let asked = places.len().min(ASKED);
     let mut distances: Vec<f32> = (0..asked)
         .map(|i| places[i * places.len() / asked])
@@ -69,12 +69,12 @@ mod tests {
             let found = width(places, &long, RULE).unwrap();
             assert!((found / expected - 1.0).abs() < 1e-5, "{found}, not {expected}");
         };
-        // a place alone, or far from its neighbour, gets the largest width
+        // a single position, or one far from its neighbour, gets the largest width
         is_about(&long[..1], 0.1);
         is_about(&long, 0.1);
-        // nearly coincident places get the smallest width
+        // nearly coincident positions get the smallest width
         is_about(&[Vec3::ZERO, Vec3::new(1e-9, 0.0, 0.0)], 0.001);
-        // coincident places have no spacing, so they get the largest width
+        // coincident positions have no spacing, so they get the largest width
         is_about(&[Vec3::ONE; 9], 0.1);
         assert_eq!(width(&[Vec3::ONE; 9], &[Vec3::ONE; 9], RULE), None);
         assert_eq!(width(&[], &[Vec3::NAN], RULE), None);

@@ -187,7 +187,7 @@ impl<'a> Textures<'a> {
             }
         }
         let image = self.image(channels, kind)?;
-        // Add the sampler's settings.
+        // Set the rules for coordinates outside 0..1, and the filter.
         let [wrap_u, wrap_v] = first.wrap.each_ref().map(|mode| match mode.as_str() {
             "clamp" => Wrap::ClampToEdge,
             "mirror" => Wrap::MirroredRepeat,
@@ -420,7 +420,7 @@ fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
     let is_deep = all.iter().any(|texels| !matches!(texels, Texels::Codes8(_)));
     let scaled = readers.iter().any(|reader| reader.picture.is_some() && (reader.scale > 1.0 || reader.bias != 0.0));
     let pixels = match kind {
-        // without alpha, which lights do not read
+        // lights do not read alpha, so leave it out
         Kind::Light if is_float || scaled => {
             Pixels::RgbF32(values.map(|[r, g, b, _]| [r, g, b].map(|value| value.max(0.0))).collect())
         }
@@ -436,7 +436,7 @@ fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
             values
                 .map(|[x, y, z, _]| {
                     let n = glam::Vec3::new(x, y, z);
-                    // scaled vectors may be longer than 1; only the direction matters
+                    // a scaled vector may be longer than 1, but only its direction matters
                     let n = if n.length() > 1.0 { n.normalize() } else { n };
                     [code16(0.5 + 0.5 * n.x), code16(0.5 + 0.5 * n.y), code16(0.5 + 0.5 * n.z), u16::MAX]
                 })

@@ -198,7 +198,7 @@ struct Colours {
 
 impl Colours {
     fn new() -> Self {
-        // white is RGB (1, 1, 1)
+        // the white point is the XYZ of RGB (1, 1, 1), so each row is divided by its sum
         let relative = XYZ_FROM_RGB.map(|row| row.map(|value| value / row.iter().sum::<f64>()));
         let [x, y, z] = relative;
         let minus = |a: [f64; 3], b: [f64; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];

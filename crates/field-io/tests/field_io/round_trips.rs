@@ -120,7 +120,8 @@ fn a_field_that_cannot_be_written_leaves_no_index() {
 fn a_prefilter_removes_detail_above_the_bound() {
     let grid = lumistack_display::ViewGrid::uniform(Projection::Oblique, [45, 2], [20.0, 2.0]).unwrap();
     let step = grid.bin_width()[0];
-    // with a pixel at x = 0 and a whole number of pixels per half period, samples hit the extremes
+    // a pixel is at x = 0, and half a period has a whole number of pixels, so samples hit the
+    // extremes
     for (z_mm, frequency, n) in [(40.0, 0.8, 5), (-60.0, 0.4, 5), (25.0, 0.5, 9), (0.0, 0.8, 9)] {
         let geometry = lumistack_display::FieldGeometry { rows: 1, cols: 101, pitch_mm: 0.125, grid: grid.clone() };
         let mut field = LightField::black(geometry.clone()).unwrap();
@@ -156,8 +157,8 @@ fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
     write_field(folder.path(), &field, &Map::new()).unwrap();
     let [bin_x, bin_y] = field.geometry().grid.bin_width();
     let flags = GeometryFlags { views: Some([1, 3]), prefilter: true, ..GeometryFlags::default() };
-    // with one view per row there is no step along x; of three rows, the central one takes a
-    // quarter of each neighbour
+    // with one kept view per row there is no step along x, so only rows are averaged: the central
+    // one of three rows takes a quarter of each neighbour
     let (filtered, _) = open_for(folder.path(), &flags, [3.0 * bin_x, 2.0 * bin_y]);
     let filtered = filtered.unwrap();
     for (i, found) in filtered.view([1, 0]).iter().enumerate() {

@@ -65,8 +65,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
 pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
     let Header { width, height, channels } = Header::read(bytes)?;
     let broken = |error| Unsound::new("a sound Basis Universal picture", format!("{error:?}"));
-    // the key/value data is irrelevant for texels, and the decoder trusts the length of its last
-    // entry, so the data is hidden
+    // hide the key/value data: texels do not need it, and the decoder trusts the length of its last
+    // entry
     let mut noteless = bytes.to_vec();
     noteless[NOTES].fill(0);
     let transcoder = Transcoder::new(&noteless).map_err(broken)?;
@@ -133,7 +133,7 @@ impl Header {
                 return fault(&format!("{needed} bytes in level {level}"), unpacked.to_string());
             }
         }
-        // channel ids of the samples in the data format descriptor
+        // read the channel ids of the samples in the data format descriptor
         let sample = |at: usize| -> Result<u32, Unsound> { Ok((word(at)? >> 24) & 15) };
         let first = sample(descriptor + 28)?;
         let two_samples = word(52)? >= 60;

@@ -97,9 +97,9 @@ fn codes(bytes: &[u8]) -> Result<Pixels, Unsound> {
         let decoded = DynamicImage::from_decoder(decoder).map_err(unsound)?;
         return Ok(Pixels::Rgba16(decoded.into_rgba16().into_raw().as_chunks::<4>().0.to_vec()));
     }
-    // A large picture is not held twice. The decoder writes into the end of the memory for the
-    // four-channel texels. Then the values are spread out from the start; the writer never catches
-    // up with the reader.
+    // A large picture is not held twice. The decoder writes its values into the end of the memory
+    // for four-channel texels. Then the values are spread out from the start, and never overwrite a
+    // value that is still needed.
     let (count, channels) = (width as usize * height as usize, usize::from(decoder.color_type().channel_count()));
     let mut texels = vec![[0; 4]; count];
     let start = (4 - channels) * count;

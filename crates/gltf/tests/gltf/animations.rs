@@ -145,7 +145,7 @@ fn rotations_come_in_every_width() {
 fn weights_move_morph_targets() {
     let mut b = animated(|b| {
         let input = b.floats("SCALAR", &[0.0, 1.0]);
-        // normalized values, for two targets per key
+        // the values are normalized, two for each key, since the mesh has two targets
         let output = b.accessor(U8, "SCALAR", 4, &[0, 255, 255, 51]);
         b.set(&format!("/accessors/{output}/normalized"), json!(true));
         vec![one_channel(0, "weights", "LINEAR", input, output)]
@@ -166,8 +166,8 @@ fn weights_move_morph_targets() {
 fn cubic_weights_have_three_groups_per_key() {
     let b = animated(|b| {
         let input = b.floats("SCALAR", &[0.0, 2.0]);
-        // in-tangents, values, out-tangents of two targets; the first rises as t² − t³/4 (from 0 to
-        // 2), the second stays at 1
+        // each key has in-tangents, values and out-tangents of two targets: the first weight rises
+        // as t² − t³/4 (from 0 to 2), the second stays at 1
         let key = |value: [f32; 2]| [0.0, 0.0, value[0], value[1], 0.0, 0.0];
         let values: Vec<f32> = [key([0.0, 1.0]), key([2.0, 1.0])].concat();
         let output = b.floats("SCALAR", &values);
@@ -243,7 +243,7 @@ fn without_a_choice_animations_that_do_not_conflict_play_together() {
     assert_eq!([0, 1].map(|i| placed(scene.as_ref().unwrap(), i, Vec3::ZERO).x), [1.0, 0.0]);
     let expected = "test.gltf: /animations: two or more animations move the same property of a node; only the first is played (animations: 0 (Hop), 1 (Jump), 2 (Leap))";
     assert_eq!(warnings, [expected]);
-    // a time for a file without animations
+    // a time for a file without animations causes a warning
     let (_, warnings) = load_choosing(&Builder::triangle().glb(), &options);
     assert_eq!(warnings, ["test.gltf: /animations: the file has no animations; the time has no effect"]);
 }

@@ -18,7 +18,7 @@ const MAX_LOAD_TIME: Duration = Duration::from_secs(20);
 const TRIANGLES: [(&str, usize); 25] = [
     ("BoxMeshopt/BoxMeshopt.glb", 12),
     ("BoxMeshopt/BoxMeshopt.gltf", 12),
-    // 36446 in the inventory, which includes triangles without area
+    // the inventory has 36446, since it includes triangles without area
     ("jet-fighter/jet-fighter.glb", 36440),
     ("AttenuationTest/AttenuationTest.glb", 292),
     ("Box/Box.glb", 12),
@@ -40,9 +40,9 @@ const TRIANGLES: [(&str, usize); 25] = [
     ("TransmissionRoughnessTest/TransmissionRoughnessTest.glb", 77792),
     ("TransmissionRoughnessTest-quantized/TransmissionRoughnessTest-quantized.glb", 77792),
     ("many-cubes/many-cubes.gltf", 6012),
-    // 12 triangles, 125 copies
+    // 125 copies of 12 triangles
     ("simple-instancing/simple-instancing.glb", 1500),
-    // 121496 in the inventory, which includes triangles without area
+    // the inventory has 121496, since it includes triangles without area
     ("2CylinderEngine/2CylinderEngine.glb", 110_336),
 ];
 
@@ -271,7 +271,7 @@ fn hostile_files_do_no_harm() {
     reasons.dedup();
     println!("{count} files show nothing, for {} reasons", reasons.len());
     assert!(reasons.len() > 20, "{reasons:#?}");
-    // other files of the corpus that show nothing or are broken
+    // these files show nothing or are broken, and the error must name the place
     let named = [
         ("assimp-BoxWithInfinites/BoxWithInfinites.glb", "/attributes/POSITION: expected finite numbers"),
         ("assimp-IndexOutOfRange/IndexOutOfRange.gltf", "/indices: expected vertices below 24, found 255"),
@@ -336,7 +336,7 @@ fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
             return None;
         }
     }
-    // buffers without data in the corpus get zeros
+    // a buffer without data gets zeros, so that the objects that use it can be read
     let buffers = b.json.get_mut("buffers").and_then(Value::as_array_mut);
     for buffer in buffers.into_iter().flatten().filter_map(Value::as_object_mut) {
         let length = buffer.get("byteLength").and_then(Value::as_u64).filter(|&length| length <= 1 << 16);
@@ -436,7 +436,7 @@ fn the_scenes_of_this_project_load_without_a_warning() {
         assert!(scene.environment.is_some() && scene.is_lit(), "{name}");
         assert!(scene.cameras[0].focus_distance.is_some_and(|distance| distance > 0.0), "{name}");
         assert!(scene.materials.iter().any(|material| material.base_color_texture.is_some()), "{name}");
-        // the binary file, the sky and the pictures are read once each
+        // the binary file, the sky and every picture must be read only once
         let mut read = resolver.read.borrow().clone();
         read.sort();
         let before = read.len();

@@ -71,7 +71,7 @@ fn broken_pictures() {
 
     assert_error(&textured(json!({})), "/images/0: expected a uri or a bufferView, found neither");
 
-    // a header that states 60000 × 60000 texels
+    // the header states 60000 × 60000 texels, which is over the limit
     let mut huge = png(1, &[[0; 4]]);
     huge[16..24].copy_from_slice(&[0, 0, 0xEA, 0x60, 0, 0, 0xEA, 0x60]);
     let crc = crc32(&huge[12..29]);
@@ -115,7 +115,8 @@ fn accessors_that_reach_past_their_bytes() {
     // 2³² becomes 0 in the typed reader, so the reader has to compare the index as it is written
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/buffer", json!(1u64 << 32)));
     assert_error(&b, "/bufferViews/0/buffer: expected an index below 1, found 4294967296");
-    // an accessor without a buffer view: zeros, which take no space in the file
+    // an accessor without a buffer view has zeros, which take no space in the file, so its count is
+    // limited
     let b = triangle_with(|b| {
         b.remove("/accessors/0/bufferView").set("/accessors/0/count", json!(4_000_000_000u64));
     });
@@ -364,7 +365,7 @@ fn required_extensions() {
 #[test]
 fn copies_of_copies_do_not_exhaust_memory() {
     let mut builder = Builder::triangle();
-    // a million copies that take no space in the file, of a mesh with two hundred primitives
+    // a million copies of a mesh with two hundred primitives take no space in the file
     let offsets = builder.push("accessors", json!({"componentType": F32, "type": "VEC3", "count": 1 << 20}));
     builder.set("/meshes/0/primitives", json!(vec![json!({"attributes": {"POSITION": 0}}); 200]));
     let instancing = json!({"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": offsets}}});

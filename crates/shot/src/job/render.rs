@@ -283,7 +283,7 @@ impl RenderJob {
     /// number is not measured.
     pub fn samples_of_view(&self, views: usize) -> u32 {
         let spread = (f64::from(self.zone_samples.count()) / views.max(1) as f64).round().clamp(1.0, 65536.0) as u32;
-        // a filter compares two halves, so it needs two paths
+        // a filter that compares two halves of the paths needs at least two paths
         self.samples.unwrap_or(if self.denoise.takes_halves() { spread.max(2) } else { spread })
     }
 

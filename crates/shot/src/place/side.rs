@@ -80,7 +80,7 @@ pub(crate) fn choose(
     size_mm: [f64; 2],
     task: Task<'_>,
 ) -> Result<[f64; 2], ShotError> {
-    // Boxes replace the meshes, since the frame only has to hold them.
+    // Replace meshes by their boxes, since the frame only has to hold them.
     let boxes: Vec<Bounds> = scene
         .meshes
         .iter()
@@ -196,11 +196,11 @@ mod tests {
     #[test]
     fn solid_things_are_seen_from_the_front() {
         assert_eq!(chosen(&scene(block(Vec3::ONE, Vec3::ZERO), false)), FRONT);
-        // a figure, slender from the front: a head on a body
+        // a figure of a head on a body, slender from the front, is seen from the front
         let mut figure = block(Vec3::new(0.5, 1.2, 0.3), Vec3::new(2.0, 0.6, -3.0));
         figure.extend(block(Vec3::new(0.25, 0.3, 0.25), Vec3::new(2.0, 1.4, -3.0)));
         assert_eq!(chosen(&scene(figure, false)), FRONT);
-        // an animal is longer than it is wide
+        // an animal that is longer than wide is seen from the front
         assert_eq!(chosen(&scene(block(Vec3::new(25.0, 78.0, 154.0), Vec3::ZERO), false)), FRONT);
         assert_eq!(chosen(&scene(vec![(card(3.0, 2.0), Affine3A::IDENTITY)], false)), FRONT);
     }
@@ -214,7 +214,7 @@ mod tests {
             assert_eq!(chosen(&scene(turned(Quat::from_rotation_x(-quarter)), double_sided)), [0.0, 40.0]);
             assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(quarter)), double_sided)), [90.0, 0.0]);
         }
-        // fronts face −x, down, and away from the viewer
+        // the card's front faces −x, then down, then away from the viewer
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(-quarter)), false)), [-90.0, 0.0]);
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_x(quarter)), false)), [0.0, -40.0]);
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(2.0 * quarter)), false)), [180.0, 0.0]);

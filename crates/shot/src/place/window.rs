@@ -85,8 +85,8 @@ fn unlimited_window<S: Subject>(
     if job.from == WindowFrom::Camera && camera.is_none() {
         return Err(ShotError::value(&scene.name, "window.from", "a camera in the scene", "none").into());
     }
-    // The window frames the scene from the job's direction or the best side, and then shrinks to
-    // the visible scene.
+    // Frame the scene from the job's direction, or else from the best side. Then shrink the frame
+    // to the visible scene.
     let framed = || -> Result<Found, S::Error> {
         let from_deg = match job.look_from {
             Some(from_deg) => from_deg,
@@ -107,7 +107,7 @@ fn unlimited_window<S: Subject>(
             Ok(found(window))
         }
         Ok(window) => close_up(subject, window, geometry, false, task).map(found),
-        // a camera that the job does not name must not cause an error
+        // a camera that the job does not name must not cause an error, so frame the scene instead
         Err(_) if job.from == WindowFrom::Auto && job.camera.is_none() => framed(),
         Err(source) => Err(error(source).into()),
     }
@@ -159,7 +159,7 @@ fn extents(mask: &Tensor<2>) -> Option<[[usize; 2]; 2]> {
 fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let size = mask.shape();
     let Some(seen) = extents(mask) else { return (1.0, size.map(|count| 0.5 * count as f64)) };
-    // one pixel more, since content may end anywhere in its last pixel
+    // add one pixel, since content may end anywhere in its last pixel
     let share = |axis: usize| (seen[axis][1] - seen[axis][0] + 1) as f64 / size[axis] as f64;
     let factor = (1.0 + 2.0 * MARGIN) * share(0).max(share(1));
     (factor, seen.map(|[first, end]| 0.5 * (first + end) as f64))
@@ -176,7 +176,7 @@ fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
         (1.0 + 2.0 * MARGIN) * first.max(end) / middle[axis]
     };
     let least = reach(0).max(reach(1)).max(CLOSEST);
-    // all set pixels stay inside, so they cover a larger fraction of a smaller region
+    // the wanted area is `covered` / COVERAGE; `least` keeps all set pixels inside
     let covered = mask.data().iter().map(|&hit| f64::from(hit)).sum::<f64>() / (rows * cols) as f64;
     ((covered / COVERAGE).sqrt().max(least).min(1.0), middle)
 }
@@ -246,12 +246,13 @@ mod tests {
         // a small object in the middle gets the closest view
         let small = mask(100, 160, |row, col| row.abs_diff(50) < 5 && col.abs_diff(80) < 5);
         assert_eq!(closer(&small).0, CLOSEST);
-        // an object that covers a seventh gets a view of which it covers a quarter
+        // an object that covers a seventh of the view gets a view of which it covers about a
+        // quarter
         let seventh = mask(100, 160, |row, col| row.abs_diff(50) < 24 && col.abs_diff(80) < 24);
         let factor = closer(&seventh).0;
         let covered = seventh.data().iter().sum::<f32>() / 16000.0;
         assert!((f64::from(covered) / factor.powi(2) - COVERAGE).abs() < 1e-6, "{factor}");
-        // content that reaches the border stays as it is
+        // the view of content that reaches the border stays as it is
         assert_eq!(closer(&mask(100, 160, |row, _| row > 90)).0, 1.0);
     }
 }

@@ -19,7 +19,7 @@ impl Axes {
     pub fn scene_from_file(self) -> Quat {
         match self {
             Self::RightUpBack => Quat::IDENTITY,
-            // half a turn about x
+            // half a turn about x reverses y and z
             Self::RightDownFront => Quat::from_xyzw(1.0, 0.0, 0.0, 0.0),
         }
     }

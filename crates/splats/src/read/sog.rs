@@ -188,7 +188,7 @@ pub(super) fn read(meta: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>
         let bytes = scales.at(i);
         cloud.scales.push(exp(Vec3::from([0, 1, 2].map(|axis: usize| of_scales[axis].of(bytes[axis])))));
         let [a, b, c, largest] = quats.at(i);
-        // Alpha is the index of the largest component, which follows from the other three.
+        // Alpha states the largest component, whose value follows from the other three.
         let Some(largest) = largest.checked_sub(252) else {
             return Err(ReadError::new(format!("/quats, splat {i}"), "alpha from 252 to 255", largest));
         };

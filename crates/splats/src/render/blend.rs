@@ -101,13 +101,13 @@ impl Kernel for Blend {
                     let [a, b, c] = splat.conic.map(|value| V::splat(value));
                     let v = dx.mul(a).mul_add(dx, b.mul(dx).mul_add(dy, c.mul(dy).mul(dy)));
                     let z = V::splat(splat.z);
-                    // A splat contributes to pixels within its extent that are unfinished, if it is
-                    // in front of the pixel's surface.
+                    // A splat contributes to a pixel if the pixel is within its extent and
+                    // unfinished. It must also be in front of the pixel's surface.
                     let lit = V::both(V::both(v.at_most(limit), dark.at_most(through)), cut.at_most(z));
                     if V::bits(lit) == 0 {
                         continue;
                     }
-                    // The polynomial of e^(−v), then four squarings.
+                    // Evaluate the polynomial of e^(−v), then square it four times.
                     let series = v.mul_add(V::splat(1.0 / 24.0), V::splat(-1.0 / 6.0));
                     let series = series.mul_add(v, half);
                     let series = series.mul_add(v, V::splat(-1.0));

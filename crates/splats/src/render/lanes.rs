@@ -135,7 +135,8 @@ impl Kernel for Project {
             to.conic[0][v] = scale * high;
             to.conic[1][v] = -2.0 * scale * both;
             to.conic[2][v] = scale * wide;
-            // the filter widens a splat, and lowers its peak to keep its integral
+            // the pixel's filter widens a splat, and lowers its peak so that its integral stays the
+            // same
             let opacity = splat.opacity * (sharp * share).sqrt();
             to.opacity[v] = opacity;
             let (reach_x, reach_y) = (CUTOFF * wide.sqrt(), CUTOFF * high.sqrt());
@@ -155,7 +156,8 @@ impl Kernel for Project {
         if to.seen == 0 || harmonics.is_empty() {
             return;
         }
-        // Directions from an eye differ between splats; parallel rays have one direction per view.
+        // From an eye, each splat has a direction of its own; parallel rays have one direction per
+        // view.
         let mut own = [[0.0; VIEWS]; MOST];
         let bases = match eyes.distance {
             None => bases,

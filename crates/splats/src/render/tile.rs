@@ -78,7 +78,7 @@ impl<'a> Shared<'a> {
 
     /// Prefetches the harmonics of a splat.
     fn request(&self, splat: &Splat) {
-        // a cache line holds 16 floats
+        // prefetch each cache line, which holds 16 floats
         self.harmonics(splat).chunks(16).for_each(|line| prefetch(line.as_ptr()));
     }
 
@@ -206,7 +206,7 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
     let origin = tile.map(|number| (number * TILE) as f32);
     let mut canvases: Vec<Canvas> = views.cuts.iter().map(|cuts| Canvas::new(*cuts, tile)).collect();
     let splat = |number: usize| &shared.prepared.splats[list[number] as usize];
-    // Compute per chunk the depth of its first splat, and its largest extent.
+    // For each chunk, find the depth of its first splat and its largest extent.
     let mut chunks = Vec::with_capacity(list.len().div_ceil(CHUNK));
     for first in (0..list.len()).step_by(CHUNK) {
         let mut most = 0.0f32;
@@ -218,7 +218,8 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
         }
         chunks.push((splat(first).centre[2], most));
     }
-    // Compute per chunk and view a lower bound of the distances in this chunk and all later ones.
+    // For each chunk and view, find a lower bound of the distances in this chunk and all later
+    // chunks.
     let mut least: Vec<[f32; VIEWS]> = vec![[f32::INFINITY; VIEWS]; chunks.len() + 1];
     for (number, (z, reach)) in chunks.iter().enumerate().rev() {
         for (v, eye) in views.eyes.iter().enumerate() {

@@ -30,7 +30,7 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
             Rgba(if i < cloud.len() { texel(i) } else { [0; 4] })
         }))
     };
-    // Positions are stored in a logarithmic scale, finer near the origin, with 16 bits between
+    // Store positions in a logarithmic scale, which is finer near the origin, in 16 bits between
     // their bounds.
     let places: Vec<[f32; 3]> =
         cloud.positions.iter().map(|at| at.to_array().map(|x| x.signum() * x.abs().ln_1p())).collect();
@@ -73,7 +73,7 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
         ("quats.webp", picture(&|i| smallest_three(cloud.rotations[i]))?),
         ("sh0.webp", picture(&colour)?),
     ];
-    // Harmonics above degree 0 become a palette, with a label per splat.
+    // Harmonics above degree 0 become a palette, and each splat has the label of its entry.
     if cloud.degree > 0 {
         let own = |i: usize| &cloud.harmonics[values * i + 3..values * (i + 1)];
         let book = Book::of((0..cloud.len()).flat_map(|i| own(i).iter().copied()));

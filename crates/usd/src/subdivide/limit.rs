@@ -77,7 +77,7 @@ pub(super) fn normals(
     let masks_hold = level > 0 && scheme != Scheme::Bilinear;
     for vertex in 0..topology.vertex_count as u32 {
         let rule = topology.rule(vertex, 0.0);
-        // a crease that ends at this vertex does not split the surface
+        // a crease that ends at this vertex leaves its rule smooth, and does not split the surface
         let splits = |edge: &Edge| scheme == Scheme::Bilinear || (edge.sharpness > 0.0 && rule != Rule::Smooth);
         for fan in topology.fans(vertex, splits) {
             let at = |vertex: u32| control[vertex as usize].as_dvec3();

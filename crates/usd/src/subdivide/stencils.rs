@@ -64,8 +64,8 @@ pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Sten
     let mut stencils = Stencils::with_capacity(children);
     for vertex in 0..topology.vertex_count as u32 {
         child_vertex(&mut stencils, topology, vertex, |stencils, weight| {
-            // weights: (n − 2)/n for the vertex, 1/n² for each neighbour and for each face's
-            // midpoint
+            // A vertex with n neighbours has the weight (n − 2)/n in its child. Each neighbour and
+            // each face's midpoint has 1/n².
             let corners = topology.corners_at(vertex);
             let n = topology.edges_at(vertex).count() as f64;
             stencils.add(vertex, weight * (n - 2.0) / n);

@@ -95,8 +95,8 @@ fn a_cube_has_the_points_of_the_textbook() {
     for face in &first[20..] {
         assert!((face.length() - 1.0).abs() < ROUNDING);
     }
-    // On the limit surface, the corners are at half of their coordinates, and the centres of faces
-    // are at 68/81 from the middle. The limit does not depend on the level.
+    // On the limit surface, the corners are at half of their coordinates. The centres of faces have
+    // the distance 68/81 from the middle. Both hold at every level.
     for level in 1..=4 {
         let surface = limit(&cage, level, &cube.flat());
         for (point, on_surface) in cube.points.iter().zip(&surface) {
@@ -199,7 +199,7 @@ fn a_regular_mesh_is_a_bicubic_b_spline() {
         }
     }
     assert!(checked > 1000);
-    // The outline is the cubic B-spline curve of the boundary's points.
+    // The outline of the surface is the cubic B-spline curve of the boundary's points.
     let at = |i: usize| mesh.points[i].z;
     assert_near(surface[3], Vec3::new(3.0, 0.0, (at(2) + 4.0 * at(3) + at(4)) / 6.0), ROUNDING);
     assert_near(surface[0], mesh.points[0], 0.0);
@@ -279,11 +279,11 @@ fn sharp_edges_stay_and_sharpness_falls_by_one_a_level() {
     for point in creased(&[10.0; 12], 3) {
         assert!((point.abs().max_element() - 1.0).abs() < ROUNDING, "on the cube: {point}");
     }
-    // for one level, sharpness 1 has the effect of infinite sharpness
+    // after one level, a crease of sharpness 1 is the same as an infinitely sharp crease
     assert_eq!(creased(&[1.0; 12], 1), creased(&[f32::INFINITY; 12], 1));
     assert!(creased(&[1.0; 12], 2)[0].x > -1.0 + 0.1);
     assert_eq!(creased(&[0.0; 12], 2), control(&cube.cage(Scheme::CatmullClark), 2, &cube.flat()));
-    // half the sharpness gives the midpoint of the smooth and the sharp result
+    // sharpness ½ gives the midpoint of the smooth and the sharp result
     let (smooth, half, sharp) = (creased(&[0.0; 12], 1), creased(&[0.5; 12], 1), creased(&[1.0; 12], 1));
     for ((smooth, half), sharp) in smooth.iter().zip(&half).zip(&sharp) {
         assert_near(*half, smooth.midpoint(*sharp), ROUNDING);
@@ -403,7 +403,7 @@ fn boundaries_follow_their_rule_and_holes_are_left_out() {
     assert_eq!(sources(&with(Boundary::None)), [5, 6, 9, 10]);
     let holes = Cage { hole_indices: &[0, 3, 77, -1], ..with(Boundary::EdgeOnly) };
     assert_eq!(sources(&holes).len(), 14);
-    // a hole still affects its neighbours
+    // a hole still affects the shape of its neighbours
     assert_eq!(limit(&holes, 2, &mesh.flat()), limit(&with(Boundary::EdgeOnly), 2, &mesh.flat()));
 }
 
@@ -454,7 +454,7 @@ fn face_varying_data_keep_their_seams() {
         let reaches_corner = uvs.contains(&Vec2::new(6.0, 6.0));
         assert_eq!(reaches_corner, rule != FaceVarying::None, "{rule:?}");
     }
-    // equal values with different indices are joined
+    // equal values with different indices are joined, so the result is the same
     let separate: Vec<f32> = indices.iter().flat_map(|&i| values[2 * i as usize..][..2].to_vec()).collect();
     let numbers: Vec<u32> = (0..indices.len() as u32).collect();
     let joined = refinement.face_varying(FaceVarying::CornersPlus1, &separate, &numbers, 2).unwrap();
@@ -529,7 +529,7 @@ fn broken_meshes_do_not_panic_and_stay_in_their_hull() {
 
 #[test]
 fn levels_stop_at_the_budget() {
-    // 1000 quadrilaterals: 8000 triangles at level 1, 32000 at level 2
+    // 1000 quadrilaterals give 8000 triangles at level 1, and 32000 at level 2
     assert_eq!(affordable_level(4000, 2, 32_000), 2);
     assert_eq!(affordable_level(4000, 2, 31_999), 1);
     assert_eq!(affordable_level(4000, 2, 7_999), 0);

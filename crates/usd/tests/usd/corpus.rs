@@ -46,7 +46,7 @@ fn assets() -> Option<PathBuf> {
 fn walk(folder: &str) -> Option<Walked> {
     let (assets, python) = (assets()?, common::python()?);
     let mut paths = Vec::new();
-    // Find the files.
+    // Find all USD files in the folder and its subfolders.
     let mut folders = vec![assets.join(folder)];
     while let Some(folder) = folders.pop() {
         let Ok(entries) = std::fs::read_dir(&folder) else {

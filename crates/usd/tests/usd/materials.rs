@@ -105,7 +105,7 @@ fn opacity_cuts_or_blends_and_shares_the_texture_of_the_colour() {
     let (scene, material, _) =
         preview(json!({"diffuseColor": colour, "opacity": alpha, "opacityThreshold": {"value": [0.25]}}));
     assert_eq!(material.alpha_mode, AlphaMode::Mask { cutoff: 0.25 });
-    // the slot reads the picture itself, since colours and alpha are where the slot reads them
+    // colours and alpha are where the slot reads them, so the texture is the picture itself
     assert_eq!(texels(&scene, material.base_color_texture.unwrap().texture), [[255, 0, 51, 255], [0, 102, 204, 128]]);
     // opacity comes from green and the colour is constant, so the texture is white with this alpha
     let (scene, material, _) = preview(json!({"opacity": texture(&[1], 1.0, 0.0, "raw")}));
@@ -185,7 +185,7 @@ fn normal_maps_are_decoded_as_the_shader_says() {
     let (scene, material, _) = preview(json!({"normal": flipped}));
     let image = &scene.images[scene.textures[material.normal_texture.unwrap().texture].image];
     let Pixels::Rgba16(texels) = &image.pixels else { panic!("{image:?}") };
-    // (1, 0.4, 0.8) · (2, −2, 2) + (−1, 1, −1) for the second texel (0, 0.4, 0.8), normalized
+    // the second texel (0, 0.4, 0.8) gives 2 · 0 − 1, 1 − 2 · 0.4 and 2 · 0.8 − 1, normalized
     let n = Vec3::new(-1.0, 0.2, 0.6).normalize();
     let found = Vec3::new(f32::from(texels[1][0]), f32::from(texels[1][1]), f32::from(texels[1][2])) / 32767.5 - 1.0;
     assert!((found - n).length() < 1e-3, "{found} {n}");

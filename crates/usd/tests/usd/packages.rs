@@ -95,7 +95,7 @@ fn a_package_becomes_a_scene() {
     let scene = load(&file(&header, &data)).unwrap().unwrap();
     assert_eq!((scene.meshes.len(), scene.instances.len(), scene.cameras.len()), (2, 12, 1));
     assert_eq!(scene.triangle_count(), 24);
-    // z points up, so 9 + 4 along z becomes 13 along y
+    // z points up, so the two moves of 9 and 4 along z become 13 along y
     assert!((scene.bounds().max.y - 13.0).abs() < 1e-5, "{:?}", scene.bounds());
     assert_eq!(scene.cameras[0].focus_distance, Some(2.0));
 }

@@ -99,7 +99,7 @@ fn display_colours_are_read_where_a_reader_says_so() {
     assert!(warnings.is_empty(), "{warnings:?}");
     assert_eq!(found.base_color, Vec4::ONE, "the colours of the vertices multiply white");
     assert_eq!(scene.meshes[0].colors, [Vec4::new(1.0, 0.0, 0.0, 1.0); 4]);
-    // without a reader, vertex colours have no effect
+    // without a primvar reader in the shader, vertex colours have no effect
     let Some((scene, _, _)) = material(&format!("def Shader \"s\" {{ {SURFACE}\n }}")) else { return };
     assert!(scene.meshes[0].colors.is_empty());
 }
@@ -236,7 +236,7 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     assert_eq!(through(mixed), Some(plain.clone()));
     let half = through(&mixed.replace("mix = 1", "mix = 0.5")).unwrap();
     assert!(half != plain && half.len() == plain.len());
-    // nodes that invert green turn the map's normals over along y
+    // nodes that invert green reverse the y of the map's normals
     let flipped = through(&node("ND_normalmap", "flipped", "")).unwrap();
     let directions = |pixels: &Pixels| -> Vec<Vec3> {
         let texels: Vec<Vec3> = match pixels {
@@ -343,8 +343,8 @@ fn curves_and_points_without_widths_take_a_share_of_their_spacing() {
         let mesh = scene.meshes.iter().find(|mesh| mesh.place == place).unwrap();
         mesh.positions.iter().map(|p| p.x).fold(f32::INFINITY, f32::min)
     };
-    // the spacing is 1, and the bounds are 9 × 9 × 9 with the diagonal 15.6; the width is limited
-    // to 0.5 % of it
+    // The spacing is 1. The bounds are 9 × 9 × 9, so their diagonal is 15.6, and the width is
+    // limited to 0.5 % of it.
     assert!((lowest("/hair") + 0.5 * 0.005 * 243f32.sqrt()).abs() < 1e-4, "{}", lowest("/hair"));
     assert!((lowest("/alone") + 0.5 * 0.005 * 1000.0).abs() < 1e-2, "{}", lowest("/alone"));
     assert!((lowest("/dots") + 0.5 * 0.75 * 2.0).abs() < 1e-3, "{}", lowest("/dots"));
@@ -421,8 +421,8 @@ fn shapes_other_than_meshes_are_there() {
     near(extent("/can"), Vec3::new(2.0, 1.0, 1.0));
     near(extent("/dots"), Vec3::new(1.0, 1.0, 10.0));
     assert!((extent("/hair").y - 5.0).abs() < 1e-5);
-    // on the limit surface of a cube, the middle of a face is at 68/81; four levels turn 6 faces
-    // into 3072 triangles
+    // On the limit surface of a cube, the middle of a face is at 68/81 of its distance. Four levels
+    // turn 6 faces into 3072 triangles.
     near(extent("/smooth"), Vec3::splat(68.0 / 81.0));
     let smooth = scene.meshes.iter().find(|mesh| mesh.place == "/smooth").unwrap();
     assert_eq!((smooth.triangles.len(), smooth.positions.len()), (3072, 1538));

@@ -185,7 +185,8 @@ fn point_instancers_place_scale_turn_and_mask() {
         triangle_at("b", 1.0, "")
     );
     let scene = scene(&text);
-    // id 10 is scaled, 11 rotated by 90° about z, 12 invisible, 13 inactive, 14 unchanged
+    // id 10 is scaled, 11 is rotated by 90° about z, 12 is invisible, 13 is inactive, 14 is
+    // unchanged
     let found = places(&scene);
     let expected = [[0., 2., 7.], [1., 4., 7.], [2., 0., 7.]].map(Vec3::from);
     assert!(found.len() == 3 && found.iter().zip(&expected).all(|(a, b)| (*a - *b).length() < 2e-3), "{found:?}");
