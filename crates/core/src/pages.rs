@@ -63,7 +63,8 @@ impl Window {
         Self { start: memory.as_ptr() as usize, length: memory.len(), limit, announced: AtomicUsize::new(0) }
     }
 
-    /// Announces that `bytes` are used next.
+    /// Announces that the caller uses this number of bytes next. Releases all pages once the limit
+    /// is exceeded.
     #[inline]
     pub fn announce(&self, bytes: usize) {
         if self.announced.fetch_add(bytes, Ordering::Relaxed) + bytes > self.limit {
@@ -154,7 +155,7 @@ impl<T: Plain> Array<T> {
         }
     }
 
-    /// Returns some values, and announces them to the window.
+    /// Returns the values of a range. Announces their bytes to the window if they are in a file.
     #[inline(always)]
     pub fn part(&self, range: std::ops::Range<usize>) -> &[T] {
         let (values, window) = self.all();

@@ -45,9 +45,9 @@ const START: f32 = 0.8 - F90;
 /// Rate at which highlights lose colour in the Khronos curve.
 const DESATURATION: f32 = 0.15;
 
-/// Middle grey, which AgX keeps.
+/// Exposed value of middle grey, which AgX does not change.
 const MIDDLE_GREY: f32 = 0.18;
-/// Range of AgX around middle grey, stops.
+/// Lowest and highest value of AgX's sigmoid, in stops from middle grey.
 const STOPS: [f32; 2] = [-10.0, 6.5];
 /// Slope of AgX's sigmoid at middle grey.
 const SLOPE: f32 = 2.4;
@@ -60,10 +60,10 @@ const HUE_AFTER: f32 = 0.4;
 
 type Matrix = [[f32; 3]; 3];
 
-/// BT.709 to BT.2020 primaries (ITU-R BT.2087).
+/// Matrix from BT.709 to BT.2020 primaries (ITU-R BT.2087).
 const REC2020_FROM_BT709: Matrix =
     [[0.627_404, 0.329_283, 0.043_313], [0.069_097, 0.919_54, 0.011_362], [0.016_391, 0.088_013, 0.895_595]];
-/// BT.2020 to BT.709 primaries.
+/// Matrix from BT.2020 to BT.709 primaries.
 const BT709_FROM_REC2020: Matrix =
     [[1.660_491, -0.587_641, -0.072_85], [-0.124_55, 1.132_9, -0.008_349], [-0.018_151, -0.100_579, 1.118_73]];
 /// AgX's inset matrix, which draws colours together.
@@ -158,8 +158,8 @@ fn sigmoid(x: f32) -> f32 {
     scale * t / (1.0 + t.abs().powf(POWER)).powf(1.0 / POWER) + y0
 }
 
-/// Turns the hue of `rgb`, in the hexcone of HSV, towards the hue of the colour `before`. The turn
-/// is the fraction 1 − [`HUE_AFTER`] of their difference.
+/// Turns the hue of `rgb`, in the hexcone of HSV, towards the hue of the colour `before`. It turns
+/// by the fraction 1 − [`HUE_AFTER`] of the difference of the two hues.
 fn with_hue_of(rgb: [f32; 3], before: [f32; 3]) -> [f32; 3] {
     let (low, high) = (rgb[0].min(rgb[1]).min(rgb[2]), rgb[0].max(rgb[1]).max(rgb[2]));
     let (Some(after), Some(before)) = (hue(rgb), hue(before)) else { return rgb };

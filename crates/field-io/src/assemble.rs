@@ -24,9 +24,10 @@ use crate::source::Source;
 pub(crate) const LARGEST: f32 = 65504.0;
 /// Negative values down to this one are regarded as overshoot of a filter and become 0.
 const OVERSHOOT: f32 = -1e-3;
-/// Pixels are regarded as square below this relative difference of width and height.
+/// Pixels are regarded as square if their width and height differ by less than this fraction.
 const SQUARE: f64 = 0.01;
-/// The focus is moved only if all content moves in one direction by at least this, pixels per view.
+/// The focus is moved only if all content moves in one direction by at least this many pixels per
+/// view.
 const STILL_PX: f64 = 0.5;
 
 /// A view of the source that is not kept, and lies between two kept ones.
@@ -38,7 +39,7 @@ pub struct LeftOut {
     pub radiance: Vec<f32>,
 }
 
-/// How a light field is read.
+/// Options of reading a light field.
 #[derive(Clone, Copy, Default)]
 pub struct Reading<'a> {
     /// The display's footprint. It is needed only if [`GeometryFlags::prefilter`] is set.
@@ -365,7 +366,7 @@ fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError>
     Ok(motion.map(|m| Motion { low: -m.high / step, median: -m.median / step, high: -m.low / step }))
 }
 
-/// Statistics of negative values.
+/// Number of negative values, and the lowest of them, for a single warning.
 #[derive(Default)]
 struct Range {
     negative: usize,

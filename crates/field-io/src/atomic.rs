@@ -49,8 +49,8 @@ pub fn create_folder(path: &Path) -> Result<(), FieldError> {
     fs::create_dir_all(path).map_err(FieldError::io(path, "make the folder"))
 }
 
-/// Removes a file that may be absent. An index is removed before the files that it lists are
-/// changed.
+/// Removes a file that may be absent. Before files are changed, the index that lists them is
+/// removed, so that an index never lists half-written files.
 ///
 /// # Errors
 /// If the file exists and cannot be removed.

@@ -19,8 +19,7 @@ use crate::geometry::{Cameras, Hints, place};
 use crate::picture::{Picture, has_picture_extension};
 use crate::source::{Kind, Source, Views};
 
-/// Two centres are regarded as equal if their distance, relative to the mean spacing, is below
-/// this.
+/// Two centres are regarded as equal if their distance is below this fraction of the mean spacing.
 const SAME_CENTRE: f64 = 1e-3;
 
 /// Views that are pictures of one size.
@@ -32,8 +31,8 @@ pub(crate) struct PictureGrid {
 }
 
 impl PictureGrid {
-    /// `files` are listed row by row, and `views` is [vertical, horizontal]. Reads the header of
-    /// every file.
+    /// Makes a grid of pictures, and reads the header of every file. `files` are listed row by row,
+    /// and `views` is [vertical, horizontal].
     pub(crate) fn new(files: Vec<PathBuf>, views: [usize; 2]) -> Result<Self, FieldError> {
         let size = Picture::size_of(&files[0])?;
         for file in &files[1..] {

@@ -258,8 +258,8 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
     Ok((field, info))
 }
 
-/// Reads a region, some rows and columns of pixels, of all views of a light field's folder. The
-/// result has this geometry. One view is in memory at a time.
+/// Reads a region, some rows and columns of pixels, of all views of a light field's folder.
+/// `geometry` is the geometry of the result. One view is in memory at a time.
 ///
 /// # Errors
 /// The errors of [`read_field_folder`]. Also if the folder has other views than the geometry, or
@@ -350,7 +350,7 @@ pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
     })
 }
 
-/// The files of all views, in the order of view rows.
+/// Checks the entries of the index. Returns the files of all views, row by row.
 fn listed_files(
     folder: &Path,
     index: &Path,

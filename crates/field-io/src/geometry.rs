@@ -59,8 +59,8 @@ fn is_unset(mirror: &[bool; 2]) -> bool {
     *mirror == [false; 2]
 }
 
-/// Values that are used if neither flags nor files define them. A value that is `None` here too is
-/// an error.
+/// Values that are used if neither flags nor files define them. If a value is `None` here too, it
+/// is an error that the value is missing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryDefaults {
     /// Width of the light field on the display plane z = 0, millimetres.
@@ -153,7 +153,8 @@ pub(crate) struct Pixels {
     pub(crate) focus_px: f64,
 }
 
-/// Selects `count` of `available` indices: evenly spaced, as wide as possible, around the centre.
+/// Selects `count` of `available` indices, with equal steps as large as possible, around the
+/// centre.
 pub(crate) fn pick(available: usize, count: usize) -> Vec<usize> {
     let stride = if count > 1 { (available - 1) / (count - 1) } else { 1 };
     let first = (available - 1 - (count - 1) * stride) / 2;

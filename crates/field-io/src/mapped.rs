@@ -9,7 +9,7 @@ use lumistack_files::File;
 #[cfg(target_pointer_width = "64")]
 use memmap2::Mmap;
 
-/// Smallest size of an array that stays in its file, bytes.
+/// Smallest size in bytes of an array that stays in its file; smaller arrays are read.
 pub(crate) const FROM: u64 = 1 << 30;
 
 /// `float32` values in a mapped file.

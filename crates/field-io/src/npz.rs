@@ -10,7 +10,7 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use crate::npy;
 
-/// An array of this many bytes or more needs ZIP's long form of sizes.
+/// An array of this many bytes or more is written with ZIP's 64-bit sizes.
 const LARGE: u64 = 1 << 31;
 
 /// An archive in progress.

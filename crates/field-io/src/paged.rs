@@ -33,8 +33,8 @@ pub enum FieldWriter {
 }
 
 impl FieldWriter {
-    /// Begins in a file, if there is a folder for it and a number of bytes that may be in memory;
-    /// else in memory.
+    /// Begins a light field. It is written to a file if `place` has a folder and a number of bytes
+    /// that may be in memory, and else to memory.
     ///
     /// # Errors
     /// If the file cannot be created.
@@ -139,8 +139,8 @@ impl Paged {
     }
 }
 
-/// Returns a place for arrays on the disk of a folder, of which `limit` bytes each may be in
-/// memory.
+/// Returns a [`Storage`] that creates arrays in files on the disk of a folder. At most `limit`
+/// bytes of each array are in memory.
 pub fn storage(folder: &Path, limit: usize) -> Storage {
     let folder = folder.to_owned();
     Arc::new(move |bytes| {

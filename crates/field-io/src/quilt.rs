@@ -19,7 +19,7 @@ use crate::source::{Kind, Source, Views};
 /// Largest number of tiles per axis.
 const TILE_LIMIT: usize = 1000;
 
-/// Arrangement of views by the name of a quilt.
+/// Arrangement of views that the name of a quilt states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Layout {
     pub(crate) columns: usize,

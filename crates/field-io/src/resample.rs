@@ -65,7 +65,7 @@ fn covers(start: f64, length: f64, count: usize, limit: usize) -> Vec<Cover> {
 mod tests {
     use super::*;
 
-    /// Tolerance of sums of a few weights in single precision.
+    /// Largest accepted error of a sum of a few weights in single precision.
     const ROUNDING: f32 = 1e-6;
 
     fn averaged(values: &[f32], size: [usize; 2], corner: [f64; 2], span: [f64; 2], out: [usize; 2]) -> Vec<f32> {

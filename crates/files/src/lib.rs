@@ -119,7 +119,7 @@ pub struct Folder {
     inside: Vec<PathBuf>,
 }
 
-/// A name that cannot be followed.
+/// The reason why a name cannot be resolved to a file.
 #[derive(Debug)]
 pub enum Refusal {
     /// The operating system refused, or the name does not lead to a regular file.

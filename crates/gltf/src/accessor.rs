@@ -25,7 +25,7 @@ pub(crate) struct Format {
     pub(crate) text: &'static str,
 }
 
-/// A checked accessor.
+/// An accessor whose type, count and bounds have been checked.
 pub(crate) struct Accessor<'a> {
     /// JSON pointer to the index that refers to the accessor.
     used_at: String,
@@ -234,8 +234,8 @@ impl<'a> Accessor<'a> {
 }
 
 impl<'a> Elements<'a> {
-    /// `count` elements of `size` bytes, from byte `offset` of a view. `place` is the object with
-    /// the fields `bufferView` and `byteOffset`.
+    /// Opens `count` elements of `size` bytes, from byte `offset` of a view. `place` is the object
+    /// with the fields `bufferView` and `byteOffset`.
     fn open(
         document: &'a Document<'_>,
         view: json::Index<json::buffer::View>,

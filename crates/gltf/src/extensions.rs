@@ -88,7 +88,7 @@ mod tests {
 
     use super::*;
 
-    /// The rows of the table in `docs/GLTF.md`: extension, handling, test.
+    /// The rows of the table in `docs/GLTF.md`: extension, handling, and the test that shows it.
     fn rows() -> Vec<[&'static str; 3]> {
         let text = include_str!("../../../docs/GLTF.md");
         let table = text.split("| extension |").nth(1).expect("a table of extensions");

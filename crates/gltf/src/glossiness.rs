@@ -41,7 +41,8 @@ pub(crate) fn convert(loader: &mut Loader<'_, '_>, material: &mut Material, plac
     Ok(true)
 }
 
-/// Index of a texture with the roughness that corresponds to a texture with glossiness.
+/// Returns the index of a texture with roughness that replaces the texture `glossy` with
+/// glossiness.
 fn roughness_texture(loader: &mut Loader<'_, '_>, glossy: usize, factor: f32, place: &str) -> Result<usize, Fault> {
     let source = loader.textures[glossy];
     let key = (source.image, factor.to_bits());

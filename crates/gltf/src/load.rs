@@ -80,7 +80,7 @@ pub fn contents(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Ta
     list().map_err(|fault| fault.in_file(name))
 }
 
-/// Adds the file's name in front of the place of every warning.
+/// Passes warnings on, with the file's name in front of the place of each.
 struct InFile<'a> {
     name: &'a str,
     inner: &'a dyn Warnings,
@@ -137,7 +137,7 @@ fn load_scene(
     })
 }
 
-/// Marks the materials that the meshes of the scene use.
+/// For each material, finds whether a mesh of the scene uses it.
 fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, Fault> {
     let mut used = vec![false; document.root.materials.len()];
     // thousands of nodes may share a mesh of thousands of primitives, so each mesh is searched once
@@ -158,7 +158,7 @@ fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, F
     Ok(used)
 }
 
-/// Reads every mesh that the scene shows, each only once, and places it wherever a node shows it.
+/// Reads every mesh that the scene shows once, and places it for each node that shows it.
 fn place_meshes(
     document: &Document<'_>,
     nodes: &Nodes,
@@ -240,7 +240,7 @@ fn read_splats(
     Ok(found)
 }
 
-/// A mesh with one shape. One node shows it in this shape, or all nodes that share the mesh do.
+/// A mesh with one shape, in which one node shows it, or all nodes that share the mesh.
 struct Shape<'a> {
     /// The node's weights of morph targets, if the node has its own.
     weights: Option<&'a [f32]>,

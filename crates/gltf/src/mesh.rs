@@ -167,8 +167,8 @@ fn indices(document: &Document<'_>, request: &Request<'_>, count: usize) -> Resu
     }
 }
 
-/// Triangles of a list, strip or fan, all with the same orientation; and the number of vertices
-/// that are left over.
+/// Makes the triangles of a list, strip or fan, all with the same orientation. Also returns the
+/// number of vertices at the end that make no triangle.
 fn triangles(mode: Mode, v: &[u32]) -> (Vec<[u32; 3]>, usize) {
     match mode {
         Mode::TriangleStrip => {
@@ -188,8 +188,8 @@ fn triangles(mode: Mode, v: &[u32]) -> (Vec<[u32; 3]>, usize) {
     }
 }
 
-/// The vertices that the triangles use; renumbers the triangles' corners. Primitives often share
-/// one long list of vertices, of which each uses only a few.
+/// Selects the vertices that the triangles use, and renumbers the triangles' corners. Primitives
+/// often share one long list of vertices, of which each uses only a few.
 fn select_used_vertices(triangles: &mut [[u32; 3]], count: usize) -> Selection {
     let corners = triangles.as_flattened_mut();
     let used: Vec<u32> = if corners.len() < count / 16 {
@@ -212,7 +212,7 @@ fn select_used_vertices(triangles: &mut [[u32; 3]], count: usize) -> Selection {
     Selection::Some(used)
 }
 
-/// Adds the morph targets with the given weights.
+/// Adds the offsets of the morph targets, times their weights, to the mesh.
 fn morph(
     attributes: &Attributes<'_, '_>,
     weights: &[f32],
@@ -263,8 +263,8 @@ fn clamp_colors(document: &Document<'_>, place: &str, colors: Vec<[f32; 4]>) -> 
     clamped
 }
 
-/// Makes tangents unit vectors with handedness ±1. If any tangent has no direction, all tangents
-/// are dropped and generated anew.
+/// Makes tangents unit vectors with handedness ±1. If any tangent has no direction, all are
+/// dropped, and the validator generates tangents where they are needed.
 fn mend_tangents(document: &Document<'_>, mesh: &mut Mesh) {
     let mended: Option<Vec<Vec4>> = mesh
         .tangents

@@ -18,7 +18,7 @@ const NAMES: [&str; 2] = ["KHR_meshopt_compression", "EXT_meshopt_compression"];
 /// columns of bytes, which are 1024 bytes unpacked.
 const MAX_RATIO: u64 = 1024;
 
-/// A packed view.
+/// A buffer view that is compressed by meshopt.
 pub(crate) struct Packed<'d> {
     fields: Fields<'d>,
     /// Size of the view after decompression: its `byteLength`.

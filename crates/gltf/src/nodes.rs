@@ -131,7 +131,7 @@ fn children(node: &json::Node) -> &[json::Index<json::Node>] {
     node.children.as_deref().unwrap_or_default()
 }
 
-/// The parent of every node. A node with several parents gets the first, with a warning.
+/// Finds the parent of every node. A node with several parents gets the first, with a warning.
 fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
     let mut parents = vec![None; document.root.nodes.len()];
     for (parent, node) in document.root.nodes.iter().enumerate() {
@@ -150,7 +150,7 @@ fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
     Ok(parents)
 }
 
-/// The placement of every node in the scene; refuses cycles.
+/// Computes the placement of every node in the scene. A cycle of nodes is an error.
 fn placements(
     document: &Document<'_>,
     parents: &[Option<usize>],
@@ -213,7 +213,7 @@ fn parent_from_node(
     if placement.is_finite() { Ok(placement) } else { Err(Fault::new(place, "a finite placement", placement)) }
 }
 
-/// A placement from scale, rotation and translation; animated values replace these.
+/// Makes a placement of scale, rotation and translation. Animated values replace the given ones.
 fn posed(pose: Option<&NodePose>, (scale, rotation, translation): (DVec3, DQuat, DVec3)) -> DAffine3 {
     let moved = pose.cloned().unwrap_or_default();
     DAffine3::from_scale_rotation_translation(
@@ -223,7 +223,7 @@ fn posed(pose: Option<&NodePose>, (scale, rotation, translation): (DVec3, DQuat,
     )
 }
 
-/// A unit quaternion from four numbers of any length.
+/// Makes a unit quaternion of four numbers. Their length may be any, except 0.
 pub(crate) fn rotation(xyzw: [f32; 4], place: impl FnOnce() -> String) -> Result<DQuat, Fault> {
     let quaternion = DQuat::from_array(xyzw.map(f64::from));
     let length = quaternion.length();
@@ -288,8 +288,8 @@ fn vectors(document: &Document<'_>, accessor: Option<Accessor<'_>>) -> Result<Op
     accessor.map(|accessor| accessor.finite::<3>(document, &Selection::All, 0.0)).transpose()
 }
 
-/// Lumistack's extras `extras.lumistack` of the object at `owner`; warns of members that are not in
-/// `known`.
+/// Returns Lumistack's extras, `extras.lumistack`, of the object at `owner`. Warns of members that
+/// are not in `known`.
 pub(crate) fn extras<'a>(document: &'a Document<'_>, owner: &str, known: &[&str]) -> Option<&'a Value> {
     let place = format!("{owner}/extras/lumistack");
     let value = document.json(&place)?;

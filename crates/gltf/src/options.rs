@@ -5,7 +5,7 @@ use crate::error::Fault;
 /// Largest width or height of a picture, in texels.
 pub(crate) const MAX_SIDE: u32 = 1 << 15;
 
-/// Largest unpacked view, bytes.
+/// Largest size of a buffer view after decompression, bytes.
 pub(crate) const MAX_VIEW_BYTES: u64 = 2 << 30;
 
 /// Choices of [`load_with`](crate::load_with). By default, nodes keep their own transforms and
@@ -38,7 +38,7 @@ impl Default for LoadOptions {
     }
 }
 
-/// Index of the entry that `wanted` names; a name takes precedence over a number.
+/// Index of the entry that `wanted` names or numbers. A name takes precedence over a number.
 pub(crate) fn choose(what: &'static str, wanted: &str, names: &[Option<&str>]) -> Result<usize, Fault> {
     let by_name = names.iter().position(|name| *name == Some(wanted));
     let by_number = || wanted.parse().ok().filter(|&number: &usize| number < names.len());

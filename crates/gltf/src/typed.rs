@@ -15,7 +15,7 @@ use serde::de::{
 use serde::forward_to_deserialize_any;
 use serde_json::{Value, map};
 
-/// A value of another type than expected.
+/// The error of a JSON value that has another type than expected.
 #[derive(Debug)]
 pub(crate) struct Mistyped {
     /// JSON pointer to the value.
@@ -24,7 +24,7 @@ pub(crate) struct Mistyped {
     pub(crate) message: String,
 }
 
-/// Reads a typed value.
+/// Converts a JSON value to a value of type `T`.
 pub(crate) fn typed<'v, T: Deserialize<'v>>(value: &'v Value) -> Result<T, Mistyped> {
     T::deserialize(Typed(value))
 }
@@ -129,7 +129,7 @@ impl<'v> Deserializer<'v> for Typed<'v> {
         }
     }
 
-    /// Reads objects only, as glTF has them; serde would also accept an array of the members.
+    /// Accepts only an object, as glTF does; serde would also accept an array of the members.
     fn deserialize_struct<V: Visitor<'v>>(
         self,
         _: &'static str,
@@ -189,7 +189,7 @@ impl<'v> Deserializer<'v> for Typed<'v> {
     }
 }
 
-/// A variant is a text, or an object of one member.
+/// Reads a variant of an enum, which is a text, or an object of one member.
 impl<'v> EnumAccess<'v> for Typed<'v> {
     type Error = Mistyped;
     type Variant = Content<'v>;
@@ -208,7 +208,7 @@ impl<'v> EnumAccess<'v> for Typed<'v> {
     }
 }
 
-/// Content of a variant.
+/// Content of a variant of an enum, if it has content.
 struct Content<'v>(Option<&'v Value>);
 
 impl<'v> Content<'v> {

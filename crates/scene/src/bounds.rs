@@ -37,17 +37,17 @@ impl Bounds {
         point.cmpge(self.min).all() && point.cmple(self.max).all()
     }
 
-    /// Centre; meaningless for an empty box.
+    /// Centre of the box; meaningless for an empty box.
     pub fn centre(&self) -> Vec3 {
         0.5 * (self.min + self.max)
     }
 
-    /// Edge lengths.
+    /// Lengths of the edges along x, y and z.
     pub fn size(&self) -> Vec3 {
         self.max - self.min
     }
 
-    /// The eight corners.
+    /// The eight corners of the box.
     pub fn corners(&self) -> [Vec3; 8] {
         std::array::from_fn(|i| {
             Vec3::new(

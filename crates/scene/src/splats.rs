@@ -60,13 +60,15 @@ pub struct PlacedCloud {
     pub scene_from_cloud: Affine3A,
 }
 
-/// Clouds of more splats are sorted by position, since renderers read neighbouring splats together.
+/// A cloud of more splats than this is sorted by position, since renderers read neighbouring splats
+/// together.
 const UNSORTED: usize = 1 << 13;
-/// Weighted quantiles that bound the bulk of a cloud on each axis.
+/// Quantiles of the positions on each axis, between which the bulk of a cloud lies.
 const BULK: [f64; 2] = [0.02, 0.98];
 /// A splat is a floater if its distance from the bulk exceeds this fraction of the bulk's size.
+/// Floaters do not extend the bounds.
 const REACH: f32 = 0.5;
-/// Splats of smaller opacity do not extend the bounds.
+/// A splat of smaller opacity than this does not extend the bounds.
 const LEAST_OPACITY: f32 = 0.1;
 
 impl Cloud {
@@ -278,7 +280,7 @@ mod tests {
         }
     }
 
-    /// Validates a scene of a cloud that is placed by these maps; returns the scene and its
+    /// Validates a scene with a cloud that each of `maps` places once. Returns the scene and its
     /// warnings.
     fn validated(cloud: Cloud, maps: &[Affine3A]) -> (Result<Scene, SceneError>, Vec<String>) {
         let placed_clouds = maps.iter().map(|map| PlacedCloud { cloud: 0, scene_from_cloud: *map }).collect();

@@ -84,7 +84,7 @@ impl Scene {
         self.environment.is_some() || !self.lights.is_empty() || self.instances.iter().any(shows_lamp)
     }
 
-    /// Returns the parts, for changes and another validation.
+    /// Returns the parts of the scene, so that they can be changed and validated again.
     pub fn into_parts(self) -> SceneParts {
         self.parts
     }

@@ -64,7 +64,7 @@ impl From<RenderError> for ShotError {
     }
 }
 
-/// A wrong value: its place, the expected and the found value.
+/// An error about a value: its place and key, the expected and the found value.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{place}: {key}: expected {expected}, found {found}")]
 pub struct BadValue {

@@ -22,10 +22,11 @@ const STUDIO: [usize; 2] = [128, 64];
 const PROBE: [usize; 2] = [96, 60];
 /// Number of paths per pixel of the picture that measures whether lamps light a scene.
 const PROBE_SAMPLES: u32 = 16;
-/// Surfaces darker than this after exposure are taken as unlit.
+/// Surfaces whose exposed radiance is below this value count as unlit.
 const DARK: f64 = 0.02;
-/// Smallest fractions of the visible surfaces that glowing objects and light sources must light.
-/// Light sources need less: their author may want a spot in a dark room.
+/// Smallest fraction of the visible surfaces that the scene's own light must light: if only glowing
+/// objects give light, and if there are light sources. The author of light sources may want a spot
+/// in a dark room.
 const LIT_BY_GLOW: f64 = 0.5;
 const LIT_BY_LAMPS: f64 = 0.05;
 /// Radiance of the background behind a scene in studio light: a dark neutral ground.

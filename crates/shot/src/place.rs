@@ -36,16 +36,17 @@ use crate::subject::Subject;
 const PROBE_COLS: usize = 210;
 /// Quantiles of the visible depths that must fit, so that a few stray surfaces are ignored.
 const ENDS: [f64; 2] = [0.02, 0.98];
-/// Fractions of the scene that differ by less are taken as equal.
+/// Two positions of the window are equally good if the fractions of the scene that fit differ by
+/// less than this.
 const AS_GOOD: f64 = 0.01;
-/// Tolerance at the ends of the depth of field, mm.
+/// Depths may exceed the depth of field by this rounding error, mm.
 const ROUNDED: f64 = 1e-6;
 /// Number of window positions to compare.
 const TRIED: usize = 2001;
 /// Smallest fraction of a pixel's detail that the display must still show in front of a window that
 /// is given by numbers. Content so near to the viewer that less is shown is cut off.
 const LEAST_DETAIL: f64 = 0.125;
-/// Smallest factor on depth.
+/// Smallest factor to which fitting compresses depth.
 const LEAST_SCALE: f64 = 0.01;
 
 /// A window in the scene, and the depth scale with which the scene fits.
@@ -159,7 +160,8 @@ fn farthest_shown(display: &Display, pitch_mm: f64) -> Option<f64> {
     (far > 0.0 && far.is_finite()).then_some(far)
 }
 
-/// Returns the same rectangle with at most `most_cols` columns and with other views.
+/// Returns a geometry of the same rectangle with at most `most_cols` columns, and with the views of
+/// `grid`.
 pub fn probe(geometry: &FieldGeometry, grid: ViewGrid, most_cols: usize) -> FieldGeometry {
     let [width_mm, height_mm] = geometry.size_mm();
     let cols = geometry.cols.min(most_cols);

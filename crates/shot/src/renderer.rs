@@ -170,8 +170,8 @@ pub fn slopes(geometry: &FieldGeometry, views: &[[usize; 2]]) -> Vec<[f64; 2]> {
     views.iter().map(|[y, x]| [grid.slope_x[*x], grid.slope_y[*y]]).collect()
 }
 
-/// Blends the splats of a view over radiance `[..][rgb]` in place. Splats are `[..][r, g, b, T]`
-/// with T, the fraction of the light behind them that they transmit.
+/// Blends the splats of a view over radiance `[..][rgb]` in place. Splats are `[..][r, g, b, T]`,
+/// where T is the fraction of the light behind a splat that passes through it.
 pub fn put_before(space: Space, splats: &[f32], radiance: &mut [f32]) {
     let put = |(radiance, splats): (&mut [f32], &[f32])| {
         for (behind, pixel) in radiance.as_chunks_mut::<3>().0.iter_mut().zip(splats.as_chunks::<4>().0) {

@@ -13,7 +13,7 @@ pub trait Subject {
     /// Errors of the implementation, in addition to those of a shot.
     type Error: From<ShotError> + From<Cancelled>;
 
-    /// The scene.
+    /// The lit scene in front of which a display is placed.
     fn scene(&self) -> &Scene;
 
     /// The scene prepared for rendering; prepared at the first call.

@@ -17,10 +17,9 @@ use rayon::prelude::*;
 
 use crate::job::{LightJob, Tone};
 
-/// Smallest shown value of the brightest hundredth of the surfaces.
+/// The brightest hundredth of the surfaces is shown at this value or above it.
 const WHITE: f32 = 0.95;
-/// If a few lamps would leave everything else dark, half of the surfaces are shown above this
-/// value.
+/// If a few lamps would leave most surfaces dark, half of the surfaces are shown above this value.
 const MIDDLE: f32 = 0.22;
 /// If more than this fraction of rays is brighter than white, `auto` compresses highlights instead
 /// of clipping them.
@@ -236,7 +235,7 @@ mod tests {
         assert!(ToneMapping::choose(&LightJob::default(), &scene(false), &dark).exposure > 2.0);
     }
 
-    /// A diffuse point must look alike in every view, and independent of the rest of the view.
+    /// A diffuse point must look alike in every view, independent of the pixels around it.
     #[test]
     fn equal_radiance_looks_the_same_in_every_view() {
         let grid = ViewGrid::uniform(Projection::Oblique, [4, 1], [20.0, 1.0]).unwrap();

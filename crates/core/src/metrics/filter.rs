@@ -7,10 +7,10 @@
 
 use std::ops::{AddAssign, Mul, Range};
 
-/// Number of rows of a band without its halo.
+/// Number of rows of a band, the part of a picture that is filtered at a time, without its halo.
 const BAND: usize = 128;
 
-/// One quantity at every pixel of a band and its halo, `[row][col]`.
+/// One quantity at every pixel of a band of rows and of its halo, `[row][col]`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Plane<T> {
     pub(super) rows: usize,
@@ -33,7 +33,7 @@ pub(super) enum Border {
     Mirror,
 }
 
-/// The bands of a picture, as ranges of rows.
+/// Splits a picture into bands, which are filtered one after another. A band is a range of rows.
 pub(super) fn bands(rows: usize) -> impl Iterator<Item = Range<usize>> {
     (0..rows).step_by(BAND).map(move |start| start..(start + BAND).min(rows))
 }

@@ -31,7 +31,7 @@ use super::filter::{Border, Plane, bands, channels};
 const SENSITIVITY_Y: (f64, f64) = (1.0, 0.0047);
 const SENSITIVITY_CX: (f64, f64) = (1.0, 0.0053);
 const SENSITIVITY_CZ: [(f64, f64); 2] = [(34.1, 0.04), (13.5, 0.025)];
-/// Exponent of the colour distance.
+/// Exponent to which colour distances are raised.
 const COLOUR_EXPONENT: f32 = 0.7;
 /// Colour distances up to this fraction of the largest distance are mapped to 0..`COLOUR_KNEE_TO`.
 /// Larger distances are mapped to the rest of 0..1.

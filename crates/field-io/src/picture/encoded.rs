@@ -11,7 +11,7 @@ use crate::FieldError;
 /// Number of bytes at the end of a JPEG that must contain its end marker. Cameras append small
 /// extras after the marker.
 const JPEG_TAIL: u64 = 1 << 16;
-/// Memory limit of a decoder, bytes.
+/// Largest memory that a decoder may take, bytes.
 const DECODER_BYTES: u64 = 3 << 30;
 
 pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {

@@ -25,7 +25,7 @@ pub enum Precision {
 
 /// On noisy pictures PIZ takes half the time and half the space of ZIP.
 const COMPRESSION: Compression = Compression::PIZ;
-/// Bytes that a chunk takes at least: its entry in the offset table and its header.
+/// Smallest number of bytes of a chunk in a file: its entry in the offset table, and its header.
 const LEAST_BYTES_PER_CHUNK: u64 = 16;
 /// Largest size of decoded pixels, relative to the size of their file. Deflate packs 1032 bytes
 /// into one, and PXR24 keeps 24 of 32 bits.
@@ -185,7 +185,7 @@ impl MultiView {
         self.names.push(text);
     }
 
-    /// The file's bytes.
+    /// Encodes the picture, and returns the bytes of the file.
     ///
     /// # Errors
     /// If the picture has no view or exceeds the limits of the format.

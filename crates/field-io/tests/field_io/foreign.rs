@@ -128,7 +128,7 @@ fn quilts_start_at_the_bottom_left_and_may_be_anamorphic() {
     assert_eq!((label(&field, [1, 0]), label(&field, [8, 17])), ([0, 1], [2, 0]));
 }
 
-/// The shift with the best match between two views.
+/// Returns the shift along an axis, in pixels, at which two views match best.
 fn best_shift(field: &LightField, first: [usize; 2], second: [usize; 2], axis: usize, reach: i64) -> i64 {
     let [_, _, rows, cols, _] = field.radiance().shape();
     let level = |view: [usize; 2], row: i64, col: i64| {

@@ -172,8 +172,8 @@ fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
     assert!(error.contains("--prefilter: expected a display"), "{error}");
 }
 
-/// Views that are not kept have the slopes that they have in the whole light field. They occur
-/// once, and kept views are not among them.
+/// The views between the kept views have the same slopes as in the whole light field. Each occurs
+/// once, and no kept view is among them.
 #[test]
 fn views_between_those_that_are_kept_are_given_when_wanted() {
     for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 600.0 }] {

@@ -5,7 +5,7 @@ use gltf::json::accessor::ComponentType;
 
 use super::kinds::{Attribute, Mesh, Unpacked, Unsound};
 
-/// Decodes a stream, and unpacks the attributes with the given ids to one element per vertex.
+/// Decodes a stream. The attributes with the given ids are expanded to one element per vertex.
 pub(super) fn decode(bytes: &[u8], attributes: &[u32], max_bytes: u64) -> Result<Unpacked, Unsound> {
     let limits = DecodeLimits::default()
         .with_max_decoded_bytes(max_bytes)

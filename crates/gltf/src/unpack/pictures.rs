@@ -45,7 +45,7 @@ pub(super) fn decode(usage: Use, bytes: &[u8]) -> Result<Unpacked, Unsound> {
     pixels.map(Unpacked::Pixels)
 }
 
-/// Opens a picture, within the limits.
+/// Opens a picture of a format that the use allows, with limits on size and memory.
 fn open(usage: Use, bytes: &[u8]) -> Result<(ImageFormat, impl ImageDecoder + '_), Unsound> {
     let formats = match usage {
         Use::Texture => &TEXTURES[..],
@@ -88,7 +88,7 @@ fn is_deep(decoder: &impl ImageDecoder) -> bool {
     color.bytes_per_pixel() / color.channel_count() > 1
 }
 
-/// Codes with four channels; 16 bits where the file has them.
+/// Decodes a picture of codes to four channels, with 16 bits if the file has 16 bits.
 fn codes(bytes: &[u8]) -> Result<Pixels, Unsound> {
     let (format, decoder) = open(Use::Texture, bytes)?;
     let (width, height) = decoder.dimensions();
@@ -118,7 +118,7 @@ fn codes(bytes: &[u8]) -> Result<Pixels, Unsound> {
     Ok(Pixels::Rgba8(texels))
 }
 
-/// The values of a Radiance picture.
+/// Decodes a Radiance picture to linear values.
 fn radiance(bytes: &[u8]) -> Result<Pixels, Unsound> {
     let (format, decoder) = open(Use::Environment, bytes)?;
     let decoded = DynamicImage::from_decoder(decoder).map_err(|error| unreadable(format, error))?;

@@ -31,7 +31,7 @@ impl Out {
         self
     }
 
-    /// Writes the position of a value in the list `all`.
+    /// Writes a value as its position in the list `all`.
     fn one_of<T: PartialEq>(&mut self, all: &[T], value: &T) -> &mut Self {
         self.number(all.iter().position(|other| other == value).unwrap_or(all.len()))
     }
@@ -42,7 +42,7 @@ impl Out {
         self
     }
 
-    /// Writes a list of values of `N` bytes each, after its length in bytes.
+    /// Writes values of `N` bytes each, after the number of all their bytes.
     fn values<const N: usize>(&mut self, values: impl ExactSizeIterator<Item = [u8; N]>) -> &mut Self {
         self.number(N * values.len());
         self.0.reserve(N * values.len());

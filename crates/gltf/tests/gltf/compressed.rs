@@ -15,8 +15,8 @@ fn data(name: &str) -> Vec<u8> {
     std::fs::read(workspace().join("crates/gltf/tests/data").join(name)).unwrap()
 }
 
-/// Vertices, by a key: twice their grid position, rounded. Also triangles, as the keys of their
-/// corners, with the smallest key first.
+/// The vertices of a grid and its triangles. The key of a vertex is twice its grid position,
+/// rounded. A triangle has the keys of its corners, with the smallest key first.
 type Grid = (BTreeMap<[i32; 2], (Vec3, Vec3, Vec2)>, Vec<[[i32; 2]; 3]>);
 
 fn grid(scene: &Scene) -> Grid {

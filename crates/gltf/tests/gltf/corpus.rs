@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 /// Longest time in which any file of the corpus is loaded or refused.
 const MAX_LOAD_TIME: Duration = Duration::from_secs(20);
 
-/// Number of triangles, including copies, from the corpus' own inventory.
+/// Number of triangles of each file, including copies, as the corpus' own inventory states it.
 const TRIANGLES: [(&str, usize); 25] = [
     ("BoxMeshopt/BoxMeshopt.glb", 12),
     ("BoxMeshopt/BoxMeshopt.gltf", 12),
@@ -287,7 +287,7 @@ fn hostile_files_do_no_harm() {
     }
 }
 
-/// Most hostile files have their defect in an object that no scene shows. Here every object is
+/// Most hostile files have their defect in an object that no scene shows, so here every object is
 /// shown in turn.
 #[test]
 fn hostile_objects_do_no_harm_when_shown() {
@@ -327,8 +327,8 @@ fn hostile_objects_do_no_harm_when_shown() {
     }
 }
 
-/// The file with a triangle that no scene shows yet, and the indices of its mesh and its node.
-/// `None` if a member that should be a list is not one.
+/// Adds a triangle that no scene shows yet to a file, and returns the indices of its mesh and its
+/// node. `None` if a member that should be a list is not one.
 fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     let mut b = Builder { json: file.clone(), bin: Vec::new() };
     for list in ["scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers", "materials", "textures"] {

@@ -375,8 +375,8 @@ fn copies_of_copies_do_not_exhaust_memory() {
     assert!(message.starts_with(expected), "{message}");
 }
 
-/// Fifty thousand nodes show a mesh with twenty thousand primitives. Work for each pair, a billion,
-/// would take minutes.
+/// Fifty thousand nodes show a mesh with twenty thousand primitives. The reader must not work on
+/// every pair of node and primitive: a billion pairs would take minutes.
 #[test]
 fn nodes_that_share_a_large_mesh_take_no_time() {
     let mut builder = Builder::triangle();

@@ -78,8 +78,8 @@ fn everything() -> Builder {
     b
 }
 
-/// Loads the bytes, and returns true if they give a scene. A panic fails with `what`, a description
-/// of the bytes.
+/// Loads the bytes, and returns true if they give a scene. If the reader panics, the test fails
+/// with `what`, a description of the bytes.
 fn survives(bytes: &[u8], what: &str) -> bool {
     let start = Instant::now();
     let result = catch_unwind(|| load(bytes).0.is_ok());

@@ -114,7 +114,7 @@ impl JsonSchema for ZoneSamples {
     }
 }
 
-/// Reads both forms, so that an error names them.
+/// Reads `"auto"` or a number, so that an error states both forms.
 struct ZoneSamplesForm;
 
 impl Visitor<'_> for ZoneSamplesForm {

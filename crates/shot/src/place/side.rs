@@ -36,7 +36,7 @@ const CAPTURE_SHARE: f64 = ENOUGH;
 /// of 40° suffices for a flat board, which shows most at 55° (sin 40° / sin 55° = 0.78). A card is
 /// seen face on, since it shows only 0.71 from 45°.
 const ENOUGH: f64 = 0.745;
-/// Numbers of columns and rows of the rays along a candidate direction.
+/// Numbers of columns and rows of rays by which the area along a candidate direction is measured.
 const PROBE: [usize; 2] = [96, 60];
 
 /// Computes the forward and up vectors of a viewer, from the azimuth to the right of +z and the
@@ -119,8 +119,8 @@ pub(crate) fn choose(
     Ok(best(&tried, if is_capture { CAPTURE_SHARE } else { FRONT_SHARE }))
 }
 
-/// Returns the first direction that shows enough. The front is chosen if it shows `front_share` of
-/// the largest area.
+/// Returns the first tried direction that shows enough. It is the front if the front shows
+/// `front_share` of the largest area.
 fn best(tried: &[([f64; 2], f64)], front_share: f64) -> [f64; 2] {
     let most = tried.iter().fold(0.0f64, |most, (_, area)| most.max(*area));
     let Some((front, area)) = tried.first() else { return FRONT };

@@ -113,9 +113,9 @@ fn unlimited_window<S: Subject>(
     }
 }
 
-/// Fits a window to the visible scene. With `recentre` the window frames the scene. Otherwise the
-/// window moves closer along its axis until the scene covers [`COVERAGE`] of it. All visible
-/// content stays visible.
+/// Fits a window to the visible scene, without cutting off visible content. With `recentre` the
+/// window frames the scene. Otherwise it moves closer along its axis until the scene covers
+/// [`COVERAGE`] of it.
 fn close_up<S: Subject>(
     subject: &S,
     window: Window,
@@ -165,8 +165,9 @@ fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     (factor, seen.map(|[first, end]| 0.5 * (first + end) as f64))
 }
 
-/// Returns the middle region of a picture of which [`COVERAGE`] is set, in the form of [`whole`].
-/// The region is larger if it would otherwise cut off set pixels or be smaller than [`CLOSEST`].
+/// Returns the region in the middle of a picture of which set pixels cover [`COVERAGE`], in the
+/// form of [`whole`]. The region is larger if it would otherwise cut off set pixels or be smaller
+/// than [`CLOSEST`].
 fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let [rows, cols] = mask.shape();
     let middle = [rows, cols].map(|count| 0.5 * count as f64);

@@ -4,7 +4,7 @@ use glam::{Quat, Vec3};
 use lumistack_scene::Cloud;
 use thiserror::Error;
 
-/// Directions of a file's axes.
+/// Directions of the three axes of a file of splats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axes {
     /// x right, y up, z towards the viewer: the axes of glTF and of a scene.
@@ -57,22 +57,22 @@ impl ReadError {
 /// Largest size of a decompressed file, in bytes.
 pub const MAX_BYTES: u64 = 8 << 30;
 
-/// Opacity from the logit that trainers store: 1/(1 + e^−x).
+/// Converts the logit that trainers store to an opacity: 1/(1 + e^−x).
 pub(super) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// Coefficient of the constant harmonic, for a colour in 0..1.
+/// Converts a colour in 0..1 to the coefficient of the constant harmonic.
 pub(super) fn constant(colour: f32) -> f32 {
     (colour - 0.5) / 0.282_094_8
 }
 
-/// Degree of harmonics with this number of coefficients, not counting the constant one.
+/// Degree of the harmonics that have this number of coefficients, not counting the constant one.
 pub(super) fn degree_of(coefficients: usize) -> Option<usize> {
     [0, 3, 8, 15].iter().position(|known| *known == coefficients)
 }
 
-/// Restores a unit quaternion from its three smaller components.
+/// Restores a unit quaternion from its three smaller components, which files store.
 ///
 /// `rest` is the result without its component `largest`, in the same order.
 pub(super) fn from_smallest_three(rest: [f32; 3], largest: usize) -> [f32; 4] {
@@ -97,7 +97,7 @@ pub(super) fn cloud(place: &str, count: usize, degree: usize) -> Cloud {
     }
 }
 
-/// Scales from the logarithms that files store.
+/// Converts the logarithms that files store to scales.
 pub(super) fn exp(log: Vec3) -> Vec3 {
     Vec3::new(log.x.exp(), log.y.exp(), log.z.exp())
 }

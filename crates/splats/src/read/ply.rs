@@ -64,7 +64,7 @@ struct Property {
     offset: usize,
 }
 
-/// An element of the file with its rows.
+/// An element of the file, which is a table of rows with named properties.
 struct Element<'a> {
     name: String,
     count: usize,
@@ -73,7 +73,7 @@ struct Element<'a> {
     rows: &'a [u8],
 }
 
-/// One property, in all rows.
+/// One property of an element, in all of its rows.
 #[derive(Clone, Copy)]
 struct Column<'a> {
     rows: &'a [u8],

@@ -26,7 +26,7 @@ const MAGIC: u32 = 0x5053_474e;
 /// Sizes of the headers in bytes: of versions 1 to 3, and of version 4.
 const HEADER: usize = 16;
 const HEADER_4: usize = 32;
-/// Bit of the header's flags that marks records of vendors.
+/// Bit of the header's flags that marks records of vendors, which are not read.
 const EXTENSIONS: u8 = 2;
 /// Largest number of fractional bits of a 24-bit position.
 const MAX_FRACTION: u8 = 23;
@@ -200,8 +200,8 @@ fn splats(header: &Header, parts: [&[u8]; 6]) -> Result<Found, ReadError> {
     Ok(Found { cloud, axes: Axes::RightUpBack, left_out })
 }
 
-/// A rotation in 32 bits: the upper two are the index of the largest component; then ten bits for
-/// each other component, with the sign first.
+/// Reads a rotation of 32 bits. The upper two bits are the index of the largest component. Ten bits
+/// follow for each other component, with the sign first.
 fn smallest_three(bytes: &[u8]) -> Quat {
     let word = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
     let part = |shift: u32| {
