@@ -80,7 +80,7 @@ impl Renderer {
         Some(Self { scene, space })
     }
 
-    /// Memory that the splats of a window need during a render, in bytes.
+    /// Returns the memory in bytes that the prepared splats take while views are rendered.
     pub fn bytes(&self) -> usize {
         self.scene.splat_count() * size_of::<Splat>()
     }
@@ -135,7 +135,7 @@ impl Renderer {
     }
 }
 
-/// Renders the views of a block, tile by tile.
+/// Renders a block of views, tile by tile.
 fn block_of(
     shared: &Shared<'_>,
     prepared: &Prepared,

@@ -27,8 +27,8 @@ fn cloud(count: usize, degree: usize) -> Cloud {
     cloud
 }
 
-/// Largest differences between two clouds, of positions, logarithms of scales, directions of axes,
-/// opacities, constant harmonics and higher harmonics.
+/// Returns the largest differences between two clouds. They are of positions, logarithms of scales,
+/// directions of axes, opacities, constant harmonics and higher harmonics.
 fn differences(a: &Cloud, b: &Cloud) -> [f32; 6] {
     assert_eq!((a.len(), a.degree), (b.len(), b.degree));
     let most = |values: &mut dyn Iterator<Item = f32>| values.fold(0.0, f32::max);

@@ -124,12 +124,12 @@ fn harmonics(d: DVec3) -> [f64; 16] {
     ]
 }
 
-/// A splat in one view: distance, centre and covariance on z = 0 in millimetres, opacity, colour,
-/// depth in millimetres.
+/// A splat in one view: distance from the eye, centre and covariance on the plane z = 0 in
+/// millimetres, opacity, colour, depth in millimetres.
 type Projected = (f64, DVec2, DMat2, f64, DVec3, f64);
 
-/// All splats of a view, nearest first, projected onto z = 0 by the Jacobian of the projection
-/// along the view's rays.
+/// Projects all splats onto the plane z = 0 along the rays of one view, and sorts them, nearest
+/// first. The projection is linear near each centre (its Jacobian).
 fn project(scene: &Scene, window: &Window, projection: Projection, slope: [f64; 2]) -> Vec<Projected> {
     let map = window.scene_from_display;
     let mut all = Vec::new();

@@ -74,13 +74,13 @@ impl Mean {
     }
 }
 
-/// |z| that chance exceeds with this probability.
+/// Returns the |z| that chance alone exceeds with the probability `false_alarm_rate`.
 pub fn z_limit(false_alarm_rate: f64) -> f64 {
     Normal::standard().inverse_cdf(1.0 - 0.5 * false_alarm_rate)
 }
 
-/// Probability that chance gives counts at least as far from the expected counts. Both lists should
-/// have the same sum; cells with small expected counts are pooled.
+/// Returns the probability that chance alone moves counts at least this far from their expectation.
+/// Both lists should have the same sum. Cells with small expected counts are pooled.
 ///
 /// # Panics
 /// If the lengths differ or fewer than two cells are left after pooling.

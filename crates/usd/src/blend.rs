@@ -25,8 +25,8 @@ pub const EXTENSION: &str = "blend";
 /// the module bpy.
 pub const VARIABLE: &str = "LUMISTACK_BLENDER";
 
-/// Modules that run in Blender, in the order of their imports. In the Python package they are
-/// `lumistack.blender`.
+/// Python modules that run in Blender, in the order of their imports. The Python package has them
+/// as `lumistack.blender`.
 const MODULES: [(&str, &str); 5] = [
     ("cameras", include_str!("../../python/python/lumistack/blender/cameras.py")),
     ("glb", include_str!("../../python/python/lumistack/blender/glb.py")),
@@ -136,7 +136,7 @@ pub fn blend_contents(path: &Path, task: Task<'_>) -> Result<BlendContents, UsdE
     Ok(ask(&Request::new(path, None, true)?, folder.path(), task.cancel)?.contents)
 }
 
-/// Views that Blender is to render.
+/// The views that Blender renders, as they are passed to it.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlendViews {
     /// The window in the scene, in glTF's axes.
@@ -164,9 +164,9 @@ pub struct BlendWindow {
     pub width: f64,
 }
 
-/// Renders views at a time, with the file's own engine and settings. When the linear OpenEXR file
-/// of a view is complete, calls `finished` with the view's number and the file. Removes the file
-/// after the call.
+/// Renders views at a time, with the file's own engine and settings. When a view is complete, calls
+/// `finished` with the view's number and its file (OpenEXR, linear). Removes the file after the
+/// call.
 ///
 /// # Errors
 /// The errors of [`hand_over`].
@@ -233,7 +233,7 @@ struct Failure {
     message: String,
 }
 
-/// The failure of one program.
+/// The failure of one Blender, or of one Python with bpy.
 enum Failed {
     /// This program cannot read the file, so the next one is tried, if there is one.
     Unfit(String),

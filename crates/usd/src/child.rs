@@ -19,7 +19,7 @@ use crate::UsdError;
 use crate::package::Package;
 use crate::python::{Candidate, Surroundings};
 
-/// The walker's modules, in the order of their imports.
+/// The walker: Python modules that read a stage, in the order of their imports.
 pub const MODULES: [(&str, &str); 9] = [
     ("writer", include_str!("../python/writer.py")),
     ("geometry", include_str!("../python/geometry.py")),
@@ -31,14 +31,14 @@ pub const MODULES: [(&str, &str); 9] = [
     ("skel", include_str!("../python/skel.py")),
     ("walk", include_str!("../python/walk.py")),
 ];
-/// The script that starts [`MODULES`] in a child.
+/// The script that imports [`MODULES`] in a Python process and starts the walker.
 const BOOT: &str = include_str!("../python/boot.py");
-/// Interval at which the state of a child is checked.
+/// Time between two checks of a running child process.
 const POLL: Duration = Duration::from_millis(5);
-/// Number of bytes of the end of standard error that are kept.
+/// Number of bytes that are kept of a child's standard error. They are the last ones.
 const SAID: usize = 16 << 10;
 
-/// Input of the walker.
+/// The task of the walker, which it reads as JSON.
 #[derive(Debug, Serialize)]
 pub(crate) struct Request<'a> {
     pub(crate) path: &'a str,
@@ -47,7 +47,7 @@ pub(crate) struct Request<'a> {
     pub(crate) contents_only: bool,
 }
 
-/// A package in a file, and the Python that wrote the file.
+/// The package that the walker wrote to a file, and the Python that ran the walker.
 pub(crate) struct Answer {
     file: Option<Mmap>,
     /// The Python that wrote the file.
@@ -55,7 +55,7 @@ pub(crate) struct Answer {
 }
 
 impl Answer {
-    /// Parses the file.
+    /// Parses the file that the walker wrote.
     ///
     /// # Errors
     /// If the file is not a package.
@@ -65,7 +65,7 @@ impl Answer {
     }
 }
 
-/// The failure of one candidate.
+/// The failure of one Python.
 enum Failed {
     /// This Python cannot read USD files, so the next one is tried, if there is one.
     Unfit(String),

@@ -40,7 +40,7 @@ pub(crate) enum Wrap {
     Pinned,
 }
 
-/// The number of values that an attribute has on curves.
+/// States for which elements of the curves an attribute has values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Interpolation {
     /// All curves together have one value.
@@ -53,7 +53,7 @@ pub(crate) enum Interpolation {
     Vertex,
 }
 
-/// Data on curves: `width` numbers per value. Missing values are 0.
+/// An attribute of curves. Each value has `width` numbers; missing values are 0.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Data<'a> {
     pub(crate) values: &'a [f32],
@@ -61,7 +61,7 @@ pub(crate) struct Data<'a> {
     pub(crate) interpolation: Interpolation,
 }
 
-/// Curves of one prim.
+/// All curves of one prim, with their attributes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Curves<'a> {
     pub(crate) points: &'a [Vec3],
@@ -81,14 +81,14 @@ pub(crate) struct Curves<'a> {
 /// If the triangles exceed this number, tubes get fewer sides and samples.
 const MOST_TRIANGLES: usize = 2_000_000;
 
-/// Samples per segment and sides per tube, the finest first.
+/// Samples per segment, and sides per tube, from the finest choice to the coarsest.
 const DETAIL: [(usize, usize); 4] = [(8, 12), (6, 8), (4, 5), (2, 3)];
 
 /// A curve that is shorter than this fraction of its largest coordinate is treated as a single
 /// point, since its samples differ only by rounding.
 const ROUNDING: f32 = 1e-5;
 
-/// The weighted control points whose sum is one sample.
+/// A sample of a curve: its value is a weighted sum of values at control points.
 #[derive(Clone, Debug, Default)]
 struct Sample {
     /// Indices of control points within the curve, with the weights of their values.
@@ -97,8 +97,8 @@ struct Sample {
     ends: Vec<(usize, f32)>,
 }
 
-/// Triangles of all curves; `face_of_triangle` is the index of the curve. Curves with too few
-/// points are left out.
+/// Converts curves to triangles. In `face_of_triangle`, each triangle has the index of its curve.
+/// Curves with too few points are left out.
 pub(crate) fn tessellate(curves: &Curves<'_>) -> Geometry {
     let segments: usize =
         curves.vertex_counts.iter().map(|&count| segment_count(curves, usize::try_from(count).unwrap_or(0))).sum();
@@ -149,7 +149,7 @@ fn segment_count(curves: &Curves<'_>, points: usize) -> usize {
     }
 }
 
-/// Weights of the four points of a segment.
+/// Returns the weights of the four control points of a segment at `t`, which is 0..1.
 fn weights(basis: Basis, t: f32) -> [f32; 4] {
     let s = 1.0 - t;
     match basis {
@@ -202,7 +202,7 @@ fn samples(curves: &Curves<'_>, count: usize, segments: usize, steps: usize) -> 
     samples
 }
 
-/// Offsets into the data of a curve, and the geometry that receives its triangles.
+/// A curve's offsets into the data of its prim, and the geometry that receives its triangles.
 struct Place<'g> {
     curve: usize,
     first_point: usize,
@@ -230,7 +230,7 @@ impl Place<'_> {
     }
 }
 
-/// Cross-section of a tube, or line across a ribbon, at one sample.
+/// A rib: the cross-section of a tube, or the line across a ribbon, at one sample.
 struct Rib {
     position: Vec3,
     tangent: Vec3,
@@ -288,7 +288,7 @@ fn sweep(curves: &Curves<'_>, mut place: Place<'_>, samples: &[Sample], sides: u
     }
 }
 
-/// Ribs of a curve; `None` for curves without length.
+/// Returns the ribs of a curve, or `None` if the curve has no length.
 fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     let last = positions.len() - 1;
     let mut lengths = vec![0.0; positions.len()];
@@ -338,7 +338,8 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     Some(ribs)
 }
 
-/// Rotates the perpendicular vector of one rib to the next rib, by two reflections.
+/// Carries the perpendicular vector of a rib along the curve to the next rib, by two reflections.
+/// Twist is thus avoided.
 fn carried(rib: &Rib, position: Vec3, tangent: Vec3) -> Vec3 {
     let reflect = |v: Vec3, mirror: Vec3| match mirror.length_squared() {
         0.0 => v,
@@ -413,11 +414,11 @@ fn ribbon(place: &mut Place<'_>, normals: &Data<'_>, samples: &[Sample], ribs: &
     }
 }
 
-/// Number of segments into which each edge of the octahedron is cut, for a ball at a point.
+/// Number of parts into which each edge of the octahedron is cut, for the ball at a point.
 const BALL_PARTS: u32 = 4;
 
-/// A ball of diameter 1: an octahedron whose edges are cut into `parts` segments, with 8 parts²
-/// triangles.
+/// Returns a ball of diameter 1. It is an octahedron whose edges are cut into `parts` segments, so
+/// it has 8 parts² triangles.
 pub(crate) fn ball(parts: u32) -> Geometry {
     let mut geometry = Geometry::default();
     for octant in 0..8 {
@@ -445,8 +446,8 @@ pub(crate) fn ball(parts: u32) -> Geometry {
     geometry
 }
 
-/// Balls at points, each with its own colour; `face_of_triangle` is the index of the point. If all
-/// points have the same colour, instances of [`ball`] take less memory.
+/// Returns balls at points, each with its own colour. In `face_of_triangle`, each triangle has the
+/// index of its point. If all points have the same colour, instances of [`ball`] take less memory.
 pub(crate) fn colored_balls(
     points: &[Vec3],
     diameter: impl Fn(usize) -> f32,
@@ -480,7 +481,7 @@ mod tests {
         Curves { points, vertex_counts: counts, basis, wrap, widths: ONE, normals: None, colors: None, uvs: [None; 2] }
     }
 
-    /// Positions on the spine: means of the rings.
+    /// Returns the centres of a tube's rings.
     fn spine(geometry: &Geometry, rings: usize, sides: usize) -> Vec<Vec3> {
         (0..rings)
             .map(|ring| geometry.positions[ring * (sides + 1)..][..sides].iter().sum::<Vec3>() / sides as f32)

@@ -45,12 +45,12 @@ impl Geometry {
 }
 
 impl Geometry {
-    /// Surface area.
+    /// Returns the area of all triangles together.
     pub(crate) fn area(&self) -> f64 {
         self.corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length()).sum()
     }
 
-    /// Positions of the corners of every triangle.
+    /// Returns the positions of the three corners of every triangle.
     pub(crate) fn corners(&self) -> impl Iterator<Item = [glam::DVec3; 3]> + Clone {
         self.triangles.iter().map(|triangle| triangle.map(|i| self.positions[i as usize].as_dvec3()))
     }

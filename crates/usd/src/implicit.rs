@@ -16,7 +16,7 @@ use crate::geometry::Geometry;
 /// − cos(π/96) = 0.05 % of its radius.
 const TURN_PARTS: usize = 96;
 
-/// The direction of a shape's spine.
+/// The direction of the axis about which a shape is round.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Axis {
     /// +x
@@ -29,7 +29,7 @@ pub(crate) enum Axis {
 }
 
 impl Axis {
-    /// Converts a vector of a shape with spine +z to this spine.
+    /// Rotates a vector of a shape whose axis is +z to the shape's own axis.
     fn turn(self, v: Vec3) -> Vec3 {
         match self {
             Self::X => Vec3::new(v.z, v.x, v.y),
@@ -44,8 +44,8 @@ impl Axis {
     }
 }
 
-/// A point of a profile: (distance from the spine, height); the normal, also as (outward, up); and
-/// the texture coordinate v.
+/// A point of a profile that is rotated about the axis: (distance from the axis, height); normal
+/// (outward, up); texture coordinate v.
 type Knot = (Vec2, Vec2, f32);
 
 /// Adds the surface of revolution of a profile. The profile runs from the top down.
@@ -99,14 +99,15 @@ fn cap(geometry: &mut Geometry, radius: f32, z: f32, up: bool) {
     }
 }
 
-/// Knots of an arc about (0, `z`) from polar angle `from` to `to`; v runs from `from_v` to `to_v`.
+/// Returns the points of an arc about (0, `z`), from polar angle `from` to polar angle `to`. The
+/// texture coordinate runs from `from_v` to `to_v`.
 fn arc(radius: f32, z: f32, [from, to]: [f32; 2], [from_v, to_v]: [f32; 2]) -> Vec<Knot> {
     let parts = ((to - from) / TAU * TURN_PARTS as f32).round().max(1.0) as usize;
     (0..=parts)
         .map(|i| {
             let share = i as f32 / parts as f32;
             let angle = from + (to - from) * share;
-            // poles are exactly on the spine, but the sine of π is not exactly 0 in f32
+            // poles are exactly on the axis, but the sine of π is not exactly 0 in f32
             let sine = if angle == 0.0 || angle == 2.0 * FRAC_PI_2 { 0.0 } else { angle.sin() };
             let normal = Vec2::new(sine, angle.cos());
             (radius * normal + Vec2::new(0.0, z), normal, from_v + (to_v - from_v) * share)
@@ -114,7 +115,7 @@ fn arc(radius: f32, z: f32, [from, to]: [f32; 2], [from_v, to_v]: [f32; 2]) -> V
         .collect()
 }
 
-/// `UsdGeomSphere`.
+/// Makes the triangles of a `UsdGeomSphere`.
 pub(crate) fn sphere(radius: f32) -> Geometry {
     let mut geometry = Geometry::default();
     revolve(&mut geometry, &arc(radius, 0.0, [0.0, 2.0 * FRAC_PI_2], [0.0, 1.0]));

@@ -28,7 +28,7 @@ pub(crate) struct Loaded {
     pub(crate) reads_colors: bool,
 }
 
-/// A material as the walker describes it.
+/// A material of a package, as the walker writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Entry {

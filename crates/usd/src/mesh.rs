@@ -9,7 +9,7 @@ use glam::{DVec2, DVec3, Vec2, Vec3, Vec4};
 use crate::geometry::Geometry;
 use crate::polygons::{Attribute, Corner, Polygons};
 
-/// Triangles of a mesh. Holes, and faces with fewer than three corners, are left out.
+/// Cuts a mesh into triangles. Holes, and faces with fewer than three corners, are left out.
 pub(crate) fn triangulate(polygons: &Polygons) -> Geometry {
     let mut vertices = Vertices::new(polygons);
     let mut hole = vec![false; polygons.counts.len()];
@@ -41,14 +41,15 @@ pub(crate) fn triangulate(polygons: &Polygons) -> Geometry {
     vertices.geometry
 }
 
-/// A polygon's normal, whose length is twice the polygon's area.
+/// Returns a polygon's normal (Newell's method). Its length is twice the polygon's area.
 fn newell(ring: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     let Some(origin) = ring.clone().next() else { return DVec3::ZERO };
     let next = ring.clone().skip(1).chain([origin]);
     ring.zip(next).map(|(a, b)| (a - origin).cross(b - origin)).sum()
 }
 
-/// The vertices that were added so far. The vertices at one point form a linked list.
+/// The vertices of the triangles that were made so far. Vertices at the same point form a linked
+/// list.
 struct Vertices<'a> {
     polygons: &'a Polygons,
     geometry: Geometry,
@@ -115,7 +116,7 @@ impl<'a> Vertices<'a> {
     }
 }
 
-/// Cuts polygons into triangles; keeps its buffers between calls.
+/// Cuts polygons into triangles. It keeps its buffers, so that they are allocated once.
 #[derive(Default)]
 struct Cutter {
     earcut: earcut::Earcut<f64>,
@@ -176,7 +177,7 @@ mod tests {
     use super::*;
     use crate::polygons::Interpolation;
 
-    /// One face in the plane z = 0.
+    /// A mesh with a single face, which is in the plane z = 0.
     fn face(points: &[[f32; 2]]) -> Polygons {
         Polygons {
             points: points.iter().map(|&[x, y]| [x, y, 0.0]).collect(),

@@ -11,11 +11,11 @@ use serde::Deserialize;
 
 use crate::error::Fault;
 
-/// First bytes of a file.
+/// The first bytes of every package.
 const MAGIC: &[u8; 8] = b"LUMIPKG1";
 /// Arrays start at multiples of this number of bytes.
 const ALIGNMENT: usize = 64;
-/// Value of `schema` in the header.
+/// The value that `schema` must have in a package's header.
 const SCHEMA: &str = "lumistack.scene-package";
 
 /// A scene as the walker describes it.
@@ -69,7 +69,7 @@ pub struct Failure {
     pub message: String,
 }
 
-/// A warning of the walker.
+/// A warning that the walker wrote into the package.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Note {
     /// Path of the prim to which the warning applies.
@@ -123,7 +123,7 @@ impl TimeRange {
     }
 }
 
-/// A shape in its own space.
+/// A shape, in its own coordinates.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[expect(clippy::large_enum_variant, reason = "nearly all of them are meshes")]
@@ -174,7 +174,7 @@ pub(crate) struct MeshEntry {
     pub(crate) subdivision: Option<Subdivision>,
 }
 
-/// Values over a surface (a primvar).
+/// A primvar: values of an attribute over a surface.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Primvar {
     pub(crate) name: String,
@@ -184,7 +184,7 @@ pub(crate) struct Primvar {
     pub(crate) indices: Option<Array>,
 }
 
-/// Faces that have another material than the rest of the mesh.
+/// A subset of a mesh's faces that has its own material.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Subset {
     pub(crate) place: String,
@@ -213,7 +213,7 @@ pub(crate) struct Subdivision {
     pub(crate) corner_sharpnesses: Option<Array>,
 }
 
-/// An implicit shape.
+/// A shape that a formula describes, for example a sphere (`UsdGeomSphere`).
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct SolidEntry {
     pub(crate) place: String,
@@ -222,7 +222,7 @@ pub(crate) struct SolidEntry {
     /// Sizes of the shape, in the order of the schema's attributes. A shape with two radii lists
     /// the radii first.
     pub(crate) sizes: Vec<f32>,
-    /// Axis of the shape's spine: `x`, `y` or `z`.
+    /// Axis of the shape: `x`, `y` or `z`.
     #[serde(default)]
     pub(crate) axis: String,
     #[serde(default)]
@@ -284,7 +284,7 @@ pub(crate) struct SplatsEntry {
     pub(crate) colour_space: String,
 }
 
-/// Copies of a shape.
+/// Copies of one shape, all of which have the same chain of transforms.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Placement {
     pub(crate) geometry: usize,
@@ -295,7 +295,8 @@ pub(crate) struct Placement {
     pub(crate) chain: Vec<Link>,
 }
 
-/// Matrices. For each matrix, there is one copy of everything that comes earlier in the chain.
+/// A step in the chain of transforms from a shape to the stage. Everything earlier in the chain is
+/// copied once per matrix.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Link {
     /// Matrices `[n][4][4]` for row vectors, as in USD: the translation is the last row.
@@ -329,7 +330,7 @@ pub(crate) struct CameraEntry {
     pub(crate) matrix: [f64; 16],
 }
 
-/// A reference to an array.
+/// A reference to an array of numbers in the package.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Array {
     /// Index of the array in [`Package::buffers`].
@@ -343,7 +344,7 @@ pub struct Array {
 }
 
 impl Header {
-    /// Reads a header.
+    /// Parses the JSON header of a package.
     ///
     /// # Errors
     /// The reason, as a phrase after "found".
@@ -358,7 +359,7 @@ impl Header {
 }
 
 impl<'a> Package<'a> {
-    /// Reads a file.
+    /// Parses a package: its header, and the range of bytes of every array.
     ///
     /// # Errors
     /// The reason, as a phrase after "found".
@@ -423,7 +424,7 @@ impl<'a> Package<'a> {
         Ok(chunks)
     }
 
-    /// The numbers of an array of integers.
+    /// Returns the numbers of an array of integers.
     pub(crate) fn integers(&self, array: &Array, place: &str) -> Result<Vec<i64>, Fault> {
         let (bytes, _) = self.bytes(array, 1, place)?;
         Ok(match array.kind.as_str() {
@@ -436,7 +437,7 @@ impl<'a> Package<'a> {
         })
     }
 
-    /// The 4 × 4 matrices of an array.
+    /// Returns the 4 × 4 matrices of an array, each as 16 numbers, row by row.
     pub(crate) fn matrices(&self, array: &Array, place: &str) -> Result<Vec<[f64; 16]>, Fault> {
         let (bytes, _) = self.bytes(array, 16, place)?;
         let values: Vec<f64> = match array.kind.as_str() {
@@ -470,7 +471,7 @@ fn from_half(bits: u16) -> f32 {
 mod tests {
     use super::*;
 
-    /// A package with one array.
+    /// Makes a package with one array, for these tests.
     fn file(header: &str, data: &[u8]) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
         bytes.extend((header.len() as u64).to_le_bytes());

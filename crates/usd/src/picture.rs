@@ -17,7 +17,7 @@ const MOST_BYTES: u64 = 2 << 30;
 /// Smallest size of a block of compressed pixels, bytes. If the header declares more blocks than
 /// fit into the file, the file is refused.
 const LEAST_BYTES_PER_BLOCK: usize = 8;
-/// Signature of OpenEXR.
+/// The first bytes of every OpenEXR file.
 const EXR: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 
 /// A decoded picture; row 0 is the top row.
@@ -51,7 +51,7 @@ impl Picture {
             .unwrap_or_else(|_| Err("damaged in a way that its decoder cannot handle".into()))
     }
 
-    /// RGBA of a texel; codes are scaled to 0..1.
+    /// Returns red, green, blue and alpha of a texel. Integer codes are scaled to 0..1.
     pub(crate) fn texel(&self, index: usize) -> [f32; 4] {
         match &self.texels {
             Texels::Codes8(texels) => texels[index].map(|code| f32::from(code) / 255.0),

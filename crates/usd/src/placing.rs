@@ -2,8 +2,8 @@
 
 use glam::{DAffine3, DMat4};
 
-/// Calls `found` with every product that takes one matrix from each link. `outer` is the leftmost
-/// factor of all products.
+/// Takes one matrix from each link, in every combination, and calls `found` with the product.
+/// `outer` is the leftmost factor of every product. In `links`, the last link is the outermost.
 pub(crate) fn expand(outer: &DAffine3, links: &[Vec<DAffine3>], found: &mut dyn FnMut(DAffine3)) {
     let Some((last, inner)) = links.split_last() else { return found(*outer) };
     for matrix in last {
@@ -11,7 +11,8 @@ pub(crate) fn expand(outer: &DAffine3, links: &[Vec<DAffine3>], found: &mut dyn 
     }
 }
 
-/// Converts a matrix for row vectors. Its last column is (0, 0, 0, 1) in every transform of USD.
+/// Converts a USD matrix, which multiplies row vectors. Its last column is (0, 0, 0, 1) in every
+/// transform of USD.
 pub(crate) fn affine(matrix: &[f64; 16]) -> DAffine3 {
     DAffine3::from_mat4(DMat4::from_cols_array(matrix))
 }

@@ -4,7 +4,7 @@
 use crate::error::Fault;
 use crate::package::{MeshEntry, Package, Primvar};
 
-/// Faces, points and primvars.
+/// A polygon mesh: its points, faces, and attributes over them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Polygons {
     pub(crate) points: Vec<[f32; 3]>,
@@ -21,7 +21,7 @@ pub(crate) struct Polygons {
     pub(crate) opacities: Option<Attribute<1>>,
 }
 
-/// A primvar: values and their interpolation.
+/// A primvar of the mesh: its values, and the elements to which they belong.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Attribute<const N: usize> {
     pub(crate) values: Vec<[f32; N]>,
@@ -31,7 +31,7 @@ pub(crate) struct Attribute<const N: usize> {
     pub(crate) indices: Option<Vec<u32>>,
 }
 
-/// The elements of a mesh that have values.
+/// States which elements of a mesh have values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Interpolation {
     /// The whole mesh has one value.
@@ -46,7 +46,7 @@ pub(crate) enum Interpolation {
     FaceVarying,
 }
 
-/// Indices of a corner, its face and its point.
+/// A corner of a face: the index of the face, of the point, and of the corner among all corners.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Corner {
     pub(crate) face: usize,
@@ -55,7 +55,7 @@ pub(crate) struct Corner {
 }
 
 impl<const N: usize> Attribute<N> {
-    /// Index of the value at a corner.
+    /// Returns the index of the value that applies at a corner.
     pub(crate) fn index(&self, at: Corner) -> usize {
         let element = match self.interpolation {
             Interpolation::Constant => 0,
@@ -76,7 +76,7 @@ impl<const N: usize> Attribute<N> {
     }
 }
 
-/// Primvars that become texture coordinate sets 0 and 1.
+/// Names of the primvars that become the texture coordinate sets 0 and 1.
 pub(crate) type UvNames<'a> = [Option<&'a str>; 2];
 
 /// Reads a mesh; `warn` receives a message for each primvar that is left out.
@@ -136,7 +136,7 @@ pub(crate) fn read(
     Ok(polygons)
 }
 
-/// Number of elements of each kind.
+/// Number of faces, points and corners of a mesh.
 struct Sizes {
     faces: usize,
     points: usize,

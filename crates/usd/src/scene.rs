@@ -42,7 +42,7 @@ pub fn scene_from_package(name: &str, package: &Package<'_>, task: Task<'_>) -> 
     assemble(name, package, task).map_err(|fault| fault.in_file(name))
 }
 
-/// Adds the file's name in front of the place of every warning.
+/// A receiver of warnings that adds the file's name in front of each warning's place.
 struct InFile<'a> {
     name: &'a str,
     inner: &'a dyn Warnings,
@@ -106,7 +106,7 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
     })
 }
 
-/// A material of the package, with its index in the scene.
+/// A material that was converted, with its index in the scene.
 struct Bound {
     /// Index of the material in the scene.
     material: usize,
@@ -145,7 +145,8 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    /// Adds the lights: emitting meshes, point lights, the environment.
+    /// Adds the lights of the package to the scene: meshes with emission, point lights and the
+    /// environment.
     fn light(&mut self, textures: &mut Textures<'_>, scene_from_stage: &DAffine3) {
         let mut lights = Lights::default();
         for entry in &self.package.header.lights {
@@ -166,7 +167,7 @@ impl<'a> Assembly<'a> {
         Mesh { place, positions, normals, tangents: Vec::new(), uvs, colors, triangles, material }
     }
 
-    /// Meshes of shapes other than polygon meshes; such a shape has one material.
+    /// Makes the meshes of a shape that is not a polygon mesh. Such a shape has one material.
     fn other(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
         let bound = materials.first().copied().flatten().and_then(|index| self.materials[index].as_ref());
         let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
@@ -268,8 +269,8 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    /// The cloud of a field of splats. `None` if it has no splats, or after a warning if its arrays
-    /// are inconsistent.
+    /// Converts a field of splats to a cloud. `None` if it has no splats, or after a warning if its
+    /// arrays are inconsistent.
     fn cloud(&mut self, entry: &SplatsEntry) -> Result<Option<Cloud>, Fault> {
         match splats::cloud(self.package, entry, self.task) {
             Ok(cloud) => Ok((!cloud.is_empty()).then_some(cloud)),
@@ -281,7 +282,7 @@ impl<'a> Assembly<'a> {
         }
     }
 
-    /// Matrices of the visible copies of a link.
+    /// Returns the matrices of a link, without those of hidden copies and of other prototypes.
     fn link(&self, link: &Link, place: &str) -> Result<Vec<DAffine3>, Fault> {
         let matrices = self.package.matrices(&link.matrices, place)?;
         let column = |array: &Option<crate::package::Array>| -> Result<Option<Vec<i64>>, Fault> {
@@ -300,7 +301,7 @@ impl<'a> Assembly<'a> {
         Ok((0..matrices.len()).filter(|&i| is_shown(i)).map(|i| affine(&matrices[i])).collect())
     }
 
-    /// The meshes of a shape: one per material.
+    /// Makes the meshes of a shape, one for each of its materials.
     fn meshes(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
         let Shape::Mesh(entry) = shape else {
             return match self.other(shape, materials) {
@@ -390,7 +391,7 @@ impl<'a> Assembly<'a> {
         Ok(meshes)
     }
 
-    /// A copy of a material that is visible only from the front.
+    /// Returns the index of a copy of a material that is visible only from the front.
     fn one_sided(&mut self, material: usize) -> usize {
         let materials = &mut self.parts.materials;
         *self.one_sided.entry(material).or_insert_with(|| {
@@ -419,7 +420,8 @@ impl<'a> Assembly<'a> {
         Ok(Some(slots))
     }
 
-    /// The material of a mesh without a binding, and true if vertex colours multiply it.
+    /// Returns the index of the material for a mesh to which the file binds none. The `bool` is
+    /// true if vertex colours multiply it.
     fn plain(&mut self, polygons: &Polygons) -> (usize, bool) {
         let constant = |interpolation| interpolation == Interpolation::Constant;
         let color = polygons.colors.as_ref();
@@ -446,7 +448,7 @@ impl<'a> Assembly<'a> {
     }
 }
 
-/// A surface with the defaults of UsdPreviewSurface, and this base colour.
+/// Makes a material with this base colour. Its other values are the defaults of UsdPreviewSurface.
 fn plain(base_color: Vec4, blends: bool) -> Material {
     Material {
         name: "displayColor".into(),
@@ -459,7 +461,7 @@ fn plain(base_color: Vec4, blends: bool) -> Material {
     }
 }
 
-/// The triangles of the selected faces, with the vertices that they use.
+/// Returns the triangles of the faces for which `takes` is true, with the vertices that they use.
 fn part(geometry: &Geometry, takes: impl Fn(u32) -> bool) -> Geometry {
     const NONE: u32 = u32::MAX;
     let mut new = vec![NONE; geometry.positions.len()];

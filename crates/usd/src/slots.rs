@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 use crate::texture::{Channel, Kind, Source, Textures};
 
-/// An input, of which exactly one field is set.
+/// An input of a shader. Exactly one field is set.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 pub(crate) struct Input {
@@ -34,7 +34,7 @@ pub(crate) enum Value<const N: usize> {
 }
 
 impl Value<1> {
-    /// The value, if it is a constant number.
+    /// Returns the number, or `None` if it comes from a texture or from the vertex colour.
     pub(crate) fn number(&self) -> Option<f32> {
         match self {
             Self::Constant([value]) => Some(*value),
@@ -51,10 +51,10 @@ impl Value<1> {
     }
 }
 
-/// Index of refraction of every clearcoat.
+/// Index of refraction that every clearcoat has in this renderer.
 const COAT_INDEX: f32 = 1.5;
 
-/// The inputs of a shader, and a record of which of them were read.
+/// The inputs of a shader. A record of those that were read shows which inputs have no effect.
 pub(crate) struct Inputs {
     inputs: BTreeMap<String, Input>,
     read: RefCell<BTreeSet<&'static str>>,
@@ -65,7 +65,7 @@ impl Inputs {
         Self { inputs, read: RefCell::default() }
     }
 
-    /// An input of `N` components; a single number is used for all components.
+    /// Reads an input of `N` components. A single number is used for all components.
     pub(crate) fn get<const N: usize>(&self, name: &'static str, default: [f32; N]) -> Value<N> {
         self.read.borrow_mut().insert(name);
         let Some(input) = self.inputs.get(name) else { return Value::Constant(default) };
@@ -127,7 +127,7 @@ impl Inputs {
     }
 }
 
-/// Fills the slots of a material.
+/// A material that is being built from a shader: its methods fill the material's slots.
 pub(crate) struct Builder<'b, 'a> {
     pub(crate) place: String,
     pub(crate) textures: &'b mut Textures<'a>,
@@ -142,7 +142,7 @@ impl<'a> Builder<'_, 'a> {
         self.task.warn(&self.place, message);
     }
 
-    /// Index of the texture coordinate set for a primvar.
+    /// Returns the index of the texture coordinate set that holds a primvar.
     fn uv_set(&mut self, name: &str) -> usize {
         for set in 0..2 {
             match &self.uv_names[set] {
@@ -303,7 +303,7 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Sets the clearcoat.
+    /// Sets the clearcoat's weight, roughness and normal map. A constant weight of 0 sets none.
     pub(crate) fn coat(&mut self, weight: &Value<1>, roughness: &Value<1>, normal: &Value<3>) {
         if weight.number().is_some_and(|weight| weight <= 0.0) {
             return;
@@ -322,7 +322,7 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Sets the sheen.
+    /// Sets the sheen's colour and roughness. A weight of 0 sets none.
     pub(crate) fn sheen(&mut self, weight: f32, color: &Value<3>, roughness: &Value<1>) {
         if weight <= 0.0 {
             return;
@@ -373,7 +373,7 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Sets the dielectric reflection.
+    /// Sets the weight and colour of the dielectric reflection, and the index of refraction.
     pub(crate) fn specular(&mut self, weight: &Value<1>, color: &Value<3>, ior: f32) {
         (self.material.specular, self.material.specular_texture) = self.data(weight, 3);
         (self.material.specular_color, self.material.specular_color_texture) = self.color(color, Kind::Color);
@@ -411,7 +411,8 @@ fn factored(source: &Source, kind: Kind) -> (Vec3, Source) {
     (factor, Source { scale: vec![1.0; source.scale.len()], ..source.clone() })
 }
 
-/// The luminance of a colour, for opacity.
+/// Converts a colour to one number, for opacity: a constant to its luminance, a texture to its
+/// first component.
 pub(crate) fn grey(value: &Value<3>) -> Value<1> {
     match value {
         Value::Constant(color) => Value::Constant([luminance(*color)]),

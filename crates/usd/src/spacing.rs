@@ -2,11 +2,12 @@
 
 use glam::Vec3;
 
-/// Largest number of positions for which the nearest neighbour is searched.
+/// Largest number of positions whose nearest neighbour is searched. The median of so many is
+/// enough.
 const ASKED: usize = 256;
 
-/// A width as a fraction of the spacing. Its bounds are fractions of the diagonal of the bounding
-/// box.
+/// A rule for a width: a fraction of the distance between neighbours, within bounds. The bounds are
+/// fractions of the diagonal of the bounding box.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rule {
     /// Width as a fraction of the median distance between neighbours.
@@ -33,8 +34,8 @@ pub(crate) fn width(places: &[Vec3], points: &[Vec3], rule: Rule) -> Option<f32>
     Some((rule.of_spacing * spacing).clamp(rule.smallest * diagonal, largest))
 }
 
-/// Median distance to the nearest other position, without coincident positions. `None` if no
-/// position has a neighbour.
+/// Returns the median distance of the positions to their nearest neighbours. Coincident positions
+/// do not count as neighbours. `None` if no position has a neighbour.
 fn median_spacing(places: &[Vec3]) -> Option<f32> {
     // compare an evenly spread sample of the positions with all positions
     let asked = places.len().min(ASKED);

@@ -66,8 +66,8 @@ fn rows<const N: usize>(
     Ok(Some(rows))
 }
 
-/// The encoding of a named colour space. Captures contain sRGB even if their files do not declare
-/// it.
+/// Returns the encoding of colours in the space `name`. Captures contain sRGB even if their files
+/// do not declare it.
 fn encoding(name: &str, place: &str, task: Task<'_>) -> Encoding {
     match name {
         "" | "auto" | "sRGB" | "srgb_texture" | "srgb_rec709_scene" | "srgb_rec709_display" => Encoding::Srgb,

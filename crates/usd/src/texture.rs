@@ -21,7 +21,7 @@ use serde::Deserialize;
 use crate::package::{Array, Package};
 use crate::picture::{Picture, Texels};
 
-/// A shader's read of a picture: component k is scale\[k\] · texel\[channels\[k\]\] + bias\[k\].
+/// A shader's use of a picture. Component k is scale\[k\] · texel\[channels\[k\]\] + bias\[k\].
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 pub(crate) struct Source {
     pub(crate) image: usize,
@@ -51,7 +51,7 @@ impl Source {
             && finite(&self.transform)
     }
 
-    /// A read of the unchanged colours of a picture.
+    /// Returns a source with the unchanged colours of a picture.
     pub(crate) fn plain(image: usize) -> Self {
         Self {
             image,
@@ -74,7 +74,7 @@ impl Source {
     }
 }
 
-/// One channel of a slot.
+/// The values of one channel of a texture that a material reads.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Channel<'s> {
     /// The scene does not read this channel, so its value does not matter.
@@ -85,7 +85,7 @@ pub(crate) enum Channel<'s> {
     Component(&'s Source, usize),
 }
 
-/// Meaning of a slot's codes.
+/// The meaning of the values of a texture that a material reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Kind {
     /// Reflectance 0..1: RGB is sRGB-encoded, alpha is linear.
@@ -98,7 +98,7 @@ pub(crate) enum Kind {
     Normal,
 }
 
-/// An entry of the package's images.
+/// An image of a package, as the walker writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Entry {
@@ -108,7 +108,7 @@ struct Entry {
     bytes: Option<Array>,
 }
 
-/// The textures that have been made.
+/// The textures of the scene that were made so far, and the pictures that they use.
 pub(crate) struct Textures<'a> {
     package: &'a Package<'a>,
     task: Task<'a>,
@@ -205,7 +205,7 @@ impl<'a> Textures<'a> {
         Some(TextureUse { texture: index, uv_set, texture_from_mesh: first.texture_from_mesh() })
     }
 
-    /// Index of the image of a slot; slots with equal channels share it.
+    /// Returns the index of the image with these channels. Equal requests share an image.
     fn image(&mut self, channels: [Channel<'_>; 4], kind: Kind) -> Option<usize> {
         let key = format!(
             "{kind:?} {:?}",
@@ -291,7 +291,7 @@ enum Space {
 }
 
 impl Space {
-    /// The space of a name; `None` for unknown names.
+    /// Finds the colour space with this name. `None` if the name is unknown.
     fn of(name: &str, kind: Kind, picture: &Picture) -> Option<Self> {
         let data = matches!(kind, Kind::Data | Kind::Normal);
         match name {
@@ -312,7 +312,7 @@ impl Space {
 const REC709_FROM_ACESCG: [[f32; 3]; 3] =
     [[1.70505, -0.62179, -0.08326], [-0.13026, 1.14080, -0.01055], [-0.02400, -0.12897, 1.15297]];
 
-/// Reads one channel for a slot.
+/// Reads the values of one channel of a texture.
 struct Reader<'p> {
     picture: Option<(&'p Picture, Space)>,
     channel: usize,
@@ -342,7 +342,8 @@ impl<'p> Reader<'p> {
         }
     }
 
-    /// Linear value at a texel of a grid that covers the picture and may have another size.
+    /// Returns the linear value at a texel of a grid that covers the picture. The grid may have
+    /// another size than the picture.
     fn at(&self, x: usize, y: usize, width: usize, height: usize) -> f32 {
         let Some((picture, space)) = self.picture else { return self.bias };
         let texel = if (picture.width, picture.height) == (width, height) {
@@ -405,7 +406,7 @@ fn direct(channels: &[Channel<'_>; 4], kind: Kind, pictures: &[Option<Rc<Picture
     }
 }
 
-/// Computes a slot's picture, with the size of its largest source.
+/// Computes the image of a texture from its channels. Its size is that of its largest picture.
 fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
     let sizes = readers.iter().filter_map(|reader| reader.picture);
     let (width, height) =

@@ -37,7 +37,7 @@ fn with_subsurface(
     }
 }
 
-/// Autodesk Standard Surface.
+/// Converts the inputs of Autodesk Standard Surface.
 pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     let (color, weight) = with_subsurface(
         inputs,
@@ -86,7 +86,7 @@ pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -
     ]
 }
 
-/// OpenPBR Surface.
+/// Converts the inputs of OpenPBR Surface.
 pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     let (color, weight) = with_subsurface(
         inputs,
@@ -136,7 +136,7 @@ pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     ]
 }
 
-/// The material model of glTF as a MaterialX shader.
+/// Converts the inputs of the MaterialX shader that has the material model of glTF.
 pub(crate) fn gltf_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     // the modes are 0 for opaque, 1 for an alpha mask and 2 for blending
     let mode = inputs.number("alpha_mode", 0.0);
@@ -170,7 +170,7 @@ pub(crate) fn gltf_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     &[("anisotropy_strength", 0.0), ("dispersion", 0.0)]
 }
 
-/// A surface with emission and no reflection.
+/// Converts a shader that has emission and no reflection.
 pub(crate) fn unlit(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     builder.base(&Value::Constant([0.0; 3]), 1.0, &inputs.get("opacity", [1.0]), 0.0);
     builder.roughness(&Value::Constant([1.0]), &Value::Constant([0.0]));

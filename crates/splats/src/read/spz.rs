@@ -212,7 +212,7 @@ fn smallest_three(bytes: &[u8]) -> Quat {
     Quat::from_array(from_smallest_three([part(20), part(10), part(0)], (word >> 30) as usize))
 }
 
-/// A rotation in three bytes: x, y and z; w is positive.
+/// Reads a rotation of three bytes: x, y and z. The component w is positive and makes the length 1.
 fn first_three(bytes: &[u8]) -> Quat {
     let rest = [0, 1, 2].map(|axis: usize| f32::from(bytes[axis]) / 127.5 - 1.0);
     Quat::from_array(from_smallest_three(rest, 3))

@@ -11,13 +11,13 @@ use lumistack_simd::{Kernel, Lanes};
 
 use super::prepare::CUTOFF;
 
-/// Edge of a block in pixels.
+/// Width and height of a block of pixels, in pixels.
 pub(crate) const EDGE: usize = 4;
-/// Number of pixels of a block: a multiple of the lanes of every vector type.
+/// Number of pixels of a block. It is a multiple of the lanes of every vector type.
 pub(crate) const PIXELS: usize = EDGE * EDGE;
 /// A pixel with less transmittance than this is finished.
 pub(crate) const DARK: f32 = 1e-4;
-/// Largest value of u/16 within a splat's extent.
+/// Largest value within a splat's extent of v = u/16, where e^(−u) is the splat's fall-off.
 const LIMIT: f32 = 0.5 * CUTOFF * CUTOFF / 16.0;
 
 /// The projection of a splat into one view.
@@ -32,7 +32,7 @@ pub(crate) struct Flat {
     pub(crate) z: f32,
 }
 
-/// Results accumulated over the splats, per pixel of a block.
+/// Sums over the splats that were blended so far, for each pixel of a block.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sums {
     pub(crate) rgb: [[f32; PIXELS]; 3],
@@ -70,7 +70,7 @@ const OFFSETS: [[f32; PIXELS]; 2] = {
     offsets
 };
 
-/// Blends splats into sums; returns true if any pixel is unfinished.
+/// Adds the chosen splats to the sums of a block. Returns true if any pixel is still unfinished.
 pub(crate) struct Blend;
 
 impl Kernel for Blend {

@@ -11,7 +11,7 @@ use super::prepare::{CUTOFF, Eye, NEAREST, PIXEL_VARIANCE, Splat, TILE};
 /// Number of views of a block. More views save sorting; fewer views save memory, and the projection
 /// of splats that only some views show.
 pub(crate) const VIEWS: usize = 16;
-/// One value per view.
+/// One value for each view of a block of views.
 pub(crate) type Lane = [f32; VIEWS];
 
 /// The eyes of the views of a block. The last one is repeated if there are fewer than [`VIEWS`].
@@ -25,7 +25,7 @@ pub(crate) struct Eyes {
 }
 
 impl Eyes {
-    /// Eyes of one kind, 1 to [`VIEWS`] of them.
+    /// Packs the eyes of 1 to [`VIEWS`] views. All of them must be of one kind.
     pub(crate) fn new(eyes: &[Eye]) -> Self {
         let of = |i: usize| match eyes[i.min(eyes.len() - 1)] {
             Eye::Slope(slope) => (slope, None),
@@ -65,7 +65,7 @@ impl Projected {
     };
 }
 
-/// A splat, the views, and the destination of the result.
+/// A splat, the eyes of the views, and the place for the result.
 pub(crate) struct Args<'a> {
     pub(crate) splat: &'a Splat,
     pub(crate) eyes: &'a Eyes,
@@ -81,7 +81,7 @@ pub(crate) struct Args<'a> {
     pub(crate) to: &'a mut Projected,
 }
 
-/// Projects a splat and evaluates its colours.
+/// Projects a splat into all views of a block and computes its colour in each.
 pub(crate) struct Project;
 
 impl Kernel for Project {
@@ -190,8 +190,8 @@ impl Kernel for Project {
     }
 }
 
-/// Harmonics of the directions from the eyes to a point; z is the point's depth relative to the
-/// eyes.
+/// Computes the harmonics of the directions from the eyes to a point, and writes them to `to`. `z`
+/// is the point's depth minus the eyes' depth.
 #[inline(always)]
 fn directions(eyes: &Eyes, [x, y, z]: [f32; 3], map: &[[f32; 3]; 3], values: usize, to: &mut [Lane; MOST]) {
     let mut of_axis = [[0.0; VIEWS]; 3];

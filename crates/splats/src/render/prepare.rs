@@ -20,7 +20,7 @@ use lumistack_scene::{Scene, Window};
 #[cfg(feature = "parallel")]
 use rayon::prelude::*;
 
-/// Edge of a tile in pixels.
+/// Width and height of a tile, in pixels.
 pub(crate) const TILE: usize = 16;
 /// Variance of a box as wide as a pixel, pixels².
 pub(crate) const PIXEL_VARIANCE: f32 = 1.0 / 12.0;
@@ -102,7 +102,8 @@ impl Eye {
         })
     }
 
-    /// Direction from the viewer to a point, with y downwards and of any length.
+    /// Returns the direction from the viewer to a point. Its y points down, and its length is
+    /// arbitrary.
     #[inline]
     pub(crate) fn direction(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
         match *self {
@@ -112,12 +113,12 @@ impl Eye {
     }
 }
 
-/// Column and row of the light field's centre.
+/// Returns the column and row of the centre of a view, in pixels.
 fn middle(geometry: &FieldGeometry) -> [f64; 2] {
     [geometry.cols, geometry.rows].map(|count| 0.5 * (count as f64 - 1.0))
 }
 
-/// Two eyes, with the smallest and with the largest coordinates of all eyes.
+/// Returns two eyes that have the smallest and the largest coordinates of all eyes.
 ///
 /// The bounds of a projected splat are the sum of a linear and a convex function of each coordinate
 /// of the eye. So the bounds of these two projections contain the projections into all views.
@@ -132,7 +133,7 @@ pub(crate) fn ends(eyes: &[Eye]) -> Vec<Eye> {
     [both(f32::min), both(f32::max)].into_iter().flatten().collect()
 }
 
-/// All splats that a window can show, with their order.
+/// All splats that a window can show, with their order by depth.
 pub(crate) struct Prepared {
     /// The splats in the order of their clouds, in which neighbours in space are neighbours in
     /// memory.
@@ -201,7 +202,7 @@ impl Prepared {
     }
 }
 
-/// Maps a float to an integer with the same order.
+/// Converts a float to an integer. A larger float gives a larger integer.
 pub(crate) fn sortable(value: f32) -> u32 {
     let bits = value.to_bits();
     if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }

@@ -12,8 +12,8 @@ use lumistack_scene::{Encoding, Scene};
 pub struct Space(pub(crate) Encoding);
 
 impl Space {
-    /// The space of a scene; `None` if the scene has no splats. A scene with clouds of both
-    /// encodings is blended in sRGB.
+    /// Returns the space of a scene's splats, or `None` if the scene has no splats. A scene with
+    /// clouds of both encodings is blended in sRGB.
     pub fn of(scene: &Scene) -> Option<Self> {
         let mut encodings = scene.placed_clouds.iter().map(|placed| scene.clouds[placed.cloud].encoding).peekable();
         encodings.peek()?;

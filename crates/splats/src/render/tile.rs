@@ -34,7 +34,8 @@ const ALONG: usize = TILE / EDGE;
 const BLOCKS: usize = ALONG * ALONG;
 /// Number of splats that are projected before any of them is blended.
 const CHUNK: usize = 384;
-/// Number of splats by which prefetching is ahead, since splats are scattered in memory.
+/// Number of splats between the prefetch of a splat and its use. Splats are prefetched because they
+/// are scattered in memory.
 const AHEAD: usize = 12;
 /// Number of values per pixel: red, green, blue, transmittance, depth in pixels.
 pub(crate) const VALUES: usize = 5;
@@ -91,7 +92,7 @@ impl<'a> Shared<'a> {
         self.cloud(splat).encoding == self.space
     }
 
-    /// Converts a splat's colour to the space in which splats are blended.
+    /// Converts a colour of the splat's cloud to the space in which splats are blended.
     fn in_space(&self, splat: &Splat, rgb: [f32; 3]) -> [f32; 3] {
         match (self.cloud(splat).encoding, self.space) {
             (Encoding::Linear, Encoding::Srgb) => rgb.map(srgb_encode),
@@ -101,7 +102,8 @@ impl<'a> Shared<'a> {
     }
 }
 
-/// Depths of the surfaces in a view, `[row][col][sample]`, in pixels; −∞ for a miss.
+/// Depths of the surfaces of meshes in one view, `[row][col][sample]`, in pixels. A ray that misses
+/// all surfaces has −∞.
 #[derive(Clone, Copy)]
 pub(crate) struct Cuts<'a> {
     pub(crate) z: &'a [f32],
@@ -110,7 +112,7 @@ pub(crate) struct Cuts<'a> {
     pub(crate) rows: usize,
 }
 
-/// The views of a block.
+/// A block of views that are rendered together.
 pub(crate) struct Views<'a> {
     pub(crate) eyes: Vec<Eye>,
     /// Two eyes whose projections bound the projections of all eyes.
@@ -126,7 +128,7 @@ pub(crate) struct Views<'a> {
 }
 
 impl<'a> Views<'a> {
-    /// Makes 1 to [`VIEWS`] views.
+    /// Prepares a block of 1 to [`VIEWS`] views.
     pub(crate) fn new(eyes: Vec<Eye>, cuts: Vec<Option<Cuts<'a>>>, prepared: &Prepared) -> Self {
         let of_cloud = |map: &glam::Mat3| {
             let mut bases = [[0.0; VIEWS]; MOST];
@@ -143,7 +145,7 @@ impl<'a> Views<'a> {
     }
 }
 
-/// One view of a tile during blending.
+/// The state of one tile in one view while splats are blended.
 struct Canvas {
     /// Colour, transmittance and depth so far, `[sample][block]`.
     sums: Vec<[Sums; BLOCKS]>,
@@ -189,7 +191,7 @@ impl Canvas {
         self.open.iter().fold(0, |all, open| all | open)
     }
 
-    /// Closes the blocks whose surfaces hide all splats at depth `z` and farther.
+    /// Marks blocks as finished if their surfaces hide all splats at depth `z` and farther.
     fn close_behind(&mut self, z: f32) {
         for (open, cuts) in self.open.iter_mut().zip(&self.cuts) {
             for (block, cuts) in cuts.iter().enumerate() {
@@ -350,7 +352,8 @@ fn take(
     canvas.used += 1;
 }
 
-/// Key of the blending order: by distance, then by depth.
+/// Returns the sort key of a splat. The order is by distance, then by `number`, the splat's
+/// position in the order by depth.
 fn key(distance: f32, number: u32) -> u64 {
     u64::from(sortable(distance)) << 32 | u64::from(number)
 }
@@ -363,7 +366,7 @@ struct Scratch {
     kept: Vec<(Flat, u16)>,
 }
 
-/// Blends the pending splats whose distance is less than `distance`.
+/// Blends the pending splats whose distance is less than `distance`, and keeps the others.
 fn blend_up_to(shared: &Shared<'_>, canvas: &mut Canvas, distance: f32, origin: [f32; 2], scratch: &mut Scratch) {
     canvas.pending.sort_unstable_by_key(|(key, _)| *key);
     let ready = canvas.pending.partition_point(|(found, _)| *found < key(distance, 0));
@@ -411,7 +414,7 @@ fn blend_up_to(shared: &Shared<'_>, canvas: &mut Canvas, distance: f32, origin: 
     canvas.flats[..canvas.used].copy_from_slice(&scratch.kept);
 }
 
-/// Appends a view's pixels, the means of their samples, to the output.
+/// Appends a tile's pixels to the output. A pixel is the mean of its samples.
 fn write(canvas: &Canvas, out: &mut Vec<f32>) {
     let first = out.len();
     out.resize(first + TILE * TILE * VALUES, 0.0);
@@ -428,7 +431,7 @@ fn write(canvas: &Canvas, out: &mut Vec<f32>) {
     }
 }
 
-/// Row and column of a block's pixel in the tile.
+/// Returns the row and column, within the tile, of a pixel of a block.
 fn place(block: usize, pixel: usize) -> [usize; 2] {
     [block / ALONG * EDGE + pixel / EDGE, block % ALONG * EDGE + pixel % EDGE]
 }

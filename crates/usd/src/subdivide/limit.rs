@@ -24,7 +24,7 @@ use super::scheme::Scheme;
 use super::stencils::{Stencils, loop_weight, other_end};
 use super::topology::{Edge, Fan, Rule, Topology};
 
-/// Limit positions of the vertices.
+/// Returns stencils that project a level's vertices to the limit surface.
 pub(super) fn positions(topology: &Topology, scheme: Scheme) -> Stencils {
     let mut stencils = Stencils::with_capacity(topology.vertex_count);
     for vertex in 0..topology.vertex_count as u32 {
@@ -57,7 +57,7 @@ pub(super) fn positions(topology: &Topology, scheme: Scheme) -> Stencils {
     stencils
 }
 
-/// The vertex of the quadrilateral that is opposite to a corner.
+/// Returns the vertex of a quadrilateral that is opposite to a corner.
 fn opposite(topology: &Topology, corner: u32) -> u32 {
     topology.corners[topology.next(topology.next(corner)) as usize]
 }
@@ -178,7 +178,7 @@ fn triangle_crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl 
     }
 }
 
-/// Mean of the corners' normals, weighted by angle.
+/// Returns the mean of the normals at a fan's corners, weighted by the corners' angles.
 fn mean_normal(topology: &Topology, fan: &Fan, surface: &[Vec3]) -> Option<DVec3> {
     let at = |corner: u32| surface[topology.corners[corner as usize] as usize].as_dvec3();
     let weighted = fan.corners.iter().filter_map(|&corner| {

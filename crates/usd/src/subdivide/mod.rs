@@ -82,7 +82,7 @@ pub(crate) struct Cage<'a> {
     pub(crate) smooth_triangles: bool,
 }
 
-/// Number of levels of refinement for most meshes.
+/// Number of times that most meshes are refined.
 const LEVEL: u32 = 2;
 /// Largest number of triangles after [`LEVEL`] levels. A denser mesh is already smooth, so it is
 /// refined by fewer levels.
@@ -93,19 +93,20 @@ const SPARSE_LEVEL: u32 = 4;
 /// Largest number of triangles for which [`SPARSE_LEVEL`] applies.
 const SPARSE_TRIANGLES: usize = 8_000;
 
-/// The number of levels for a mesh, by the number of corners of its faces.
+/// Returns the number of levels for a mesh whose faces have `corner_count` corners in total.
 pub(crate) fn level_for(corner_count: usize) -> u32 {
     let usual = affordable_level(corner_count, LEVEL, MOST_TRIANGLES);
     usual.max(affordable_level(corner_count, SPARSE_LEVEL, SPARSE_TRIANGLES))
 }
 
-/// The largest number of levels, up to `wanted`, that gives at most `most_triangles` triangles.
+/// Returns the largest number of levels, up to `wanted`, that gives at most `most_triangles`
+/// triangles.
 fn affordable_level(corner_count: usize, wanted: u32, most_triangles: usize) -> u32 {
     // a corner becomes a quadrilateral of two triangles; each further level makes four of each
     (1..=wanted).rev().find(|&level| corner_count.saturating_mul(2 << (2 * (level - 1))) <= most_triangles).unwrap_or(0)
 }
 
-/// A refined mesh, ready to interpolate values.
+/// A refined mesh. Its methods interpolate values of the control mesh.
 pub(crate) struct Refinement {
     cage: Topology,
     /// For each corner of `cage`, the index of the same corner among the faces of the input.
@@ -121,7 +122,7 @@ pub(crate) struct Refinement {
     sources: Vec<Option<u32>>,
 }
 
-/// Values, and the index of the value for each corner of [`Refinement::faces`].
+/// Values, with an index of a value for each corner of [`Refinement::faces`].
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Indexed {
     /// The values, each with as many numbers as the input's values.
@@ -174,7 +175,7 @@ impl Refinement {
         }
     }
 
-    /// Indices of faces that are not holes.
+    /// Returns the indices of the last level's faces that are not in holes.
     fn shown(&self) -> impl Iterator<Item = u32> + Clone {
         (0..self.finest.face_count() as u32).filter(|&face| self.sources[face as usize].is_some())
     }
@@ -298,7 +299,8 @@ fn vectors(values: &[f32]) -> Vec<Vec3> {
     values.as_chunks::<3>().0.iter().map(|&value| Vec3::from(value)).collect()
 }
 
-/// The valid polygons of a control mesh.
+/// The polygons of a control mesh whose vertices exist. For Loop's scheme they are cut into
+/// triangles.
 struct Polygons {
     starts: Vec<u32>,
     corners: Vec<u32>,
@@ -333,7 +335,7 @@ impl Polygons {
     }
 }
 
-/// Sets the sharpness of creased edges.
+/// Sets the sharpness of edges that the control mesh lists as creases.
 fn crease(topology: &mut Topology, cage: &Cage<'_>) {
     let per_crease = cage.crease_sharpnesses.len() == cage.crease_lengths.len();
     let (mut first, mut edge) = (0usize, 0usize);

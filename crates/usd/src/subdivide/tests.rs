@@ -3,10 +3,10 @@ use lumistack_core::seed::Stream;
 
 use super::*;
 
-/// Tolerance for rounding: sums of f32 numbers over a few levels, for coordinates of size 1.
+/// Tolerance for rounding of sums of f32 numbers over a few levels. Coordinates are of size 1.
 const ROUNDING: f32 = 2e-6;
 
-/// A mesh with its own lists.
+/// A polygon mesh that owns its lists. A [`Cage`] borrows them.
 #[derive(Clone, Default)]
 struct Mesh {
     points: Vec<Vec3>,
@@ -67,7 +67,7 @@ fn limit(cage: &Cage<'_>, level: u32, points: &[f32]) -> Vec<Vec3> {
     vectors(&Refinement::new(cage, level).vertex(points, 3))
 }
 
-/// Control points of a level.
+/// Returns the points of a level before they are projected to the limit surface.
 fn control(cage: &Cage<'_>, level: u32, points: &[f32]) -> Vec<Vec3> {
     let refinement = Refinement::new(cage, level);
     vectors(&refinement.refine_values(&refinement.levels, points, 3))
@@ -106,8 +106,8 @@ fn a_cube_has_the_points_of_the_textbook() {
     }
 }
 
-/// Catmull and Clark's formulas, vertex by vertex, for closed meshes of quadrilaterals without
-/// creases.
+/// Refines a mesh once with the formulas of Catmull and Clark's paper, vertex by vertex. The mesh
+/// must be closed, of quadrilaterals, without creases.
 fn textbook(points: &[DVec3], faces: &[[usize; 4]]) -> Vec<DVec3> {
     let centre = |face: &[usize; 4]| face.iter().map(|&i| points[i]).sum::<DVec3>() / 4.0;
     (0..points.len())

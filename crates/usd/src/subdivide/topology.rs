@@ -2,13 +2,13 @@
 
 use std::ops::Range;
 
-/// Marks a corner that does not exist.
+/// Stands for a corner that does not exist.
 pub(super) const NONE: u32 = u32::MAX;
 
 /// From this sharpness on, USD treats a crease as infinitely sharp.
 const INFINITE: f32 = 10.0;
 
-/// Lists of numbers: one list per item.
+/// A list of numbers for each item.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Lists {
     starts: Vec<u32>,
@@ -51,7 +51,7 @@ pub(super) struct Edge {
     pub(super) sharpness: f32,
 }
 
-/// A polygon mesh without positions.
+/// The faces, edges and vertices of a polygon mesh, without positions.
 #[derive(Clone, Debug)]
 pub(super) struct Topology {
     pub(super) vertex_count: usize,
@@ -69,7 +69,8 @@ pub(super) struct Topology {
     pub(super) vertex_sharpness: Vec<f32>,
 }
 
-/// Treatment of a vertex, which depends on the sharp edges around it.
+/// The rule by which the child of a vertex is computed. It depends on the sharpness of the vertex
+/// and of its edges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rule {
     /// The vertex is smoothed, since at most one sharp edge ends at it.
@@ -81,7 +82,7 @@ pub(super) enum Rule {
     Corner,
 }
 
-/// Corners around a vertex, counter-clockwise, without a gap.
+/// Corners around a vertex, counter-clockwise. Each corner shares an edge with the next.
 pub(super) struct Fan {
     pub(super) corners: Vec<u32>,
     /// True if the last corner is next to the first, so that the fan surrounds the vertex.
@@ -154,19 +155,19 @@ impl Topology {
         &self.corners[self.face(face)]
     }
 
-    /// The next corner of the same face.
+    /// Returns the next corner of the same face.
     pub(super) fn next(&self, corner: u32) -> u32 {
         let face = self.face(self.face_of_corner[corner as usize]);
         if corner as usize + 1 == face.end { face.start as u32 } else { corner + 1 }
     }
 
-    /// The previous corner of the same face.
+    /// Returns the previous corner of the same face.
     pub(super) fn previous(&self, corner: u32) -> u32 {
         let face = self.face(self.face_of_corner[corner as usize]);
         if corner as usize == face.start { face.end as u32 - 1 } else { corner - 1 }
     }
 
-    /// Vertices of the edge that leaves a corner.
+    /// Returns the vertices at both ends of the edge that starts at a corner.
     fn ends(&self, corner: u32) -> (u32, u32) {
         (self.corners[corner as usize], self.corners[self.next(corner) as usize])
     }
@@ -188,14 +189,15 @@ impl Topology {
         self.edges_at(vertex).any(|edge| !edge.joined)
     }
 
-    /// The edge between two vertices.
+    /// Returns the edge between two vertices, or `None` if there is none.
     pub(super) fn edge_between(&mut self, a: u32, b: u32) -> Option<&mut Edge> {
         let ends = [a.min(b), a.max(b)];
         let found = self.edges_of_vertex.of(a).iter().copied().find(|&edge| self.edges[edge as usize].ends == ends)?;
         Some(&mut self.edges[found as usize])
     }
 
-    /// The rule of a vertex after `passed` levels.
+    /// Returns the rule of a vertex after `passed` further levels, each of which lowers the
+    /// sharpness by 1.
     pub(super) fn rule(&self, vertex: u32, passed: f32) -> Rule {
         let sharp = |sharpness: f32| weaker(sharpness, passed) > 0.0;
         if sharp(self.vertex_sharpness[vertex as usize]) || self.corners_at(vertex).is_empty() {

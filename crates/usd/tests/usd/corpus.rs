@@ -14,7 +14,7 @@ use tempfile::TempDir;
 
 use crate::common;
 
-/// The report of `walk_all.py` on a file.
+/// The report of the script `walk_all.py` on one file.
 #[derive(Debug, Deserialize)]
 struct Counted {
     opens: bool,
@@ -31,7 +31,7 @@ struct Counted {
     refused: Option<String>,
 }
 
-/// The reports on all files.
+/// The files of a folder, the report on each, and the folder of the packages.
 struct Walked {
     paths: Vec<PathBuf>,
     counted: Vec<Counted>,
@@ -84,7 +84,7 @@ fn walk(folder: &str) -> Option<Walked> {
 }
 
 impl Walked {
-    /// Runs `check` on all files in two threads, and fails with all errors that it returns.
+    /// Runs `check` on all files in two threads. Fails with all errors that it returns.
     fn check(&self, check: impl Fn(&str, &[u8], &Counted) -> Result<(), String> + Sync) {
         let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
         std::thread::scope(|scope| {
@@ -107,7 +107,8 @@ impl Walked {
     }
 }
 
-/// Expects a scene, or an error that agrees with OpenUSD's result for the file.
+/// Checks that the package gives a scene, or an error that agrees with OpenUSD's result for the
+/// file.
 fn opens_or_fails_by_design(name: &str, bytes: &[u8], counted: &Counted) -> Result<(), String> {
     if let Some(reason) = &counted.refused {
         return if counted.opens { Err(format!("refused: {reason}")) } else { Ok(()) };
@@ -154,7 +155,7 @@ fn composed_counts_are_those_of_openusd() {
     });
 }
 
-/// An arm that bends, compared with the same arm whose points OpenUSD baked for every time code.
+/// Compares an arm that bends with the same arm whose points OpenUSD computed for every time code.
 #[test]
 fn posed_points_are_those_that_openusd_baked() {
     let (Some(assets), Some(_)) = (assets(), common::python()) else { return };

@@ -49,7 +49,7 @@ fn preview(inputs: Value) -> (Scene, Material, Vec<Warning>) {
     shader("UsdPreviewSurface", inputs)
 }
 
-/// A texture that reads these channels of the picture.
+/// An input that reads these channels of the scene's first picture.
 fn texture(channels: &[usize], scale: f32, bias: f32, space: &str) -> Value {
     let list = |value: f32| vec![value; channels.len()];
     json!({"texture": {
@@ -143,7 +143,7 @@ trait Channels {
 }
 
 impl Channels for Vec<[u8; 4]> {
-    /// Roughness and metallic of every texel.
+    /// Returns the codes of roughness (green) and metallic (blue) of every texel.
     fn map_channels(&self) -> Vec<[u8; 2]> {
         self.iter().map(|&[_, g, b, _]| [g, b]).collect()
     }
@@ -293,7 +293,7 @@ fn placed() -> Value {
     json!([2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 1, 2, 3, 1])
 }
 
-/// Emission, and power Σ L A π, of the light's mesh.
+/// Returns the radiance of the light's mesh, and its power: radiance times area times π.
 fn light_mesh(scene: &Scene) -> (Vec3, f64) {
     let mesh = &scene.meshes[1];
     let radiance = scene.materials[mesh.material].emission;

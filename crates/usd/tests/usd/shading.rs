@@ -8,7 +8,8 @@ use lumistack_usd::{LoadOptions, load};
 
 use crate::common;
 
-/// The scene of a stage that has pictures next to it; `None`, after a report, without a Python.
+/// Loads a stage that has pictures next to it. Without a Python, reports the test as skipped and
+/// returns `None`.
 fn scene(text: &str) -> Option<(Scene, Vec<Warning>)> {
     common::python()?;
     let folder = tempfile::tempdir().unwrap();
@@ -161,8 +162,8 @@ fn materialx_nodes_become_scale_and_bias() {
     assert_eq!(found.roughness, 0.625);
 }
 
-/// Other programs put nodes between a normal map and the surface. All of the nodes tested here keep
-/// the map.
+/// Checks normal maps behind nodes that other programs insert between a map and the surface. Every
+/// such node that is tested keeps the map.
 #[test]
 fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     const SHADERS: &str = r#"
