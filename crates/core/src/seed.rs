@@ -8,7 +8,7 @@ pub fn derive(seed: u64, labels: &[u64]) -> u64 {
     labels.iter().fold(mix(seed), |state, &label| mix(state ^ mix(label.wrapping_add(0x9e37_79b9_7f4a_7c15))))
 }
 
-/// A bijective scrambling of 64 bits.
+/// Scrambles 64 bits. Different inputs give different outputs.
 #[inline]
 pub fn mix(mut z: u64) -> u64 {
     z = z.wrapping_add(0x9e37_79b9_7f4a_7c15);

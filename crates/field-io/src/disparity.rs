@@ -6,7 +6,8 @@
 
 use lumistack_core::colour;
 
-/// Motion of content from the first picture to the second, pixels; positive towards higher indices.
+/// Motion of content from the first picture to the second, in pixels. It is positive towards higher
+/// columns or rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Motion {
     /// 10th percentile of the shifts of all blocks, pixels.

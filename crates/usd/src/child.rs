@@ -205,7 +205,7 @@ fn map(file: &File) -> std::io::Result<Option<Mmap>> {
     unsafe { Mmap::map(file) }.map(Some)
 }
 
-/// The status of a process, and its last line of output, for messages.
+/// Describes for a message how a process ended: its status, and its last line of output.
 fn ended(status: ExitStatus, said: &str) -> String {
     #[cfg(unix)]
     if let Some(signal) = std::os::unix::process::ExitStatusExt::signal(&status) {

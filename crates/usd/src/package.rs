@@ -18,7 +18,7 @@ const ALIGNMENT: usize = 64;
 /// The value that `schema` must have in a package's header.
 const SCHEMA: &str = "lumistack.scene-package";
 
-/// A scene as the walker describes it.
+/// A scene as the walker writes it. The walker is the Python program that reads a stage.
 pub struct Package<'a> {
     /// The scene, without its arrays.
     pub header: Header,

@@ -249,7 +249,7 @@ impl<'a> Assembly<'a> {
             let found = format!("more (levels of nested copies: {}); use fewer or less nested instancers", links.len());
             return Err(Fault::new(place, format!("at most {MOST_INSTANCES} instances and splat clouds"), found));
         }
-        // Add an instance for every product that takes one matrix from each link.
+        // Add an instance for every combination of one matrix from each link.
         let is_cloud = matches!(shape, Shape::Splats(_));
         let mut left_out = 0;
         expand(scene_from_stage, &links, &mut |scene_from_shape| {

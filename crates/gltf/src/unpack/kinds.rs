@@ -131,7 +131,7 @@ pub struct Unsound {
     pub place: String,
     /// The expected content.
     pub expected: String,
-    /// The found content.
+    /// The content that was found instead.
     pub found: String,
 }
 

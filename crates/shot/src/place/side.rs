@@ -130,7 +130,7 @@ fn best(tried: &[([f64; 2], f64)], front_share: f64) -> [f64; 2] {
     tried.iter().find(|(_, area)| *area >= ENOUGH * most).map_or(*front, |(from_deg, _)| *from_deg)
 }
 
-/// The visible instances, or all instances if each of them is an unseen lamp.
+/// Returns the instances that the viewer sees. If all instances are unseen lamps, returns all.
 fn seen(scene: &Scene) -> impl Iterator<Item = &Instance> {
     let none = !scene.instances.iter().any(|instance| scene.is_seen(instance));
     scene.instances.iter().filter(move |instance| none || scene.is_seen(instance))

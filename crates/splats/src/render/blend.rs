@@ -17,7 +17,7 @@ pub(crate) const EDGE: usize = 4;
 pub(crate) const PIXELS: usize = EDGE * EDGE;
 /// A pixel with less transmittance than this is finished.
 pub(crate) const DARK: f32 = 1e-4;
-/// Largest value within a splat's extent of v = u/16, where e^(−u) is the splat's fall-off.
+/// Largest v within a splat's extent. The splat's opacity falls off as e^(−16 v).
 const LIMIT: f32 = 0.5 * CUTOFF * CUTOFF / 16.0;
 
 /// The projection of a splat into one view.
