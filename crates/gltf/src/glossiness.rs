@@ -2,8 +2,8 @@
 //!
 //! The material is a dielectric (metallic 0) of base colour `diffuse` whose reflection at normal
 //! incidence is `specular`. The index of refraction 0 turns off the Fresnel term, so that the
-//! specular colour alone sets the reflection (KHR_materials_specular, "Conversions", and
-//! KHR_materials_ior).
+//! specular colour alone sets the reflection. Sources: KHR_materials_specular, "Conversions", and
+//! KHR_materials_ior.
 //!
 //! Roughness is 1 − glossiness. A texture may hold glossiness in its alpha. It is replaced by a
 //! picture whose green channel is 1 − glossinessFactor · alpha, since no factor on a roughness

@@ -89,8 +89,8 @@ pub fn pythons() -> Vec<(PathBuf, &'static str)> {
 /// Loads a USD file.
 ///
 /// # Errors
-/// [`UsdError`] if no Python with OpenUSD is found, if the file is refused, if nothing in it can be
-/// rendered, or if the task is cancelled.
+/// [`UsdError`] if no Python has OpenUSD, if the file is refused, if nothing in it can be rendered,
+/// or if the task is cancelled.
 pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded, UsdError> {
     let name = file_name(path)?;
     let LoadOptions { time_s, variants } = options;

@@ -1,4 +1,5 @@
-//! Requests and answers as bytes: numbers of 64 bits, lists after their length, little-endian.
+//! Requests and answers as bytes, little-endian. Numbers have 64 bits, and each list follows its
+//! length.
 
 use glam::{Quat, Vec3};
 use gltf::json::accessor::ComponentType;
