@@ -45,7 +45,7 @@ macro_rules! lobes {
         }
 
         impl LayerSlots {
-            /// `slot` prepares a texture.
+            /// Prepares the textures of all layers; `slot` prepares one texture.
             pub(crate) fn new(
                 material: &Material,
                 slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>,
@@ -84,7 +84,8 @@ macro_rules! lobes {
         }
 
         impl Lobes {
-            /// `layers` are the layers on the viewer's side.
+            /// Makes the lobes at a point. `layers` has the parameters of the layers; it is `None`
+            /// if the viewer is inside a solid, where no layer is seen.
             #[inline]
             pub(crate) fn new(surface: &Surface<'_>, layers: Option<&Layers>) -> Self {
                 let mut below = 1.0;
@@ -180,7 +181,7 @@ lobes! {
         thin: Thin,
         glass: Glass,
     }
-    // from the bottom up
+    // Layers stand in the order from the lowest to the topmost.
     layers {
         sheen: Sheen,
         coat: Coat,

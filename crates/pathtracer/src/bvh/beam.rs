@@ -39,8 +39,8 @@ const FEWEST: usize = 3;
 /// slower in focus, a limit of 16 is 3 % slower out of focus (FlightHelmet).
 const MOST_BLOCKS: usize = 10;
 
-/// A bound of t for eight boxes: plane · inverse + shift. The planes are the row `row` of
-/// [`Node::bounds`].
+/// Eight bounds on the distance t, one per box: plane · inverse + shift. The planes are the row
+/// `row` of [`Node::bounds`].
 #[derive(Clone, Copy)]
 struct Bound<V> {
     row: usize,
@@ -48,7 +48,8 @@ struct Bound<V> {
     shift: V,
 }
 
-/// Bounds of t from below and from above.
+/// Bounds on the distances t at which a beam's rays may be inside a box: `near` from below, `far`
+/// from above.
 struct Beam<V> {
     near: [Bound<V>; 6],
     near_count: usize,
@@ -76,7 +77,7 @@ impl Bvh {
         unsafe { self.backend.call_eight::<NearestOfBeam<_>>((self, rays, hits, stack, accept)) }
     }
 
-    /// Traces the rays one by one, for hits that are nearer than the known ones.
+    /// Traces the rays one by one. A ray with a hit in `hits` searches only for nearer hits.
     fn alone(
         &self,
         rays: &[Ray],
@@ -123,7 +124,7 @@ impl Bvh {
             let mut depth = 1;
             let mut blocks = 0;
             while depth > 0 {
-                // the nearest postponed child, unless it is farther than all hits
+                // take the nearest postponed child, and drop it if it is farther than all hits
                 depth -= 1;
                 let next = *postponed.add(depth);
                 if f32::from_bits((next >> 32) as u32) >= t_max {
@@ -173,7 +174,8 @@ impl Bvh {
     }
 }
 
-/// [`Bvh::nearest_of_beam`] of three rays or more, without instances, with `F` as its `accept`.
+/// The kernel of [`Bvh::nearest_of_beam`] for at least [`FEWEST`] rays and a tree without
+/// instances; `F` is its `accept`.
 pub(super) struct NearestOfBeam<F>(PhantomData<F>);
 
 impl<F: FnMut(usize, &Hit) -> bool> Kernel for NearestOfBeam<F> {
@@ -230,7 +232,7 @@ unsafe fn bounds<V: Lanes>(block: &Block) -> [[f32; WIDTH]; 6] {
 // SAFETY of every block and function below: the callers have `V`'s instruction set
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Sheared<V> {
-    /// `shear` belongs to the first ray.
+    /// Prepares the rays for the triangle test. `shear` is the [`Shear`] of the first ray.
     #[inline(always)]
     unsafe fn new(rays: &[Ray], shear: &Shear) -> Self {
         // coordinates of the rays in the order of the shear's axes, the longest last
@@ -385,7 +387,7 @@ impl<V: Lanes> Sheared<V> {
 
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Beam<V> {
-    /// `extent`: largest coordinate of the tree's bounds.
+    /// Bounds for a beam of `rays`. `extent` is the largest coordinate of the tree's bounds.
     #[inline(always)]
     unsafe fn new(rays: &[Ray], extent: f32) -> Self {
         // least and greatest coordinates of all rays
@@ -397,8 +399,8 @@ impl<V: Lanes> Beam<V> {
         let none = unsafe { Bound { row: 0, inverse: V::splat(0.0), shift: V::splat(0.0) } };
         let mut beam = Self { near: [none; 6], near_count: 0, far: [none; 6], far_count: 0 };
         for axis in 0..3 {
-            // the low planes of boxes are compared with the greatest ray, the high planes with the
-            // least
+            // A box's low planes are compared with the greatest coordinates of the rays, and its
+            // high planes with the least.
             let against = [(high.0[axis], high.1[axis]), (low.0[axis], low.1[axis])];
             for (side, (origin, direction)) in against.into_iter().enumerate() {
                 let direction =
@@ -422,8 +424,8 @@ impl<V: Lanes> Beam<V> {
         beam
     }
 
-    /// For each of eight boxes, the distance before which no ray is inside the box. Also a bit for
-    /// each box that some ray may enter before `t_max`.
+    /// Returns for each of eight boxes a distance before which no ray is inside the box. Also
+    /// returns a bit per box, which is set if a ray may be inside the box before `t_max`.
     #[inline(always)]
     unsafe fn enters(&self, boxes: &[[f32; WIDTH]; 6], t_max: f32) -> (V, u32) {
         unsafe {

@@ -79,8 +79,8 @@ impl Estimate {
     }
 }
 
-/// Compares a filtered view with the unbiased view that it was made from, and with the checks of
-/// that view. Both pictures are `[row][col][rgb]`.
+/// Compares a filtered view with the unbiased view from which it was made, and with the checks of
+/// the unbiased view. Both pictures are `[row][col][rgb]`.
 pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> ViewFigures {
     let [rows, cols, _] = unbiased.shape();
     let mut figures = ViewFigures::default();
@@ -109,7 +109,7 @@ pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> V
             (0..3).map(|c| f64::from(pixel[c] - first[c]) * f64::from(pixel[c] - second[c])).sum::<f64>() / 3.0
         };
         let (before, after) = (squared(unbiased), squared(filtered));
-        // a pixel that is not finite in either render is left out
+        // leave out a pixel whose product is not a finite number
         if before.is_finite() && after.is_finite() {
             figures.mse_before.add(before);
             figures.mse_after.add(after);

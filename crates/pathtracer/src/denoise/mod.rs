@@ -10,8 +10,8 @@
 //!         · (fraction of light that does not depend on the view)
 //! ```
 //!
-//! a and b are two renders, with half of the samples each. The weights for one are computed from
-//! the other, so they are independent of the noise that they average.
+//! a and b are two renders, with half of the samples each, and u_a and u_b their pictures. The
+//! weights for u_a are computed from u_b, so they are independent of the noise that they average.
 //!
 //! q runs over a window around p in p's own view. It also runs over small windows in neighbouring
 //! views, around the position where p's surface point appears. A point at depth Z that is at x in

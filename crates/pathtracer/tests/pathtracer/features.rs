@@ -1,4 +1,4 @@
-//! Guides of the denoiser on scenes whose first hits are known.
+//! Tests the denoiser's guides on scenes whose first hits are known.
 
 use crate::common::{Builder, diffuse, glowing, one_view, rectangle, window};
 use glam::{Quat, Vec3, Vec4};
@@ -115,7 +115,7 @@ fn surfaces_come_with_the_light_at_no_change_of_it() {
             let alone = renderer.render_features(&window(), &geometry, [0, 0], &settings, task).unwrap();
             assert!(same(&guided.radiance, &plain), "{samples} {max_bounces}");
             assert!(same(guided.features.values(), alone.values()), "{samples} {max_bounces}");
-            // diffuse and other light, with and without guides
+            // Split views with and without guides must agree.
             let split = renderer.render_split(&window(), &geometry, [0, 0], &settings, task).unwrap();
             let parts = renderer.render_split_and_features(&window(), &geometry, [0, 0], &settings, task).unwrap();
             let features = &parts.features;
