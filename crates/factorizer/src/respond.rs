@@ -1,5 +1,5 @@
-//! Layers whose stored values f differ from the values F = A f that rays read, because of blur,
-//! crosstalk, colour filters or tied channels ([`lumistack_display::Response`]).
+//! Layers whose stored values f differ from the values F = A f that rays read. The reasons are
+//! blur, crosstalk, colour filters or tied channels ([`lumistack_display::Response`]).
 //!
 //! G_i is the Gram matrix and r_i the residual sums of pixel i as rays read it. A change d of the
 //! stored values changes the objective by
@@ -81,7 +81,7 @@ impl AdjointSums {
     }
 }
 
-/// One line of stored values and its step.
+/// One line of stored values, and the step that updates it.
 pub(crate) struct StepLine<'a, 'b> {
     pub(crate) adjoint: &'a AdjointSums,
     pub(crate) channel: usize,
@@ -105,7 +105,7 @@ impl StepLine<'_, '_> {
     }
 }
 
-/// Sets tied channels to their mean, since they are one value.
+/// Sets the three channels of tied values to their mean, since they are one value.
 pub(crate) fn tie(stored: &mut Factor) {
     let (left, right) = stored.values.split_at_mut(stored.layout.stored_lines() * stored.layout.line_len());
     let (middle, right) = right.split_at_mut(left.len());
@@ -115,7 +115,7 @@ pub(crate) fn tie(stored: &mut Factor) {
     }
 }
 
-/// Computes the values that rays read, F = A f.
+/// Computes the values F = A f that rays read, from the stored values f.
 pub(crate) fn respond(response: &Response, stored: &Factor, effective: &mut Aligned) {
     let layout = &stored.layout;
     let (rows, cols) = (layout.lines(), layout.cols());

@@ -35,7 +35,7 @@ pub enum Rule {
     /// Changes nothing. The gain is Σ_m G_mm δ_m², the squared change of the emission that exact
     /// coordinate steps δ_m within the box would cause.
     KktResidual,
-    /// As [`Self::KktResidual`], and sets unlit values to the darkest value; see
+    /// The same gain as [`Self::KktResidual`]. Also sets unlit values to the darkest value; see
     /// [`crate::Run::darken_unlit`].
     Darken,
 }
@@ -58,11 +58,11 @@ impl Rule {
 /// The sums that a rule needs, per pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sums {
-    /// n and d.
+    /// n and d of the top of this file.
     Ratio,
-    /// r and G_mm.
+    /// r and the diagonal G_mm of the top of this file.
     Diagonal,
-    /// r and G.
+    /// r and G of the top of this file.
     Gram,
 }
 
@@ -100,17 +100,17 @@ const LEAST_CURVATURE: f32 = 1e-30;
 /// Sums and values of one vector of pixels, `[frame][lane]`.
 pub(crate) struct Block {
     pub(crate) frames: usize,
-    /// r or n.
+    /// The sums r or n, see the top of the file.
     pub(crate) residual: Aligned,
-    /// d or G_mm; during a descent M/G_mm.
+    /// The sums d or G_mm; during coordinate descent M/G_mm.
     pub(crate) emitted: Aligned,
     /// G, `[frame][frame][lane]`; the upper triangle is the input.
     pub(crate) gram: Aligned,
     /// f, the values of the pixels.
     pub(crate) values: Aligned,
-    /// r before the step.
+    /// The sums r before the step.
     before: Aligned,
-    /// δ, the change of u.
+    /// δ, the change of u = f/M.
     change: Aligned,
     /// Decrease of the objective by the last step, per lane, with weights relative to the largest.
     /// The multiplicative rule does not compute it and leaves 0.
@@ -195,7 +195,7 @@ impl Block {
         }
     }
 
-    /// As [`Self::descend_in_registers`], for any number of frames.
+    /// Does the same as [`Self::descend_in_registers`], for any number of frames.
     #[inline(always)]
     unsafe fn descend_in_memory<V: Lanes>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
         let n = V::COUNT;
@@ -214,7 +214,7 @@ impl Block {
                 put(get::<V>(&self.residual, m * n), &mut self.before, m * n);
                 put(V::splat(0.0), &mut self.change, m * n);
             }
-            // the sweeps, as in `descend_in_registers`
+            // run the sweeps of `descend_in_registers`, with r in memory
             for _ in 0..sweeps {
                 for m in 0..frames {
                     let f = get::<V>(&self.values, m * n);
@@ -233,7 +233,7 @@ impl Block {
                     }
                 }
             }
-            // the gain, as in `descend_in_registers`
+            // compute the gain by the formula in `descend_in_registers`
             let mut gain = V::splat(0.0);
             for m in 0..frames {
                 let both = get::<V>(&self.before, m * n).add(get::<V>(&self.residual, m * n));
@@ -243,8 +243,8 @@ impl Block {
         }
     }
 
-    /// Coordinate steps for values on levels. The level nearest to the minimum of a coordinate's
-    /// parabola is the best one.
+    /// Coordinate steps for values that are confined to levels. Along a coordinate the objective is
+    /// a parabola, so the level nearest to its minimum is the best one.
     #[inline(always)]
     unsafe fn descend_levels<V: Lanes>(&mut self, sweeps: u32, [low, high]: [f32; 2], levels: &Levels) -> V {
         let (n, frames) = (V::COUNT, self.frames);
@@ -273,10 +273,10 @@ impl Block {
         unsafe { V::load(gains.as_ptr()) }
     }
 
-    /// Sets unlit values to `low`: those with Σ w a_m² at most the limit of their lane.
+    /// Sets unlit values to `low`. A value is unlit if Σ w a_m² is at most the limit of its lane.
     ///
     /// A negative limit exempts a lane. This function runs once per solve, so it has no vector
-    /// code. Inlined into the kernels, it cost every update a fifth.
+    /// code. Inlined into the kernels, it made every update a fifth slower.
     #[cold]
     #[inline(never)]
     pub(crate) fn darken(&mut self, lanes: usize, limits: &[f32], low: f32) {
@@ -291,10 +291,10 @@ impl Block {
         }
     }
 
-    /// Restores the values `old` from before the step in the lanes of fixed pixels. `old` has one
-    /// row per frame, `stride` apart.
+    /// In the lanes of fixed pixels, restores the values from before the step. `old` has these
+    /// values, one row per frame, `stride` apart.
     ///
-    /// Only borders of tiles need it, so it has no vector code.
+    /// Only borders of tiles need this function, so it has no vector code.
     #[cold]
     #[inline(never)]
     pub(crate) fn restore_fixed(&mut self, lanes: usize, fixed: &[bool], old: &[f32], stride: usize) {
@@ -337,8 +337,8 @@ pub(crate) struct Step<'a> {
 /// the number of frames for which the function was made.
 pub(crate) type StepFunction = for<'a> unsafe fn(Step<'a>);
 
-/// Returns the function for an instruction set, a rule and a number of frames. `levels`: some
-/// frames are confined to levels.
+/// Returns the function for an instruction set, a rule and a number of frames. `levels` is true if
+/// some frames are confined to levels.
 pub(crate) fn step_function(backend: Backend, rule: Rule, levels: bool, frames: usize) -> StepFunction {
     match (rule, levels, frames) {
         (Rule::Multiplicative, ..) => backend.function::<Multiply>(),

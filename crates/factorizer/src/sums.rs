@@ -18,14 +18,14 @@ use crate::plan::Plan;
 use crate::scratch::Scratch;
 use crate::step::Sums;
 
-/// One line and its update.
+/// One line of a factor, and the step that updates it.
 pub(crate) struct SumLine<'a, 'b> {
     pub(crate) plan: &'a Plan,
-    /// All factors; the line's own factor is read too, since L̃ is computed from all of them.
+    /// All factors. The factor of the line is read too, since L̃ depends on all factors.
     pub(crate) factors: &'a [Factor],
     pub(crate) at: LineOf,
-    /// True for the curvature at the current point instead of its upper bound. This matters only if
-    /// L̃ is not linear in the values.
+    /// True to take the curvature at the current point instead of its upper bound. This matters
+    /// only if L̃ is not linear in the values.
     pub(crate) local: bool,
     pub(crate) functions: &'a StepFunctions,
     pub(crate) step: LineStep<'b>,
@@ -48,7 +48,8 @@ impl SumLine<'_, '_> {
     }
 }
 
-/// Adds all rays of a line to its sums; returns Σ w e², each ray weighted by its share in the line.
+/// Adds all rays of a line to its sums. Returns Σ w e², with each ray weighted by its share in the
+/// line.
 fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bool, scratch: &mut Scratch) -> f64 {
     let map = &plan.maps[at.factor];
     let (frames, stride) = (plan.frames, map.layout.stride);
@@ -67,7 +68,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         &mut *scratch;
                     let (e, weighted) = (&mut e[..len], &mut weighted[..len]);
                     let weigh = |values: &[f32], to: &mut [f32]| plan.row.weigh(values, line_weight, weights, to);
-                    // compute the residual, which also gives the objective
+                    // compute the error e of these rays, and add w e² to the objective
                     errors(plan, &rays, emitted, e);
                     weigh(e, weighted);
                     error += e.iter().zip(&*weighted).map(|(&e, &we)| f64::from(e) * f64::from(we)).sum::<f64>();
@@ -89,7 +90,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         (0..frames).for_each(|m| add(frames + m, row_of(m), weighted));
                         continue;
                     }
-                    // r = Σ w e a_m; then G, unless a bound of the curvature replaces it
+                    // add r = Σ w e a_m, then G, unless an upper bound of the curvature replaces G
                     (0..frames).for_each(|m| add(m, row_of(m), weighted));
                     let mut quantity = frames;
                     let bounded = plan.is_bounded(at.factor);
@@ -102,7 +103,8 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                             }
                         }
                     }
-                    // polarization: the curvature that G does not bound goes to the diagonal
+                    // add the curvature that G does not bound (layers that rotate polarization) to
+                    // the diagonal
                     if !bounded {
                         if local {
                             // |e ∂²L̃/∂u²| ≤ (π²/2) M |e|, since |cos| ≤ 1
