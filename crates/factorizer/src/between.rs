@@ -81,7 +81,8 @@ pub(crate) struct Scratch {
     high: Vec<f32>,
     /// Σ w e², as far as it belongs to the next line.
     high_error: f64,
-    /// a_m, βL and L̃ of each view in the previous block of pixels, `[view][M + 2][lane]`.
+    /// For each view, the terms of the rays through the previous block of pixels: a_m =
+    /// ∂L̃/∂(f_m/M), then βL and L̃. The order is `[view][M + 2][lane]`.
     before: Aligned,
 }
 
@@ -422,8 +423,8 @@ unsafe fn add_view<V: Lanes>(
     }
 }
 
-/// Buffers e (βL for the paper's rule) and L̃, times the root of the share; returns e times that
-/// root.
+/// Stores the error e = βL − L̃ (βL itself for the paper's rule) and L̃ in the buffers, times the
+/// root of the share. Returns e times that root.
 #[inline(always)]
 unsafe fn put<V: Lanes>(buffers: &mut Buffers, to: usize, ratio: bool, wanted: V, emitted: V, share: V) -> V {
     // SAFETY: guaranteed by the caller
@@ -445,7 +446,8 @@ struct Reads<'a> {
     fresh: bool,
 }
 
-/// Place of a view's a_m in the buffers, and the roots of the shares that multiply them.
+/// Position of a view's derivatives a_m in the buffers, and the roots of the shares that multiply
+/// them.
 struct Buffered<'a, V> {
     to: usize,
     between: bool,
@@ -457,8 +459,8 @@ struct Buffered<'a, V> {
 }
 
 impl Reads<'_> {
-    /// Computes a_m for the frames m..m + R and buffers them, times the roots of the shares.
-    /// Returns `emitted` plus Σ a_m f_m over these frames.
+    /// Computes a_m = ∂L̃/∂(f_m/M) for the frames m..m + R, and buffers it, times the roots of the
+    /// shares. Returns `emitted` plus Σ a_m f_m over these frames.
     #[inline(always)]
     unsafe fn frames<V: Lanes, const R: usize>(&self, m: usize, mut emitted: V, buffered: Buffered<V>) -> V {
         let Buffered { to, between, first, second, frames, products, before } = buffered;

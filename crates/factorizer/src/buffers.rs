@@ -23,19 +23,19 @@ const TARGET_AHEAD: usize = 64;
 /// views together would take twice the first-level cache.
 pub(crate) const GROUP: usize = 32;
 
-/// Buffers of one block of pixels. The terms a_m, e, βL and L̃ include a factor √w, so that their
-/// products include w.
+/// Buffers of one block of pixels. The derivatives a_m, the errors e, βL and L̃ (see `step.rs`)
+/// include a factor √w, so that their products include w.
 pub(crate) struct Buffers {
     pub(crate) block: Block,
-    /// a_m of a group of views, `[view][frame][lane]`.
+    /// The derivatives a_m = ∂L̃/∂(f_m/M) for a group of views, `[view][frame][lane]`.
     pub(crate) products: Aligned,
-    /// e of a group of views, or βL for the paper's rule, `[view][lane]`.
+    /// The errors e = βL − L̃ of a group of views, or βL for the paper's rule: `[view][lane]`.
     pub(crate) errors: Aligned,
     /// L̃ of a group of views, `[view][lane]`.
     pub(crate) emitted: Aligned,
     /// Values f of the block's pixels, divided by the number M of frames.
     pub(crate) scaled: Aligned,
-    /// Σ w e² per lane.
+    /// Σ w (βL − L̃)² over the block's rays, per lane.
     pub(crate) squares: Vector,
 }
 
@@ -76,13 +76,14 @@ pub(crate) struct BlockOfLine<'a> {
 }
 
 impl BlockOfLine<'_> {
-    /// Copies the block's values f and their M-th parts f/M into the buffers, and prefetches rows.
+    /// Copies the values f of the block's pixels, and f divided by the number of frames, into the
+    /// buffers. Also prefetches rows.
     ///
     /// If `in_registers` is true, the caller prefetches some rows view by view, and this function
     /// leaves these rows out.
     ///
     /// # Safety
-    /// The machine has V.
+    /// The machine has `V`'s instruction set.
     #[inline(always)]
     pub(crate) unsafe fn begin<V: Lanes>(&mut self, frames: usize, in_registers: bool) {
         // SAFETY: guaranteed by the caller
@@ -130,14 +131,15 @@ impl Kernel for ByBuffers {
     }
 }
 
-/// Writes a_m, e and L̃ of one view in the block, times √w, to position `to` of the buffers. For
-/// the paper's rule it writes βL instead of e. Returns e √w.
+/// Writes the derivatives a_m, the error e and the emission L̃ of one view (see `step.rs`) to
+/// position `to` of the buffers, times √w. For the paper's rule it writes βL instead of e. Returns
+/// e √w.
 ///
 /// If `OWN` is true, each view reads different values of the factor under update, as under bilinear
 /// sampling.
 ///
 /// # Safety
-/// The machine has V, and x lies within the rows of the view.
+/// The machine has `V`'s instruction set, and x lies within the rows of the view.
 #[inline(always)]
 pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     rays: &LineRays,
@@ -150,8 +152,8 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     let (frames, others) = (buffers.block.frames, rays.others_of(view));
     // SAFETY: guaranteed by the caller
     unsafe {
-        // if each view reads different values, f/M is read along the rays; otherwise it comes from
-        // the block
+        // If each view reads different values of the factor under update, they are read along the
+        // rays. Otherwise they come from the block.
         let products = &mut buffers.products[to * frames * V::COUNT..(to + 1) * frames * V::COUNT];
         let scaled = if OWN {
             Scaled::<V, OWN> {
@@ -162,7 +164,7 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
         } else {
             Scaled { first: buffers.scaled.as_ptr(), stride: V::COUNT, mean: V::splat(1.0) }
         };
-        // compute a_m and L̃; there are separate loops for one, two and three other factors
+        // compute a_m and L̃, in separate loops for one, two and three other factors
         let emitted = match others {
             [a] => products_of::<V, OWN, 1>(rays, [a], x, frames, weight, products, scaled),
             [a, b] => products_of::<V, OWN, 2>(rays, [a, b], x, frames, weight, products, scaled),
@@ -189,8 +191,9 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     }
 }
 
-/// f/M of the factor under update, for every frame. If each view reads different values (`OWN`),
-/// they are read along the rays; otherwise they come from the block.
+/// Values of the factor under update in every frame, divided by the number of frames. If each view
+/// reads different values (`OWN`), they are read along the rays; otherwise they come from the
+/// block.
 #[derive(Clone, Copy)]
 struct Scaled<V, const OWN: bool> {
     first: *const f32,
@@ -209,8 +212,8 @@ impl<V: Lanes, const OWN: bool> Scaled<V, OWN> {
     }
 }
 
-/// Writes a_m for all frames: the products of `weight` and the values of K other factors. Returns
-/// Σ_m a_m f_m/M.
+/// Writes a_m = ∂L̃/∂(f_m/M) for every frame m: the product of `weight` and the values of K other
+/// factors. Returns Σ_m a_m f_m/M over the M frames.
 #[inline(always)]
 unsafe fn products_of<V: Lanes, const OWN: bool, const K: usize>(
     rays: &LineRays,
@@ -242,7 +245,7 @@ unsafe fn products_of<V: Lanes, const OWN: bool, const K: usize>(
 /// Returns βL of one view in the block.
 ///
 /// # Safety
-/// The machine has V, and x lies within the row.
+/// The machine has `V`'s instruction set, and x lies within the row.
 #[inline(always)]
 pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, params: SumParams) -> V {
     // SAFETY: guaranteed by the caller
@@ -276,7 +279,7 @@ pub(crate) struct Group {
 /// multiplied by the share of the line under update in the view's rays.
 ///
 /// # Safety
-/// The machine has V, and the buffers hold as many views as the group.
+/// The machine has `V`'s instruction set, and the buffers hold as many views as the group.
 #[inline(always)]
 pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
     sums: Sums,
@@ -288,7 +291,8 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
     let (frames, tiles) = (group.frames, Tiles::<SHARED> { group, shares, products, errors, emitted });
     // SAFETY: guaranteed by the caller
     unsafe {
-        // sum r and the diagonal of G, or n and d, for up to as many frames as registers hold
+        // Without the whole Gram matrix, a pixel has two sums per frame. They are computed for as
+        // many frames at a time as registers hold.
         if sums != Sums::Gram {
             let mut m = 0;
             while m < frames {
@@ -307,8 +311,8 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
             }
             return;
         }
-        // sum G: first the tiles of 3×3 frames along the diagonal together with r, then the rest of
-        // G
+        // Sum the Gram matrix: first its tiles of 3×3 frames along the diagonal, together with the
+        // residual sums, then its other entries.
         for m in (0..frames).step_by(3) {
             match frames - m {
                 1 => tiles.diagonal::<V, 1>(m, block),

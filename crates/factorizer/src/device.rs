@@ -164,7 +164,7 @@ pub trait Updater {
         self.over_all(rule)
     }
 
-    /// Root mean square of a rule's gain over all values.
+    /// Updates every factor by a rule. Returns the root of the mean gain per value that may change.
     fn over_all(&mut self, rule: Rule) -> f64 {
         let (mut sum, mut count) = (0.0, 0);
         for n in 0..self.plan().factor_count() {

@@ -64,8 +64,8 @@ fn rotate(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scra
     let (values, emitted) = (&mut values[..len], &mut emitted[..len]);
     emitted.fill(0.0);
     let (layers, backlight) = (0..plan.layers, (plan.layers < factors.len()).then_some(plan.layers));
-    // for each frame, compute the sum of rotations s_m, the backlight b, then a_m and the
-    // contribution to L̃
+    // For each frame, compute the sum of rotations s_m and the backlight b, then the derivative a_m
+    // and the frame's contribution to L̃.
     for frame in 0..plan.frames {
         let phase = &mut phase[frame * plan.cols..][..len];
         phase.fill(0.0);

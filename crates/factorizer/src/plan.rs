@@ -115,7 +115,7 @@ impl Plan {
             .collect();
         let valid_rows: Vec<Vec<bool>> =
             (0..views[0]).map(|view| (0..rows).map(|i| valid(view, i, |l| &l.y, &lit_y)).collect()).collect();
-        // make the maps of layers and backlight; constant shifts allow the fast kernels
+        // Make the map of every layer and of the backlight.
         let frames = display.frames;
         let maps: Vec<_> = raw_maps(display, map, views)
             .into_iter()

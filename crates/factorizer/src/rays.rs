@@ -78,7 +78,7 @@ impl View<'_> {
     /// √w of the rays of a block, 0 for invalid rays; `None` if all are invalid.
     ///
     /// # Safety
-    /// The machine has V.
+    /// The machine has `V`'s instruction set.
     #[inline(always)]
     pub(crate) unsafe fn weight<V: Lanes>(&self, x: usize) -> Option<V> {
         let (low, high) = (self.valid.start.max(x), self.valid.end.min(x + V::COUNT));

@@ -18,7 +18,7 @@ pub(crate) struct Scratch {
     pub(crate) errors: Vec<f32>,
     /// Curvature along a run, for formations whose curvature the Gram matrix does not bound.
     pub(crate) curvature: Vec<f32>,
-    /// e, L̃, a_m or the curvature, times the weights.
+    /// Another row of this struct (error, emission, a_m or curvature), times the weights.
     pub(crate) weighted: Vec<f32>,
     /// The sums r and G (upper triangle) of `step.rs`, or n and d: `[quantity][x]`.
     pub(crate) sums: Vec<f32>,

@@ -22,18 +22,19 @@ use crate::vector::{Vector, load as get, store as put};
 /// The computation of a pixel's M new values from its sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
-    /// f ← clamp(f·n/d): the paper's rule (eq. 16).
+    /// f ← clamp(f·n/d): the paper's rule (eq. 16), with n = Σ w βL a_m and d = Σ w L̃ a_m.
     ///
-    /// n is summed directly, not computed as r + d. Values may shrink by orders of magnitude in one
-    /// step and must keep their relative precision, which the sum r + d would lose.
+    /// n is summed directly. It is not computed as Σ w (βL − L̃) a_m + d. Values may shrink by
+    /// orders of magnitude in one step and must keep their relative precision, which that sum would
+    /// lose.
     Multiplicative,
     /// Sweeps of exact coordinate steps on the quadratic within the box.
     Block {
         /// Number of sweeps over the M frames.
         sweeps: u32,
     },
-    /// Changes nothing. The gain is Σ_m G_mm δ_m², the squared change of the emission that exact
-    /// coordinate steps δ_m within the box would cause.
+    /// Changes nothing. The gain is the squared change of the emission that exact coordinate steps
+    /// within the box would cause.
     KktResidual,
     /// The same gain as [`Self::KktResidual`]. Also sets unlit values to the darkest value; see
     /// [`crate::Run::darken_unlit`].
@@ -58,17 +59,16 @@ impl Rule {
 /// The sums that a rule needs, per pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sums {
-    /// n and d of the top of this file.
+    /// For each frame m, n = Σ w βL a_m and d = Σ w L̃ a_m.
     Ratio,
-    /// r and the diagonal G_mm of the top of this file.
+    /// For each frame m, r = Σ w e a_m and the diagonal entry Σ w a_m² of the Gram matrix.
     Diagonal,
-    /// r and G of the top of this file.
+    /// For each frame m, r = Σ w e a_m; and the Gram matrix G = Σ w a_m a_k.
     Gram,
 }
 
 impl Sums {
-    /// Number of sums per pixel. The M sums r or n come first, then d, the diagonal of G or the
-    /// upper triangle of G.
+    /// Number of sums per pixel: one residual or wanted sum per frame, and then the other sums.
     pub(crate) fn count(self, frames: usize) -> usize {
         if self == Self::Gram { frames + frames * (frames + 1) / 2 } else { 2 * frames }
     }
@@ -100,17 +100,17 @@ const LEAST_CURVATURE: f32 = 1e-30;
 /// Sums and values of one vector of pixels, `[frame][lane]`.
 pub(crate) struct Block {
     pub(crate) frames: usize,
-    /// The sums r or n, see the top of the file.
+    /// The residual sums Σ w e a_m, or Σ w βL a_m for the paper's rule.
     pub(crate) residual: Aligned,
-    /// The sums d or G_mm; during coordinate descent M/G_mm.
+    /// The sums Σ w L̃ a_m, or the Gram matrix's diagonal G_mm. During coordinate descent M/G_mm.
     pub(crate) emitted: Aligned,
-    /// G, `[frame][frame][lane]`; the upper triangle is the input.
+    /// The Gram matrix, `[frame][frame][lane]`. The input is its upper triangle.
     pub(crate) gram: Aligned,
     /// f, the values of the pixels.
     pub(crate) values: Aligned,
-    /// The sums r before the step.
+    /// The residual sums before the step.
     before: Aligned,
-    /// δ, the change of u = f/M.
+    /// The change of the values by the step, divided by the number of frames.
     change: Aligned,
     /// Decrease of the objective by the last step, per lane, with weights relative to the largest.
     /// The multiplicative rule does not compute it and leaves 0.
@@ -147,19 +147,20 @@ impl Block {
         }
     }
 
-    /// Coordinate descent with values and r in registers.
+    /// Coordinate descent with the values and the residual sums in registers.
     ///
-    /// Every coordinate step waits for the previous one. That takes the latency of 5 instructions
+    /// Every coordinate step waits for the previous step. That takes the latency of 5 instructions
     /// through registers, and three times as long through memory. Two vectors side by side do not
-    /// fit into registers and gained nothing. An update of each frame's best value instead of r
-    /// saved 6 % of an update, but lost digits if G is nearly singular.
+    /// fit into registers and gained nothing. A variant kept each frame's best value instead of its
+    /// residual sum. It saved 6 % of an update, but lost digits if the Gram matrix is nearly
+    /// singular.
     #[inline(always)]
     unsafe fn descend_in_registers<V: Lanes, const M: usize>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
         let n = V::COUNT;
         // SAFETY: see `kernel`
         unsafe {
             let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / M as f32));
-            // store G/M in the upper triangle and M/G_mm, so that the sweeps have no divisions
+            // store the Gram matrix divided by M, and M/G_mm, so that the sweeps have no divisions
             for m in 0..M {
                 for k in m + 1..M {
                     let g = get::<V>(&self.gram, (m * M + k) * n).mul(mean);
@@ -185,7 +186,7 @@ impl Block {
                     }
                 }
             }
-            // compute the gain by −2 rᵀδ + δᵀGδ = −(r + r')ᵀδ with r' = r − Gδ
+            // With δ the change of f/M and r' = r − Gδ, the gain is 2 rᵀδ − δᵀGδ = (r + r')ᵀδ.
             let mut gain = V::splat(0.0);
             for m in 0..M {
                 gain = before[m].add(residual[m]).mul_add(values[m].sub(start[m]).mul(mean), gain);
@@ -203,7 +204,7 @@ impl Block {
         // SAFETY: see `kernel`
         unsafe {
             let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / frames as f32));
-            // mirror G, so that the sweeps read its rows in order
+            // mirror the Gram matrix, so that the sweeps read its rows in order
             for m in 0..frames {
                 for k in 0..m {
                     let mirrored = get::<V>(&self.gram, (k * frames + m) * n);
@@ -214,7 +215,7 @@ impl Block {
                 put(get::<V>(&self.residual, m * n), &mut self.before, m * n);
                 put(V::splat(0.0), &mut self.change, m * n);
             }
-            // run the sweeps of `descend_in_registers`, with r in memory
+            // run the sweeps of `descend_in_registers`, with the residual sums in memory
             for _ in 0..sweeps {
                 for m in 0..frames {
                     let f = get::<V>(&self.values, m * n);

@@ -59,7 +59,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
             for view_x in 0..plan.views[1] {
                 for run in &plan.runs[view_x] {
                     let rays = Rays { channel: at.channel, view: [view_y, view_x], row: row as usize, run };
-                    // compute the coefficients a_m and the emission L̃ of these rays
+                    // compute the derivatives a_m and the emission L̃ of these rays
                     coefficients(plan, factors, Some(at.factor), &rays, scratch);
                     let len = run.len();
                     let weights = plan.target.weights(plan.view(view_y, view_x), row as usize);
@@ -90,7 +90,8 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         (0..frames).for_each(|m| add(frames + m, row_of(m), weighted));
                         continue;
                     }
-                    // add r = Σ w e a_m, then G, unless an upper bound of the curvature replaces G
+                    // Add Σ w e a_m. Then add the Gram matrix, unless an upper bound of the
+                    // curvature replaces it.
                     (0..frames).for_each(|m| add(m, row_of(m), weighted));
                     let mut quantity = frames;
                     let bounded = plan.is_bounded(at.factor);
@@ -103,11 +104,12 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                             }
                         }
                     }
-                    // add the curvature that G does not bound (layers that rotate polarization) to
-                    // the diagonal
+                    // In layers that rotate polarization, the Gram matrix does not bound the
+                    // curvature. Add the rest of the curvature to the diagonal.
                     if !bounded {
                         if local {
-                            // |e ∂²L̃/∂u²| ≤ (π²/2) M |e|, since |cos| ≤ 1
+                            // with u = f/M, the second term of the curvature is at most (π²/2) M
+                            // |e|, since |cos| ≤ 1
                             let most = FRAC_PI_2 * PI * frames as f32;
                             curvature.iter_mut().zip(&*e).for_each(|(value, e)| *value = most * e.abs());
                         }

@@ -14,14 +14,15 @@ use lumistack_display::LayerStack;
 use crate::bands;
 use crate::plan::Plan;
 
-/// Largest root mean square of a_m over the rays of an unlit pixel, relative to the brightness β.
+/// Largest root mean square of the light a_m that the other layers pass to an unlit pixel, relative
+/// to the brightness β.
 ///
 /// The full range of an unlit value changes the seen picture by at most a third of the smallest
 /// step in 8-bit sRGB.
 const UNLIT: f64 = 1e-4;
 
-/// Smallest value of a warm start. An exact step moves a value to its minimum however small a_m is,
-/// so any number whose square is a normal f32 suffices.
+/// Smallest value of a warm start. An exact step moves a value to its minimum even if very little
+/// light reaches it. So any number whose square is a normal f32 suffices.
 const LIFTED: f32 = 1e-4;
 
 /// For each pixel of factor `n`, the limit: the largest Σ w a_m² of an unlit pixel, which is (UNLIT

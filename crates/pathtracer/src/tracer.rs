@@ -411,8 +411,8 @@ impl Tracer<'_> {
         // next-event estimation: one sampled light, whose shadow ray is traced later
         let [u_roulette, u_fresnel] = pairs[2].of(index);
         if surface.is_smooth() && self.lights.can_be_sampled() {
-            // The number of the roulette may be used twice. The sampled light is only added to the
-            // rest of the path, so the two need not be independent.
+            // `u_roulette` may serve two purposes, the light's sample and the roulette. The sampled
+            // light is only added to the rest of the path, so its mean does not change.
             self.direct(
                 &vertex,
                 &surface,

@@ -137,7 +137,7 @@ impl Oracle {
             let Read::Entries(entries) = &ray.reads[n] else { continue };
             for channel in 0..3 {
                 let (emitted, beta_l) = (self.emitted(ray, channel), ray.wanted[channel]);
-                // derivatives by f_m/M
+                // derivatives of the emission L̃ by each frame's value, times the number of frames
                 let a: Vec<f64> = (0..frames).map(|m| self.slope(ray, n, m, channel)).collect();
                 let quarter = std::f64::consts::FRAC_PI_2.powi(2);
                 let most = quarter * frames as f64 * (1.0 + 2.0 * beta_l.abs().max((1.0 - beta_l).abs()));

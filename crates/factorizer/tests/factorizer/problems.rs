@@ -88,7 +88,7 @@ impl Owned {
     }
 }
 
-/// A display whose layers have the field's pixels.
+/// A display whose layers have the pixels and the pitch of the light field.
 pub(crate) fn display(resolution: [usize; 2], views: [usize; 2], d_mm: &[f64], frames: usize) -> Display {
     Display {
         name: "random".into(),
@@ -103,7 +103,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
     let mut random = Stream::new(derive(seed, &[kind as u64]));
     let mut below = |n: usize| (random.next_u64() % n as u64) as usize;
     let any = kind == Kind::Anything;
-    // sizes
+    // choose the resolution, and the numbers of views, frames and layers
     let resolution = match kind {
         Kind::OnePixel => [1, 1],
         Kind::Wide | Kind::WideBilinear => [70 + below(30), 3],
