@@ -373,7 +373,7 @@ unsafe fn share<V: Lanes>(
 
 /// Buffers the terms of one view's rays, times the roots of their shares. The first entry is for
 /// the rays that read the block's pixels first, the second for the rays that read them second.
-/// Returns the number of entries, and Σ w e² per lane.
+/// Returns the number of entries, and their Σ w (βL − L̃)² per lane.
 #[inline(always)]
 unsafe fn add_view<V: Lanes>(
     rays: &LineRays,

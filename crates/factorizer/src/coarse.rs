@@ -47,7 +47,7 @@ impl Coarse {
         {
             return None;
         }
-        // the same display and layers with pixels of twice the pitch
+        // make a display whose field and layers have pixels of twice the pitch
         let mut display = display.clone();
         display.field.resolution = display.field.resolution.map(|n| n.div_ceil(2));
         display.field.pitch_mm *= 2.0;
@@ -121,8 +121,9 @@ pub(crate) fn refine(coarse: &Factor, layout: &Layout, [low, high]: [f32; 2]) ->
 
 /// Positions of fine pixels between coarse pixels of twice the pitch, around the same centre.
 ///
-/// In the list of coarse pixels, the first and the last one are repeated once. Then fine pixel 2k
-/// lies between entries k and k + 1, and fine pixel 2k + 1 between entries k + 1 and k + 2.
+/// In the list of coarse pixels, the first pixel and the last pixel are repeated once. Then fine
+/// pixel 2k lies between entries k and k + 1, and fine pixel 2k + 1 between entries k + 1 and k +
+/// 2.
 struct Between {
     /// Positions of the fine pixels 2k and 2k + 1 between their two entries of the list, 0..1.
     t: [f32; 2],

@@ -116,7 +116,7 @@ pub struct Factorization {
     pub settings: Settings,
     /// KKT residual before quantization; see [`crate::Run::kkt_residual`].
     pub kkt_residual: f64,
-    /// PSNR lost by few levels; `None` if no layer has few bits, or without [`Settings::levels`].
+    /// PSNR that few levels cost; `None` if no layer has few bits, or without [`Settings::levels`].
     pub levels: Option<LevelsLoss>,
 }
 

@@ -343,8 +343,8 @@ fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> O
         .then_some(shift)
 }
 
-/// First pixel minus field column, and the weight of the second pixel, if both are the same for all
-/// rays of the run. At the borders, rays read the border pixel alone.
+/// First pixel minus field column, and the weight of the second pixel, if these two values are the
+/// same for all rays of the run. At the borders, rays read the border pixel alone.
 fn constant_between(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<(isize, f32)> {
     let [run] = runs else { return None };
     let distance = |c: usize| taps[c].map(|tap| (tap.first as isize - c as isize, tap.t));

@@ -185,8 +185,8 @@ impl<'a, const K: usize> SharedInputs<'a, K> {
         Self { x, params, scaled, strides: std::array::from_fn(|k| rays.strides[k]) }
     }
 
-    /// Computes the [`ViewTerms`] of one view in the block. `None` if no ray of the view is valid
-    /// there.
+    /// Computes the [`ViewTerms`] of one view in the block. `None` if no ray of the view in the
+    /// block is valid.
     #[inline(always)]
     unsafe fn terms_of<V: Lanes, const M: usize, const MASKED: bool>(
         &self,

@@ -80,6 +80,6 @@ pub struct Objective {
     /// Σ w (βL − L̃)² over all rays and channels (eq. 27).
     pub value: f64,
     /// PSNR of L̃/β against L with a peak of 1, dB. It covers all rays with w > 0 and all channels,
-    /// and is NaN if there is no such ray.
+    /// and is NaN if no ray has w > 0.
     pub psnr_view: f64,
 }

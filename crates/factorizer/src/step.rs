@@ -61,9 +61,10 @@ impl Rule {
 pub(crate) enum Sums {
     /// For each frame m, n = Σ w βL a_m and d = Σ w L̃ a_m.
     Ratio,
-    /// For each frame m, r = Σ w e a_m and the diagonal entry Σ w a_m² of the Gram matrix.
+    /// For each frame m, r_m of the top of the file, and the diagonal entry Σ w a_m² of the Gram
+    /// matrix.
     Diagonal,
-    /// For each frame m, r = Σ w e a_m; and the Gram matrix G = Σ w a_m a_k.
+    /// For each frame m, r_m of the top of the file; and the Gram matrix G_mk = Σ w a_m a_k.
     Gram,
 }
 
@@ -100,9 +101,10 @@ const LEAST_CURVATURE: f32 = 1e-30;
 /// Sums and values of one vector of pixels, `[frame][lane]`.
 pub(crate) struct Block {
     pub(crate) frames: usize,
-    /// The residual sums Σ w e a_m, or Σ w βL a_m for the paper's rule.
+    /// The sums r_m (for the paper's rule n_m), which the top of the file defines.
     pub(crate) residual: Aligned,
-    /// The sums Σ w L̃ a_m, or the Gram matrix's diagonal G_mm. During coordinate descent M/G_mm.
+    /// The sums d_m of the top of the file, or the Gram matrix's diagonal G_mm. During coordinate
+    /// descent M/G_mm.
     pub(crate) emitted: Aligned,
     /// The Gram matrix, `[frame][frame][lane]`. The input is its upper triangle.
     pub(crate) gram: Aligned,

@@ -1,4 +1,5 @@
-//! The target and the weights in the order of the inner loops, rows padded on both sides.
+//! The target and the weights in the order of the inner loops, in rows that are padded at both
+//! ends.
 //!
 //! A target in memory is `[channel][view][row][x]`. A target in a file is
 //! `[channel][row][view][x]`, since the rays through a line of a layer are in a band of rows. So

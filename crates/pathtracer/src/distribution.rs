@@ -26,7 +26,7 @@ impl Distribution {
                 running as f32
             })
             .collect();
-        // no number below 1 may choose an entry past the last one that has weight
+        // no number below 1 may choose an entry after the last entry that has weight
         let last = weights.iter().rposition(|&w| w > 0.0)?;
         cumulative[last..].fill(1.0);
         // Probabilities are differences of the rounded sums, so that they agree with sampling up to

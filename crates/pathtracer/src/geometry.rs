@@ -4,9 +4,9 @@
 //! mesh. A mesh that is placed often is kept once, in its own space around its centre, with a
 //! transform per instance. So memory grows with unique geometry only.
 //!
-//! Render space is the scene moved to the centre of its bounds and scaled by a power of two. The
-//! scene's half diagonal is 1 to 2 there. So 32-bit rounding is relatively the same for scenes of
-//! any size and position.
+//! Render space is the scene moved to the centre of its bounds and scaled by a power of two. In
+//! render space the half diagonal of the bounds is 1 to 2. So 32-bit rounding is relatively the
+//! same for scenes of any size and position.
 
 use std::ops::Range;
 use std::sync::Arc;

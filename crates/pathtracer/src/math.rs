@@ -45,7 +45,7 @@ pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
     let (radius, other) = if across { (a, b) } else { (b, a) };
     let x = std::f32::consts::FRAC_PI_4 * if radius == 0.0 { 0.0 } else { other / radius };
     let x2 = x * x;
-    // Taylor series as in `sin_cos_turns`, |x| ≤ π/4
+    // Taylor series of sine and cosine, see `sin_cos_turns`; |x| is at most π/4
     let sin = x * (1.0 + x2 * (-1.0 / 6.0 + x2 * (1.0 / 120.0 + x2 * (-1.0 / 5040.0))));
     let cos = 1.0 + x2 * (-0.5 + x2 * (1.0 / 24.0 + x2 * (-1.0 / 720.0 + x2 * (1.0 / 40_320.0))));
     let (along, aside) = (radius * cos, radius * sin);

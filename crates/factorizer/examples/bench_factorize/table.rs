@@ -125,7 +125,7 @@ impl Report {
             let _ = writeln!(text, "{what:<48}{median:>9.1} ms{fastest:>9.1} ms{rest}");
         };
         let _ = writeln!(text, "{:<48}{:>12}{:>12}{:>17}{:>9}", "", "median", "fastest", "multiply-adds", "memory");
-        // Lumistack's updates, then the other steps, then the peers
+        // list Lumistack's updates, then the objective and the preparation, then the peers' updates
         for row in &self.rows {
             let rest = row.needs.map_or(String::new(), |needs| {
                 let [arithmetic, memory] = shares(&needs, &row.times, machine);

@@ -323,8 +323,8 @@ fn rays(problem: &Problem) -> Vec<Ray> {
     rays
 }
 
-/// The two pixels around a position, with their weights. At the border, where there is only one
-/// such pixel, this pixel alone.
+/// The two pixels around a position, with their weights. At the border a position may have one
+/// pixel only.
 fn neighbours(u: f64, count: usize) -> impl Iterator<Item = (usize, f64)> {
     let u = u.clamp(0.0, count as f64 - 1.0);
     let first = u.floor();

@@ -245,7 +245,7 @@ fn view(options: &Options) -> Outcome {
     Ok(())
 }
 
-/// Compares converged pictures of a diffuse scene with those of the peers.
+/// Compares converged pictures of a diffuse scene with the peers' pictures.
 fn agree(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };

@@ -52,7 +52,7 @@ pub(crate) struct Glass {
     changed: Option<Changed>,
 }
 
-/// Reflectance other than that of the bare interface.
+/// The reflectance of an interface that a film or `KHR_materials_specular` changes.
 #[derive(Clone, Copy)]
 struct Changed {
     /// Reflectance at normal incidence: `bare_f0` for the bare interface, `f0` after the change.

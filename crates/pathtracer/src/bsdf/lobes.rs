@@ -99,7 +99,7 @@ macro_rules! lobes {
                 [$(self.$base.as_ref().map_or(0.0, Lobe::albedo),)* $(self.$layer.as_ref().map_or(0.0, Lobe::albedo),)*]
             }
 
-            /// The lobes that can be evaluated, and those among them that transmit light from
+            /// For each lobe, true if it can be evaluated; and true if it also transmits light from
             /// behind.
             #[inline]
             pub(crate) fn rough(&self, facet: &Facet) -> [[bool; LOBES]; 2] {

@@ -452,7 +452,7 @@ fn dispersion_keeps_white_white() {
         assert_eq!(again.disperse(Some(nanometres), || panic!("drawn twice")), Some(nanometres));
         assert_eq!((again.ior, again.extras.unwrap().wave_weight), (here.ior, Vec3::ONE));
     }
-    // the reflectance differs by a few thousandths between the channels
+    // The tolerance is needed, since the reflectance differs by a few thousandths between channels.
     samples.into_iter().for_each(|samples| Mean::of(samples).assert_is(1.0, 5e-3, FALSE_ALARM_RATE));
     assert!(indices.iter().all(|&(nanometres, ior)| (ior > 1.5) == (nanometres < 587.57)));
     assert_eq!(appearance().disperse(None, || panic!("drawn for nothing")), None);

@@ -2,8 +2,9 @@
 //! of one pixel do.
 //!
 //! The rays' points at distance t lie in the box o₀ + t d₀ ..= o₁ + t d₁. Here o₀ and o₁ are the
-//! least and the greatest coordinates of the rays' origins, d₀ and d₁ those of their directions.
-//! That box overlaps a child's bounds b₀ ..= b₁ along an axis while
+//! least and the greatest coordinates of the rays' origins. The least and the greatest coordinates
+//! of their directions are d₀ and d₁. That box overlaps a child's bounds b₀ ..= b₁ along an axis
+//! while
 //!
 //! ```text
 //! o₁ + t d₁ ≥ b₀   and   o₀ + t d₀ ≤ b₁
@@ -13,9 +14,9 @@
 //! costs the beam as much as it costs a single ray.
 //!
 //! A block's eight triangles are tested against the beam as boxes too. The triangles that the beam
-//! may hit, mostly one or two, are tested against all rays together, one ray per lane. The
-//! arithmetic is that of single rays, so hits are the same bit for bit. The test requires that the
-//! directions of all rays have their largest component along the same axis. Neighbouring rays
+//! may hit, mostly one or two, are tested against all rays together, one ray per lane. Single rays
+//! are tested with the same arithmetic, so the hits are equal bit for bit. The test requires that
+//! the directions of all rays have their largest component along the same axis. Neighbouring rays
 //! nearly always do. A beam that spreads over many blocks, for example out of focus, is split into
 //! single rays.
 //!

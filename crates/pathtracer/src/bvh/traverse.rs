@@ -240,8 +240,8 @@ impl Bvh {
                 };
             }
             loop {
-                // a separate loop, so that registers hold the inputs of the node test, not those of
-                // the block test
+                // Nodes have a separate loop, so that registers hold only the inputs of the node
+                // test.
                 while current & LEAF == 0 {
                     let node = arrays.nodes.get_unchecked(current as usize);
                     let (t_near, mut hits) = slabs.enters(node, t_max);
@@ -395,7 +395,8 @@ impl Bvh {
                             hits &= hits - 1;
                             let hit = test.hit(lane, block.references[lane], instance);
                             if hit.is_visible() {
-                                // opaque triangles end the segment, others dim the light
+                                // opaque triangles end the segment, and all other triangles dim the
+                                // light
                                 if hit.flags & !CULL_BACK == 0 {
                                     return Vec3::ZERO;
                                 }
@@ -633,7 +634,7 @@ impl Shear {
 /// A triangle per lane, in the space where the lane's ray starts at the origin and is the z axis; z
 /// is not scaled yet.
 ///
-/// Tests of single rays and of beams both call these functions, so their hits are the same to the
+/// Single rays and beams are tested by the functions of this type, so their hits are equal to the
 /// bit.
 pub(super) struct Corners<V>(pub(super) [[V; 3]; 3]);
 

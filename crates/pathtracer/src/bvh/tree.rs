@@ -14,7 +14,7 @@ pub(super) const INSTANCE: u32 = 1 << 30;
 /// Marks a child that does not exist. Its bounds are empty, so that no ray enters it. On a
 /// traversal's stack it marks the end of an instance.
 pub(super) const EMPTY: u32 = u32::MAX;
-/// Bits of a triangle reference that hold its index; the others are flags.
+/// Bits of a triangle reference that hold the triangle's index; all other bits are flags.
 pub(super) const INDEX_MASK: u32 = (1 << 29) - 1;
 /// Largest number of triangles that references can address. A mesh's triangles count once, for any
 /// number of instances.

@@ -57,7 +57,7 @@ struct Cells {
 impl EnvironmentLight {
     /// `None` without an environment, or when the environment is black.
     pub(crate) fn new(scene: &Arc<Scene>) -> Option<Self> {
-        // first sample all of the light, to compute its mean
+        // first prepare sampling of all the light, which gives its mean
         let whole = Self::above(scene, 0.0)?;
         let mean = whole.sampled_magnitude;
         if whole.constant.is_some() { Some(whole) } else { Self::above(scene, mean).or(Some(whole)) }

@@ -1,5 +1,4 @@
-//! Rays of a view's samples. All results for those samples use the same rays and the same random
-//! numbers.
+//! Rays of a view's samples. All results for the samples use the same rays and random numbers.
 
 use lumistack_core::seed;
 

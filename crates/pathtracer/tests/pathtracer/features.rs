@@ -20,7 +20,7 @@ fn depth_normal_and_reflectance_are_those_of_the_first_surface() {
     let turn = Quat::from_rotation_y(0.4);
     let metal = Material { base_color: Vec4::new(0.9, 0.6, 0.3, 1.0), metallic: 1.0, roughness: 0.5, ..diffuse(0.5) };
     builder.add(rectangle(Vec3::new(0.0, 0.0, -0.2), turn * (4.0 * Vec3::X), 4.0 * Vec3::Y), metal);
-    // this surface is hidden by the first one
+    // the first surface hides this surface
     builder.add(rectangle(Vec3::new(0.0, 0.0, -3.0), 9.0 * Vec3::X, 9.0 * Vec3::Y), diffuse(0.1));
     let (size, slope) = (16, [0.25, -0.1]);
     let found = features(&builder, size, slope);
@@ -96,8 +96,8 @@ fn mixture() -> Builder {
     builder
 }
 
-/// Recording the first surfaces changes no bit of the light. The surfaces equal those of the same
-/// rays traced to their first hits alone.
+/// Recording the first surfaces changes no bit of the light. The same surfaces are recorded if the
+/// rays are traced to their first hits alone.
 #[test]
 fn surfaces_come_with_the_light_at_no_change_of_it() {
     let (collector, cancel) = (Collector::default(), Cancel::default());
