@@ -280,9 +280,9 @@ struct PartBetween<'a> {
     first: usize,
     /// The share of the ray's sums that the next line gets.
     t: f32,
-    /// Rows to prefetch.
+    /// Range of the rows to prefetch, in the list of rows.
     ahead: Range<usize>,
-    /// x of the part.
+    /// Range of x of the part.
     part: Range<usize>,
     params: SumParams,
     buffers: &'a mut Buffers,

@@ -252,7 +252,7 @@ impl Engine {
         // if the sums are stored, every line must be summed, since the later step needs the sums of
         // all lines
         let all = sums.is_some();
-        // split the factor into lines, which threads share
+        // split the factor into lines, which are distributed to the threads
         let mut lines = lines_of(layout, values, extrapolation.zip(latest), sums);
         let line_of = |index: usize| LineOf {
             factor: n,
@@ -506,9 +506,9 @@ struct Steps<'a> {
     levels: Option<&'a Levels>,
     columns: std::ops::Range<usize>,
     stride: usize,
-    /// `[line][x]`, see [`LineStep::limits`].
+    /// [`LineStep::limits`] of all lines, `[line][x]`.
     limits: Option<Vec<f32>>,
-    /// `[x]`, see [`LineStep::fixed`].
+    /// [`LineStep::fixed`], the same for all lines.
     fixed: Option<Vec<bool>>,
 }
 

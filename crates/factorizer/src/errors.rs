@@ -126,7 +126,7 @@ unsafe fn squared_shifted<V: Lanes>(
         let (mean, brightness) = (V::splat(1.0 / plan.frames as f32), V::splat(plan.target.brightness));
         let zero = V::splat(0.0);
         let (mut weighted, mut plain) = (zero, zero);
-        // one vector of rays at a time
+        // compute one vector of rays at a time
         for (index, col) in run.clone().step_by(V::COUNT).enumerate() {
             // compute L̃ for up to three frames at a time
             let mut emitted = zero;

@@ -13,7 +13,8 @@ pub(crate) struct LineOf {
     pub(crate) line: usize,
 }
 
-/// Error and gain of an update. Their weights w are relative to the largest weight.
+/// Error and gain of an update. A ray's error is e = βL − L̃, its target minus its light. The
+/// weights w of rays are relative to the largest weight.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
     /// Σ w e² over the rays through the line, before the step. If a ray reads several lines, each

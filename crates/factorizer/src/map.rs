@@ -59,7 +59,7 @@ pub(crate) struct ColumnTaps {
     pub(crate) second: Vec<u32>,
     /// Weight of `second`, 0..1.
     pub(crate) t: Vec<f32>,
-    /// The same taps as pieces for the inner loops; together they cover all field columns.
+    /// The taps as pieces for the inner loops; together the pieces cover all field columns.
     pub(crate) pieces: Vec<Piece>,
     /// Index in the padded line minus field column, if it is the same for every valid ray and every
     /// `t` is 0.
@@ -157,7 +157,7 @@ impl FactorMap {
                 taps.iter().map(line).collect()
             })
             .collect();
-        // the rays of each line: valid field rows that hit the factor
+        // list the rays of each line: valid field rows that hit the factor
         let read_by_view = |(taps, valid): (&Vec<LineTap>, &Vec<bool>)| -> Vec<(u32, LineTap)> {
             let rows = taps.iter().zip(valid).enumerate();
             rows.filter(|(_, (tap, valid))| **valid && tap.first as usize != lines)

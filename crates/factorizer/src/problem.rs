@@ -61,7 +61,7 @@ impl Problem<'_> {
         let emission = LayerStack::emission_shape(self.display).map(|shape| shape.to_vec());
         let values: u128 = layers.chain(emission).map(|shape| shape.iter().map(|&n| n as u128).product::<u128>()).sum();
         // four copies must fit, with 4 bytes per value: the input, two working copies and a spare
-        // one
+        // copy
         let bytes = 4 * 4 * values;
         if bytes > isize::MAX as u128 { Err(FactorizeError::TooLarge { values }) } else { Ok(()) }
     }

@@ -15,7 +15,7 @@
 //!     once:  line j += low,  line j + 1 += high,  by t_x
 //! ```
 //!
-//! Lines come in bands, one after another. Each line passes its high sums on to the next line.
+//! Lines come in bands, one after another. Each line passes its sums `high` on to the next line.
 //! Factors are read in two steps as well. First, two lines of the factor are mixed, once for all
 //! view columns. Then the columns of that mixture are read. In parts of 128 columns, whose rows
 //! stay in the first-level cache, an update took 1.25 times as long.
@@ -90,8 +90,8 @@ pub(crate) struct Scratch {
     buffers: Buffers,
     rays: LineRays<'static>,
     spare: Spare,
-    /// The sums of one view column by field columns, `[quantity][x]`: low sums for this line, high
-    /// sums for the next line.
+    /// The sums of one view column by field columns, `[quantity][x]`: those for this line and those
+    /// for the next line.
     columns: [Vec<f32>; 2],
     /// The sums of this line and of the next line.
     lines: [LineSums; 2],
@@ -169,7 +169,7 @@ impl ScatterBand<'_> {
                 shares.push([1.0 - t, t]);
             }
         }
-        // if no row of rays has a share in the next line, there are no high sums
+        // if no row of rays has a share in the next line, there are no sums for the next line
         let is_high = shares.iter().any(|[_, high]| *high > 0.0);
         if shares.is_empty() || high_alone && !is_high {
             return;
@@ -195,7 +195,7 @@ impl ScatterBand<'_> {
                         let squares = unsafe { (functions.block)(block) };
                         lines.iter_mut().zip(squares).for_each(|(line, squares)| line.error += squares);
                     }
-                    // add the low sums to this line, then the high sums to the next line
+                    // add the sums for this line, then the sums for the next line
                     for (columns, line) in columns.iter().zip(&mut *lines).take(if is_high { 2 } else { 1 }) {
                         let (x, columns) = (&map.x[view_x], (&columns[..], field_stride));
                         // SAFETY: the kernels have no requirements

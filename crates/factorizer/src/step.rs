@@ -142,7 +142,7 @@ impl Block {
                 let at = m * V::COUNT;
                 let (f, n, d) = (get::<V>(&self.values, at), get::<V>(&self.residual, at), get::<V>(&self.emitted, at));
                 let moved = f.mul(n.div(d)).max(V::splat(low)).min(V::splat(high));
-                // d below f32's normal range is taken as 0, and the value stays
+                // if the sum d is below f32's normal range, it counts as 0, and the value stays
                 put(moved.where_else(V::splat(f32::MIN_POSITIVE).below(d), f), &mut self.values, at);
             }
             V::splat(0.0)
@@ -171,7 +171,8 @@ impl Block {
                 let curvature = get::<V>(&self.gram, (m * M + m) * n).max(V::splat(LEAST_CURVATURE));
                 put(V::splat(M as f32).div(curvature), &mut self.emitted, m * n);
             }
-            // sweeps of coordinate steps: move u_m to its clamped minimum, then update r
+            // make sweeps of coordinate steps: each moves a frame's value to its clamped minimum,
+            // then updates the residual sums
             let start: [V; M] = std::array::from_fn(|m| get::<V>(&self.values, m * n));
             let before: [V; M] = std::array::from_fn(|m| get::<V>(&self.residual, m * n));
             let (mut values, mut residual) = (start, before);

@@ -44,9 +44,9 @@ pub(crate) struct Target {
 /// Order of the rows of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Order {
-    /// `[view][row]`.
+    /// Rows in the order `[view][row]`.
     Views,
-    /// `[row][view]`.
+    /// Rows in the order `[row][view]`.
     Rows,
 }
 
@@ -97,7 +97,7 @@ enum RayWeights {
     Uniform,
     /// `[view][x]`, constant along a row.
     PerView(Vec<f32>),
-    /// `[view][row][x]`.
+    /// A weight for each ray, `[view][row][x]`.
     PerRay(Vec<f32>),
 }
 
@@ -113,7 +113,7 @@ impl Target {
         let views = view_rows * view_cols;
         let stride = PAD + cols + PAD;
         let radiance = problem.target.radiance();
-        // half floats if they hold all values exactly, else f32
+        // store half floats if they hold all values exactly, otherwise f32
         let halve = Backend::best().function::<Halve>();
         // SAFETY: the kernel has no requirements
         let halves = rows_of(radiance, stride, |from, to| unsafe { halve((from, to)) })?;

@@ -43,7 +43,7 @@ enum Surface {
     Conductor(f32),
     /// Clear glass of index 1.5 and this GGX α.
     Dielectric(f32),
-    /// Black; it emits from its front.
+    /// A black surface that emits this radiance from its front.
     Light(Vec3),
 }
 

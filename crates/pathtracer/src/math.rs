@@ -3,7 +3,7 @@
 /// Sine and cosine of an angle of −1..1 turns; absolute error below 1e-6.
 #[inline]
 pub(crate) fn sin_cos_turns(turns: f32) -> (f32, f32) {
-    // nearest quarter turn, and the remainder of at most an eighth of a turn
+    // split the angle into the nearest quarter turn and a remainder of at most an eighth of a turn
     let quarters = (4.0 * turns + if turns < 0.0 { -0.5 } else { 0.5 }) as i32;
     let x = (turns - 0.25 * quarters as f32) * std::f32::consts::TAU;
     let x2 = x * x;

@@ -9,7 +9,8 @@ pub(crate) struct Normals {
     pub(crate) mapped: Vec3,
     /// Normal interpolated from the vertices.
     smooth: Vec3,
-    /// α² of the bumps that the normal map represents; 0 without a normal map.
+    /// α² of the GGX distribution of the bumps that the normal map represents; 0 without a normal
+    /// map.
     alpha2: f32,
 }
 

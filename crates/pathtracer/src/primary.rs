@@ -27,12 +27,12 @@ use crate::tracer::Cone;
 /// Width by which the scene's bounds are enlarged, relative to the scene's radius.
 const BOUNDS_MARGIN: f64 = 1e-5;
 /// Width of the texture footprint, as a fraction of the pixel's width. Samples are spread over the
-/// pixel, so each needs to cover only a fraction of it: each of 16 samples covers a quarter of its
-/// width.
+/// pixel, so each needs to cover only a fraction of it. For example, each of 16 samples covers a
+/// quarter of the width.
 ///
 /// Measured: a footprint of half the pixel's width dims small letters, and trades variance (up to 3
-/// %) for blur. A display shows that dimmer target better (still life: 36.8 dB instead of 36.2 dB),
-/// but with less detail: the target's gradients have 12 % less energy.
+/// %) for blur. A display shows that dimmer target better (still life: 36.8 dB instead of 36.2 dB).
+/// But the target has less detail: its gradients have 12 % less energy.
 const FOOTPRINT_SHARE: f64 = 0.25;
 
 /// The rays of one view.
@@ -50,8 +50,8 @@ pub(crate) struct PrimaryRays<'a> {
     millimetre: f64,
     /// Half the size of the scene's bounds, with a margin.
     half_size: DVec3,
-    /// Two values of τ, which is −z in display space, in millimetres: τ at the start of all rays,
-    /// and the largest |τ| up to the far end of the bounds.
+    /// τ is −z in display space, in millimetres. These are τ at the start of all rays, and the
+    /// largest |τ| up to the far end of the bounds.
     start: f64,
     deepest: f64,
 }
@@ -122,7 +122,7 @@ impl<'a> PrimaryRays<'a> {
         let pitch = self.geometry.pitch_mm;
         let grid = &self.geometry.grid;
         let point = [self.geometry.x_mm(col), self.geometry.y_mm(row)];
-        // slope of the central ray, and its change across a pixel
+        // compute the slope of the central ray, and its change across a pixel
         let slope = grid.slope_at(self.view, point);
         let beside = grid.slope_at(self.view, point.map(|p| p + pitch));
         let turn = [0, 1].map(|axis| beside[axis] - slope[axis]);
@@ -311,7 +311,7 @@ mod tests {
                 let aside = (origin - on_plane).cross(direction).length();
                 let size = origin.length() + on_plane.length();
                 assert!(aside < 1e-6 * size, "{aside} of {size}");
-                // z of the ray's start in display space
+                // compute z of the ray's start in display space
                 let z = map.inverse_point(space.centre + origin / space.scale).z;
                 let rounded = 1e-6 * size / (space.scale * map.scale);
                 if let Projection::Perspective { distance_mm } = projection {

@@ -217,8 +217,8 @@ impl Renderer {
         self
     }
 
-    /// Steps by which one call of [`render_view`](Self::render_view) advances the progress: the
-    /// number of its tiles.
+    /// Number of steps by which one call of [`render_view`](Self::render_view) advances the
+    /// progress: the number of its tiles.
     pub fn steps_per_view(geometry: &FieldGeometry) -> u64 {
         Tiles::new(geometry).count() as u64
     }

@@ -214,7 +214,7 @@ fn rough_log2(x: f32) -> f32 {
     x.to_bits() as f32 * (1.0 / (1u32 << 23) as f32) - 127.0
 }
 
-/// Levels 1, 2, ... down to a single texel.
+/// Makes the levels 1, 2, ... of an image's pyramid, down to a single texel.
 fn pyramid(image: &Image, encoding: Encoding) -> Vec<Level> {
     let mut levels: Vec<Level> = Vec::new();
     loop {

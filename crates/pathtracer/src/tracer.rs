@@ -28,8 +28,8 @@
 //!   larger pieces than they were written in. So directions around normals and primary rays are
 //!   computed for all paths together, as vectors. Hits are written where they are read, and a
 //!   light's density is kept as its inverse. Together this gave 9 % more samples.
-//! * Running each step of a vertex (surface, light, scattered direction) in a loop over all paths
-//!   cost 3 %, since the steps' results have to be stored.
+//! * A loop over all paths for each step of a vertex (surface, light, scattered direction) cost 3
+//!   %. The steps' results have to be stored.
 //! * Traced as a beam, the shadow rays of first hits took 1.6 times as long as one by one. The beam
 //!   tested the bounds of every block with eight rays together.
 
@@ -220,7 +220,7 @@ impl Tracer<'_> {
             lights: [(0, Vec3::ZERO, Vec3::ZERO); BEAM],
             diffuse: [Vec3::ZERO; BEAM],
         };
-        // a bit per path that continues
+        // each path that continues has its bit set
         let mut going = (1u32 << rays.len()) - 1;
         for bounce in 0..=settings.max_bounces {
             let pairs = PRIMARY_PAIRS + VERTEX_PAIRS * u64::from(bounce);
@@ -552,7 +552,7 @@ impl Tracer<'_> {
         shadows.count += 1;
     }
 
-    /// True if the hit surface is one that first hits pass through.
+    /// True if the hit surface is a lamp that viewers do not see.
     fn is_unseen(&self, hit: &Hit) -> bool {
         self.traits[self.geometry.material_index(hit.triangle)] & UNSEEN != 0
     }

@@ -149,7 +149,7 @@ fn operands(seed: u32) -> Operands {
     [a, b, c]
 }
 
-/// The expected results, computed on plain numbers.
+/// The expected results, computed value by value in scalar code.
 fn expected([a, b, c]: &Operands, rounds_once: bool) -> Results {
     let each = |f: &dyn Fn(f32, f32, f32) -> f32| std::array::from_fn(|i| f(a[i], b[i], c[i]));
     let fused = |x: f32, y: f32, z: f32, once: bool| if once { x.mul_add(y, z) } else { x * y + z };

@@ -132,7 +132,7 @@ impl Oracle {
         let size = self.factors[n].len() / frames;
         let (mut residual, mut wanted) = (vec![vec![0.0; frames]; size], vec![vec![0.0; frames]; size]);
         let (mut emitted_sum, mut gram) = (vec![vec![0.0; frames]; size], vec![vec![vec![0.0; frames]; frames]; size]);
-        // the sums of every pixel over all its rays
+        // compute the sums of every pixel over all its rays
         for ray in &self.rays {
             let Read::Entries(entries) = &ray.reads[n] else { continue };
             for channel in 0..3 {
@@ -262,14 +262,14 @@ fn rays(problem: &Problem) -> Vec<Ray> {
     let mut rays = Vec::new();
     for [view_y, view_x] in field.grid.iter() {
         for (row, col) in (0..field.rows).flat_map(|row| (0..field.cols).map(move |col| (row, col))) {
-            // the ray's position and slope at z = 0
+            // compute the ray's position and slope at z = 0
             let x = (col as f64 - (field.cols as f64 - 1.0) / 2.0) * field.pitch_mm;
             let y = ((field.rows as f64 - 1.0) / 2.0 - row as f64) * field.pitch_mm;
             let (mut sx, mut sy) = (field.grid.slope_x[view_x], field.grid.slope_y[view_y]);
             if let Projection::Perspective { distance_mm } = field.grid.projection {
                 (sx, sy) = ((sx * distance_mm - x) / distance_mm, (sy * distance_mm - y) / distance_mm);
             }
-            // the pixels of each layer that the ray reads
+            // find the pixels of each layer that the ray reads
             let mut reads = Vec::new();
             let mut counts = true;
             for layer in &display.layers {
@@ -290,7 +290,7 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                     reads.push(Read::Entries(entries(layer, &pixels)));
                 }
             }
-            // the lenslet and angular bin that the ray hits
+            // find the lenslet and angular bin that the ray hits
             if let Backlight::Lenslets(b) = &display.backlight {
                 let ([cols, rows], [bins_x, bins_y]) = (b.lenslets.map(|n| n as f64), b.views.map(|n| n as f64));
                 let i = ((x + b.d_mm * sx - b.offset_mm[0]) / b.pitch_mm + (cols - 1.0) / 2.0 + 0.5).floor();

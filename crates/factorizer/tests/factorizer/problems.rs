@@ -146,7 +146,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
             d_mm
         })
         .collect();
-    // the display
+    // build the display
     let mut display = display(resolution, views, &distances, frames);
     display.brightness = 0.2 + 0.8 * unit();
     display.missing = if clear { Missing::Clear } else { Missing::Drop };

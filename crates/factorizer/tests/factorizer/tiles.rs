@@ -62,7 +62,8 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                 }
                 assert!(part.own.is_empty() || part.own.common(&part.free) == part.own, "{kind:?}");
             }
-            // compare naively, for every ray and every layer
+            // for every ray and layer, compare the pixels that the ray reads in the tile and in the
+            // whole display
             for view in geometry.grid.iter() {
                 for (row, col) in (0..geometry.rows).flat_map(|r| (0..geometry.cols).map(move |c| (r, c))) {
                     let Region { rows, cols } = &tile.field;

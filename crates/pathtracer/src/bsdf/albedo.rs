@@ -109,8 +109,8 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
 }
 
 /// Albedo of a stretched lobe, interpolated linearly in four coordinates. They are the root of the
-/// cosine, cos² of the azimuth φ, and √α along and across the stretch. φ is the viewer's azimuth
-/// from the direction of stretch.
+/// cosine, cos² of the azimuth φ, and √α along and across the stretch. The azimuth φ of the viewer
+/// is measured from the direction of stretch.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     static TABLE: OnceLock<Table<4, 4>> = OnceLock::new();
     let across = o.x * o.x + o.y * o.y;
@@ -190,8 +190,8 @@ fn round(roughness: f32) -> Vec2 {
     Vec2::splat((roughness * roughness).max(SMALLEST))
 }
 
-/// E, B of metals, B of dielectrics, and NaN in the place of the mean, which is computed after the
-/// values of all cosines.
+/// Returns the values of a node: E, B of metals and B of dielectrics (see [`Albedo`]), and NaN for
+/// the mean. The mean is computed later, from all cosines.
 fn integrate(o: Vec3, alpha: Vec2, samples: u32, lattice_step: u32) -> [f32; 4] {
     let [full, metal, dielectric] = mean_of_lobe(o, alpha, samples, lattice_step, |o_h| {
         [1.0, fresnel::metal_rise(o_h), fresnel::dielectric_rise(o_h, COMMON_IOR)]
@@ -257,7 +257,7 @@ mod tests {
         assert!((mirror.full - 1.0).abs() < TABLE_TOLERANCE && (mirror.metal - 1.0 / 32.0).abs() < TABLE_TOLERANCE);
     }
 
-    /// The closed form of K equals the sum of its series.
+    /// The closed form of the compensation factor K equals the sum of its series.
     #[test]
     fn the_compensation_is_a_series_of_reflections() {
         for (full, escape) in [(0.3f32, 0.5f32), (0.5, 0.45), (0.9, 0.95), (1.0, 1.0)] {

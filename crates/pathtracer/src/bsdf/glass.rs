@@ -118,7 +118,8 @@ impl Glass {
         (fresnel * (self.weight * self.compensation * specular), chance * reflection_pdf)
     }
 
-    /// [`reflected`](Self::reflected) for a direction below the surface.
+    /// Returns f |cos| and the density for a direction below the surface. The density excludes the
+    /// chance of this lobe.
     fn transmitted(&self, o: Vec3, i: Vec3, alpha: Vec2) -> (Vec3, f32) {
         const NOTHING: (Vec3, f32) = (Vec3::ZERO, 0.0);
         let Some(h) = (o + self.eta * i).try_normalize() else { return NOTHING };

@@ -127,7 +127,7 @@ pub(crate) enum Sample {
     Mirror {
         /// Direction in the scene.
         direction: Vec3,
-        /// The same as `up` of `Rough`.
+        /// Positive if the mirror scatters to the viewer's side of the surface.
         up: f32,
         /// f |cos| / density, with the scattering function f.
         weight: Vec3,

@@ -12,7 +12,7 @@ use super::sheen::Sheen;
 use super::thin::Thin;
 use crate::texture::{Encoding, Slot};
 
-/// Makes the layers, the last of the list first, since it is the topmost.
+/// Makes the layers from the top down. The last layer of the list is the topmost.
 macro_rules! layers_from_the_top {
     ($parameters:ident, $surface:ident, $below:ident;) => {};
     ($parameters:ident, $surface:ident, $below:ident; $layer:ident: $Layer:ident, $($above:tt)*) => {

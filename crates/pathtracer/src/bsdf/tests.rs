@@ -16,7 +16,7 @@ use lumistack_testkit::statistics::{FALSE_ALARM_RATE, Mean, assert_counts, z_lim
 /// Largest deviation from 1 of the fraction of light that white metals and dielectrics return. The
 /// albedo table is interpolated, so the fraction is not exactly 1.
 const ENERGY_TOLERANCE: f64 = 4e-3;
-/// The same tolerance for clear rough glass, whose table is coarser.
+/// The tolerance for clear rough glass, whose table is coarser.
 const GLASS_TOLERANCE: f64 = 1e-2;
 /// A white surface may return up to this fraction more light than it receives, since tables and the
 /// albedos of stretched lobes are approximate.
@@ -230,8 +230,8 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
 }
 
 /// Frames whose direction of stretch is off the axes. The first has one normal. The second has a
-/// tilted shading normal and a coat that leans the other way. The third has a normal map so steep
-/// that the specular normal is bent.
+/// tilted shading normal and a coat that leans the opposite way. The third has a normal map so
+/// steep that the specular normal is bent.
 fn frames() -> [Frame; 3] {
     let tangent = Some(Vec3::new(0.8, 0.6, 0.0));
     let straight = Frame { tangent, ..Frame::flat(Vec3::Z, Vec3::Z) };
@@ -376,7 +376,7 @@ fn single_scattering_is_reciprocal() {
                 continue;
             }
             let (there, back) = (seen(o, i), seen(i, o));
-            // An opaque surface passes no light: for directions on different sides of it, both
+            // An opaque surface passes no light: for directions on different sides of it, the two
             // values are 0 and agree.
             let error = (there - back).abs().max_element();
             assert!(error <= 2e-3 * there.max_element().max(1e-3), "{o} {i}: {there} {back}");

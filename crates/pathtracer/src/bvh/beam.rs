@@ -134,7 +134,8 @@ impl Bvh {
                 let current = next as u32;
                 if current & LEAF == 0 {
                     let node = arrays.nodes.get_unchecked(current as usize);
-                    // postpone the children that the beam enters, the nearest last
+                    // postpone the children that the beam enters, the nearest last, so that it is
+                    // taken first
                     let (t_near, mut entered) = beam.enters(&node.bounds, t_max);
                     let t_near: [f32; WIDTH] = t_near.to_array();
                     let base = depth;
@@ -193,12 +194,12 @@ impl<F: FnMut(usize, &Hit) -> bool> Kernel for NearestOfBeam<F> {
 /// The rays of a beam prepared for the triangle test, one per lane, and the nearest hit of each.
 /// The directions of all rays have their largest component along the same axis.
 struct Sheared<V> {
-    /// The same as [`Shear::axes`].
+    /// Rows of the axes in a block, see [`Shear::axes`].
     axes: [usize; 3],
     /// Number of rays, and of vectors that hold a ray.
     count: usize,
     vectors: usize,
-    /// Per ray, the same as [`Shear::origin`] and [`Shear::shear`].
+    /// Values of [`Shear::origin`] and [`Shear::shear`] for every ray.
     origin: [[V; 3]; VECTORS],
     shear: [[V; 3]; VECTORS],
     t: [V; VECTORS],
@@ -236,7 +237,7 @@ impl<V: Lanes> Sheared<V> {
     /// Prepares the rays for the triangle test. `shear` is the [`Shear`] of the first ray.
     #[inline(always)]
     unsafe fn new(rays: &[Ray], shear: &Shear) -> Self {
-        // coordinates of the rays in the order of the shear's axes, the longest last
+        // collect the rays' coordinates in the order of the shear's axes, the longest axis last
         let axes = shear.axes.map(|row| row / WIDTH);
         let (mut origins, mut directions) = ([[0.0; BEAM]; 3], [[1.0; BEAM]; 3]);
         for (index, ray) in rays.iter().enumerate() {
@@ -306,7 +307,7 @@ impl<V: Lanes> Sheared<V> {
                 let rows = block.vertices[vertex].as_flattened();
                 self.axes.map(|row| *rows.get_unchecked(row + lane))
             };
-            // the triangle's corners in the order of the rays' axes
+            // collect the triangle's corners in the order of the rays' axes
             let vertices = [vertex(0), vertex(1), vertex(2)];
             let reference = block.references[lane];
             let flags = reference & !INDEX_MASK;
@@ -391,7 +392,7 @@ impl<V: Lanes> Beam<V> {
     /// Bounds for a beam of `rays`. `extent` is the largest coordinate of the tree's bounds.
     #[inline(always)]
     unsafe fn new(rays: &[Ray], extent: f32) -> Self {
-        // least and greatest coordinates of all rays
+        // find the least and the greatest coordinates of all rays
         let (mut low, mut high) = ((rays[0].origin, rays[0].direction), (rays[0].origin, rays[0].direction));
         for ray in &rays[1..] {
             low = (low.0.min(ray.origin), low.1.min(ray.direction));
@@ -435,8 +436,8 @@ impl<V: Lanes> Beam<V> {
             for bound in self.near.get_unchecked(..self.near_count) {
                 entry = entry.max(V::from_array(eight(planes, bound.row)).fused_mul_add(bound.inverse, bound.shift));
             }
-            // The exit may be infinite: for an unlimited t_max, if the rays spread to all sides. A
-            // child that does not exist is entered at infinity, and the limit `f32::MAX` keeps it
+            // If t_max is unlimited and the rays spread to all sides, nothing else limits the exit.
+            // A child that does not exist is entered at infinity, and the limit `f32::MAX` keeps it
             // out.
             let mut exit = V::splat(t_max.min(f32::MAX));
             for bound in self.far.get_unchecked(..self.far_count) {

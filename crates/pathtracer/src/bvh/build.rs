@@ -50,7 +50,7 @@ impl Bvh {
             stack_depth: 0,
             backend: Backend::best(),
         };
-        // a tree per shared mesh, then a box per instance of it
+        // build a tree for each shared mesh, then a box for each of its instances
         let shared: Vec<Tree> = input.shared.iter().map(|range| bvh.add_tree(input, range.clone(), &[])).collect();
         let mut boxes = Vec::with_capacity(input.placements.len());
         for placement in input.placements {
@@ -65,7 +65,7 @@ impl Bvh {
                 extent: extent(&tree.bounds),
             });
         }
-        // the top tree over loose triangles and instances
+        // build the top tree over loose triangles and instances
         let top = bvh.add_tree(input, input.loose.clone(), &boxes);
         bvh.root = top.root;
         bvh.extent = extent(&top.bounds);

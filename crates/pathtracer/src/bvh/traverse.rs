@@ -24,7 +24,8 @@
 //! * A hit becomes a [`Hit`] once, at the end (4 to 12 % more rays).
 //!
 //! These variants were tried on FlightHelmet, on 15 copies of it (1.4 million triangles) and on
-//! still-life (Zen 4, one pinned thread, the fastest of several rounds):
+//! still-life. The machine was a Zen 4, with one pinned thread. The figures are of the fastest of
+//! several rounds:
 //!
 //! * No branch on the number of children entered (none, one or two): 5 % slower, since a predicted
 //!   branch waits for no data.
@@ -41,9 +42,9 @@
 //! The triangle test is the watertight one of Woop, Benthin, Wald 2013 ("Watertight ray/triangle
 //! intersection", JCGT 2(1)). It shears the triangle into a space where the ray is the z axis, and
 //! compares edge functions with zero. Shared edges give exactly opposite values, so a ray cannot
-//! pass between two triangles. The edge functions therefore must not be fused: a·b − c·d with one
-//! product rounded and the other not is not the opposite of c·d − a·b. Boxes are widened by the
-//! rounding of the slab test, see [`SLAB_ROUNDING`].
+//! pass between two triangles. So the edge functions must not be fused: with one product rounded
+//! and the other not, a·b − c·d is not −(c·d − a·b). Boxes are widened by the rounding of the slab
+//! test, see [`SLAB_ROUNDING`].
 
 use std::marker::PhantomData;
 
@@ -223,7 +224,7 @@ impl Bvh {
             let mut nearest: Option<RawHit> = None;
             let mut t_max = ray.t_max;
             let mut current = self.root;
-            // the next postponed child that is not farther than the nearest hit
+            // takes the next postponed child that is not farther than the nearest hit
             macro_rules! pop {
                 () => {
                     loop {
@@ -594,7 +595,7 @@ impl Shear {
     pub(super) fn has_axes_of(&self, ray: &Ray) -> bool {
         let direction = ray.direction.to_array();
         let [x, y, z] = self.axes.map(|row| direction[row / WIDTH]);
-        // strictly larger, since of two equal components Shear::new chooses the later one
+        // The test is strict, since `Shear::new` chooses the later of two equal components.
         z.abs() > x.abs().max(y.abs()) && (z < 0.0) == (self.shear[2] < 0.0)
     }
 

@@ -126,7 +126,7 @@ impl Block {
 struct Scratch {
     height: usize,
     cols: usize,
-    /// Distance of colours per half, with the margin of a patch around it.
+    /// Colour distances for each half of the samples, with the margin of a patch around the pixels.
     distance: [Vec<f32>; 2],
     /// Sums of three neighbouring distances along a row.
     across: [Vec<f32>; 2],
@@ -189,7 +189,8 @@ impl Scratch {
         for y in 0..height {
             let p = (y + margin) * width + margin;
             let q = (p as isize + shift[0] * width as isize + shift[1]) as usize;
-            // weights from the guides, times the kernel of the patches' colour distances
+            // compute the weights: from the guides, times the kernel of the patches' colour
+            // distances
             guide_row(centre, block, p, q, &steady[y * cols..][..cols], &mut self.guides);
             let range = y * cols..(y + 1) * cols;
             for half in 0..2 {

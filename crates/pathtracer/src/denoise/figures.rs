@@ -84,7 +84,7 @@ impl Estimate {
 pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> ViewFigures {
     let [rows, cols, _] = unbiased.shape();
     let mut figures = ViewFigures::default();
-    // the change of the mean, block by block
+    // compute the change of the mean, block by block
     for top in (0..rows).step_by(BLOCK) {
         for left in (0..cols).step_by(BLOCK) {
             let (mut sum, mut count) = (0.0, 0.0);
@@ -101,7 +101,7 @@ pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> V
         }
     }
     figures.mean /= unbiased.data().len().max(1) as f64;
-    // squared errors at the checks, before and after the filter
+    // compute the squared errors at the checks, before and after the filter
     for check in &checks.list {
         let squared = |picture: &Tensor<3>| {
             let pixel = picture.block([check.row, check.col]);

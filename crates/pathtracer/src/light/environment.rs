@@ -96,7 +96,7 @@ impl EnvironmentLight {
             this.column_choices.push(Distribution::new(&weights));
         }
         this.row_choice = Distribution::new(&row_weights)?;
-        // mean over the sphere: ∫ L sin θ du dv · 2π² / 4π
+        // the mean over the sphere is ∫ L sin θ du dv times 2π² / 4π
         this.sampled_magnitude = (row_weights.iter().sum::<f64>() * std::f64::consts::FRAC_PI_2) as f32;
         Some(this)
     }
@@ -312,7 +312,7 @@ mod tests {
         }));
         important.assert_same(uniform, 0.0, FALSE_ALARM_RATE);
         // `uniform` has ten times as many samples. With as few as `important`, its standard error
-        // would be 3.2 times as large. `important` must have less than half of that.
+        // would be 3.2 times as large. `important` must have less than half of this error.
         assert!(important.standard_error < 0.5 * 3.2 * uniform.standard_error, "{important:?} {uniform:?}");
         // the integral over a cell is exact unless the radiance crosses `floor` within it
         assert!((important.value / (4.0 * std::f64::consts::PI * f64::from(sky.sampled_magnitude)) - 1.0).abs() < 0.03);

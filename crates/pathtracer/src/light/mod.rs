@@ -466,9 +466,9 @@ mod tests {
     /// congruent cells.
     const PARTS: usize = 4;
 
-    /// Points sampled on lights follow their density (chi-square over these cells). Scattered rays
-    /// that hit a light are weighted by the same density. There are four receivers, each with
-    /// [`FALSE_ALARM_RATE`].
+    /// Points sampled on lights follow their density (chi-square over the PARTS² cells of each
+    /// triangle). Scattered rays that hit a light are weighted by the same density. There are four
+    /// receivers, each with [`FALSE_ALARM_RATE`].
     #[test]
     fn points_of_lights_follow_their_density() {
         let scene = lit_scene();
@@ -597,7 +597,8 @@ mod tests {
 
     #[test]
     fn barycentric_points_are_uniform() {
-        // the mean of each weight over a triangle is 1/3, and the mean of its square is 1/6
+        // the mean of each barycentric weight over a triangle is 1/3, and the mean of its square is
+        // 1/6
         let n = 300;
         let (mut first, mut second) = ([0.0f64; 3], [0.0f64; 3]);
         for i in 0..n * n {

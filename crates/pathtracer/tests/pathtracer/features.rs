@@ -103,7 +103,7 @@ fn surfaces_come_with_the_light_at_no_change_of_it() {
     let (collector, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&collector, &cancel);
     let (renderer, geometry) = (mixture().renderer(), one_view(24, [0.2, 0.1]));
-    // equal bits, since NaN is compared too
+    // compare bits, since NaN must equal NaN
     let same = |a: &Tensor<3>, b: &Tensor<3>| {
         a.shape() == b.shape() && a.data().iter().map(|v| v.to_bits()).eq(b.data().iter().map(|v| v.to_bits()))
     };

@@ -520,8 +520,8 @@ fn a_scene_without_light_is_reported() {
 
 #[test]
 fn samples_that_overflow_are_counted_and_left_out() {
-    // so bright that the sum of emitted and reflected light overflows f32, but directly seen
-    // emission does not
+    // the card is so bright that the sum of emitted and reflected light overflows f32, but directly
+    // seen emission does not
     let mut scene = card(Vec3::new(0.0, 0.0, -0.5), 1.0, Vec3::splat(3e38));
     scene.parts.materials[0].base_color = Vec4::ONE;
     scene.add(rectangle(Vec3::new(0.0, -0.9, 0.0), Vec3::X, Vec3::NEG_Z), glowing(Vec3::splat(3e38)));
