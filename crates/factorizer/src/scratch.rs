@@ -22,7 +22,7 @@ pub(crate) struct Scratch {
     pub(crate) weighted: Vec<f32>,
     /// The sums r and G (upper triangle) of `step.rs`, or n and d: `[quantity][x]`.
     pub(crate) sums: Vec<f32>,
-    /// The same sums in f64 if a pixel may get many rays; otherwise empty.
+    /// The sums in f64, if a pixel may get so many rays that f32 is too coarse; otherwise empty.
     pub(crate) long_sums: Vec<f64>,
     pub(crate) block: Block,
 }

@@ -42,7 +42,7 @@
 //! The triangle test is the watertight one of Woop, Benthin, Wald 2013 ("Watertight ray/triangle
 //! intersection", JCGT 2(1)). It shears the triangle into a space where the ray is the z axis, and
 //! compares edge functions with zero. Shared edges give exactly opposite values, so a ray cannot
-//! pass between two triangles. So the edge functions must not be fused: with one product rounded
+//! pass between two triangles. So the edge functions must not be fused. With one product rounded
 //! and the other not, a·b − c·d is not −(c·d − a·b). Boxes are widened by the rounding of the slab
 //! test, see [`SLAB_ROUNDING`].
 
