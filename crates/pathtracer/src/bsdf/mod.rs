@@ -19,8 +19,8 @@
 //!   all lobes below in the same way (`KHR_materials_clearcoat`, `KHR_materials_sheen`).
 //! * T is the reflection lobe mirrored to the far side (`KHR_materials_transmission`: thin wall).
 //! * `glass` is in [`glass`], thin films (`KHR_materials_iridescence`) are in [`fresnel`].
-//! * f0 = min(((n − 1)/(n + 1))² colour, 1) specular, and f90 = specular, where n is the index,
-//!   `colour` the specular colour and `specular` the specular factor (`KHR_materials_specular`).
+//! * f0 = min(((n − 1)/(n + 1))² colour, 1) specular, and f90 = specular. Here n is the index, and
+//!   `colour` and `specular` are the specular colour and factor (`KHR_materials_specular`).
 //! * Anisotropy stretches α of the base's reflection (`KHR_materials_anisotropy`).
 //!
 //! Lobes with α < [`MIRROR_ALPHA`] are perfect mirrors: they can only be sampled, not evaluated.

@@ -1,6 +1,5 @@
-//! Tests things that primary rays pass through: all that is in front of a near plane, lamps that
-//! are not seen, and the environment behind a backdrop. These things light the scene as if the
-//! viewer saw them.
+//! Tests things that views leave out: all that is in front of a near plane, unseen lamps, and the
+//! environment behind a backdrop. These things light the scene as if the viewer saw them.
 
 use crate::common::{Builder, WINDOW_MM, diffuse, glowing, long_paths, mean_of, one_view, rectangle, render, window};
 use glam::{Vec3, Vec4};
