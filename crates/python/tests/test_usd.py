@@ -1,4 +1,4 @@
-"""USD, read in this process by this Python's OpenUSD: files, and stages in memory."""
+"""Reading USD files, and stages in memory, in this process by this Python's OpenUSD."""
 
 from __future__ import annotations
 
