@@ -143,7 +143,7 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
     let elsewhere = compared(&["--eye", &point([-150.0, 60.0, 900.0])]);
     assert!(psnr(&elsewhere) < psnr(&known) - 5.0, "{elsewhere}");
 
-    // with a longer exposure, clipped pixels are excluded
+    // with a longer exposure some pixels are clipped, and the comparison excludes these pixels
     camera.photograph(&shown, size, pitch, 2.0, &photo);
     let bright = compared(&["--eye", &point(eye)]);
     assert!(bright["clipped"].as_f64().unwrap() > 0.02, "{bright}");

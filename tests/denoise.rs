@@ -121,7 +121,7 @@ test -s "$alb" && test -s "$nrm" && cp "$in" "$out"
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
     succeed(still_life(&run, "oidn").env("LUMISTACK_OIDN", &program));
     let reported = report(&run)["denoising"].clone();
-    // the program changes nothing, so errors and mean do not change
+    // the test program returns its input unchanged, so errors and mean do not change
     assert_eq!(reported["mse_before"], reported["mse_after"], "{reported}");
     assert!(
         pair(&reported["mean_change"])[0].abs() < 1e-6 && reported["name"].as_str().unwrap().contains("Open Image")

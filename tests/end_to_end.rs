@@ -213,7 +213,7 @@ fn weights_of_zero_are_an_error() {
 fn a_view_that_one_layer_can_show_is_not_rounded() {
     let folder = tempfile::tempdir().unwrap();
     let [field, display, run] = ["view.npy", "one-layer.toml", "run"].map(|name| folder.path().join(name));
-    // half floats near 0.3 are 2.4e-4 apart
+    // half floats near 0.3 are 2.4e-4 apart, so they cannot represent these values
     let values: Vec<f32> = (0..20 * 32 * 3).map(|i| 0.3 + 1.7e-5 * (i % 97) as f32).collect();
     write_array(&field, &[1, 1, 20, 32, 3], values.iter().copied());
     let mut one_layer = lumistack_display::Display::uniform([32, 20], 3.0, [1, 1], [20.0, 20.0], &[0.0], 1);

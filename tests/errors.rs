@@ -342,7 +342,7 @@ fn a_writer_that_fails_midway_leaves_the_old_output_whole() {
     assert!(before == common::files(&run.join("outputs")), "the old pictures are still there, whole");
     let stray = common::files(&run).into_iter().find(|(path, _)| path.to_string_lossy().contains(".tmp"));
     assert!(stray.is_none(), "{:?} was left behind", stray.map(|(path, _)| path));
-    // the next run repairs everything
+    // the next run, without the limit, writes the new output
     succeed(&mut factorize("4"));
     assert!(before != common::files(&run.join("outputs")));
 }

@@ -106,7 +106,7 @@ fn files_in_parameters_are_the_jobs_own() {
     std::fs::create_dir(folder.path().join("sub")).unwrap();
     let output = "[[outputs]]\nplugin = \"quilt\"\nparams = { columns = 3, rows = 1, calibration = \"screen.json\" }\n";
     std::fs::write(&job, format!("{NUMBERS}{output}")).unwrap();
-    // the missing file is an error before any work begins
+    // the calibration file is missing, which is an error before any work begins
     let error = fail(lumistack().arg("run").arg(&job).arg("-o").arg(&run));
     assert!(error.contains("outputs[0].params.calibration: expected a readable file"), "{error}");
     assert!(error.contains("screen.json") && !run.exists(), "{error}");

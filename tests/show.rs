@@ -452,7 +452,8 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     wait_for("the keys", || (poke.focused() > 1).then_some(()));
     let (name, size, at) = XORG[0];
     wait_for("frame 0", || session.import().filter(|all| all.part(at, size) == expected(1, 0, 0, size)));
-    // the key Tab selects the next panel
+    // the first five keys shift the first panel; Tab selects the next panel, which the last key
+    // shifts
     for key in [poke::RIGHT, poke::UP, poke::RIGHT, poke::UP, poke::RIGHT, poke::TAB, poke::DOWN] {
         poke.key(key);
     }

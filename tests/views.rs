@@ -173,7 +173,8 @@ fn some_views_are_those_of_the_whole() {
     assert_eq!(row["info"]["part_of"]["rows"], serde_json::json!([2]));
     let text = succeed(lumistack().arg("info").arg(at("row")));
     assert!(text.contains("views: [5, 1]"), "{text}");
-    // any other selection is marked as incomplete
+    // views that are not whole rows and columns do not form a light field, and are marked as
+    // partial
     succeed(&mut still_life(&at("two"), &["--linear", "--only-views", "0,0", "--only-views", "2,3..4"]));
     assert_eq!((list("two").len(), index(&at("two"))["partial"].as_bool()), (3, Some(true)));
     let text = fail(lumistack().arg("factorize").arg(at("two")).arg("-o").arg(at("run")));

@@ -81,7 +81,7 @@ def write_mesh(stage, path, primitive, read):
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(mesh.GetPointsAttr().Get()))
     if "TEXCOORD_0" in primitive["attributes"]:
-        # v of glTF increases downwards
+        # v increases downwards in glTF, and upwards in USD
         st = [(u, 1.0 - v) for u, v in read(primitive["attributes"]["TEXCOORD_0"])]
         primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
         primvar.Set(Vt.Vec2fArray(st))

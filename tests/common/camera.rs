@@ -27,7 +27,7 @@ impl Camera {
         let centre = self.size.map(|count| (f64::from(count) - 1.0) / 2.0);
         let unit = 0.5 * f64::from(self.size[0]).hypot(f64::from(self.size[1]));
         let bent = [0, 1].map(|axis| (px[axis] - centre[axis]) / unit);
-        // Newton's method for the undistorted radius
+        // compute the undistorted radius by Newton's method
         let wanted = bent[0].hypot(bent[1]);
         let mut r = wanted;
         for _ in 0..5 {

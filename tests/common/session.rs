@@ -216,7 +216,7 @@ Section \"Device\"\nIdentifier \"d\"\nDriver \"dummy\"\nVideoRam 256000\nEndSect
 Section \"Monitor\"\nIdentifier \"m\"\nHorizSync 5.0-1000.0\nVertRefresh 5.0-200.0\nEndSection\n\
 Section \"Screen\"\nIdentifier \"s\"\nDevice \"d\"\nMonitor \"m\"\nDefaultDepth 24\nSubSection \"Display\"\nDepth 24\nVirtual 3840 2160\nEndSubSection\nEndSection\n";
         std::fs::write(folder.path().join("xorg.conf"), config).unwrap();
-        // the server chooses a free display number and writes it to this pipe
+        // the server chooses a free display number and writes it to its standard output (1), a pipe
         let mut server = Command::new("Xorg");
         server
             .args(["-displayfd", "1", "-noreset", "-nolisten", "tcp", "-config"])

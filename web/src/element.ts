@@ -412,7 +412,7 @@ export class LumistackViewer extends HTMLElement {
   }
 
   private arrived(content: StackContent, file: FileInfo): void {
-    // The frame that the file completes may be the selected one.
+    // If the file completes its frame, update all parts, since it may be the selected frame.
     if (content.arrived(file)) this.stateChanged();
     this.ticker.redraw();
   }

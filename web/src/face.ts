@@ -112,7 +112,7 @@ export class Face {
   /** Sets whether the poster or small views cover the canvas. */
   early(on: boolean): void {
     this.at("picture").classList.toggle("early", on);
-    // Before the first call the style sheet shows the poster.
+    // The style sheet shows the poster until the element has this class.
     this.at("picture").classList.add("started");
   }
 

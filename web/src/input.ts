@@ -55,7 +55,7 @@ export function listenToPointer(stage: HTMLElement, motion: Motion, target: Inpu
       target.moved();
     }
   });
-  // Release: the drag ends, with inertia.
+  // Release: the drag ends, and the view moves on with inertia.
   const end = (event: PointerEvent): void => {
     if (!last) return;
     last = undefined;

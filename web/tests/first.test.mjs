@@ -152,7 +152,7 @@ test("the view swings at once until the user moves it, unless the user prefers l
 });
 
 test("no task blocks the page while patterns are decoded and pictures drawn", async () => {
-  // Large masks of noise take longest to decode.
+  // Use large masks of noise, which take longest to decode.
   const [cols, rows, frames] = [640, 400, 4];
   let seed = 1;
   const noise = () => (seed = (seed * 48271) % 2147483647) & 255;

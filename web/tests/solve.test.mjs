@@ -189,7 +189,7 @@ test("a broken file gives the command's error, and the page stays usable", { ski
     assert.equal(status, 1);
     assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
   }
-  // A picture that is cut short is an error of the module of decoders.
+  // If a picture is cut short, the module of decoders reports the error, and not the solver's module.
   const letters = join(folder, "cut");
   cpSync(join(SCENES, "letters"), letters, { recursive: true });
   writeFileSync(join(letters, "charts.png"), readFileSync(join(SCENES, "letters/charts.png")).subarray(0, 400));

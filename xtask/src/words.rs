@@ -19,7 +19,7 @@ use crate::tools::{Outcome, command, output_of, root};
 /// Folders whose files need not follow the rules.
 #[rustfmt::skip]
 const EXCEPTIONS: &[&str] = &[
-    // built from web/src
+    // this folder is built from web/src, which is checked
     "web/dist",
 ];
 

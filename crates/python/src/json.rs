@@ -103,7 +103,7 @@ pub(crate) fn value_of(place: &str, value: &Bound<'_, PyAny>) -> PyResult<Value>
     if value.hasattr("__fspath__")? {
         return Ok(value.extract::<PathBuf>()?.to_string_lossy().into_owned().into());
     }
-    // NumPy's numbers and arrays
+    // convert NumPy's numbers and arrays by their method `tolist`
     if value.hasattr("tolist")? {
         let plain = value.call_method0("tolist")?;
         if !plain.hasattr("tolist")? {

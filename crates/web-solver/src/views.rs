@@ -199,7 +199,7 @@ impl Views {
                 field.view_mut(place).copy_from_slice(radiance.data());
             }
         }
-        // Draw splats in front of the surfaces; their views have no noise.
+        // Draw splats in front of the surfaces. Splats have no noise, so they were not averaged.
         if let Some(space) = Space::of(&self.held.scene) {
             for (&place, &number) in places.iter().zip(&numbers) {
                 if let Some(splats) = &self.splats[number] {

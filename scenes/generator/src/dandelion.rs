@@ -32,7 +32,7 @@ fn cloud() -> Cloud {
     for i in 0..SEEDS {
         seed(&mut cloud, on_sphere(i, SEEDS), i);
     }
-    // the base of the head
+    // add the base of the head, on which the seeds sit
     for i in 0..60 {
         let normal = on_sphere(i, 60);
         disc(&mut cloud, 0.09 * normal, normal, 0.022, [0.42, 0.47, 0.27], 0.95);

@@ -271,7 +271,7 @@ pub(crate) fn sheet_music() -> Picture {
         {
             return ink;
         }
-        // two staves of five lines, 12 pixels apart
+        // draw two staves of five lines; the lines are 12 pixels apart
         for (stave, top) in [(0u32, 90.0), (1, 178.0)] {
             let line = y - top;
             if (-1.0..49.0).contains(&line) && ruled(line, 12.0, 1.0) {

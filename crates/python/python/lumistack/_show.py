@@ -136,7 +136,7 @@ def _srgb(linear: Any) -> Any:
 
 
 def _png(linear: Any) -> str:
-    """A picture of reduced size as a data URI."""
+    """Returns a picture, reduced to a thumbnail, as a PNG in a data URI."""
     import numpy
 
     step = max(1, -(-linear.shape[1] // _WIDTH))

@@ -83,7 +83,7 @@ class Glb:
     ) -> None:
         """Adds a black surface that emits this radiance from its front; `seen` is true if the surface is
         visible to cameras."""
-        # A material with emission alone.
+        # Add a black material with emission.
         strength = max(max(radiance), 1e-30)
         self._use(STRENGTH)
         material = self._append(
@@ -97,7 +97,7 @@ class Glb:
             },
         )
         self._use("KHR_materials_specular")
-        # The mesh.
+        # Add the mesh and its node.
         flat = [float(value) for position in positions for value in position]
         accessor = {
             "min": [min(flat[axis::3]) for axis in range(3)],

@@ -411,7 +411,7 @@ def _picture_of_world(bpy: Any, scene: Any) -> tuple[int, int, list[list[float]]
             image = bpy.data.images.load(render.filepath)
             values = numpy.empty(width * height * 4, dtype=numpy.float32)
             image.pixels.foreach_get(values)
-        # Blender's first row is the lowest.
+        # Blender stores the lowest row first, so reverse the rows.
         texels: list[list[float]] = values.reshape(height, width, 4)[::-1, :, :3].reshape(-1, 3).tolist()
         return width, height, texels
     finally:

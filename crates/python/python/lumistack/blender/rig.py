@@ -142,7 +142,7 @@ class Rig:
             try:
                 setattr(held, name, value)
             except (AttributeError, ReferenceError, TypeError):
-                # The scene was deleted during the render.
+                # The scene was deleted during the render, so its settings need not be restored.
                 pass
         for held in (self._camera, self._holder):
             if held is None:

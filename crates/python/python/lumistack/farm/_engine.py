@@ -305,7 +305,7 @@ class Engine:
             raise
         return self.end()
 
-    # workers
+    # The next methods check workers.
 
     def check_workers(self, wait: bool) -> list[str]:
         """Returns the addresses of the usable workers. Reports each unusable worker once."""
@@ -362,7 +362,7 @@ class Engine:
         self.outcome.refused[worker] = reason
         self.tell({"event": "refused", "worker": worker, "reason": reason})
 
-    # units
+    # The next methods submit units and handle their results.
 
     def ready(self) -> list[Unit]:
         busy = set(self.running.values()) | self.done | set(self.outcome.failed)

@@ -24,7 +24,7 @@ from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-# Files of a run folder that belong to one machine.
+# Files of a run folder that belong to one machine, and so are not copied.
 OWN = {"lumistack.lock"}
 # Number of attempts to fetch a file whose content does not have the stated hash.
 MOST_FETCHES = 3
@@ -55,7 +55,8 @@ class Store:
         path = f"{self.root}/{name}"
         try:
             if self.is_local:
-                # object stores replace an object atomically, folders do not
+                # An object store replaces an object atomically, but a write to a file is not
+                # atomic. So write another file and rename it.
                 os.makedirs(os.path.dirname(path), exist_ok=True)
                 part = f"{path}.{uuid.uuid4().hex}.part"
                 self._write(part, content)
