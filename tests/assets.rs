@@ -52,7 +52,7 @@ fn files_with_nothing_set() {
     check(&[]);
 }
 
-/// Light fields of other projects.
+/// Solves light fields of other projects and checks the error of their views.
 #[test]
 fn foreign_light_fields() {
     let Some(assets) = assets() else { return };

@@ -40,7 +40,7 @@ export class Ticker {
     this.tick(performance.now());
   }
 
-  /** Sets if the element is in sight; out of sight no picture is drawn. */
+  /** Tells the loop whether the element is in sight. While it is out of sight, no picture is drawn. */
   show(visible: boolean): void {
     if (visible === this.visible) return;
     this.visible = visible;

@@ -20,7 +20,7 @@ const HAIR: f32 = 0.2;
 /// The golden angle, radians.
 const TURN: f32 = 2.399_963;
 
-/// The scene's files.
+/// Returns the files of the scene.
 pub(crate) fn build() -> Result<Vec<SceneFile>, GeneratorError> {
     let file = "dandelion.spz";
     let bytes = write::spz(&cloud()).map_err(|source| GeneratorError::Write { path: file.into(), source })?;

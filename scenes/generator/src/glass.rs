@@ -26,10 +26,10 @@ pub(crate) const WINDOW: Window = Window { pitch_rad: 22.0 * std::f64::consts::P
 
 /// Height of the table, metres.
 const TABLE_Y: f64 = -0.09;
-/// Display depth of the edge between table and wall, metres.
+/// Depth of the edge between table and wall, on the display, metres.
 const WALL_DEPTH: f64 = -0.18;
 
-/// The scene's files.
+/// Returns the files of the scene.
 pub(crate) fn build() -> Result<Vec<SceneFile>, GeneratorError> {
     let mut document = Document::new("glass");
     WINDOW.add_camera(&mut document);

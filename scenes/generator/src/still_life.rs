@@ -20,12 +20,12 @@ pub(crate) const WINDOW: Window = Window { pitch_rad: 24.0 * std::f64::consts::P
 
 /// Height of the floor, metres.
 const FLOOR_Y: f64 = -0.09;
-/// Display depth of the edge between floor and wall, metres.
+/// Depth of the edge between floor and wall, on the display, metres.
 const WALL_DEPTH: f64 = -0.17;
 /// Side of one check of the floor.
 const CHECK_M: f64 = 0.032;
 
-/// The scene's files.
+/// Returns the files of the scene.
 pub(crate) fn build() -> Result<Vec<SceneFile>, GeneratorError> {
     let mut document = Document::new("still-life");
     WINDOW.add_camera(&mut document);

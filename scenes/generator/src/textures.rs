@@ -33,7 +33,7 @@ pub(crate) fn checkerboard() -> Picture {
     })
 }
 
-/// Wallpaper: stripes with a woven thread, and a small flower at each point of a lattice; it tiles.
+/// Wallpaper: stripes with a woven thread, and a small flower at each point of a lattice. It tiles.
 pub(crate) fn wallpaper() -> Picture {
     let (ground, stripe, flower) = (rgb(96, 128, 132), rgb(116, 147, 146), rgb(205, 205, 178));
     paint(1024, 1024, 3, |u, v| {

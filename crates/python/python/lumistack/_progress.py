@@ -9,7 +9,7 @@ import threading
 import time
 from typing import Any
 
-#: Time before the first output, seconds; shorter work shows no progress.
+#: Time before the first output, seconds. Shorter work shows no progress.
 _PATIENCE = 0.5
 #: Interval between outputs, seconds.
 _PAUSE = 0.1

@@ -67,7 +67,7 @@ class Live:
 
     @property
     def state(self) -> State:
-        """The newest state of the program; its `code` is set after the end."""
+        """The newest state of the program. Its `code` is set after the program has ended."""
         code = self._process.poll()
         if code is not None:
             for thread in self._threads:
