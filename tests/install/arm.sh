@@ -1,6 +1,6 @@
 #!/bin/sh
-# Runs README's first job with the program for ARM in qemu, and compares its quality with that of
-# the program for this machine. Both make a small size of the job.
+# Runs the first job of the README with the program for ARM in qemu, with few pixels. Compares the
+# quality of the result with that of the program for this machine.
 . "$(dirname "$0")/common.sh"
 packages qemu-user libc6-arm64-cross libgcc-s1-arm64-cross
 other=$(one "lumistack-*-aarch64-unknown-linux-gnu.tar.gz")
