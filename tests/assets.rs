@@ -42,7 +42,7 @@ fn check(flags: &[&str]) {
 
 #[test]
 fn files_with_nothing_set_small() {
-    check(&["--resolution", "112x70", "--samples", "16"]);
+    check(&["--resolution", "84x52", "--samples", "16"]);
 }
 
 /// Renders the files with the display's own resolution and number of frames.

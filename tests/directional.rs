@@ -16,7 +16,7 @@ const DECIBELS: f64 = 0.5;
 const PUPIL: f64 = 0.3;
 const PUPIL_STEPS: i32 = 3;
 /// One ray out of this number is traced. Different rays are traced for different views.
-const EVERY: usize = 23;
+const EVERY: usize = 47;
 
 /// The picture of a panel as light: red, green and blue of every pixel, row by row.
 struct Panel {

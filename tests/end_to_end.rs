@@ -304,7 +304,7 @@ fn a_killed_run_resumes_from_its_finished_parts() {
     let (killed, whole) = (folder.path().join("killed"), folder.path().join("whole"));
     for signal in ["-KILL", "-INT"] {
         let mut child = small_run(&killed)
-            .args(["--samples", "16", "--views", "5x5"])
+            .args(["--samples", "8", "--views", "5x5"])
             .stdout(std::process::Stdio::null())
             .stderr(std::process::Stdio::null())
             .spawn()
@@ -324,11 +324,11 @@ fn a_killed_run_resumes_from_its_finished_parts() {
         assert!(!killed.join("report.html").exists());
     }
     let finished = files_below(&killed.join("cache"), "exr");
-    let text = succeed(small_run(&killed).args(["--samples", "16", "--views", "5x5", "--json"]));
+    let text = succeed(small_run(&killed).args(["--samples", "8", "--views", "5x5", "--json"]));
     let begin = text.lines().find(|line| line.contains("\"begin\"") && line.contains("render")).unwrap();
     let begin: serde_json::Value = serde_json::from_str(begin).unwrap();
     let left = begin["total"].as_u64().unwrap();
-    let text = succeed(small_run(&whole).args(["--samples", "16", "--views", "5x5", "--json"]));
+    let text = succeed(small_run(&whole).args(["--samples", "8", "--views", "5x5", "--json"]));
     let begin = text.lines().find(|line| line.contains("\"begin\"") && line.contains("render")).unwrap();
     let begin: serde_json::Value = serde_json::from_str(begin).unwrap();
     let (all, views) = (begin["total"].as_u64().unwrap(), 25 + 2);

@@ -72,7 +72,7 @@ fn fitted_depth_raises_the_quality() {
     let place = "centre = [0.0, 0.142, 0.32]\nforward = [0.0, -0.4067, -0.9135]\nup = [0.0, 1.0, 0.0]\nwidth = 0.475";
     let window = format!("from = \"given\"\n{place}");
     let text = format!(
-        "scene = {scene:?}\noutputs = []\n[display]\npreset = \"paper-three-layer\"\n[window]\n{window}\n[render]\nheld_out = 0\noutside = 0\n"
+        "scene = {scene:?}\noutputs = []\n[display]\npreset = \"paper-three-layer\"\n[window]\n{window}\n[render]\nheld_out = 0\noutside = 0\n[report]\nzone_directions = 0\n"
     );
     std::fs::write(&job, text).unwrap();
     let run = |name: &str, flags: &[&str]| {

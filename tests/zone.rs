@@ -148,7 +148,7 @@ fn native_views_pay_with_any_hardware() {
         let zone = |views: &str, out: &str| {
             let job = folder.path().join("job.toml");
             let text = format!(
-                "scene = {scene:?}\n[display]\nfile = {file:?}\n{views}\n[window]\nfit_depth = \"compress\"\n[render]\nzone_samples = 100\ndenoise = \"off\"\nmax_bounces = 3\n{rest}"
+                "scene = {scene:?}\n[display]\nfile = {file:?}\n{views}\n[window]\nfit_depth = \"compress\"\n[render]\nzone_samples = 49\ndenoise = \"off\"\nmax_bounces = 3\n{rest}"
             );
             std::fs::write(&job, text).unwrap();
             let out = folder.path().join(out);

@@ -70,7 +70,7 @@ impl Bsdf {
             table,
             film: extras.and_then(|extras| extras.film),
             specular: extras.map_or(1.0, |extras| extras.specular),
-            glass_f0: if extras.is_some() { f0 } else { Vec3::splat(normal_reflectance(ior)) },
+            glass_f0: f0,
             wave_weight: extras.map_or(Vec3::ONE, |extras| extras.wave_weight),
             dielectric: Fresnel { f0, f90, weight: Vec3::ONE },
             dielectric_compensation: Vec3::ONE,

@@ -108,7 +108,7 @@ fn scene() -> PathBuf {
 
 #[test]
 fn fixed_views_are_rendered_and_solved_within_their_bound() {
-    let render = "[render]\nsamples = 1\nmax_bounces = 1\n";
+    let render = "[render]\nsamples = 1\nmax_bounces = 0\n";
     let [cols, rows, views] = SIZE;
     let views = format!("views = [{views}, {views}]\n");
     check(&format!("scene = {:?}\n{}{render}", scene(), display([cols, rows], &views)), 24, Some("factorize"));
@@ -116,6 +116,7 @@ fn fixed_views_are_rendered_and_solved_within_their_bound() {
 
 #[test]
 fn chosen_views_are_rendered_and_solved_within_their_bound() {
-    let render = "[render]\nmax_bounces = 1\n";
+    // A number of samples is given, since measuring it would take most of the time.
+    let render = "[render]\nzone_samples = 100\nmax_bounces = 1\n";
     check(&format!("scene = {:?}\n{}{render}", scene(), display([288, 180], "")), 24, Some("factorize"));
 }
