@@ -13,7 +13,7 @@ pub enum Backlight {
     /// Unit radiance in all directions.
     #[default]
     Uniform,
-    /// A low-resolution light field emitter.
+    /// Lenslets in front of a panel, which emit a light field of low resolution.
     Lenslets(LensletBacklight),
 }
 
@@ -96,9 +96,9 @@ impl LensletBacklight {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum OutsideBins {
-    /// Nothing: 0.
+    /// The ray reads 0.
     #[default]
     Dark,
-    /// The neighbouring lenslet's bins, as behind a real lens array.
+    /// The ray reads a bin of the neighbouring lenslet, as behind a real lens array.
     Repeat,
 }

@@ -2,7 +2,8 @@
 
 use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel, Views};
 
-/// Tolerance of row sums: a program that wrote the file may have rounded the entries.
+/// Tolerance of the row sums of a crosstalk matrix: the program that wrote the file may have
+/// rounded the entries.
 const ROW_SUM_ROUNDING: f64 = 1e-6;
 
 impl Display {
@@ -41,7 +42,7 @@ impl Display {
             }
         }
         self.geometry()?.check()?;
-        // layers, each in front of the previous one
+        // the layers, each of which must be in front of the previous layer
         check(!self.layers.is_empty(), "layers", "at least one layer", "none".into())?;
         for (n, layer) in self.layers.iter().enumerate() {
             let key = |name: &str| format!("layers[{n}].{name}");
@@ -92,7 +93,7 @@ impl Display {
                 check(layer.d_mm > behind, &key("d_mm"), &expected, layer.d_mm.to_string())?;
             }
         }
-        // the directional backlight, behind all layers
+        // the directional backlight, which must be behind all layers
         if let Backlight::Lenslets(backlight) = &self.backlight {
             finite("backlight.offset_mm", &backlight.offset_mm)?;
             positive("backlight.pitch_mm", backlight.pitch_mm)?;

@@ -27,8 +27,8 @@ pub struct SeenDepth {
 }
 
 impl SeenDepth {
-    /// z at a pixel of a view of `size` = [rows, columns] pixels, read at the nearest position of
-    /// the map.
+    /// Returns z at a pixel of a view of `size` = [rows, columns] pixels, from the nearest entry of
+    /// the map. Returns `None` if the ray hits nothing.
     pub fn at(&self, row: usize, col: usize, size: [usize; 2]) -> Option<f32> {
         let place = |i: usize, from: usize, to: usize| ((2 * i + 1) * to / (2 * from)).min(to.saturating_sub(1));
         let index = place(row, size[0], self.rows) * self.cols + place(col, size[1], self.cols);
@@ -40,7 +40,7 @@ impl LightField {
     /// Axis names of [`radiance`](Self::radiance).
     pub const AXES: [&'static str; 5] = ["view_y", "view_x", "row", "col", "rgb"];
 
-    /// Joins geometry and values.
+    /// Makes a light field of a geometry and its radiance.
     ///
     /// # Errors
     /// If the geometry is invalid, or the values have another shape than the geometry.
@@ -67,18 +67,19 @@ impl LightField {
         Ok(Self { geometry, radiance, depth: None })
     }
 
-    /// Depth in the view [view rows / 2, view columns / 2], if known.
+    /// Returns the depth in the middle view, [view rows / 2, view columns / 2]; `None` if it is
+    /// unknown.
     pub fn depth(&self) -> Option<&SeenDepth> {
         self.depth.as_ref()
     }
 
-    /// The same light field with the depth of its middle view.
+    /// Returns this light field with `depth` as the depth of its middle view.
     #[must_use]
     pub fn with_depth(self, depth: Option<SeenDepth>) -> Self {
         Self { depth, ..self }
     }
 
-    /// Shape of the values of a geometry.
+    /// Returns the shape of [`radiance`](Self::radiance) for a geometry.
     pub fn shape_of(geometry: &FieldGeometry) -> [usize; 5] {
         let [view_rows, view_cols] = geometry.grid.views();
         [view_rows, view_cols, geometry.rows, geometry.cols, 3]

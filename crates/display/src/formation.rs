@@ -17,14 +17,14 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Formation {
-    /// Layers absorb: the product of their transmittances.
+    /// Layers absorb light: a ray's value is the product of their transmittances.
     #[default]
     Attenuating,
-    /// Layers emit and are clear: the sum of their emissions. A uniform backlight adds nothing; a
-    /// directional one is one more emitter.
+    /// Layers emit light and are clear: a ray's value is the sum of their emissions. A uniform
+    /// backlight adds nothing; a directional backlight adds its emission.
     Additive,
-    /// Layers between one pair of crossed polarizers rotate the polarization: sin² of the summed
-    /// rotation. A value of 1 is a rotation by 90°.
+    /// Layers between one pair of crossed polarizers rotate the polarization: a ray's value is sin²
+    /// of the sum of their rotations. A layer value of 1 is a rotation by 90°.
     Polarization,
 }
 

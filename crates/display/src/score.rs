@@ -1,8 +1,8 @@
-//! Difference of a display's emission from its target.
+//! The error of a display's emission against its target.
 //!
-//! PSNR has a peak of 1, and includes all channels of all rays with w > 0. `psnr_view` compares
-//! L̃/β, the picture of an adapted viewer, with L. `psnr_raw` compares L̃ with βL, so it is higher
-//! by −20·log10 β.
+//! PSNR has a peak of 1, and includes all channels of all rays of weight w > 0. `psnr_view`
+//! compares L̃/β, the picture of an adapted viewer, with L. `psnr_raw` compares L̃ with βL, so it
+//! is higher by −20·log10 β.
 
 use lumistack_core::metrics::SquaredError;
 
@@ -41,7 +41,7 @@ impl Score {
     }
 }
 
-/// Error of one emitted view against one target view `[row][col][rgb]`.
+/// Returns the squared error of one emitted view against one target view `[row][col][rgb]`.
 pub fn view_error(
     emitted: &EmittedView,
     target: &[f32],

@@ -67,8 +67,8 @@ impl LayerStack {
         self.layers.first().map_or(0, |layer| layer.shape()[0])
     }
 
-    /// The stack that rays read: every layer's [`Response`](crate::Response) is applied. It is
-    /// borrowed if no layer has a response that changes values.
+    /// Returns the values that rays read: every layer after its [`Response`](crate::Response). The
+    /// stack itself is returned, borrowed, if no response changes values.
     pub fn effective(&self, display: &Display) -> Cow<'_, Self> {
         let responses: Vec<_> =
             display.layers.iter().map(|layer| layer.response().filter(|response| !response.is_identity())).collect();

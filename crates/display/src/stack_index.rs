@@ -81,7 +81,8 @@ impl StackIndex {
         Self { frames: stack.frames(), brightness: stack.brightness, ..Self::of_display(display) }
     }
 
-    /// The index of patterns that do not exist yet, with the display's frames and brightness.
+    /// Returns the index of patterns that do not exist yet. It has the display's frames and
+    /// brightness.
     pub fn of_display(display: &Display) -> Self {
         let digits = (display.layers.len() - 1).to_string().len();
         let layer = |(n, layer): (usize, &Layer)| LayerEntry {

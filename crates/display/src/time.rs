@@ -16,9 +16,10 @@ impl Display {
         self.refresh_hz / self.subframes() as f64
     }
 
-    /// The warning to the user if a period is so long that it flickers.
+    /// Returns a warning to the user if the display flickers; `None` if it does not.
     pub fn flicker_warning(&self) -> Option<String> {
-        // a display made for exactly the limit must not flicker because of a rounding error
+        // A display with exactly 60 periods per second must get no warning because of a rounding
+        // error.
         const ROUNDING: f64 = 1e-9;
         if self.subframes() <= 1 || self.period_hz() >= Self::FLICKER_HZ * (1.0 - ROUNDING) {
             return None;
@@ -66,7 +67,8 @@ mod tests {
             warning.starts_with("6 frames of 3 colours in turn at 360 Hz") && warning.ends_with("1080 Hz"),
             "{warning}"
         );
-        // an image that never changes cannot flicker, however slow the panel
+        // A display of one frame shows the same image at every refresh, so it cannot flicker at any
+        // refresh rate.
         let still = Display { frames: 1, refresh_hz: 30.0, ..small_display() };
         assert_eq!(still.flicker_warning(), None);
         let coloured = Display { colour_sequence: ColourSequence::Field, ..still };

@@ -2,15 +2,15 @@
 //! measurements of the panel.
 //!
 //! A measured table holds pairs (code, amount of light), each in any unit. The first pair is the
-//! darkest state, the last pair the brightest. Both are scaled to 0..1:
+//! darkest state, the last pair the brightest. Codes and light are scaled to 0..1:
 //!
 //! ```text
 //! code → (code − code_first) / (code_last − code_first)
 //! light → (light − light_first) / (light_last − light_first)
 //! ```
 //!
-//! Between the pairs the function is linear. `black_level` and `peak` hold the brightness of the
-//! darkest and the brightest state, not this table.
+//! Between the pairs the function is linear. The table does not state the brightness of the darkest
+//! and the brightest state: the display's keys `black_level` and `peak` do.
 
 use lumistack_core::colour::{srgb_decode, srgb_encode};
 use schemars::JsonSchema;
@@ -95,7 +95,7 @@ impl Transfer {
         matches!(self, Self::Gamma(Channels::Rgb(_)) | Self::Table(Channels::Rgb(_)))
     }
 
-    /// The first invalid key under `transfer`, the expected value and the value found.
+    /// Returns the first invalid key under `transfer`, the expected value and the value found.
     pub(crate) fn problem(&self) -> Option<(String, &'static str, String)> {
         let key = |name: &str, channels: usize, i: usize| {
             if channels == 1 { name.to_string() } else { format!("{name}[{i}]") }

@@ -1,4 +1,4 @@
-//! Changes of a display's values: the axes along which designs are compared.
+//! Changes of a display's values, for the comparison of designs.
 
 use serde::{Deserialize, Serialize};
 
@@ -31,7 +31,7 @@ pub struct Variation {
 }
 
 impl Variation {
-    /// The changed display, checked.
+    /// Returns the changed display, after a check of its values.
     ///
     /// # Errors
     /// If a value is out of range, or if layers are added to a single layer without a gap.
@@ -97,7 +97,8 @@ impl Variation {
     }
 }
 
-/// Largest number of layers: more would let no light through.
+/// Largest number of layers. Larger numbers are surely mistakes, since so many layers would
+/// transmit no light.
 const MOST_LAYERS: usize = 64;
 
 #[cfg(test)]

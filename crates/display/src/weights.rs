@@ -1,4 +1,4 @@
-//! Weights w of the objective Σ w (βL − L̃)² (eq. 27, with real weights entering linearly).
+//! Weights w ≥ 0 of the objective Σ w (βL − L̃)², which is linear in w (eq. 27).
 
 use lumistack_core::Tensor;
 use thiserror::Error;
@@ -124,8 +124,8 @@ impl Weights {
 }
 
 impl EyeBox {
-    /// The Gaussian's factors along x `[view_x][col]` and y `[view_y][row]`: a ray at p with slope
-    /// s crosses the eye's plane at p + z·s.
+    /// Returns the Gaussian's factors along x `[view_x][col]` and along y `[view_y][row]`. A ray
+    /// that crosses z = 0 at p with slope s crosses the eye's plane at p + z·s.
     fn falloff(&self, geometry: &FieldGeometry) -> [Vec<f64>; 2] {
         let [eye_x, eye_y, z] = self.eye_mm;
         let along = |slopes: &[f64], positions: Vec<f64>, eye: f64| {
@@ -145,7 +145,7 @@ mod tests {
     use crate::config::tests::small_display;
     use crate::{GridError, Projection, ViewGrid};
 
-    /// Tolerance: single precision of weights near 1.
+    /// Tolerance for the rounding of weights near 1 in single precision.
     const ROUNDING: f64 = 1e-6;
 
     fn at(eye_mm: [f64; 3]) -> EyeBox {
