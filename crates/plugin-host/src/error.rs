@@ -90,7 +90,7 @@ pub enum HostError {
     NotAFolder {
         /// The path.
         path: PathBuf,
-        /// The kind of file found.
+        /// The kind of file that exists at this path.
         found: &'static str,
     },
     /// The file system returned an error.
@@ -105,7 +105,7 @@ pub enum HostError {
     },
 }
 
-/// A library yields no plugin. The program continues without it.
+/// A library whose plugin cannot be used. The program continues without it.
 #[derive(Debug, Error)]
 pub enum LoadError {
     /// There is no such file or folder, or it cannot be read.

@@ -1,4 +1,4 @@
-//! Presenters, which a program controls while they run.
+//! Runs presenters, which a program controls while they run.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -21,7 +21,7 @@ pub enum PresenterInput {
     Command(Value),
 }
 
-/// Output of a presenter, from any thread.
+/// Output of a presenter. It may arrive on any thread.
 #[derive(Clone, Copy, Debug)]
 pub enum PresenterOutput<'a> {
     /// A warning for the user.
@@ -34,8 +34,8 @@ pub enum PresenterOutput<'a> {
 pub struct PresentContext<'a> {
     /// The display.
     pub display: &'a Display,
-    /// The layer stack that is submitted before the presenter runs; `None` if the parameters set
-    /// the content.
+    /// The layer stack that is submitted before the presenter runs. `None` if the parameters select
+    /// the content, such as a test pattern.
     pub first: Option<&'a LayerStack>,
     /// Receives input while the presenter runs.
     pub input: Receiver<PresenterInput>,
@@ -46,7 +46,7 @@ pub struct PresentContext<'a> {
     pub task: Task<'a>,
 }
 
-/// Interval at which the end of the presentation is checked.
+/// Interval of the checks whether the presentation has ended.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Runs the presenter `id` until it is closed. Call it on the main thread, which windows require. A
@@ -75,7 +75,7 @@ pub fn present(registry: &Registry, id: &str, params: &Value, context: PresentCo
     ran.and_then(|()| output.finish()).map_err(of_plugin)
 }
 
-/// Forwards input until the presentation has ended.
+/// Forwards input to the presenter until the presentation has ended.
 fn forward_input(
     output: &Output<'_>,
     input: Receiver<PresenterInput>,

@@ -62,7 +62,8 @@ impl OpenOutput<'_> {
     }
 }
 
-/// As [`run_output`], for sequences: `submit_all` submits all time steps, one by one.
+/// Writes a sequence with the output plugin `id`, as [`run_output`] writes one time step.
+/// `submit_all` submits all time steps.
 ///
 /// # Errors
 /// Those of [`run_output`] and of `submit_all`.

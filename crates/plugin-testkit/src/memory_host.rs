@@ -7,14 +7,14 @@ use lumistack_core::{Cancel, Progress, Task, Warning, Warnings};
 use lumistack_plugin::PluginError;
 use lumistack_plugin_host::serve::{LogLevel, Services, path_parts};
 
-/// A host in memory.
+/// A host that keeps files and messages in memory.
 #[derive(Debug, Default)]
 pub struct MemoryHost {
     state: Mutex<State>,
     cancel: Cancel,
-    /// The index of the append that fails.
+    /// The number of the append that fails, counted from 0 over all files.
     fail_at_append: Option<usize>,
-    /// The index of the append after which the user cancels.
+    /// The number of the append during which the user cancels, counted from 0 over all files.
     cancel_at_append: Option<usize>,
 }
 
@@ -51,7 +51,7 @@ impl MemoryHost {
         self.cancel.cancel();
     }
 
-    /// Committed files: path to bytes.
+    /// The bytes of the committed files, by path.
     pub fn files(&self) -> BTreeMap<String, Vec<u8>> {
         self.state().committed.clone()
     }

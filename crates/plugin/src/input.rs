@@ -1,4 +1,4 @@
-//! Submitted data, from the plugin's side.
+//! The data of a `submit`, as a plugin reads them.
 
 use std::marker::PhantomData;
 
@@ -20,7 +20,7 @@ pub enum Input<'a> {
     LightField(FieldInput<'a>),
 }
 
-/// Borrowed functions and pointers of one `submit`.
+/// The data of one `submit`, borrowed from the host.
 #[derive(Debug)]
 struct Lent<'a> {
     data: *const Data,
@@ -46,7 +46,7 @@ pub struct StackInput<'a> {
     depth: Option<SeenDepth>,
 }
 
-/// Linear radiance of many views, 0..1 after exposure (highlights may exceed 1).
+/// A light field: linear radiance of many views, 0..1 after exposure. Highlights may exceed 1.
 #[derive(Debug)]
 pub struct FieldInput<'a> {
     lent: Lent<'a>,
@@ -260,13 +260,13 @@ impl FieldInput<'_> {
         Ok(weights)
     }
 
-    /// Layer stack to start from.
+    /// Returns the layer stack that the node may start from; `None` if the host gives none.
     pub(crate) fn start(&self, display: &Display) -> Result<Option<LayerStack>, PluginError> {
         self.start.map(|Start { brightness }| self.lent.patterns(display, brightness)).transpose()
     }
 }
 
-/// Every (frame, bin_y, bin_x) of a directional backlight.
+/// Iterates over every (frame, bin_y, bin_x) of a directional backlight.
 pub(crate) fn bins(frames: usize, [bins_y, bins_x]: [usize; 2]) -> impl Iterator<Item = (usize, usize, usize)> {
     (0..frames).flat_map(move |frame| (0..bins_y).flat_map(move |y| (0..bins_x).map(move |x| (frame, y, x))))
 }
@@ -296,7 +296,7 @@ impl Lent<'_> {
         unsafe { PlaneView::new(plane) }
     }
 
-    /// Copies the borrowed layer stack.
+    /// Copies the layer stack that the host lends: an output's data, or a node's start.
     fn patterns(&self, display: &Display, brightness: f64) -> Result<LayerStack, PluginError> {
         let mut stack = LayerStack::filled(display, 0.0);
         stack.brightness = brightness;

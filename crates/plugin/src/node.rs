@@ -9,7 +9,7 @@ use crate::time::Time;
 use crate::wire::call;
 use crate::{Host, PluginError};
 
-/// A light field and the display to solve for.
+/// The input of a node: a light field, and the display for which the node solves.
 #[derive(Debug)]
 pub struct NodeInput<'a> {
     pub(crate) host: Host,
@@ -39,17 +39,17 @@ pub struct Solution {
     pub start: String,
     /// Number of coarser resolutions, each half the next finer one, that were solved first.
     pub coarse_levels: u32,
-    /// KKT residual: root mean square, over all values, of the emission's change by a further exact
-    /// update of that value. The older key `unsettled` is accepted too.
+    /// KKT residual: root mean square, over all values of the factors, of the change in emission by
+    /// one more exact update of the value. The older key `unsettled` is accepted too.
     #[serde(alias = "unsettled")]
     pub kkt_residual: f64,
-    /// PSNR in dB for panels of few bits: with continuous, rounded and re-optimized masks. `None`
-    /// for panels of many bits.
+    /// For panels of few bits, the PSNR in dB with continuous masks, with rounded masks, and with
+    /// masks that are optimized again after the rounding. `None` for panels of many bits.
     pub levels: Option<[f64; 3]>,
 }
 
 impl NodeInput<'_> {
-    /// Messages, progress and cancellation.
+    /// The host's services: messages, progress and cancellation.
     pub fn host(&self) -> &Host {
         &self.host
     }

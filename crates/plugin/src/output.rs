@@ -43,7 +43,8 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// supported.
     fn open(host: Host, params: Self::Params, display: Display) -> Result<Self, PluginError>;
 
-    /// Submits one time step. Called from any thread, also concurrently, and in any order.
+    /// Submits one time step. The host calls this function from any thread, also concurrently, and
+    /// in any order of time steps.
     ///
     /// # Errors
     /// If the data are refused, or cannot be written or shown; [`PluginError::Cancelled`] if the
@@ -60,8 +61,8 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
         Ok(())
     }
 
-    /// For presenters: executes a command, in the plugin's JSON, while [`run`](Self::run) runs.
-    /// Called from any thread.
+    /// For presenters: executes a command, in the plugin's JSON, while [`run`](Self::run) runs. The
+    /// host calls this function from any thread.
     ///
     /// # Errors
     /// [`PluginError::Refused`] if it is no command of the plugin.
@@ -83,10 +84,10 @@ pub(crate) const fn vtable_of<P: OutputPlugin>() -> &'static OutputVtable {
 
 /// The object to which the C handle points.
 struct Instance<P> {
-    /// `None` once finished. Submits hold the read lock.
+    /// `None` after the plugin has finished. A running `submit` holds the read lock.
     plugin: RwLock<Option<P>>,
     host: Host,
-    /// A plugin that panicked may be inconsistent and is not called again.
+    /// True after a panic. The plugin may then be inconsistent, so it is not called again.
     panicked: AtomicBool,
 }
 
@@ -101,7 +102,7 @@ impl<P: OutputPlugin> Instance<P> {
         command: if P::PRESENTS { Some(command::<P>) } else { None },
     };
 
-    /// Runs a call of the plugin and records panics.
+    /// Runs a call of the plugin and records a panic. Refuses the call after an earlier panic.
     fn guarded(&self, error: *const ErrorSink, function: impl FnOnce() -> Result<(), PluginError>) -> Status {
         // SAFETY: the host passes null or a valid sink to every function.
         let status = unsafe {
@@ -205,7 +206,8 @@ unsafe extern "C" fn close<P: OutputPlugin>(instance: *mut c_void) {
     // SAFETY: the handle of `open`, released once.
     let this = unsafe { Box::from_raw(instance.cast::<Instance<P>>()) };
     let host = this.host.clone();
-    // a panicking destructor must not unwind into the host, and only the log can report it
+    // A panic of the plugin's destructor must not unwind into the host. `close` returns no error,
+    // so the log reports the panic.
     if let Err(payload) = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| drop(this))) {
         host.warn(&format!("panicked while closing: {}", panic_text(payload)));
     }

@@ -1,4 +1,4 @@
-//! Borrowed planes of values.
+//! Planes of values that the other side of the interface lends.
 
 use std::borrow::Cow;
 use std::marker::PhantomData;
@@ -139,7 +139,8 @@ mod tests {
 
     #[test]
     fn strides_are_honoured() {
-        // channel-planar storage of 2 × 2 × 3, rows bottom up: value = 100·row + 10·col + channel
+        // a plane of 2 × 2 × 3 values, stored channel by channel with the bottom row first: value =
+        // 100·row + 10·col + channel
         let value = |row: usize, col: usize, k: usize| (100 * row + 10 * col + k) as f32;
         let mut stored = [0.0f32; 12];
         for (row, col, k) in (0..12).map(|i| (i / 6, i / 3 % 2, i % 3)) {

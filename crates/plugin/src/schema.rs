@@ -1,5 +1,5 @@
-//! Parameters of a plugin: one description, from which help, defaults, validation and forms are
-//! derived.
+//! The description of a plugin's parameters. Help texts, defaults, checks and forms are derived
+//! from it.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -71,7 +71,7 @@ pub enum Kind {
         default: String,
     },
     /// The path of a file that the plugin reads; empty for none. Hosts make the path absolute. A
-    /// value that begins with `{` is the file's content instead of a path.
+    /// value that begins with `{` is not a path but the file's content.
     File,
 }
 
@@ -144,7 +144,8 @@ impl Param {
         }
     }
 
-    /// The allowed values, for messages: `0 to 1 mm`, `one of panel, srgb, linear`.
+    /// Describes the allowed values for messages, such as `a number from 0 to 1 mm` or `one of
+    /// panel, srgb, linear`.
     pub fn expected(&self) -> String {
         let unit = self.unit.as_ref().filter(|unit| *unit != "1").map_or(String::new(), |unit| format!(" {unit}"));
         match &self.kind {
@@ -159,8 +160,8 @@ impl Param {
         }
     }
 
-    /// The value in the form passed to plugins, if it is of the right type and in range. A whole
-    /// number becomes a float for a float parameter.
+    /// Returns the value in the form passed to plugins; `None` if it is of the wrong type or out of
+    /// range. For a float parameter, a whole number becomes a float.
     fn accept(&self, value: &Value) -> Option<Value> {
         match &self.kind {
             Kind::Bool { .. } => value.is_boolean().then(|| value.clone()),
@@ -183,7 +184,7 @@ impl fmt::Display for Param {
 }
 
 impl Schema {
-    /// A schema of these parameters.
+    /// Makes a schema of `params`.
     pub fn new(params: impl IntoIterator<Item = Param>) -> Self {
         Self { params: params.into_iter().collect() }
     }

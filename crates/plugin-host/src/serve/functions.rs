@@ -1,4 +1,4 @@
-//! A plugin's C functions, in this process or another.
+//! The C functions of a plugin, which run in this process or in another one.
 
 use std::ffi::c_void;
 
@@ -85,13 +85,14 @@ pub unsafe trait Functions: Send + Sync {
     unsafe fn close(&self, instance: *mut c_void);
 }
 
-/// The functions of a plugin's kind, in this process.
+/// The table of C functions of a plugin in this process.
 #[derive(Clone, Copy)]
 pub(crate) enum Vtable {
     Importer(&'static ImporterVtable),
     Source(&'static SourceVtable),
     Node(&'static NodeVtable),
-    /// A copy, padded with null where the table of an older plugin ends.
+    /// A copy of the plugin's table. An older plugin's table is shorter, so the copy has null for
+    /// functions that it lacks.
     Output(OutputVtable),
 }
 
