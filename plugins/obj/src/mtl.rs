@@ -1,10 +1,10 @@
 //! Parses MTL files, which define materials.
 //!
-//! A colour has one value or three. A map has options before the name of its file; the name may
-//! contain spaces. `-s` and `-o` scale and shift the texture coordinates: (u, v) ↦ s · (u, v) + o,
-//! where v points upwards. `-clamp on` repeats the picture's edge. Other options that would change
-//! the appearance cause a warning. An invalid line causes a warning too; the rest of the file is
-//! used.
+//! A colour has one value or three. A map is a line with options and the name of a picture's file,
+//! which may contain spaces. `-s` and `-o` scale and shift the texture coordinates: (u, v) ↦ s ·
+//! (u, v) + o, where v points upwards. `-clamp on` repeats the picture's edge. Other options that
+//! would change the appearance cause a warning. An invalid line causes a warning too; the rest of
+//! the file is used.
 //!
 //! Source: Alias|Wavefront, *Object files*, version 4.2, appendix B1, "MTL material format".
 
@@ -98,8 +98,8 @@ pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<MtlM
     materials
 }
 
-/// Parses a colour: one value for all three channels, or three values. After the prefix `xyz` they
-/// are CIE tristimulus values, which are converted to linear sRGB.
+/// Parses a colour: one value for all three channels, or three values. After the prefix `xyz` the
+/// values are CIE XYZ, which is converted to linear sRGB.
 fn color(text: &str) -> Option<[f32; 3]> {
     let (text, is_xyz) = match text.strip_prefix("xyz") {
         Some(rest) => (rest, true),
@@ -132,7 +132,7 @@ fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
     let mut map = Map { file: String::new(), scale: [1.0; 2], offset: [0.0; 2], clamp: false };
     let mut rest = text.trim();
     while let Some((option, after)) = option(rest) {
-        // the largest number of arguments of the option; some may be absent
+        // the largest number of arguments of the option, since an option may have fewer
         let most = match option {
             "-blendu" | "-blendv" | "-bm" | "-boost" | "-cc" | "-clamp" | "-imfchan" | "-texres" | "-type" => 1,
             "-mm" => 2,
@@ -153,7 +153,7 @@ fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
             "-s" => map.scale = pair(1.0),
             "-o" => map.offset = pair(0.0),
             "-clamp" => map.clamp = words.first().is_some_and(|word| word.eq_ignore_ascii_case("on")),
-            // the renderer decides on the filtering of textures, so no warning is needed
+            // These options only control the filtering of textures, so they need no warning.
             "-blendu" | "-blendv" | "-texres" => {}
             _ => unused(option),
         }

@@ -1,4 +1,5 @@
-//! Compares an iteration with the rule for matrices, and scores for different numbers of frames.
+//! Tests the plugin `two_layer_nmf`: compares an iteration with the rule for matrices, and the
+//! scores for different numbers of frames.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, LayerStack, RayMap, Weights, score};
@@ -18,8 +19,8 @@ fn conforms() {
     conformance(&PLUGIN).unwrap();
 }
 
-/// Applies the equation in f64 to the plugin's result after one iteration, first to F, then to G.
-/// This gives the plugin's result after two iterations.
+/// The rule for matrices in f64, applied to the plugin's masks after one iteration, gives the
+/// plugin's masks after two iterations. The rule updates F first, then G.
 #[test]
 fn an_update_is_the_rule_of_the_matrix() {
     let display = display(2);

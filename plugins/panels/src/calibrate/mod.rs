@@ -1,22 +1,23 @@
-//! Homographies from photographs of the crosshair array.
+//! Computes the panels' homographies from photographs of the crosshair array.
 //!
 //! There is one photograph per layer, all from one camera position e. A layer's photograph shows
-//! the array on this layer alone, drawn in perspective for e. The reference layer's photograph
-//! yields the camera model of the display plane:
+//! the array on this layer alone, drawn in perspective for e. From the reference layer's photograph
+//! the camera is computed, which maps a point P of the display plane to the photograph:
 //!
 //! ```text
 //! photograph = centre + size · distort(H(P)),   distort(u) = u · (1 + k₁ |u|² + k₂ |u|⁴)
 //! ```
 //!
-//! with a homography H, and half the photograph's diagonal as size. If a layer at d is misplaced,
-//! its cross for point P of the display plane appears at another point P'. The cross was drawn for
-//! point q of the layer, but is at point t; D is the distance of e from the display plane:
+//! H is a homography, and `size` is half the photograph's diagonal. If a layer at d is misplaced,
+//! its cross for point P of the display plane appears at another point P'. The cross was drawn at
+//! point q of the layer, but the real panel shows it at point t. With D the distance of e from the
+//! display plane:
 //!
 //! ```text
 //! q = e + (P − e) · (D − d) / D        t = e + (P' − e) · (D − d) / D
 //! ```
 //!
-//! The homography from q to t is the panel's calibration.
+//! The homography that maps q to t, for all crosses, is the panel's calibration.
 
 mod camera;
 mod crosses;
@@ -30,7 +31,7 @@ use crate::pattern;
 pub use camera::Camera;
 pub use crosses::{Cross, find_crosses};
 
-/// A photograph that yields no calibration.
+/// A photograph from which no calibration can be computed.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum CalibrationError {
     /// The array was not found.
@@ -60,19 +61,19 @@ pub enum CalibrationError {
 pub struct Found {
     /// The layer.
     pub layer: usize,
-    /// The homography for the panel's calibration; it includes the previous homography.
+    /// The panel's new homography. It includes the previous one, with which the array was drawn.
     pub homography: Homography,
     /// Number of crosses found.
     pub crosses: usize,
     /// Root mean square error of the crosses under the new homography, millimetres.
     pub rms_mm: f64,
-    /// Root mean square error of the crosses before the correction, millimetres.
+    /// Root mean square error of the crosses under the previous homography, millimetres.
     pub moved_mm: f64,
 }
 
 /// Smallest number of crosses from which a calibration is computed.
 const FEWEST: usize = 9;
-/// Largest reprojection error of an array, pixels of the photograph.
+/// Largest reprojection error with which a photograph is accepted, pixels of the photograph.
 const ROUGH_PX: f64 = 3.0;
 
 /// Calibrates the panels of all layers but the reference, each from one photograph. `eye_mm` is the
@@ -88,7 +89,8 @@ pub fn calibrate(
     others: &[(usize, &GrayImage)],
 ) -> Result<(Camera, Vec<Found>), CalibrationError> {
     let spacing = pattern::spacing_mm(display);
-    // Fit the camera to the reference layer, which defines the display plane.
+    // Fit the camera to the crosses of the reference layer, which are on the display plane by
+    // definition.
     let on_plane = |cross: &Cross| cross.index.map(|i| f64::from(i) * spacing);
     let found = array(display, reference)?;
     let pairs: Vec<_> = found.iter().map(|cross| (on_plane(cross), cross.at_px)).collect();
@@ -100,8 +102,8 @@ pub fn calibrate(
     }
     let mut all = Vec::new();
     for &(layer, photograph) in others {
-        // Project drawn and photographed crosses onto the layer, and fit the homography between
-        // them.
+        // Project the drawn and the photographed position of every cross onto the layer. Fit the
+        // homography from the drawn to the photographed positions.
         let found = array(display, (layer, photograph))?;
         let d_mm = display.layers[layer].d_mm;
         let share = (eye_mm[2] - d_mm) / eye_mm[2];
