@@ -137,8 +137,8 @@ fn legal_files_of_other_programs_load() {
     assert!(warnings.take().is_empty());
     assert_eq!(scene.triangle_count(), 2);
     assert_eq!(scene.materials[0].base_color.to_array(), [0.5, 0.5, 0.5, 1.0]);
-    // By its scale and offset, the map moves the corner (0.5, 0) to u = 2 · 0.5 + 0.25 and v = 3 ·
-    // 0 + 0.5. glTF's v points downwards, so it is 1 − 0.5.
+    // The map's scale and offset must move the corner (0.5, 0) to (2 · 0.5 + 0.25, 3 · 0 + 0.5).
+    // Since v points downwards in glTF, it becomes 1 − 0.5.
     let texture = scene.materials[1].base_color_texture.expect("a picture");
     let mesh = scene.meshes.iter().find(|mesh| mesh.material == 1).unwrap();
     let corner = mesh.positions.iter().position(|position| position.to_array() == [0.0; 3]).unwrap();

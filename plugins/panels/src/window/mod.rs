@@ -1,4 +1,5 @@
-//! The windows: one borderless fullscreen surface per output, or one surface across all of them.
+//! The windows of a presentation: one borderless fullscreen surface per output, or one surface
+//! across all outputs.
 //!
 //! ```text
 //! main thread   windows, keys, outputs that appear and disappear  (winit requires this thread)
@@ -7,13 +8,13 @@
 //!               at the start of a period
 //! ```
 //!
-//! The present loop never waits for the producer. It waits for the display alone: Fifo surfaces are
-//! presented at vertical blanks, so the slowest output sets the rate. The loop keeps the outputs in
-//! step: none is more than one refresh ahead of another.
+//! The present loop never waits for the producer, only for the outputs. Fifo surfaces are presented
+//! at vertical blanks, so the slowest output sets the rate. No output is more than one refresh
+//! ahead of another.
 //!
-//! Where the platform reports presentation times (Wayland's presentation-time), they define late
-//! refreshes and the skew between outputs. Elsewhere the times of submission define late refreshes,
-//! and the skew is unknown.
+//! If the platform reports presentation times (Wayland's presentation-time), late refreshes and the
+//! skew between outputs are computed from these times. Otherwise late refreshes are computed from
+//! the times of submission, and the skew is unknown.
 
 #[cfg(feature = "window")]
 mod app;
@@ -108,9 +109,9 @@ pub enum WindowError {
         name: String,
         /// The panel that it showed.
         shows: Shows,
-        /// The output at the start.
+        /// The output's state at the start.
         was: Box<Output>,
-        /// The output now.
+        /// The output's state after the change.
         is: Box<Output>,
     },
 }
