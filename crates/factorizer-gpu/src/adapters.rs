@@ -66,7 +66,7 @@ fn described(adapter: &wgpu::Adapter) -> Adapter {
 /// case.
 ///
 /// # Errors
-/// If there is none; the error lists all adapters.
+/// If no adapter fits; the error lists all adapters.
 pub(crate) fn choose(name: Option<&str>) -> Result<(Adapter, wgpu::Adapter), String> {
     let mut all = found();
     let fits = |adapter: &Adapter| match name {
