@@ -7,8 +7,8 @@ use crate::{
 /// Relative difference up to which angles and lengths are taken as equal. So rounding changes
 /// nothing if a display is adapted to its own light field.
 const SAME: f64 = 1e-9;
-/// Largest number of angular bins per axis of a backlight that follows a light field. It may have
-/// more bins if there are at most two per view.
+/// Largest number of angular bins per axis of a backlight that follows a light field. A backlight
+/// with at most two bins per view may have more.
 const MOST_BINS: usize = 64;
 
 impl Display {
@@ -98,7 +98,7 @@ impl Display {
     ) -> Result<(usize, f64), DisplayError> {
         let half = |fov_deg: f64| (0.5 * fov_deg.to_radians()).tan();
         let own_bins = own.views[axis] as f64;
-        // if the display chooses its own number of views, take one view per bin
+        // If the display file states no number of views, assume one view per bin.
         let own_views = match self.field.views {
             Views::Fixed(views) => views[axis] as f64,
             Views::Auto | Views::Step(_) => own_bins,
@@ -190,12 +190,12 @@ impl Display {
     }
 }
 
-/// Full angle, in degrees, between the slopes −`half` and `half`.
+/// Returns the angle between the slopes −`half` and `half`, in degrees.
 fn full_angle_deg(half: f64) -> f64 {
     2.0 * half.atan().to_degrees()
 }
 
-/// Returns `own` if `new` equals it up to rounding.
+/// Returns `own` if `new` differs from it only by rounding, otherwise `new`.
 fn kept(own: f64, new: f64) -> f64 {
     if (new - own).abs() <= SAME * own.abs() { own } else { new }
 }
@@ -221,7 +221,7 @@ mod tests {
         assert_eq!(adapted.grid.views(), [1, 5]);
     }
 
-    /// A display of one layer in front of lenslets, made for 3 × 3 views over 20°.
+    /// Returns a display of one layer in front of lenslets, made for 3 × 3 views over 20°.
     fn directional() -> Display {
         let mut display = Display::uniform([160, 100], 2.961, [3, 3], [20.0, 20.0], &[0.0], 8);
         let bins = LensletBacklight::new(-8.5, [47, 29], 10.08, [3, 3], [20.0, 20.0]);

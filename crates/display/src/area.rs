@@ -1,12 +1,12 @@
-//! Intersections of the rays of one view with the display, over the whole area of every field
-//! pixel.
+//! Computes the intersections of the rays of one view with the display, over the whole area of
+//! every field pixel.
 //!
 //! Layers consist of squares of constant value. So along an axis the layer pixel that a ray reads
 //! changes only where the ray crosses an edge. Each axis of a field pixel is cut at all these
 //! edges: the edges of every layer, of the lenslets and of their bins. All rays between two cuts
-//! read the same values. So one ray represents them, with the width of the part as its weight. The
-//! map is separable, so the parts are separable too: a pixel's area is the product of its parts
-//! along x and along y. Thus the mean over the area is exact.
+//! read the same values. So one ray represents the part of the pixel between two cuts, with the
+//! part's width as its weight. The intersections are separable, so the pixel's area is divided into
+//! products of a part along x and a part along y. Thus the mean over the area is exact.
 
 use crate::raymap::{Axis, AxisRay};
 use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};
@@ -19,21 +19,22 @@ const SLIVER: f64 = 1e-9;
 /// pixel.
 #[derive(Clone, Debug)]
 pub struct AreaMap {
-    /// The map of one view, whose columns and rows are the parts in the order of `x` and `y`.
+    /// The intersections of one ray per part. Its columns are the parts `x`, and its rows the parts
+    /// `y`.
     pub map: RayMap,
     /// Parts along x: the first parts of all pixels, then the second parts, and so on. So
     /// neighbouring parts in the list read neighbouring pixels of a layer.
     pub x: Vec<Part>,
-    /// Parts along y, from the top, pixel by pixel.
+    /// Parts along y: all parts of the top pixel, then all parts of the next pixel, and so on.
     pub y: Vec<Part>,
 }
 
 /// A part of a field pixel along one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Part {
-    /// Field column or row.
+    /// Index of the field column or row that has this part.
     pub pixel: u32,
-    /// Fraction of the pixel's width, above 0; the fractions of a pixel add up to 1.
+    /// The part's fraction of the pixel's width, above 0. The fractions of a pixel add up to 1.
     pub share: f64,
 }
 

@@ -32,7 +32,7 @@ const LANES: usize = 32;
 /// The weights of a point spread, which are the same along both axes.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PointSpread {
-    /// Odd number of weights with sum 1; a single 1 without blur.
+    /// The weights, whose number is odd and whose sum is 1. Without blur it is a single 1.
     taps: Vec<f32>,
     /// Entry i is the sum of the first i taps.
     sums: Vec<f32>,
@@ -100,7 +100,8 @@ impl PointSpread {
         self.taps.len() / 2
     }
 
-    /// Scales the pixels near the ends of a line, where the point spread reaches past the end.
+    /// Divides the pixels near the ends of a line by the sum of the weights that are inside the
+    /// line.
     fn scale_ends(&self, line: &mut [f32]) {
         let count = line.len();
         let left = self.radius().min(count);

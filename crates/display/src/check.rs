@@ -1,4 +1,4 @@
-//! Checks of the ranges of a display's values.
+//! Checks the ranges of a display's values.
 
 use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel, Views};
 
@@ -10,7 +10,7 @@ impl Display {
     /// Checks the range of every value.
     ///
     /// # Errors
-    /// On the first value out of range.
+    /// If a value is out of range; the error names the first one.
     pub fn check(&self) -> Result<(), DisplayError> {
         let check = |ok: bool, key: &str, expected: &str, found: String| {
             if ok { Ok(()) } else { Err(DisplayError::Value { key: key.into(), expected: expected.into(), found }) }

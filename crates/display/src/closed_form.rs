@@ -36,7 +36,7 @@ enum Form {
     LayerOnLenses { lenslet_mm: f64, step: f64, own: f64 },
 }
 
-/// Relative difference that is taken as equal, since files round numbers.
+/// Relative difference up to which two numbers count as equal, since files round numbers.
 const ROUNDING: f64 = 1e-9;
 
 impl Display {
@@ -87,8 +87,8 @@ impl Display {
         Some(ClosedForm { equation, assumes, broken, form })
     }
 
-    /// Equation (23) for the display's lens array alone: integral imaging with the same lenslets
-    /// and views. `None` without a lens array.
+    /// Returns equation (23) for the display's lens array alone, as if its layers were clear.
+    /// `None` without a lens array.
     pub fn lens_array_form(&self, axis: usize) -> Option<ClosedForm> {
         let mut broken = Vec::new();
         let form = self.lenses(axis, &mut broken)?;

@@ -32,7 +32,7 @@ pub struct Display {
     /// Order of the colours that are shown one after another.
     #[serde(default, skip_serializing_if = "ColourOrder::is_default")]
     pub colour_order: ColourOrder,
-    /// Formation of an image from the layers of one frame.
+    /// The way in which the layers of one frame form an image.
     #[serde(default)]
     pub formation: Formation,
     /// Brightness scale β (eq. 27), above 0 and at most 1: the display emits β times the target.
@@ -49,7 +49,7 @@ pub struct Display {
     /// The light source behind the layers.
     #[serde(default)]
     pub backlight: Backlight,
-    /// Layers, rear to front; `d_mm` rises.
+    /// Layers from rear to front, so that `d_mm` rises.
     pub layers: Vec<Layer>,
 }
 
@@ -90,14 +90,14 @@ pub struct FieldConfig {
     pub distance_mm: Option<f64>,
 }
 
-/// Kind of view grid.
+/// Projection of the views of a grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ProjectionKind {
     /// Every view is a parallel projection, as in the paper.
     #[default]
     Oblique,
-    /// Every view is a pinhole at distance `distance_mm`.
+    /// Every view is the picture of a pinhole camera at distance `distance_mm`.
     Perspective,
 }
 
@@ -164,7 +164,7 @@ impl Display {
         toml::to_string(self).expect("a display holds nothing that TOML cannot")
     }
 
-    /// The light field's pixels and views.
+    /// Returns the light field's pixels and views.
     ///
     /// # Errors
     /// If the view grid is invalid.
@@ -185,7 +185,7 @@ impl Display {
         Ok(FieldGeometry { grid, ..self.field_pixels() })
     }
 
-    /// The light field's pixels with a single view along z.
+    /// Returns the light field's pixels with a single view along z.
     pub fn field_pixels(&self) -> FieldGeometry {
         FieldGeometry {
             rows: self.field.resolution[1],

@@ -100,7 +100,7 @@ fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
             }
             continue;
         }
-        // |g × u| = g_1 |z − d|
+        // with u = (1, z) and g = g_1 (1, d), |g × u| = g_1 |z − d|
         let (d, reach) = (g[1] / g[0], width / (g[0] * least));
         (low, high) = (low.max(d - reach), high.min(d + reach));
     }

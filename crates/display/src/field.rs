@@ -17,9 +17,10 @@ pub struct LightField {
 /// light fields of pictures have none.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenDepth {
-    /// Number of rows of the map over the whole height of the view; may be less than the view has.
+    /// Number of rows of the map, which covers the whole height of the view. It may be smaller than
+    /// the view's number of rows.
     pub rows: usize,
-    /// Number of columns of the map over the whole width.
+    /// Number of columns of the map, which covers the whole width of the view.
     pub cols: usize,
     /// z of the first surface in display space, `[row][col]`, millimetres towards the viewer;
     /// `None` where a ray hits nothing.
@@ -57,7 +58,7 @@ impl LightField {
         Ok(Self { geometry, radiance, depth: None })
     }
 
-    /// A black light field.
+    /// Makes a black light field.
     ///
     /// # Errors
     /// If the geometry is invalid.
@@ -90,22 +91,22 @@ impl LightField {
         &self.geometry
     }
 
-    /// All values.
+    /// Returns the values of all views.
     pub fn radiance(&self) -> &Tensor<5> {
         &self.radiance
     }
 
-    /// All values, writable.
+    /// Returns the values of all views, writable.
     pub fn radiance_mut(&mut self) -> &mut Tensor<5> {
         &mut self.radiance
     }
 
-    /// One view, `[row][col][rgb]`; `view` = [view_y, view_x].
+    /// Returns the values `[row][col][rgb]` of the view `view` = [view_y, view_x].
     pub fn view(&self, view: [usize; 2]) -> &[f32] {
         self.radiance.block(view)
     }
 
-    /// One view, writable.
+    /// Returns the values `[row][col][rgb]` of the view `view` = [view_y, view_x], writable.
     pub fn view_mut(&mut self, view: [usize; 2]) -> &mut [f32] {
         self.radiance.block_mut(view)
     }

@@ -13,7 +13,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How the layers of one frame form an image.
+/// The way in which the layers of one frame form an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Formation {
@@ -29,7 +29,7 @@ pub enum Formation {
 }
 
 impl Formation {
-    /// The value that a missing layer would have: 1 if layers absorb, otherwise 0.
+    /// Returns the value of a layer that has no effect on light: 1 if layers absorb, otherwise 0.
     #[inline]
     pub fn neutral(self) -> f32 {
         match self {

@@ -20,7 +20,7 @@ use crate::{BacklightTap, Display, FieldGeometry, Formation, LayerStack, Missing
 /// A pixel of a seen picture is scored if the rays of at least this fraction of its area are valid.
 pub const LEAST_SHARE: f32 = 0.5;
 
-/// One emitted view.
+/// The light that the display emits in one view, with one ray per pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmittedView {
     /// Emitted radiance L̃, `[row][col][rgb]`; divided by the stack's brightness it is the picture
@@ -55,7 +55,7 @@ impl From<SeenView> for EmittedView {
 #[derive(Clone, Debug)]
 pub struct Simulator<'a> {
     display: &'a Display,
-    /// The stack after the layers' response.
+    /// The stack's values after the response of the layers' hardware.
     stack: Cow<'a, LayerStack>,
 }
 
@@ -71,7 +71,7 @@ impl<'a> Simulator<'a> {
         self.seen_from(&ViewGrid::single(Projection::Oblique, slope))
     }
 
-    /// The seen picture from an eye at (x, y, z) millimetres in display space, z > 0.
+    /// Returns the seen picture from an eye at (x, y, z) millimetres in display space, z > 0.
     pub fn from_eye(&self, eye_mm: [f64; 3]) -> SeenView {
         let [x, y, z] = eye_mm;
         self.seen_from(&ViewGrid::single(Projection::Perspective { distance_mm: z }, [x / z, y / z]))
@@ -104,9 +104,9 @@ impl<'a> Simulator<'a> {
         EmittedView { radiance, valid }
     }
 
-    /// The seen picture of a view: for every pixel of `geometry`, the mean over its area of the
-    /// emission along the rays of that view. It is exact, since layers consist of squares of
-    /// constant value, and pixels are cut where rays cross from one square to the next.
+    /// Returns the seen picture of a view: for every pixel of `geometry`, the mean emission along
+    /// the rays of the view through the pixel's area. The mean is exact. Layers consist of squares
+    /// of constant value, and pixels are cut where rays cross from one square to the next.
     pub fn seen(&self, geometry: &FieldGeometry, view: [usize; 2]) -> SeenView {
         let area = AreaMap::new(self.display, geometry, view);
         let missing = self.display.missing;
@@ -196,17 +196,18 @@ impl<'a> Lines<'a> {
     }
 }
 
-/// One seen picture from a slope; for more than one make a [`Simulator`].
+/// Returns the seen picture along one slope. For several pictures make a [`Simulator`].
 pub fn view_from_slope(display: &Display, stack: &LayerStack, slope: [f64; 2]) -> SeenView {
     Simulator::new(display, stack).from_slope(slope)
 }
 
-/// One seen picture from an eye; for more than one make a [`Simulator`].
+/// Returns the seen picture from one eye position. For several pictures make a [`Simulator`].
 pub fn view_from_eye(display: &Display, stack: &LayerStack, eye_mm: [f64; 3]) -> SeenView {
     Simulator::new(display, stack).from_eye(eye_mm)
 }
 
-/// True if a ray is valid: it hits the lenslet grid and, under [`Missing::Drop`], every layer.
+/// Returns true if a ray is valid. It must hit the lenslets and, under [`Missing::Drop`], every
+/// layer.
 #[inline]
 pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize, col: usize) -> bool {
     let layers = missing == Missing::Clear
@@ -220,12 +221,12 @@ pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize
     layers && backlight
 }
 
-/// How the rays of a row read a layer.
+/// The layer pixels that the rays of a row read.
 enum Reads<'a> {
     /// Runs of neighbouring rays that read neighbouring single pixels; all other rays of the row
     /// miss the layer.
     Runs(Vec<Run>),
-    /// Each ray reads the pixels of its tap.
+    /// The pixels of every ray, for rays that form no runs.
     Taps(&'a [Tap]),
 }
 
@@ -321,8 +322,9 @@ fn combine_backlight(
     }
 }
 
-/// sin²(π/2 · x) for 0 ≤ x < 1000; x is at most the number of layers. The absolute error is below
-/// 1e-6 up to x = 8. `f32::sin` would take most of a view's time.
+/// Returns sin²(π/2 · x) for 0 ≤ x < 1000, where x is at most the number of layers. The absolute
+/// error is below 1e-6 for x ≤ 8. With `f32::sin` this function would take most of the time of a
+/// view.
 fn sin2_of_quarter_turns(x: f32) -> f32 {
     // An `f32` near 1.5 · 2²³ has no bits for a fraction. So the addition rounds to the nearest
     // whole number of half turns.

@@ -77,7 +77,7 @@ impl ViewGrid {
         Ok(grid)
     }
 
-    /// A grid of one view.
+    /// Makes a grid of one view.
     pub fn single(projection: Projection, slope: [f64; 2]) -> Self {
         Self { projection, slope_x: vec![slope[0]], slope_y: vec![slope[1]] }
     }
@@ -105,18 +105,19 @@ impl ViewGrid {
         }
     }
 
-    /// Number of views as [vertical, horizontal], the order of the arrays.
+    /// Returns the number of views as [vertical, horizontal], which is the order of array indices.
     pub fn views(&self) -> [usize; 2] {
         [self.slope_y.len(), self.slope_x.len()]
     }
 
-    /// All views as [view_y, view_x], row by row.
+    /// Iterates over all views [view_y, view_x], row by row.
     pub fn iter(&self) -> impl Iterator<Item = [usize; 2]> + use<> {
         let [rows, cols] = self.views();
         (0..rows).flat_map(move |y| (0..cols).map(move |x| [y, x]))
     }
 
-    /// Slope (s_x, s_y) of the ray of `view` = [view_y, view_x] through the point (x, y) of z = 0.
+    /// Returns the slope (s_x, s_y) of the ray of `view` = [view_y, view_x] through the point (x,
+    /// y) on z = 0.
     pub fn slope_at(&self, view: [usize; 2], point_mm: [f64; 2]) -> [f64; 2] {
         [
             self.projection.slope(self.slope_x[view[1]], point_mm[0]),
@@ -207,7 +208,7 @@ pub struct FieldGeometry {
     pub cols: usize,
     /// Pixel pitch on z = 0, millimetres, > 0.
     pub pitch_mm: f64,
-    /// Views.
+    /// The views.
     pub grid: ViewGrid,
 }
 
@@ -242,7 +243,7 @@ impl FieldGeometry {
         ((self.rows as f64 - 1.0) / 2.0 - row as f64) * self.pitch_mm
     }
 
-    /// Width and height in millimetres.
+    /// Returns the width and the height of the field, in millimetres.
     pub fn size_mm(&self) -> [f64; 2] {
         [self.cols as f64 * self.pitch_mm, self.rows as f64 * self.pitch_mm]
     }

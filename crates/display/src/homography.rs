@@ -6,7 +6,7 @@
 pub struct Homography(pub [[f64; 3]; 3]);
 
 impl Homography {
-    /// The map that keeps every point.
+    /// The identity, which maps every point to itself.
     pub const IDENTITY: Self = Self([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
 
     /// Maps a point.
@@ -16,7 +16,7 @@ impl Homography {
         [a / c, b / c]
     }
 
-    /// The inverse map, by cofactors.
+    /// Returns the inverse map, computed by cofactors.
     pub fn inverse(&self) -> Self {
         let m = &self.0;
         let minor = |r: usize, c: usize| {
@@ -27,7 +27,7 @@ impl Homography {
         Self([0, 1, 2].map(|r| [0, 1, 2].map(|c| minor(c, r) / determinant)))
     }
 
-    /// The map that applies `first`, then `self`.
+    /// Returns the map that applies `first`, then `self`.
     pub fn after(&self, first: &Self) -> Self {
         Self([0, 1, 2].map(|r| [0, 1, 2].map(|c| (0..3).map(|k| self.0[r][k] * first.0[k][c]).sum())))
     }

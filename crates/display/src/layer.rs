@@ -91,7 +91,7 @@ impl Layer {
     /// Largest standard deviation of the point spread, mask pixels.
     pub const MAX_BLUR_PX: f64 = 8.0;
 
-    /// An ideal layer at `d_mm` with [columns, rows] pixels of `pitch_mm`.
+    /// Makes an ideal layer at distance `d_mm`, with [columns, rows] pixels of pitch `pitch_mm`.
     pub fn new(d_mm: f64, resolution: [usize; 2], pitch_mm: f64) -> Self {
         Self {
             d_mm,
@@ -118,9 +118,10 @@ impl Layer {
         [(self.black_level * self.peak) as f32, self.peak as f32]
     }
 
-    /// The 2^bits values that a mask pixel can take, in rising order, from the lower to the upper
-    /// end of [`range`](Self::range). `None` for a continuous range. The values are the same for
-    /// all channels, since `bits` allows only one transfer function for all.
+    /// Returns the 2^bits values that a mask pixel can take, in rising order, from the lower to the
+    /// upper end of [`range`](Self::range). Returns `None` if `bits` is not set, since the range is
+    /// then continuous. The values are the same for all channels, since `bits` allows only one
+    /// transfer function for all.
     pub fn levels(&self) -> Option<Vec<f32>> {
         let codes = 1u32 << self.bits?.clamp(1, Self::MAX_BITS);
         let level = |code: u32| {
@@ -130,8 +131,8 @@ impl Layer {
         Some((0..codes).map(level).collect())
     }
 
-    /// Input of the transfer function with which the panel shows `value`: 0 for the darkest state,
-    /// 1 for the brightest. Values outside the range are clamped; NaN becomes 0.
+    /// Converts a mask value to the input of the transfer function: 0 for the panel's darkest
+    /// state, 1 for its brightest. Values outside this range are clamped; NaN becomes 0.
     pub fn drive(&self, value: f32) -> f32 {
         let drive = (f64::from(value) / self.peak - self.black_level) / (1.0 - self.black_level);
         if drive.is_nan() { 0.0 } else { drive.clamp(0.0, 1.0) as f32 }

@@ -34,8 +34,8 @@ pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     })
 }
 
-/// Width in slopes of a bin of a directional backlight along an axis; `None` if it has a single
-/// bin.
+/// Returns the width in slopes of a bin of the directional backlight along an axis. `None` for a
+/// uniform backlight or a single bin.
 pub(crate) fn bin_width(display: &Display, axis: usize) -> Option<f64> {
     match &display.backlight {
         Backlight::Lenslets(lenslets) if lenslets.views[axis] > 1 => {
@@ -46,7 +46,7 @@ pub(crate) fn bin_width(display: &Display, axis: usize) -> Option<f64> {
 }
 
 impl Display {
-    /// The views of the light field that the display is made for.
+    /// Returns the views of the light field for which the display is made.
     ///
     /// # Errors
     /// If an angle is outside of 0..180°, there are no views, or the viewing distance is not above
@@ -55,8 +55,8 @@ impl Display {
         self.field.views.grid(projection, self.field.fov_deg, || self.auto_step(usize::MAX))
     }
 
-    /// Number of views of [`view_grid`](Self::view_grid), [horizontal, vertical]; 0 if the display
-    /// is invalid.
+    /// Returns the [horizontal, vertical] number of views of [`view_grid`](Self::view_grid); 0 if
+    /// the display is invalid.
     pub fn views(&self) -> [usize; 2] {
         let [rows, cols] = self.view_grid(Projection::Oblique).map_or([0, 0], |grid| grid.views());
         [cols, rows]

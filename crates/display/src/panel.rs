@@ -51,21 +51,21 @@ pub struct Panel {
     pub resample: Sampling,
 }
 
-/// How a picture is mirrored.
+/// The mirroring of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Flip {
-    /// Not mirrored.
+    /// The picture is not mirrored.
     #[default]
     None,
-    /// Left and right exchanged.
+    /// Left and right are exchanged.
     Horizontal,
-    /// Top and bottom exchanged.
+    /// Top and bottom are exchanged.
     Vertical,
 }
 
-/// A lens array as built, if it differs from the array that the patterns were made for. In a
-/// browser all values are defaults, as in [`Panel`].
+/// Measured data of a real lens array that differs from the array for which the patterns were made.
+/// In a browser all values are defaults, as in [`Panel`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Lens {
@@ -102,7 +102,8 @@ mod unread {
     }
 }
 
-/// Determinant, relative to the matrix's size, below which a matrix is taken as singular.
+/// A matrix counts as singular if its determinant, relative to the size of its entries, is below
+/// this.
 const SINGULAR: f64 = 1e-9;
 
 impl Panel {

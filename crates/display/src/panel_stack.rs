@@ -3,7 +3,7 @@
 
 use crate::{Backlight, Display, DisplayError, Lens, LensletBacklight, Panel, Transfer};
 
-/// Equal panels, one behind another.
+/// The data of a display that is built of equal panels, one behind another.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PanelStack {
     /// Name, as shown to the user.
@@ -80,12 +80,13 @@ impl PanelStack {
             let middle = d_mm[d_mm.len() / 2];
             d_mm.iter_mut().for_each(|d| *d -= middle);
         }
-        // layers with one mask pixel per `scale` × `scale` panel pixels
+        // make layers with one mask pixel for every `scale` × `scale` panel pixels
         let mask = resolution.map(|count| (count / scale).max(1));
         let plain = Display::uniform(mask, pitch_mm * scale as f64, self.views, self.fov_deg, &d_mm, self.frames);
         let (refresh_hz, brightness) = (self.refresh_hz, self.brightness);
         let mut display = Display { name: self.name.clone(), refresh_hz, brightness, ..plain };
-        // outputs are assigned from rear to front; the panel of a backlight is the rearmost one
+        // Assign outputs from rear to front. The panel of a directional backlight is the rearmost
+        // one.
         let mut names = self.outputs.iter().cloned().map(Some).chain(std::iter::repeat(None));
         let mut panel = || Some(Panel { output: names.next().flatten(), ..Panel::default() });
         if let Some(lenses) = &self.lenses {

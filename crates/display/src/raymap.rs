@@ -17,9 +17,9 @@ use crate::{Backlight, Display, FieldGeometry, Layer, LensletBacklight, OutsideB
 /// t·f(second) of the pixels f.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tap {
-    /// Pixel index, or [`Tap::MISSED`].
+    /// Index of the first pixel that the ray reads, or [`Tap::MISSED`].
     pub first: u32,
-    /// The next pixel; equals `first` under nearest sampling and at the border.
+    /// Index of the next pixel. It equals `first` under nearest sampling and at the border.
     pub second: u32,
     /// Weight of `second`, 0..1.
     pub t: f32,
@@ -63,7 +63,7 @@ pub struct AxisTaps {
 }
 
 impl AxisTaps {
-    /// Taps of all field columns (or rows) for view column (or row) `view`.
+    /// Returns the taps of all field columns (or rows) for view column (or row) `view`.
     #[inline]
     pub fn of_view(&self, view: usize) -> &[Tap] {
         &self.taps[view * self.rays..(view + 1) * self.rays]
@@ -115,13 +115,13 @@ pub struct BacklightMap {
 }
 
 impl BacklightMap {
-    /// Taps of all field columns for a view column.
+    /// Returns the taps of all field columns for a view column.
     #[inline]
     pub fn x(&self, view: usize) -> &[BacklightTap] {
         &self.x[view * self.rays[0]..(view + 1) * self.rays[0]]
     }
 
-    /// Taps of all field rows for a view row.
+    /// Returns the taps of all field rows for a view row.
     #[inline]
     pub fn y(&self, view: usize) -> &[BacklightTap] {
         &self.y[view * self.rays[1]..(view + 1) * self.rays[1]]
@@ -153,7 +153,8 @@ pub struct RayMap {
 }
 
 impl RayMap {
-    /// Computes the tables. Each layer has A_x·W entries along x and A_y·H entries along y.
+    /// Computes the tables for all rays of a geometry. For A_x × A_y views of W × H pixels, each
+    /// layer has A_x·W entries along x and A_y·H entries along y.
     pub fn new(display: &Display, geometry: &FieldGeometry) -> Self {
         let [x, y] = [Axis::X, Axis::Y].map(|axis| axis.centres(geometry));
         Self::of_rays(display, display.sampling, [(&x, geometry.cols), (&y, geometry.rows)])
@@ -213,7 +214,7 @@ impl Axis {
         }
     }
 
-    /// Number of field pixels along the axis.
+    /// Returns the number of field pixels along the axis.
     pub(crate) fn count(self, geometry: &FieldGeometry) -> usize {
         match self {
             Self::X => geometry.cols,
@@ -230,7 +231,7 @@ impl Axis {
         AxisRay { at_mm, slope: geometry.grid.projection.slope(slopes[view], at_mm) }
     }
 
-    /// Centre of a pixel of the field, millimetres.
+    /// Returns the centre of a field pixel, millimetres.
     pub(crate) fn centre_mm(self, geometry: &FieldGeometry, pixel: usize) -> f64 {
         match self {
             Self::X => geometry.x_mm(pixel),
@@ -238,7 +239,7 @@ impl Axis {
         }
     }
 
-    /// The rays through all pixel centres, view by view.
+    /// Returns the rays through the centres of all field pixels, view by view.
     fn centres(self, geometry: &FieldGeometry) -> Vec<AxisRay> {
         let views = match self {
             Self::X => geometry.grid.slope_x.len(),
@@ -250,13 +251,14 @@ impl Axis {
         (0..views).flat_map(pixels).collect()
     }
 
-    /// Intersection of a ray with a layer, in pixels from the centre of the first pixel.
+    /// Returns the position at which a ray hits a layer, in pixels from the centre of the first
+    /// pixel.
     pub(crate) fn pixel(self, layer: &Layer, ray: &AxisRay) -> f64 {
         let position = ray.at_mm + layer.d_mm * ray.slope - layer.offset_mm[self.index()];
         self.sign() * position / layer.pitch_mm + (layer.resolution[self.index()] as f64 - 1.0) / 2.0
     }
 
-    /// Intersection of a ray with the lenslet grid, in lenslets from the grid's edge.
+    /// Returns the position at which a ray hits the lenslet grid, in lenslets from the grid's edge.
     pub(crate) fn lenslet(self, backlight: &LensletBacklight, ray: &AxisRay) -> f64 {
         let position = ray.at_mm + backlight.d_mm * ray.slope - backlight.offset_mm[self.index()];
         self.sign() * position / backlight.pitch_mm + backlight.lenslets[self.index()] as f64 / 2.0

@@ -20,7 +20,7 @@ use crate::{Layer, LayerColour};
 pub struct Response {
     tied: bool,
     mix: [[f32; 3]; 3],
-    /// Empty if columns are clear.
+    /// RGB factors of the colour filters on successive columns; empty if there are no filters.
     filters: Vec<[f32; 3]>,
     spread: PointSpread,
 }
@@ -73,7 +73,8 @@ impl Response {
         if self.filters.is_empty() { [1.0; 3] } else { self.filters[col % self.filters.len()] }
     }
 
-    /// Weights of the point spread along either axis: an odd number, symmetric, with sum 1.
+    /// Returns the weights of the point spread, which are the same along both axes. They are
+    /// symmetric, their number is odd, and their sum is 1.
     pub fn taps(&self) -> &[f32] {
         self.spread.taps()
     }

@@ -30,12 +30,13 @@ pub struct Region {
     pub cols: Range<usize>,
 }
 
-/// The pixels of a tile on one layer or on the lenslets; see the module.
+/// The pixels of a tile on one layer or on the lenslets; the head of the file has a figure.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TilePart {
     /// Pixels whose values in the whole display come from this tile; may be empty.
     pub own: Region,
-    /// Pixels that are solved together with the own pixels.
+    /// The own pixels, and further pixels that are solved together with them but belong to other
+    /// tiles.
     pub free: Region,
     /// Pixels that rays through free pixels hit, so the tile must know their values. Never empty.
     pub held: Region,
@@ -46,9 +47,9 @@ pub struct TilePart {
 pub struct Tile {
     /// Field pixels of the tile. The tile has the rays of all views through these pixels.
     pub field: Region,
-    /// Pixels on the layers, rear to front, then on the lenslets.
+    /// The tile's pixels on each layer, rear to front, and then on the lenslets.
     pub parts: Vec<TilePart>,
-    /// Rows and columns of the whole display's layers and lenslets.
+    /// [rows, columns] of each layer of the whole display, and then of the lenslets.
     pub whole: Vec<[usize; 2]>,
 }
 
@@ -83,7 +84,7 @@ impl Tiling {
         [0, 1].map(|axis| self.axes[axis].0.len())
     }
 
-    /// The map of the whole display's rays.
+    /// Returns the intersections of the rays of the whole display.
     pub fn map(&self) -> &RayMap {
         &self.map
     }
@@ -130,7 +131,7 @@ struct AxisCut {
 struct AxisPart {
     count: usize,
     pitch_mm: f64,
-    /// Offset of the centre in the direction of growing indices.
+    /// Offset of the layer's centre in the direction of growing indices, millimetres.
     offset_mm: f64,
     /// Reach of the layer's blur, pixels.
     blur: usize,
@@ -175,8 +176,8 @@ impl AxisCut {
         Self { tiles, pixels, pitch_mm: geometry.pitch_mm, parts }
     }
 
-    /// The first field pixel of a tile. It is even, so that pairs of pixels stay together at half
-    /// the resolution.
+    /// Returns the first field pixel of a tile. It is even, so that pairs of pixels stay together
+    /// at half the resolution.
     fn cut(&self, tile: usize) -> usize {
         if tile == self.tiles { self.pixels } else { self.pixels * tile / self.tiles / 2 * 2 }
     }
@@ -280,7 +281,7 @@ impl Region {
         Self { rows: shift(&self.rows, around.rows.start), cols: shift(&self.cols, around.cols.start) }
     }
 
-    /// The pixels that both regions have; may be empty.
+    /// Returns the pixels common to this region and `other`; may be empty.
     #[must_use]
     pub fn common(&self, other: &Self) -> Self {
         let common = |a: &Range<usize>, b: &Range<usize>| {
@@ -304,7 +305,7 @@ impl Tile {
             layer.resolution = [held.cols.len(), held.rows.len()];
             layer.offset_mm = [0, 1].map(|axis| layer.offset_mm[axis] + centre_mm[axis] - field_mm[axis]);
             (layer.panel_resolution, layer.panel_pitch_mm) = (None, None);
-            // the stripes of colour filters continue as in the whole display
+            // Rotate the list of colour filters, so that every column keeps its filter.
             let stripes = layer.filters.len();
             if stripes > 0 {
                 layer.filters.rotate_left(held.cols.start % stripes);
@@ -326,7 +327,8 @@ impl Tile {
     pub fn geometry(&self, whole: &FieldGeometry) -> FieldGeometry {
         let mut grid = whole.grid.clone();
         if let Projection::Perspective { distance_mm } = grid.projection {
-            // the eyes stay where they are, so their positions relative to the tile's centre change
+            // The eyes keep their positions in the whole display. So their positions relative to
+            // the tile's centre change.
             let [x, y] = centre_mm(&self.field, [whole.rows, whole.cols], whole.pitch_mm);
             grid.slope_x.iter_mut().for_each(|slope| *slope -= x / distance_mm);
             grid.slope_y.iter_mut().for_each(|slope| *slope -= y / distance_mm);

@@ -3,15 +3,15 @@
 use crate::{ColourSequence, Display};
 
 impl Display {
-    /// Rate below which eyes see flicker, periods a second.
+    /// Rate below which eyes see flicker, periods per second.
     pub const FLICKER_HZ: f64 = 60.0;
 
-    /// Number of refreshes of one period: M, or 3·M if colours are shown in turn.
+    /// Returns the number of refreshes of one period: M, or 3·M if colours are shown in turn.
     pub fn subframes(&self) -> usize {
         self.frames * self.colour_sequence.fields()
     }
 
-    /// Number of periods that the eye sees per second.
+    /// Returns the number of periods that the display shows per second.
     pub fn period_hz(&self) -> f64 {
         self.refresh_hz / self.subframes() as f64
     }

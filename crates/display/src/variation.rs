@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Backlight, Display, DisplayError};
 
-/// Changes to a display; values that are not given stay the same.
+/// Changes to a display. A value that is `None` stays the same.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Variation {
@@ -19,7 +19,8 @@ pub struct Variation {
     /// Brightness scale β.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brightness: Option<f64>,
-    /// Distance of neighbouring layers Δd, millimetres; without it, the mean of the old distances.
+    /// Distance of neighbouring layers Δd, millimetres. If it is `None` and the number of layers
+    /// changes, it is the mean of the old distances.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gap_mm: Option<f64>,
     /// [horizontal, vertical] full angles of view of the light field and the backlight, degrees.

@@ -13,15 +13,15 @@ use crate::{GridError, Projection, ViewGrid};
 /// Fraction of a step by which the outermost view may be outside the zone. So every slope at the
 /// zone's edge is at most three quarters of a step from a view.
 const BEYOND: f64 = 0.25;
-/// Tolerance for quotients that are whole numbers up to rounding.
+/// Tolerance with which a quotient is rounded down to a whole number.
 const ROUNDING: f64 = 1e-9;
 
 /// The views that sample the zone |s| ≤ tan(α/2) of a display. In files `"auto"`,
 /// `[horizontal, vertical]`, or `{ step = [x, y] }`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Views {
-    /// Views at multiples of the display's [native step](crate::native_step). A display that is
-    /// right at these views is also right between them.
+    /// Views at multiples of the display's [native step](crate::native_step). A display that shows
+    /// these views well also shows the views between them well.
     #[default]
     Auto,
     /// A number of views, [horizontal, vertical], at the centres of equal bins of the zone, as in
@@ -46,7 +46,7 @@ impl Views {
             Self::Step(step) => step,
             Self::Auto => auto(),
         };
-        // check the angles
+        // return an error for invalid angles
         ViewGrid::uniform(projection, [1, 1], fov_deg)?;
         let slopes = |axis: usize| {
             let most = steps_within(half_width(fov_deg[axis]), step[axis]) as i64;

@@ -27,7 +27,7 @@ pub enum Zone {
         /// tan(α/2) per axis (x, y), ≥ 0.
         half_width: [f64; 2],
     },
-    /// Eyes that move around known places.
+    /// Eye positions: a disc in each eye box.
     Eyes(Vec<EyeBox>),
 }
 
@@ -80,8 +80,8 @@ impl Zone {
 pub struct DirectionScore {
     /// Slope (x, y) at the centre of the field.
     pub slope: [f64; 2],
-    /// Mean squared error over pixels and channels. Noise may make it slightly negative if a
-    /// display is perfect.
+    /// Mean squared error over pixels and channels. If the true error is tiny, noise may make it
+    /// slightly negative.
     pub mse: f64,
     /// Number of pixels that are scored.
     pub pixels: usize,
@@ -214,7 +214,8 @@ mod tests {
         };
         let direction = ViewGrid::single(Projection::Oblique, [0.0; 2]);
         let score = DirectionScore::new(&direction, &seen, 0.2, [&a, &b]);
-        // the tolerance is five standard errors of the mean product of 120,000 pairs, each 9e-5
+        // The standard error of the mean product of 120,000 pairs is 9e-5. The tolerance is five
+        // standard errors.
         assert!((score.mse - 0.0016).abs() < 4.5e-4, "{}", score.mse);
         assert!((DirectionScore::new(&direction, &seen, 0.2, [&a, &a]).mse - 0.0316).abs() < 1e-3);
     }

@@ -217,9 +217,9 @@ fn one_update_equals_the_processors() {
 
 /// Compares whole runs of the device and the processor.
 ///
-/// Single updates agree far better. Later updates depend on values that rounding has decided, so a
-/// few runs end at other patterns. The processor's own runs also do so if their starts differ by
-/// rounding.
+/// Whole runs agree less well than single updates. Later updates depend on values that rounding has
+/// decided, so a few runs end at other patterns. Runs on the processor alone also do so if their
+/// starts differ by rounding.
 #[test]
 fn ten_updates_equal_the_processors() {
     let Some(device) = device() else { return };

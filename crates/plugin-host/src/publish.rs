@@ -42,7 +42,7 @@ impl Staging {
         let not_a_folder = |path: &Path, found| Err(HostError::NotAFolder { path: path.into(), found });
         let out_dir = match fs::metadata(out_dir) {
             Ok(found) if !found.is_dir() => return not_a_folder(out_dir, "a file"),
-            // resolves `.` and links
+            // `canonicalize` resolves `.` and links
             Ok(_) => fs::canonicalize(out_dir).map_err(HostError::io(out_dir, "read"))?,
             Err(_) => std::path::absolute(out_dir).map_err(HostError::io(out_dir, "read"))?,
         };

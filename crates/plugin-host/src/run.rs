@@ -1,4 +1,4 @@
-//! Runs one output, from open until its files are in place.
+//! Runs an output plugin, from its opening until its files are in the output's folder.
 
 use std::path::{Path, PathBuf};
 

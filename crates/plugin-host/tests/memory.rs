@@ -22,7 +22,7 @@ use serde_json::{Value, json};
 const FRAMES: &str = "LUMISTACK_TEST_FRAMES";
 const OUTPUT: &str = "LUMISTACK_TEST_OUTPUT";
 const SIZE: [usize; 2] = [3840, 2160];
-/// One plane of floats, mebibytes.
+/// Size of one plane of floats, mebibytes.
 const PLANE_MIB: f64 = (SIZE[0] * SIZE[1] * 3 * 4) as f64 / MIB;
 const MIB: f64 = (1 << 20) as f64;
 /// Allowed growth of memory by eight more frames, mebibytes. Names of files and entries of lists

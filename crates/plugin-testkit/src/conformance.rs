@@ -88,10 +88,10 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
     can_be_abandoned(plugin, samples.first())
 }
 
-/// Checks that two builds of one plugin have equal descriptions and produce equal bytes. It
-/// compares all samples with default parameters and with all switches on, and one sample at the
-/// ends of every parameter's range. Returns the number of compared files, stacks, light fields or
-/// documents.
+/// Checks that two builds of one plugin have equal descriptions and produce equal bytes. All
+/// samples are compared with default parameters and with all switches on. One sample is also
+/// compared at the ends of every parameter's range. Returns the number of compared files, stacks,
+/// light fields or documents.
 ///
 /// # Errors
 /// The first difference.

@@ -70,7 +70,7 @@ impl Host {
         self.log(level::INFO, message);
     }
 
-    /// For presenters: sends an event, in the plugin's JSON, to the program that runs the
+    /// Sends an event of a presenter, as JSON that the plugin defines, to the program that runs the
     /// presentation.
     pub fn tell(&self, event: &Value) {
         let json = event.to_string();
@@ -91,8 +91,8 @@ impl Host {
         Stage(self.clone())
     }
 
-    /// The port of the data that an output will receive, if the host knows it at `open`; otherwise
-    /// `None`.
+    /// Returns the port of the data that an output will receive; `None` if the host does not know
+    /// it at `open`.
     pub fn port(&self) -> Option<Port> {
         let bit = self.with(|table| table.port)?;
         Port::ALL.into_iter().find(|port| port.bit() == bit)
@@ -175,7 +175,7 @@ impl Host {
 /// Interval at which [`Host::run`] checks for cancellation.
 const CANCEL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Ends the thread that checks for cancellation.
+/// Ends, when dropped, the thread that checks for cancellation.
 struct Done<'a> {
     done: &'a AtomicBool,
     checker: Thread,

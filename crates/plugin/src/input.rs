@@ -172,7 +172,7 @@ impl StackInput<'_> {
         })
     }
 
-    /// A copy of the whole layer stack. `display` is the display of the output.
+    /// Copies the whole layer stack. `display` is the display of the output.
     ///
     /// # Errors
     /// If the host cannot lend a plane, or the stack does not match the display.
@@ -180,9 +180,9 @@ impl StackInput<'_> {
         self.lent.patterns(display, self.brightness)
     }
 
-    /// The simulated view from a viewpoint: emitted linear radiance `[row][col][rgb]`, the mean
-    /// over the area of each of the target's pixels. Divide by [`brightness`](Self::brightness) for
-    /// the view of an adapted viewer.
+    /// Returns the simulated view from a viewpoint: emitted linear radiance `[row][col][rgb]`. Each
+    /// value is the mean over the area of a pixel of the target. An adapted viewer sees this
+    /// radiance divided by [`brightness`](Self::brightness).
     ///
     /// # Errors
     /// If the viewpoint is invalid, or the host cannot compute the view.
@@ -193,7 +193,7 @@ impl StackInput<'_> {
 }
 
 impl FieldInput<'_> {
-    /// Numbers of pixels and views, with the views' slopes.
+    /// Returns the numbers of pixels and views, and the views' slopes.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
     }
@@ -212,7 +212,7 @@ impl FieldInput<'_> {
         self.lent.plane(|data, plane, error| unsafe { (data.view_plane)(data.context, view[0], view[1], plane, error) })
     }
 
-    /// A copy of all views.
+    /// Copies all views.
     ///
     /// # Errors
     /// If the host cannot lend a view, or lends one of another shape.
@@ -231,7 +231,7 @@ impl FieldInput<'_> {
         self.seed.unwrap_or(1)
     }
 
-    /// Weights of the rays.
+    /// Returns the weights of the light field's rays.
     pub(crate) fn weights(&self) -> Result<Weights, PluginError> {
         let wrong = |error: &dyn std::fmt::Display| PluginError::Failed(format!("data from the host: {error}"));
         let FieldGeometry { rows, cols, grid, .. } = &self.geometry;
@@ -325,7 +325,7 @@ impl Lent<'_> {
 }
 
 impl ViewPoint {
-    /// The viewpoint of `view` = [view_y, view_x] of a geometry.
+    /// Returns the viewpoint of the view `view` = [view_y, view_x] of a geometry.
     ///
     /// # Panics
     /// If there is no such view.

@@ -69,8 +69,8 @@ impl LensletPanel {
         }
     }
 
-    /// Lens and bin of the panel's point (x, y), millimetres; `None` outside the array, or if the
-    /// slope is outside the bins.
+    /// Returns the lens and the bin of the panel's point (x, y), millimetres. Returns `None`
+    /// outside the array, and if the slope of the point's light is outside the bins.
     pub fn spot(&self, [x_mm, y_mm]: [f64; 2]) -> Option<Spot> {
         let (sin, cos) = self.rotation_deg.to_radians().sin_cos();
         let [dx, dy] = [x_mm - self.offset_mm[0], y_mm - self.offset_mm[1]];
@@ -142,7 +142,7 @@ mod tests {
 
     use super::*;
 
-    /// The paper's array: 10 lenses per inch, 48°, 5 × 5 bins.
+    /// Returns a display with the paper's lens array: 10 lenses per inch, 48°, 5 × 5 bins.
     fn display() -> Display {
         let mut display = Display::uniform([84, 52], 0.5655, [5, 5], [48.0, 48.0], &[0.0], 1);
         display.backlight = Backlight::Lenslets(LensletBacklight::new(-8.5, [18, 11], 2.54, [5, 5], [48.0, 48.0]));
@@ -232,8 +232,8 @@ mod tests {
             }
             let share = same as f64 / all as f64;
             println!("{rotation_deg}°, {offset_mm:?}: {share:.4} of the rays");
-            // Bins are 7.2 fine pixels wide on both axes. Rounding the position to a pixel
-            // changes the bin of some rays near a border.
+            // Bins are 7.2 fine pixels wide on both axes. A ray near the border of a bin may hit a
+            // pixel whose centre is in the next bin, so not all rays agree.
             assert!(share > 0.85, "{share}");
         }
     }

@@ -22,7 +22,7 @@ pub struct NodeInput<'a> {
 /// State of an iterative solver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// Iterations completed; 0 at the start.
+    /// Number of completed iterations; 0 for the start.
     pub iteration: u32,
     /// The objective that the solver minimizes.
     pub objective: f64,
@@ -37,7 +37,8 @@ pub struct Solution {
     pub solver: String,
     /// Name of the start.
     pub start: String,
-    /// Number of coarser resolutions, each half the next finer one, that were solved first.
+    /// Number of coarser resolutions that were solved first. Each is half the next finer
+    /// resolution.
     pub coarse_levels: u32,
     /// KKT residual: root mean square, over all values of the factors, of the change in emission by
     /// one more exact update of the value. The older key `unsettled` is accepted too.

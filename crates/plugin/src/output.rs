@@ -16,9 +16,10 @@ use crate::time::Time;
 use crate::wire::{answer, display_from_json, lent_text, needs, panic_text};
 use crate::{Host, PluginError, Port, Schema};
 
-/// A plugin that writes or shows results. Calls in order: [`open`](Self::open),
-/// [`submit`](Self::submit) for every time step, [`run`](Self::run) for presenters,
-/// [`finish`](Self::finish). If the output is abandoned, it is dropped without `finish`.
+/// A plugin that writes or shows results. A host calls [`open`](Self::open), then
+/// [`submit`](Self::submit) for every time step, then [`run`](Self::run) for presenters, then
+/// [`finish`](Self::finish). If the host abandons the output, the output is dropped without
+/// `finish`.
 pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
@@ -51,9 +52,9 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// user cancelled.
     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError>;
 
-    /// For presenters: runs on the main thread until the user closes the presentation or cancels.
-    /// Every [`submit`](Self::submit) meanwhile replaces the presented data. [`Host::tell`] sends
-    /// events.
+    /// Runs a presenter on the main thread until the user closes the presentation or cancels. While
+    /// it runs, every [`submit`](Self::submit) replaces the presented data. [`Host::tell`] sends
+    /// events to the program.
     ///
     /// # Errors
     /// If the presentation fails.
@@ -61,8 +62,8 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
         Ok(())
     }
 
-    /// For presenters: executes a command, in the plugin's JSON, while [`run`](Self::run) runs. The
-    /// host calls this function from any thread.
+    /// Executes a command for a presenter while [`run`](Self::run) runs. The command is JSON that
+    /// the plugin defines. The host calls this function from any thread.
     ///
     /// # Errors
     /// [`PluginError::Refused`] if it is no command of the plugin.

@@ -54,7 +54,7 @@ impl PlaneView<'_> {
         self.plane.shape[2]
     }
 
-    /// One value, for any strides.
+    /// Returns one value, for planes of any strides.
     ///
     /// # Panics
     /// If an index is out of range.
@@ -71,7 +71,8 @@ impl PlaneView<'_> {
         unsafe { self.plane.data.cast::<u8>().offset(offset).cast::<f32>().read_unaligned() }
     }
 
-    /// All values as one slice `[row][col][channel]`, if they are contiguous in memory.
+    /// Returns all values as one slice `[row][col][channel]`; `None` if they are not contiguous in
+    /// memory.
     pub fn as_slice(&self) -> Option<&[f32]> {
         let element = size_of::<f32>() as isize;
         let [rows, cols, channels, _] = self.plane.shape;
@@ -86,7 +87,7 @@ impl PlaneView<'_> {
         Some(unsafe { std::slice::from_raw_parts(data, rows * cols * channels) })
     }
 
-    /// The rows from top to bottom, each `[col][channel]`.
+    /// Iterates over the rows from top to bottom, each `[col][channel]`.
     pub fn iter_rows(&self) -> impl Iterator<Item = Vec<f32>> {
         (0..self.rows()).map(|row| {
             let width = self.cols() * self.channels();
@@ -97,12 +98,13 @@ impl PlaneView<'_> {
         })
     }
 
-    /// All values `[row][col][channel]`.
+    /// Copies all values `[row][col][channel]`.
     pub fn to_vec(&self) -> Vec<f32> {
         self.values().into_owned()
     }
 
-    /// All values `[row][col][channel]`; copied only if they are not contiguous in memory.
+    /// Returns all values `[row][col][channel]`. They are copied only if they are not contiguous in
+    /// memory.
     pub fn values(&self) -> Cow<'_, [f32]> {
         self.as_slice().map_or_else(|| self.iter_rows().flatten().collect(), Cow::Borrowed)
     }

@@ -85,22 +85,22 @@ pub struct Choice {
 }
 
 impl Param {
-    /// True or false.
+    /// Makes a parameter that is true or false.
     pub fn bool(name: &str, default: bool, help: &str) -> Self {
         Self::new(name, Kind::Bool { default }, help)
     }
 
-    /// A whole number in a range.
+    /// Makes a parameter that is a whole number in a range.
     pub fn int(name: &str, default: i64, range: RangeInclusive<i64>, help: &str) -> Self {
         Self::new(name, Kind::Int { default, min: *range.start(), max: *range.end() }, help)
     }
 
-    /// A number in a range.
+    /// Makes a parameter that is a number in a range.
     pub fn float(name: &str, default: f64, range: RangeInclusive<f64>, help: &str) -> Self {
         Self::new(name, Kind::Float { default, min: *range.start(), max: *range.end() }, help)
     }
 
-    /// One of several words, each with its meaning.
+    /// Makes a parameter that is one of several words. `options` has each word with its meaning.
     pub fn choice<'a>(
         name: &str,
         default: &str,
@@ -112,12 +112,12 @@ impl Param {
         Self::new(name, Kind::Choice { default: default.into(), options }, help)
     }
 
-    /// Any text.
+    /// Makes a parameter that is any text.
     pub fn text(name: &str, default: &str, help: &str) -> Self {
         Self::new(name, Kind::Text { default: default.into() }, help)
     }
 
-    /// A file that the plugin reads; see [`Kind::File`].
+    /// Makes a parameter that is a file which the plugin reads; see [`Kind::File`].
     pub fn file(name: &str, help: &str) -> Self {
         Self::new(name, Kind::File, help)
     }
@@ -230,7 +230,8 @@ impl Schema {
         serde_json::to_string(self).expect("a schema holds only texts, booleans and numbers")
     }
 
-    /// Checks the schema itself: unique names, help, defaults in range.
+    /// Checks the schema itself: names must be unique, each parameter needs help, and defaults must
+    /// be in range.
     ///
     /// # Errors
     /// A message for the plugin's author.

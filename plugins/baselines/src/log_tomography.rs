@@ -193,8 +193,7 @@ impl Volume {
     }
 }
 
-/// Index of the pixel of a layer that is nearest to a ray's hit; `None` if the ray misses the
-/// layer.
+/// Returns the index of the layer's pixel that a ray hits; `None` if the ray misses the layer.
 fn hit_pixel(layer: &LayerMap, view: [usize; 2], row: usize, col: usize) -> Option<usize> {
     let (y, x) = (layer.y.of_view(view[0])[row], layer.x.of_view(view[1])[col]);
     let nearest = |tap: lumistack_plugin::display::Tap| if tap.t < 0.5 { tap.first } else { tap.second } as usize;

@@ -23,7 +23,8 @@ use crate::views::ViewSource;
 /// Stated length of the longer side of the cameras' sensors, millimetres. The value is arbitrary,
 /// since only its ratio to the focal length matters.
 const SENSOR_MM: f64 = 36.0;
-/// Steps of slope count as equal if they differ by at most this fraction of the largest step.
+/// Largest difference between steps of slope that count as equal, as a fraction of the largest
+/// step.
 const SAME_STEP: f64 = 1e-3;
 
 /// The format of a public archive.
@@ -64,7 +65,7 @@ impl Cameras<'_> {
         self.geometry.grid.projection == Projection::Oblique
     }
 
-    /// Path of a view's picture inside the output.
+    /// Returns the path of a view's picture in the output's folder.
     pub(crate) fn file(&self, archive: Archive, [y, x]: [usize; 2]) -> String {
         let grid = &self.geometry.grid;
         match archive {
@@ -77,7 +78,7 @@ impl Cameras<'_> {
         }
     }
 
-    /// The step of slope between neighbouring views.
+    /// Returns the step of slope between neighbouring views.
     ///
     /// # Errors
     /// If the steps differ, since the HCI format states a single distance between cameras.

@@ -19,7 +19,7 @@ use crate::views::ViewSource;
 /// Smallest and largest width of a cell, pixels. A picture that is smaller than its cell is not
 /// enlarged.
 const CELL: [usize; 2] = [224, 384];
-/// Pixels between cells and around the sheet.
+/// Width of the space between cells and around the sheet, pixels.
 const GAP: usize = 12;
 /// Height of a line of text, pixels.
 const LINE: usize = 20;
@@ -87,7 +87,7 @@ pub(crate) fn view<'a>(source: &'a ViewSource<'_>, view: [usize; 2]) -> Cell<'a>
 
 /// Writes the sheet; returns its [columns, rows]. Each entry of `bands` is a row of cells.
 pub(crate) fn write(host: &Host, path: &str, legend: &str, bands: &[Vec<Cell<'_>>]) -> Result<[usize; 2], PluginError> {
-    // Lay out cells, captions and bands.
+    // Compute the sizes of cells, captions and rows of cells.
     let cells = || bands.iter().flatten();
     let cell = cells().map(|cell| cell.shown()[1]).max().unwrap_or(0).max(CELL[0]);
     let across = bands.iter().map(Vec::len).max().unwrap_or(1).max(2);

@@ -22,9 +22,9 @@ struct Picture<'a> {
     /// Path of the file without the suffixes that state the format.
     stem: String,
     content: Content,
-    /// [rows, cols].
+    /// [rows, cols] of the picture.
     size: [usize; 2],
-    /// `[row][col][rgb]`.
+    /// The linear values, `[row][col][rgb]`.
     rgb: Cow<'a, [f32]>,
     transfer: &'a Transfer,
     /// The panel that the codes drive; `None` if the codes encode the values themselves.

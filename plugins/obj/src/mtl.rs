@@ -14,19 +14,19 @@ use crate::text::joined;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct MtlMaterial {
     pub(crate) name: String,
-    /// `Kd`, linear.
+    /// Diffuse colour, the key `Kd`, linear.
     pub(crate) diffuse: Option<[f32; 3]>,
-    /// `Ke`, linear.
+    /// Emission, the key `Ke`, linear.
     pub(crate) emission: Option<[f32; 3]>,
-    /// `d`.
+    /// Opacity, the key `d`.
     pub(crate) alpha: Option<f32>,
-    /// `Ns`.
+    /// Exponent of the Phong highlight, the key `Ns`.
     pub(crate) shininess: Option<f32>,
-    /// `Pr`.
+    /// Roughness, the key `Pr`.
     pub(crate) roughness: Option<f32>,
-    /// `Pm`.
+    /// Metallic fraction, the key `Pm`.
     pub(crate) metallic: Option<f32>,
-    /// `map_Kd`.
+    /// Picture of the diffuse colour, the key `map_Kd`.
     pub(crate) diffuse_map: Option<Map>,
 }
 
@@ -126,8 +126,8 @@ fn finite(text: &str) -> Option<f32> {
     text.parse().ok().filter(|value: &f32| value.is_finite())
 }
 
-/// Parses a map: options, then the file's name, which may contain spaces. `unused` receives options
-/// without effect.
+/// Parses the value of a map's key: options, and then the name of a picture's file, which may
+/// contain spaces. `unused` receives options that have no effect.
 fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
     let mut map = Map { file: String::new(), scale: [1.0; 2], offset: [0.0; 2], clamp: false };
     let mut rest = text.trim();

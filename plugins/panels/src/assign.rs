@@ -12,7 +12,7 @@ pub struct Output {
     pub name: String,
     /// [x, y] of the output's upper left corner in the layout of all outputs, pixels.
     pub position: [i32; 2],
-    /// [columns, rows].
+    /// [columns, rows] of the output's pixels.
     pub size: [usize; 2],
     /// Refresh rate reported by the platform, hertz.
     pub refresh_hz: Option<f64>,

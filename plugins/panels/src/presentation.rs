@@ -21,7 +21,8 @@ pub struct Settings {
     pub mode: Mode,
     /// True if masks are scaled to fill the panels ([`crate::fit`]).
     pub fit: bool,
-    /// The frame that is held until a command changes it; `None` shows all frames in turn.
+    /// The frame that all refreshes show until a command changes it; `None` shows all frames in
+    /// turn.
     pub hold: Option<usize>,
     /// Duration of the presentation; `None` for a presentation that runs until the user closes it.
     pub duration: Option<Duration>,
@@ -40,7 +41,7 @@ pub enum Content {
         pattern: Pattern,
         /// The panel that alone shows the pattern; `None` for all panels.
         only: Option<Shows>,
-        /// Eye position for which the crosses coincide, display space, millimetres.
+        /// Eye position for which the crosses coincide, in display space, millimetres.
         eye_mm: [f64; 3],
     },
     /// A picture on one panel, at the panel's full resolution; the other panels are clear.
@@ -80,11 +81,11 @@ pub enum Command {
     /// data, so it has no JSON.
     #[serde(skip)]
     Stack(LayerStack),
-    /// Hold this frame.
+    /// Show only this frame.
     Hold(usize),
     /// Show all frames in turn.
     Run,
-    /// Hold a later (positive) or earlier (negative) frame, relative to the held one.
+    /// Show a later (positive) or earlier (negative) frame, relative to the frame that is held.
     Step(i64),
     /// Shift a panel's picture by [right, down] panel pixels.
     Nudge(Shows, [f64; 2]),
@@ -128,7 +129,7 @@ pub enum Event {
     /// A warning for the user. Plugin hosts log it, so it has no JSON.
     #[serde(skip)]
     Warning(String),
-    /// The shift of a panel changed, or another panel was selected for shifting.
+    /// The user has shifted a panel, or has selected another panel for shifts.
     Nudged {
         /// The panel.
         panel: Shows,
@@ -159,13 +160,13 @@ pub struct Report {
     pub seconds: f64,
     /// Refreshes per second.
     pub rate_hz: f64,
-    /// The expected interval, seconds, against which late refreshes are counted.
+    /// The expected interval between refreshes, seconds, by which late refreshes are recognized.
     pub interval_s: f64,
     /// The source of `interval_s`.
     pub interval_from: String,
     /// Number of times that a new layer stack replaced the shown one.
     pub swaps: u64,
-    /// Number of surface images that could not be acquired, of all surfaces together.
+    /// Number of surface images that could not be acquired, summed over all surfaces.
     pub missed: u64,
     /// Statistics from the times of submission; `None` before the first submission.
     pub submitted: Option<Tally>,

@@ -15,15 +15,15 @@ pub struct Tally {
     interval_s: f64,
     #[serde(skip)]
     last: Option<(u64, f64)>,
-    /// Number of refreshes presented.
+    /// Number of refreshes that were presented.
     pub shown: u64,
-    /// Number of refreshes presented late.
+    /// Number of refreshes that were presented late.
     pub late: u64,
     /// Number of intervals in which a panel repeated a frame, since the next refresh was late.
     pub repeated: u64,
-    /// Number of refreshes submitted and never presented.
+    /// Number of refreshes that were submitted but never presented.
     pub dropped: u64,
-    /// Number of refreshes presented after a refresh that was submitted later.
+    /// Number of refreshes that were presented after a refresh with a larger number.
     pub out_of_order: u64,
 }
 
@@ -92,7 +92,7 @@ impl Skew {
         }
     }
 
-    /// Mean skew, seconds; `None` before the first complete refresh.
+    /// Returns the mean skew, seconds; `None` before all outputs have presented one refresh.
     pub fn mean_s(&self) -> Option<f64> {
         (self.refreshes > 0).then(|| self.sum_s / self.refreshes as f64)
     }

@@ -25,8 +25,8 @@ fn run(session: &Session, words: &[&str]) -> Log {
     assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
     let numbers = |line: &str| line.split(',').map(|number| number.parse().unwrap()).collect::<Vec<f64>>();
     let log: Log = text.lines().map(|line| numbers(line).try_into().unwrap()).collect();
-    // Frames are in order: each refresh shows the next frame of the period. A new stack begins only
-    // with a new period.
+    // Frames must be in order: each refresh shows the next frame of the period, and a new stack
+    // begins only with a new period.
     for pair in log.windows(2) {
         assert_eq!(pair[1][0], pair[0][0] + 1.0);
         assert_eq!(pair[1][1] as usize, (pair[0][1] as usize + 1) % 3, "{pair:?}");

@@ -14,7 +14,7 @@ use crate::devices::Device;
 /// The layout of a quilt.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
-    /// [columns, rows] of pixels.
+    /// [columns, rows] of the quilt's pixels.
     pub size: [usize; 2],
     /// Columns of views.
     pub columns: usize,

@@ -70,7 +70,7 @@ pub struct QuiltParams {
     write_quilt: bool,
 }
 
-/// `quilt.json`.
+/// The content of `quilt.json`.
 #[derive(Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Manifest {
@@ -79,7 +79,7 @@ struct Manifest {
     files: Vec<Entry>,
 }
 
-/// One time step.
+/// The entry of one time step in `quilt.json`.
 #[derive(Clone, Debug, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Entry {

@@ -267,7 +267,7 @@ mod tests {
         assert_eq!(slope_at(&[0.1], -0.4), 0.1);
     }
 
-    /// A view whose left half is 0 and whose right half is 1.
+    /// Returns a view whose left half is 0 and whose right half is 1.
     fn halves(size: [usize; 2]) -> Vec<f32> {
         (0..3 * size[0] * size[1]).map(|i| f32::from(u8::from(i / 3 % size[0] >= size[0] / 2))).collect()
     }

@@ -29,7 +29,7 @@ use lumistack_plugin::serde_json::Value;
 
 use crate::layout::Layout;
 
-/// A display's `visual.json`.
+/// The calibration of a display, from its file `visual.json`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
     /// Number of lenses per inch, measured across the slanted lenses.

@@ -230,7 +230,7 @@ impl Page {
         }
     }
 
-    /// Draws a line through points, given in mm.
+    /// Draws a line through points, whose coordinates are in mm.
     pub fn line(&mut self, places: &[[f64; 2]]) {
         for (i, [x, y]) in places.iter().enumerate() {
             if i == 0 {
@@ -255,8 +255,8 @@ impl Page {
         self.content.rect(points(x), points(y), points(width), points(height)).stroke();
     }
 
-    /// Writes text that starts at a point; `height` is the size of type in mm. Letters that the
-    /// font lacks become `?`.
+    /// Writes text that starts at a point; `height` is the size of the letters in mm. Letters that
+    /// the font lacks become `?`.
     pub fn text(&mut self, [x, y]: [f64; 2], height: f64, text: &str) {
         let latin: Vec<u8> = text
             .chars()

@@ -46,7 +46,7 @@ pub(crate) struct Site<'a> {
 /// kept in memory.
 struct SingleFile {
     file: OutputFile,
-    /// Number of bytes written so far, and its limit.
+    /// Number of bytes written so far, and the largest allowed number.
     length: usize,
     most: usize,
     /// The part of the page after its script.

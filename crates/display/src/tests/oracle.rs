@@ -148,7 +148,7 @@ fn emitted_at(
     Some(radiance)
 }
 
-/// Value of a layer on the ray; `None` if the ray misses the layer.
+/// Returns the value that a ray reads on a layer; `None` if the ray misses the layer.
 fn read(sampling: Sampling, layer: &Layer, effective: &Effective, ray: Ray, frame: usize) -> Option<[f64; 3]> {
     let [cols, rows] = layer.resolution;
     let x = ray.x + layer.d_mm * ray.slope[0] - layer.offset_mm[0];
@@ -174,7 +174,8 @@ fn read(sampling: Sampling, layer: &Layer, effective: &Effective, ray: Ray, fram
     })
 }
 
-/// Value of the backlight on the ray: 0 outside the bins; `None` if the ray misses the lenslets.
+/// Returns the backlight's emission along a ray, which is 0 outside dark bins. `None` if the ray
+/// misses the lenslets.
 fn light(backlight: &LensletBacklight, emission: &Tensor<6>, ray: Ray, frame: usize) -> Option<[f64; 3]> {
     let [cols, rows] = backlight.lenslets.map(|n| n as i64);
     let [bins_x, bins_y] = backlight.views.map(|n| n as i64);

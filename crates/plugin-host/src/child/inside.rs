@@ -162,7 +162,7 @@ struct Link {
     active: AtomicUsize,
     /// Time of the program's last answer about cancellation, and whether the user has cancelled.
     asked: Mutex<(Option<Instant>, bool)>,
-    /// The plugin's functions; empty if loading failed, after which the program sends no calls.
+    /// The plugin's functions. They are empty if loading failed; the program then sends no calls.
     functions: OnceLock<Arc<dyn Functions>>,
     instance: Mutex<Instance>,
 }

@@ -101,9 +101,9 @@ pub(super) enum Loaded {
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) enum Request {
     IsCancelled,
-    /// The body is the path.
+    /// Opens a file, whose path is the body.
     FileOpen,
-    /// The body is appended.
+    /// Appends the body to a file.
     FileAppend {
         file: u64,
     },
@@ -139,7 +139,7 @@ pub(super) enum Request {
         kind: u32,
         value_bits: [u64; 3],
     },
-    /// The body is the path.
+    /// Reads a file for an importer; the body is the file's path.
     ReadAsset {
         call: u64,
     },

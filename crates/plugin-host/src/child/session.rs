@@ -148,9 +148,10 @@ pub(super) struct State {
     calls: HashMap<u64, Sender<(Status, String)>>,
     last_call: u64,
     last_sign: Instant,
-    /// Number of requests being served, during which the child waits.
+    /// Number of requests that are being served. Meanwhile the child waits, so its silence is no
+    /// fault.
     requests: usize,
-    /// The child has ended, or must not be called any more.
+    /// True if the child has ended, or must not be called any more.
     pub(super) ended: bool,
 }
 

@@ -20,7 +20,7 @@ pub enum OutputData<'a> {
 }
 
 impl OutputData<'_> {
-    /// The port of these data.
+    /// Returns the port of these data.
     pub fn port(&self) -> Port {
         match self {
             Self::LayerStack(..) => Port::LayerStack,
@@ -38,7 +38,7 @@ pub struct NodeData<'a> {
     pub time: Time,
     /// The light field, in the display's geometry.
     pub field: &'a LightField,
-    /// Weights of its rays.
+    /// Weights of the light field's rays.
     pub weights: &'a Weights,
     /// A layer stack of the display from which the node may start.
     pub start: Option<&'a LayerStack>,
@@ -59,7 +59,7 @@ pub(crate) struct Lent<'a> {
     display: &'a Display,
     /// Geometry of the lent light field, or of the light field for which the lent stack was solved.
     geometry: FieldGeometry,
-    /// Created at the first request for a simulated view.
+    /// Simulates views of a lent stack. It is made at the first request for such a view.
     simulator: OnceLock<Simulator<'a>>,
     /// Weights of the rays, for nodes.
     weights: Option<&'a Weights>,
@@ -153,7 +153,7 @@ impl<'a> Lent<'a> {
         self.data.port()
     }
 
-    /// The C struct; valid while `self` lives.
+    /// Makes the C struct of the data, which is valid while `self` lives.
     pub(crate) fn to_abi(&self) -> Data {
         Data {
             size: size_of::<Data>(),

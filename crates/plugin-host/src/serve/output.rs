@@ -50,8 +50,8 @@ impl<'a> Output<'a> {
         Self::open_unresolved(plugin, services, &Value::Object(resolved).to_string(), display)
     }
 
-    /// As [`open`](Self::open), but leaves all checks of the parameters to the plugin, as a host in
-    /// another language would.
+    /// Opens an output as [`open`](Self::open) does, but leaves all checks of the parameters to the
+    /// plugin. A host in another language may do so.
     ///
     /// # Errors
     /// The plugin's error.

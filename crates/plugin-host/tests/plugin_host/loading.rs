@@ -148,7 +148,7 @@ fn the_user_s_folder_need_not_exist() {
     assert_eq!((load().entries().count(), load().failed().len()), (1, 0));
 }
 
-/// Compiles C. Every Unix machine that links Rust has a C compiler.
+/// Compiles C code into a file. Every Unix machine that links Rust has a C compiler.
 #[cfg(unix)]
 fn compile(options: &[&str], output: &Path, code: &str) {
     let source = output.with_extension("c");

@@ -178,7 +178,7 @@ fn a_plugin_that_hangs_ends_after_an_interruption() {
         let start = Instant::now();
         let result = std::thread::scope(|scope| {
             let writer = scope.spawn(|| bench.write(json!({"fault": "hang"})));
-            // wait until the plugin has begun
+            // wait until the plugin has written its first file, and hangs in its second
             while !bench.out().with_file_name(".faulty.partial").join("sub0/f.txt").exists() {
                 assert!(start.elapsed() < PATIENCE && !writer.is_finished(), "the plugin hangs in its second file");
                 std::thread::yield_now();

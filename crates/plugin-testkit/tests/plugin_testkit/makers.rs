@@ -24,7 +24,8 @@ fn gain_schema() -> Schema {
     ])
 }
 
-/// Fills all layers and bins with one value: the mean of the target's first view times the gain.
+/// A node that fills all layers and bins with one value: the mean of the target's first view times
+/// the gain.
 struct Flat;
 
 impl NodePlugin for Flat {

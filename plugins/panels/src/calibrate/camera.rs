@@ -135,7 +135,7 @@ impl Camera {
         self.homography.inverse().apply(u)
     }
 
-    /// Root mean square reprojection error, pixels.
+    /// Returns the root mean square reprojection error of `pairs`, pixels.
     pub fn rms_px(&self, pairs: &[([f64; 2], [f64; 2])]) -> f64 {
         let sum: f64 = pairs
             .iter()

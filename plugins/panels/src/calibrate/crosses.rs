@@ -94,7 +94,7 @@ pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cr
     let disc = components.iter().filter(is_disc).max_by_key(|component| component.count).map(Component::centre);
     let disc = disc.ok_or_else(|| format!("crosses: {}, but no mark", crosses.len()))?;
     let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
-    // the mark is above and right of its cross
+    // The central cross is the nearest cross that is below the mark and left of it.
     let middle = crosses
         .iter()
         .filter(|at| at[0] < disc[0] && at[1] > disc[1])
@@ -160,7 +160,7 @@ impl Darkness {
         Self { cols, rows, value: value.collect() }
     }
 
-    /// Connected components of dark pixels, by flood fill.
+    /// Returns the connected components of dark pixels.
     fn components(&self) -> Vec<Component> {
         // Smooth by a 3 × 3 box filter, which removes noise.
         let mut smooth = self.value.clone();

@@ -76,9 +76,9 @@ const FEWEST: usize = 9;
 /// Largest reprojection error with which a photograph is accepted, pixels of the photograph.
 const ROUGH_PX: f64 = 3.0;
 
-/// Calibrates the panels of all layers but the reference, each from one photograph. `eye_mm` is the
-/// camera position of the drawn array, display space. Returns the fitted camera and one result per
-/// layer.
+/// Calibrates the panels of all layers except the reference layer, each from one photograph.
+/// `eye_mm` is the camera's position in display space, for which the array was drawn. Returns the
+/// fitted camera and one result per layer.
 ///
 /// # Errors
 /// If a photograph does not show the array, or the camera model does not fit its crosses.
@@ -115,7 +115,8 @@ pub fn calibrate(
             (pairs.iter().map(|(q, t)| distance(*q, *t).powi(2)).sum::<f64>() / pairs.len() as f64).sqrt()
         };
         let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
-        // Compose with the previous calibration, normalized so that the last element is 1.
+        // Compose the new map with the panel's previous homography. Scale the result so that its
+        // last element is 1.
         let before = display.layers[layer].panel.as_ref().and_then(|panel| panel.homography);
         let mut homography = map.after(&before.map_or(Homography::IDENTITY, Homography));
         let scale = homography.0[2][2];

@@ -1,4 +1,5 @@
-//! The main thread: windows on outputs, keys, commands, and outputs that disappear.
+//! The main thread of a presentation. It handles windows, keys, commands, and outputs that
+//! disappear.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -27,7 +28,7 @@ use crate::{Feed, Picture, Shows};
 
 /// Interval of the checks for changed outputs, for the end of the duration, and for cancellation.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
-/// Longest time in which windows must reach the size of their outputs.
+/// Time in which every window must reach the size of its output.
 const RESIZE_TIMEOUT: Duration = Duration::from_secs(5);
 /// Time that a thread has to end. After this time the connection to the windowing system is closed,
 /// since a hidden surface can block the present loop for ever.
@@ -35,7 +36,7 @@ const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(2);
 /// Delay before a graphics failure is reported. Its cause may be a lost output or session, which is
 /// detected within this delay and then reported instead.
 const FAILURE_DELAY: Duration = Duration::from_millis(500);
-/// Time without a refresh after which a warning is emitted.
+/// Time without a refresh after which the user gets a warning.
 const STALL_TIMEOUT: Duration = Duration::from_secs(2);
 /// Title of the surface across all outputs, by which sway's rule finds the window.
 const SPAN_TITLE: &str = "lumistack panels: span";
@@ -44,7 +45,8 @@ const SPAN_TITLE: &str = "lumistack panels: span";
 const REACH: f64 = 1.2;
 
 /// Runs a presentation until a key, a command, `cancelled` or the duration ends it. `emit` receives
-/// events from any thread. Call it once per process, on macOS on the main thread.
+/// events from any thread. Call this function once per process. On macOS it must run on the main
+/// thread.
 ///
 /// # Errors
 /// If there is no windowing system, no graphics driver or too few outputs. Also if an output is
@@ -88,7 +90,7 @@ pub fn present(
 }
 
 struct App<'a> {
-    /// Taken when the threads start.
+    /// The settings; `None` after the threads have started, which take them.
     settings: Option<Settings>,
     cancelled: &'a dyn Fn() -> bool,
     emit: Arc<dyn Fn(Event) + Send + Sync>,
@@ -309,7 +311,7 @@ impl App<'_> {
         let Settings { mut display, content, mode, fit, hold, duration, log } =
             self.settings.take().expect("not yet started");
         let windows = self.windows.iter().map(|(window, name, _)| (window.clone(), name.clone())).collect();
-        // Open the GPU, and in a preview use the window as the only output.
+        // Open the GPU. In a preview, use the window as the only output.
         let (gpu, screens) = gpu::open(event_loop, windows)?;
         if mode == Mode::Window {
             let size = self.windows[0].0.inner_size();

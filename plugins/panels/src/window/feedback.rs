@@ -57,7 +57,7 @@ impl Feedback {
         self.presentation.feedback(&self.surfaces[screen], &self.queue.handle(), Request { screen, index });
     }
 
-    /// Dispatches the answers that have arrived.
+    /// Adds the answers that have arrived to the statistics.
     pub(super) fn dispatch(&mut self) {
         let _ = self.queue.dispatch_pending(&mut self.state);
     }

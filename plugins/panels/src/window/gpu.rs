@@ -36,7 +36,7 @@ pub(super) struct Viewport {
     pub(super) screen: usize,
     /// [x, y] of the area's upper left pixel on the screen.
     pub(super) origin: [u32; 2],
-    /// [columns, rows] on the screen; `None` for the whole screen.
+    /// [columns, rows] of the area; `None` for the whole screen.
     pub(super) extent: Option<[u32; 2]>,
 }
 
@@ -207,8 +207,8 @@ impl Gpu {
         Self { device, queue, failure, pipeline, layout }
     }
 
-    /// Uploads the code values `[row][col][red, green, blue, 255]` of one output and submits the
-    /// copy immediately.
+    /// Uploads the code values `[row][col][red, green, blue, 255]` of one output. The upload is
+    /// submitted immediately.
     pub(super) fn load(&self, codes: &[u8], [cols, rows]: [usize; 2], origin: [u32; 2]) -> wgpu::BindGroup {
         let size = wgpu::Extent3d { width: cols as u32, height: rows as u32, depth_or_array_layers: 1 };
         let texture = self.device.create_texture(&wgpu::TextureDescriptor {

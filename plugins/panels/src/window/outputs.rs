@@ -130,7 +130,7 @@ mod x11 {
     pub(in crate::window) struct Server {
         connection: RustConnection,
         root: u32,
-        /// Outputs with a monitor at the start.
+        /// Names of the outputs that had a monitor at the start.
         plugged: Vec<String>,
         outputs: Vec<Output>,
         /// Time of the last change event; `None` after a query has read the changes.
@@ -141,11 +141,11 @@ mod x11 {
     /// State of the keyboard focus.
     #[derive(Clone, Copy, PartialEq)]
     enum Focus {
-        /// Not set yet.
+        /// The focus is not set yet.
         NotSet,
-        /// Set to our window. Another client may have moved it.
+        /// The focus is set to our window. Another client may have moved it.
         Set,
-        /// Possibly reverted to the root window or to no window, which a query must show.
+        /// The focus may have reverted to the root window or to no window, which a query must show.
         Reverted,
     }
 

@@ -12,9 +12,9 @@ use crate::{Feed, Tally};
 /// State shared with the present loop, which reads it without blocking.
 pub(super) struct SharedState {
     pub(super) stop: AtomicBool,
-    /// Position in the period to hold, or −1 to show all positions in turn.
+    /// The position in the period that all refreshes show; −1 if all positions are shown in turn.
     pub(super) hold: AtomicI64,
-    /// Number of positions in a period: frames, times three in a colour sequence.
+    /// Number of positions in a period: the number of frames, times three in a colour sequence.
     pub(super) places: AtomicU64,
     /// True if a report is requested.
     pub(super) report: AtomicBool,
@@ -67,8 +67,8 @@ impl PresentLoop {
             if hold >= 0 {
                 place = hold as usize % count;
             }
-            // Swap only at the start of a period, so that no period mixes two stacks. A held frame
-            // may be swapped at any refresh.
+            // Take a new frame set only at the start of a period, so that no period mixes two
+            // stacks. While a frame is held, a new set may be taken at any refresh.
             if (hold >= 0 || place == 0)
                 && let Some(new) = self.shared.feed.take()
             {

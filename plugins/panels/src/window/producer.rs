@@ -39,7 +39,7 @@ pub(super) struct Producer {
 }
 
 impl Producer {
-    /// Runs until all senders are dropped.
+    /// Runs the producer until all senders of work are dropped.
     pub(super) fn run(mut self, emit: &(dyn Fn(Event) + Sync)) {
         if let Err(error) = self.make_frames() {
             emit(Event::Warning(error.to_string()));

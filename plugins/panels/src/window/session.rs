@@ -1,4 +1,4 @@
-//! The connection to the windowing system, and its errors.
+//! Opens the connection to the windowing system, and converts its errors.
 
 use winit::event_loop::{EventLoop, EventLoopBuilder};
 
