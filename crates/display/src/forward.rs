@@ -23,8 +23,8 @@ pub const LEAST_SHARE: f32 = 0.5;
 /// The light that the display emits in one view, with one ray per pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmittedView {
-    /// Emitted radiance L̃, `[row][col][rgb]`; divided by the stack's brightness it is the picture
-    /// of an adapted viewer. The radiance of rays that miss the display is 0.
+    /// Emitted radiance L̃, `[row][col][rgb]`; an adapted viewer sees it divided by the stack's
+    /// brightness. The radiance of rays that miss the display is 0.
     pub radiance: Tensor<3>,
     /// True for a valid ray, `[row][col]`: false if the ray misses the lenslets, or a layer that
     /// the display's [`Missing`] rule requires.
@@ -35,8 +35,8 @@ pub struct EmittedView {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenView {
     /// Mean of the emitted radiance L̃ over the area of the pixel with valid rays,
-    /// `[row][col][rgb]`. It is 0 if no ray of the pixel is valid. Divided by the stack's
-    /// brightness it is the picture of an adapted viewer.
+    /// `[row][col][rgb]`. It is 0 if no ray of the pixel is valid. An adapted viewer sees the
+    /// radiance divided by the stack's brightness.
     pub radiance: Tensor<3>,
     /// Fraction of the pixel's area with valid rays, 0..1, `[row][col]` row-major. The remaining
     /// rays miss the lenslets, or a layer that the display's [`Missing`] rule requires.

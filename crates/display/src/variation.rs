@@ -19,8 +19,8 @@ pub struct Variation {
     /// Brightness scale β.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brightness: Option<f64>,
-    /// Distance of neighbouring layers Δd, millimetres. If it is `None` and the number of layers
-    /// changes, it is the mean of the old distances.
+    /// Distance of neighbouring layers Δd, millimetres. If only `layers` is given, the distance is
+    /// the mean of the old distances.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gap_mm: Option<f64>,
     /// [horizontal, vertical] full angles of view of the light field and the backlight, degrees.

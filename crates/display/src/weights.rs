@@ -73,7 +73,8 @@ impl Weights {
         let shape = [view_rows, view_cols, geometry.rows, geometry.cols];
         let mut weights = Tensor::filled(["view_y", "view_x", "row", "col"], shape, floor);
         for eye_box in boxes {
-            // the Gaussian of a distance is the product of the Gaussians of its components
+            // The Gaussian of a distance is the product of the Gaussians of its components. So
+            // compute a factor for each axis.
             let [x, y] = eye_box.falloff(geometry);
             for [view_y, view_x] in geometry.grid.iter() {
                 let x = &x[view_x * geometry.cols..(view_x + 1) * geometry.cols];

@@ -32,9 +32,10 @@ pub enum Zone {
 }
 
 impl Zone {
-    /// The zone of a light field's views. Per axis it reaches half a spacing past the outermost
-    /// views, or is as wide as `fov_deg` if that is known. An axis with one view has no width,
-    /// since a display that is solved for one direction is wrong in all others.
+    /// Returns the zone of a light field's views. If `fov_deg` is known, the zone is as wide as
+    /// these full angles. Otherwise it reaches half a spacing past the outermost views. An axis
+    /// with one view has no width, since a display that is solved for one direction is wrong in all
+    /// others.
     pub fn of_grid(grid: &ViewGrid, fov_deg: Option<[f64; 2]>) -> Self {
         let slopes = [&grid.slope_x, &grid.slope_y];
         let spacing = grid.bin_width();

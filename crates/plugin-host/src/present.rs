@@ -17,7 +17,7 @@ use crate::{HostError, Registry};
 pub enum PresenterInput {
     /// A new layer stack, which replaces the previous one.
     Stack(LayerStack),
-    /// A command, in the plugin's JSON.
+    /// A command, as JSON that the plugin defines.
     Command(Value),
 }
 
@@ -26,7 +26,7 @@ pub enum PresenterInput {
 pub enum PresenterOutput<'a> {
     /// A warning for the user.
     Warning(&'a str),
-    /// An event, in the plugin's JSON.
+    /// An event, as JSON that the plugin defines.
     Event(&'a Value),
 }
 
@@ -39,8 +39,7 @@ pub struct PresentContext<'a> {
     pub first: Option<&'a LayerStack>,
     /// Receives input while the presenter runs.
     pub input: Receiver<PresenterInput>,
-    /// Called with the presenter's output. Input that the presenter refuses is reported as a
-    /// warning.
+    /// Receives the presenter's output. Input that the presenter refuses is reported as a warning.
     pub on_output: &'a (dyn Fn(PresenterOutput<'_>) + Sync),
     /// Progress and cancellation.
     pub task: Task<'a>,

@@ -21,7 +21,7 @@ pub struct OutputContext<'a> {
     pub data: OutputData<'a>,
     /// Time step; the default for a still.
     pub time: Time,
-    /// The output's folder; created if missing.
+    /// The output's folder. It is created if it does not exist.
     pub out_dir: &'a Path,
     /// Progress, warnings and cancellation.
     pub task: Task<'a>,

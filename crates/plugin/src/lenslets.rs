@@ -183,7 +183,8 @@ mod tests {
         {
             let nominal = panel(&display);
             let built = LensletPanel {
-                // The trace is exact, so with fine pixels only those on borders of bins may differ.
+                // The pixels are fine, since pixels on the borders of bins may differ from the
+                // exact trace.
                 resolution: [168 * 4, 105 * 4],
                 pitch_mm: 0.2827 / 4.0,
                 rotation_deg,

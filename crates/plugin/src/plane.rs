@@ -7,7 +7,8 @@ use lumistack_plugin_abi::{Plane, dtype};
 
 use crate::PluginError;
 
-/// A borrowed plane `[row][col][channel]` of `f32`; released on drop.
+/// A borrowed plane `[row][col][channel]` of `f32`. The plane is released when this value is
+/// dropped.
 #[derive(Debug)]
 pub struct PlaneView<'a> {
     plane: Plane,

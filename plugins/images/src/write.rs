@@ -31,8 +31,8 @@ struct Picture<'a> {
     panel: Option<Panel<'a>>,
 }
 
-/// The panel that a picture's codes drive. Codes span the range from its darkest state to its
-/// brightest.
+/// The panel that a picture's codes drive. Codes span the range from the panel's darkest state to
+/// its brightest.
 #[derive(Clone, Copy)]
 struct Panel<'a> {
     kind: PanelKind<'a>,

@@ -32,13 +32,13 @@ pub enum Missing {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
 pub enum Made {
-    /// Simulated from a layer stack, at the view's position.
+    /// The view was simulated from a layer stack, at the view's position.
     Simulated,
-    /// Copied from the light field, which has a view at this position.
+    /// The view was copied from the light field, which has a view at this position.
     Exact,
-    /// Copied from the nearest view of the light field.
+    /// The nearest view of the light field was copied.
     Nearest,
-    /// Blended from the two neighbouring views of the light field.
+    /// The two neighbouring views of the light field were blended.
     Blend,
 }
 

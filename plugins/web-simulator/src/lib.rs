@@ -12,7 +12,7 @@
 //! | `stack/target_YY_XX.png` | views of the target, sRGB-encoded, if the host provides them; at most 7 per axis |
 //!
 //! Later time steps of a sequence have their own sites in `time_0001/`, `time_0002/`, and so on.
-//! Only one frame of patterns is in memory.
+//! Memory holds only one frame of patterns at a time.
 
 mod order;
 mod page;

@@ -425,8 +425,8 @@ impl Stopped {
 fn cause_of(status: ExitStatus) -> String {
     #[cfg(unix)]
     if let Some(signal) = std::os::unix::process::ExitStatusExt::signal(&status) {
-        // These signal numbers are the same on all Unix systems, except that 7 and 31 are those of
-        // Linux.
+        // The numbers 7 and 31 have these meanings on Linux. All other numbers have them on every
+        // Unix system.
         let name = match signal {
             2 => " (interrupt)",
             3 => " (quit)",

@@ -9,7 +9,7 @@ use lumistack_plugin_abi::{Bytes, ErrorSink, Status, Str};
 
 use crate::PluginError;
 
-/// Calls the other side, with a sink for its error text.
+/// Calls a function of the other side of the interface, with a sink for its error text.
 ///
 /// # Errors
 /// The status that the other side returns, with the text that it wrote to the sink.

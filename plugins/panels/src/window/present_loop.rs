@@ -143,8 +143,8 @@ impl PresentLoop {
             self.gpu.draw(&mut encoder, &texture.texture, viewports);
         }
         self.gpu.queue.submit([encoder.finish()]);
-        // Present every surface. The presentation time must be requested before, since `present`
-        // commits the surface.
+        // Present every surface. Request its presentation time before `present`, which commits the
+        // surface.
         for (number, texture) in textures {
             #[cfg(all(unix, not(target_os = "macos")))]
             if let Some(feedback) = &mut self.feedback {
