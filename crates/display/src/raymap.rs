@@ -90,7 +90,7 @@ pub struct LayerMap {
     pub cols: usize,
 }
 
-/// The element of a directional backlight that one axis of a ray reads.
+/// The lenslet and the angular bin that a ray reads along one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BacklightTap {
     /// A lenslet and one of its angular bins.

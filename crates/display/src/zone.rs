@@ -60,7 +60,8 @@ impl Zone {
                     ViewGrid::single(*projection, [(2.0 * u - 1.0) * x, (2.0 * v - 1.0) * y])
                 }
                 Self::Eyes(boxes) => {
-                    // take the boxes in turn; within a box, directions are uniform over its disc
+                    // Take the eye boxes in turn. Within a box, spread directions uniformly over
+                    // its disc.
                     let EyeBox { eye_mm: [x, y, z], sigma_mm, .. } = boxes[i % boxes.len()];
                     let [u, v] = point(i / boxes.len());
                     let (radius, angle) = (EYE_BOX_SIGMAS * sigma_mm * u.sqrt(), std::f64::consts::TAU * v);

@@ -12,7 +12,7 @@ use crate::built_in::{BUILT_IN, same_id};
 use crate::{HostError, LoadError};
 
 /// Plugins by id: compiled-in plugins, and plugins in libraries. A library is loaded at the first
-/// use of its plugin.
+/// use of one of its plugins.
 #[derive(Debug, Default)]
 pub struct Registry {
     plugins: Vec<Plugin>,

@@ -31,17 +31,17 @@ struct State {
 }
 
 impl MemoryHost {
-    /// A host without failures.
+    /// Makes a host that never fails.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// A host whose disk is full at append `append`, counted from 0.
+    /// Makes a host whose disk is full at append number `append`, counted from 0.
     pub fn failing_at(append: usize) -> Self {
         Self { fail_at_append: Some(append), ..Self::default() }
     }
 
-    /// A host whose user cancels during append `append`, counted from 0.
+    /// Makes a host whose user cancels during append number `append`, counted from 0.
     pub fn cancelled_at(append: usize) -> Self {
         Self { cancel_at_append: Some(append), ..Self::default() }
     }
@@ -56,27 +56,28 @@ impl MemoryHost {
         self.state().committed.clone()
     }
 
-    /// Paths of files that are neither committed nor aborted.
+    /// Returns the paths of files that are neither committed nor aborted.
     pub fn open_files(&self) -> Vec<String> {
         self.state().open.values().map(|(path, _)| path.clone()).collect()
     }
 
-    /// Number of appends so far.
+    /// Returns the number of appends so far.
     pub fn appends(&self) -> usize {
         self.state().appends
     }
 
-    /// Number of files opened after cancellation.
+    /// Returns the number of files that were opened after cancellation.
     pub fn opened_after_cancel(&self) -> usize {
         self.state().opened_after_cancel
     }
 
-    /// Messages so far.
+    /// Returns all messages that the plugin has reported so far.
     pub fn messages(&self) -> Vec<(LogLevel, String)> {
         self.state().messages.clone()
     }
 
-    /// Names of the stages begun, and the number of stages still open.
+    /// Returns the names of all stages that have begun, and the number of stages that have not
+    /// ended.
     pub fn stages(&self) -> (Vec<String>, i64) {
         let state = self.state();
         (state.stages.clone(), state.depth)

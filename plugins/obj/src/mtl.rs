@@ -53,7 +53,8 @@ pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<MtlM
         let line = line.trim();
         let (key, rest) = line.split_once(|c: char| c.is_whitespace()).unwrap_or((line, ""));
         let rest = rest.trim();
-        // Keys apply to the last `newmtl`; keys before the first are ignored.
+        // Keys belong to the material of the last line `newmtl`. Keys before the first such line
+        // are ignored.
         if key == "newmtl" {
             materials.push(MtlMaterial { name: rest.to_owned(), ..MtlMaterial::default() });
             continue;

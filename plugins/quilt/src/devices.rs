@@ -9,7 +9,7 @@ use lumistack_plugin::serde_json;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct Device {
-    /// Value of the parameter `device`.
+    /// Value of the parameter `device` that selects this device.
     pub id: String,
     /// Name for users.
     pub name: String,
