@@ -56,7 +56,8 @@ fn described(adapter: &wgpu::Adapter) -> Adapter {
         kind,
         driver: [info.driver, info.driver_info].join(" ").trim().to_owned(),
         buffer_bytes: [limits.max_buffer_size, limits.max_storage_buffer_binding_size],
-        // a browser does not report the kind of a graphics processor
+        // A browser does not report the kind of an adapter, so every browser adapter of kind
+        // `other` counts as a graphics processor.
         is_hardware: ["discrete", "integrated", "virtual"].contains(&kind)
             || (info.backend == wgpu::Backend::BrowserWebGpu && kind == "other"),
     }

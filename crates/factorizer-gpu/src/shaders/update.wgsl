@@ -4,7 +4,8 @@
 const LEAST_CURVATURE: f32 = 1e-30;
 const LEAST_NORMAL: f32 = 1.17549435e-38;
 
-// Returns Σ w e² before the step, and the gain of the step as in `Outcome`.
+// Returns Σ w e² before the step, and the gain of the step as the factorizer's `Outcome` defines
+// it.
 fn update_pixel(line: u32, column: u32) -> vec2<f32> {
     let views = params.views_y * params.views_x;
     let length = FRAMES * params.own_cols;
