@@ -12,7 +12,7 @@ use crate::wait;
 /// Number of bytes that are written or read at a time.
 pub(crate) const CHUNK: u64 = 32 << 20;
 
-/// An open device.
+/// An open graphics device.
 pub struct Gpu {
     adapter: Adapter,
     pub(crate) device: wgpu::Device,
@@ -54,7 +54,7 @@ impl Gpu {
         Ok(Self { adapter, device, queue, limits, programs: Mutex::default(), failure })
     }
 
-    /// Returns the adapter.
+    /// Returns the adapter of the device.
     pub fn adapter(&self) -> &Adapter {
         &self.adapter
     }

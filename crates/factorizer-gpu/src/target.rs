@@ -5,7 +5,7 @@ use lumistack_factorizer::device::{Plan, Row};
 
 use crate::gpu::{CHUNK, Gpu};
 
-/// Target and weights.
+/// The target light field and the weights of its rays, in buffers of the device.
 pub(crate) struct Target {
     pub(crate) channels: Vec<wgpu::Buffer>,
     /// √w; `None` if all are 1.

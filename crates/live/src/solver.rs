@@ -40,7 +40,7 @@ const AHEAD: u32 = 4;
 /// The patterns from which a step starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Start {
-    /// Fresh factors.
+    /// Fresh factors, which do not depend on the previous patterns.
     Fresh,
     /// The previous patterns.
     Kept,
@@ -51,7 +51,7 @@ pub enum Start {
 /// Patterns after a step.
 #[derive(Clone, Debug)]
 pub struct Solved {
-    /// The patterns.
+    /// The patterns as a layer stack.
     pub stack: LayerStack,
     /// PSNR in dB of L̃/β against L over all rays with a weight.
     pub psnr_view: f64,
