@@ -44,7 +44,7 @@ pub struct Display {
     /// Rule for a ray that misses a layer.
     #[serde(default)]
     pub missing: Missing,
-    /// The light field.
+    /// Views and pixels of the light field that the display shows.
     pub field: FieldConfig,
     /// The light source behind the layers.
     #[serde(default)]

@@ -27,7 +27,7 @@ pub struct ViewGrid {
     pub slope_y: Vec<f64>,
 }
 
-/// An invalid grid.
+/// An error of an invalid view grid.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{what}: expected {expected}, found {found}")]
 pub struct GridError {
@@ -35,7 +35,7 @@ pub struct GridError {
     pub what: &'static str,
     /// The expected value or range.
     pub expected: &'static str,
-    /// The value found.
+    /// The invalid value.
     pub found: String,
 }
 
@@ -208,7 +208,7 @@ pub struct FieldGeometry {
     pub cols: usize,
     /// Pixel pitch on z = 0, millimetres, > 0.
     pub pitch_mm: f64,
-    /// The views.
+    /// The grid of the views.
     pub grid: ViewGrid,
 }
 

@@ -23,7 +23,7 @@ pub struct PanelStack {
     pub views: [usize; 2],
     /// [horizontal, vertical] full angles of view, degrees.
     pub fov_deg: [f64; 2],
-    /// Time-multiplexed frames M.
+    /// Number of time-multiplexed frames M.
     pub frames: usize,
     /// Refresh rate of the panels, hertz.
     pub refresh_hz: f64,

@@ -74,7 +74,7 @@ impl Tiling {
         Self { map, axes }
     }
 
-    /// Number of tiles.
+    /// Returns the number of tiles.
     pub fn count(&self) -> usize {
         self.tiles().iter().product()
     }

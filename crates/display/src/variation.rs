@@ -13,7 +13,7 @@ pub struct Variation {
     /// layer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub layers: Option<usize>,
-    /// Frames M.
+    /// Number of frames M.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frames: Option<usize>,
     /// Brightness scale β.

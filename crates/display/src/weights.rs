@@ -21,9 +21,9 @@ pub enum Weights {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("weights: expected {expected}, found {found}")]
 pub struct WeightError {
-    /// The expected value or range.
+    /// The expected shape or range of values.
     pub expected: String,
-    /// The value found.
+    /// The wrong shape or the invalid value.
     pub found: String,
 }
 

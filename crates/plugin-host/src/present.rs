@@ -32,7 +32,7 @@ pub enum PresenterOutput<'a> {
 
 /// Inputs and callbacks of a presentation.
 pub struct PresentContext<'a> {
-    /// The display.
+    /// The display that the presenter drives.
     pub display: &'a Display,
     /// The layer stack that is submitted before the presenter runs. `None` if the parameters select
     /// the content, such as a test pattern.

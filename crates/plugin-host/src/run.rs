@@ -15,7 +15,7 @@ use crate::{HostError, Registry};
 /// Inputs and target of an output.
 #[derive(Clone, Copy)]
 pub struct OutputContext<'a> {
-    /// The display.
+    /// The display of the data.
     pub display: &'a Display,
     /// A layer stack or a light field.
     pub data: OutputData<'a>,

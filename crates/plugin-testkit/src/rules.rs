@@ -7,13 +7,13 @@ use thiserror::Error;
 
 use crate::memory_host::MemoryHost;
 
-/// A violated rule.
+/// A rule of the plugin interface that a plugin violates.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{rule}: {found}")]
 pub struct Broken {
-    /// The rule.
+    /// The violated rule.
     pub rule: &'static str,
-    /// The observed behaviour.
+    /// The plugin's behaviour that violates the rule.
     pub found: String,
 }
 

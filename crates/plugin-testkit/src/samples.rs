@@ -14,7 +14,7 @@ use lumistack_plugin_host::serve::OutputData;
 pub struct Sample {
     /// The property by which the sample differs from the others.
     pub name: &'static str,
-    /// The display.
+    /// The display for which the data are made.
     pub display: Display,
     kind: Kind,
 }
@@ -26,7 +26,7 @@ enum Kind {
 }
 
 impl Sample {
-    /// The data.
+    /// Returns the data of the sample.
     pub fn data(&self) -> OutputData<'_> {
         match &self.kind {
             Kind::Stack(stack) => OutputData::LayerStack(stack, None),
@@ -34,7 +34,7 @@ impl Sample {
         }
     }
 
-    /// The data's port.
+    /// Returns the port that accepts the data.
     pub fn port(&self) -> Port {
         self.data().port()
     }

@@ -226,7 +226,7 @@ impl FieldInput<'_> {
         Ok(whole.with_depth(self.depth.clone()))
     }
 
-    /// Random seed; 1 if the host sets none.
+    /// Returns the seed for random numbers. It is 1 if the host sets none.
     pub(crate) fn seed(&self) -> u64 {
         self.seed.unwrap_or(1)
     }

@@ -55,22 +55,22 @@ impl NodeInput<'_> {
         &self.host
     }
 
-    /// The display.
+    /// Returns the display that will show the layer stack.
     pub fn display(&self) -> &Display {
         &self.display
     }
 
-    /// The time step.
+    /// Returns the time step for which the layer stack is made.
     pub fn time(&self) -> Time {
         self.time
     }
 
-    /// The light field, in the display's geometry.
+    /// Returns the light field, which has the display's geometry.
     pub fn field(&self) -> &FieldInput<'_> {
         &self.field
     }
 
-    /// Random seed.
+    /// Returns the seed for random numbers.
     pub fn seed(&self) -> u64 {
         self.field.seed()
     }

@@ -45,7 +45,7 @@ impl PlaneView<'_> {
         self.plane.shape[0]
     }
 
-    /// Number of columns.
+    /// Returns the number of columns.
     pub fn cols(&self) -> usize {
         self.plane.shape[1]
     }

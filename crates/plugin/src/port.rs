@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Port {
-    /// A validated scene.
+    /// A scene that the host has validated.
     Scene,
     /// Linear radiance of many views.
     LightField,

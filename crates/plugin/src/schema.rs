@@ -16,7 +16,7 @@ pub struct Schema {
     pub params: Vec<Param>,
 }
 
-/// One parameter.
+/// Describes one parameter of a plugin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Param {
     /// Key in job files: lower-case letters, digits and underscores.
@@ -35,39 +35,39 @@ pub struct Param {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Kind {
-    /// True or false.
+    /// The value is true or false.
     Bool {
-        /// Value when none is given.
+        /// Value of the parameter if the job does not set it.
         default: bool,
     },
-    /// A whole number.
+    /// The value is a whole number.
     Int {
-        /// Value when none is given.
+        /// Value of the parameter if the job does not set it.
         default: i64,
-        /// Smallest value.
+        /// Smallest allowed value.
         min: i64,
-        /// Largest value.
+        /// Largest allowed value.
         max: i64,
     },
-    /// A number.
+    /// The value is a finite number.
     Float {
-        /// Value when none is given.
+        /// Value of the parameter if the job does not set it.
         default: f64,
-        /// Smallest value.
+        /// Smallest allowed value.
         min: f64,
-        /// Largest value.
+        /// Largest allowed value.
         max: f64,
     },
-    /// One of several words.
+    /// The value is one of several words.
     Choice {
-        /// Value when none is given.
+        /// Value of the parameter if the job does not set it.
         default: String,
-        /// The words.
+        /// The allowed words.
         options: Vec<Choice>,
     },
-    /// Any text.
+    /// The value is any text.
     Text {
-        /// Value when none is given.
+        /// Value of the parameter if the job does not set it.
         default: String,
     },
     /// The path of a file that the plugin reads; empty for none. Hosts make the path absolute. A
@@ -78,9 +78,9 @@ pub enum Kind {
 /// One word of a [`Kind::Choice`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Choice {
-    /// The word.
+    /// The word that users write.
     pub value: String,
-    /// The word's meaning.
+    /// The meaning of the word.
     pub help: String,
 }
 
@@ -133,7 +133,7 @@ impl Param {
         Self { name: name.into(), kind, unit: None, help: help.into() }
     }
 
-    /// The default value.
+    /// Returns the default value of the parameter.
     pub fn default_value(&self) -> Value {
         match &self.kind {
             Kind::Bool { default } => Value::from(*default),
@@ -262,27 +262,27 @@ pub enum ParamError {
     /// There is no such parameter.
     #[error("unknown parameter `{name}`{}", hint(nearest.as_deref(), known))]
     Unknown {
-        /// The given name.
+        /// The given name, which no parameter has.
         name: String,
-        /// The most similar parameter.
+        /// The name of the most similar parameter.
         nearest: Option<String>,
-        /// All parameters.
+        /// The names of all parameters of the plugin.
         known: Vec<String>,
     },
     /// The value is of the wrong type or out of range.
     #[error("parameter `{name}`: expected {expected}, found {found}")]
     Value {
-        /// The parameter.
+        /// The name of the parameter.
         name: String,
-        /// Type and range.
+        /// The parameter's type and range.
         expected: String,
-        /// The given value.
+        /// The value that was given.
         found: String,
     },
     /// The parameters are no JSON object.
     #[error("parameters: expected an object of names and values, found {found}")]
     NotAnObject {
-        /// The given value.
+        /// The value that was given.
         found: String,
     },
 }

@@ -1,6 +1,6 @@
 //! Viewpoints from which a display is seen.
 
-/// A viewpoint.
+/// A viewpoint from which a display is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ViewPoint {
     /// A parallel projection of slope (s_x, s_y), which an eye at a large distance sees.

@@ -18,7 +18,7 @@ use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{NodeInput, NodePlugin, PluginError, Schema, expects, export_plugin};
 
-/// The plugin.
+/// The plugin `directional_sequence`.
 pub struct DirectionalSequence;
 
 /// The plugin has no parameters.

@@ -17,7 +17,7 @@ use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{NodeInput, NodePlugin, PluginError, Schema, expects, export_plugin};
 
-/// The plugin.
+/// The plugin `integral_imaging`.
 pub struct IntegralImaging;
 
 /// The plugin has no parameters.

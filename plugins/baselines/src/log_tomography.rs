@@ -20,7 +20,7 @@ use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Display, NodeInput, NodePlugin, Param, PluginError, Schema, expects, export_plugin};
 
-/// The plugin.
+/// The plugin `log_tomography`.
 pub struct LogTomography;
 
 /// Parameters; see [`LogTomography::schema`](NodePlugin::schema) for their meaning.

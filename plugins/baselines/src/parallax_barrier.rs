@@ -23,7 +23,7 @@ use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{NodeInput, NodePlugin, Param, PluginError, Schema, expects, export_plugin};
 
-/// The plugin.
+/// The plugin `parallax_barrier`.
 pub struct ParallaxBarrier;
 
 /// Parameters; see [`ParallaxBarrier::schema`](NodePlugin::schema) for their meaning.

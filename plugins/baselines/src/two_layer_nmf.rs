@@ -21,7 +21,7 @@ use lumistack_plugin::display::{LayerStack, Weights};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{NodeInput, NodePlugin, Param, PluginError, Schema, expects, export_plugin};
 
-/// The plugin.
+/// The plugin `two_layer_nmf`.
 pub struct TwoLayerNmf;
 
 /// Parameters; see [`TwoLayerNmf::schema`](NodePlugin::schema) for their meaning.

@@ -50,7 +50,7 @@ pub use params::ImagesParams;
 /// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin `images`.
 #[derive(Debug)]
 pub struct Images {
     host: Host,

@@ -36,7 +36,7 @@ use crate::up::Up;
 /// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin `obj`.
 pub struct Obj;
 
 /// Parameters; see [`Obj::schema`](ImporterPlugin::schema) for their meaning.

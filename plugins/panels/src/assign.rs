@@ -38,7 +38,7 @@ pub enum AssignError {
         needed: usize,
         /// The panels to show.
         wanted: String,
-        /// The outputs present.
+        /// The names of the outputs that are present.
         found: String,
     },
     /// The display file names an output that is not present.
@@ -46,9 +46,9 @@ pub enum AssignError {
     Unknown {
         /// The key of the display file.
         key: String,
-        /// The key's value.
+        /// The name of an output, which is the value of the key.
         name: String,
-        /// The outputs present.
+        /// The names of the outputs that are present.
         found: String,
     },
     /// The display file names an output twice.
@@ -56,7 +56,7 @@ pub enum AssignError {
     Twice {
         /// The key of the display file.
         key: String,
-        /// The key's value.
+        /// The name of an output, which is the value of the key.
         name: String,
     },
 }

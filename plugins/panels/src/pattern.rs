@@ -21,7 +21,7 @@ use thiserror::Error;
 use crate::picture::pixels;
 use crate::{Picture, Place, Shows};
 
-/// A test pattern.
+/// A test pattern for the panels of a display.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pattern {
     /// Crosses on every layer, which coincide for one eye position.
@@ -45,9 +45,9 @@ pub enum Pattern {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("pattern: expected {expected}, found {found}")]
 pub struct PatternError {
-    /// The expected value.
+    /// The expected text or range.
     pub expected: String,
-    /// The value found.
+    /// The invalid text or value.
     pub found: String,
 }
 

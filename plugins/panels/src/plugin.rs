@@ -19,7 +19,7 @@ use crate::window;
 /// paper's photographs.
 const DISTANCE_MM: f64 = 2000.0;
 
-/// The plugin.
+/// The plugin `panels`.
 #[derive(Debug)]
 pub struct Panels {
     host: Host,

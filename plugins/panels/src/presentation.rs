@@ -15,7 +15,7 @@ use crate::tally::Tally;
 pub struct Settings {
     /// The display, with its panels' calibration.
     pub display: Display,
-    /// The first content.
+    /// The content that is shown first.
     pub content: Content,
     /// The surfaces to open.
     pub mode: Mode,
@@ -53,7 +53,7 @@ pub enum Content {
     },
     /// A preview of the display from one angle, in an ordinary window.
     Preview {
-        /// The layer stack.
+        /// The layer stack that the preview simulates.
         stack: LayerStack,
         /// Direction of the viewer, degrees to the right and up from the display's axis.
         from_deg: [f64; 2],
@@ -68,7 +68,7 @@ pub enum Mode {
     Outputs,
     /// One surface across all outputs, so that all outputs flip together.
     Span,
-    /// An ordinary window.
+    /// One ordinary window.
     Window,
 }
 
@@ -106,9 +106,9 @@ pub enum Command {
 pub enum Event {
     /// An output drives a panel.
     Shows {
-        /// The panel.
+        /// The panel, named by its layer or the backlight.
         panel: Shows,
-        /// The output's name.
+        /// The name of the output.
         output: String,
         /// The output's upper left corner in the layout of all outputs, pixels.
         position: [i32; 2],
@@ -131,7 +131,7 @@ pub enum Event {
     Warning(String),
     /// The user has shifted a panel, or has selected another panel for shifts.
     Nudged {
-        /// The panel.
+        /// The panel, named by its layer or the backlight.
         panel: Shows,
         /// The panel's shift to the right and down, panel pixels.
         nudge_px: [f64; 2],

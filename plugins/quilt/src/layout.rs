@@ -16,9 +16,9 @@ use crate::devices::Device;
 pub struct Layout {
     /// [columns, rows] of the quilt's pixels.
     pub size: [usize; 2],
-    /// Columns of views.
+    /// Number of columns of views in the quilt.
     pub columns: usize,
-    /// Rows of views.
+    /// Number of rows of views in the quilt.
     pub rows: usize,
     /// Width over height of one view.
     pub aspect: f64,
@@ -72,7 +72,7 @@ impl Layout {
         Ok(Self { size, columns, rows, aspect })
     }
 
-    /// Number of views.
+    /// Returns the number of views in the quilt.
     pub fn views(&self) -> usize {
         self.columns * self.rows
     }

@@ -41,7 +41,7 @@ const H264_SIDE: usize = 6000;
 /// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin `quilt`.
 #[derive(Debug)]
 pub struct Quilt {
     host: Host,

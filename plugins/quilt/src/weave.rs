@@ -38,7 +38,7 @@ pub struct Calibration {
     pub slope: f64,
     /// Phase that is subtracted: `center` in the equations of this file.
     pub center: f64,
-    /// Pixels per inch.
+    /// Number of panel pixels per inch.
     pub dpi: f64,
     /// [columns, rows] of the screen.
     pub screen: [usize; 2],

@@ -18,7 +18,7 @@ use lumistack_splats::read::{Axes, Found, read};
 /// that depends on this code.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin `splats`.
 pub struct Splats;
 
 /// Parameters; see [`Splats::schema`](ImporterPlugin::schema) for their meaning.

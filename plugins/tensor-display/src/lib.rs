@@ -11,7 +11,7 @@ use lumistack_plugin::{NodeInput, NodePlugin, Param, PluginError, Schema, Soluti
 /// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin `tensor_display`.
 pub struct TensorDisplay;
 
 /// Parameters; see [`TensorDisplay::schema`](NodePlugin::schema) for their meaning.

@@ -27,7 +27,7 @@ const GAP: f64 = 0.08;
 /// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin `test_views`.
 pub struct TestViews;
 
 /// Parameters; see [`TestViews::schema`](SourcePlugin::schema) for their meaning.

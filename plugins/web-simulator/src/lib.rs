@@ -44,7 +44,7 @@ const MOST_TARGETS: usize = 7;
 /// connection needs about half a second to load files of this size.
 const AROUND_FROM: usize = 1_000_000;
 
-/// The plugin.
+/// The plugin `web_simulator`.
 #[derive(Debug)]
 pub struct WebSimulator {
     host: Host,

@@ -15,7 +15,7 @@ const LOAD: &str = "LUMISTACK_PLUGIN_LOAD_S";
 /// library's path and the plugin's id are appended to `args`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Launcher {
-    /// The program.
+    /// The path of the program.
     pub program: PathBuf,
     /// Its arguments before the library's path.
     pub args: Vec<OsString>,

@@ -32,7 +32,7 @@ impl OutputData<'_> {
 /// Input data of a node.
 #[derive(Clone, Copy, Debug)]
 pub struct NodeData<'a> {
-    /// The display.
+    /// The display for which the node makes a layer stack.
     pub display: &'a Display,
     /// Time step; the default for a still.
     pub time: Time,
@@ -42,7 +42,7 @@ pub struct NodeData<'a> {
     pub weights: &'a Weights,
     /// A layer stack of the display from which the node may start.
     pub start: Option<&'a LayerStack>,
-    /// Random seed.
+    /// The seed of the node's random numbers.
     pub seed: u64,
 }
 

@@ -96,12 +96,12 @@ pub fn make_field<S: Services>(
 /// A node's layer stack, and its reports on the solution.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Made {
-    /// The layer stack.
+    /// The layer stack that the node made.
     pub stack: LayerStack,
     /// Steps of an iterative solver. Each has the time in seconds between the call of the node and
     /// the report of the step.
     pub steps: Vec<(Step, f64)>,
-    /// The solver's summary.
+    /// The solver's summary, if the node reported one.
     pub solution: Option<Solution>,
 }
 

@@ -28,7 +28,7 @@ pub enum PluginKind {
 }
 
 impl PluginKind {
-    /// The name in listings.
+    /// Returns the name of the kind in listings and messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Importer => "importer",
@@ -51,7 +51,7 @@ impl fmt::Display for PluginKind {
 pub struct PluginInfo {
     /// Name in job files and on the command line.
     pub id: String,
-    /// The kind.
+    /// The kind of the plugin.
     pub kind: PluginKind,
     /// Version of the plugin.
     pub version: String,
@@ -187,7 +187,7 @@ impl Plugin {
         &self.functions
     }
 
-    /// The plugin's description.
+    /// Returns the description of the plugin.
     pub fn info(&self) -> &PluginInfo {
         &self.info
     }

@@ -14,9 +14,9 @@ use crate::PluginError;
 pub enum Description {
     /// The layer stack of a tensor display.
     LayerStack {
-        /// Brightness β.
+        /// Brightness β of the layer stack.
         brightness: f64,
-        /// Number of frames.
+        /// Number of frames of the layer stack.
         frames: usize,
         /// [rows, cols] of each layer, rearmost first.
         layers: Vec<[usize; 2]>,
@@ -51,7 +51,7 @@ pub enum Description {
     },
 }
 
-/// Weights of rays.
+/// Weights of the rays of a light field.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RayWeights {
@@ -64,7 +64,7 @@ pub enum RayWeights {
 /// Layer stack in the display's shape, lent plane by plane.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Start {
-    /// Brightness β.
+    /// Brightness β of the layer stack.
     pub brightness: f64,
 }
 
@@ -99,7 +99,7 @@ impl TryFrom<Depth> for SeenDepth {
     }
 }
 
-/// A field geometry.
+/// Geometry of a light field: its views and pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Geometry {
     rows: usize,

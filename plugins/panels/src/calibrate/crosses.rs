@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use image::GrayImage;
 
-/// A detected cross.
+/// A cross that was detected in the photograph.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cross {
     /// [steps to the right, steps upwards] from the central cross to this cross.

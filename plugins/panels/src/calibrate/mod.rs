@@ -37,11 +37,11 @@ pub enum CalibrationError {
     /// The array was not found.
     #[error("photograph of layer {layer}: expected {expected}, found {found}")]
     Array {
-        /// The photographed layer.
+        /// Index of the photographed layer.
         layer: usize,
-        /// The expected content.
+        /// The content that the photograph should have.
         expected: String,
-        /// The content found.
+        /// The content that was found in the photograph.
         found: String,
     },
     /// The camera model does not fit the crosses.
@@ -49,7 +49,7 @@ pub enum CalibrationError {
         "photograph of layer {layer}: expected crosses of an array in perspective (reprojection error of 3 pixels at most), found {rms_px:.1} pixels. Take a sharp photograph of the whole array"
     )]
     Fit {
-        /// The photographed layer.
+        /// Index of the photographed layer.
         layer: usize,
         /// Root mean square reprojection error, pixels of the photograph.
         rms_px: f64,
@@ -59,7 +59,7 @@ pub enum CalibrationError {
 /// Calibration of one layer's panel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {
-    /// The layer.
+    /// Index of the layer.
     pub layer: usize,
     /// The panel's new homography. It includes the previous one, with which the array was drawn.
     pub homography: Homography,

@@ -70,15 +70,15 @@ pub enum WindowError {
         "graphics: expected a Vulkan or OpenGL driver that can present on {on} (Mesa's llvmpipe needs no graphics card), found {found}"
     )]
     Graphics {
-        /// The output.
+        /// The name of the output, or `the outputs`.
         on: String,
-        /// The driver's error.
+        /// The error of the graphics driver.
         found: String,
     },
     /// A window did not reach the size of its output.
     #[error("output {output}: expected a surface of {expected:?} pixels, found {found:?}: set the output's scale to 1")]
     Size {
-        /// The output's name.
+        /// The name of the output.
         output: String,
         /// [columns, rows] of the output.
         expected: [usize; 2],
@@ -94,7 +94,7 @@ pub enum WindowError {
     /// An output was disconnected.
     #[error("output {name}: disconnected while it showed {shows}: check that it is plugged in and switched on")]
     Gone {
-        /// The output's name.
+        /// The name of the output.
         name: String,
         /// The panel that it showed.
         shows: Shows,
@@ -105,7 +105,7 @@ pub enum WindowError {
         was.size[0], was.size[1], was.position[0], was.position[1], is.size[0], is.size[1], is.position[0], is.position[1]
     )]
     Changed {
-        /// The output's name.
+        /// The name of the output.
         name: String,
         /// The panel that it showed.
         shows: Shows,

@@ -25,7 +25,7 @@ pub(super) enum Work {
     Retired(FrameSet),
 }
 
-/// The producer's state.
+/// The state of the thread that makes the frame sets.
 pub(super) struct Producer {
     pub(super) display: Display,
     pub(super) content: Content,
