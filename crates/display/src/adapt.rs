@@ -299,7 +299,7 @@ mod tests {
                 bins_of_views(&display, &geometry, axis);
             }
         }
-        // bins that repeat, as behind a real lens array, serve perspective views without more bins
+        // If bins repeat, as behind a real lens array, perspective views need no additional bins.
         let mut repeated = directional();
         if let Backlight::Lenslets(backlight) = &mut repeated.backlight {
             backlight.outside_bins = OutsideBins::Repeat;

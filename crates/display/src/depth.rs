@@ -80,7 +80,8 @@ pub(crate) fn width(generators: &[[f64; 2]], g: [f64; 2]) -> f64 {
 }
 
 pub(crate) fn cutoff(generators: &[[f64; 2]], z_mm: f64) -> f64 {
-    // if all segments are parallel to u = (1, z), the bound is the sum of their spatial frequencies
+    // If all segments are parallel to u = (1, z), the bound is the sum of their spatial
+    // frequencies.
     let along = || generators.iter().map(|g| g[0]).sum();
     let bounds = generators.iter().map(|&g| (width(generators, g), cross(g, [1.0, z_mm]).abs()));
     let bounds = bounds.filter(|(_, across)| *across > 0.0).map(|(width, across)| width / across);
@@ -100,7 +101,7 @@ fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
             }
             continue;
         }
-        // with u = (1, z) and g = g_1 (1, d), |g × u| = g_1 |z − d|
+        // For u = (1, z) and g = g_1 (1, d), |g × u| is g_1 |z − d|.
         let (d, reach) = (g[1] / g[0], width / (g[0] * least));
         (low, high) = (low.max(d - reach), high.min(d + reach));
     }
@@ -226,7 +227,8 @@ mod tests {
             let grid = ViewGrid { projection, slope_x: vec![-0.05, 0.02], slope_y: vec![0.0] };
             let geometry = FieldGeometry { rows: 3, cols: 9, pitch_mm: 0.8, grid };
             for z in [-70.0, 0.0, 30.0] {
-                // x where the view's ray through the point (10, z) crosses z = 0: x + z s(x) = 10
+                // The view's ray through the point (10, z) crosses z = 0 at the x that solves x + z
+                // s(x) = 10.
                 let crossing = |view: usize| match projection {
                     Projection::Oblique => 10.0 - z * geometry.grid.slope_x[view],
                     Projection::Perspective { distance_mm } => {

@@ -331,7 +331,7 @@ fn sin2_of_quarter_turns(x: f32) -> f32 {
     const ROUND: f32 = 12_582_912.0;
     let half_turns = (0.5 * x + ROUND) - ROUND;
     let angle = std::f32::consts::FRAC_PI_2 * (x - 2.0 * half_turns);
-    // the Taylor series of the sine; its next term is at most 6e-8 for |angle| ≤ π/2
+    // Sum the Taylor series of the sine. Its next term is at most 6e-8 for |angle| ≤ π/2.
     let s = angle * angle;
     let series = [-1.0 / 39_916_800.0, 1.0 / 362_880.0, -1.0 / 5040.0, 1.0 / 120.0, -1.0 / 6.0, 1.0];
     (angle * series.into_iter().fold(0.0, |sum, factor| sum * s + factor)).powi(2)

@@ -315,13 +315,15 @@ mod tests {
             let narrow = grid.scaled(0.4);
             for z in [-90.0, 0.0, 25.0, 120.0] {
                 let shown = projection.scaled_depth(z, 0.4);
-                // x where the ray of slope `slope` through the point (x, z) crosses z = 0
+                // Compute the x at which the ray of slope `slope` through the point (x, z) crosses
+                // z = 0.
                 let seen = |slope: f64, x: f64, z: f64| match projection {
                     Projection::Oblique => x - z * slope,
                     Projection::Perspective { distance_mm } => (x - z * slope) / (1.0 - z / distance_mm),
                 };
                 let straight = seen(0.0, 17.0, z);
-                // the point at depth `shown` that appears at the same position from slope 0
+                // Find the point at depth `shown` that appears at the same position in the view of
+                // slope 0.
                 let x = match projection {
                     Projection::Oblique => straight,
                     Projection::Perspective { distance_mm } => straight * (1.0 - shown / distance_mm),

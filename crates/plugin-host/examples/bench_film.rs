@@ -147,7 +147,8 @@ struct Group(PathBuf);
 impl Group {
     fn new() -> Option<Self> {
         let name = format!("lumistack-film-{}", std::process::id());
-        // the root folder and the limit's file of control groups, for version 2 and for version 1
+        // Version 2 and version 1 of control groups differ in the root folder and in the file of
+        // the limit.
         let kinds = [("/sys/fs/cgroup", "memory.max"), ("/sys/fs/cgroup/memory", "memory.limit_in_bytes")];
         kinds.into_iter().find_map(|(root, limit)| {
             let group = Self(Path::new(root).join(&name));

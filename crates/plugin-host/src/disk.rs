@@ -118,7 +118,7 @@ impl Services for DiskHost<'_> {
         let mut files = self.files();
         let OpenFile { name, path, writer } = files.open.remove(&file).ok_or_else(|| not_open(file))?;
         files.taken.remove(&name.to_lowercase());
-        // `into_parts` drops the buffered bytes instead of writing them
+        // `into_parts` returns the buffered bytes without writing them.
         drop(writer.into_parts());
         fs::remove_file(&path).map_err(cannot("remove", &name))
     }

@@ -74,7 +74,8 @@ impl LensletPanel {
     pub fn spot(&self, [x_mm, y_mm]: [f64; 2]) -> Option<Spot> {
         let (sin, cos) = self.rotation_deg.to_radians().sin_cos();
         let [dx, dy] = [x_mm - self.offset_mm[0], y_mm - self.offset_mm[1]];
-        // coordinates along the array's axes; y points down, since rows are numbered from the top
+        // Compute the coordinates along the array's axes. The coordinate y points down, since rows
+        // are numbered from the top.
         let own = [cos * dx + sin * dy, sin * dx - cos * dy];
         let mut lens = [0usize; 2];
         let mut u = [0.0; 2];
@@ -88,7 +89,7 @@ impl LensletPanel {
             lens[axis] = index as usize;
             u[axis] = (position - index - 0.5) * self.lens_pitch_mm;
         }
-        // the offset from the lens's axis along the display's axes, y down
+        // Turn the offset from the lens's axis back to the display's axes, with y down.
         let u = [cos * u[0] + sin * u[1], cos * u[1] - sin * u[0]];
         let mut bin = [0usize; 2];
         for axis in 0..2 {

@@ -58,7 +58,7 @@ impl NodePlugin for LogTomography {
         let mut volume = Volume::new(display, &map)?;
         let [rows, cols] = [geometry.rows, geometry.cols];
         let views: Vec<[usize; 2]> = geometry.grid.iter().collect();
-        // the attenuation a_r that each ray should have, [view][row][col][rgb]
+        // Collect the attenuation a_r that each ray r should have, [view][row][col][rgb].
         let mut wanted = Vec::new();
         for &view in &views {
             let lent = field.view(view)?;
@@ -162,7 +162,8 @@ impl Volume {
                 if !hits_all {
                     continue;
                 }
-                // the error of a ray is Σ_n x_n − a_r
+                // The error of the ray r is Σ_n x_n − a_r: the sum over the layers n minus the
+                // wanted attenuation.
                 let ray = 3 * ((number * rows + row) * cols + col);
                 let mut error = [0, 1, 2].map(|c| -wanted[ray + c]);
                 for (values, &pixel) in at.iter().zip(&pixels) {

@@ -174,7 +174,7 @@ impl Cameras<'_> {
             step * distance_mm,
             distance_mm / 1000.0,
             distance_mm / 1000.0,
-            // the value of `offset`: the shift between the sensors of neighbouring cameras, pixels
+            // `offset` is the shift between the sensors of neighbouring cameras, pixels.
             step * distance_mm / self.geometry.pitch_mm,
         )
     }

@@ -133,7 +133,8 @@ fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
     let mut map = Map { file: String::new(), scale: [1.0; 2], offset: [0.0; 2], clamp: false };
     let mut rest = text.trim();
     while let Some((option, after)) = option(rest) {
-        // the largest number of arguments of the option, since an option may have fewer
+        // `most` is the largest number of the option's arguments, since some of them may be
+        // omitted.
         let most = match option {
             "-blendu" | "-blendv" | "-bm" | "-boost" | "-cc" | "-clamp" | "-imfchan" | "-texres" | "-type" => 1,
             "-mm" => 2,

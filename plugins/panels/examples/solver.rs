@@ -40,7 +40,7 @@ fn main() -> Result<(), HostError> {
                 std::thread::sleep(Duration::from_millis(300));
                 let stalls = !steady && (3.0..3.3).contains(&begun.elapsed().as_secs_f64());
                 if stalls {
-                    // stall, as a slow solver would
+                    // Stall for two seconds, as a slow solver would.
                     std::thread::sleep(Duration::from_secs(2));
                 }
                 if send.send(PresenterInput::Stack(stack(&display, number))).is_err() {

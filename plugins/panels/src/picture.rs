@@ -203,7 +203,7 @@ fn fill<T>(lookup: impl IntoIterator<Item = T>, code: impl Fn(T) -> [u8; 3]) -> 
 }
 
 fn mask_lookup(place: &Place, [cols, rows]: [usize; 2], pitch_mm: f64, resample: Sampling) -> Lookup {
-    // the position on the mask, in mask pixels, of a position on the output
+    // `at` converts a position on the output to a position on the mask, in mask pixels.
     let at = |output: [f64; 2]| {
         let [x, y] = place.mm(output)?;
         Some([x / pitch_mm + (cols as f64 - 1.0) / 2.0, (rows as f64 - 1.0) / 2.0 - y / pitch_mm])

@@ -316,7 +316,7 @@ impl Session {
         if !matches!(child.try_wait(), Ok(Some(_))) {
             #[cfg(unix)]
             if let Some(group) = i32::try_from(child.id()).ok().and_then(rustix::process::Pid::from_raw) {
-                // the group may have ended in the meantime
+                // Ignore the error, since the process group may have ended in the meantime.
                 let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
             }
             let _ = child.kill();

@@ -366,7 +366,7 @@ fn a_program_that_cannot_be_started_is_named() {
     let error = load(Some(nothing));
     assert!(error.contains("the process for it cannot be started: /no/such/program: "), "{error}");
     assert!(load(None).contains("the process for it cannot be started: no launcher is set"));
-    // a launcher whose program does not run plugins
+    // Use a launcher whose program does not run plugins.
     let other = lumistack_plugin_host::Launcher { program: "echo".into(), args: Vec::new() };
     let error = load(Some(other));
     assert!(error.contains("ended itself with exit code 0 while it was loaded"), "{error}");

@@ -77,7 +77,7 @@ fn libraries_for_other_machines_are_recognized() {
         let expected = format!("expected a library for {here} (elf), found one for {name}");
         assert!(message.starts_with(&expected), "{message}");
     }
-    // the headers of a program for Windows, without the rest of the program
+    // Make the headers of a program for Windows, without the rest of the program.
     let mut windows = vec![0; 0x40];
     windows[..2].copy_from_slice(b"MZ");
     windows[0x3c] = 0x40;

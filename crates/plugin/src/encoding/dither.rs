@@ -122,7 +122,8 @@ impl ThresholdMap {
 fn diffuse(light: &[Vec<f32>; 3], [rows, cols]: [usize; 2], rgb: &[f32]) -> Vec<u16> {
     let mut codes = vec![0; rgb.len()];
     for channel in 0..3 {
-        // the errors carried to this row and to the next row, with one more column at both ends
+        // Hold the errors that are carried to this row and to the next row. One more column at
+        // either end takes the errors that leave the picture.
         let (mut here, mut below) = (vec![0.0; cols + 2], vec![0.0; cols + 2]);
         for row in 0..rows {
             let reverse = row % 2 == 1;

@@ -29,7 +29,7 @@ fn an_update_is_the_rule_of_the_matrix() {
     let second = made_by(&PLUGIN, r#"{"iterations": 2}"#, &display, &field).unwrap();
     let map = RayMap::new(&display, field.geometry());
     let (channel, rows, cols) = (1, 3, 12);
-    // the known entries of the matrix: (rear pixel, front pixel, target)
+    // List the known entries of the matrix as (rear pixel, front pixel, target).
     let mut rays = Vec::new();
     for (view, row, col) in (0..3).flat_map(|v| (0..rows).flat_map(move |r| (0..cols).map(move |c| (v, r, c)))) {
         let [rear, front] = [0, 1].map(|n| map.layers[n].x.of_view(view)[col]);

@@ -213,7 +213,7 @@ impl Darkness {
     /// its arms, which are `arm` pixels long. Iterates until the centre moves by less than 1e-4
     /// pixels, at most six times.
     fn centre(&self, mut at: [f64; 2], arm: f64) -> Option<[f64; 2]> {
-        // the slopes of the two lines against the photograph's rows and columns
+        // `slope` holds the slopes of the two lines against the photograph's rows and columns.
         let mut slope = [0.0f64; 2];
         for _ in 0..6 {
             let mut line = [[0.0f64; 2]; 2];

@@ -82,7 +82,8 @@ fn photographs_with_a_bent_lens_and_noise_say_where_panels_are() {
         assert_eq!(found.crosses, (2 * counts[0] + 1) * (2 * counts[1] + 1));
         let mut worst: f64 = 0.0;
         for (i, j) in (-10..=10).flat_map(|i| (-10..=10).map(move |j| (f64::from(i), f64::from(j)))) {
-            // the points of a grid over the whole panel, corners included
+            // Compare the homographies at the points of a grid over the whole panel, corners
+            // included.
             let q = [i / 10.0 * 0.5 * 840.0 * 0.55, j / 10.0 * 0.5 * 525.0 * 0.55];
             let (a, b) = (truth.apply(q), found.homography.apply(q));
             worst = worst.max((a[0] - b[0]).hypot(a[1] - b[1]) / 0.55);

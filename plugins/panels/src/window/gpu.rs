@@ -53,7 +53,7 @@ const SHADER: &str = "
 
 @vertex
 fn corner(@builtin(vertex_index) i: u32) -> @builtin(position) vec4<f32> {
-    // the corners of one triangle that covers the whole target
+    // Return the corners of one triangle that covers the whole target.
     return vec4<f32>(f32(i32(i & 1u) * 4 - 1), f32(i32(i >> 1u) * 4 - 1), 0.0, 1.0);
 }
 
