@@ -161,7 +161,7 @@ pub(crate) fn chart(sheet: &Sheet) -> Page {
             let x = MARGIN_MM + col as f64 * cell[0];
             let y = height - MARGIN_MM - 4.0 - (row as f64 + 1.0) * cell[1];
             let label = (0.22 * cell[1]).min(TYPE_MM);
-            // A step of one colour prints only the channel of that colour; code 255 leaves a channel clear.
+            // A step of one colour prints only its own channel. Code 255 leaves a channel clear.
             let rgb = channels.map(|own| if own { code } else { 255 });
             let patch = [x, y + 1.4 * label, 0.92 * cell[0], cell[1] - 1.6 * label];
             page.fill(patch, rgb);
