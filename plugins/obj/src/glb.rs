@@ -49,8 +49,8 @@ impl Arrays {
     }
 }
 
-/// Makes the document. All meshes are below one node, which rotates them from the file's upward
-/// axis and scales them.
+/// Makes the glTF document. All meshes are below one node, which rotates them from the file's
+/// upward axis and scales them.
 pub(crate) fn document(
     models: &[Model],
     materials: &[MtlMaterial],

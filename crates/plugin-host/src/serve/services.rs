@@ -54,21 +54,22 @@ pub trait Services: Sync {
     fn file_append(&self, _file: u64, _bytes: &[u8]) -> Result<(), PluginError> {
         Err(self.no_files())
     }
-    /// Completes the file.
+    /// Completes the open file with this handle.
     ///
     /// # Errors
     /// If no open file has this handle, or the file cannot be completed.
     fn file_commit(&self, _file: u64) -> Result<(), PluginError> {
         Err(self.no_files())
     }
-    /// Discards the file.
+    /// Discards the open file with this handle.
     ///
     /// # Errors
     /// If no open file has this handle, or the file cannot be removed.
     fn file_abort(&self, _file: u64) -> Result<(), PluginError> {
         Err(self.no_files())
     }
-    /// The error of a host without files. A host with files implements the four functions above.
+    /// Returns the error of a host without files. A host with files implements the functions
+    /// `file_…` itself.
     fn no_files(&self) -> PluginError {
         PluginError::Refused("this host accepts no files".into())
     }
