@@ -40,7 +40,7 @@ export class Ticker {
     this.tick(performance.now());
   }
 
-  /** Tells the loop whether the element is in sight. While it is out of sight, no picture is drawn. */
+  /** Sets whether the element is in sight. While it is out of sight, no picture is drawn. */
   show(visible: boolean): void {
     if (visible === this.visible) return;
     this.visible = visible;

@@ -264,8 +264,8 @@ impl Axis {
         self.sign() * position / backlight.pitch_mm + backlight.lenslets[self.index()] as f64 / 2.0
     }
 
-    /// Angular bin of a ray of slope s: A_b/2·(1 + s/tan(α_b/2)) for A_b bins over angle α_b, in
-    /// bins from the edge of the first bin. Along y, s is negated.
+    /// Returns the angular bin of a ray of slope s, A_b/2·(1 + s/tan(α_b/2)), for A_b bins over the
+    /// angle α_b. The unit is bins, counted from the edge of the first bin. Along y, s is negated.
     pub(crate) fn bin(self, backlight: &LensletBacklight, ray: &AxisRay) -> f64 {
         let bins = backlight.views[self.index()] as f64;
         let half_width = (0.5 * backlight.fov_deg[self.index()].to_radians()).tan();

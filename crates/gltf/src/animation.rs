@@ -244,8 +244,8 @@ enum Values<const N: usize> {
         values: [Vec<[f64; N]>; 2],
         share: f64,
     },
-    /// Out-tangent b and value v at the key before the time, in-tangent a and value v at the key
-    /// after it: v_k, b_k, a_{k+1}, v_{k+1}, with their factors in the spline of the file's head.
+    /// The four terms v_k, b_k, a_{k+1} and v_{k+1} of a cubic spline, and their factors. Key k is
+    /// the last key before the time, v are values, b are out-tangents, and a are in-tangents.
     Cubic {
         values: [Vec<[f64; N]>; 4],
         factors: [f64; 4],

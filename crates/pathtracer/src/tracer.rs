@@ -635,8 +635,8 @@ impl Surface {
         }
     }
 
-    /// The fraction of `value` that the diffuse lobe contributes, 0..1 per channel. `value` is f
-    /// |cos| of all lobes for `direction`.
+    /// The fraction of `value` that the diffuse lobe contributes, 0..1 per channel. `value` is
+    /// f |cos|, summed over all lobes, for `direction`.
     fn diffuse_share(&self, value: Vec3, direction: Vec3) -> Vec3 {
         match self {
             Self::Lambert(_) => Vec3::ONE,

@@ -28,7 +28,7 @@ def finite(value):
 
 
 class Refused(Exception):
-    """The error that the scene cannot be read; the message tells the user why."""
+    """The error that the scene cannot be read; the message states the reason."""
 
 
 class Writer:

@@ -1,8 +1,8 @@
 //! The Utah teapot, tessellated from its Bézier patches.
 //!
-//! A bicubic patch is P(u, v) = Σ_i Σ_j B_i(v) B_j(u) p_ij, with control points p_ij and the
-//! Bernstein polynomials B of degree three. The normal is ∂P/∂u × ∂P/∂v, which points outwards on
-//! every patch of this data set.
+//! A bicubic patch is P(u, v) = Σ_i Σ_j B_i(v) B_j(u) p_ij. The p_ij are control points, and the
+//! B are the Bernstein polynomials of degree three. The normal is ∂P/∂u × ∂P/∂v, which points
+//! outwards on every patch of this data set.
 //!
 //! If all control points of a row coincide (a pole: the lid's knob, the middle of the bottom),
 //! ∂P/∂u and the cross product are zero there. Then the normal has the direction of its limit,

@@ -190,7 +190,7 @@ fn light(backlight: &LensletBacklight, emission: &Tensor<6>, ray: Ray, frame: us
     let mut bin_x = (bins_x as f64 / 2.0 * (1.0 + ray.slope[0] / half_angle[0])).floor() as i64;
     let mut bin_y = (bins_y as f64 / 2.0 * (1.0 - ray.slope[1] / half_angle[1])).floor() as i64;
     if backlight.outside_bins == OutsideBins::Repeat {
-        // A ray beyond the outermost bins reads the bins of a neighbouring lenslet.
+        // A ray outside all bins reads the bins of a neighbouring lenslet.
         for (bin, bins, lenslet) in [(&mut bin_x, bins_x, &mut col), (&mut bin_y, bins_y, &mut row)] {
             while *bin >= bins {
                 *bin -= bins;

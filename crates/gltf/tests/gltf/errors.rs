@@ -212,7 +212,7 @@ fn scenes_with_nothing_to_see() {
     assert!(error(&b).contains("every node that the scene lists is hidden"), "{}", error(&b));
     let b = triangle_with(|b| _ = b.set("/meshes/0/primitives", json!([])));
     assert_error(&b, &format!("/scenes/0: {nothing}: /meshes/0 has no primitives"));
-    // of several reasons, the message states the first
+    // there are several reasons, and the message states the first
     let primitives = json!([{"attributes": {"POSITION": 0}, "mode": 1}, {"attributes": {}}]);
     let b = triangle_with(|b| _ = b.set("/meshes/0/primitives", primitives));
     let reason = "/meshes/0/primitives/0: a primitive of mode Lines has no surface and is left out (primitives left out in all: 2)";

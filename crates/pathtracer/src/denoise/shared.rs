@@ -10,8 +10,8 @@
 //! D is the light that the first surface scatters diffusely, ρ_d the reflectance for it, and G all
 //! other light.
 //!
-//! p_u is the pixel where view u sees the surface point of pixel p. A point at depth z moves by (s
-//! − s')·z between views of the slopes s and s'. The weight w is 1 if u sees the same surface at
+//! View u sees the surface point of pixel p at the pixel p_u. Between two views with the slopes s
+//! and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface at
 //! p_u, and falls to 0 if it sees another surface. It follows from the distance of u's point from
 //! the plane of p's point. Nothing is averaged over neighbouring pixels, so shadows and textures
 //! stay sharp up to a pixel's rounding. E is read at the pixel nearest to p_u. G stays as rendered.

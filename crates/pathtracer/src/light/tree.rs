@@ -457,8 +457,8 @@ mod tests {
         }
     }
 
-    /// The mean square Σ E²/p of the irradiance that one light estimates, for the lights'
-    /// irradiances E and chances p. With the tree's chances its variance is much smaller than with
+    /// One light, chosen with the chance p, estimates the irradiance as E/p. The mean square of
+    /// this estimate is Σ E²/p. Its variance is much smaller with the tree's chances than with
     /// chances by power.
     #[test]
     fn the_tree_beats_a_choice_by_power() {

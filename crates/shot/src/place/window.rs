@@ -212,8 +212,8 @@ mod tests {
 
     #[test]
     fn what_is_framed_is_shown_whole() {
-        // every case is the mask of an object: a head on a thin stand; a slender animal; a wide row
-        // of small things; a speck in a corner; a full mask
+        // Every case is the mask of an object. The objects are a head on a thin stand, a slender
+        // animal, a wide row of small things, a speck in a corner, and a full mask.
         let cases: [(&str, Box<dyn Fn(usize, usize) -> bool>); 5] = [
             ("bust", Box::new(|row, col| col.abs_diff(80) < if row < 40 { 22 } else { 3 })),
             ("animal", Box::new(|row, col| (2..98).contains(&row) && col.abs_diff(80) < 9)),

@@ -24,8 +24,8 @@ def frame(size_mm: Sequence[float], z_mm: float = 0.0, spread: Sequence[float] =
 
 
 def spread_at(z_mm: float, distance_mm: float | None) -> float:
-    """Returns the width that the middle view shows at a depth z, in widths of the window: 1 in
-    parallel projection, (D - z)/D for an eye at the distance D."""
+    """Returns the width that the middle view shows at a depth z, in widths of the window. It is 1
+    in parallel projection, and (D - z)/D for an eye at the distance D."""
     return 1.0 if distance_mm is None else max((distance_mm - z_mm) / distance_mm, 0.0)
 
 

@@ -16,8 +16,8 @@ class Work:
     """Work on a thread of its own.
 
     make(report) does the work. It must call report(stage, fraction) regularly, which raises Stopped
-    after a request to stop. make may pass report as the callback to functions of the package; these
-    functions then also stop.
+    after a request to stop. make may pass report as the callback to functions of the package. Then
+    these functions also stop.
     """
 
     def __init__(self, make: Callable[[Callable[[str, float], None]], Any]) -> None:
