@@ -8,9 +8,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use lumistack_core::{Cancel, Warning, Warnings};
 use lumistack_live::{Mailbox, Tracker};
 use lumistack_pipeline::{Job, PipelineError};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::clock::now;
+use super::door::Events;
 
 /// A requested job.
 #[derive(Clone, Debug)]
@@ -140,10 +141,12 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Forwards each warning once, since a scene is rendered many times. Pages show the newest warning.
+/// Forwards each warning once, since a scene is rendered many times. Pages show the newest warning,
+/// and an attached program receives every warning.
 pub(super) struct Once<'a> {
     to: &'a dyn Warnings,
     messages: &'a Messages,
+    events: &'a Events,
     seen: Mutex<HashSet<String>>,
 }
 
@@ -169,8 +172,8 @@ impl Messages {
 const MOST_SEEN: usize = 1000;
 
 impl<'a> Once<'a> {
-    pub(super) fn new(to: &'a dyn Warnings, messages: &'a Messages) -> Self {
-        Self { to, messages, seen: Mutex::default() }
+    pub(super) fn new(to: &'a dyn Warnings, messages: &'a Messages, events: &'a Events) -> Self {
+        Self { to, messages, events, seen: Mutex::default() }
     }
 }
 
@@ -179,6 +182,7 @@ impl Warnings for Once<'_> {
         // on the page, errors of the live display itself need no place in front of the message
         let is_own = warning.place == "live";
         self.messages.say(if is_own { warning.message.clone() } else { warning.to_string() });
+        self.events.send(&json!({"event": "warning", "place": warning.place, "message": warning.message}));
         let mut seen = lock(&self.seen);
         if seen.len() >= MOST_SEEN {
             seen.clear();
