@@ -106,6 +106,11 @@ def case_live(folder, zip_path):
     # Without windows in this package, a new display has only the page.
     shown = [item.identifier for item in scene.lumistack.bl_rna.properties["live_show"].enum_items]
     assert shown == ["PAGE", *(["OUTPUTS", "SPAN", "WINDOW"] if lumistack.HAS_PANELS else [])], shown
+    for choice in shown:
+        scene.lumistack.live_show = choice
+        words = live.words_of(scene, out / "job.toml", out / "live")
+        assert words[-3:] == (["--show", choice.lower(), "--no-open"] if choice != "PAGE" else ["-o", str(out / "live"), "--no-open"]), words
+    scene.lumistack.live_show = "PAGE"
     page = LivePage(session, folder)
     until("a picture without noise", lambda: session.state.psnr > 20.0 and settled(session))
     before = page.picture()
@@ -245,7 +250,7 @@ def attaches(folder, scene, until):
     import bpy
     from bl_ext.user_default.lumistack import live, operators
 
-    run = folder / "other"
+    run, begin = folder / "other", time.monotonic()
     scene.lumistack.live_run = str(run)
 
     def fails(text):
@@ -279,7 +284,7 @@ def attaches(folder, scene, until):
             until("a change", lambda content=content: live.session.state.content > content)
             latencies.append(live.session.state.latency_s)
         assert live.status()[0][1].startswith(f"{scene.name} is live in {run}"), live.status()
-        print("note: attached, seconds:", ", ".join(f"{latency:.2f}" for latency in latencies))
+        print("note: attached, seconds:", ", ".join(f"{latency:.2f}" for latency in latencies), f"after {time.monotonic() - begin:.1f}")
         assert bpy.ops.lumistack.live() == {"FINISHED"}
         until("the end of the connection", lambda: live.session is None)
         assert live.ended == f"Detached: {run} keeps its last state", live.ended

@@ -30,7 +30,8 @@ use serde_json::{Map, Value, json};
 
 use super::clock::now;
 use super::door::random_word;
-use super::requests::{Messages, Requests, lock};
+use super::messages::Messages;
+use super::requests::{Requests, lock};
 use crate::server::Feed;
 
 /// The page's script, which requests states.

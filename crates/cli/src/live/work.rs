@@ -14,7 +14,8 @@ use serde_json::json;
 
 use super::clock::now;
 use super::door::Events;
-use super::requests::{Messages, Requests, lock};
+use super::messages::Messages;
+use super::requests::{Requests, lock};
 
 /// Time that a thread without work sleeps before it checks for the end.
 const IDLE: Duration = Duration::from_millis(20);
