@@ -259,3 +259,103 @@ fn the_mouse_in_the_window_acts_as_a_tracked_head() {
     assert!(rest.is_none_or(|zone| zone == 0.0), "{rest:?}");
     live.stop();
 }
+
+/// A program that attaches to a running display.
+struct Attached(BufReader<std::net::TcpStream>);
+
+impl Attached {
+    /// Connects to the socket of a run, and sends lines.
+    fn connect(run: &Path, lines: &str) -> Self {
+        let port = door_of(run)["port"].as_u64().unwrap();
+        let mut stream = std::net::TcpStream::connect(("127.0.0.1", port as u16)).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.write_all(lines.as_bytes()).unwrap();
+        Self(BufReader::new(stream))
+    }
+
+    fn send(&mut self, command: &Value) {
+        writeln!(self.0.get_mut(), "{command}").unwrap();
+    }
+
+    /// The next event; `None` after the end.
+    fn next(&mut self) -> Option<Value> {
+        let mut line = String::new();
+        self.0.read_line(&mut line).unwrap();
+        (!line.is_empty()).then(|| serde_json::from_str(&line).unwrap())
+    }
+
+    fn event(&mut self, fits: impl Fn(&Value) -> bool) -> Value {
+        std::iter::from_fn(|| self.next()).find(fits).expect("an event before the end")
+    }
+}
+
+fn door_of(run: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(run.join("cache/live.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn another_program_attaches_by_a_token_and_leaves_the_display_running() {
+    let folder = tempfile::tempdir().unwrap();
+    let (job, run) = (write_job(folder.path()), folder.path().join("run"));
+    let live = Live::start(&job, &run, &[]);
+    live.event(|event| event["event"] == "serving");
+    let token = json!({"token": door_of(&run)["token"]});
+
+    // without the token there is one message, and then the end
+    for wrong in ["{\"token\": \"0\"}\n", "{\"stop\": true}\n", "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", "\n"] {
+        let mut stranger = Attached::connect(&run, wrong);
+        let refused = stranger.next().unwrap();
+        assert!(refused["message"].as_str().unwrap().starts_with("token: expected a first line"), "{refused}");
+        assert_eq!(stranger.next(), None, "{wrong}");
+    }
+
+    // the program receives the address and the last state, and its commands change the display
+    let mut program = Attached::connect(&run, &format!("{token}\n{}\n", json!({"set": {"display.brightness": 0.4}})));
+    assert_eq!(program.next().unwrap(), json!({"event": "attached"}));
+    assert_eq!(program.next().unwrap()["event"], "serving");
+    let first = program.event(|event| event["event"] == "state");
+    assert!(first["content"].as_u64() >= Some(1), "{first}");
+    program.event(|event| event["content"] == 2);
+    live.state(|state| state["content"] == 2);
+    program.send(&json!({"set": {"display.bright": 0.4}}));
+    let refused = program.event(|event| event["event"] == "refused");
+    assert!(refused["message"].as_str().unwrap().contains("did you mean `brightness`?"), "{refused}");
+
+    // a second program is refused while the first one is attached
+    let mut second = Attached::connect(&run, &format!("{token}\n"));
+    let refused = second.next().unwrap();
+    assert!(refused["message"].as_str().unwrap().starts_with("a program is attached already"), "{refused}");
+    assert_eq!(second.next(), None);
+
+    // after the program has gone, the display runs, and the next one may attach
+    drop(program);
+    let mut again = (0..100).find_map(|_| {
+        let mut next = Attached::connect(&run, &format!("{token}\n"));
+        std::thread::sleep(Duration::from_millis(20));
+        (next.next().unwrap()["event"] == "attached").then_some(next)
+    });
+    let again = again.as_mut().expect("a place for the next program");
+    assert_eq!(again.event(|event| event["event"] == "state")["content"], 2);
+    let done = live.stop();
+    assert_eq!(again.event(|event| event["event"] == "done"), done);
+    assert_eq!(again.next(), None);
+    assert!(!run.join("cache/live.json").exists());
+    assert!(std::fs::read_to_string(run.join("display.toml")).unwrap().contains("brightness = 0.4"));
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn only_this_machine_and_this_user_can_attach() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let folder = tempfile::tempdir().unwrap();
+    let (job, run) = (write_job(folder.path()), folder.path().join("run"));
+    let live = Live::start(&job, &run, &[]);
+    live.state(|_| true);
+    // a socket of all interfaces would also answer at this address
+    let port = door_of(&run)["port"].as_u64().unwrap() as u16;
+    assert!(std::net::TcpStream::connect(("127.0.0.2", port)).is_err());
+    let mode = std::fs::metadata(run.join("cache/live.json")).unwrap().permissions().mode();
+    assert_eq!(mode & 0o777, 0o600);
+    live.stop();
+}

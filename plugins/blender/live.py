@@ -4,6 +4,7 @@
     handlers ──▶ session.changed_at
     timer    ──▶ scene-00012.glb ──▶ {"set": {"scene": ..., "window": ...}} ──▶ lumistack live
 
+The session starts `lumistack live`, or attaches to one that runs.
 Handlers only record that the scene has changed. A timer exports the scene, since an export in a
 handler would call the handler again. Every export writes the whole scene. The next export waits
 until the last one is shown. A rest after every export limits exports to a third of Blender's time.
@@ -20,7 +21,7 @@ from pathlib import Path
 import bpy
 import lumistack
 from lumistack.blender import handover, unshown
-from lumistack.blender.live import Files, Live, State, toml_of
+from lumistack.blender.live import Attached, Files, Live, Program, State, toml_of
 
 from . import jobs, operators, overlay, settings as settings_of
 
@@ -38,7 +39,7 @@ END_S = 10.0
 #: Our tone curve for each of Blender's view transforms. All other transforms get "agx".
 TONES = {"Standard": "linear", "Raw": "linear", "Khronos PBR Neutral": "khronos-neutral"}
 #: Settings whose change needs no new state of the display.
-_OTHER = {"rna_type", "name", "folder", "output", "renderer", "handover", "times", "iterations", "show_window", "show_depth", "show_cone", "show_picture"}
+_OTHER = {"rna_type", "name", "folder", "output", "renderer", "handover", "times", "iterations", "show_window", "show_depth", "show_cone", "show_picture", "live_run", "live_show"}
 #: These are computed from other settings.
 _OTHER |= {"window_width", "window_height"}
 
@@ -47,12 +48,13 @@ class Session:
     """A scene that is followed, and the program `lumistack live` that shows it."""
 
     def __init__(self, scene) -> None:
-        """Exports the scene and starts the program. Raises `jobs.JobError`, OSError and the errors
-        of exporters."""
+        """Exports the scene, and starts the program or attaches to one. Raises `jobs.JobError`,
+        OSError and the errors of exporters."""
         # Undo replaces the scene's Python object, but this number stays the same.
         self._uid = scene.session_uid
         self.title = scene.name
-        folder = jobs.output_folder(scene)
+        # A program to which the session attaches has another working folder.
+        folder = jobs.output_folder(scene).absolute()
         self._scenes = Files(folder / "live-scene", "scene", ".glb")
         self._displays = Files(folder / "live-scene", "display", ".toml")
         self._digest = b""
@@ -72,12 +74,19 @@ class Session:
         self.is_exporting = False
         self._asked = False
         self._next = 0.0
+        #: The run folder of the program to which the session attaches; None if it starts one.
+        self.run = run_of(scene)
         self._sent = dict(self._settings(scene))
-        job = {"name": scene.name, "scene": self._export(scene), **self._sent}
-        path = folder / "live-scene" / "job.toml"
-        path.write_text(toml_of(job), encoding="utf-8")
-        words = [sys.executable, "-m", "lumistack", "--json", "live", str(path), "-o", str(folder / "live")]
-        self.program = Live([*words, *(["--no-open"] if bpy.app.background else [])], operators.preview_environment())
+        job = {"scene": self._export(scene), **self._sent}
+        self.program: Program
+        if self.run is None:
+            path = folder / "live-scene" / "job.toml"
+            path.write_text(toml_of({"name": scene.name, **job}), encoding="utf-8")
+            self.program = Live(words_of(scene, path, folder / "live"), operators.preview_environment())
+        else:
+            self.program = Attached(self.run)
+            # The other keys of the program's own scene do not belong to this scene.
+            self.program.change({"pose": None, "importer": None, **job}, time.monotonic())
 
     @property
     def state(self) -> State:
@@ -193,6 +202,19 @@ class Session:
         return str(path)
 
 
+def run_of(scene) -> Path | None:
+    """The run folder of the program to which the scene's session attaches; None if it starts one."""
+    text = scene.lumistack.live_run.strip()
+    return Path(bpy.path.abspath(text)) if text else None
+
+
+def words_of(scene, job: Path, run: Path) -> list[str]:
+    """The command line that starts the program."""
+    words = [sys.executable, "-m", "lumistack", "--json", "live", str(job), "-o", str(run)]
+    show = scene.lumistack.live_show
+    return [*words, *([] if show == "PAGE" else ["--show", show.lower()]), *(["--no-open"] if bpy.app.background else [])]
+
+
 #: The running session, and a line for the panel about the end of the last one.
 session: Session | None = None
 ended = ""
@@ -232,11 +254,17 @@ def step() -> bool:
     if session.step():
         return True
     state = session.state
-    if session.is_stopping:
-        reason = f" ({session.reason})" if session.reason else ""
-        ended = f"Live has ended{reason}. The last state is in {Path(state.report).parent}" if state.report else f"Live has ended{reason}"
+    reason = f" ({session.reason})" if session.reason else ""
+    # A program to which the session was attached may name its report relative to another folder.
+    place = f"The last state is in {session.run or Path(state.report).parent}"
+    if session.is_stopping and session.run is not None:
+        ended = f"Detached{reason}: {session.run} keeps its last state"
+    elif session.is_stopping:
+        ended = f"Live has ended{reason}. {place}" if state.report else f"Live has ended{reason}"
     elif state.report:
-        ended = f"Live was ended outside Blender. The last state is in {Path(state.report).parent}"
+        ended = f"Live was ended outside Blender. {place}"
+    elif session.run is not None:
+        ended = f"{session.run}: lumistack live stopped unexpectedly"
     else:
         ended = f"lumistack live stopped unexpectedly (status {state.code}): {state.problem or 'it gave no reason'}"
     session = None
@@ -270,7 +298,8 @@ def status() -> list[tuple[str, str]]:
         lines = [("SORTTIME", f"{session.title}: waits for the first picture")]
     else:
         after = "" if state.latency_s is None else f", the last change after {state.latency_s:.1f} s"
-        lines = [("REC", f"{session.title} is live{after}")]
+        where = "" if session.run is None else f" in {session.run}"
+        lines = [("REC", f"{session.title} is live{where}{after}")]
     lines += [("ERROR", text) for text in (session.note, state.problem) if text]
     return lines
 
@@ -301,7 +330,7 @@ _HANDLERS = {"depsgraph_update_post": _changed, "frame_change_post": _changed_al
 
 
 class LUMISTACK_OT_live(bpy.types.Operator):
-    """Start or stop a display in the browser that follows every change of the scene, rendered by Lumistack's path tracer"""
+    """Start or stop a display that follows every change of the scene, rendered by Lumistack's path tracer"""
 
     bl_idname = "lumistack.live"
     bl_label = "Live"

@@ -6,6 +6,7 @@ from __future__ import annotations
 import textwrap
 
 import bpy
+import lumistack
 
 from . import jobs, live, overlay, settings as settings_of
 
@@ -65,13 +66,16 @@ class LUMISTACK_PT_live(_Panel, bpy.types.Panel):
     bl_parent_id = "LUMISTACK_PT_main"
 
     def draw(self, context):
-        layout, _ = self.begin(context)
+        layout, settings = self.begin(context)
         session = live.session
         row = layout.row(align=True)
         if session is None:
-            row.operator("lumistack.live", text="Start Live", icon="PLAY")
+            row.operator("lumistack.live", text="Attach" if settings.live_run.strip() else "Start Live", icon="PLAY")
+            layout.prop(settings, "live_run")
+            if lumistack.HAS_PANELS and not settings.live_run.strip():
+                layout.prop(settings, "live_show")
         else:
-            row.operator("lumistack.live", text="Stop Live", icon="PAUSE", depress=True)
+            row.operator("lumistack.live", text="Stop Live" if session.run is None else "Detach", icon="PAUSE", depress=True)
             if session.state.address:
                 row.operator("wm.url_open", text="Open Page", icon="URL").url = session.state.address
         column = layout.column(align=True)

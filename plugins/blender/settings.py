@@ -26,6 +26,16 @@ def fields(plugin: str) -> list[forms.Field]:
     return next((forms.fields_of(each) for each in plugins() if each["id"] == plugin), [])
 
 
+#: Places of a live display. The others than the page need a package that can open windows.
+_SHOWN = [("PAGE", "Page", "In the browser")]
+if lumistack.HAS_PANELS:
+    _SHOWN += [
+        ("OUTPUTS", "Panels", "Also on the connected panels, one surface per panel"),
+        ("SPAN", "One Surface", "Also on the connected panels, as one surface across all of them"),
+        ("WINDOW", "Window", "Also as a preview in a window"),
+    ]
+
+
 def _presets():
     return [(name, name.replace("-", " ").capitalize(), "") for name in lumistack.displays()]
 
@@ -205,6 +215,10 @@ def _settings_class():
             items=[("CURRENT", "Current Frame", "A still"), ("RANGE", "Frame Range", "The scene's frames; each starts with the patterns of the previous one")],
         ),
         "folder": StringProperty(name="Folder", description="Folder of views, patterns and outputs", subtype="DIR_PATH", default="//lumistack"),
+        "live_run": StringProperty(
+            name="Attach To", description="Run folder of a lumistack live that already runs, which then follows this scene. Empty: a new one is started", subtype="DIR_PATH"
+        ),
+        "live_show": EnumProperty(name="Show", description="Where a new live display appears", items=_SHOWN, default="PAGE"),
         "output": EnumProperty(name="Output", description="Additional output besides the patterns", items=_outputs(), default="NONE"),
         "show_window": BoolProperty(name="Window", description="Draw the display's window in the 3D view", default=True, **draw),
         "show_depth": BoolProperty(name="Depth of Field", description="Draw the depths that the display shows sharply", default=True, **draw),

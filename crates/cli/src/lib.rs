@@ -40,6 +40,9 @@ pub use info::describe_path;
 #[cfg(feature = "dynamic")]
 pub use lumistack_pipeline::{Launcher, plugin_child};
 
+/// True in a build with the feature `panels`, which can open windows.
+pub const HAS_PANELS: bool = cfg!(feature = "panels");
+
 /// First argument of a process that runs the plugin of a shared library for another process.
 pub const PLUGIN_CHILD: &str = "__plugin";
 

@@ -11,7 +11,9 @@
 
 mod clock;
 mod control;
+mod door;
 mod feed;
+mod messages;
 mod requests;
 mod watch;
 mod work;
@@ -32,8 +34,10 @@ use lumistack_plugin_panels::presentation::{Command, Event};
 use serde_json::json;
 
 use self::control::{read_commands, read_packets};
+use self::door::{Door, Events};
 use self::feed::{Guest, PageFeed};
-use self::requests::{Once, Requests, lock};
+use self::messages::Once;
+use self::requests::{Requests, lock};
 use self::watch::Watched;
 use self::work::{Rates, Shared, render, solve};
 use crate::console::{say, tell};
@@ -167,10 +171,12 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
         PipelineError::option("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
     })?;
     let socket = args.opentrack.map(open_socket).transpose()?;
+    // a video has its own light fields, so no program can change them
+    let door = (!args.times).then(|| Door::open(&folder.cache())).transpose()?;
 
     let title = job.name.clone();
-    let shared = Shared::new(Requests::new(job), args.updates, args.sigma_mm);
-    let warnings = Once::new(task.warnings, &shared.messages);
+    let shared = Shared::new(Requests::new(job), Events::new(json), args.updates, args.sigma_mm);
+    let warnings = Once::new(task.warnings, &shared.messages, &shared.events);
     let work = Task { progress: &NoProgress, warnings: &warnings, cancel: task.cancel };
     // A thread that waits for a line of input cannot be ended, so it is detached.
     let requests = shared.requests.clone();
@@ -183,7 +189,10 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     // Threads run until the user, a command or the end of the video stops them.
     let ended = std::thread::scope(|scope| {
         let renderer = scope.spawn(|| render(live_fields, &shared, rates, registry, work));
-        let solver = scope.spawn(|| solve(solver, &shared, json, work));
+        let solver = scope.spawn(|| solve(solver, &shared, work));
+        if let Some(door) = &door {
+            scope.spawn(|| door.attend(&shared.requests, &shared.events));
+        }
         if let Some(socket) = &socket {
             scope.spawn(|| read_packets(socket, args.head_mm.0, &shared.requests, work));
         }
@@ -218,13 +227,12 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
         Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel },
     )?;
     let psnr_view = state.psnr_view;
-    if json {
-        let psnr_view = psnr_view.is_finite().then_some(psnr_view);
-        say!(
-            "{}",
-            json!({"event": "done", "states": number, "dropped": dropped, "psnr_view": psnr_view, "report": report.to_string_lossy()})
-        );
-    } else {
+    let shown_psnr = psnr_view.is_finite().then_some(psnr_view);
+    shared.events.say(
+        &json!({"event": "done", "states": number, "dropped": dropped, "psnr_view": shown_psnr, "report": report.to_string_lossy()}),
+    );
+    shared.events.end();
+    if !json {
         let video = if args.times { format!(", skipped time steps: {dropped}") } else { String::new() };
         say!("states: {number}{video}; the last has PSNR {psnr_view:.1} dB at the solver's views");
         say!("{}", report.display());
@@ -258,9 +266,9 @@ fn serve_page(
         std::thread::sleep(TICK);
     }
     let address = format!("http://localhost:{}/", port_of(server));
-    match json {
-        true => say!("{}", json!({"event": "serving", "address": address})),
-        false => say!("{address}   (Ctrl-C ends it)"),
+    shared.events.say(&json!({"event": "serving", "address": address}));
+    if !json {
+        say!("{address}   (Ctrl-C ends it)");
     }
     if !args.no_open
         && let Err(error) = opener::open_browser(&address)

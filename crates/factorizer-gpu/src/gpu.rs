@@ -12,12 +12,18 @@ use crate::wait;
 /// Number of bytes that are written or read at a time.
 pub(crate) const CHUNK: u64 = 32 << 20;
 
+/// Number of threads of a workgroup, as in the shaders.
+pub(crate) const GROUP: usize = 64;
+
 /// An open graphics device.
 pub struct Gpu {
     adapter: Adapter,
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
     pub(crate) limits: wgpu::Limits,
+    /// Number of results of a workgroup: its largest number of subgroups, or 1 if shaders do not
+    /// sum by subgroups.
+    pub(crate) parts: usize,
     programs: Mutex<HashMap<String, wgpu::ComputePipeline>>,
     failure: Arc<Mutex<Option<String>>>,
 }
@@ -32,8 +38,17 @@ impl Gpu {
         let failed = |device: &str, why: String| FactorizeError::Device { device: device.into(), why };
         let (adapter, found) = adapters::choose(name).map_err(|why| failed(name.unwrap_or("gpu"), why))?;
         let limits = found.limits();
-        let descriptor =
-            wgpu::DeviceDescriptor { label: Some("factorizer"), required_limits: limits.clone(), ..Default::default() };
+        // A browser needs another line in the shader, which wgpu's own parser does not know.
+        let offered = if cfg!(target_arch = "wasm32") { wgpu::Features::empty() } else { found.features() };
+        let features = offered & wgpu::Features::SUBGROUP;
+        let least = found.get_info().subgroup_min_size.max(1) as usize;
+        let parts = if features.is_empty() { 1 } else { GROUP.div_ceil(least) };
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("factorizer"),
+            required_features: features,
+            required_limits: limits.clone(),
+            ..Default::default()
+        };
         let (device, queue) = wait::block_on(async move { found.request_device(&descriptor).await })
             .map_err(|error| failed(&adapter.name, error.to_string()))?;
         let failure = Arc::new(Mutex::new(None));
@@ -51,7 +66,7 @@ impl Gpu {
         device.set_device_lost_callback(move |_, message| {
             lost(format!("the device was lost: {message}").trim_end_matches(": ").to_owned() + remedy);
         });
-        Ok(Self { adapter, device, queue, limits, programs: Mutex::default(), failure })
+        Ok(Self { adapter, device, queue, limits, parts, programs: Mutex::default(), failure })
     }
 
     /// Returns the adapter of the device.
@@ -63,6 +78,13 @@ impl Gpu {
     #[must_use]
     pub fn with_binding_bytes(mut self, bytes: u64) -> Self {
         self.limits.max_storage_buffer_binding_size = self.limits.max_storage_buffer_binding_size.min(bytes);
+        self
+    }
+
+    /// Makes shaders sum without subgroups, so that tests compare both ways.
+    #[must_use]
+    pub fn without_subgroups(mut self) -> Self {
+        self.parts = 1;
         self
     }
 

@@ -82,6 +82,20 @@ impl Device {
         Ok(Self { gpu: Arc::new(gpu) })
     }
 
+    /// True if shaders sum their results by subgroups: if the adapter has them.
+    pub fn has_subgroups(&self) -> bool {
+        self.gpu.parts > 1
+    }
+
+    /// Opens the device again without subgroups, so that tests compare both ways.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn without_subgroups(&self) -> Result<Self, FactorizeError> {
+        let gpu = gpu::Gpu::open(Some(&self.adapter().name))?.without_subgroups();
+        Ok(Self { gpu: Arc::new(gpu) })
+    }
+
     /// Destroys the device for tests, as a reset of the driver does.
     pub fn lose(&self) {
         self.gpu.lose();

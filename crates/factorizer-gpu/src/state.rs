@@ -8,15 +8,12 @@ use lumistack_factorizer::FactorizeError;
 use lumistack_factorizer::device::{Begin, ErrorSum, Factor, Outcome, Plan, Rule, Updater, stack_of};
 
 use crate::bands::{Band, BandSizes};
-use crate::gpu::Gpu;
+use crate::gpu::{GROUP, Gpu};
 use crate::tables::Tables;
 use crate::target::Target;
 use crate::text::{FIRST_FACTOR, Program, Update};
 use crate::values::Values;
 use crate::wait;
-
-/// Threads per workgroup, as in the shaders.
-const GROUP: usize = 64;
 
 /// The patterns of a run on a device.
 pub(crate) struct State {
@@ -41,7 +38,7 @@ pub(crate) struct State {
     sums: wgpu::Buffer,
     /// Buffers for bindings that a program does not use.
     unused: [wgpu::Buffer; 3],
-    /// Number of workgroups of the last dispatch; their results are in `sums`.
+    /// Number of results of the last dispatch in `sums`.
     found: usize,
     submitted: Option<wgpu::SubmissionIndex>,
 }
@@ -129,7 +126,7 @@ impl State {
                 mapped_at_creation: false,
             }),
             params_stride,
-            sums: gpu.buffer(2 * groups as u64),
+            sums: gpu.buffer(2 * (gpu.parts * groups) as u64),
             unused: [0; 3].map(|_| gpu.buffer(1)),
             found: 0,
             submitted: None,
@@ -153,7 +150,8 @@ impl State {
         let plan = self.plan.clone();
         let weighted = self.target.weights.is_some();
         // all bands use one program with different parameters
-        let pipeline = self.gpu.program(&Program { plan: &plan, weighted, update }, &self.layout);
+        let parts = self.gpu.parts;
+        let pipeline = self.gpu.program(&Program { plan: &plan, weighted, parts, update }, &self.layout);
         let (bands, cols) = match update {
             Some(Update { own, .. }) => (&self.bands[own], plan.size(own)[1]),
             None => (&self.row_bands, plan.field()[1]),
@@ -189,7 +187,7 @@ impl State {
             }
         }
         self.submitted = Some(self.gpu.queue.submit([encoder.finish()]));
-        self.found = found;
+        self.found = found * parts;
     }
 
     /// Returns the parameters of a dispatch, in the order of `Params` in `read.wgsl`.
@@ -261,7 +259,7 @@ impl State {
         self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
     }
 
-    /// Sums the results of the last dispatch over its workgroups.
+    /// Sums the results of the last dispatch.
     fn sum(&mut self) -> [f64; 2] {
         if self.found == 0 {
             return [0.0; 2];

@@ -29,6 +29,8 @@ pub(crate) const FIRST_FACTOR: usize = 7;
 pub(crate) struct Program<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) weighted: bool,
+    /// Number of results of a workgroup, one per subgroup; 1 without subgroups.
+    pub(crate) parts: usize,
     /// The update of a factor; `None` for the program that computes errors.
     pub(crate) update: Option<Update>,
 }
@@ -57,6 +59,7 @@ impl Program<'_> {
         let _ = writeln!(text, "const LOCAL_CURVATURE: f32 = {:?};", 2.0 * quarter);
         let _ = writeln!(text, "const HALF: bool = {};", plan.has_half_target());
         let _ = writeln!(text, "const WEIGHTED: bool = {};", self.weighted);
+        let _ = writeln!(text, "const PARTS: u32 = {}u;", self.parts);
         for k in 0..plan.factor_count() {
             let _ = writeln!(text, "const MIXED_{k}: bool = {};", !plan.is_nearest(k));
             let _ = writeln!(text, "const OUTSIDE_{k}: f32 = {:?};", plan.outside(k));
@@ -71,6 +74,9 @@ impl Program<'_> {
 
     fn is(&self, flag: &str) -> bool {
         let (plan, update) = (self.plan, self.update);
+        if flag == "subgroups" {
+            return self.parts > 1;
+        }
         let Some(Update { own, rule, extrapolated, local }) = update else { return false };
         let nonlinear = !plan.is_bounded(own) && rule != Rule::Multiplicative;
         match flag {

@@ -25,6 +25,8 @@ const EMISSION_TOLERANCE: f32 = 1e-5;
 const OBJECTIVE_TOLERANCE: f64 = 1e-4;
 /// Largest allowed difference of an objective near 0, divided by the number of rays and channels.
 const OBJECTIVE_PER_VALUE: f64 = 1e-11;
+/// Largest relative difference of an objective by another order of its sum.
+const SUM_TOLERANCE: f64 = 1e-5;
 /// Smallest influence of a value on the emission at which the value is taken as determined.
 const DETERMINED: f32 = 0.1;
 /// Number of iterations whose updates are compared one by one.
@@ -274,6 +276,28 @@ fn bands_change_nothing() {
             }
         }
         assert!(banded > 0, "{kind:?}");
+    }
+}
+
+/// Sums by subgroups and by workgroups differ in the order of their terms alone. The sums decide
+/// when a solver restarts, so the patterns are compared too.
+#[test]
+fn subgroups_change_sums_by_rounding_alone() {
+    let Some(device) = device() else { return };
+    if !device.has_subgroups() {
+        return lumistack_testkit::skip::skipped("the adapter has no subgroups");
+    }
+    let without = device.without_subgroups().unwrap();
+    assert!(!without.has_subgroups());
+    for kind in [Kind::Plain, Kind::Bilinear, Kind::RayWeights, Kind::LensletsRepeat, Kind::Polarization] {
+        let owned = random(kind, 2);
+        let start = random_start(&owned.display, 2);
+        let [(a, by_subgroups), (b, by_workgroups)] =
+            [&device, &without].map(|on| run(&on.solver("extrapolated").unwrap(), &owned.problem(), &start, 3));
+        let emitted = largest(&emissions(&owned, &a), &emissions(&owned, &b));
+        assert!(emitted <= EMISSION_TOLERANCE, "{kind:?}: {emitted}");
+        let relative = (by_subgroups - by_workgroups).abs() / by_workgroups;
+        assert!(relative <= SUM_TOLERANCE, "{kind:?}: {by_subgroups} and {by_workgroups}");
     }
 }
 

@@ -51,6 +51,7 @@ mod _lumistack {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("HAS_PANELS", lumistack_cli::HAS_PANELS)?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

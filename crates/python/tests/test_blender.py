@@ -24,7 +24,7 @@ from lumistack.blender import command_line, depth, forms, outline
 from lumistack.blender.cameras import Window, WindowError, seen_at_mm, view_camera, window_of_camera, window_of_job
 from lumistack.blender.glb import Glb, radiance_hdr
 from lumistack.blender.handover import ball, panel, surface
-from lumistack.blender.live import KEPT, Files, Live, State, toml_of
+from lumistack.blender.live import KEPT, Attached, Files, Live, Program, State, toml_of
 from lumistack.blender.views import Views, key_of
 from lumistack.blender.work import Work
 
@@ -301,6 +301,8 @@ def test_only_the_last_files_of_a_scene_stay(tmp_path: Path) -> None:
             files.back()
         assert len(set(made)) == KEPT + 3
         assert sorted(folder.iterdir()) == made[-KEPT:]
+    # A new session names no file that a running program may read.
+    assert Files(folder, "scene", ".glb").next() not in made
 
 
 def live_words(tmp_path: Path) -> list[str]:
@@ -311,7 +313,7 @@ def live_words(tmp_path: Path) -> list[str]:
     return [sys.executable, "-m", "lumistack", "--json", "live", "--no-open", str(tmp_path / "job.toml"), "-o", str(tmp_path / "run")]
 
 
-def until(live: Live, is_right: Callable[[State], bool]) -> State:
+def until(live: Program, is_right: Callable[[State], bool]) -> State:
     for _ in range(6000):
         if is_right(live.state):
             return live.state
@@ -366,3 +368,34 @@ def test_a_live_display_ends_with_the_program_that_started_it(tmp_path: Path) ->
             return
         time.sleep(1.0)
     raise AssertionError("the live display still runs after its caller was killed")
+
+
+def test_a_program_attaches_to_a_live_display_and_leaves_it_running(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    with pytest.raises(FileNotFoundError, match=r"run: expected the run folder of a `lumistack live` that runs, found no file cache"):
+        Attached(run)
+    live = Live(live_words(tmp_path), os.environ)
+    until(live, lambda state: state.address != "")
+    attached = Attached(run)
+    first = until(attached, lambda state: state.content == 1)
+    assert first.address == live.state.address and first.code is None
+    with pytest.raises(OSError, match="a program is attached already"):
+        Attached(run)
+    attached.change({"display.brightness": 0.3}, time.monotonic())
+    assert until(attached, lambda state: state.content == 2).latency_s is not None and attached.is_shown
+    attached.change({"display.bright": 0.3}, time.monotonic())
+    assert "did you mean `brightness`?" in until(attached, lambda state: state.problem != "").problem
+    attached.end(10.0)
+    assert attached.state.code == 0 and live.state.code is None
+    again = Attached(run)
+    assert until(again, lambda state: state.content > 0).content == 2
+    door = run / "cache" / "live.json"
+    kept = door.read_text()
+    live.stop()
+    ended = until(again, lambda state: state.code is not None)
+    assert ended.code == 0 and Path(ended.report).is_file()
+    until(live, lambda state: state.code is not None)
+    # The file of a program that was killed stays.
+    door.write_text(kept)
+    with pytest.raises(OSError, match="found that it has ended"):
+        Attached(run)

@@ -104,6 +104,14 @@ def case_live(folder, zip_path):
         return True
 
     session = begin()
+    # Without windows in this package, a new display has only the page.
+    shown = [item.identifier for item in scene.lumistack.bl_rna.properties["live_show"].enum_items]
+    assert shown == ["PAGE", *(["OUTPUTS", "SPAN", "WINDOW"] if lumistack.HAS_PANELS else [])], shown
+    for choice in shown:
+        scene.lumistack.live_show = choice
+        words = live.words_of(scene, out / "job.toml", out / "live")
+        assert words[-3:] == (["--show", choice.lower(), "--no-open"] if choice != "PAGE" else ["-o", str(out / "live"), "--no-open"]), words
+    scene.lumistack.live_show = "PAGE"
     page = LivePage(session, folder)
     until("a picture without noise", lambda: session.state.psnr > 20.0 and settled(session))
     before = page.picture()
@@ -203,6 +211,7 @@ def case_live(folder, zip_path):
     )  # fmt: skip
     error = float(numpy.mean((target.radiance.astype(numpy.float64) - there.radiance) ** 2))
     assert target.shape == there.shape and -10.0 * numpy.log10(error) > 22.0, error
+    attaches(folder, scene, until)
     # The session ends if the program is killed, another file is opened, or the extension is
     # disabled.
     session = begin()
@@ -231,6 +240,65 @@ def case_live(folder, zip_path):
     slowest = max(times, key=lambda name: times[name][0])
     print("note: seconds:", ", ".join(f"{name} {seconds:.2f}" for name, (seconds, _) in times.items()))
     return f"{len(times)} changes, each shown after {times[slowest][0]:.2f} s at most; an export takes {session.export_s:.2f} s; noise at rest {at_rest:.4f}"
+
+
+def attaches(folder, scene, until):
+    """The extension attaches to a `lumistack live` that already runs. After the end of the
+    connection that program keeps its last state."""
+    import subprocess
+    import sys
+
+    import bpy
+    from bl_ext.user_default.lumistack import live, operators
+
+    run, begin = folder / "other", time.monotonic()
+    scene.lumistack.live_run = str(run)
+
+    def fails(text):
+        try:
+            bpy.ops.lumistack.live()
+        except RuntimeError as error:
+            assert text in str(error), error
+        else:
+            raise AssertionError(f"no error: {text}")
+        assert live.session is None
+
+    fails("expected the run folder of a `lumistack live` that runs, found no file")
+    words = [sys.executable, "-m", "lumistack", "live", "--no-open", str(folder / "now.glb"), "-o", str(run), "--display", scene.lumistack.file]
+    other = subprocess.Popen(words, env=operators.preview_environment(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    try:
+        until("the file of the socket", (run / "cache" / "live.json").is_file)
+        assert bpy.ops.lumistack.live() == {"FINISHED"}
+        # An object, a material, a lamp and the frame change.
+        until("the scene", lambda: live.session.program.is_shown and live.session.state.address)
+        changes = (
+            lambda: setattr(bpy.data.objects["Cube"], "location", (0.3, -1.0, 0.5)),
+            lambda: setattr(bpy.data.materials["clay"].node_tree.nodes["Principled BSDF"].inputs["Base Color"], "default_value", (0.1, 0.6, 0.2, 1.0)),
+            lambda: setattr(bpy.data.objects["area"], "location", (1.0, -0.3, 1.6)),
+            lambda: scene.frame_set(3),
+        )
+        latencies = []
+        for change in changes:
+            content = live.session.state.content
+            change()
+            bpy.context.view_layer.update()
+            until("a change", lambda content=content: live.session.state.content > content)
+            latencies.append(live.session.state.latency_s)
+        assert live.status()[0][1].startswith(f"{scene.name} is live in {run}"), live.status()
+        print("note: attached, seconds:", ", ".join(f"{latency:.2f}" for latency in latencies), f"after {time.monotonic() - begin:.1f}")
+        assert bpy.ops.lumistack.live() == {"FINISHED"}
+        until("the end of the connection", lambda: live.session is None)
+        assert live.ended == f"Detached: {run} keeps its last state", live.ended
+        assert other.poll() is None
+        assert bpy.ops.lumistack.live() == {"FINISHED"}
+        other.kill()
+        until("the end of the program", lambda: live.session is None)
+        assert live.ended == f"{run}: lumistack live stopped unexpectedly", live.ended
+        fails("found that it has ended")
+    finally:
+        other.kill()
+        other.wait()
+        scene.lumistack.live_run = ""
 
 
 def settled(session):

@@ -23,13 +23,23 @@ enum Command {
     StopAtEnd,
 }
 
-/// Executes commands until the input ends. Wrong commands are reported and change nothing.
-pub(super) fn read_commands(mut lines: impl BufRead, requests: &Requests, json: bool) {
+/// Executes the commands of standard input until it ends. Wrong commands are reported and change
+/// nothing.
+pub(super) fn read_commands(lines: impl BufRead, requests: &Requests, json: bool) {
+    follow_lines(lines, requests, |error| match json {
+        true => say!("{}", json!({"event": "refused", "message": error})),
+        false => tell!("warning: standard input: {error}"),
+    });
+    requests.end_of_input();
+}
+
+/// Executes commands until the lines end. Passes the errors of wrong commands to `refuse`.
+pub(super) fn follow_lines(mut lines: impl BufRead, requests: &Requests, refuse: impl Fn(String)) {
     let mut line = Vec::new();
     while !requests.is_stopped() {
         line.clear();
         match std::io::Read::take(&mut lines, LINE as u64).read_until(b'\n', &mut line) {
-            Ok(0) | Err(_) => return requests.end_of_input(),
+            Ok(0) | Err(_) => return,
             Ok(_) => {}
         }
         let text = String::from_utf8_lossy(&line);
@@ -37,10 +47,7 @@ pub(super) fn read_commands(mut lines: impl BufRead, requests: &Requests, json: 
             continue;
         }
         if let Err(error) = carry_out(&text, requests) {
-            match json {
-                true => say!("{}", json!({"event": "refused", "message": error})),
-                false => tell!("warning: standard input: {error}"),
-            }
+            refuse(error);
         }
     }
 }

@@ -29,7 +29,9 @@ use lumistack_pipeline::{OutputData, PipelineError, Registry, write_output};
 use serde_json::{Map, Value, json};
 
 use super::clock::now;
-use super::requests::{Messages, Requests, lock};
+use super::door::random_word;
+use super::messages::Messages;
+use super::requests::{Requests, lock};
 use crate::server::Feed;
 
 /// The page's script, which requests states.
@@ -66,12 +68,7 @@ impl<'a> Guest<'a> {
     /// # Errors
     /// If the system has no random numbers.
     pub(super) fn new(requests: &'a Requests, distance_mm: f64) -> Result<Self, PipelineError> {
-        let mut random = [0; 16];
-        getrandom::fill(&mut random).map_err(|error| {
-            PipelineError::option("live", "page", "random numbers of the system", error.to_string())
-        })?;
-        let word = random.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { word, distance_mm, requests })
+        Ok(Self { word: random_word()?, distance_mm, requests })
     }
 
     /// Moves the viewer to the slope of a query. Returns whether word and slope are valid.

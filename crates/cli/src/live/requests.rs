@@ -1,11 +1,10 @@
 //! The newest requests: the job with the changes by files, command line and commands, and the
 //! positions of the viewers.
 
-use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use lumistack_core::{Cancel, Warning, Warnings};
+use lumistack_core::Cancel;
 use lumistack_live::{Mailbox, Tracker};
 use lumistack_pipeline::{Job, PipelineError};
 use serde_json::Value;
@@ -138,54 +137,4 @@ fn with_keys(job: Job, keys: &[(String, Value)]) -> Result<Job, PipelineError> {
 
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Forwards each warning once, since a scene is rendered many times. Pages show the newest warning.
-pub(super) struct Once<'a> {
-    to: &'a dyn Warnings,
-    messages: &'a Messages,
-    seen: Mutex<HashSet<String>>,
-}
-
-/// The message of the newest request; empty if there is none.
-#[derive(Default)]
-pub(super) struct Messages(Mailbox<String>);
-
-impl Messages {
-    /// Returns the number and the text of the message; the number is 0 before the first message.
-    pub(super) fn newest(&self) -> (u64, Arc<String>) {
-        self.0.after(0).unwrap_or_default()
-    }
-
-    /// Replaces the message, unless its text is already the same.
-    pub(super) fn say(&self, text: String) {
-        if *self.newest().1 != text {
-            self.0.post(text);
-        }
-    }
-}
-
-/// Largest number of warnings in memory.
-const MOST_SEEN: usize = 1000;
-
-impl<'a> Once<'a> {
-    pub(super) fn new(to: &'a dyn Warnings, messages: &'a Messages) -> Self {
-        Self { to, messages, seen: Mutex::default() }
-    }
-}
-
-impl Warnings for Once<'_> {
-    fn warn(&self, warning: Warning) {
-        // On the page, errors of the live display itself need no place in front of the message.
-        let is_own = warning.place == "live";
-        self.messages.say(if is_own { warning.message.clone() } else { warning.to_string() });
-        let mut seen = lock(&self.seen);
-        if seen.len() >= MOST_SEEN {
-            seen.clear();
-        }
-        if seen.insert(warning.to_string()) {
-            drop(seen);
-            self.to.warn(warning);
-        }
-    }
 }

@@ -13,8 +13,9 @@ use lumistack_pipeline::{Job, LiveFields, LiveSolver, PipelineError, Registry};
 use serde_json::json;
 
 use super::clock::now;
-use super::requests::{Messages, Requests, lock};
-use crate::console::say;
+use super::door::Events;
+use super::messages::Messages;
+use super::requests::{Requests, lock};
 
 /// Time that a thread without work sleeps before it checks for the end.
 const IDLE: Duration = Duration::from_millis(20);
@@ -40,6 +41,7 @@ pub(super) struct Shared {
     pub(super) requests: Arc<Requests>,
     /// Warnings and errors of the newest request, which the page shows.
     pub(super) messages: Messages,
+    pub(super) events: Arc<Events>,
     to_solve: Mailbox<SolveRequest>,
     /// States to show.
     pub(super) states: Mailbox<State>,
@@ -61,10 +63,11 @@ pub(super) struct Rates {
 }
 
 impl Shared {
-    pub(super) fn new(requests: Requests, updates: u32, sigma_mm: f64) -> Self {
+    pub(super) fn new(requests: Requests, events: Events, updates: u32, sigma_mm: f64) -> Self {
         Self {
             requests: Arc::new(requests),
             messages: Messages::default(),
+            events: Arc::new(events),
             to_solve: Mailbox::default(),
             states: Mailbox::default(),
             handled: AtomicU64::new(0),
@@ -195,7 +198,7 @@ pub(super) fn render(
 ///
 /// # Errors
 /// When the first state fails; later errors are reported, and the current state stays.
-pub(super) fn solve(mut solver: LiveSolver, shared: &Shared, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
+pub(super) fn solve(mut solver: LiveSolver, shared: &Shared, task: Task<'_>) -> Result<(), PipelineError> {
     let mut current: Option<Current> = None;
     let (mut seen, mut latency, mut update_s) = (0, Duration::ZERO, 0.0);
     while !(shared.is_stopped() || task.cancel.is_cancelled()) {
@@ -240,15 +243,12 @@ pub(super) fn solve(mut solver: LiveSolver, shared: &Shared, json: bool, task: T
                 let (psnr, updates) = (state.psnr_view, state.updates);
                 let number = shared.states.post(state);
                 shared.handled.store(on.number, Ordering::SeqCst);
-                if json {
-                    let psnr = psnr.is_finite().then_some(psnr);
-                    let start = format!("{:?}", solved.start).to_lowercase();
-                    say!(
-                        "{}",
-                        json!({"event": "state", "number": number, "content": content, "passes": passes, "updates": updates,
-                            "start": start, "psnr_view": psnr, "zone": on.boxes.zone, "step_s": step.as_secs_f64()})
-                    );
-                }
+                let psnr = psnr.is_finite().then_some(psnr);
+                let start = format!("{:?}", solved.start).to_lowercase();
+                shared.events.say(
+                    &json!({"event": "state", "number": number, "content": content, "passes": passes, "updates": updates,
+                            "start": start, "psnr_view": psnr, "zone": on.boxes.zone, "step_s": step.as_secs_f64()}),
+                );
             }
             Err(PipelineError::Cancelled) => {}
             Err(error) if shared.states.after(0).is_none() => {

@@ -102,7 +102,8 @@ fn read_{k}(line: Tap, column: Tap, frame: u32) -> f32 {
 }
 
 //@ end
-// Returns βL of a ray.
+// Returns βL of a ray. Half floats are unpacked from words, since native 16-bit storage was not
+// faster (docs/GPU.md).
 fn wanted_of(view: u32, row: u32, col: u32) -> f32 {
     let line = row * params.views_y * params.views_x + view;
     if (HALF) {
@@ -136,19 +137,48 @@ fn wave(s: f32) -> vec2<f32> {
     }
 }
 
+struct Thread {
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(local_invocation_index) index: u32,
+    @builtin(workgroup_id) group: vec3<u32>,
+//@ if subgroups
+    @builtin(subgroup_invocation_id) lane: u32,
+    @builtin(subgroup_id) subgroup: u32,
+    @builtin(num_subgroups) subgroups: u32,
+//@ end
+}
+
+// Place of a workgroup's results; it has PARTS of them.
+fn place_of(group: vec3<u32>) -> u32 {
+    return PARTS * (params.sums_base + group.y * params.groups_x + group.x);
+}
+
+//@ if subgroups
+// Sums the results of each subgroup's threads, which needs no barrier. The remaining places get 0.
+fn reduce(thread: Thread, found: vec2<f32>) {
+    let sum = subgroupAdd(found);
+    if (thread.lane == 0u) {
+        for (var part = thread.subgroup; part < PARTS; part += thread.subgroups) {
+            sums[place_of(thread.group) + part] = select(vec2<f32>(0.0), sum, part == thread.subgroup);
+        }
+    }
+}
+//@ end
+//@ if !subgroups
 var<workgroup> parts: array<vec2<f32>, 64>;
 
 // Sums the results of a workgroup's threads.
-fn reduce(index: u32, group: vec3<u32>, found: vec2<f32>) {
-    parts[index] = found;
+fn reduce(thread: Thread, found: vec2<f32>) {
+    parts[thread.index] = found;
     workgroupBarrier();
     for (var half = 32u; half > 0u; half >>= 1u) {
-        if (index < half) {
-            parts[index] += parts[index + half];
+        if (thread.index < half) {
+            parts[thread.index] += parts[thread.index + half];
         }
         workgroupBarrier();
     }
-    if (index == 0u) {
-        sums[params.sums_base + group.y * params.groups_x + group.x] = parts[0];
+    if (thread.index == 0u) {
+        sums[place_of(thread.group)] = parts[0];
     }
 }
+//@ end

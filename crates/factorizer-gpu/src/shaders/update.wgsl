@@ -181,14 +181,11 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 }
 
 @compute @workgroup_size(64)
-fn main(
-    @builtin(global_invocation_id) id: vec3<u32>,
-    @builtin(local_invocation_index) index: u32,
-    @builtin(workgroup_id) group: vec3<u32>,
-) {
+fn main(thread: Thread) {
+    let id = thread.id;
     var found = vec2<f32>(0.0);
     if (id.x < params.own_cols && id.y < params.count) {
         found = update_pixel(params.first + id.y, id.x);
     }
-    reduce(index, group, found);
+    reduce(thread, found);
 }

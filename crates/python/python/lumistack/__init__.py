@@ -25,6 +25,7 @@ from lumistack._errors import (
     SettingError,
 )
 from lumistack._lumistack import (
+    HAS_PANELS,
     Array,
     Display,
     LayerStack,
@@ -47,6 +48,7 @@ from lumistack._lumistack import (
 from lumistack._progress import set_progress
 
 __all__ = [
+    "HAS_PANELS",
     "Array",
     "DataError",
     "Display",

@@ -21,6 +21,7 @@ _Size: TypeAlias = Sequence[int] | NDArray[Any]
 _ArrayLike: TypeAlias = ReadableBuffer | _HasArray
 _DisplayLike: TypeAlias = Display | str | PathLike[str] | Mapping[str, Any]
 
+HAS_PANELS: bool
 __version__: str
 
 @final

@@ -1,27 +1,32 @@
-"""A running `lumistack live`: commands to its standard input, events from its standard output.
+"""A running `lumistack live`: commands to it, events from it.
 
     files ──▶ {"set": {"scene": FILE, ...}} ──▶ the program ──▶ {"event": "state", ...} ──▶ State
 
-Every scene is a file with a new name, so the program never reads a file that is being written.
+`Live` starts the program, and uses its standard input and output. `Attached` uses the socket of a
+program that already runs. Every scene is a file with a new name, so the program never reads a file
+that is being written.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import socket
 import subprocess
 import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 #: Number of files that are kept, of scenes and of displays. Only the newest files are kept, since
 #: the program may still read them.
 KEPT = 4
 #: Longest text of a message.
 LONGEST = 400
+#: Longest wait for the answer of a program to which another attaches, seconds.
+ANSWER_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -46,35 +51,23 @@ class State:
     code: int | None = None
 
 
-class Live:
-    """A process `lumistack live`, from its start to its end."""
+class Program:
+    """A display of a program: its state, and the changes that are sent to it."""
 
-    def __init__(self, words: Sequence[str], environment: Mapping[str, str]) -> None:
-        """Starts the program with the words of its command line. Raises OSError."""
-        pipe = subprocess.PIPE
-        self._process = subprocess.Popen(words, env=dict(environment), stdin=pipe, stdout=pipe, stderr=pipe)
+    #: The lines to the program.
+    _commands: IO[bytes] | None
+
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._state = State()
         #: Time of the last change, and the number of the content before it; None once a state shows
         #: the change.
         self._sent: tuple[float, int] | None = None
-        self._error = b""
-        self._threads = [threading.Thread(target=each, name="lumistack live", daemon=True) for each in (self._read, self._read_errors)]
-        for thread in self._threads:
-            thread.start()
-        # With this setting the program also ends if its caller crashes.
-        self.send(stop_at_end=True)
 
     @property
     def state(self) -> State:
-        """The newest state of the program. Its `code` is set after the program has ended."""
-        code = self._process.poll()
-        if code is not None:
-            for thread in self._threads:
-                thread.join(1.0)
-        with self._lock:
-            problem = self._state.problem or (self._error.decode("utf-8", "replace").strip()[-LONGEST:] if code else "")
-            return replace(self._state, code=code, problem=problem)
+        """The state; its `code` is set after the end."""
+        raise NotImplementedError
 
     @property
     def is_shown(self) -> bool:
@@ -92,33 +85,21 @@ class Live:
     def send(self, **entries: Any) -> None:
         """Sends a line to the program. After the end of the program, which `state` reports, this has no
         effect."""
-        stdin = self._process.stdin
-        if stdin is not None:
+        if self._commands is not None:
             with contextlib.suppress(OSError, ValueError):
-                stdin.write(json.dumps(entries).encode() + b"\n")
-                stdin.flush()
+                self._commands.write(json.dumps(entries).encode() + b"\n")
+                self._commands.flush()
 
     def stop(self) -> None:
-        """Makes the program write its run folder and end; does not wait."""
-        self.send(stop=True)
+        """Requests the end; does not wait."""
+        raise NotImplementedError
 
     def end(self, patience_s: float) -> None:
-        """Stops the program and waits for its end; kills it after `patience_s` seconds."""
-        self.stop()
-        try:
-            self._process.wait(patience_s)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        """Requests the end, and waits for it."""
+        raise NotImplementedError
 
-    @property
-    def pid(self) -> int:
-        """Number of the process."""
-        return self._process.pid
-
-    def _read(self) -> None:
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
+    def _read(self, lines: IO[bytes]) -> None:
+        for line in lines:
             try:
                 event = json.loads(line)
             except ValueError:
@@ -148,6 +129,54 @@ class Live:
                     state = replace(state, report=event["report"])
             self._state = state
 
+
+class Live(Program):
+    """A program of our own, from its start to its end."""
+
+    def __init__(self, words: Sequence[str], environment: Mapping[str, str]) -> None:
+        """Starts the program with the words of its command line. Raises OSError."""
+        super().__init__()
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(words, env=dict(environment), stdin=pipe, stdout=pipe, stderr=pipe)
+        assert self._process.stdout is not None
+        self._commands = self._process.stdin
+        self._error = b""
+        reads = ((self._read, (self._process.stdout,)), (self._read_errors, ()))
+        self._threads = [threading.Thread(target=each, args=args, name="lumistack live", daemon=True) for each, args in reads]
+        for thread in self._threads:
+            thread.start()
+        # So the program also ends if its caller crashes.
+        self.send(stop_at_end=True)
+
+    @property
+    def state(self) -> State:
+        """The state; its `code` is the exit status, after the end."""
+        code = self._process.poll()
+        if code is not None:
+            for thread in self._threads:
+                thread.join(1.0)
+        with self._lock:
+            problem = self._state.problem or (self._error.decode("utf-8", "replace").strip()[-LONGEST:] if code else "")
+            return replace(self._state, code=code, problem=problem)
+
+    def stop(self) -> None:
+        """Makes the program write its run folder and end; does not wait."""
+        self.send(stop=True)
+
+    def end(self, patience_s: float) -> None:
+        """Stops the program and waits; kills it if it takes longer."""
+        self.stop()
+        try:
+            self._process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
     def _read_errors(self) -> None:
         assert self._process.stderr is not None
         for line in self._process.stderr:
@@ -155,16 +184,70 @@ class Live:
                 self._error = (self._error + line)[-4 * LONGEST :]
 
 
+class Attached(Program):
+    """A program that someone else has started. It continues after the end of the connection."""
+
+    def __init__(self, run: Path) -> None:
+        """Attaches to the program of a run folder. Raises OSError, with a message, if no program
+        runs there, or if it refuses."""
+        super().__init__()
+        path = run / "cache" / "live.json"
+        expected = f"{run}: expected the run folder of a `lumistack live` that runs"
+        try:
+            door = json.loads(path.read_text(encoding="utf-8"))
+            port, token = int(door["port"]), str(door["token"])
+        except FileNotFoundError as error:
+            raise FileNotFoundError(f"{expected}, found no file {path.relative_to(run)} in it") from error
+        except (ValueError, KeyError, TypeError) as error:
+            raise OSError(f"{path}: expected a port and a token, found other content") from error
+        try:
+            self._socket = socket.create_connection(("127.0.0.1", port), ANSWER_S)
+            self._commands, self._events = self._socket.makefile("wb"), self._socket.makefile("rb")
+            self.send(token=token)
+            answer = dict(json.loads(self._events.readline() or b"{}"))
+        except (OSError, ValueError, TypeError) as error:
+            raise OSError(f"{expected}, found that it has ended ({error})") from error
+        if answer.get("event") != "attached":
+            self._socket.close()
+            raise OSError(f"{run}: {answer.get('message', 'the program ended the connection')}")
+        self._socket.settimeout(None)
+        self._thread = threading.Thread(target=self._read, args=(self._events,), name="lumistack live", daemon=True)
+        self._thread.start()
+
+    @property
+    def state(self) -> State:
+        """The state; its `code` is 0 after the end of the connection."""
+        with self._lock:
+            return replace(self._state, code=None if self._thread.is_alive() else 0)
+
+    def stop(self) -> None:
+        """Requests the end of the connection. The display keeps its last state."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_WR)
+
+    def end(self, patience_s: float) -> None:
+        """Ends the connection, and waits until the program can receive another."""
+        self.stop()
+        self._thread.join(patience_s)
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+
+    def _read(self, lines: IO[bytes]) -> None:
+        # A program that is killed resets the connection.
+        with contextlib.suppress(OSError):
+            super()._read(lines)
+
+
 class Files:
     """Numbered files of one folder. Only the newest (`KEPT`) stay."""
 
     def __init__(self, folder: Path, stem: str, suffix: str) -> None:
-        """Makes the folder, and removes the files of earlier sessions. Raises OSError."""
+        """Makes the folder. The files of earlier sessions count, since a program to which another
+        was attached still reads the newest one. Raises OSError."""
         self._folder, self._stem, self._suffix = folder, stem, suffix
-        self._number = 0
         folder.mkdir(parents=True, exist_ok=True)
-        for path in folder.glob(f"{stem}-*{suffix}"):
-            path.unlink()
+        numbers = [path.name[len(stem) + 1 : -len(suffix)] for path in folder.glob(f"{stem}-*{suffix}")]
+        self._number = max((int(number) for number in numbers if number.isdecimal()), default=0)
 
     def next(self) -> Path:
         """Returns the path of a new file, and removes the oldest file."""
