@@ -52,7 +52,7 @@ impl Response {
         self.tied
     }
 
-    /// True if rays read the stored values.
+    /// True if rays read the stored values unchanged: without blur, colour filters or crosstalk.
     pub fn is_identity(&self) -> bool {
         !self.is_blurred() && self.filters.is_empty() && self.mix == IDENTITY
     }

@@ -75,11 +75,11 @@ pub(crate) struct Scratch {
     /// For each factor k, the smallest and the largest distance between the pixels of k and of the
     /// factor under update that a ray reads.
     spread: Vec<[isize; 2]>,
-    /// The sums of a part of the line under update, `[quantity][column]`.
+    /// The sums for the pixels of a part of the line under update, `[quantity][column]`.
     low: Aligned,
-    /// The sums that rays have added for the next line, `[quantity][x]`.
+    /// The shares of the rays' sums that the next line gets, `[quantity][x]`.
     high: Vec<f32>,
-    /// Σ w e², as far as it belongs to the next line.
+    /// The next line's share of the rays' error Σ w e².
     high_error: f64,
     /// For each view, the terms of the rays through the previous block of pixels: a_m =
     /// ∂L̃/∂(f_m/M), then βL and L̃. The order is `[view][M + 2][lane]`.

@@ -69,9 +69,9 @@ pub(crate) struct PixelRays {
     /// proportion to that distance.
     axes: [Vec3; 2],
     start: f32,
-    /// Change of the slope over one pixel to the right and one pixel up, and the full width of the
-    /// range of slopes per axis.
+    /// Change of the slope from a pixel to the next: to the right (x), and up (y).
     turn: [f32; 2],
+    /// Full width of the range of slopes per axis; 0 for a single slope.
     slope_width: [f32; 2],
     round: bool,
     pub(crate) cone: Cone,

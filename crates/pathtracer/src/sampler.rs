@@ -31,8 +31,8 @@ pub(crate) struct SampleBank {
     parts: u32,
 }
 
-/// Draws the random numbers of consecutive samples of one pixel. All samples share the hash of the
-/// pixel and pair.
+/// Draws the random numbers of consecutive samples of one pixel, by pairs of dimensions. For each
+/// pair, one hash of the pixel and the pair serves all samples.
 #[derive(Clone, Copy)]
 pub(crate) struct Draws<'a> {
     bank: &'a SampleBank,

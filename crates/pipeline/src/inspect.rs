@@ -17,9 +17,9 @@ pub fn describe_light_field(path: &Path, flags: &GeometryFlags, task: Task<'_>) 
     lumistack_field_io::describe(path, flags, task).map_err(field_error)
 }
 
-/// Loads the built-in plugins and, with the feature `dynamic`, plugins of libraries. Libraries are
-/// searched in `paths`, in the environment variable `LUMISTACK_PLUGIN_PATH`, and in the user's data
-/// folder.
+/// Loads the built-in plugins. With the feature `dynamic`, this function also loads plugins from
+/// libraries. It looks for libraries in `paths`, then in the paths of the environment variable
+/// `LUMISTACK_PLUGIN_PATH`, then in the user's data folder.
 ///
 /// # Errors
 /// If the description of a built-in plugin is wrong.

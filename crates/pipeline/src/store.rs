@@ -4,9 +4,9 @@
 //! key        hash of a result's inputs           code           fingerprints of crates, for keys
 //! stamps     records of results, with their keys views          cached pictures with hashes
 //! files      atomic writes                       settings       sealed job.toml and display.toml
-//! lock       one owner of a folder at a time     names          names that work writes
+//! lock       one owner of a folder at a time     names          names of the files of a run
 //! folder     takes a folder for a job            left_overs     files of killed runs
-//! used       files that the last run used        clean          removes the other ones
+//! used       files that the last run used        clean          removes all other files
 //! handover   scenes that Blender exported        plugin_files   files in parameters of plugins
 //! farm       finished units of work
 //! ```

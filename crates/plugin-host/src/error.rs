@@ -42,7 +42,7 @@ pub enum HostError {
         reason: String,
     },
     /// Two plugins have the same id.
-    #[error("two plugins have the id `{0}`")]
+    #[error("plugin `{0}`: expected an id that no other built-in plugin has, found it twice")]
     DuplicatePlugin(String),
     /// The plugin refuses these parameters or data.
     #[error("{} `{plugin}`: {reason}", kind.name())]

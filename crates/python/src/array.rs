@@ -1,7 +1,7 @@
-//! Reads arrays from Python, and exports arrays to Python, through the buffer protocol. So NumPy is
-//! not needed.
+//! Reads arrays from Python, and exports arrays to Python, without NumPy.
 //!
-//! Arrays are read through the buffer protocol, `__array__` or DLPack. Row-major, aligned `float32`
+//! Arrays are read through the buffer protocol, or else through `__array__` or DLPack. Arrays are
+//! exported through the buffer protocol. Row-major, aligned `float32`
 //! is used without a copy. Other layouts, byte orders, `float16` and `float64` are copied. `uint8`
 //! and `uint16` are sRGB codes, as in pictures, and become linear. Other types are refused.
 //!

@@ -52,7 +52,7 @@ impl Sheet {
             Some([short, long]) if fits([long, short]) => [long, short],
             Some([short, long]) => {
                 return Err(PluginError::Refused(format!(
-                    "parameter `paper`: the films of {:.1} × {:.1} mm need pages of {:.1} × {:.1} mm, found {short} × {long} mm; paper = \"tight\" makes pages of that size, or make the display smaller",
+                    "parameter `paper`: films of {:.1} × {:.1} mm: expected pages of at least {:.1} × {:.1} mm, found {short} × {long} mm; set paper = \"tight\" for pages that fit, or make the display smaller",
                     film_mm[0], film_mm[1], needed[0], needed[1]
                 )));
             }

@@ -146,7 +146,7 @@ fn closed(form: &Closed) -> String {
     if *equation == 23 {
         let more = 100.0 * difference_far;
         return format!(
-            "eq. 23 ({assumes}), the lens array without the layers: far away the bound of the whole display is {more:.1} % higher"
+            "eq. 23 ({assumes}) is the bound of the lens array without the layers; far from the display, the bound of the whole display is {more:.1} % higher"
         );
     }
     let differs = if *largest_difference < 1e-6 {

@@ -204,8 +204,8 @@ impl Oracle {
         self.rays.len()
     }
 
-    /// Largest difference between the values of factor n here and in a stack, each multiplied by
-    /// its weight `counts(i)`.
+    /// Compares factor n of this oracle with factor n of a stack. Returns the largest absolute
+    /// difference of two values, where difference i is first multiplied by `counts(i)`.
     pub(crate) fn distance(&self, n: usize, stack: &LayerStack, counts: impl Fn(usize) -> f64) -> f64 {
         let mut tensors = stack.layers.iter().map(|t| t.data()).chain(stack.emission.iter().map(|t| t.data()));
         let found = tensors.nth(n).unwrap_or(&[]);

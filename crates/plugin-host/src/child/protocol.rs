@@ -63,7 +63,7 @@ pub(super) struct Answer {
     pub(super) text: String,
     /// Handle of the file that was opened.
     pub(super) file: u64,
-    /// Rows, columns and channels of the plane in the body.
+    /// Rows, columns and channels of the plane, if the message's body is a plane.
     pub(super) shape: [usize; 3],
     /// True if the user has cancelled.
     pub(super) cancelled: bool,
