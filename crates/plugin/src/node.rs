@@ -40,8 +40,7 @@ pub struct Solution {
     /// Number of coarser resolutions, each half the next finer one, that were solved first.
     pub coarse_levels: u32,
     /// KKT residual: root mean square, over all values, of the emission's change by a further exact
-    /// update of that value. The older key `unsettled` is accepted too.
-    #[serde(alias = "unsettled")]
+    /// update of that value.
     pub kkt_residual: f64,
     /// PSNR in dB for panels of few bits: with continuous, rounded and re-optimized masks. `None`
     /// for panels of many bits.

@@ -91,8 +91,7 @@ pub(crate) enum Vtable {
     Importer(&'static ImporterVtable),
     Source(&'static SourceVtable),
     Node(&'static NodeVtable),
-    /// A copy, padded with null where the table of an older plugin ends.
-    Output(OutputVtable),
+    Output(&'static OutputVtable),
 }
 
 impl Vtable {
