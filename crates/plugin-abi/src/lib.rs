@@ -47,6 +47,8 @@
 //!   before it uses a later member. It refuses only work that needs a service that the program
 //!   lacks.
 
+// the example of README.md is a test
+#![cfg_attr(doctest, doc = include_str!("../README.md"))]
 #![cfg_attr(not(test), no_std)]
 
 mod data;
