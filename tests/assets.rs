@@ -1,12 +1,12 @@
-//! Files of other projects, rendered with only a display given. Window and light are chosen
-//! automatically, and the result must have content.
+//! Runs of files of other projects, for which only a display is given. The program chooses window
+//! and light, and the pictures must have content.
 
 use crate::common::{assets, lumistack, number, report, succeed};
 
-/// Smallest fraction of the window that the object must cover. The whole object is visible, so a
-/// slender object covers only a small part of a wide window.
+/// Smallest fraction of the window that the object must cover. This limit is small, since the whole
+/// object is visible, and a slender object covers only a small part of a wide window.
 const COVERAGE: f64 = 0.13;
-/// Smallest difference between the 1st and the 99th percentile of the target.
+/// Smallest difference between the 1st and the 99th percentile of the target's values.
 const SPAN: f64 = 0.3;
 /// Smallest PSNR over the whole zone at β = 0.2, dB.
 const PSNR_DB: f64 = 23.0;
@@ -42,17 +42,17 @@ fn check(flags: &[&str]) {
 
 #[test]
 fn files_with_nothing_set_small() {
-    check(&["--resolution", "112x70", "--samples", "16"]);
+    check(&["--resolution", "84x52", "--samples", "16"]);
 }
 
-/// Renders the same files at the display's own resolution and frames.
+/// Renders the files with the display's own resolution and number of frames.
 #[test]
 #[ignore = "slow: renders five scenes at 840 × 525"]
 fn files_with_nothing_set() {
     check(&[]);
 }
 
-/// Light fields of other projects.
+/// Solves light fields of other projects and checks the error of their views.
 #[test]
 fn foreign_light_fields() {
     let Some(assets) = assets() else { return };

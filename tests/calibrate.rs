@@ -1,5 +1,5 @@
-//! Presentations for users: the preview in a window, flat pictures, test patterns on every output,
-//! and calibration from photographs of the patterns.
+//! Presentations by `lumistack show`: the preview in a window, flat pictures, test patterns on
+//! every output, and calibration from photographs of the patterns.
 
 #![cfg(feature = "panels")]
 
@@ -13,7 +13,8 @@ use crate::common::session::{Picture, SWAY, Session, wait_for};
 use crate::common::show::Show;
 use crate::common::{self, poke, session};
 
-/// Makes a run whose layers contain smooth pictures, which tests and people can compare.
+/// Makes a run whose layers contain smooth pictures. A test compares views of them, and a developer
+/// can look at them.
 fn write_waves(folder: &Path) -> Display {
     let mut display = Display::uniform([96, 60], 2.0, [3, 3], [24.0, 16.0], &[-20.0, 0.0, 20.0], 2);
     display.brightness = 0.5;
@@ -24,8 +25,8 @@ fn write_waves(folder: &Path) -> Display {
             (0..frames).flat_map(|f| (0..rows).flat_map(move |r| (0..cols).map(move |c| (f, r, c))))
         {
             let (x, y) = (col as f32 / cols as f32 - 0.5, row as f32 / rows as f32 - 0.5);
-            // draw rings on every layer, with different colours and places, so that parallax is
-            // visible
+            // draw rings on every layer, with a colour and a position for each layer, so that
+            // parallax is visible
             let distance = (x - 0.1 * n as f32 + 0.1).hypot(0.6 * y) - 0.02 * frame as f32;
             for (channel, value) in layer.block_mut([frame, row, col]).iter_mut().enumerate() {
                 let dims = channel == n;
@@ -78,7 +79,7 @@ fn the_preview_window_shows_the_view_that_the_pointer_selects() {
     let display = write_waves(folder.path());
     let mut show = Show::start(&session, folder.path(), &["--preview", "--from", "3,-2"]);
     show.event("started");
-    // the window has eight pixels per pixel of the display and axis
+    // along each axis the window has eight pixels for every pixel of the display
     let size = [768, 480];
     let window = || Some(session.import()?.part([0, 0], size));
     let first =
@@ -87,10 +88,10 @@ fn the_preview_window_shows_the_view_that_the_pointer_selects() {
     let mut poke = poke::Poke::new(session.x_display());
     let mut seen = vec![first];
     for (i, at) in [[384, 240], [40, 240], [728, 240], [384, 30], [600, 450]].into_iter().enumerate() {
-        // move the pointer twice, since its first position may cause no event
+        // move the pointer twice: if it is already at a position, a move to it causes no event
         poke.point([at[0] - 1, at[1]]);
         poke.point(at);
-        // the window's size corresponds to 1.2 times the field of view
+        // the window's edges stand for slopes at 1.2 times the field of view
         let share = [2.0 * f64::from(at[0]) / 768.0 - 1.0, 1.0 - 2.0 * f64::from(at[1]) / 480.0];
         let from = [0, 1].map(|axis| 1.2 * share[axis] * 0.5 * display.field.fov_deg[axis]);
         let shot = wait_for(&format!("the view from {from:?}"), || {
@@ -115,8 +116,8 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     display.layers[2].panel_pitch_mm = Some(0.25);
     display.layers[2].panel = Some(Panel { flip: Flip::Horizontal, ..Panel::default() });
     std::fs::write(folder.path().join("display.toml"), display.to_toml()).unwrap();
-    // The third panel has 640 × 360 pixels, 2 × 2 per pixel of its mask. It is mirrored and has
-    // linear codes. The picture has 640 × 360 pixels too.
+    // The third panel and the picture have 640 × 360 pixels, and a pixel of the panel's mask has 2
+    // × 2 of these. The panel is mirrored and has linear codes.
     let mut random = Stream::new(5);
     let picture = image::RgbImage::from_fn(640, 360, |x, y| {
         let ring = (f64::from(x) - 320.0).hypot(f64::from(y) - 180.0) < 120.0;
@@ -128,7 +129,7 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     let options = ["--full-resolution-2d", file.to_str().unwrap(), "--layer", "2"];
     let mut show = Show::start(&session, &folder.path().join("display.toml"), &options);
     show.event("started");
-    // convert sRGB codes to light, and light to codes of a panel with linear codes
+    // converts an sRGB code of the picture to the linear code of the panel
     let code = |code: u8| {
         let value = f64::from(code) / 255.0;
         let light = if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) };
@@ -141,8 +142,8 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     let wanted = Picture { size: [640, 360], rgb };
     let shot = wait_for("the picture", || session.grim("HEADLESS-3").filter(|shown| *shown == wanted));
     keep(&shot, "flat_2");
-    // the other panels are clear inside their masks, which are 320 × 180 pixels in the middle, and
-    // dark outside of them
+    // All other panels are clear inside of their masks, which are 320 × 180 pixels in the middle,
+    // and dark outside of the masks.
     for (name, [cols, rows], _) in &SWAY[..2] {
         let mut rgb = Vec::new();
         for (y, x) in (0..*rows).flat_map(|y| (0..*cols).map(move |x| (y, x))) {
@@ -163,7 +164,8 @@ fn masks_for_other_panels_cause_a_warning_and_fit_scales_them() {
     std::fs::write(folder.path().join("display.toml"), display.to_toml()).unwrap();
     lumistack_field_io::write_stack(&folder.path().join("layers"), &display, &LayerStack::filled(&display, 1.0))
         .unwrap();
-    // the smallest panel has room for 8 × 8 panel pixels per mask pixel
+    // With `--fit` a mask pixel covers 8 × 8 panel pixels, since the mask then fills the smallest
+    // panel.
     for (options, mask) in [(&["--hold", "0"][..], [40, 30]), (&["--hold", "0", "--fit"], [320, 240])] {
         let mut show = Show::start(&session, folder.path(), options);
         let warning = show.event("warning");
@@ -195,7 +197,8 @@ const PITCH_MM: f64 = 0.55;
 const ERROR_PX: f64 = 0.1;
 const EYE: [f64; 3] = [12.0, -8.0, 2000.0];
 
-/// True pose of a panel: its rotation, and its shift on its layer in millimetres.
+/// The true pose of a panel, which the calibration must find: its rotation, and its shift in the
+/// plane of its layer in millimetres.
 #[derive(Clone, Copy)]
 struct Standing {
     turn_rad: f64,
@@ -226,8 +229,8 @@ const OUTPUTS: [session::Screen; 3] = [
     ("HEADLESS-3", PANEL, [2 * PANEL[0] as i32, 0]),
 ];
 
-/// The whole calibration. An output shows crosses, a photograph of them is rendered, and the
-/// command corrects the display file. Then the output shows the stack at the corrected positions.
+/// Tests the whole calibration. An output shows crosses, the test renders a photograph of them, and
+/// the command corrects the display file. Then spots on the outputs must appear at their positions.
 #[test]
 fn photographs_correct_the_pose_of_panels() {
     let Some(session) = Session::sway(&OUTPUTS) else { return };
@@ -235,8 +238,8 @@ fn photographs_correct_the_pose_of_panels() {
     let mut display = Display::uniform([420, 262], 1.1, [3, 3], [10.0, 10.0], &[-40.0, 0.0, 40.0], 1);
     for layer in &mut display.layers {
         (layer.panel_pitch_mm, layer.transfer) = (Some(PITCH_MM), Transfer::Linear);
-        // interpolate between pixels; nearest pixels would shift an edge by up to half a pixel
-        // after a small rotation
+        // Interpolate between pixels. After a small rotation, the nearest pixel would shift an edge
+        // by up to half a pixel.
         layer.panel = Some(Panel { resample: Sampling::Bilinear, ..Panel::default() });
     }
     // every layer has one spot, 12 mask pixels wide, in each of its nine parts
@@ -266,8 +269,8 @@ fn photographs_correct_the_pose_of_panels() {
         let options = ["--pattern", "crosshairs", "--only", &only, "--eye-mm", "12,-8,2000"];
         let mut show = Show::start(&session, &file, &options);
         show.event("swapped");
-        // the panel shows dark crosses on light; the picture is complete when most of it is light
-        // and it no longer changes
+        // The panel shows dark crosses on light. The picture is complete when most of it is light
+        // and two screenshots are equal.
         let name = OUTPUTS[n].0;
         let shot = wait_for("the crosses", || {
             let shot = session.grim(name)?;
@@ -304,13 +307,13 @@ fn photographs_correct_the_pose_of_panels() {
         println!("{found}");
         assert!(found["moved_mm"].as_f64().unwrap() > 1.0, "{found}");
     }
-    // a second calibration finds that the panels are in place
+    // a second calibration finds no remaining error of the panels' positions
     let second: Vec<String> = (0..3).map(|n| photograph(n, 2)).collect();
     for found in calibrate(&second, &["--dry-run"]) {
         println!("{found}");
         assert!(found["moved_mm"].as_f64().unwrap() < ERROR_PX * PITCH_MM, "{found}");
     }
-    // the output shows the stack at the positions of its mask pixels
+    // now the outputs show the spots at the corrected positions, which screenshots measure
     let mut show = Show::start(&session, folder.path(), &["--hold", "0"]);
     show.event("swapped");
     for (n, (name, ..)) in OUTPUTS.iter().enumerate() {

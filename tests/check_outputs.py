@@ -96,7 +96,8 @@ def images(folder):
         check(folder / "hci", "size", Image.open(folder / "hci/input_Cam000.png").size, size)
         head, shape, scale, data = (folder / "hci/gt_disp_lowres.pfm").read_bytes().split(b"\n", 3)
         check(folder / "hci", "map", (head, tuple(map(int, shape.split())), float(scale)), (b"Pf", size, -1.0))
-        # the index of a rendered scene has the depth of the middle view
+        # Only the light field of a rendered scene states the depth of the middle view, from which
+        # the disparities are computed.
         disparities = np.frombuffer(data, "<f4")
         known = disparities[np.isfinite(disparities)]
         check(folder / "hci", "number of disparities", (disparities.size, known.size > 0), (size[0] * size[1], True))
@@ -150,7 +151,7 @@ def web_simulator(folder):
 
 
 def image_magick(folder):
-    """Checks all PNG files of the folder with a third reader of PNG files."""
+    """Checks all PNG files of the folder with ImageMagick, a third reader of PNG files."""
     if not shutil.which("identify"):
         return print("skipped: no ImageMagick")
     for file in folder.rglob("*.png"):

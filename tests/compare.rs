@@ -27,14 +27,15 @@ fn done(text: &str) -> Value {
 /// A pinhole camera, in display space, millimetres.
 struct Camera {
     eye: [f64; 3],
-    /// Right, up, forward.
+    /// Unit vectors to the right, up and forward.
     axes: [[f64; 3]; 3],
     size: [usize; 2],
     focal_px: f64,
 }
 
 impl Camera {
-    /// Returns a camera that looks at a point of the display plane, and is rolled a little.
+    /// Returns a camera that looks at the point `at` of the display plane. It is rotated a little
+    /// about its viewing direction.
     fn looking(eye: [f64; 3], at: [f64; 2]) -> Self {
         let cross = |a: [f64; 3], b: [f64; 3]| {
             [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
@@ -63,9 +64,10 @@ impl Camera {
     }
 
     /// Renders a photograph of a display that emits `shown` `[row][col][rgb]` towards the camera.
-    /// The display is in a dim room. The photograph has an exposure, noise and 8-bit codes.
+    /// The display is in a dim room. The light is multiplied by `exposure`, and gets noise and
+    /// 8-bit codes.
     fn photograph(&self, shown: &[f32], [cols, rows]: [usize; 2], pitch_mm: f64, exposure: f64, path: &Path) {
-        // noise of a camera at low sensitivity
+        // standard deviation of the noise of a camera at low sensitivity, and light of the room
         const NOISE: f64 = 0.01;
         const ROOM: f64 = 0.03;
         let mut stream = Stream::new(11);
@@ -80,7 +82,8 @@ impl Camera {
                 (0..3).for_each(|c| light[c] += 0.25 * if inside { f64::from(shown[at + c]) } else { ROOM });
             }
             for value in light {
-                // a sum of twelve uniform numbers is nearly normal
+                // the sum of twelve uniform numbers, minus 6, is nearly normal with mean 0,
+                // variance 1
                 let noise = NOISE * ((0..12).map(|_| f64::from(stream.next_f32())).sum::<f64>() - 6.0);
                 codes.push(srgb_code((exposure * value + noise) as f32));
             }
@@ -90,8 +93,8 @@ impl Camera {
     }
 }
 
-/// Compares a photograph with the simulation from three poses: the known pose, the pose computed
-/// from the corners, and a wrong pose.
+/// A photograph is compared with the simulation from three poses of the camera. It agrees for the
+/// known pose and for the pose that is computed from the corners, but not for a wrong pose.
 #[test]
 fn a_photograph_is_compared_at_its_pose_and_exposure() {
     const EXPOSURE: f64 = 0.6;
@@ -104,7 +107,7 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
     let picture = Picture::read(&simulated).unwrap();
     let (size, shown) = (picture.size(), picture.into_linear());
     assert_eq!(size, [64, 40]);
-    // the preset has 160 pixels of 2.961 mm
+    // the preset has 160 pixels of 2.961 mm, which are reduced to 64
     let pitch = 160.0 * 2.961 / 64.0;
     let camera = Camera::looking(eye, [20.0, -10.0]);
     let photo = folder.path().join("photo.png");
@@ -133,14 +136,14 @@ fn a_photograph_is_compared_at_its_pose_and_exposure() {
     for (found, expected) in found["eye_mm"].as_array().unwrap().iter().zip(eye) {
         assert!((found.as_f64().unwrap() - expected).abs() < 3.0, "corners to a tenth of a pixel: {found}, {expected}");
     }
-    // an error of half a millimetre shifts the rays slightly; some then hit the next pixel of a
-    // layer, so the pictures differ a little
+    // The computed position differs slightly from the true position. Some rays then hit the next
+    // pixel of a layer, so the pictures differ a little.
     assert!(psnr(&found) > 30.0, "{found}");
 
     let elsewhere = compared(&["--eye", &point([-150.0, 60.0, 900.0])]);
     assert!(psnr(&elsewhere) < psnr(&known) - 5.0, "{elsewhere}");
 
-    // with a longer exposure, clipped pixels are excluded
+    // with a longer exposure some pixels are clipped, and the comparison excludes these pixels
     camera.photograph(&shown, size, pitch, 2.0, &photo);
     let bright = compared(&["--eye", &point(eye)]);
     assert!(bright["clipped"].as_f64().unwrap() > 0.02, "{bright}");
@@ -162,8 +165,8 @@ fn all_displays_of_a_run_stand_side_by_side() {
         let own = report(&run.join("nodes").join(id))["psnr_view"].as_f64().unwrap();
         assert!((display["likeness"]["psnr_db"].as_f64().unwrap() - own).abs() < 0.01, "{display}, report {own}");
     }
-    // the sheet has a target and two displays, each with three views; a view of 64 × 40 pixels is
-    // enlarged four times
+    // The sheet has rows for the target and for two displays, each with three views. A view of
+    // 64 × 40 pixels is enlarged four times.
     let sheet = image::open(out.join("displays.jpg")).unwrap();
     assert!(sheet.width() > 3 * 4 * 64 && sheet.height() > 3 * 4 * 40, "{} × {}", sheet.width(), sheet.height());
     let printed = succeed(lumistack().arg("compare").arg(&run));

@@ -1,4 +1,5 @@
-//! Denoised runs: reports, caches, resuming, sequences, and the message for a missing program.
+//! Runs with a denoiser: their reports, caches and resumption, sequences, and the message about a
+//! missing program.
 
 use std::path::Path;
 use std::process::Command;
@@ -22,7 +23,7 @@ fn cached(report: &Value, name: &str) -> bool {
     stages.iter().find(|stage| stage["name"] == name).unwrap()["cached"].as_bool().unwrap()
 }
 
-/// Returns [value, standard error].
+/// Returns a value of the report and its standard error, which the report states as a pair.
 fn pair(value: &Value) -> [f64; 2] {
     [0, 1].map(|i| value[i].as_f64().unwrap())
 }
@@ -50,7 +51,7 @@ fn a_denoised_run_reports_its_errors_and_resumes_from_its_halves() {
     assert!(cached(&report(&run), "render"));
     let target = files(&run.join("target"));
     assert!(target != files(&plain.join("target")), "filtered and unfiltered views are the same");
-    // if a filtered view is deleted, it is filtered again without tracing
+    // if a filtered view is deleted, the run filters it again, but traces no view again
     let views = run.join("cache/views");
     let of = |suffix: &str| -> Vec<_> {
         files(&views).into_iter().filter(|(path, _)| path.to_string_lossy().ends_with(suffix)).collect()
@@ -103,7 +104,8 @@ fn a_missing_program_is_named_before_anything_is_rendered() {
     assert!(!traced, "views were traced before the filter was looked for");
 }
 
-/// Makes a program that stands in for `oidnDenoise`. It returns its input unchanged.
+/// A test program replaces `oidnDenoise`, and returns its input unchanged. It receives all
+/// pictures, and the run uses its result.
 #[cfg(unix)]
 #[test]
 fn the_external_denoiser_receives_pictures_and_its_result_is_used() {
@@ -119,7 +121,7 @@ test -s "$alb" && test -s "$nrm" && cp "$in" "$out"
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
     succeed(still_life(&run, "oidn").env("LUMISTACK_OIDN", &program));
     let reported = report(&run)["denoising"].clone();
-    // the program changes nothing, so errors and mean do not change
+    // the test program returns its input unchanged, so errors and mean do not change
     assert_eq!(reported["mse_before"], reported["mse_after"], "{reported}");
     assert!(
         pair(&reported["mean_change"])[0].abs() < 1e-6 && reported["name"].as_str().unwrap().contains("Open Image")

@@ -46,7 +46,7 @@ fn a_killed_sweep_resumes_and_ends_with_the_same_bytes() {
     while done() < 3 && start.elapsed() < Duration::from_secs(60) {
         std::thread::sleep(Duration::from_millis(1));
     }
-    // SIGKILL leaves the process no time to clean up
+    // kill the process by SIGKILL, which leaves it no time to clean up
     child.kill().unwrap();
     child.wait().unwrap();
     let finished = done();
@@ -151,8 +151,8 @@ fn analyze_reports_draws_and_refuses() {
 #[test]
 fn a_displays_prefilter_is_rendered_as_it_is_averaged() {
     let folder = tempfile::tempdir().unwrap();
-    // the backlight has three bins of slopes; the light field has three views, or five views per
-    // bin
+    // The backlight has three bins of slopes. The light field has one view per bin, or five views
+    // per bin.
     let job = |name: &str, views: usize, filter: &str, samples: u32| {
         let display = format!("{name}-display.toml");
         let text = format!(
@@ -191,8 +191,8 @@ fn a_displays_prefilter_is_rendered_as_it_is_averaged() {
     };
     let (same, other) = (rms(&averaged, &display), rms(&point, &display));
     println!("averaged against rendered: {same:.4}, single slopes against that: {other:.4}");
-    // Both differences include the noise of 64 paths, 0.028. If the filter did not average, or if
-    // the paths were not spread, the first difference would be the larger one.
+    // The noise of 64 paths contributes 0.028 to each of the two differences. If the filter did not
+    // average, or if the paths were not spread over slopes, `same` would be larger than `other`.
     assert!(same < 0.75 * other && other > 0.03, "{same} {other}");
 }
 
@@ -214,7 +214,7 @@ fn the_committed_tables_show_the_papers_trends() {
         let found = figure_7.iter().find(|row| row.0 == display && row.1 == layers && row.2 == frames);
         found.unwrap_or_else(|| panic!("{display}, {layers} layers, {frames} frames")).4
     };
-    // random variation of the PSNR after 50 iterations from random patterns, dB
+    // largest random variation of the PSNR after 50 iterations from random patterns, dB
     const CHANCE: f64 = 0.5;
     let frames = [1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0];
     for display in ["fig7-uniform", "fig7-directional"] {

@@ -8,8 +8,8 @@ use crate::live::{Live, write_job};
 
 /// Largest difference of a device's score from the processor's, dB.
 const SAME_DB: f64 = 0.01;
-/// Largest difference in a live display, dB. Its number of iterations per step depends on the time
-/// that an iteration takes.
+/// Largest difference of the scores in a live display, dB. It is larger than [`SAME_DB`], since the
+/// number of iterations per step depends on the time that an iteration takes.
 const LIVE_DB: f64 = 0.3;
 
 /// Solves a light field on a device.
@@ -30,7 +30,7 @@ fn folder() -> tempfile::TempDir {
 #[test]
 fn a_missing_device_is_one_error() {
     let folder = folder();
-    // without this folder Mesa's drivers print an error of their own
+    // set the variable XDG_RUNTIME_DIR, since without it Mesa's drivers print an error
     let text = fail(solve(folder.path(), "run", "gpu:no such adapter").env("XDG_RUNTIME_DIR", folder.path()));
     if cfg!(feature = "gpu") {
         assert!(text.contains("expected an adapter named like `no such adapter`, found "), "{text}");
@@ -61,7 +61,7 @@ fn an_adapter_solves_as_the_processor_does() {
     succeed(&mut solve(folder.path(), "device", &on_device));
     let [here, there] = ["cpu", "device"].map(|run| number(&report(&folder.path().join(run)), "psnr_view"));
     assert!((here - there).abs() < SAME_DB, "{here} dB and {there} dB");
-    // results that the device made are not used for the processor
+    // a cached result of the device is used for the device again, but not for the processor
     let run = folder.path().join("device");
     succeed(&mut solve(folder.path(), "device", &on_device));
     assert!(cached(&run, "factorize"));
@@ -86,7 +86,7 @@ fn a_live_display_solves_on_an_adapter() {
         let mut live = Live::start(&job, &folder.path().join("run"), &["--device", &device]);
         live.state(|_| true);
         live.command(&serde_json::json!({"set": {"display.brightness": 0.4}}));
-        // the solve of a light field ends after 60 iterations
+        // wait until the solve of the second content has ended, which is after 60 iterations
         let last = live.state(|state| state["content"] == 2 && state["updates"] == 60);
         live.stop();
         last["psnr_view"].as_f64().unwrap()
@@ -106,7 +106,7 @@ fn tasks_of_the_processor_alone_refuse_a_device() {
     ] {
         std::fs::write(&job, format!("{solved}{rest}")).unwrap();
         let text = fail(lumistack().arg(command).arg(&job).arg("-o").arg(folder.path().join(command)));
-        // A build without devices may give that as the reason.
+        // A build without devices may state the missing feature as the reason.
         let unbuilt = !cfg!(feature = "gpu") && text.contains("built without the feature `gpu`");
         assert!(text.contains("factorize.device") && (unbuilt || text.contains(reason)), "{text}");
     }

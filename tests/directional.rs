@@ -11,14 +11,14 @@ use crate::common::{lumistack, number, report, root, succeed};
 
 /// Largest difference between the PSNR of the traced rays and the PSNR in the report, dB.
 const DECIBELS: f64 = 0.5;
-/// Half the width of a pupil as a fraction of the width of a view's bin, and number of steps per
-/// axis.
+/// Half the width of the pupil, as a fraction of the width of a view's angular bin. Rays go to
+/// `PUPIL_STEPS` steps per axis of the pupil.
 const PUPIL: f64 = 0.3;
 const PUPIL_STEPS: i32 = 3;
 /// One ray out of this number is traced. Different rays are traced for different views.
-const EVERY: usize = 23;
+const EVERY: usize = 47;
 
-/// The light of a panel: red, green and blue in rows of pixels.
+/// The picture of a panel as light: red, green and blue of every pixel, row by row.
 struct Panel {
     light: Vec<[f64; 3]>,
     size: [usize; 2],
@@ -45,8 +45,8 @@ impl Panel {
     }
 }
 
-/// Returns the point on the rear panel from which a ray comes. The ray leaves the lens array at a
-/// point with a slope. `None` if the point is not on the array.
+/// Returns the point on the rear panel from which a ray comes. The ray leaves the lens array at the
+/// point `place_mm` with the slope `slope`. `None` if the point is not on the array.
 ///
 /// The ray is followed backwards: to the lens plane, through a thin lens of this focal length, and
 /// to the focal plane of the lens.
@@ -60,8 +60,8 @@ fn behind(lenses: &LensletBacklight, focal_mm: f64, place_mm: [f64; 2], slope: [
         }
         let centre = (lens + 0.5 - count / 2.0) * lenses.pitch_mm;
         let height = place_mm[axis] - centre;
-        // a thin lens changes the slope of a ray at height h by −h/f, so behind the lens the slope
-        // is larger by h/f
+        // A thin lens of focal length f changes the slope of a ray at height h by −h/f. So before
+        // the ray passes the lens, its slope is larger by h/f.
         let before = slope[axis] + height / focal_mm;
         on_panel[axis] = place_mm[axis] - before * focal_mm;
     }

@@ -1,5 +1,5 @@
-//! Whole runs of the binary: jobs in `tests/cases`, light fields of other projects, resuming, and
-//! equal bytes on any number of threads.
+//! Whole runs of the binary: jobs in `tests/cases`, light fields of other projects, runs that are
+//! killed and resumed, and equal bytes on any number of threads.
 
 use std::path::Path;
 use std::process::Command;
@@ -10,11 +10,11 @@ use crate::common::{fail, files, light_fields, lumistack, number, python, report
 /// Largest difference between the report's PSNR and the PSNR of an independent forward model, dB.
 const PSNR_AGREEMENT_DB: f64 = 0.01;
 
-/// Largest loss of a case against the PSNR in its file, dB. Other instruction sets round
+/// A case may be this much worse than the PSNR in its file, dB. Other instruction sets round
 /// differently, which also changes the noise.
 const MAY_LOSE_DB: f64 = 0.3;
-/// Largest gain of a case against its file, dB. With a larger gain the file must be written again,
-/// since an outdated value would hide a loss.
+/// A case may be this much better than the PSNR in its file, dB. If it is even better, the file
+/// must be written again, since an outdated value would hide a later loss.
 const MAY_GAIN_DB: f64 = 1.0;
 
 /// Each folder of `tests/cases` has a job and `expected.json`, which has the expected PSNR and the
@@ -84,12 +84,12 @@ fn check_with_numpy(python: &Path, field: &Path, run: &Path, geometry: [&str; 4]
     }
 }
 
-/// Largest difference between the NumPy model, which traces 2000 × 2000 rays per pixel, and our
-/// integration over areas, dB.
+/// Largest difference between the scores of the NumPy model, which traces 2000 × 2000 rays per
+/// pixel, and of our exact integration over pixels' areas, dB.
 const ZONE_AGREEMENT_DB: f64 = 0.02;
 
-/// Compares psnr_zone with the NumPy model, for three layers with oblique views and with
-/// perspective views, and for a directional backlight.
+/// The score psnr_zone of the report agrees with that of a NumPy model. This holds for three layers
+/// with oblique and with perspective views, and for a directional backlight.
 #[test]
 fn a_numpy_model_of_the_seen_picture_gives_the_reports_zone() {
     let Some(python) = python() else { return };
@@ -142,7 +142,8 @@ fn a_directional_backlight_follows_a_foreign_light_field() {
     let folder = tempfile::tempdir().unwrap();
     let field = folder.path().join("views.npy");
     write_test_field(&field, [5, 5, 50, 80], 20.0, 3.0);
-    // with the presets' own backlights (3 × 3 bins, 48 degrees) the PSNR is only 30.2 and 27.5 dB
+    // The backlight follows the views. With the backlights of the presets (3 × 3 bins, 48 degrees)
+    // the PSNR would only be 30.2 and 27.5 dB.
     for (display, least) in [("fig7-directional", 35.0), ("paper-directional", 32.0)] {
         let run = folder.path().join(display);
         let flags = ["--fov", "20x20", "--pitch-mm", "3", "--iterations", "30", "--display", display];
@@ -157,7 +158,7 @@ fn a_directional_backlight_follows_a_foreign_light_field() {
         let backlight = text.split("[backlight]").nth(1).unwrap().split("[[").next().unwrap();
         assert!(backlight.contains("5,\n    5,") || backlight.contains("views = [5, 5]"), "{backlight}");
     }
-    // no arrangement of bins can match these views
+    // no backlight can have bins for these 17 views, so the command reports an error
     let slopes: Vec<f64> = (0..17).map(|i| f64::from(i) * 1e-3).collect();
     write_array(&field, &[17, 17, 4, 6, 3], std::iter::repeat_n(0.5, 17 * 17 * 4 * 6 * 3));
     let index = serde_json::json!({"projection": "perspective", "distance_mm": 500, "pitch_mm": 60,
@@ -173,7 +174,8 @@ fn a_directional_backlight_follows_a_foreign_light_field() {
 fn one_ray_does_not_decide_a_report_unseen() {
     let folder = tempfile::tempdir().unwrap();
     let (field, run) = (folder.path().join("views.npy"), folder.path().join("run"));
-    // this ray is in the middle row of the middle view, where every ray hits all layers
+    // one ray is very bright; it is in the middle row of the middle view, where every ray hits all
+    // layers
     const MIDDLE: usize = (4 * 20 + 10) * 32 * 3 + 48;
     let values = (0..3 * 3 * 20 * 32 * 3).map(|i| if i == MIDDLE { 1e4 } else { 0.3 + 0.2 * (i as f32 * 0.01).sin() });
     write_array(&field, &[3, 3, 20, 32, 3], values);
@@ -205,13 +207,13 @@ fn weights_of_zero_are_an_error() {
     assert!(error.contains("weights.npy") && error.contains("at least one weight above 0"), "{error}");
 }
 
-/// One layer can show this view exactly. Its patterns must be β times the given values, not β times
-/// the nearest half floats.
+/// One layer can show a single view exactly. Its patterns must be β times the given values, not β
+/// times the nearest half floats.
 #[test]
 fn a_view_that_one_layer_can_show_is_not_rounded() {
     let folder = tempfile::tempdir().unwrap();
     let [field, display, run] = ["view.npy", "one-layer.toml", "run"].map(|name| folder.path().join(name));
-    // half floats near 0.3 are 2.4e-4 apart
+    // half floats near 0.3 are 2.4e-4 apart, so they cannot represent these values
     let values: Vec<f32> = (0..20 * 32 * 3).map(|i| 0.3 + 1.7e-5 * (i % 97) as f32).collect();
     write_array(&field, &[1, 1, 20, 32, 3], values.iter().copied());
     let mut one_layer = lumistack_display::Display::uniform([32, 20], 3.0, [1, 1], [20.0, 20.0], &[0.0], 1);
@@ -229,8 +231,8 @@ fn a_view_that_one_layer_can_show_is_not_rounded() {
     assert!(psnr > 110.0, "{psnr} dB");
 }
 
-/// Arguments of a small run. Three frames would flicker on panels; the preset has no panels, so the
-/// run may not warn of flicker.
+/// Arguments of a small run. Three frames would flicker on panels. The preset has no panels, so the
+/// run must not warn of flicker.
 const SMALL_RUN: [&str; 10] =
     ["--resolution", "84x52", "--frames", "3", "--samples", "4", "--iterations", "10", "--max-bounces", "3"];
 
@@ -287,7 +289,8 @@ fn a_rerun_takes_everything_from_the_cache() {
         assert_eq!(stage["cached"], true, "{name} ran again");
     }
     assert!(before == files(&run.join("layers")));
-    // settings of the factorizer do not affect the views
+    // a change of the factorizer's settings does not change the views, so these are not rendered
+    // again
     succeed(small_run(&run).args(["--iterations", "11"]));
     let stages = report(&run)["stages"].clone();
     let cached = |name: &str| stages.as_array().unwrap().iter().find(|s| s["name"] == name).unwrap()["cached"].clone();
@@ -301,7 +304,7 @@ fn a_killed_run_resumes_from_its_finished_parts() {
     let (killed, whole) = (folder.path().join("killed"), folder.path().join("whole"));
     for signal in ["-KILL", "-INT"] {
         let mut child = small_run(&killed)
-            .args(["--samples", "16", "--views", "5x5"])
+            .args(["--samples", "8", "--views", "5x5"])
             .stdout(std::process::Stdio::null())
             .stderr(std::process::Stdio::null())
             .spawn()
@@ -321,11 +324,11 @@ fn a_killed_run_resumes_from_its_finished_parts() {
         assert!(!killed.join("report.html").exists());
     }
     let finished = files_below(&killed.join("cache"), "exr");
-    let text = succeed(small_run(&killed).args(["--samples", "16", "--views", "5x5", "--json"]));
+    let text = succeed(small_run(&killed).args(["--samples", "8", "--views", "5x5", "--json"]));
     let begin = text.lines().find(|line| line.contains("\"begin\"") && line.contains("render")).unwrap();
     let begin: serde_json::Value = serde_json::from_str(begin).unwrap();
     let left = begin["total"].as_u64().unwrap();
-    let text = succeed(small_run(&whole).args(["--samples", "16", "--views", "5x5", "--json"]));
+    let text = succeed(small_run(&whole).args(["--samples", "8", "--views", "5x5", "--json"]));
     let begin = text.lines().find(|line| line.contains("\"begin\"") && line.contains("render")).unwrap();
     let begin: serde_json::Value = serde_json::from_str(begin).unwrap();
     let (all, views) = (begin["total"].as_u64().unwrap(), 25 + 2);
@@ -383,7 +386,7 @@ fn simulate_shows_parallax_in_the_right_direction() {
     let (left, right) = (centre_of_red("-8.03,0"), centre_of_red("8.03,0"));
     let expected = 2.0 * 30.0 * 8.03f64.to_radians().tan() / 3.0;
     assert!((left[0] - right[0] - expected).abs() < 1.0, "moved by {} px, expected {expected}", left[0] - right[0]);
-    // from above, the card appears farther down, at a larger row
+    // seen from above, the card in front of the display appears farther down, at a larger row
     let (above, below) = (centre_of_red("0,6.7"), centre_of_red("0,-6.7"));
     assert!(above[1] > below[1] + 1.0, "{above:?} {below:?}");
 }
@@ -406,7 +409,8 @@ fn one_render_feeds_two_displays_and_five_outputs() {
     let outputs: Vec<&str> = outputs.map(|path| path.as_str().unwrap()).collect();
     assert_eq!(outputs.len(), 5, "{outputs:?}");
     assert!(outputs.iter().all(|path| run.join(path).join("images.json").is_file()), "{outputs:?}");
-    // the barrier shows 3 × 3 views, and each pinhole is open in one of nine frames
+    // The brightness is 1/9: the barrier shows 3 × 3 views, and each pinhole is open in one of nine
+    // frames.
     assert!((number(&nodes[1], "brightness") - 1.0 / 9.0).abs() < 1e-6);
     let views = files(&run.join("target"));
     assert_eq!(views.len(), 1 + 9, "one light field for both");

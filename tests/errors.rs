@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::common::{self, fail, lumistack, root, succeed, write_test_field};
 
-/// A scene of one triangle. Tests replace parts of its text by errors.
+/// Returns the text of a scene of one triangle. Tests pass wrong parts of the text.
 fn triangle(position: &str, extra: &str) -> String {
     use base64::Engine as _;
     let mut bytes = Vec::new();
@@ -63,8 +63,8 @@ fn scenes() {
     assert!(text.contains("expected a file with the extension .gltf, .glb") && text.contains("`stl`"), "{text}");
 }
 
-/// A scene file may be untrusted. It may read only regular files in its own folder, unless the user
-/// permits other folders.
+/// A scene file may come from an untrusted source. It may name only regular files in its own
+/// folder, unless the user permits other folders.
 #[cfg(unix)]
 #[test]
 fn a_scene_reads_no_files_elsewhere() {
@@ -99,8 +99,8 @@ fn a_scene_reads_no_files_elsewhere() {
         assert!(names_all && text.contains("outside of the folder"), "{text}");
         succeed(&mut info(uri, &["--allow-outside"]));
     }
-    // Even with this permission, the scene reads no device and no pipe. If it did, these runs would
-    // never end.
+    // Even with `--allow-outside`, the program reads no device and no pipe. If it did, these runs
+    // would never end.
     for (uri, found) in [("/dev/zero", "a device"), ("pipe", "a pipe"), ("/", "a folder")] {
         let text = fail(&mut info(uri, &["--allow-outside"]));
         assert!(text.contains(&format!("expected a regular file, found {found}")), "{text}");
@@ -168,7 +168,7 @@ fn names_that_are_not_text() {
         "1",
     ]));
     succeed(lumistack().arg("info").arg(&views));
-    // the names of the files in this folder are not UTF-8 either
+    // the names of the views in this folder are also not UTF-8
     let numbered = inner.join("numbered");
     std::fs::create_dir(&numbered).unwrap();
     let picture = image::RgbImage::from_pixel(4, 3, image::Rgb([9, 9, 9]));
@@ -267,7 +267,7 @@ fn light_fields() {
         assert!(!run.join("report.html").exists() && !run.join("layers").exists(), "{error}");
         error
     };
-    // views of different sizes
+    // the views of this folder have different sizes, which is an error
     let views = folder.path().join("views");
     std::fs::create_dir(&views).unwrap();
     for (index, width) in [4u32, 4, 5, 4].into_iter().enumerate() {
@@ -304,7 +304,7 @@ fn one_pixel_views_work() {
         command.arg("factorize").arg(&array).arg("-o").arg(&run).args(flags);
         command
     };
-    // if there is only one pixel, rays of oblique views miss the layers
+    // with one pixel and a wide field of view, no ray of an oblique view hits all layers
     let error = fail(&mut factorize("20x20"));
     assert!(error.contains("hits all layers"), "{error}");
     succeed(&mut factorize("1x1"));
@@ -334,7 +334,7 @@ fn a_writer_that_fails_midway_leaves_the_old_output_whole() {
     };
     succeed(&mut factorize("3"));
     let before = common::files(&run.join("outputs"));
-    // files may not exceed 2 kB, so the write of an output fails
+    // limit files to 2 kB, so that an output cannot be written
     let mut limited = std::process::Command::new("bash");
     let line = format!("trap '' XFSZ; ulimit -f 2; exec {:?}", factorize("4"));
     let output = limited.arg("-c").arg(line).output().unwrap();
@@ -342,7 +342,7 @@ fn a_writer_that_fails_midway_leaves_the_old_output_whole() {
     assert!(before == common::files(&run.join("outputs")), "the old pictures are still there, whole");
     let stray = common::files(&run).into_iter().find(|(path, _)| path.to_string_lossy().contains(".tmp"));
     assert!(stray.is_none(), "{:?} was left behind", stray.map(|(path, _)| path));
-    // the next run repairs everything
+    // the next run, without the limit, writes the new output
     succeed(&mut factorize("4"));
     assert!(before != common::files(&run.join("outputs")));
 }

@@ -1,8 +1,8 @@
-"""An independent forward model: computes psnr_view of a run from its .npy files. A ray reads the nearest pixel of each layer.
+"""Computes psnr_view of a run from its .npy files by an independent forward model. A ray reads the nearest pixel of each layer.
 
 usage: forward.py TARGET.npy LAYERS_DIR D1,D2,... PITCH_MM FOV_X FOV_Y BRIGHTNESS
 
-The display must have a uniform backlight, oblique views, nearest sampling, and ignore rays that leave a layer ("drop").
+The display must have a uniform backlight, oblique views and nearest sampling, and ignore rays that miss a layer ("drop").
 Prints psnr_view and psnr_raw.
 """
 import sys

@@ -1,6 +1,6 @@
-//! Compares the renderer with earlier pictures of its own. There is a z-test for each pixel, for
-//! each block of pixels, and for the whole picture. Random numbers may change, but the mean must
-//! not.
+//! Compares pictures of the renderer with earlier pictures of it, the golden pictures. There is a
+//! z-test for each pixel, for each block of pixels, and for the whole picture. So a change of the
+//! random numbers passes, but a change of the mean fails.
 //!
 //! `golden.exr` in a case's folder is a view of the case's scene with many samples per pixel. It
 //! has the linear mean μ of the samples, and the variance of this mean. A picture x of the same
@@ -28,16 +28,16 @@ use crate::common::{lumistack, root, succeed};
 const CASES: [&str; 3] = ["glass", "letters", "still-life"];
 /// Columns and rows of the pictures of all cases.
 const SIZE: [usize; 2] = [84, 52];
-/// Samples per pixel of a golden picture, and of the picture that is compared with it.
+/// Samples per pixel of a golden picture, and of a new picture that is compared with it.
 const SAMPLES: [usize; 2] = [4096, 64];
 /// Side of a block, pixels.
 const BLOCK: usize = 4;
 /// Probability that at least one of a case's tests fails by chance.
 const FALSE_ALARM_RATE: f64 = 1e-2;
-/// Fraction of the pixels whose test may fail in a correct picture. The mean of 64 samples of a
-/// caustic is not normally distributed.
+/// Fraction of the pixels whose test may fail in a correct picture. In caustics the mean of 64
+/// samples is not normally distributed, so some tests fail by chance.
 const OUTLIERS: f64 = 0.0025;
-/// Golden pictures are rounded to 11 bits.
+/// Relative rounding error of golden pictures, whose values have 11 bits.
 const ROUNDING: f64 = 1.0 / 2048.0;
 
 const CHANNELS: [&str; 6] = ["B", "G", "R", "variance.B", "variance.G", "variance.R"];
@@ -73,7 +73,8 @@ impl Picture {
         Self { mean: three(), variance: three() }
     }
 
-    /// Writes values with few bits. The other bits are noise, which cannot be compressed.
+    /// Writes the picture with few bits per value. Further bits would be noise, which cannot be
+    /// compressed.
     fn write(&self, path: &Path) {
         let rounded = |values: &Vec<f64>| -> Vec<f32> {
             values
@@ -86,8 +87,8 @@ impl Picture {
         write_exr_channels(path, SIZE, &channels).unwrap();
     }
 
-    /// Returns the first failed test of the picture `other`, or `None`. `self` has `samples[0]`
-    /// samples per pixel, and `other` has `samples[1]`.
+    /// Compares the picture `other` with this golden picture, and returns the first failed test, or
+    /// `None`. The golden picture has `samples[0]` samples per pixel, and `other` has `samples[1]`.
     fn problem(&self, other: &Self, samples: [usize; 2]) -> Option<String> {
         let [cols, rows] = SIZE;
         let share = samples[0] as f64 / samples[1] as f64;
@@ -145,7 +146,8 @@ fn channels(path: &Path) -> Vec<(String, Vec<f64>)> {
     list.map(|channel| (channel.name.to_string(), of(&channel.sample_data))).collect()
 }
 
-/// LUMISTACK_WRITE=1 renders the golden pictures again.
+/// New pictures of every case agree with its golden picture. With LUMISTACK_WRITE=1 this test
+/// renders the golden pictures again.
 #[test]
 fn renders_differ_from_golden_pictures_only_by_noise() {
     let renew = std::env::var_os("LUMISTACK_WRITE").is_some();
@@ -159,7 +161,7 @@ fn renders_differ_from_golden_pictures_only_by_noise() {
         }
         let golden = Picture::read(&golden);
         let now = Picture::render(&case.join("job.toml"), SAMPLES[1], 2, &folder.path().join("now"));
-        // the tests must detect 2 % more light
+        // check the tests themselves: they must detect a picture with 2 % more light
         let brighter = Picture { mean: now.mean.clone().map(|c| c.iter().map(|v| 1.02 * v).collect()), ..now.clone() };
         assert!(golden.problem(&brighter, SAMPLES).is_some(), "{name}: 2 % more light is not found");
         if let Some(problem) = golden.problem(&now, SAMPLES) {
@@ -167,7 +169,8 @@ fn renders_differ_from_golden_pictures_only_by_noise() {
             std::fs::create_dir_all(&left).unwrap();
             Picture::save_png(|c, i| now.mean[c][i], &left.join("picture.png"));
             Picture::save_png(|c, i| golden.mean[c][i], &left.join("reference.png"));
-            // a grey of 0.2 shows equal values; each standard error of difference adds 0.04
+            // In the picture of the differences, grey of 0.2 stands for equal values. A difference
+            // of one standard error adds 0.04.
             let error = |c: usize, i: usize| (golden.variance[c][i] * (SAMPLES[0] / SAMPLES[1] + 1) as f64).sqrt();
             let off = |c: usize, i: usize| 0.2 + 0.04 * (now.mean[c][i] - golden.mean[c][i]) / (error(c, i) + 1e-9);
             Picture::save_png(off, &left.join("difference.png"));

@@ -12,10 +12,10 @@ use serde_json::{Value, json};
 
 use crate::common::{fail, lumistack, number, report, succeed, write_test_field};
 
-/// Longest wait for an event.
+/// Longest time to wait for an event.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A running display.
+/// A process `lumistack live`, and its events.
 pub(crate) struct Live {
     process: Child,
     /// `None` after the program has ended.
@@ -118,9 +118,9 @@ fn states_follow_commands_files_and_heads_and_the_last_is_a_run() {
     let packet: Vec<u8> = [5.0f64, 0.0, 10.0, 30.0, 0.0, 0.0].iter().flat_map(|value| value.to_le_bytes()).collect();
     tracker.send_to(&packet, ("127.0.0.1", port)).unwrap();
     live.state(|state| state["zone"] == 0.0);
-    // if no further positions arrive, the whole zone gets its weight again
+    // if no further positions arrive, rays of the whole viewing zone count again
     live.state(|state| state["zone"] == 1.0);
-    // send a position on standard input, which has the same effect
+    // a position on standard input has the same effect as a tracker's packet
     live.command(&json!({"viewers": [[50, 0, 600]]}));
     live.state(|state| state["zone"] == 0.0);
 
@@ -132,7 +132,7 @@ fn states_follow_commands_files_and_heads_and_the_last_is_a_run() {
     succeed(lumistack().arg("simulate").arg(&run).args(["--view", "2,0", "-o"]).arg(folder.path().join("view.png")));
 }
 
-/// Requests a path of the page's server. Returns the whole answer.
+/// Requests a path from the server of the display's page. Returns the whole answer.
 fn get(address: &str, path: &str) -> String {
     let host = address.trim_start_matches("http://").trim_end_matches('/');
     let mut stream = std::net::TcpStream::connect(host.replace("localhost", "127.0.0.1")).unwrap();
@@ -160,7 +160,7 @@ fn a_page_moves_its_viewer_and_a_stranger_does_not() {
     live.state(|state| state["zone"] == 1.0);
     live.stop();
 
-    // if there is a tracker, the page cannot move the viewer
+    // if a tracker sends positions, the page has no random word, so it cannot send positions
     let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let live = Live::start(&job, &run, &["--opentrack", &port.to_string()]);
     let address = live.event(|event| event["event"] == "serving")["address"].as_str().unwrap().to_owned();
@@ -169,7 +169,8 @@ fn a_page_moves_its_viewer_and_a_stranger_does_not() {
     live.stop();
 }
 
-/// A program that starts a display may crash. Then it cannot stop the display.
+/// A program that starts a display may crash, so that it cannot stop the display. With
+/// `stop_at_end` the end of standard input then stops the display.
 #[test]
 fn the_end_of_the_input_stops_it_on_request() {
     let folder = tempfile::tempdir().unwrap();
@@ -209,7 +210,7 @@ fn errors_of_the_start_end_it_with_one_message() {
     let folder = tempfile::tempdir().unwrap();
     let job = write_job(folder.path());
     let live = |options: &[&str]| {
-        // without this folder, Mesa's drivers print an error
+        // set the variable XDG_RUNTIME_DIR, since without it Mesa's drivers print an error
         let mut command = lumistack();
         command.env("XDG_RUNTIME_DIR", folder.path());
         fail(command.args(["live", "--no-open"]).arg(&job).arg("-o").arg(folder.path().join("run")).args(options))
@@ -225,8 +226,8 @@ fn errors_of_the_start_end_it_with_one_message() {
     }
 }
 
-/// In a window, the pointer moves a head. The X server has no window manager. While the pointer
-/// rests, the head stays where it is.
+/// With `--mouse` the pointer in the window moves a tracked head. While the pointer rests, the head
+/// keeps its position, and does not time out like the head of a silent tracker.
 #[cfg(feature = "panels")]
 #[test]
 fn the_mouse_in_the_window_acts_as_a_tracked_head() {
@@ -240,17 +241,20 @@ fn the_mouse_in_the_window_acts_as_a_tracked_head() {
     let program = session.command(env!("CARGO_BIN_EXE_lumistack"));
     let live = Live::start_by(program, &job, &run, &["--show", "window", "--mouse"]);
     live.state(|state| state["zone"] == 1.0);
-    // the window opens some time after the first state
+    // returns the last value of `zone` in events until no event arrives for a time
     let zone_within = |time: Duration| -> Option<f64> {
         let events = std::iter::from_fn(|| live.events.recv_timeout(time).ok());
         events.filter_map(|event| event["zone"].as_f64()).last()
     };
+    // move the pointer until a state follows it, since the window opens some time after the first
+    // state
     let followed = (0..300).any(|turn| {
         poke.point([100 + 10 * (turn % 2), 100]);
         zone_within(Duration::from_millis(100)) == Some(0.0)
     });
     assert!(followed, "no state follows the pointer");
-    // wait for longer than the silence after which the whole zone would get its weight again
+    // the pointer rests for longer than the time after which a silent tracker's head would be
+    // ignored
     let rest = zone_within(Duration::from_secs(4));
     assert!(rest.is_none_or(|zone| zone == 0.0), "{rest:?}");
     live.stop();

@@ -46,7 +46,7 @@ fn the_tone_curve_is_reported_and_another_one_renders_nothing_again() {
     assert!(fail(lumistack().args(["run", "nothing.gltf"])).contains("nothing.gltf"));
 }
 
-/// Returns the time of the newest picture in a folder and its subfolders.
+/// Returns the modification time of the newest file in a folder and its subfolders.
 fn newest(folder: &Path) -> std::time::SystemTime {
     let mut last = std::time::SystemTime::UNIX_EPOCH;
     for entry in std::fs::read_dir(folder).unwrap() {
@@ -60,19 +60,19 @@ fn newest(folder: &Path) -> std::time::SystemTime {
     last
 }
 
-/// The window is far in front of the scene, so no part of the scene is in the depth of field. After
-/// the window is moved, some parts are. If the depth is also compressed, nearly all parts are, and
-/// the patterns match their target better.
+/// The window is far in front of the scene, so no part of the scene is in the display's depth of
+/// field. After `move` some parts are in it. After `compress` nearly all parts are in it, and the
+/// patterns have a higher PSNR.
 #[test]
 fn fitted_depth_raises_the_quality() {
     let folder = tempfile::tempdir().unwrap();
     let scene = root().join("scenes/still-life/still-life.gltf");
     let job = folder.path().join("job.toml");
-    // the window is the window of the scene's camera, moved 350 mm towards the viewer
+    // the window of the scene's camera, moved 350 mm towards the viewer
     let place = "centre = [0.0, 0.142, 0.32]\nforward = [0.0, -0.4067, -0.9135]\nup = [0.0, 1.0, 0.0]\nwidth = 0.475";
     let window = format!("from = \"given\"\n{place}");
     let text = format!(
-        "scene = {scene:?}\noutputs = []\n[display]\npreset = \"paper-three-layer\"\n[window]\n{window}\n[render]\nheld_out = 0\noutside = 0\n"
+        "scene = {scene:?}\noutputs = []\n[display]\npreset = \"paper-three-layer\"\n[window]\n{window}\n[render]\nheld_out = 0\noutside = 0\n[report]\nzone_directions = 0\n"
     );
     std::fs::write(&job, text).unwrap();
     let run = |name: &str, flags: &[&str]| {
@@ -105,7 +105,8 @@ fn fitted_depth_raises_the_quality() {
     assert!(warned(&off) && !warned(&compressed));
 }
 
-/// The depth is reported before rendering. It equals the depth that the rendering reports.
+/// `info` reports the depth of a scene without rendering it. The report of a run has the same
+/// values.
 #[test]
 fn info_reports_the_depth_of_a_scene_for_a_display() {
     let folder = tempfile::tempdir().unwrap();

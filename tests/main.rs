@@ -1,8 +1,8 @@
 //! End-to-end tests: whole runs of the binary, on the repository's own jobs and on files of other
 //! projects.
 //!
-//! All tests are in one program, which is linked only once and runs its tests in parallel. `cargo
-//! test -p lumistack-cli --test end_to_end store::` runs the tests of one file.
+//! All tests are in one program, so that it is linked only once and its tests run in parallel. For
+//! example, `cargo test -p lumistack-cli --test end_to_end store::` runs the tests of one file.
 
 mod common;
 

@@ -4,8 +4,8 @@ usage: metrics_reference.py [MAPS_DIR]
 
 Prints the contents of tests/metrics_reference.json. With MAPS_DIR, also writes every FLIP map there as raw float32.
 
-Pictures are integer formulas of row, column and channel, so that other languages compute the same code values. Values are code/255, sRGB-encoded.
-SSIM is per channel, then the mean; pictures smaller than its window are mirrored at the edges and all their pixels count (win_size=1).
+Pictures are computed by integer formulas of row, column and channel, so that other languages compute the same code values. Values are code/255, sRGB-encoded.
+SSIM is the mean over the channels. If a picture is smaller than SSIM's window, it is mirrored at the edges and all its pixels count (win_size=1).
 """
 import json
 import sys
@@ -18,7 +18,7 @@ M = np.uint64(0xFFFFFFFF)
 
 
 def noise(seed, rows, cols):
-    """Hashed code values 0..255 at the given row and column numbers, [row][col][channel]."""
+    """Returns code values 0..255 that a hash computes from row and column numbers, [row][col][channel]."""
     r, c, k = np.meshgrid(np.array(rows, np.uint64), np.array(cols, np.uint64), np.arange(3, dtype=np.uint64), indexing="ij")
     h = (r * np.uint64(0x9E3779B1) + c * np.uint64(0x85EBCA77) + k * np.uint64(0xC2B2AE3D) + np.uint64(seed * 0x27D4EB2F)) & M
     h ^= h >> np.uint64(15)
@@ -30,7 +30,7 @@ def noise(seed, rows, cols):
 
 
 def smooth(seed, rows, cols):
-    """Bilinear interpolation of noise at every eighth pixel."""
+    """Returns a smooth picture: noise at every eighth pixel, with bilinear interpolation between."""
     rows, cols = np.array(rows), np.array(cols)
     fr, fc = (rows % 8)[:, None, None], (cols % 8)[None, :, None]
     corner = lambda dr, dc: noise(seed, rows // 8 + dr, cols // 8 + dc)
@@ -40,7 +40,7 @@ def smooth(seed, rows, cols):
 
 
 def picture(formula, shape):
-    """Code values of the test picture "KIND:NUMBER", of shape [rows, cols]."""
+    """Returns the code values of the test picture "KIND:NUMBER", of shape [rows, cols]."""
     kind, number = formula.split(":")
     number, (rows, cols) = int(number), (range(shape[0]), range(shape[1]))
     if kind == "flat":

@@ -1,5 +1,5 @@
-//! Outputs of runs, which independent software reads. Light fields from source plugins. Files in
-//! parameters of plugins.
+//! Tests of outputs, which independent software reads, of light fields from source plugins, and of
+//! files in parameters of plugins.
 
 use std::path::Path;
 use std::process::Command;
@@ -53,7 +53,7 @@ fn a_source_makes_the_light_field_once() {
     assert!(number(&report(&run), "psnr_view") > 10.0);
     run_job(&job, &run);
     assert!(cached(&run, "test_views") && cached(&run, "factorize") && cached(&run, "output-images"));
-    // damage the source's light field in the folder
+    // replace a view of the light field in the run folder by another view
     std::fs::copy(run.join("target/view_00_00.exr"), run.join("target/view_00_02.exr")).unwrap();
     run_job(&job, &run);
     assert!(!cached(&run, "test_views"));
@@ -106,7 +106,7 @@ fn files_in_parameters_are_the_jobs_own() {
     std::fs::create_dir(folder.path().join("sub")).unwrap();
     let output = "[[outputs]]\nplugin = \"quilt\"\nparams = { columns = 3, rows = 1, calibration = \"screen.json\" }\n";
     std::fs::write(&job, format!("{NUMBERS}{output}")).unwrap();
-    // the missing file is an error before any work begins
+    // the calibration file is missing, which is an error before any work begins
     let error = fail(lumistack().arg("run").arg(&job).arg("-o").arg(&run));
     assert!(error.contains("outputs[0].params.calibration: expected a readable file"), "{error}");
     assert!(error.contains("screen.json") && !run.exists(), "{error}");

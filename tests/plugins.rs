@@ -1,5 +1,5 @@
-//! Plugins in libraries, which the program runs in child processes. A child process may end in any
-//! way.
+//! Plugins in libraries, which the program runs in child processes. If a child process crashes,
+//! ends or hangs, only its output fails.
 
 #![cfg(unix)]
 
@@ -23,7 +23,8 @@ fn hostile(folder: &Path, id: &str, in_entry: &str) {
     assert!(cc.status().expect("a C compiler").success());
 }
 
-/// Makes a small job with two outputs. The plugin of one output has this fault.
+/// Makes a small job with two outputs. The plugin of one output fails in the way that `fault`
+/// names.
 fn job(folder: &Path, fault: &str) -> PathBuf {
     let text = format!(
         "[source]\nplugin = \"test_views\"\nparams = {{ pattern = \"cards\", depth_mm = 12 }}\n\n\
@@ -56,7 +57,7 @@ fn a_plugin_that_crashes_costs_its_own_output_alone() {
         assert!(text.contains(&expected), "{text}");
         assert!(outputs.join("images").is_dir() && !outputs.join("hostile").exists(), "{fault}");
     }
-    // the output of the program itself does not change
+    // text that the plugin prints does not appear in the program's standard output
     let text = succeed(&mut run(folder.path(), "submit:print"));
     assert!(!text.contains("printed by a plugin"), "{text}");
     assert_eq!(std::fs::read_to_string(outputs.join("hostile/a.txt")).unwrap(), "written");
@@ -83,7 +84,7 @@ fn libraries_that_end_their_process_are_listed_with_the_cause() {
     assert!(text.contains("sound 1.0.0 (output, "), "{text}");
     let cause = format!("its process ({}) ended itself with exit code 0 while it was loaded", file_name("exits"));
     assert!(text.contains(&cause) && text.contains("images "), "{text}");
-    // no other command loads a plugin that the job does not name
+    // only `lumistack plugins` loads all libraries; other commands load only plugins that they need
     let marks = folder.path().join("marks");
     std::fs::create_dir(&marks).unwrap();
     let mut render = lumistack();

@@ -1,9 +1,9 @@
-"""An independent model of what an eye sees: traces many rays per pixel, each through the nearest pixel of every layer.
+"""Computes seen pictures by an independent model: it traces many rays per pixel, each through the nearest pixel of every layer.
 
 usage: seen.py RUN [RAYS_PER_PIXEL_AND_AXIS]
 
-RUN is the folder of a run of a scene with tone = "linear", nearest sampling, and rays that leave a layer ignored ("drop"). Pitch,
-offset, projection and backlight may be any. Prints psnr_zone and psnr_zone_worst_tenth of this model.
+RUN is the folder of a run of a scene with tone = "linear", nearest sampling, and rays that miss a layer ignored ("drop"). Pitch,
+offset, projection and backlight may have any values. Prints psnr_zone and psnr_zone_worst_tenth of this model.
 """
 import glob
 import json
@@ -22,7 +22,7 @@ distance = views["distance_mm"]
 layers = [np.load(f"{run}/layers/layer_{n}.npy").astype(np.float64) for n in range(len(display["layers"]))]
 lenslets = display["backlight"] if display.get("backlight", {}).get("kind", "uniform") != "uniform" else None
 emission = np.load(f"{run}/layers/emission.npy").astype(np.float64) if lenslets else None
-# all layers and the backlight, each with its [columns, rows]
+# the parts of the display: all layers, and a backlight of lenslets, each with its [columns, rows]
 parts = [(part, (values.shape[2], values.shape[1])) for part, values in zip(display["layers"], layers)]
 parts += [(lenslets, (emission.shape[4], emission.shape[3]))] if lenslets else []
 
@@ -39,9 +39,9 @@ def runs(slope, side):
     """Traces `many` rays per pixel along one axis: 0 is x, 1 is y.
 
     Neighbouring rays that read the same pixels of all parts form a group, called a run; only its first ray is traced further.
-    Returns three arrays. The array places[part, run, pixel] has the pixel of each part. With a backlight of lenslets, the
-    last part is the bin of directions. The array shares[run, pixel] has the run's fraction of the pixel's width. The array
-    inside[run, pixel] is true if the run crosses all parts.
+    Returns three arrays. The array places[part, run, pixel] has the pixel of each part that the run reads. With a backlight of
+    lenslets, the last part is the angular bin. The array shares[run, pixel] has the run's fraction of the pixel's width. The
+    array inside[run, pixel] is true if the run hits all parts.
     """
     count, sign = ((cols, 1), (rows, -1))[side]
     offset = ((np.arange(many) + 0.5) / many - 0.5)[:, None]

@@ -1,5 +1,6 @@
-//! A scene is visible without any settings. It is seen from a side with content, is lit, has no
-//! obstacles in front, and has a depth that the display can show.
+//! Without any settings, a display shows a scene so that its content is visible. The program
+//! chooses a side with content, light, a near plane that removes obstacles, and a depth that the
+//! display can show.
 
 use std::path::Path;
 
@@ -8,8 +9,8 @@ use serde_json::{Value, json};
 
 use crate::common::{lumistack, number};
 
-/// Returns a scene of cards of 2 × 2 units. Their fronts face +z, and are then transformed by
-/// glTF's translations and rotations (x, y, z, w).
+/// Returns a scene of cards of 2 × 2 units. The front of a card faces +z; then its translation
+/// (x, y, z) and rotation (x, y, z, w) of glTF are applied.
 fn scene(cards: &[([f64; 3], [f64; 4])], change: impl FnOnce(&mut Value)) -> String {
     use base64::Engine as _;
     let mut bytes = Vec::new();
@@ -40,11 +41,11 @@ fn scene(cards: &[([f64; 3], [f64; 4])], change: impl FnOnce(&mut Value)) -> Str
 }
 
 const UPRIGHT: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
-/// A quarter turn about −x, after which the front faces upwards.
+/// Rotation by 90° about −x, after which the front of a card faces upwards.
 const LYING: [f64; 4] = [-std::f64::consts::FRAC_1_SQRT_2, 0.0, 0.0, std::f64::consts::FRAC_1_SQRT_2];
 
-/// Renders a scene. Returns the messages, the index of the light field, and two values of the
-/// middle view: the brightest value and the mean.
+/// Renders a scene. Returns the messages, the settings in the light field's index, and the
+/// brightest value and the mean of the middle view.
 fn render(folder: &Path, scene: &str, flags: &[&str]) -> (String, Value, [f32; 2]) {
     let (file, views) = (folder.join("scene.gltf"), folder.join("views"));
     let _ = std::fs::remove_dir_all(&views);
@@ -71,7 +72,7 @@ fn a_board_is_seen_from_above_and_an_empty_picture_is_a_warning() {
     let (said, info, _) = render(folder.path(), &board, &["--look-from=0,-30"]);
     assert_eq!(info["look_from_deg"], json!([0.0, -30.0]));
     assert!(said.contains("no surface is seen") && said.contains("--look-from"), "its back is culled: {said}");
-    // a requested side overrides the camera of the file
+    // `--look-from` overrides the camera of the file
     let with_camera = scene(&[([0.0; 3], UPRIGHT)], |document| {
         document["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 0.8, "znear": 0.1 } }]);
         document["nodes"].as_array_mut().unwrap().push(json!({ "camera": 0, "translation": [0, 0, 5] }));
@@ -88,7 +89,7 @@ fn lamps_that_miss_the_visible_side_are_supplemented() {
     let folder = tempfile::tempdir().unwrap();
     let lit_from = |z: f64| {
         scene(&[([0.0; 3], UPRIGHT)], move |document| {
-            // the lamp shines towards −z, parallel to the card
+            // the lamp shines towards −z, parallel to the card, so the card stays black
             document["extensionsUsed"] = json!(["KHR_lights_punctual"]);
             document["extensions"] = json!({ "KHR_lights_punctual": { "lights": [
                 { "type": "spot", "intensity": 40, "spot": { "outerConeAngle": 0.6 } }] } });
@@ -104,7 +105,7 @@ fn lamps_that_miss_the_visible_side_are_supplemented() {
     assert!(!said.contains("its own lamps leave") && mean > 0.1, "{said} {mean}");
 }
 
-/// The background of a scene in studio light is dark. It does not show the light itself.
+/// The studio light is visible only as a dark background, and not as a bright environment.
 #[test]
 fn studio_light_is_no_bright_background() {
     let folder = tempfile::tempdir().unwrap();
@@ -118,8 +119,8 @@ fn studio_light_is_no_bright_background() {
     assert!(corner.iter().all(|&value| value == corner[0]), "neutral: {corner:?}");
 }
 
-/// The cards are one behind another, four window widths deep. By default their depth is compressed
-/// into the depth of field, and one message reports this.
+/// Cards stand one behind another, over a depth of four widths of the window. By default their
+/// depth is compressed into the display's depth of field, and one message reports this.
 #[test]
 fn depth_that_does_not_fit_is_fitted_by_default() {
     let folder = tempfile::tempdir().unwrap();
@@ -132,7 +133,7 @@ fn depth_that_does_not_fit_is_fitted_by_default() {
     let (said, info, _) = render(folder.path(), &deep, &["--fit-depth=off"]);
     assert!(!said.contains("compressed to") && number(&info, "depth_scale") == 1.0, "{said}");
     assert!(said.contains("only"), "most of it does not fit: {said}");
-    // a depth that fits is not changed
+    // if the depth of a scene fits, it is not changed
     let (said, info, _) = render(folder.path(), &scene(&[([0.0; 3], UPRIGHT)], |_| {}), &[]);
     assert!(
         !said.contains("compressed to") && !said.contains("was moved") && number(&info, "depth_scale") == 1.0,
@@ -140,8 +141,8 @@ fn depth_that_does_not_fit_is_fitted_by_default() {
     );
 }
 
-/// A card behind the camera would cover everything in oblique views. Therefore the views start at
-/// the camera's near plane.
+/// A card behind the camera would hide all other content in oblique views. So the views start at
+/// the camera's near plane, and the card is not visible.
 #[test]
 fn content_behind_the_camera_is_hidden() {
     let folder = tempfile::tempdir().unwrap();
@@ -151,7 +152,8 @@ fn content_behind_the_camera_is_hidden() {
         document["nodes"].as_array_mut().unwrap().push(json!({ "camera": 0, "translation": [0, 0, 5] }));
         document["scenes"][0]["nodes"] = json!([0, 1, 2]);
     });
-    // the nearer card is 9 units in front of the window, which is several metres of the display
+    // If the near plane does not hide the card 9 units in front of the window, its depth on the
+    // display is several metres.
     let depth = |flags: &[&str]| {
         let said = render(folder.path(), &document, &[&["--json", "--fit-depth=off"], flags].concat()).0;
         let mut done = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());

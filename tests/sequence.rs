@@ -1,4 +1,5 @@
-//! Sequences: warm starts, flicker, resuming, and one error for light fields that do not match.
+//! Sequences: warm starts, flicker, runs that are resumed, and the error for light fields whose
+//! geometries differ.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -8,13 +9,13 @@ use serde_json::Value;
 
 use crate::common::{fail, files, lumistack, number, report, root, succeed, write_test_field};
 
-/// Largest loss of 5 iterations from a warm start against 30 iterations from a fresh start, dB. It
-/// applies to the solver `multiplicative`.
+/// The PSNR after 5 iterations from a warm start may be this much below the PSNR after 30
+/// iterations from a fresh start, dB. This applies to the solver `multiplicative`.
 const WARM_LOSS_DB: f64 = 1.0;
-/// Smallest gain of 5 iterations from a warm start against 5 iterations from a fresh start, with
-/// any solver, dB.
+/// The PSNR after 5 iterations from a warm start must exceed the PSNR after 5 iterations from a
+/// fresh start by this much, dB. This applies to all solvers.
 const WARM_GAIN_DB: f64 = 1.0;
-/// Largest relative difference of exposures within a sequence.
+/// Largest relative difference between the exposures of the time steps of a sequence.
 const SAME_EXPOSURE: f64 = 1e-9;
 
 const FLAGS: [&str; 6] = ["--fov", "20x20", "--pitch-mm", "3", "--frames", "4"];
@@ -52,7 +53,7 @@ fn write_moving_field(path: &Path, shift: f64, [rows, cols]: [usize; 2]) {
 fn moving(folder: &Path, count: usize, step: f64) -> PathBuf {
     let times = folder.join("times");
     std::fs::create_dir(&times).unwrap();
-    // the alphabetical order of these names differs from the order of their numbers
+    // the names f8, f9, f10 test the order: alphabetically f10 would come first
     (0..count).for_each(|time| write_moving_field(&times.join(format!("f{}.npy", time + 8)), step * time as f64, SIZE));
     times
 }
@@ -90,14 +91,14 @@ fn a_warm_start_saves_iterations() {
         if solver == "multiplicative" {
             assert!(warm > many - WARM_LOSS_DB, "{warm} dB, 30 from nothing {many} dB");
         }
-        // every time step starts from the result of the previous one; this start is worse than the
-        // time step's own result
+        // Every time step after the first starts from the result of the previous time step. The
+        // PSNR of this start is below the PSNR of the time step's own result.
         assert!(times[1..].iter().all(|time| number(time, "psnr_start") < number(time, "psnr_view")));
     }
 }
 
-/// There is a cut in the middle of the sequence. At the cut, the patterns of the previous time step
-/// are not a good start.
+/// In the middle of the sequence the content is replaced by other content (a cut). At the cut the
+/// patterns of the previous time step are a bad start, so the time step has a fresh start.
 #[test]
 fn a_cut_starts_fresh() {
     let folder = tempfile::tempdir().unwrap();
@@ -133,8 +134,8 @@ fn static_content_does_not_flicker() {
     assert_eq!((&frozen[0]["psnr_change"], &frozen[1]["psnr_change"]), (&Value::Null, &"Infinity".into()));
     assert_eq!((number(&frozen[2], "still_share"), number(&frozen[2], "psnr_still")), (1.0, f64::INFINITY));
     assert!(files(&run.join("t0001/layers")) == files(&run.join("t0003/layers")));
-    // the content stands still, so with warm starts the patterns change little, and less with each
-    // time step
+    // The content stands still. So with warm starts the patterns change little, and less with each
+    // time step.
     succeed(factorize(&input, &run).args(flags).arg("5"));
     let settling = times(&run);
     let change = [1, 2].map(|time| number(&settling[time], "psnr_change"));
@@ -170,7 +171,7 @@ fn a_mismatched_light_field_stops_a_sequence_and_finished_time_steps_are_kept() 
     let cached = |run: &Path| times(run).iter().map(|time| time["cached"].as_bool().unwrap()).collect::<Vec<_>>();
     assert_eq!(cached(&run), [true, true, false, false]);
     let parts = |list: &[(PathBuf, std::time::SystemTime)]| {
-        // leave out job.toml and display.toml, which every run writes again
+        // omit job.toml and display.toml, which every run writes again
         list.iter().filter(|(path, _)| path.extension().is_none_or(|e| e != "toml")).cloned().collect::<Vec<_>>()
     };
     for (time, before) in ["t0001", "t0002"].iter().zip(&before) {
@@ -178,7 +179,7 @@ fn a_mismatched_light_field_stops_a_sequence_and_finished_time_steps_are_kept() 
     }
 }
 
-/// Returns all files in a folder and its subfolders with their times.
+/// Returns all files in a folder and its subfolders with their modification times.
 fn written(folder: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
     let mut list = Vec::new();
     for (path, _) in files(folder) {
@@ -234,7 +235,7 @@ fn a_window_moves_through_a_scene() {
     assert!(files(&run.join("t0001/target")) != files(&run.join("t0002/target")));
     assert!(times(&run)[1]["source"].as_str().unwrap().contains("turned by 15.0°, moved by (10.0, 0.0, 0.0) mm"));
     assert!(!run.join("t0002/report.html").exists());
-    // every time step has its own job, which can be run
+    // every time step has its own job; a run of this job uses the cached results
     let patterns = files(&run.join("t0002/layers"));
     succeed(lumistack().arg("run").arg(run.join("t0002/job.toml")).arg("-o").arg(run.join("t0002")));
     let stages = report(&run.join("t0002"))["stages"].clone();
@@ -243,7 +244,8 @@ fn a_window_moves_through_a_scene() {
     assert!(patterns == files(&run.join("t0002/layers")));
 }
 
-/// Writes a red or blue square that moves by half of its width in one second.
+/// Writes a scene of a square with the material variants red and blue. In one second the square
+/// moves by half of its width.
 fn write_gliding_square(path: &Path) {
     use base64::Engine;
     let mut bin: Vec<u8> = Vec::new();
@@ -293,8 +295,8 @@ fn an_animated_scene_plays() {
     let target = |run: &Path| files(&run.join("target"));
     assert!(target(&run.join("t0001")) != target(&run.join("t0002")));
     assert!(target(&run.join("t0002")) != target(&run.join("t0003")));
-    // The last time step has its own job with its pose. A run in this folder with another pose must
-    // not use cached results.
+    // The last time step has its own job, which states its pose. If this job runs with another pose
+    // in the folder of the time step, it must not use cached results.
     let last = run.join("t0003");
     let before = target(&last);
     succeed(lumistack().arg("run").arg(last.join("job.toml")).arg("-o").arg(&last));

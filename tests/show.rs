@@ -1,5 +1,5 @@
-//! Panels on real compositors. The tests check the content and order of frames on every output, and
-//! the reaction to changes and losses of outputs.
+//! Tests of `lumistack show` on real compositors. They check the content and the order of frames on
+//! every output, and the reaction to changes and losses of outputs.
 
 #![cfg(feature = "panels")]
 
@@ -16,9 +16,9 @@ use crate::common::{self, poke};
 
 const FRAMES: usize = 4;
 
-/// Three layers for three outputs. One layer has a panel pixel per mask pixel. Another one is
-/// upside down and has another gamma. The third one is mirrored, and has 2 × 2 panel pixels per
-/// mask pixel.
+/// A display of three layers for three outputs. The first layer has one panel pixel per mask pixel.
+/// The second layer is upside down and has another gamma. The third layer is mirrored, and has 2 ×
+/// 2 panel pixels per mask pixel.
 fn display(outputs: &[Screen]) -> Display {
     let mut display = Display::uniform([320, 180], 0.5, [3, 3], [10.0, 10.0], &[-10.0, 0.0, 10.0], FRAMES);
     display.brightness = 0.5;
@@ -35,14 +35,15 @@ fn display(outputs: &[Screen]) -> Display {
     display
 }
 
-/// Returns the codes of a mask, `[row][col][rgb]`. They are noise that differs between frames and
-/// stacks. A strip at the top identifies the frame.
+/// Returns the codes of a mask, `[row][col][rgb]`. They are noise, which differs between frames and
+/// between stacks (numbered by `seed`). A strip at the top identifies the frame.
 fn codes(seed: u64, layer: usize, frame: usize, [cols, rows]: [usize; 2]) -> Vec<u8> {
     let mut random = Stream::new(1000 * seed + 100 * layer as u64 + frame as u64);
     let noise = (0..rows * cols * 3).map(|_| (random.next_u64() & 255) as u8);
     let mut codes: Vec<u8> = noise.collect();
     for (i, pixel) in codes.chunks_exact_mut(3).enumerate().take(20 * cols) {
-        // the strip has one stripe per frame, and the stripe of this frame is bright
+        // the strip has one stripe for each frame; only the stripe of the mask's own frame is
+        // bright
         let lit = i % cols * FRAMES / cols == frame;
         pixel.fill(if lit { 255 } else { 20 });
     }
@@ -55,7 +56,7 @@ fn write_run(folder: &Path, display: &Display, seed: u64) {
     for (n, layer) in stack.layers.iter_mut().enumerate() {
         for frame in 0..FRAMES {
             let codes = codes(seed, n, frame, display.layers[n].resolution);
-            // returns the linear value that is encoded as this code
+            // returns the linear value that the layer's transfer function encodes as this code
             let light = |code: u8| {
                 let code = f32::from(code) / 255.0;
                 if n == 1 { code * code } else { code }
@@ -67,8 +68,8 @@ fn write_run(folder: &Path, display: &Display, seed: u64) {
     lumistack_field_io::write_stack(&folder.join("layers"), display, &stack).unwrap();
 }
 
-/// Computes the expected picture of an output, pixel by pixel. It follows from the codes and from
-/// the mounting of the panel.
+/// Computes the expected picture of an output, pixel by pixel, from the codes of the mask and the
+/// mounting of the panel.
 fn expected(seed: u64, n: usize, frame: usize, [cols, rows]: [usize; 2]) -> Picture {
     let mask = if n == 2 { [cols / 2, rows / 2] } else { [cols, rows] };
     let codes = codes(seed, n, frame, mask);
@@ -84,7 +85,8 @@ fn expected(seed: u64, n: usize, frame: usize, [cols, rows]: [usize; 2]) -> Pict
     Picture { size: [cols, rows], rgb }
 }
 
-/// Finds the stack, by its seed, and the frame whose expected picture equals this picture exactly.
+/// Finds the stack and the frame whose expected picture equals a picture of output `n` exactly.
+/// Returns the stack's seed and the frame's number.
 fn frame_of(picture: &Picture, n: usize, seeds: &[u64]) -> Option<(u64, usize)> {
     let all = seeds.iter().flat_map(|seed| (0..FRAMES).map(move |frame| (*seed, frame)));
     all.into_iter().find(|(seed, frame)| *picture == expected(*seed, n, *frame, picture.size))
@@ -104,7 +106,7 @@ fn every_output_shows_its_layer_pixel_for_pixel() {
             wait_for(&format!("frame {frame} on {name}"), || session.grim(name).filter(|shown| *shown == wanted));
         }
     }
-    // the command `nudge` moves the picture immediately, and `save` writes its position to the file
+    // the command `nudge` moves the picture immediately, and `save` writes the shift to the file
     show.tell("nudge 0 3 -2");
     let plain = expected(1, 0, 0, SWAY[0].1);
     let moved = wait_for("the nudge", || session.grim(SWAY[0].0).filter(|shown| *shown != plain));
@@ -139,8 +141,9 @@ fn frames_run_in_order_and_late_ones_are_counted() {
     }
     let interval = report["interval_s"].as_f64().unwrap();
     let late = rows.windows(2).filter(|pair| pair[1][3] - pair[0][3] > 1.5 * interval).count() as i64;
-    // The log rounds times to microseconds, so a gap near the limit may be late in only one of log
-    // and report. The test allows one such gap.
+    // Count the late frames in the log, and compare the number with the report. The log rounds
+    // times to microseconds, so a frame near the limit may count in only one of the two. One such
+    // frame is allowed.
     assert!((report["submitted"]["late"].as_i64().unwrap() - late).abs() <= 1, "{late} gaps in the log");
     // if the compositor reports presentation times, the times must rise and the skew must be known
     if report["presented"].as_object().is_some_and(|presented| !presented.is_empty()) {
@@ -173,7 +176,8 @@ fn a_stack_that_is_written_anew_replaces_the_old_one() {
     assert!(show.quit()["swaps"].as_u64().unwrap() >= 3);
 }
 
-/// Every screenshot must show the same frame of the same stack on every output.
+/// Takes screenshots while new stacks replace old ones. In every screenshot, all outputs must show
+/// one frame of one stack.
 fn one_frame_per_capture(
     capture: impl Fn() -> Option<Picture>,
     outputs: &[Screen],
@@ -213,7 +217,7 @@ fn one_frame_per_capture(
         frames.insert(last.1);
         captures += 1;
     }
-    // the last stack stays on the outputs
+    // at the end the outputs show the last stack
     wait_for("the last stack", || capture().and_then(|whole| seen(&whole)).filter(|parts| parts[0].0 == 3));
     println!("{captures} captures, frames {frames:?}, stacks {seeds:?}: one frame index each; {}", show.quit());
     assert!(captures >= 50 && frames.len() >= 2);
@@ -225,8 +229,8 @@ fn one_surface_across_all_outputs_never_mixes_frames_on_x11() {
     one_frame_per_capture(|| session.import(), &XORG, &session, [0, 0]);
 }
 
-/// Screenshots of several outputs of sway are taken one after another. Therefore only held frames
-/// can be compared.
+/// With `--span` one surface covers all outputs of sway. Screenshots of outputs are taken one after
+/// another, so the test holds a frame while it takes them.
 #[test]
 fn one_surface_reaches_across_the_outputs_of_sway() {
     let Some(session) = Session::sway(&SWAY) else { return };
@@ -287,8 +291,9 @@ fn outputs_that_are_missing_are_named() {
     assert!(text.contains(expected), "{text}");
 }
 
-/// Checks how the program ends after an output is lost or changed. It prints the message, ends with
-/// exit code 1, leaves the display file unchanged, and reports the refreshes until then.
+/// Checks that the program ends correctly after an output is lost or changed. It must print the
+/// message `expected`, end with exit code 1, and leave the display file unchanged. It must also
+/// report the number of refreshes.
 fn must_end(mut show: Show, folder: &Path, file: &str, expected: &str) {
     let report = show.event("report");
     assert!(report["refreshes"].as_u64().unwrap() > 0, "{report}");
@@ -389,7 +394,8 @@ fn a_session_that_ends_ends_the_presentation() {
     }
 }
 
-/// On Xorg, sway reports the X server's presentation times.
+/// A sway on Xorg reports presentation times, from which the program computes late frames and the
+/// skew between outputs.
 #[test]
 fn late_frames_and_skew_follow_from_reported_presentation_times() {
     let Some(session) = Session::sway_on_x(&ON_X) else { return };
@@ -404,13 +410,13 @@ fn late_frames_and_skew_follow_from_reported_presentation_times() {
         assert!(shown["shown"].as_u64().unwrap() > 20, "{report}");
         assert_eq!(shown["out_of_order"], 0, "{report}");
     }
-    // outputs of one server on a busy machine have a skew above 0 and below a second
+    // the skew of outputs of one server is below a second, even on a busy machine
     let skew = report["skew_mean_s"].as_f64().unwrap();
     assert!((0.0..1.0).contains(&skew), "{report}");
 }
 
-/// If there is no window manager, a key press arrives; it does not matter which window had the
-/// focus before.
+/// Without a window manager, a key press reaches the presentation, for every window that had the
+/// keyboard focus before.
 #[test]
 fn a_bare_x_server_sends_keys_to_the_presentation() {
     let Some(session) = Session::xorg(&XORG) else { return };
@@ -432,7 +438,7 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     }
     let mut show = Show::start(&session, folder.path(), &["--hold", "0"]);
     show.event("swapped");
-    // if there is a window manager, the program leaves the focus to it
+    // with a window manager, the program does not set the focus itself
     poke.manage(true);
     poke.focus(root);
     std::thread::sleep(Duration::from_millis(300));
@@ -446,7 +452,8 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     wait_for("the keys", || (poke.focused() > 1).then_some(()));
     let (name, size, at) = XORG[0];
     wait_for("frame 0", || session.import().filter(|all| all.part(at, size) == expected(1, 0, 0, size)));
-    // the key Tab selects the next panel
+    // the first five keys shift the first panel; Tab selects the next panel, which the last key
+    // shifts
     for key in [poke::RIGHT, poke::UP, poke::RIGHT, poke::UP, poke::RIGHT, poke::TAB, poke::DOWN] {
         poke.key(key);
     }
@@ -463,8 +470,9 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     assert!(show.ended().0.success());
 }
 
-/// Ends presentations in every way and at any time, some before they have begun. They must end
-/// quickly and without a crash. `LUMISTACK_PANELS_TURNS` is the number of presentations.
+/// Ends presentations in every way and at random times, some before they have begun. They must end
+/// quickly and without a crash. The variable `LUMISTACK_PANELS_TURNS` sets the number of
+/// presentations.
 fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn FnMut(u32)) {
     let turns = std::env::var("LUMISTACK_PANELS_TURNS").ok().and_then(|turns| turns.parse().ok()).unwrap_or(turns);
     let folder = tempfile::tempdir().unwrap();
@@ -476,7 +484,7 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
         let mut show = Show::start(session, folder.path(), options);
         std::thread::sleep(Duration::from_secs_f32(1.5 * random.next_f32()));
         let way = ["quit", "interrupt", "terminate", "escape", "close"][(random.next_u64() % 5) as usize];
-        // without a window manager, Xorg cannot request a window to close
+        // without a window manager, no program on Xorg can request that a window closes
         let way = if name == "Xorg" && way == "close" { "escape" } else { way };
         let signal = |name: &str, show: &Show| {
             assert!(session.command("kill").args([name, &show.child.id().to_string()]).status().unwrap().success());
@@ -500,8 +508,8 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
             }
         }
         let (status, errors) = show.ended();
-        // the program does not handle SIGTERM; a SIGINT before it is ready also ends it without its
-        // own handler
+        // SIGTERM ends the program, since it has no handler for it. SIGINT also ends it by the
+        // signal, if it arrives before the handler is installed.
         let fine = match way {
             "interrupt" => matches!((status.code(), status.signal()), (Some(0 | 130), _) | (_, Some(2))),
             "terminate" => status.signal() == Some(15),

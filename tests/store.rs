@@ -1,8 +1,9 @@
 //! Stored results: damaged and stale results are made again, and `clean` removes results that are
 //! not needed.
 //!
-//! A folder has one owner, and files of other programs are not replaced. If an output cannot be
-//! written, the error comes before the work, or only this output fails.
+//! Only one run at a time uses a folder, and files of other programs are not replaced. If an output
+//! refuses a display, the error comes before the work; if it cannot be written, only this output
+//! fails.
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
@@ -37,7 +38,8 @@ fn render(run: &Path) -> Command {
     command
 }
 
-/// Writes a job of a light field with these outputs, given as TOML. Returns its path.
+/// Writes a job of a light field; `outputs` are its tables of outputs as TOML. Returns the job's
+/// path.
 fn job(folder: &Path, frames: usize, outputs: &str) -> PathBuf {
     field(folder);
     let path = folder.join("my-job.toml");
@@ -49,7 +51,7 @@ fn job(folder: &Path, frames: usize, outputs: &str) -> PathBuf {
     path
 }
 
-/// Changes the last byte of a file. Its size and its time stay the same.
+/// Changes the last byte of a file, but neither its size nor its modification time.
 fn damage(path: &Path) {
     let time = fs::metadata(path).unwrap().modified().unwrap();
     let mut bytes = fs::read(path).unwrap();
@@ -99,7 +101,7 @@ fn views_that_were_damaged_or_exchanged_are_traced_again() {
     let target = views.into_iter().find(|path| path.to_string_lossy().contains("target-")).unwrap();
     succeed(render(&run).args(["--views", "5x5"]));
     assert!(cached(&run, "render"));
-    // replace this view by another view of the same size
+    // replace a view by another view, which has the same size
     fs::copy(target.join("view_00_00.exr"), target.join("view_02_02.exr")).unwrap();
     succeed(render(&run).args(["--views", "5x5"]));
     assert!(!cached(&run, "render") && results(&run) == whole);
@@ -119,8 +121,8 @@ fn preview(run: &Path) {
     assert!(serves);
 }
 
-/// If one view is damaged, all views that share light are traced again together. The samples that
-/// they shared are deleted by then.
+/// If one view is damaged, all views that share light with it are traced again together, since the
+/// run has deleted the split views from which they were made.
 #[test]
 fn views_that_share_light_are_made_again_together() {
     let folder = tempfile::tempdir().unwrap();
@@ -164,10 +166,10 @@ fn a_preview_of_other_patterns_is_made_anew_for_any_time() {
     assert!(image::open(&shown).is_ok());
 }
 
-/// Key in the output of `lumistack info`. It lists the outputs that a run would refuse.
+/// Key in the output of `lumistack info`, under which it lists the outputs that a run would refuse.
 const WOULD_REFUSE: &str = "outputs that a run would refuse";
 
-/// Returns the table of a quilt output that needs this many columns of views.
+/// Returns the table of an output `quilt` with this number of columns of views.
 fn quilt(columns: usize) -> String {
     format!(
         "[[outputs]]\nplugin = \"quilt\"\nfrom = \"light_field\"\n\
@@ -180,14 +182,15 @@ fn outputs_that_refuse_the_display_do_so_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
     let transparencies = "[[outputs]]\nplugin = \"transparencies\"\n";
-    // the input is a light field, to which the display is adapted
+    // For a light field, the error comes before the factorization: the display is known only after
+    // the light field is read.
     let path = job(folder.path(), 12, transparencies);
     let error = fail(lumistack().arg("run").arg(&path).arg("-o").arg(&run));
     assert!(error.contains("transparencies") && error.contains("12"), "{error}");
     assert!(!run.join("layers").exists(), "it was factorized first");
     let info = succeed(lumistack().arg("info").arg(&path));
     assert!(info.contains(WOULD_REFUSE) && info.contains("transparencies") && info.contains("frames = 1"), "{info}");
-    // the input is a scene, and the error comes before tracing
+    // for a scene, the error comes before the path tracer renders
     let scene = root().join("scenes/glass/glass.gltf");
     fs::write(folder.path().join("bad.json"), "{}").unwrap();
     for (outputs, reason) in [
@@ -211,7 +214,7 @@ fn outputs_that_refuse_the_display_do_so_before_the_work() {
         assert!(error.contains(reason) && !printed.contains("\"begin\""), "{error}{printed}");
         assert!(succeed(lumistack().arg("info").arg(&path)).contains(WOULD_REFUSE));
     }
-    // the output of a node is checked with the display of this node
+    // an output is checked with the display of the node from which it gets its patterns
     let nodes = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\n[nodes.display]\npreset = \"fig7-uniform\"\nframes = 7\n\
                  [[outputs]]\nplugin = \"images\"\nfrom = \"a\"\n[[outputs]]\nplugin = \"transparencies\"\nfrom = \"b\"\n";
     let error = fail(lumistack().arg("run").arg(job(folder.path(), 1, nodes)).arg("-o").arg(&run));
@@ -248,7 +251,8 @@ fn outputs_of_a_sequence_are_checked_on_the_light_fields_of_its_times() {
 fn an_output_that_fails_costs_neither_report_nor_other_outputs() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
-    // a file in the place of the output's folder is found only when the output is written
+    // A file has the name of the output's folder. The run finds it only when it writes the output,
+    // so only this output fails.
     succeed(
         lumistack().arg("run").arg(job(folder.path(), 2, "[[outputs]]\nplugin = \"images\"\n")).arg("-o").arg(&run),
     );
@@ -382,7 +386,7 @@ fn unneeded_files_are_removed_and_reported() {
     let run = folder.path().join("run");
     succeed(&mut render(&run));
     let first = views_of(&run);
-    // leave files behind as a killed run does
+    // make files that a killed run would leave behind
     let old = SystemTime::now() - Duration::from_secs(3600);
     let left = [".lumistack-abc123.tmp", "cache/.lumistack-abc124.tmp", "layers/.lumistack-abc125.tmp"];
     let leave = || {
@@ -437,7 +441,7 @@ fn placed(run: &Path) -> Vec<String> {
 fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
     let folder = tempfile::tempdir().unwrap();
     let out = |name: &str| folder.path().join(name);
-    // a sequence: the time steps of a scene have their own views
+    // test a sequence, in which every time step has its own cached views
     let sequence = out("sequence");
     let times = |seed: &str| {
         let mut command = render(&sequence);
@@ -460,7 +464,7 @@ fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
             == *bytes)
     );
 
-    // a sweep: its light fields are cached
+    // test a sweep, whose light fields are cached
     let sweep = out("sweep");
     let designs = |fov: &str| {
         let mut command = lumistack();
@@ -480,7 +484,7 @@ fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
     designs("20x20");
     assert_eq!(fs::read(sweep.join("sweep.csv")).unwrap(), table);
 
-    // a folder of rendered views
+    // test a folder that `lumistack render` wrote
     let views = out("views");
     let render_views = || {
         let mut command = lumistack();
@@ -495,7 +499,7 @@ fn sequences_sweeps_nodes_and_views_are_cleaned_too() {
     render_views();
     assert!(results(&views) == whole);
 
-    // a job with several nodes
+    // test a job with several nodes
     let nodes = "[[nodes]]\nid = \"a\"\n[[nodes]]\nid = \"b\"\nplugin = \"log_tomography\"\n[[outputs]]\nplugin = \"images\"\nfrom = \"a\"\n";
     let (path, run) = (job(folder.path(), 9, nodes), out("nodes"));
     succeed(lumistack().arg("run").arg(&path).arg("-o").arg(&run));

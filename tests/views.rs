@@ -1,5 +1,5 @@
-//! Tests of `lumistack render` for uses without a display: scene-linear views, additional channels,
-//! selected views, a rotated environment, and a background.
+//! Tests of the options of `lumistack render`: scene-linear views, additional channels, selected
+//! views, a rotated environment, and a background.
 
 use std::path::Path;
 use std::process::Command;
@@ -59,7 +59,7 @@ fn exposed_views_follow_from_linear_views() {
     for name in ["view_00_00.exr", "view_02_03.exr"] {
         for (shown, radiance) in view(&shown, name).iter().zip(view(&linear, name)) {
             let expected = (f64::from(radiance) * exposure).clamp(0.0, 1.0) as f32;
-            // half floats have eleven bits
+            // the views are half floats, which have eleven bits
             assert!((shown - expected).abs() <= 1e-3 * expected + 1e-6, "{shown} is not {expected}");
             brightest = brightest.max(radiance * exposure as f32);
             clipped += usize::from(f64::from(radiance) * exposure > 1.0);
@@ -115,8 +115,9 @@ fn layers_agree_with_views() {
     assert!(text.contains("--layers: expected at least 2 samples"), "{text}");
 }
 
-/// First hits are kept with the radiance of their paths. If they are deleted, the same rays find
-/// the same surfaces again.
+/// The layers come from the first hits of the paths that make the light, which are cached with the
+/// views. If these first hits are deleted, the same rays are traced again and hit the same
+/// surfaces.
 #[test]
 fn surfaces_are_those_of_the_paths_of_the_light() {
     let folder = tempfile::tempdir().unwrap();
@@ -141,7 +142,7 @@ fn surfaces_are_those_of_the_paths_of_the_light() {
             if is_guide || name.starts_with("missed_") {
                 std::fs::remove_file(&path).unwrap();
             } else if denoise == "guided" && path.is_dir() {
-                // Remove the filtered views too, since they were made with the guides.
+                // Remove the filtered views, too, since the filter used the deleted guides.
                 std::fs::remove_dir_all(&path).unwrap();
             }
             dropped += usize::from(is_guide);
@@ -172,7 +173,8 @@ fn some_views_are_those_of_the_whole() {
     assert_eq!(row["info"]["part_of"]["rows"], serde_json::json!([2]));
     let text = succeed(lumistack().arg("info").arg(at("row")));
     assert!(text.contains("views: [5, 1]"), "{text}");
-    // any other selection is marked as incomplete
+    // views that are not whole rows and columns do not form a light field, and are marked as
+    // partial
     succeed(&mut still_life(&at("two"), &["--linear", "--only-views", "0,0", "--only-views", "2,3..4"]));
     assert_eq!((list("two").len(), index(&at("two"))["partial"].as_bool()), (3, Some(true)));
     let text = fail(lumistack().arg("factorize").arg(at("two")).arg("-o").arg(at("run")));
@@ -180,7 +182,7 @@ fn some_views_are_those_of_the_whole() {
         text.contains("expected all views, or whole rows and columns of views") && text.contains("found 3 of 25"),
         "{text}"
     );
-    // rendering the other views completes the light field
+    // a call without `--only-views` renders the missing views, which completes the light field
     succeed(&mut still_life(&at("two"), &["--linear"]));
     assert!(files(&at("two")) == files(&at("all")));
     let text = fail(&mut still_life(&at("two"), &["--only-views", "5,0"]));
@@ -205,7 +207,8 @@ fn the_environment_turns_and_hides() {
     let straight = of("straight", &["--linear"]);
     let dim = of("dim", &["--environment-strength", "0.5", "--linear"]);
     assert!(turned.0 != straight.0, "the studio light turns");
-    // compare pixels on the surface, since the background need not show the environment
+    // compare only pixels on surfaces, since the background may be something else than the
+    // environment
     for i in (0..straight.0.len()).filter(|i| straight.1[i / 3] == 1.0) {
         let (dim, straight) = (dim.0[i], straight.0[i]);
         assert!((dim - 0.5 * straight).abs() < 1e-5 * straight.max(1.0), "{dim} is not half of {straight}");

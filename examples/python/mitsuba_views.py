@@ -3,9 +3,9 @@
     pip install mitsuba
     python examples/python/mitsuba_views.py out
 
-The display is a window at z = 0 of Mitsuba's Cornell box. The view of slope s is that of a pinhole
-camera at the distance D in front of the window, D·s beside its middle. The camera looks straight ahead.
-Its principal point is shifted so that the film covers exactly the window.
+The display is a window at z = 0 of Mitsuba's Cornell box. A pinhole camera at the distance D in front
+of the window renders the view of slope s. It is at D·s beside the window's middle and looks straight
+ahead. Its principal point is shifted so that the film covers exactly the window.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def main() -> None:
 
 
 def has_llvm() -> bool:
-    """Returns whether Mitsuba's vectorized variants find the LLVM library that they need."""
+    """Returns true if Mitsuba's vectorized variants find the LLVM library that they need."""
     try:
         import drjit
 

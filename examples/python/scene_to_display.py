@@ -34,8 +34,8 @@ def main() -> None:
     stack = lumistack.factorize(light_field, iterations=20, callback=progress)
     print(f"\r{stack}")
 
-    # Simulate the view of an eye 60 mm to the right of the middle and half a metre in front of the
-    # display. It is linear light, [row, col, rgb].
+    # Simulate the picture for an eye 60 mm to the right of the middle and half a metre in front of
+    # the display. The picture is linear light, [row, col, rgb].
     seen = lumistack.simulate(stack, eye_mm=(60.0, 0.0, 500.0))
     print(f"from the right: mean {seen.mean():.3f}")
 

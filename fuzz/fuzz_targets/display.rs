@@ -1,5 +1,5 @@
-//! Reads the input as a display file with the calibration of its panels. A valid display must be
-//! the same after it is written and read again.
+//! Reads the input as a display file, which may contain the calibration of its panels. If the
+//! display is valid, it must stay the same when it is written and read again.
 
 #![no_main]
 

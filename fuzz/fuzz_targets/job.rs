@@ -1,4 +1,5 @@
-//! Reads the input as a job file. A valid job must be the same after it is written and read again.
+//! Reads the input as a job file. If the job is valid, it must stay the same when it is written and
+//! read again.
 
 #![no_main]
 

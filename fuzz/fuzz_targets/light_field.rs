@@ -1,6 +1,7 @@
-//! Reads folders of light fields. The first byte selects the kind: Lumistack's own, HCI's, or a
-//! folder of pictures with numbers in their names. The input is the file `lightfield.json` of the
-//! first kind, whose views are all the same picture, and `parameters.cfg` of the second.
+//! Reads folders of light fields. The first byte selects the kind of folder. In a folder of
+//! Lumistack's own kind the input is `lightfield.json`, and all views are the same picture. In a
+//! folder of HCI's kind the input is `parameters.cfg`. The third kind has pictures with numbers in
+//! their names.
 
 #![no_main]
 
@@ -27,7 +28,7 @@ fuzz_target!(|data: &[u8]| {
             ("input_Cam003.png", picture),
         ]),
         _ => {
-            // the input is the list of file names
+            // in a folder of pictures, the input is the list of their names
             let names = String::from_utf8_lossy(index);
             let names = names.lines().take(16).filter(|name| !name.is_empty() && name.len() < 100);
             let names: Vec<String> = names.map(|name| format!("{}.png", name.replace(['/', '\0'], "_"))).collect();

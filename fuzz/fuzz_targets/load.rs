@@ -8,8 +8,8 @@ use libfuzzer_sys::fuzz_target;
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_gltf::{AssetResolver, LoadOptions, contents, load_with};
 
-/// Memory limit of a scene. It is much smaller than libFuzzer's limit, so that memory that the
-/// reader does not count exceeds libFuzzer's limit.
+/// The memory that the reader may use for a scene. libFuzzer's own limit is much larger; it is
+/// exceeded only if the reader uses much memory that it does not count.
 const MAX_DECODED_BYTES: u64 = 64 << 20;
 
 /// Resolves the name of every other file to the same content.
@@ -38,7 +38,7 @@ fn picture(sky: bool) -> String {
     )
 }
 
-/// Makes a primitive whose Draco stream is the content.
+/// Makes a glTF document with a primitive, whose Draco stream is the content.
 fn draco(length: usize) -> String {
     format!(
         r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],
@@ -49,7 +49,7 @@ fn draco(length: usize) -> String {
     )
 }
 
-/// Makes positions or indices whose meshopt stream is the content.
+/// Makes a glTF document with positions or indices, whose meshopt stream is the content.
 fn meshopt(length: usize, mode: &str, filter: &str, stride: usize, count: usize) -> String {
     let (bytes, kind) = (count * stride, if mode == "ATTRIBUTES" { "VEC3" } else { "SCALAR" });
     let (component, attribute) = if mode == "ATTRIBUTES" { (5126, "\"POSITION\":0") } else { (5125, "\"POSITION\":1") };
@@ -87,7 +87,7 @@ fuzz_target!(|data: &[u8]| {
     match data {
         [b'{', ..] | [b'g', b'l', b'T', b'F', ..] => load(data, b"a file beside it, of forty-four bytes or so......"),
         [b'D', b'R', b'A', b'C', b'O', ..] => load(draco(length).as_bytes(), data),
-        // for meshopt the first byte alone selects, since it is also the first byte of the stream
+        // the first byte of a meshopt stream states its kind, so it selects the document
         [0xA0 | 0xA1, ..] => {
             load(meshopt(length, "ATTRIBUTES", "NONE", 12, 20).as_bytes(), data);
             load(meshopt(length, "ATTRIBUTES", "EXPONENTIAL", 12, 300).as_bytes(), data);

@@ -1,5 +1,5 @@
-//! Reads `.npy` arrays, alone and as a light field beside a JSON file. The input is the JSON, a
-//! separator and the array.
+//! Reads `.npy` arrays: a single array, and a light field as an array with a JSON file beside it.
+//! The input is the JSON, a separator and the array.
 
 #![no_main]
 

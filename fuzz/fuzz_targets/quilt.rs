@@ -1,5 +1,5 @@
-//! Reads pictures of tiles. The first three bytes are the columns, the rows and the kind of
-//! picture; the picture follows.
+//! Reads pictures of tiles, such as quilts. The first three bytes of the input are the number of
+//! columns, the number of rows and the kind of picture; the picture follows.
 
 #![no_main]
 

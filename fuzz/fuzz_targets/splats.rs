@@ -1,5 +1,5 @@
-//! Reads splat files of every format; the pictures of SOG have one texel. A file that can be read
-//! must convert to a valid glTF file, whose scene can be rendered.
+//! Reads splat files of every format; the pictures of the format SOG have one texel. If a file can
+//! be read, it must be possible to convert it to a valid glTF file and to render its scene.
 
 #![no_main]
 

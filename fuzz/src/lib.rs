@@ -38,7 +38,8 @@ pub fn folder(files: &[(&str, &[u8])]) -> &'static Path {
     folder
 }
 
-/// Runs a reader without output, and returns its value. An error of the reader must have a text.
+/// Runs a reader without output of progress. Returns its value, or `None` after an error, whose
+/// text must not be empty.
 pub fn reads<T, E: std::fmt::Display>(work: impl FnOnce(Task<'_>) -> Result<T, E>) -> Option<T> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     match work(Task::quiet(&warnings, &cancel)) {

@@ -45,8 +45,7 @@ def main(path):
         dome = UsdLux.DomeLight.Define(stage, root + "/sky")
         dome.CreateTextureFileAttr("./" + environment["image"])
         dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
-        # the centre of USD's pictures is towards +z, the centre of this project's pictures towards
-        # -z
+        # the centre of an environment map of USD looks along +z, that of this project along -z
         dome.AddRotateYOp().Set(180.0)
         dome.CreateIntensityAttr(float(environment.get("strength", 1.0)))
     stage.GetRootLayer().Save()
@@ -60,7 +59,7 @@ def identifier(name):
 
 
 def accessor(document, data, index):
-    """The rows of an accessor."""
+    """Returns the rows of an accessor, each a tuple of numbers."""
     entry = document["accessors"][index]
     view = document["bufferViews"][entry["bufferView"]]
     width, code = WIDTHS[entry["type"]], COMPONENTS[entry["componentType"]]
@@ -82,7 +81,7 @@ def write_mesh(stage, path, primitive, read):
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(mesh.GetPointsAttr().Get()))
     if "TEXCOORD_0" in primitive["attributes"]:
-        # v of glTF increases downwards
+        # v increases downwards in glTF, and upwards in USD
         st = [(u, 1.0 - v) for u, v in read(primitive["attributes"]["TEXCOORD_0"])]
         primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
         primvar.Set(Vt.Vec2fArray(st))
@@ -116,7 +115,7 @@ def write_material(stage, root, document, entry):
 
 
 def texture(stage, path, document, use, name, color_space):
-    """A texture read at `st`; returns a function that creates its outputs."""
+    """Adds a texture that is read at the texture coordinates `st`. Returns a function that creates outputs of the texture's node."""
     reader = UsdShade.Shader.Define(stage, path + "/st")
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")

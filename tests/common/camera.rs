@@ -27,7 +27,7 @@ impl Camera {
         let centre = self.size.map(|count| (f64::from(count) - 1.0) / 2.0);
         let unit = 0.5 * f64::from(self.size[0]).hypot(f64::from(self.size[1]));
         let bent = [0, 1].map(|axis| (px[axis] - centre[axis]) / unit);
-        // Newton's method for the undistorted radius
+        // compute the undistorted radius by Newton's method
         let wanted = bent[0].hypot(bent[1]);
         let mut r = wanted;
         for _ in 0..5 {
@@ -70,7 +70,8 @@ impl Camera {
             let points = (0..SAMPLES * SAMPLES)
                 .map(|i| seen([f64::from(x) + offset(i % SAMPLES), f64::from(y) + offset(i / SAMPLES)]));
             let mean = points.sum::<f64>() / f64::from(SAMPLES * SAMPLES);
-            // the sum of twelve uniform numbers is nearly normal
+            // the sum of twelve uniform numbers, minus 6, is nearly normal with mean 0 and variance
+            // 1
             let normal = (0..12).map(|_| f64::from(uniform())).sum::<f64>() - 6.0;
             // vignetting: a lens darkens the edges of a photograph
             let r = (f64::from(x) / f64::from(self.size[0]) - 0.5).hypot(f64::from(y) / f64::from(self.size[1]) - 0.5);

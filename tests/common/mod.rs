@@ -23,7 +23,8 @@ pub fn lumistack() -> Command {
     Command::new(env!("CARGO_BIN_EXE_lumistack"))
 }
 
-/// Runs a command line that must succeed; a failure prints its messages.
+/// Runs a command line that must succeed, and returns its standard output. If the command fails, it
+/// panics with the command's messages.
 pub fn succeed(command: &mut Command) -> String {
     let output = command.output().expect("lumistack starts");
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -31,7 +32,7 @@ pub fn succeed(command: &mut Command) -> String {
     text
 }
 
-/// Runs a command line that must end with exit code 1 and one error on standard error.
+/// Runs a command line that must end with exit code 1 and one error. Returns its standard error.
 pub fn fail(command: &mut Command) -> String {
     let Output { status, stderr, .. } = command.output().expect("lumistack starts");
     let text = String::from_utf8_lossy(&stderr).into_owned();
@@ -55,7 +56,7 @@ pub fn cached(run_dir: &Path, stage: &str) -> bool {
     stage.expect("the report lists the stage")["cached"].as_bool().expect("cached is true or false")
 }
 
-/// Returns a number in `report.json`.
+/// Returns the number with this key in a part of `report.json`.
 pub fn number(value: &serde_json::Value, key: &str) -> f64 {
     value[key].as_f64().or_else(|| value[key].as_str()?.parse().ok()).unwrap_or_else(|| panic!("{key} of {value}"))
 }

@@ -36,7 +36,7 @@ impl Poke {
     /// Connects to the server of a display number.
     pub fn new(display: u32) -> Self {
         let mut stream = UnixStream::connect(format!("/tmp/.X11-unix/X{display}")).unwrap();
-        // little endian, protocol 11.0, no authorization
+        // Set up the connection: little endian, version 11.0 of the protocol, no authorization.
         stream.write_all(&[b'l', 0, 11, 0, 0, 0, 0, 0, 0, 0, 0, 0]).unwrap();
         let mut head = [0; 8];
         stream.read_exact(&mut head).unwrap();
@@ -44,17 +44,17 @@ impl Poke {
         let mut setup = vec![0; 4 * usize::from(u16::from_le_bytes([head[6], head[7]]))];
         stream.read_exact(&mut setup).unwrap();
         let vendor = usize::from(u16::from_le_bytes([setup[16], setup[17]])).next_multiple_of(4);
-        // the vendor's name and the pixmap formats precede the first screen, which begins with its
-        // root
+        // The answer contains the vendor's name, the pixmap formats and then the first screen. A
+        // screen begins with the identifier of its root window.
         let at = 32 + vendor + 8 * usize::from(setup[21]);
         let number = |at: usize| u32::from_le_bytes(setup[at..at + 4].try_into().unwrap());
         let (root, first) = (number(at), number(4));
         let mut poke = Self { stream, root, first, xtest: 0, keys: Vec::new() };
-        // QueryExtension
+        // request QueryExtension: find the extension XTEST
         let answer = poke.ask(&[&[98, 0, 4, 0, 5, 0, 0, 0], &b"XTEST\0\0\0"[..]].concat());
         assert_eq!(answer[8], 1, "no XTEST");
         poke.xtest = answer[9];
-        // GetKeyboardMapping for the keycodes 8 to 255
+        // request GetKeyboardMapping for the keycodes 8 to 255
         let answer = poke.ask(&[101, 0, 2, 0, 8, 248, 0, 0]);
         let mut map = vec![0; 4 * 248 * usize::from(answer[1])];
         poke.stream.read_exact(&mut map).unwrap();
@@ -82,7 +82,7 @@ impl Poke {
 
     /// The window with the keyboard focus.
     pub fn focused(&mut self) -> u32 {
-        // GetInputFocus
+        // request GetInputFocus
         let answer = self.ask(&[43, 0, 1, 0]);
         u32::from_le_bytes(answer[8..12].try_into().unwrap())
     }
@@ -90,13 +90,14 @@ impl Poke {
     /// Makes this client the window manager. If `is` is false, it becomes an ordinary client again.
     /// The window manager receives the requests that concern children of the root window.
     pub fn manage(&mut self, is: bool) {
-        // ChangeWindowAttributes: the event mask, with or without SubstructureRedirect
+        // request ChangeWindowAttributes: set the event mask, with or without SubstructureRedirect
         self.say(2, 0, &[self.root, 1 << 11, u32::from(is) << 20]);
     }
 
     /// Opens a window of one pixel.
     pub fn window(&mut self) -> u32 {
-        // CreateWindow (depth and visual of the root, at 0,0, 1 × 1, no border), then MapWindow
+        // requests CreateWindow (depth and visual of the root, at 0,0, 1 × 1, no border) and
+        // MapWindow
         self.say(1, 0, &[self.first, self.root, 0, 0x1_0001, 0, 0, 0]);
         self.say(8, 0, &[self.first]);
         self.first
@@ -116,8 +117,8 @@ impl Poke {
         self.focused();
     }
 
-    /// Sends FakeInput, and then a request with a reply. When the reply arrives, the server has
-    /// processed the input.
+    /// Sends the request FakeInput, and then a request with a reply. When the reply arrives, the
+    /// server has processed the input.
     fn fake(&mut self, kind: u8, detail: u8, [x, y]: [i16; 2]) {
         let mut request = vec![self.xtest, 2, 9, 0, kind, detail, 0, 0, 0, 0, 0, 0];
         request.extend_from_slice(&self.root.to_le_bytes());

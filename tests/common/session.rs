@@ -1,6 +1,6 @@
-//! Windowing sessions without hardware: sway with headless outputs, Xorg's dummy driver, and a
-//! nested sway. The outputs of a nested sway are windows of another session. Each server is a child
-//! process of the test and ends with it.
+//! Windowing sessions without hardware: sway with headless outputs, Xorg with its dummy driver, and
+//! a nested sway. The outputs of a nested sway are windows of another session. Each server is a
+//! child process of the test, and ends with the test.
 
 #![allow(dead_code, reason = "every test file uses a part of this")]
 
@@ -29,7 +29,7 @@ pub const NESTED: [Screen; 3] =
 pub const ON_X: [Screen; 3] =
     [("X11-1", [320, 240], [0, 0]), ("X11-2", [400, 300], [320, 0]), ("X11-3", [640, 360], [720, 0])];
 
-/// Time limit of every wait.
+/// Longest time that a test waits for a condition.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A running session.
@@ -63,8 +63,8 @@ impl Session {
     }
 }
 
-/// Returns true if a session can be started. Sessions must not run beside other work, so an
-/// environment variable must permit them.
+/// Returns true if a session can be started. Other programs on the machine would disturb sessions,
+/// so they start only if an environment variable permits them.
 fn has(program: &str) -> bool {
     if std::env::var_os("LUMISTACK_SESSIONS").is_none() {
         lumistack_testkit::skip::runs_in("panels");
@@ -78,7 +78,7 @@ fn has(program: &str) -> bool {
     found
 }
 
-/// Waits until `look` returns a value.
+/// Waits until `look` returns a value. Panics with the text `what` if it takes too long.
 pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let end = Instant::now() + PATIENCE;
     loop {
@@ -104,9 +104,9 @@ impl Session {
     /// Starts a sway with outputs that can be unplugged; see [`NESTED`].
     pub fn nested(outputs: &[Screen]) -> Option<Self> {
         let outer = Self::sway(&[("HEADLESS-1", [1600, 900], [0, 0])])?;
-        // a tiled window would change the size of the output that the window shows
+        // let windows float: if sway tiled them, it would change the size of the nested outputs
         assert!(outer.command("swaymsg").arg("for_window [app_id=\".*\"] floating enable").status().unwrap().success());
-        // an absolute path, since a relative one would refer to the outer session's folder
+        // use an absolute path, since a relative path would refer to the nested session's folder
         let display = format!("{}/{}", outer.env("XDG_RUNTIME_DIR"), outer.env("WAYLAND_DISPLAY"));
         let backend = [
             ("WLR_BACKENDS", "wayland".into()),
@@ -142,7 +142,7 @@ impl Session {
         }
         std::fs::write(runtime.join("config"), config).unwrap();
         let mut server = if is_root() {
-            // sway does not run as root, but its clients may
+            // sway refuses to run as root, so it runs as another user; its clients may run as root
             assert!(Command::new("chown").args(["-R", "nobody"]).arg(&runtime).status().unwrap().success());
             let mut drop_rights = Command::new("setpriv");
             drop_rights.args(["--reuid=nobody", "--regid=nogroup", "--clear-groups", "--", "sway"]);
@@ -180,7 +180,7 @@ impl Session {
         Some(session)
     }
 
-    /// Unplugs an output of a nested sway permanently.
+    /// Unplugs an output of a nested sway permanently, by closing the window that shows it.
     pub fn unplug(&self, output: &str) {
         let window = format!("[title=\"{output}$\"] kill");
         assert!(self.outer().command("swaymsg").arg(window).status().unwrap().success());
@@ -216,7 +216,7 @@ Section \"Device\"\nIdentifier \"d\"\nDriver \"dummy\"\nVideoRam 256000\nEndSect
 Section \"Monitor\"\nIdentifier \"m\"\nHorizSync 5.0-1000.0\nVertRefresh 5.0-200.0\nEndSection\n\
 Section \"Screen\"\nIdentifier \"s\"\nDevice \"d\"\nMonitor \"m\"\nDefaultDepth 24\nSubSection \"Display\"\nDepth 24\nVirtual 3840 2160\nEndSubSection\nEndSection\n";
         std::fs::write(folder.path().join("xorg.conf"), config).unwrap();
-        // the server chooses a free display number and writes it to this pipe
+        // the server chooses a free display number and writes it to its standard output (1), a pipe
         let mut server = Command::new("Xorg");
         server
             .args(["-displayfd", "1", "-noreset", "-nolisten", "tcp", "-config"])
@@ -235,7 +235,7 @@ Section \"Screen\"\nIdentifier \"s\"\nDevice \"d\"\nMonitor \"m\"\nDefaultDepth 
         for (name, [cols, rows], [x, y]) in outputs {
             let mode = format!("{cols}x{rows}p");
             let (total_x, total_y) = (cols + 80, rows + 20);
-            // a pixel clock for about 60 Hz
+            // this pixel clock, in MHz, gives about 60 Hz
             let clock = format!("{:.3}", total_x as f64 * total_y as f64 * 60.0 / 1e6);
             let timing = [cols + 8, cols + 40, total_x, *rows, rows + 3, rows + 7, total_y].map(|n| n.to_string());
             let mut new = session.command("xrandr");
@@ -307,7 +307,7 @@ impl Picture {
         Self { size: [cols, rows], rgb: lines.collect() }
     }
 
-    /// Saves the picture, so that a developer can look at it.
+    /// Saves the picture to a file, for a developer.
     pub fn save(&self, path: &std::path::Path) {
         let image = image::RgbImage::from_raw(self.size[0] as u32, self.size[1] as u32, self.rgb.clone()).unwrap();
         image.save(path).unwrap();

@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use super::session::{Session, wait_for};
 
-/// `lumistack show` in a session.
+/// A process `lumistack show` in a session.
 pub struct Show {
     pub child: Child,
     stdin: Option<ChildStdin>,
@@ -40,7 +40,7 @@ impl Show {
         let _ = writeln!(self.stdin.as_mut().unwrap(), "{line}");
     }
 
-    /// Waits for an event.
+    /// Waits for the next event with this name, and returns it.
     pub fn event(&mut self, name: &str) -> Value {
         let end = Instant::now() + Duration::from_secs(30);
         while Instant::now() < end {
@@ -71,7 +71,7 @@ impl Show {
         (status, self.errors())
     }
 
-    /// Ends the program and returns its report.
+    /// Ends the program by its command `quit`, and returns its report.
     pub fn quit(mut self) -> Value {
         self.tell("quit");
         let report = self.event("report");

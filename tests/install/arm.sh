@@ -1,7 +1,7 @@
 #!/bin/sh
-# Runs README's first job with the program for ARM in qemu, and compares its quality with that of
-# the program for this machine. Both make a small size of the job: a quarter of the pixels of the
-# other tests, since qemu takes some twenty times as long as this machine's processor.
+# Runs the first job of the README with the program for ARM in qemu. Compares the quality of the
+# result with that of the program for this machine. The job has a quarter of the pixels of the other
+# tests, since qemu takes some twenty times as long as this machine's processor.
 SMALL=48x30
 . "$(dirname "$0")/common.sh"
 packages qemu-user libc6-arm64-cross libgcc-s1-arm64-cross

@@ -1,6 +1,6 @@
-# Functions of the other scripts, which install the files of $DIST and run the first job in a small
-# size. CLEAN is set on a machine that is used for this test only, so that a script may install
-# packages of the system.
+# Functions of the other scripts of this folder. The scripts install the files of $DIST, and run the
+# first job of the README with few pixels. CLEAN is set on a machine that is used for this test
+# only; on it a script may install packages of the system.
 set -eu
 : "${DIST:?must name the folder target/dist}"
 HERE=$(cd "$(dirname "$0")" && pwd)
@@ -8,7 +8,7 @@ WORK=$(mktemp -d)
 trap 'rm -rf "$WORK"' EXIT
 cd "$WORK"
 
-# prints the path of the only file in $DIST that matches a pattern
+# one PATTERN: prints the path of the only file in $DIST that matches a pattern
 one() {
     # shellcheck disable=SC2086
     set -- "$DIST"/$1
@@ -17,12 +17,13 @@ one() {
     echo "$1"
 }
 
-# documented FILE: fails if README does not name a file of a release, on the machine that it names
+# documented FILE: fails if README.md does not name this file of a release. README.md has the names
+# of the files for x86_64, so the check is skipped on other machines.
 documented() {
     [ "$(uname -m)" != x86_64 ] || grep -qF "${1##*/}" "$HERE/../../README.md" || { echo "README.md does not name ${1##*/}" >&2; exit 1; }
 }
 
-# installs the system's packages that a user is assumed to have
+# packages NAME...: on a clean machine, installs packages of the system that users normally have
 packages() {
     if [ -n "${CLEAN:-}" ]; then
         apt-get update -qq
@@ -30,7 +31,7 @@ packages() {
     fi
 }
 
-# runs an installing command and prints its time
+# installs COMMAND...: runs a command that installs a file, and prints its time
 installs() {
     start=$(date +%s.%N)
     "$@"
@@ -41,7 +42,7 @@ no_rust() {
     if command -v cargo >/dev/null; then echo "cargo is on PATH, but this test needs a machine without Rust" >&2; exit 1; fi
 }
 
-# unpacks the tarball; tests of the wheel and of the npm package use its scenes
+# unpacks the tarball into ~/.local; tests of the wheel and of the npm package use its scenes, too
 tarball() {
     mkdir -p "$HOME/.local"
     file=$(one "lumistack-*-$(uname -m)-unknown-linux-gnu.tar.gz")
@@ -49,7 +50,7 @@ tarball() {
     installs tar xzf "$file" -C "$HOME/.local" --strip-components=1
 }
 
-# first_job PROGRAM SCENES: runs README's first job in a small size, and checks its files
+# first_job PROGRAM SCENES: runs the first job of the README with few pixels, and checks its files
 first_job() {
     "$1" --version
     "$1" doctor

@@ -1,4 +1,4 @@
-// Serves FOLDER, which has the npm package and a stack, opens a page with the viewer in Chromium, and checks that the picture is
+// Serves FOLDER, which has the npm package and patterns. Opens a page with the viewer in Chromium, and checks that the picture is
 // not uniform. Usage: page.mjs FOLDER
 
 import { spawn } from "node:child_process";

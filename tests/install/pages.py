@@ -13,13 +13,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ["docs/FIRST_HOUR.md", *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs/start").glob("*.md"))]
-#: Added to every `lumistack run`. If a flag is repeated, the last one takes effect.
+#: Flags that are added to every `lumistack run`, so that it is quick. If a flag is repeated, the
+#: last one takes effect.
 SMALL = ["--resolution", "64x40", "--views", "3x3", "--zone-samples", "20", "--iterations", "3"]
 FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.M | re.S)
 
 
 def serves(words: list[str], folder: Path) -> None:
-    """Starts a server, checks that it prints its address, and ends it."""
+    """Starts a command that serves a page, checks that it prints the page's address, and ends it."""
     with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout
         line = server.stdout.readline()
@@ -30,7 +31,7 @@ def serves(words: list[str], folder: Path) -> None:
 def page(path: str, folder: Path) -> int:
     folder.mkdir(parents=True)
     shutil.copytree(ROOT / "scenes/letters", folder, dirs_exist_ok=True)
-    # the pages call the reader's own model `model.glb`
+    # on the pages the name of the reader's model is `model.glb`
     (folder / "letters.gltf").rename(folder / "model.gltf")
     (folder / "job.toml").unlink()
     count = 0

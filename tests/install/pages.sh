@@ -1,5 +1,6 @@
 #!/bin/sh
-# Runs every command of the documentation's first pages, with the program of the tarball and the Python of the wheel.
+# Runs every command of the documentation's first pages, with the program of the tarball and the
+# package of the wheel.
 . "$(dirname "$0")/common.sh"
 packages python3 python3-venv python3-numpy
 tarball

@@ -1,15 +1,16 @@
 #!/bin/sh
-# Runs README's first job with the program for Windows in Wine, in a folder with a non-ASCII name.
-# Compares its quality with that of the program for Linux. Both make a small size of the job. Then
-# it runs the job in a folder with a long path, and two runs in one folder. Rust's standard library
-# needs bcryptprimitives.dll, which Wine 8 and older do not have.
+# Runs the first job of the README with the program for Windows in Wine, in a folder with a
+# non-ASCII name and with few pixels. Compares the quality of the result with that of the program
+# for Linux. Then runs the job in a folder with a long path, and two runs in one folder. Rust's
+# standard library needs bcryptprimitives.dll, which Wine 8 and older do not have.
 . "$(dirname "$0")/common.sh"
 packages wine wine64 unzip xvfb
 zip=$(one "lumistack-*-x86_64-pc-windows-gnu.zip")
 tarball
 installs unzip -q "$zip" -d unpacked
 export WINEPREFIX="$WORK/wine" WINEDEBUG=-all,err+module WINEDLLOVERRIDES="mscoree=;mshtml="
-# without a screen, winit's event loop waits for ever in Wine, so `lumistack doctor` would not end
+# start a virtual screen: without a screen, winit's event loop waits for ever in Wine, so `lumistack
+# doctor` would not end
 Xvfb :93 >xvfb.log 2>&1 &
 screen=$!
 export DISPLAY=:93

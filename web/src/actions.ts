@@ -1,11 +1,11 @@
-// Actions of the top bar's buttons: save a picture, record a turn, copy a link.
+// Actions of the buttons in the top bar: save a picture, record a turn, copy a link.
 import { download, fileName, record, toPng, videoFormat, type Recording } from "./capture.js";
 import type { Face } from "./face.js";
 import type { Motion } from "./motion.js";
 import { problemOf } from "./problem.js";
 import type { Shot, Stage } from "./stage.js";
 
-/** Seconds of a recorded turn. */
+/** Duration of a recorded turn around the viewing zone, seconds. */
 const TURN_S = 6;
 
 export interface Shown {
@@ -27,12 +27,12 @@ export class TurnRecorder {
     private readonly motion: Motion,
   ) {}
 
-  /** Adds the canvas's current picture to the recording; does nothing if none is in progress. */
+  /** Adds the canvas's current picture to the recording, if a recording is in progress. */
   frame(): void {
     this.recording?.frame(this.stage.main);
   }
 
-  /** Records one turn around the zone and saves it as a video; `wake` starts the drawing loop. */
+  /** Records one turn around the viewing zone and saves it as a video; `wake` starts the drawing loop. */
   async save(shown: Shown, wake: () => void): Promise<void> {
     const format = videoFormat();
     if (this.recording || format === undefined) return;

@@ -1,16 +1,16 @@
 // The state in the page's address, so that a link shows the same view.
 import { toHash, type Slope, type State } from "./state.js";
 
-/** Milliseconds between two writes; browsers limit how often the address may change. */
+/** Milliseconds between two changes of the address, since browsers limit their rate. */
 const REST_MS = 400;
 
 export class Address {
   private timer: ReturnType<typeof setTimeout> | undefined;
 
   /**
-   * The `#…` of a state. It includes the viewing position, unless the view swings or looks straight
-   * ahead; with `always` it includes the position in any case.
-   */
+  * The part of the address after `#`, which describes a state. It includes the viewing position,
+  * unless the view swings or looks straight ahead. With `always` it always includes the position.
+  */
   static hash(state: State, slope: Slope, always: boolean): string {
     const still = always || (!state.swing && slope.some((value) => value !== 0));
     const text = toHash(state, still ? slope : undefined);
@@ -23,7 +23,7 @@ export class Address {
       try {
         history.replaceState(history.state, "", `${location.pathname}${location.search}${Address.hash(state(), slope(), false)}`);
       } catch {
-        // Pages from disk may not change their address.
+        // A page that was opened from a file may not change its address.
       }
     }, REST_MS);
   }

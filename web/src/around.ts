@@ -1,4 +1,5 @@
-// Pictures to show while the patterns load: blends of small views from several slopes.
+// Pictures that the viewer shows while the patterns load: blends of small views from several
+// slopes.
 import type { Around } from "./info.js";
 import type { Slope } from "./state.js";
 
@@ -26,8 +27,8 @@ export class Surroundings {
       for (const [col, wide] of [left, right]) {
         const share = high * wide;
         if (share === 0) continue;
-        // Drawing a picture scales the earlier ones by 1 − alpha. So its alpha is its weight
-        // divided by the sum of all weights so far.
+        // Drawing a picture with an alpha scales the pictures under it by 1 − alpha. So the alpha
+        // must be the picture's weight divided by the sum of all weights so far.
         sum += share;
         context.globalAlpha = share / sum;
         context.drawImage(this.quilt, col * cols, row * rows, cols, rows, 0, 0, cols, rows);
@@ -41,9 +42,9 @@ export class Surroundings {
 }
 
 /**
- * Returns the two views on either side of a slope, each as [index, weight]. `slopes` rise or fall
- * evenly. Outside their range the outermost view has all the weight.
- */
+* Returns the two views next to a slope, one on either side, each as [index, weight]. `slopes` must
+* be evenly spaced. If the slope is outside their range, the outermost view has all the weight.
+*/
 export function between(slopes: readonly number[], slope: number): [[number, number], [number, number]] {
   const last = slopes.length - 1;
   if (last === 0) return [[0, 1], [0, 0]];

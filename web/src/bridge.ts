@@ -1,11 +1,11 @@
-// Hands a quilt over to Looking Glass Bridge, the program that drives the panels of Looking Glass.
-// It takes requests on this computer, and reads quilts from files or web addresses only.
+// Sends a quilt to Looking Glass Bridge, the program that drives the panels of Looking Glass.
+// Bridge accepts requests from this computer, and reads quilts from files or web addresses only.
 import { Problem, problemOf } from "./problem.js";
 
 const ADDRESS = "http://localhost:33334/";
 /** Name of the list that Bridge plays. */
 const LIST = "Lumistack";
-/** Milliseconds until an answer. */
+/** Longest time to wait for an answer, milliseconds. */
 const PATIENCE_MS = 5000;
 
 /** A panel that Bridge drives, with the layout of its quilts. */
@@ -15,7 +15,7 @@ export interface Panel {
   rows: number;
 }
 
-/** An answer's values are nested: each has a name, a type and a value. */
+/** A value in an answer. Values are nested: each has a name, a type, and a value that may contain others. */
 interface Value {
   value?: unknown;
 }
@@ -68,7 +68,7 @@ export class Bridge {
   }
 }
 
-/** A device that is no monitor of another maker. */
+/** Returns the panel that a device of Bridge describes; an empty list for an ordinary monitor. */
 function panelOf({ value }: Value): Panel[] {
   const device = value as Record<string, Value> | undefined;
   const kind = device?.["hardwareVersion"]?.value;
@@ -79,7 +79,7 @@ function panelOf({ value }: Value): Panel[] {
   return [{ name: String(device["hwid"]?.value ?? kind), columns: tileX, rows: tileY }];
 }
 
-/** Sends a request. `refusable`: the answer may be that there is nothing to do. */
+/** Sends a request. With `refusable`, Bridge may refuse the request, for example since its list does not exist. */
 async function ask(what: string, content: object, refusable = false): Promise<Answer> {
   let answer: Answer;
   try {

@@ -3,7 +3,7 @@
 /** Formats of videos, best first; the first one that MediaRecorder supports is used. */
 const FORMATS = ["video/mp4;codecs=avc1.640028", "video/webm;codecs=vp9", "video/webm;codecs=vp8", "video/webm"];
 const BITS_PER_S = 12e6;
-/** Least width of a video, pixels. Smaller pictures are enlarged by a whole number. */
+/** Smallest width of a video, pixels. Smaller pictures are enlarged by a whole factor. */
 const VIDEO_PX = 960;
 
 export function download(blob: Blob, name: string): void {
@@ -26,12 +26,12 @@ export function videoFormat(): string | undefined {
 }
 
 export interface Recording {
-  /** Adds the canvas's current content. */
+  /** Adds the canvas's current content to the video. */
   frame(canvas: HTMLCanvasElement): void;
   stop(): Promise<{ blob: Blob; extension: string }>;
 }
 
-/** Records a video of a separate canvas, since the visible canvas may change its size. */
+/** Records a video of a separate canvas, since the visible canvas may change its size meanwhile. */
 export function record(width: number, height: number, format: string): Recording {
   const copy = document.createElement("canvas");
   const scale = Math.ceil(VIDEO_PX / width);

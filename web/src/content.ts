@@ -9,11 +9,11 @@ import type { Slope, State } from "./state.js";
 
 export interface Content {
   readonly info: Info;
-  /** Numbers of the frames whose files have all arrived, in rising order. */
+  /** Numbers of the frames of which all files have arrived, in rising order. */
   readonly frames: readonly number[];
-  /** True if the picture is final: every file has arrived or failed. */
+  /** True if every file has arrived or failed, so that the picture will not change any more. */
   readonly whole: boolean;
-  /** Takes a graphics context, or releases it, as the wish demands. */
+  /** Creates or releases the graphics context, as `wish` states. */
   attach(wish: Wish): void;
   /** Applies the user's options. */
   apply(state: State): void;
@@ -27,14 +27,14 @@ export class StackContent implements Content {
   readonly frames: number[] = [];
   whole = false;
   /**
-   * Version of the module, the error map's colours, and the error of the last colour; undefined
-   * until the module has opened the preview.
-   */
+  * Version of the module, the error map's colours, and the error that the last colour shows;
+  * undefined until the module has opened the preview.
+  */
   about: { version: string; heat: string; heatTop: number } | undefined;
   private engine: Engine | undefined;
   /** Views of the target that have arrived, each as "row/column". */
   private readonly targets = new Set<string>();
-  /** Number of each frame's parts that have not arrived. */
+  /** For each frame the number of its files that have not arrived. */
   private readonly missing: number[];
   private options = "";
   private wanted = "";
@@ -70,7 +70,7 @@ export class StackContent implements Content {
     for (const file of this.info.files) this.arrived(file);
   }
 
-  /** Replaces all files of the preview by the files of other patterns. */
+  /** Replaces all files of the preview, given as PNG bytes in the preview's order. */
   async renew(files: readonly ArrayBuffer[]): Promise<void> {
     await this.engine?.call("renew", [files]);
   }
@@ -98,14 +98,14 @@ export class StackContent implements Content {
     this.sendOptions();
   }
 
-  /** The mask of a layer in a frame. The index after the last layer's stands for the backlight. */
+  /** The mask of a layer in a frame. The index after the last layer stands for the backlight. */
   mask(layer: number, frame: number): Shot {
     const { layers, backlight, field } = this.info;
     const { cols, rows } = layers[layer] ?? backlight ?? field;
     return { kind: "mask", field: [field.cols, field.rows], layer, frame, size: [cols, rows], backlight: layer >= layers.length };
   }
 
-  /** PSNR of the target's view nearest to the slope: "31.4 dB · view 3, 2 of 7 × 5". */
+  /** Returns the PSNR for the target's view nearest to the slope, as text: "31.4 dB · view 3, 2 of 7 × 5". */
   async psnr(slope: Slope): Promise<string> {
     const [row, col] = nearestView(this.info, slope);
     const { cols, rows } = this.info.views;
@@ -171,7 +171,7 @@ export class FieldContent implements Content {
   }
 
   apply(): void {
-    // There are no options: the views are shown unchanged.
+    // The views are shown unchanged, so the options have no effect.
   }
 
   shot(_state: State, [x, y]: Slope): Shot {
@@ -186,9 +186,9 @@ export class FieldContent implements Content {
 }
 
 /**
- * Returns `frame` if it is in `frames`, the rising numbers of complete frames. Otherwise it returns
- * the last earlier one, or the first one if none is earlier.
- */
+* Returns `frame` if it is in `frames`, the rising numbers of complete frames. Otherwise it returns
+* the last complete frame before `frame`, or else the first complete frame.
+*/
 export function readyFrame(frames: readonly number[], frame: number): number {
   return frames.findLast((each) => each <= frame) ?? frames[0] ?? 0;
 }

@@ -28,7 +28,7 @@ export interface Controlled {
   content(): Content | undefined;
   set(change: Partial<State>): void;
   look(slope: Slope): void;
-  /** The picture that is shown; undefined before the first patterns have arrived. */
+  /** The current picture; undefined before the first patterns have arrived. */
   shot(): Shot | undefined;
   stepFrame(by: number): void;
   open(files: ReadonlyMap<string, File>): Promise<void>;
@@ -57,7 +57,7 @@ export class Controls {
     const { on } = this;
     const from = event.composedPath()[0];
     if (!(from instanceof HTMLElement) || event.defaultPrevented || !on.content() || (on.face.at("chooser") as HTMLDialogElement).open) return;
-    // A slider, field or button that has the focus handles these keys itself.
+    // If a slider, field or button has the focus, it handles these keys itself.
     const own = { INPUT: /^(Arrow|Home|End|Page| )/, BUTTON: /^( |Enter)/, TEXTAREA: /./, SELECT: /./ }[from.tagName];
     if (own?.test(event.key) || from.isContentEditable) return;
     if (handleKey(event, on.motion, this.target)) event.preventDefault();

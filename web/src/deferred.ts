@@ -1,4 +1,4 @@
-// A promise that is resolved or rejected from outside.
+// A promise that other code resolves or rejects.
 
 export interface Deferred {
   promise: Promise<void>;
@@ -11,8 +11,8 @@ export function deferred(): Deferred {
   let resolve!: () => void;
   let reject!: (error: Error) => void;
   const promise = new Promise<void>((yes, no) => ([resolve, reject] = [yes, no]));
-  // The console reports a rejected promise without a handler. The page shows the error itself, so
-  // an empty handler prevents a second report.
+  // The browser's console reports a rejected promise that has no handler. The page shows the error
+  // itself, so an empty handler prevents this second report.
   promise.catch(() => undefined);
   const made: Deferred = {
     promise,

@@ -9,9 +9,9 @@ export type Dropped =
 
 const PICTURE = /\.(png|jpe?g|webp|avif|gif|bmp)$/i;
 const QUILT = /_qs(\d+)x(\d+)(?:a([0-9.]+?))?\.[a-z]+$/i;
-/** Names with a view's row and column: view_03_07.png, out_00_05_-381.9_1017.5_.png, 3_7.png. */
+/** Patterns of names with a view's row and column: view_03_07.png, out_00_05_-381.9_1017.5_.png, 3_7.png. */
 const ROW_COL = [/^view[_-](\d+)[_-](\d+)\b/i, /^out[_-](\d+)[_-](\d+)[_-]/i, /(\d+)[_-](\d+)\.[a-z]+$/i];
-/** Names with one number, which counts the views row by row: input_Cam004.png. */
+/** Pattern of names with one number, which counts the views row by row: input_Cam004.png. */
 const RUNNING = /(\d+)\.[a-z]+$/i;
 const MOST_FILES = 20000;
 
@@ -40,9 +40,9 @@ export function filesByName(list: Iterable<File>): Map<string, File> {
 }
 
 /**
- * Returns the kind of the files. Throws a Problem that states the expected and the found files if
- * they are of no known kind.
- */
+* Returns the kind of the files. If the files are of no known kind, it throws a Problem that states
+* the expected and the found files.
+*/
 export function recognize(files: ReadonlyMap<string, File>): Dropped {
   if (files.size === 0) throw new Problem("The drop contains no files.", WANTED, false);
   const json = [...files.keys()].filter((path) => /(^|\/)preview\.json$/.test(path)).sort((a, b) => a.length - b.length)[0];
@@ -76,10 +76,10 @@ function quiltOf(file: File): Dropped {
 }
 
 /**
- * Arranges views by their names in a grid: rows from the top, columns from the left. If the names
- * do not state a complete grid, the views are in the order of their names. They form a square if
- * every name has a number and their count is a square number, else one row.
- */
+* Arranges views by their names in a grid: rows from the top, columns from the left. If the names
+* do not state a complete grid, the views have the order of their names. Then they form a square, if
+* every name has a number and the number of views is a square. Otherwise they form one row.
+*/
 export function gridOf(pictures: readonly (readonly [string, File])[]): File[][] {
   const named = pictures.map(([path, file]) => ({ file, name: path.replace(/^.*\//, "") })).sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
   for (const pattern of ROW_COL) {

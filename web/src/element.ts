@@ -9,7 +9,7 @@
 // * url-state: keeps the user's options in the page's address
 // * keyboard: with "page" the element receives keys of the whole page, not only of the focused
 //   picture
-// * hold: the view does not swing
+// * hold: the view does not swing by itself
 import { Address } from "./address.js";
 import type { Surroundings } from "./around.js";
 import { download, fileName, toPng, videoFormat } from "./capture.js";
@@ -45,9 +45,9 @@ export interface LumistackErrorDetail {
   fatal: boolean;
 }
 
-/** Up to this width of the element its parts are stacked, CSS pixels. */
+/** If the element is at most this wide, its parts are arranged one below another, CSS pixels. */
 const NARROW_PX = 860;
-/** Milliseconds between two descriptions of the viewing position in words. */
+/** Shortest time between two updates of the text that describes the viewing position, milliseconds. */
 const WORDS_MS = 90;
 /** Milliseconds for which the compared view must stay the same before its PSNR is computed. */
 const PSNR_MS = 60;
@@ -76,7 +76,7 @@ export class LumistackViewer extends HTMLElement {
 
   private state: State = { ...DEFAULTS };
   private content: Content | undefined;
-  /** Small views in which the user looks around until the patterns have arrived. */
+  /** Small views that the viewer shows until the patterns have arrived. */
   private around: Surroundings | undefined;
   private resting: ReturnType<typeof setTimeout> | undefined;
 
@@ -177,7 +177,7 @@ export class LumistackViewer extends HTMLElement {
     this.set({ comparison });
   }
 
-  /** The slope of the view. A new value ends swing and inertia. */
+  /** The slope of the view. Setting it ends the swing and the inertia of the view. */
   get slope(): Slope {
     return this.motion.slope;
   }
@@ -193,9 +193,9 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-   * RGBA bytes of the current picture, in the light field's size. In the side-by-side comparison
-   * this is the display's picture, without the target's.
-   */
+  * RGBA bytes of the current picture, in the light field's size. In the side-by-side comparison
+  * they are those of the display's picture alone, without the target.
+  */
   async pixels(): Promise<ImageData> {
     const shot = this.shot();
     return shot ? this.stage.pixels(shot) : new ImageData(1, 1);
@@ -216,7 +216,7 @@ export class LumistackViewer extends HTMLElement {
     download(blob, `${fileName(views.info.title)}${ending}`);
   }
 
-  /** Records one turn around the zone and saves it as a video. */
+  /** Records one turn around the viewing zone and saves it as a video. */
   async saveTurn(): Promise<void> {
     await this.controls.saveTurn();
   }
@@ -358,7 +358,7 @@ export class LumistackViewer extends HTMLElement {
     this.stateChanged();
   }
 
-  /** The poster that the page puts into the element; without one, the image of the preview's. */
+  /** The poster that the page puts into the element, or else the image element for the preview's poster. */
   private get poster(): HTMLImageElement {
     return this.querySelector<HTMLImageElement>('img[slot="poster"]') ?? (this.face.at("poster") as HTMLImageElement);
   }
@@ -366,7 +366,8 @@ export class LumistackViewer extends HTMLElement {
   private showPoster(address: string): void {
     const { poster } = this;
     if (poster.src === address) return;
-    // The page's own poster belongs to another preview than the one that is loaded now.
+    // The page's poster belongs to an earlier preview, so replace it by the poster of the new
+    // preview.
     if (poster.slot) poster.remove();
     const ours = this.face.at("poster") as HTMLImageElement;
     ours.src = address;
@@ -411,7 +412,7 @@ export class LumistackViewer extends HTMLElement {
   }
 
   private arrived(content: StackContent, file: FileInfo): void {
-    // The frame that the file completes may be the selected one.
+    // If the file completes its frame, update all parts, since it may be the selected frame.
     if (content.arrived(file)) this.stateChanged();
     this.ticker.redraw();
   }
@@ -535,7 +536,7 @@ export class LumistackViewer extends HTMLElement {
     const room: [number, number] = [this.stageBox.clientWidth, this.stageBox.clientHeight];
     const shape = content?.info ?? { field: { cols: poster.naturalWidth, rows: poster.naturalHeight } };
     const { box, one, tall, aspect } = layOut(shape, state, room, this.clientWidth <= NARROW_PX);
-    // On a narrow page the stage is only as high as the picture.
+    // On a narrow page the box around the picture is only as high as the picture.
     this.stageBox.style.setProperty("--aspect", String(aspect));
     this.picture.classList.toggle("tall", tall);
     [this.picture.style.width, this.picture.style.height] = [`${box[0]}px`, `${box[1]}px`];
@@ -549,7 +550,7 @@ export class LumistackViewer extends HTMLElement {
     return content && content.frames.length > 0 ? content.shot(this.state, this.motion.slope) : undefined;
   }
 
-  /** The seen pictures for other displays; undefined without patterns. */
+  /** The seen pictures that other displays (headset, lenticular panel) show; undefined without patterns. */
   private views(): Views | undefined {
     const info = this.content?.info;
     if (!info || this.content?.frames.length === 0) return undefined;
@@ -558,9 +559,10 @@ export class LumistackViewer extends HTMLElement {
       picture: async (slope, eyeMm) => {
         const seen: State = { ...this.state, mode: "perceived", eyeMm: eyeMm ?? this.state.eyeMm };
         const { content } = this;
-        // The page that solves replaces patterns by better ones of the same size.
+        // The page that solves may have replaced the patterns. The new patterns can be used if they
+        // have the same size.
         const same = content?.info.field.cols === info.field.cols && content.info.field.rows === info.field.rows;
-        // The simulator gets both in this order, with nothing in between.
+        // The simulator executes these two calls in this order, and no other call between them.
         content?.apply(seen);
         const [picture] = same ? await this.stage.pictures(content.shot(seen, slope)) : [];
         if (!picture) throw new Error("the viewer shows something else now");
@@ -571,9 +573,9 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-   * True while the poster or small views replace the picture: the mean of only a few frames is
-   * noisy.
-   */
+  * True while the poster or small views replace the picture. The mean of only a few frames is
+  * noisy, so the picture appears when all frames are complete.
+  */
   private get isEarly(): boolean {
     const { content, state } = this;
     return state.mode === "perceived" && !content?.whole && (this.hasPoster || this.around !== undefined);
@@ -583,8 +585,8 @@ export class LumistackViewer extends HTMLElement {
     const { isEarly } = this;
     if (isEarly) {
       this.face.early(true);
-      // The poster is sharper than the small views. So they are drawn only after the user has moved
-      // the view.
+      // The poster is sharper than the small views. So the small views are drawn only after the
+      // user has moved the view.
       if (this.around && !this.motion.fresh) this.around.draw(this.face.at("early") as HTMLCanvasElement, this.motion.slope);
     } else {
       const shot = this.shot();

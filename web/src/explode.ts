@@ -1,5 +1,5 @@
-// Draws the separated layers of a stack without WebGL: a parallel projection maps every layer by an
-// affine transform, which a 2D canvas supports.
+// Draws the layers of a stack apart from each other, without WebGL. A parallel projection maps
+// every layer by an affine transform, which a 2D canvas supports.
 import type { Info } from "./info.js";
 import type { Slope } from "./state.js";
 
@@ -16,7 +16,7 @@ export interface Exploded {
 
 /** Fraction of the canvas that the rotated stack fills. */
 const FILL = 0.86;
-/** Number of rays that are drawn, evenly spread over the field's width. */
+/** Number of drawn rays, evenly spread over the light field's width. */
 const RAYS = 5;
 
 /** Draws the backlight, the layers and some rays; `mask` returns the picture of a layer. */
@@ -26,8 +26,8 @@ export function explode(context: OffscreenCanvasRenderingContext2D, { slope, yaw
   const { width_mm, height_mm } = stack.field;
   const count = layers.length;
   const apart = (spread * width_mm * 1.1) / Math.max(count, 2);
-  // Position along the normal, mm, of element i: the backlight is element 0, layer n is element
-  // n + 1. The middle of the stack is at the origin.
+  // Position of element i along the normal of the layers, mm. The backlight is element 0, layer n
+  // is element n + 1. The middle of the stack is at the origin.
   const place = (i: number): number => (i - count / 2) * apart;
   const [cosY, sinY, cosP, sinP] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
   const project = (x: number, y: number, z: number): [number, number] => {
@@ -68,7 +68,7 @@ export function explode(context: OffscreenCanvasRenderingContext2D, { slope, yaw
     context.setTransform(1, 0, 0, 1, 0, 0);
     outline(context, [corner, right, [right[0] + down[0] - corner[0], right[1] + down[1] - corner[1]], down]);
   }
-  // Draw some rays with the view's slope over the layers.
+  // Draw some rays, which have the view's slope, over the layers.
   context.setTransform(1, 0, 0, 1, 0, 0);
   const thin = Math.max(on.width / 600, 1.2);
   const gap = count > 1 ? (layers[count - 1]!.d_mm - layers[0]!.d_mm) / (count - 1) : 1;

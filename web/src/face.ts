@@ -1,4 +1,5 @@
-// Shows the parts around the picture: controls, progress, messages, the viewing position in words.
+// Shows the parts around the picture: controls, progress, messages, and a text about the viewing
+// position.
 import type { Problem } from "./problem.js";
 import { layerName } from "./sheet.js";
 import { zoneSlope, type Info } from "./info.js";
@@ -29,14 +30,14 @@ export class Face {
     this.at("title").textContent = info.title || "Untitled";
     this.at("facts").textContent = facts(info);
     this.at("caption").textContent = info.caption;
-    // A light field from another program has no layers. So the controls for modes and for errors of
-    // the display's construction are hidden.
+    // A light field from another program has no layers. So the class `foreign` hides the controls
+    // for modes and for errors of the display's construction.
     this.frame.classList.toggle("foreign", info.layers.length === 0);
     (this.at("exploded-frame") as HTMLInputElement).max = String(info.frames - 1);
     this.at("exploded-frame-label").hidden = info.frames < 2;
   }
 
-  /** Shows the error map's colours with the error of the last colour, and sets the version. */
+  /** Shows the error map's colours, with the error that the last colour stands for, and sets the version. */
   about(version: string, heat: string, heatTop: number): void {
     (this.root.querySelector("#legend i") as HTMLElement).style.background = `linear-gradient(90deg, ${heat})`;
     this.at("legend-most").textContent = `${Math.round(heatTop * 100)} % of white`;
@@ -87,7 +88,7 @@ export class Face {
     if (info) this.at("frame-count").textContent = `Frame ${state.frame + 1} of ${info.frames}`;
   }
 
-  /** Describes the viewing position; if the view is `resting`, also for screen readers. */
+  /** Describes the viewing position in words. If the view is `resting`, screen readers also read the text. */
   describe(info: Info, state: State, slope: Slope, resting: boolean): void {
     const inside = isInside(slope, zoneSlope(info));
     const place = this.at("place");
@@ -111,7 +112,7 @@ export class Face {
   /** Sets whether the poster or small views cover the canvas. */
   early(on: boolean): void {
     this.at("picture").classList.toggle("early", on);
-    // Before the first call the style sheet shows the poster.
+    // The style sheet shows the poster until the element has this class.
     this.at("picture").classList.add("started");
   }
 
@@ -137,7 +138,7 @@ export class Face {
     this.card("This preview cannot be shown", message, advice);
   }
 
-  /** Shows a message over the picture; one of the kind "passing" disappears by itself. */
+  /** Shows a message over the picture. A message of the kind "passing" disappears by itself. */
   notice(text: string, kind: "warn" | "passing" | "plain"): void {
     clearTimeout(this.passing);
     const notice = this.at("notice");
@@ -175,7 +176,7 @@ export class Face {
   }
 }
 
-/** Describes the place of the viewing position relative to the zone or the views. */
+/** Returns a text that states if the viewing position is inside the viewing zone, or inside the views. */
 function whereabouts(info: Info, mode: Mode, inside: boolean): string {
   if (info.layers.length === 0) return inside ? "Within the views." : "Outside the views.";
   if (mode === "compare") return "Compared with the nearest view.";

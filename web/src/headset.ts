@@ -4,11 +4,11 @@ import { Problem, problemOf } from "./problem.js";
 import { link } from "./program.js";
 import type { Slope } from "./state.js";
 
-/** Metres from the head to the display, for patterns without a distance of their own. */
+/** Smallest distance from the head to the display, for patterns of parallel views, metres. */
 const AWAY_M = 0.7;
-/** Distance of an eye below which nothing is drawn, mm. */
+/** Smallest distance of an eye from the display at which a picture is drawn, mm. */
 const NEAREST_MM = 30;
-/** Change of a slope that needs a new picture: a hundredth of a degree. */
+/** Largest change of an eye's slope that needs no new picture: a hundredth of a degree. */
 const STILL = 2e-4;
 
 const VERTEX = `#version 300 es
@@ -23,14 +23,14 @@ precision mediump float;
 uniform sampler2D picture; in vec2 at; out vec4 colour;
 void main() { colour = vec4(texture(picture, at).rgb, 1.0); }`;
 
-/** The picture of an eye. */
+/** The newest picture for one eye, and the position for which it was computed. */
 interface Eye {
   texture: WebGLTexture;
   slope: Slope;
   distanceMm: number;
-  /** True from the first picture on. */
+  /** True if the texture contains a picture. */
   ready: boolean;
-  /** True while a picture is computed. */
+  /** True while a new picture is computed. */
   waits: boolean;
 }
 
@@ -78,7 +78,7 @@ class Theatre {
     private readonly views: Views,
   ) {
     this.program = link(gl, VERTEX, FRAGMENT);
-    // The trigger brings the display before the viewer.
+    // The trigger of a controller places the display in front of the viewer again.
     session.addEventListener("select", () => (this.place = undefined));
   }
 
@@ -123,7 +123,10 @@ class Theatre {
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }
 
-  /** Requests a picture for an eye that has moved. The plane itself never lags. */
+  /**
+  * Requests a picture for an eye that has moved. Until it arrives, the display shows the previous
+  * picture, at its current place.
+  */
   private update(eye: Eye, slope: Slope, distanceMm: number): void {
     const moved = Math.hypot(slope[0] - eye.slope[0], slope[1] - eye.slope[1]) > STILL || Math.abs(distanceMm - eye.distanceMm) > 1;
     if (eye.waits || (eye.ready && !moved)) return;
@@ -160,7 +163,7 @@ class Theatre {
   }
 }
 
-/** The place before a head, upright and at its height. */
+/** Returns a place in front of a head, upright and at the height of the head. */
 function before({ matrix, position }: XRRigidTransform, awayM: number): Place {
   // The third column of the head's matrix points backwards.
   const [x, z] = [matrix[8]!, matrix[10]!];
@@ -169,13 +172,13 @@ function before({ matrix, position }: XRRigidTransform, awayM: number): Place {
   return { centre: [position.x - sine * awayM, position.y, position.z - cosine * awayM], sine, cosine };
 }
 
-/** A point of the room in the display's coordinates: right, up and towards the viewer, mm. */
+/** Converts a point of the room to the display's coordinates: right, up and towards the viewer, mm. */
 function inDisplay({ x, y, z }: DOMPointReadOnly, { centre, sine, cosine }: Place): [number, number, number] {
   const [dx, dy, dz] = [x - centre[0], y - centre[1], z - centre[2]];
   return [1000 * (cosine * dx - sine * dz), 1000 * dy, 1000 * (sine * dx + cosine * dz)];
 }
 
-/** The matrix from the display's coordinates, in metres, to the room; column by column. */
+/** Returns the matrix from the display's coordinates, in metres, to the room, column by column. */
 function matrixOf({ centre, sine, cosine }: Place): Float32Array {
   return Float32Array.of(cosine, 0, -sine, 0, 0, 1, 0, 0, sine, 0, cosine, 0, ...centre, 1);
 }

@@ -38,7 +38,7 @@ export interface Info {
   frames: number;
   brightness: number;
   views: { rows: number; cols: number; slopes: [number, number][]; projection: string; distance_mm?: number };
-  /** Half the angles of the viewing zone. */
+  /** Half the full angles of the viewing zone. */
   zone: { x_rad: number; y_rad: number };
   files: FileInfo[];
   /** Path of a picture of the scene, seen straight ahead. */
@@ -72,7 +72,7 @@ export function infoOf(json: string): Info {
       cols,
       slopes: target.slope_y.flatMap((y: number) => target.slope_x.map((x: number) => [x, y])),
       projection: target.projection,
-      // The eye of the patterns; parallel projections have none.
+      // Patterns of perspective views have a viewing distance; parallel projections have none.
       ...(target.distance_mm && { distance_mm: target.distance_mm }),
     },
     zone: { x_rad: half(0, cols), y_rad: half(1, rows) },

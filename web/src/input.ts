@@ -14,19 +14,19 @@ export interface InputTarget {
   moved(): void;
 }
 
-/** Radians by which the exploded stack turns per pixel of a drag, and per press of an arrow key. */
+/** Rotation of the exploded stack (layers drawn apart) per pixel of a drag, and per press of an arrow key, radians. */
 const TURN_PER_PX = 0.006;
 const TURN_PER_KEY = 0.09;
 /** Change of the slope per press of an arrow key, as a fraction of the zone's half width. */
 const STEP = 0.08;
-/** Length of a drag that moves the view across half the zone, as a fraction of the stage's width. */
+/** Length of a drag that moves the view across half the viewing zone, as a fraction of the width of the box around the picture. */
 const TRAVEL = 0.32;
 
 export function listenToPointer(stage: HTMLElement, motion: Motion, target: InputTarget): void {
   let last: { x: number; y: number } | undefined;
   const ours = (event: PointerEvent): boolean => !(event.target as Element).closest("button, .card, .notice");
 
-  // Press: a finger or a pen begins a drag anywhere, a mouse only on the exploded stack.
+  // Press: a finger or a pen begins a drag in every mode, a mouse only in the mode "exploded".
   stage.addEventListener("pointerdown", (event) => {
     if (!ours(event) || event.button !== 0) return;
     if (event.pointerType !== "mouse" || target.mode() === "exploded") {
@@ -45,7 +45,7 @@ export function listenToPointer(stage: HTMLElement, motion: Motion, target: Inpu
       const [dx, dy] = [event.clientX - last.x, event.clientY - last.y];
       last = { x: event.clientX, y: event.clientY };
       if (target.mode() === "exploded") target.turn(dx * TURN_PER_PX, dy * TURN_PER_PX);
-      // A drag turns the display: a drag to the left shows it from farther right.
+      // The user drags the display, not the eye: a drag to the left shows it from farther right.
       else motion.lookBy([(-dx / (box.width * TRAVEL)) * zoneX, (dy / (box.width * TRAVEL)) * zoneY]);
       target.moved();
     } else if (event.pointerType === "mouse" && ours(event) && target.mode() !== "exploded" && target.mode() !== "layers") {
@@ -55,7 +55,7 @@ export function listenToPointer(stage: HTMLElement, motion: Motion, target: Inpu
       target.moved();
     }
   });
-  // Release: the drag ends, with inertia.
+  // Release: the drag ends, and the view moves on with inertia.
   const end = (event: PointerEvent): void => {
     if (!last) return;
     last = undefined;
@@ -90,7 +90,7 @@ export function handleKey(event: KeyboardEvent, motion: Motion, target: InputTar
   return true;
 }
 
-/** Handles input on the comparison's slider. `share` is the boundary's place, 0..1 from the left. */
+/** Handles input on the boundary between display and target. `share` is its position, 0..1 from the left. */
 export function listenToDivider(divider: HTMLElement, picture: HTMLElement, move: (share: number) => void, current: () => number): void {
   divider.addEventListener("pointerdown", (event) => {
     divider.setPointerCapture(event.pointerId);
@@ -112,7 +112,7 @@ export function listenToDivider(divider: HTMLElement, picture: HTMLElement, move
   });
 }
 
-/** Handles keys on the map of the zone: there the arrow keys move the eye in every mode. */
+/** Handles keys on the map of the viewing zone. On this map the arrow keys move the eye in every mode. */
 export function listenToPad(pad: HTMLElement, motion: Motion, target: InputTarget): void {
   const eye: InputTarget = { ...target, mode: () => "perceived" };
   pad.addEventListener("keydown", (event) => {

@@ -1,5 +1,5 @@
-// Computes the picture's size: as large as the room allows, in the shape of the light field or of
-// the selected mask.
+// Computes the picture's size. The picture is as large as the space allows, and has the shape of
+// the light field or of the selected mask.
 import type { Info } from "./info.js";
 import { sizeOf } from "./sheet.js";
 import type { State } from "./state.js";
@@ -10,7 +10,7 @@ export interface Layout {
   one: [number, number];
   /** True if the box contains two pictures, one above the other. */
   tall: boolean;
-  /** Width over height of the stage's content. */
+  /** Width over height of the content: of one picture, or of two together. */
   aspect: number;
 }
 
@@ -18,7 +18,7 @@ export interface Layout {
 const MARGIN = { wide: 28, narrow: 10 };
 const BETWEEN = 12;
 
-/** Computes the layout. A poster has no size in millimetres, so its pixels determine its shape. */
+/** Computes the layout. If only the size of a poster is known, its pixels determine the shape. */
 export function layOut(info: Info | { field: { cols: number; rows: number } }, state: State, room: [number, number], narrow: boolean): Layout {
   const margin = narrow ? MARGIN.narrow : MARGIN.wide;
   const [roomX, roomY] = [Math.max(room[0] - 2 * margin, 1), Math.max(room[1] - 2 * margin, 1)];

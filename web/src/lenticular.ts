@@ -6,7 +6,7 @@ import { Problem } from "./problem.js";
 import { link } from "./program.js";
 import type { Slope } from "./state.js";
 
-/** Number of views. A lens covers fewer subpixels. */
+/** Number of woven views. More would not be visible, since a lens covers fewer subpixels. */
 const VIEWS = 48;
 
 /** Lens and screen of one panel, from its calibration file. */
@@ -15,23 +15,23 @@ export interface Calibration {
   /** Size of the screen, pixels. */
   cols: number;
   rows: number;
-  /** Lenses across the screen. */
+  /** Number of lenses across the width of the screen. */
   pitch: number;
   /** Shift of the lenses from the bottom of the screen to its top, screen widths. */
   tilt: number;
-  /** Phase of the lens at the bottom left, in lenses. */
+  /** Phase of the lens at the bottom left of the screen, as a fraction of a lens. */
   centre: number;
-  /** True if the first view goes to the right. */
+  /** True if the panel sends the first view to the right, and not to the left. */
   inverted: boolean;
-  /** Whole angle over which the views spread, radians. */
+  /** Full angle over which the panel spreads the views, radians. */
   coneRad: number;
-  /** Places of red, green and blue in each kind of pixel, relative to its middle, pixels. */
+  /** Positions of red, green and blue in each kind of pixel, relative to the pixel's middle, pixels. */
   cells: readonly (readonly [number, number])[][];
-  /** Rule by which pixels have their kinds. */
+  /** Number of the rule that assigns a kind to each pixel. */
   pattern: number;
 }
 
-/** Bound of the screen, pixels: that of most graphics drivers. */
+/** Largest width and height of the screen, pixels; most graphics drivers have this limit. */
 const MOST_PX = 16_384;
 
 type Check = readonly [what: string, right: (value: number) => boolean];
@@ -45,7 +45,7 @@ const FIELDS = {
   screenW: [`1 to ${MOST_PX} pixels`, isSize],
   screenH: [`1 to ${MOST_PX} pixels`, isSize],
 } as const satisfies Record<string, Check>;
-/** Fields that some panels lack, with their values there. */
+/** Fields that some calibration files lack, with their defaults. */
 const OPTIONAL = {
   invView: [0, ["0 or 1", isFlag]],
   flipImageX: [0, ["0 or 1", isFlag]],
@@ -63,9 +63,9 @@ function isFlag(value: number): boolean {
 }
 
 /**
- * Reads a calibration file; `name` is its name in messages. Fields and equations are those of
- * `plugins/quilt/src/weave.rs`.
- */
+* Reads a calibration file; messages name it by `name`. `plugins/quilt/src/weave.rs` reads the same
+* fields and has the same equations.
+*/
 export function calibrationOf(text: string, name: string): Calibration {
   const wrong = (place: string, expected: string, found: unknown): Problem =>
     new Problem(`${name}: ${place}expected ${expected}, found ${JSON.stringify(found) ?? "nothing"}.`, "Choose the panel's visual.json, as the maker's software stores it.", false);
@@ -80,7 +80,7 @@ export function calibrationOf(text: string, name: string): Calibration {
     if (typeof found !== "number" || !Number.isFinite(found) || !right(found)) throw wrong(`${key}: `, what, found);
     return found;
   };
-  // A value is a number, or an object with one.
+  // A value is a number, or an object whose key `value` is a number.
   const value = (key: string): unknown => {
     const found = file[key];
     return typeof found === "object" && found !== null && "value" in found ? found.value : found;
@@ -91,7 +91,7 @@ export function calibrationOf(text: string, name: string): Calibration {
   const flip = optional("flipImageX") === 1 ? -1 : 1;
   const kinds = Array.isArray(file["subpixelCells"]) ? (file["subpixelCells"] as Record<string, unknown>[]) : [];
   const pattern = optional("CellPatternMode");
-  // Some panels have blue first.
+  // On some panels the leftmost subpixel is blue.
   const order = optional("flipSubp") === 1 ? [2, 1, 0] : [0, 1, 2];
   const cells = kinds.map((kind, i) => {
     const at = OFFSETS.map((key) => number(`subpixelCells[${i}].${key}`, kind?.[key], ANY));
@@ -108,16 +108,17 @@ export function calibrationOf(text: string, name: string): Calibration {
     centre: needed("center"),
     inverted: optional("invView") === 1,
     coneRad: (needed("viewCone") * Math.PI) / 180,
-    // Without kinds, the colours are stripes from left to right.
+    // Without kinds of pixels, the three colours are stripes from left to right.
     cells: cells.length > 0 ? cells : [order.map((place) => [(flip * place) / 3, 0] as [number, number])],
     pattern: cells.length > 0 ? pattern : 0,
   };
 }
 
 /**
- * Slopes of the views, from the left. They have the angles of the panel's cone. A narrower zone is
- * spread over the cone, which makes depth flatter, so that no view is outside of the zone.
- */
+* Returns the slopes of the views, from the left. They are those of the panel's cone. If the viewing
+* zone is narrower than the cone, the slopes are scaled to the zone, so that no view is outside of
+* it. The panel spreads these views over the cone, which makes depth flatter.
+*/
 export function slopesOf(info: Pick<Info, "zone">, { coneRad }: Pick<Calibration, "coneRad">, count: number): Slope[] {
   const half = Math.tan(coneRad / 2);
   const scale = Math.min(1, zoneSlope(info as Info)[0] / half);
@@ -190,7 +191,7 @@ export async function weave(views: Views, panel: Calibration): Promise<HTMLCanva
     throw new Problem(`WebGL2 does not weave ${VIEWS} views of ${cols} × ${rows} pixels here.`, "Use another browser or computer.", false);
   }
   const at = (name: string): WebGLUniformLocation | null => gl.getUniformLocation(program, name);
-  // The whole picture, as large as the panel allows.
+  // Show the whole picture as large as the panel allows.
   const shape = (width_mm / height_mm) * (panel.rows / panel.cols);
   gl.uniform2f(at("size"), panel.cols, panel.rows);
   gl.uniform2f(at("extent"), Math.min(shape, 1), Math.min(1 / shape, 1));
@@ -206,7 +207,7 @@ export async function weave(views: Views, panel: Calibration): Promise<HTMLCanva
   return canvas;
 }
 
-/** Fills the panel's screen if the browser lists it, otherwise the window's. */
+/** Shows the canvas on the whole screen of the panel, if the browser lists it, otherwise on the window's screen. */
 export async function fill(canvas: HTMLCanvasElement): Promise<void> {
   const screens = await (window as { getScreenDetails?: () => Promise<{ screens: (Screen & { devicePixelRatio: number })[] }> }).getScreenDetails?.().catch(() => undefined);
   const screen = screens?.screens.find(

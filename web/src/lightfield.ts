@@ -4,7 +4,7 @@ import { Problem, problemOf } from "./problem.js";
 import type { Engine } from "./engine.js";
 import type { Info } from "./info.js";
 
-/** Half the zone's angles along x and y, degrees. They are assumed, since files do not state them. */
+/** Half the full angles of the viewing zone along x and y, degrees. Files do not state them, so they are assumed. */
 const HALF_ANGLE: readonly [number, number] = [17.5, 10];
 
 /**
@@ -20,7 +20,7 @@ export async function loadForeign(dropped: Extract<Dropped, { kind: "quilt" | "v
     const height = Math.floor(picture.height / rows);
     await checked(engine.call("openQuilt", [picture, cols, rows], [picture.data.buffer]));
     report(1);
-    // The views of a quilt are in a line, from left to right.
+    // The views of a quilt form one row of views, from left to right.
     return foreign(dropped.title, height, width, 1, cols * rows, dropped.aspect);
   }
   // The first view determines the size of all views.

@@ -1,37 +1,37 @@
 // Makes the page's viewer follow `lumistack live`: requests the newest state and shows it without a
-// reload of the page. A bar below the viewer reports the connection. It has a switch by which the
-// view acts as a tracked head.
+// reload of the page. A bar below the viewer reports the connection. The bar has a switch: if it is
+// on, the program treats the view as a tracked head.
 //
 // An answer contains one state: length of the JSON as u32 | JSON | files in the order of
 // preview.json. The viewer's attribute `data-state` is the number of the current state.
 import type { LumistackViewer } from "./element.js";
 
-/** The JSON of an answer. */
+/** The JSON at the beginning of an answer. */
 interface Head {
   number: number;
-  /** Changes if and only if preview.json changes. */
+  /** Identifies the content of preview.json: it changes if and only if preview.json changes. */
   edition: string;
   /** Length of every file in bytes; empty if the page has the newest state already. */
   files: number[];
-  /** The text of preview.json if this page has another edition, else null. */
+  /** The text of preview.json if this page has another edition of it, otherwise null. */
   preview: string | null;
   /**
-   * Number and text of the newest message: a warning or an error of the last change. The text is
-   * empty if the change had none.
-   */
+  * Number and text of the newest message: a warning or an error of the last change. The text is
+  * empty if the change had no warning or error.
+  */
   said: number;
   message: string;
 }
 
 /** Milliseconds before a failed request is repeated. */
 const AGAIN_MS = 500;
-/** Milliseconds between two checks of the view, and after which an unchanged view is sent again. */
+/** Time between two checks of the view, and time after which an unchanged view is sent again, milliseconds. */
 const LOOK_MS = 40;
 const REST_MS = 400;
 /** Smallest change of the slope that is sent: the eye moves by 0.6 mm at a distance of 600 mm. */
 const STEP = 0.001;
 
-/** The bar's style sheet; its colours are those of the viewer in the system's theme. */
+/** The bar's style sheet. The bar has the colours of the viewer in the system's theme. */
 const SHEET = `
   lumistack-viewer { height: calc(100dvh - 34px) }
   .live { --back: #15171a; --line: #282b30; --text: #ecebe8; --quiet: #9a9da5; --good: #7fc98f; --warn: #efb152; color-scheme: dark }
@@ -79,7 +79,7 @@ class Bar {
     this.say("lumistack live does not answer; it has ended or is starting again. The picture shows its last state");
   }
 
-  /** Adds a check box that a key also switches. */
+  /** Adds a check box to the bar, which a key of the keyboard also switches. */
   toggle(label: string, title: string, key: string, changed: (on: boolean) => void): void {
     const box = document.createElement("input");
     box.type = "checkbox";
@@ -100,7 +100,7 @@ class Bar {
   }
 }
 
-/** Sends the view to the program, which treats it as the position of a tracked head. */
+/** Sends the viewing position to the program, which treats it as the position of a tracked head. */
 class Guest {
   private on = false;
   private running = false;
@@ -119,14 +119,14 @@ class Guest {
 
   private async run(): Promise<void> {
     this.running = true;
-    // A head does not swing by itself. An assignment to the slope ends the swing, even if the value
-    // stays the same.
+    // End the swing of an idle view, since a head does not swing by itself. An assignment to the
+    // slope ends it, even if the value stays the same.
     this.viewer.slope = this.viewer.slope;
     let sent: { x: number; y: number; at: number } | undefined;
     for (; this.on; await rest(LOOK_MS)) {
       const [x, y] = this.viewer.slope;
       const at = performance.now();
-      // A hidden page has no viewer, which a message without a position reports.
+      // A hidden page has no viewer. A message without a position reports this to the program.
       if (document.hidden) {
         if (sent) await this.send("");
         sent = undefined;
@@ -141,7 +141,7 @@ class Guest {
   }
 
   private async send(view: string): Promise<void> {
-    // A failure is ignored here: the next request of a state fails too, and shows it.
+    // Ignore a failure: the next request of a state will also fail, and the bar then shows it.
     await fetch(`.look?viewer=${this.word}${view}`, { cache: "no-store", keepalive: true }).catch(() => undefined);
   }
 }
@@ -163,7 +163,7 @@ async function follow(viewer: LumistackViewer, bar: Bar): Promise<never> {
       }
       if (number > 0) bar.live(number, message);
     } catch {
-      // The program has ended or restarts. The viewer keeps the current content.
+      // The program has ended or restarts. The viewer keeps its content until the program answers.
       bar.waits();
       await rest(AGAIN_MS);
     }
@@ -180,8 +180,8 @@ function taken(frame: ArrayBuffer): [Head, ArrayBuffer[]] {
 /** Converts preview.json and its files to the form of dropped files: path → file. */
 function previewOf(json: string, files: readonly ArrayBuffer[]): Map<string, File> {
   const preview = JSON.parse(json) as { files: { path: string }[]; poster?: string; around?: unknown };
-  // The poster and the small views are shown while patterns load, but here all patterns are
-  // present.
+  // Remove the poster and the small views. They would be shown while patterns load, but all
+  // patterns are already present.
   delete preview.poster;
   delete preview.around;
   const named = preview.files.map(({ path }, i) => [path, new File([files[i]!], path)] as const);
@@ -193,7 +193,8 @@ await customElements.whenDefined("lumistack-viewer");
 const viewer = document.querySelector("lumistack-viewer");
 if (viewer) {
   const bar = new Bar(viewer);
-  // Without this parameter the page must not move the viewer: a tracker does.
+  // The program omits this parameter if a tracker sends the viewer's position; then the page may
+  // not send it.
   const word = new URL(import.meta.url).searchParams.get("viewer");
   if (word !== null) {
     const guest = new Guest(viewer, word);

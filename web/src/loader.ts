@@ -1,4 +1,4 @@
-// Loads the content from a source: one load at a time, and the newest replaces the others.
+// Loads content from a source. There is one load at a time; a new load ends the previous load.
 import { Surroundings } from "./around.js";
 import { FieldContent, openPreview, StackContent, type Content } from "./content.js";
 import { deferred } from "./deferred.js";
@@ -12,20 +12,20 @@ import type { Stage } from "./stage.js";
 import { stream } from "./stream.js";
 
 export interface LoaderEvents {
-  /** Called before new content is shown: the current content is removed. */
+  /** Called before new content is shown, so that the current content is removed. */
   clear(): void;
-  /** Called with the new content. A stack of patterns has neither simulator nor files yet. */
+  /** Called with the new content. If it is a stack of patterns, its simulator and files are not yet loaded. */
   shown(content: Content): void;
   /** Called with the address of the poster, which is shown until the patterns have arrived. */
   poster(address: string): void;
-  /** Called with the small views, in which the user can look around meanwhile. */
+  /** Called with the small views, in which the user can look around until the patterns have arrived. */
   around(views: Surroundings): void;
   /** Called when the simulator has started. */
   opened(content: Content, engine: Engine): void;
   /** Called with the fraction of all bytes that has arrived, 0..1. */
   progress(share: number): void;
   part(content: StackContent, file: FileInfo): void;
-  /** Called when every file has arrived or failed, with the errors of those that failed. */
+  /** Called when every file has arrived or failed. `failed` has the errors of the failed files. */
   finished(content: StackContent, failed: readonly Problem[]): void;
   problem(problem: Problem): void;
 }
@@ -33,7 +33,7 @@ export interface LoaderEvents {
 export class Loader {
   private loading: AbortController | undefined;
   private decoding: AbortController | undefined;
-  /** Resolved when the first picture is shown, and when the last file has arrived. */
+  /** Promises that are resolved when the first picture is shown, and when the last file has arrived. */
   firstPicture = deferred();
   everything = deferred();
 
@@ -60,7 +60,8 @@ export class Loader {
       if (signal.aborted) return stop();
       const content = read(json);
       if (!content) {
-        // The simulator's own check of the text throws the reason.
+        // The text is no preview. The simulator checks it again, and throws an error that states
+        // the reason.
         const engine = await starting;
         await openPreview(engine, json).finally(() => engine.stop());
         throw new Error("preview.json: expected a preview, found something else");

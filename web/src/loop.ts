@@ -1,11 +1,11 @@
-// Draws the picture repeatedly while it moves, and once after each change. Out of sight it draws
-// nothing.
+// Draws the picture repeatedly while it moves, and once after each change. If the element is out of
+// sight, it draws no picture.
 import type { Motion } from "./motion.js";
 
 export interface Loop {
   /** True if there is a picture to draw. */
   can(): boolean;
-  /** Advances the frames of slow motion. `on`: they continue; `changed`: another frame is shown. */
+  /** Advances slow motion by `dtS` seconds. `on` is true if it continues, `changed` if another frame is shown. */
   play(dtS: number): { on: boolean; changed: boolean };
   draw(): void;
 }
@@ -28,7 +28,7 @@ export class Ticker {
     this.wake();
   }
 
-  /** Starts the loop if it does not run, since motion may have begun. */
+  /** Starts the loop if it does not run. Call this method when motion may have begun. */
   wake(): void {
     if (this.request !== 0 || !this.visible) return;
     this.last = performance.now();
@@ -40,7 +40,7 @@ export class Ticker {
     this.tick(performance.now());
   }
 
-  /** Sets whether the element is in sight; out of sight nothing is drawn. */
+  /** Tells the loop whether the element is in sight. While it is out of sight, no picture is drawn. */
   show(visible: boolean): void {
     if (visible === this.visible) return;
     this.visible = visible;

@@ -7,12 +7,12 @@ const STIFFNESS = 130;
 const DAMPING = 0.92;
 /** Largest slope of the view, in half widths of the zone. */
 export const REACH = 1.4;
-/** Seconds without input before the view swings, and seconds of one swing to and fro. */
+/** Time without input after which the view swings, and duration of one swing to and fro, seconds. */
 const IDLE_S = 4;
 const PERIOD_S = 8;
 /** Amplitudes of the swing along x and y, in half widths of the zone. */
 const SWING: Slope = [0.78, 0.3];
-/** At the end of a flick the goal is the position that its speed would reach in this time, s. */
+/** At the end of a flick (a fast drag) the goal is the position that the drag's speed would reach in this time, s. */
 const FLING_S = 0.22;
 
 export class Motion {
@@ -23,7 +23,7 @@ export class Motion {
   /** The slope towards which the spring pulls the eye. */
   private goal: [number, number] = [0, 0];
   private zone: Slope = [1, 1];
-  /** Seconds since the last input. It starts at the limit, so that the view swings at once. */
+  /** Seconds since the last input. It starts at `IDLE_S`, so that the view swings at once. */
   private quietS = IDLE_S;
   private phaseS = 0;
   private held = false;
@@ -34,7 +34,7 @@ export class Motion {
   calm = false;
   /** True until the user has moved the view. */
   fresh = true;
-  /** Seconds since the start of a recorded turn. */
+  /** Seconds since the start of a recorded turn around the viewing zone; undefined without a turn. */
   private turnS: number | undefined;
   private turnLengthS = 0;
   /** The goal before a recorded turn, to which the eye returns after the turn. */
@@ -81,7 +81,7 @@ export class Motion {
     this.settle();
   }
 
-  /** Called when a finger or button is pressed: the view does not swing until its release. */
+  /** Called when a finger or a mouse button is pressed. The view does not swing until it is released. */
   hold(): void {
     this.held = true;
     this.input();
@@ -92,7 +92,7 @@ export class Motion {
     if (fling && !this.calm) this.lookTo([this.at[0] + this.speed[0] * FLING_S, this.at[1] + this.speed[1] * FLING_S]);
   }
 
-  /** Records input that moves the view: a swing and a turn end, and the idle time restarts. */
+  /** Called after input that moves the view: it ends a swing or a turn, and restarts the idle time. */
   input(): void {
     this.fresh = false;
     this.quietS = 0;
@@ -100,22 +100,22 @@ export class Motion {
     this.turnS = undefined;
   }
 
-  /** Records input that does not move the view: a swing ends, and the idle time restarts. */
+  /** Called after input that does not move the view: it ends a swing, and restarts the idle time. */
   touched(): void {
     this.fresh = false;
     this.quietS = 0;
     this.swinging = false;
   }
 
-  /** Lets the swing begin at the next step, without the idle time. */
+  /** Makes the swing begin at the next step, without waiting for the idle time. */
   swingNow(): void {
     this.quietS = IDLE_S;
   }
 
   /**
-   * Starts one turn of `lengthS` seconds around the zone, which begins and ends at its left. After
-   * it the eye returns to its previous goal.
-   */
+  * Starts one turn of `lengthS` seconds around the viewing zone, which begins and ends at the
+  * zone's left. After the turn the eye returns to its previous goal.
+  */
   startTurn(lengthS: number): void {
     this.input();
     this.home = [this.goal[0], this.goal[1]];
@@ -157,7 +157,7 @@ export class Motion {
     this.goal = this.turnAt(this.phaseS / PERIOD_S - 0.25);
   }
 
-  /** A point of a flat ellipse around the zone's middle. `turn` counts rounds from its left end. */
+  /** Returns the slope on the path of a turn, a flat ellipse around the zone's middle. `turn` is 0 at the ellipse's left end and 1 after a round. */
   private turnAt(turn: number): [number, number] {
     const angle = 2 * Math.PI * turn;
     return [-Math.cos(angle) * SWING[0] * this.zone[0], Math.sin(angle) * SWING[1] * this.zone[1]];
@@ -230,14 +230,15 @@ export class Tilt {
 
   private slopeOf(beta: number, gamma: number): Slope {
     this.rest ??= { beta, gamma };
-    // The pose of slope 0 slowly follows the current pose, so that the user may change position.
+    // The pose that stands for slope 0 slowly follows the current pose. So the user may change
+    // position.
     this.rest.beta += (beta - this.rest.beta) * 0.004;
     this.rest.gamma += (gamma - this.rest.gamma) * 0.004;
     const tan = (degrees: number): number => Math.tan((Math.min(Math.max(degrees, -60), 60) * Math.PI) / 180);
     const side = -tan(gamma - this.rest.gamma);
     const tip = tan(beta - this.rest.beta);
     const turned = ((screen.orientation?.angle ?? 0) * Math.PI) / 180;
-    // Rotate the slope from the device's axes to those of the screen. With the device turned by 90°
+    // Rotate the slope from the device's axes to the screen's axes. If the device is turned by 90°
     // anticlockwise, its right edge points up and its top points to the left.
     return [side * Math.cos(turned) - tip * Math.sin(turned), tip * Math.cos(turned) + side * Math.sin(turned)];
   }

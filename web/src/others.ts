@@ -1,4 +1,5 @@
-// The dialog for other displays. The code of each is loaded when it is chosen.
+// The dialog for other displays: headset, lenticular panel, Looking Glass Bridge. The code for each
+// is loaded when the user chooses it.
 import { download, fileName, toPng } from "./capture.js";
 import type { Face } from "./face.js";
 import type { Info } from "./info.js";
@@ -6,19 +7,19 @@ import { Problem, problemOf } from "./problem.js";
 import { quilt } from "./quilt.js";
 import type { Slope } from "./state.js";
 
-/** The display's seen pictures; the viewer's mode does not matter. */
+/** Computes pictures that an eye sees on the simulated display, in every mode of the viewer. */
 export interface Views {
   readonly info: Info;
   /**
-   * The picture for an eye, in the light field's size. Without a distance, the eye is that of the
-   * viewer.
-   */
+  * Returns the picture for an eye, in the light field's size. Without `eyeMm` the eye's distance is
+  * the one that the viewer's options set.
+  */
   picture(slope: Slope, eyeMm?: number): Promise<ImageBitmap>;
   /** Called after the last picture. */
   done(): void;
 }
 
-/** Milliseconds that a browser needs to store a saved quilt. */
+/** Time that a browser may need to store a saved quilt, milliseconds. */
 const STORE_MS = 800;
 /** Key of the folder's name in the browser's storage. */
 const FOLDER = "lumistack-folder";
@@ -73,12 +74,12 @@ export class Others {
     this.face.at("others-status").textContent = text;
   }
 
-  /** Offers only what this browser and this content can do. */
+  /** Disables the buttons of displays that this browser or this content does not support. */
   private async refresh(): Promise<void> {
     this.say("");
     const headset = this.face.at("headset") as HTMLButtonElement;
     const possible = async (mode: XRSessionMode): Promise<boolean> => (await navigator.xr?.isSessionSupported(mode).catch(() => false)) ?? false;
-    // The pictures of other programs have no size.
+    // Light fields of other programs have no size in millimetres, which the headset needs.
     const sized = (this.views()?.info.layers.length ?? 0) > 0;
     headset.disabled = !sized || !((await possible("immersive-ar")) || (await possible("immersive-vr")));
   }
@@ -89,7 +90,7 @@ export class Others {
     this.say("Weaving…");
     const canvas = await weave(views, panel);
     this.woven?.canvas.remove();
-    // Visible only where it fills the screen.
+    // The style sheet shows this canvas only in full-screen mode.
     canvas.className = "woven";
     this.face.at("others").append(canvas);
     this.woven = { canvas, name: `${fileName(views.info.title)}_${panel.cols}x${panel.rows}.png` };
@@ -106,7 +107,7 @@ export class Others {
     const panel = bridge.panels[0]!;
     this.say("Making a quilt…");
     const { blob, ending, aspect } = await quilt(views, panel);
-    // A file of that name may be there from before.
+    // The time makes the name unique, since the folder may contain older quilts.
     const name = `${fileName(views.info.title)}-${Date.now()}${ending}`;
     download(blob, name);
     await new Promise((resolve) => setTimeout(resolve, STORE_MS));
@@ -115,7 +116,7 @@ export class Others {
   }
 }
 
-/** Code that is loaded now; a page in a single file has none of it. */
+/** Waits for code that is loaded on demand. A page in a single file does not contain this code, which gives an error. */
 async function code<T>(loading: Promise<T>): Promise<T> {
   try {
     return await loading;
@@ -136,6 +137,6 @@ function store(folder: string): void {
   try {
     localStorage.setItem(FOLDER, folder);
   } catch {
-    // Pages from disk have no storage; the field keeps the text.
+    // A page that was opened from a file has no storage; the input field keeps the text.
   }
 }

@@ -1,8 +1,8 @@
 // Draws pictures. WebGL2 draws the views of the display if it is faster than the processor. The
 // processor draws everything else.
 //
-// A view has one pixel per pixel of the light field with either renderer, and the page scales it.
-// So both renderers give the same picture.
+// With WebGL2 and with the processor a view has one pixel for each pixel of the light field, and
+// the page scales it. So both renderers give the same picture.
 import type { Viewer } from "../pkg/lumistack_web.js";
 import { explode, type Stack } from "./explode.js";
 import type { Path, Slope } from "./state.js";
@@ -25,19 +25,19 @@ export type Wish = Path | "auto" | "rest";
 /** Columns and rows of pixels. */
 export type Size = readonly [number, number];
 
-/** Message to the page: the current renderer, and the reason if it is not the requested one. */
+/** Message to the page: the current renderer, and the reason if the requested renderer cannot be used. */
 export interface PathChange {
   path: Path;
   why?: string;
 }
 
-/** If WebGL2 takes more milliseconds for a picture, the processor's time is measured too. */
+/** If WebGL2 needs more time for a picture, the processor's time is also measured, milliseconds. */
 const SLOW_MS = 60;
 /** Number of pictures whose time through WebGL2 is measured. */
 const TESTS = 2;
-/** Parts of the names of drivers that draw by the processor. */
+/** Words in the names of drivers that draw by the processor. */
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
-/** Milliseconds to wait for the restoration of a lost context before a new canvas is used. */
+/** Time to wait for the restoration of a lost graphics context before a new canvas is used, milliseconds. */
 const RESTORE_MS = 2500;
 
 export class Painter {
@@ -47,7 +47,7 @@ export class Painter {
   private readonly masks = new Map<string, OffscreenCanvas>();
   private latest: OffscreenCanvas | undefined;
   private wish: Wish = "cpu";
-  /** Number of pictures that remain to be measured. */
+  /** Number of pictures whose time through WebGL2 is still to be measured. */
   private untested = 0;
 
   constructor(
@@ -126,7 +126,7 @@ export class Painter {
     return took < performance.now() - again;
   }
 
-  /** Takes a WebGL2 context; returns false if the browser has no suitable one. */
+  /** Creates a WebGL2 context; returns false if the browser has no suitable context. */
   private enter(): boolean {
     const canvas = new OffscreenCanvas(1, 1);
     const auto = this.wish === "auto";
@@ -150,7 +150,7 @@ export class Painter {
       this.gl = { canvas, context };
       this.latest = canvas;
       this.untested = auto ? TESTS : 0;
-      // Tests read this variable of the thread to take the context away.
+      // Tests use this global variable of the thread to end the context.
       Object.assign(self, { context });
       return true;
     } catch (error) {
@@ -171,7 +171,7 @@ export class Painter {
     const key = `${layer}/${frame}`;
     let mask = this.masks.get(key);
     if (!mask) {
-      // The picture shows the masks of one frame, so those of other frames are removed.
+      // The picture shows the masks of one frame, so remove the stored masks of other frames.
       if (this.masks.size >= layers.length) this.masks.clear();
       const { cols, rows } = layers[layer]!;
       mask = new OffscreenCanvas(cols, rows);

@@ -4,7 +4,7 @@ export class Problem extends Error {
   constructor(
     message: string,
     readonly advice: string,
-    /** True if nothing can be shown. */
+    /** True if the viewer cannot show any picture because of this problem. */
     readonly fatal = true,
   ) {
     super(message);
@@ -12,9 +12,9 @@ export class Problem extends Error {
   }
 }
 
-/** Converts any error to a Problem; `advice` is the remedy of an error that has none. */
+/** Converts any error to a Problem; `advice` is the remedy for an error that states no remedy. */
 export function problemOf(error: unknown, advice: string): Problem {
-  // Scripts that are loaded later have a class of their own.
+  // Scripts that are loaded later contain another copy of this class, so `instanceof` would fail.
   if (error instanceof Error && error.name === "Problem") return error as Problem;
   return new Problem(error instanceof Error ? error.message : String(error), advice);
 }

@@ -1,7 +1,7 @@
-// Programs of WebGL2, from the texts of two shaders.
+// Makes programs of WebGL2 from the texts of two shaders.
 import { Problem } from "./problem.js";
 
-/** Compiles and links two shaders. Throws a problem with the driver's message if that fails. */
+/** Compiles and links two shaders. If this fails, it throws a Problem with the driver's message. */
 export function link(gl: WebGL2RenderingContext, vertex: string, fragment: string): WebGLProgram {
   const program = gl.createProgram();
   for (const [kind, text] of [

@@ -4,7 +4,7 @@ import type { Info } from "./info.js";
 import type { Views } from "./others.js";
 import type { Slope } from "./state.js";
 
-/** Columns and rows of tiles without a known panel, as the smallest lenticular displays use them. */
+/** Columns and rows of a quilt for an unknown panel; the smallest lenticular displays use this layout. */
 const [COLUMNS, ROWS] = [8, 6];
 
 /** Columns and rows of views. */
@@ -14,11 +14,11 @@ export interface Layout {
 }
 
 /**
- * Returns the slopes of `count` views from left to right, on the central row of the target's views;
- * of two central rows on the upper one. The zone is divided into `count` equal parts, and each view
- * is at the centre of its part. If the target has A views per row, view i is at the index
- * (i + ½) / count · A − ½ among them, as in the quilts of the command.
- */
+* Returns the slopes of `count` views from left to right. They lie on the central row of the
+* target's views; if two rows are central, on the upper row. The row is divided into `count` equal
+* parts, and each view is at the centre of its part. If the target has A views per row, view i is at
+* the index (i + ½) / count · A − ½ of the row, as in the quilts of the command.
+*/
 export function slopesAcross({ views }: Pick<Info, "views">, count: number): Slope[] {
   const start = Math.floor((views.rows - 1) / 2) * views.cols;
   const row = views.slopes.slice(start, start + views.cols);
@@ -31,7 +31,7 @@ export function slopesAcross({ views }: Pick<Info, "views">, count: number): Slo
   });
 }
 
-/** A quilt, the end of its file's name with its layout, and the width of a view over its height. */
+/** A quilt, the end of its file's name (which states the layout), and the width of a view over its height. */
 export interface Quilt {
   blob: Blob;
   ending: string;

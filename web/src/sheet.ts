@@ -1,4 +1,5 @@
-// The contact sheet of the mode "layers": thumbnails of every mask of every layer and backlight.
+// The contact sheet of the mode "layers": a thumbnail for each mask of each layer, and for each
+// frame of the backlight.
 import type { Info } from "./info.js";
 
 const THUMB_PX = 46;
@@ -140,7 +141,7 @@ export function sizeOf(info: Info, layer: number): [number, number] {
   return [found.cols, found.rows];
 }
 
-/** Index of the last row of masks: the backlight's if it is directional, else the last layer's. */
+/** Index of the last row of masks: the backlight's row if it is directional, otherwise the last layer's. */
 export function lastMask(info: Info): number {
   return Math.max(info.layers.length - (info.directional && info.backlight ? 0 : 1), 0);
 }

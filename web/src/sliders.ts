@@ -10,7 +10,7 @@ interface Slider {
   words(value: number, info: Info): string;
 }
 
-/** Largest distance of the slider. One step farther it selects the target's own projection. */
+/** Largest eye distance of the slider, mm. At the next larger step the slider selects the projection of the target. */
 const EYE_MOST_MM = 3000;
 
 const SLIDERS: readonly Slider[] = [
@@ -45,7 +45,8 @@ export class Sliders {
       this.input(slider).addEventListener("input", (event) => {
         const value = Number((event.target as HTMLInputElement).value);
         const state = this.state();
-        // At the end of the range the gain is null, which stands for 1/β of the current display.
+        // At the right end of its range the slider sets the gain to null, which stands for 1/β of
+        // the current display.
         if (slider.key === "gain") state.gain = this.info && value > 0.9995 / this.info.brightness ? null : value;
         else if (slider.key === "eyeMm") state.eyeMm = value > EYE_MOST_MM ? null : value;
         else state[slider.key] = value;
@@ -90,7 +91,8 @@ export class Sliders {
     }
     const changed = SLIDERS.some(({ key }) => state[key] !== DEFAULTS[key]);
     (this.button() as HTMLButtonElement).disabled = !changed;
-    // A link may set errors of the construction. Then the sliders are opened, so that they show.
+    // A link may set errors of the display's construction. Then unfold the group of their sliders,
+    // so that the values are visible.
     if (changed) (this.root.querySelector("#build") as HTMLDetailsElement).open = true;
   }
 
@@ -103,7 +105,7 @@ export class Sliders {
   }
 }
 
-/** Paints a slider's track from the value 0 to its thumb; from the left end if 0 is not inside. */
+/** Paints a slider's track from the value 0 to its thumb; if 0 is not in its range, from the left end. */
 export function paintTrack(input: HTMLInputElement): void {
   const [min, max, value] = [Number(input.min), Number(input.max), Number(input.value)];
   const share = (at: number): number => (max > min ? ((at - min) / (max - min)) * 100 : 0);

@@ -12,7 +12,7 @@ export interface Source {
 
 declare global {
   interface Window {
-    /** Path → content in base64, in a page that contains its preview; "wasm" is the module. */
+    /** In a page that contains its preview: path → content in base64. The key "wasm" has the module. */
     LUMISTACK_INLINE?: Record<string, string>;
   }
 }
@@ -90,7 +90,7 @@ export class InlineSource implements Source {
   }
 }
 
-/** Returns the source that the attribute `src` names: content of the page, or a server's file. */
+/** Returns the source that the attribute `src` names: the page itself, or a server. */
 export function sourceOf(src: string): Source {
   const inline = window.LUMISTACK_INLINE;
   return inline && src in inline ? new InlineSource(inline, src) : new ServerSource(src);

@@ -4,9 +4,9 @@ import type { Scene, Size } from "./painter.js";
 import type { Path } from "./state.js";
 
 /**
- * A picture to show: of a stack of patterns, or between the views of a light field. The position
- * (u, v) between the views is 0..1 from the left and from the top.
- */
+* A picture to show: of a stack of patterns, or of a light field. The picture of a light field is at
+* a position (u, v) between the views, with u from the left and v from the top, both 0..1.
+*/
 export type Shot = Scene | { kind: "between"; u: number; v: number };
 
 export interface StageEvents {
@@ -15,12 +15,12 @@ export interface StageEvents {
   failed(error: unknown): void;
 }
 
-/** Largest side of a drawing buffer, pixels. A larger one costs time and shows no more detail. */
+/** Largest width or height of a canvas, pixels. A larger canvas costs time and shows no more detail. */
 const MOST_PX = 2400;
 
 export class Stage {
   readonly main = canvas("main");
-  /** Shows the target in the side-by-side comparison. */
+  /** The canvas that shows the target in the side-by-side comparison. */
   readonly aside = canvas("aside");
   path: Path = "cpu";
   private engine: Engine | undefined;
@@ -85,12 +85,12 @@ export class Stage {
     return shot.kind === "between" ? this.engine.call("between", [shot.u, shot.v]) : this.engine.call("pixels", [shot, this.size]);
   }
 
-  /** Draws a picture; of the side-by-side comparison two: the display's and the target's. */
+  /** Draws a picture. For the side-by-side comparison it draws two: the display's and the target's. */
   async pictures(shot: Shot): Promise<ImageBitmap[]> {
     return this.engine ? paint(this.engine, shot, this.size) : [];
   }
 
-  /** Draws a picture on a new canvas; of the side-by-side comparison both pictures. */
+  /** Draws a picture on a new canvas. For the side-by-side comparison the canvas contains both pictures. */
   async still(shot: Shot): Promise<HTMLCanvasElement> {
     const out = document.createElement("canvas");
     const pictures = await this.pictures(shot);

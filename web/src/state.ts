@@ -1,4 +1,4 @@
-// The user's options, and their text form in the page's address.
+// The user's options, and the text in the page's address that describes them.
 
 /** The mode of the viewer. */
 export type Mode = "perceived" | "slow" | "exploded" | "compare" | "layers";
@@ -6,7 +6,7 @@ export type Mode = "perceived" | "slow" | "exploded" | "compare" | "layers";
 export type Comparison = "slider" | "side" | "error";
 /** The renderer of the display's views. */
 export type Path = "webgl2" | "cpu";
-/** Slope of the view: x to the right of the display's normal, y above it. */
+/** Slope of the view: x is above 0 to the right of the display's normal, y is above 0 above it. */
 export type Slope = readonly [x: number, y: number];
 
 export const MODES: readonly Mode[] = ["perceived", "slow", "exploded", "compare", "layers"];
@@ -30,13 +30,13 @@ export interface State {
   pupilMm: number;
   /** Distance of the eye, mm. Null stands for the projection of the target's views. */
   eyeMm: number | null;
-  /** The selected frame (of the modes "slow", "exploded" and "layers"), and the selected layer. */
+  /** The frame that the modes "slow", "exploded" and "layers" show, and the layer that "layers" shows. */
   frame: number;
   layer: number;
   /** Frames per second of slow motion. */
   rate: number;
   playing: boolean;
-  /** Separation of the layers in the mode "exploded", 0..1. */
+  /** Separation of the layers in the mode "exploded", which draws them apart, 0..1. */
   spread: number;
   yaw: number;
   pitch: number;

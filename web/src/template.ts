@@ -1,4 +1,4 @@
-// The markup inside the element. Icons have 20 × 20 units.
+// The HTML inside the element. Icons have 20 × 20 units.
 
 const icon = (path: string): string =>
   `<svg viewBox="0 0 20 20" aria-hidden="true" fill="none" stroke="currentColor" stroke-width="1.5" stroke-linecap="round" stroke-linejoin="round">${path}</svg>`;

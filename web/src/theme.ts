@@ -1,4 +1,4 @@
-// Dark or light theme: the system's, until the user selects one.
+// The theme, dark or light. It is the system's theme until the user selects a theme.
 
 const KEY = "lumistack-theme";
 
@@ -8,7 +8,7 @@ export function restoreTheme(element: HTMLElement): void {
     const kept = localStorage.getItem(KEY);
     if (kept === "dark" || kept === "light") element.setAttribute("theme", kept);
   } catch {
-    // Without storage the system's theme stays.
+    // Without storage no earlier choice is known, so the system's theme stays.
   }
 }
 
@@ -19,6 +19,6 @@ export function toggleTheme(element: HTMLElement): void {
   try {
     localStorage.setItem(KEY, next);
   } catch {
-    // Without storage the theme holds for this visit only.
+    // Without storage the choice is lost when the page is closed.
   }
 }

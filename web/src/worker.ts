@@ -31,7 +31,7 @@ const methods = {
   options(json: string): void {
     viewer!.set_options(json);
   },
-  /** Takes a graphics context, or releases it, as the wish demands. */
+  /** Creates or releases the graphics context, as `wish` states. */
   attach(wish: Wish): void {
     painter!.attach(wish);
   },
@@ -53,7 +53,7 @@ const methods = {
   openQuilt(picture: ImageData, cols: number, rows: number): void {
     field = LightField.from_quilt(new Uint8Array(picture.data.buffer), picture.width, picture.height, cols, rows);
   },
-  /** The picture at the position (u, v) between the views, 0..1 from the left and from the top. */
+  /** The picture at the position (u, v) between the views. u is 0..1 from the left, v is 0..1 from the top. */
   between(u: number, v: number): ImageData {
     return new ImageData(new Uint8ClampedArray(field!.render(u, v)), field!.cols(), field!.rows());
   },

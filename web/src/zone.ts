@@ -1,4 +1,5 @@
-// The map of the viewing zone: the target's views, the eye's position, and a pad that moves it.
+// The map of the viewing zone: it shows the target's views and the eye's position, and the user can
+// move the eye in it.
 import { zoneSlope, type Info } from "./info.js";
 import type { Slope } from "./state.js";
 import { REACH } from "./motion.js";
@@ -8,7 +9,7 @@ const SVG = "http://www.w3.org/2000/svg";
 const WIDTH = 240;
 const LEAST_HEIGHT = 64;
 const MOST_HEIGHT = 150;
-/** Half width of the drawing in half widths of the zone: a little more than the eye's largest slope. */
+/** Half width of the drawing, in half widths of the zone. It is a little more than the eye's largest slope. */
 const SHOWN = REACH * 1.06;
 
 export class ZoneMap {

@@ -10,9 +10,9 @@ import { fileURLToPath } from "node:url";
 import { complete, launch, LINEAR, open, pixels, site } from "./browser.mjs";
 
 const FIXTURES = process.env.LUMISTACK_FIXTURES ?? join(dirname(fileURLToPath(import.meta.url)), "fixtures");
-/** Displays that must be among the fixtures. */
+/** Displays for which references must exist. */
 const CASES = ["uniform3", "directional", "mixed", "layers8"];
-/** Least PSNR of the canvas against the reference. Rounding to 8 bits of sRGB alone gives about 56 dB. */
+/** Smallest PSNR of the canvas against the reference, dB. Rounding to 8 bits of sRGB alone gives about 56 dB. */
 const LEAST_DB = 45;
 
 let browser;
@@ -35,7 +35,7 @@ for (const name of CASES) {
       assert.equal(slopes.length, 9);
       const server = await site(folder);
       const query = `?renderer=${renderer}`;
-      // With gain 1 no value exceeds white. So no error is hidden by clipping.
+      // With gain 1 no value exceeds white, so clipping cannot hide an error.
       const plain = await open(browser, `${server.url}/${query}#gain=1`);
       const adapted = await open(browser, `${server.url}/${query}`);
       try {
@@ -68,9 +68,9 @@ for (const name of CASES) {
 }
 
 /**
- * Compares a picture with the reference L̃/β. `db` is the PSNR with peak 1 of the picture's linear values, divided by `scale`, against the
- * reference, clipped at `white`. `mean` and `deviation` are those of the picture.
- */
+* Compares a picture with the reference L̃/β. `db` is a PSNR with peak 1: it compares the picture's linear values, divided by `scale`, with
+* the reference, clipped at `white`. `mean` and `deviation` are the mean and the standard deviation of the picture's values.
+*/
 function compare(rgba, reference, scale, white) {
   let [squares, sum, sum2] = [0, 0, 0];
   for (let p = 0; p < reference.length / 3; p++) {

@@ -1,4 +1,4 @@
-// Bad input and missing graphics: a message states the problem and a remedy, and the canvas is never blank.
+// Bad input and missing graphics: a message states the problem and a remedy, and the viewer never shows an empty canvas.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { complete, launch, open, pixels, site, text } from "./browser.mjs";
@@ -77,7 +77,7 @@ test("a mask is cut short: the other frame is shown, with a message", async () =
   await page.context().close();
 });
 
-/** A script for the page that puts the text `before` in front of the script of the simulator's thread. */
+/** Returns a script for the page that puts the text `before` in front of the script of the simulator's thread. */
 const inThread = (before) => `window.Blob = class extends Blob {
   constructor(parts, options) {
     super(options?.type === "text/javascript" ? [${JSON.stringify(before)}, ...parts] : parts, options);
@@ -87,7 +87,7 @@ const NO_WEBGL = `{
   const real = OffscreenCanvas.prototype.getContext;
   OffscreenCanvas.prototype.getContext = function (kind, ...rest) { return /webgl/.test(kind) ? null : real.call(this, kind, ...rest); };
 }`;
-/** Makes WebGL2 slow, and hides that it runs in software. */
+/** A script that makes WebGL2 slow, and hides that it runs in software. */
 const SLOW_WEBGL = `{
   const real = OffscreenCanvas.prototype.getContext;
   OffscreenCanvas.prototype.getContext = function (kind, options) { return real.call(this, kind, { ...options, failIfMajorPerformanceCaveat: false }); };

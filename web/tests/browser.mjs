@@ -12,14 +12,14 @@ export const SHOTS = process.env.LUMISTACK_WEB_SHOTS ?? join(WEB, "shots");
 
 const ARGUMENTS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"];
 
-/** Starts Chromium, with more arguments if given. */
+/** Starts Chromium; `more` are further arguments of its command line. */
 export async function launch(more = []) {
   const path = process.env.LUMISTACK_CHROMIUM ?? "/usr/bin/chromium";
   if (!existsSync(path)) throw new Error(`no browser at ${path}: install Chromium (Debian: apt-get install chromium) or name one in LUMISTACK_CHROMIUM`);
   return chromium.launch({ executablePath: path, headless: true, args: [...ARGUMENTS, ...more] });
 }
 
-/** Serves the built page with a preview: a folder, or files in memory (path → bytes) that a test may exchange. */
+/** Serves the built page with a preview. The preview is a folder, or files in memory (path → bytes), which a test may exchange. */
 export async function site(preview) {
   const memory = preview instanceof Map ? preview : undefined;
   const state = { files: memory, hook: undefined };
@@ -39,14 +39,14 @@ export async function site(preview) {
 export async function open(browser, url, options = {}) {
   const { init, ...rest } = options;
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, reducedMotion: "reduce", ...rest });
-  // The time limit is long, since a test machine may also compile, and draws in software.
+  // The time limit is long, since a test machine may compile at the same time, and draws in software.
   context.setDefaultTimeout(120_000);
   const page = await context.newPage();
   page.trouble = [];
   page.on("console", (message) => {
-    // The driver warns of the tests' own reads of pixels.
+    // Ignore this warning of the driver: the tests themselves cause it when they read pixels.
     if (/GPU stall due to ReadPixels/.test(message.text())) return;
-    // Chromium states that it has no adapter for WebGPU, where the page has a message of its own.
+    // Ignore this message of Chromium about a missing WebGPU adapter, since the page itself reports it.
     if (message.text() === "No available adapters.") return;
     if (message.type() === "error" || message.type() === "warning") page.trouble.push(message.text());
   });
@@ -57,7 +57,7 @@ export async function open(browser, url, options = {}) {
   return page;
 }
 
-/** Waits until the element has loaded everything. Returns the message if that fails, else undefined. */
+/** Waits until the element has loaded all files. Returns the message if this fails, otherwise undefined. */
 export function complete(page) {
   return page.evaluate(() =>
     document.querySelector("lumistack-viewer").complete.then(

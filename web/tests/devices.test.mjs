@@ -6,7 +6,7 @@ import { SCENE, twoSquares } from "./fixture.mjs";
 
 const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true };
 const ZONE = Math.tan(((SCENE.fovDeg / 2) * Math.PI) / 180);
-/** Largest difference of a slope at rest from its expected value. */
+/** Largest difference between the slope of a view at rest and its expected value. */
 const AT_REST = 1e-3;
 
 let browser;
@@ -24,7 +24,7 @@ const slope = (page) => page.evaluate(() => document.querySelector("lumistack-vi
 const shadow = (page, script) => page.evaluate(`(${script})(document.querySelector("lumistack-viewer").shadowRoot)`);
 const near = (found, wanted, by = AT_REST) => assert.ok(found.every((v, i) => Math.abs(v - wanted[i]) <= by), `the eye is at ${found}, expected ${wanted}`);
 
-/** The centre and the size of a part of the element, CSS pixels of the window. */
+/** Returns the centre and the size of a part of the element, CSS pixels of the window. */
 const box = (page, selector) =>
   page.evaluate((within) => {
     const { x, y, width, height } = document.querySelector("lumistack-viewer").shadowRoot.querySelector(within).getBoundingClientRect();
@@ -48,7 +48,7 @@ test("a drag to the left shows the display from the right, and a drag downwards 
   const page = await open(browser, server.url, PHONE);
   assert.equal(await complete(page), undefined);
   const stage = await box(page, "#stage");
-  // A drag over 0.32 of the stage's width crosses half the zone.
+  // A drag over 0.32 of the width of the box around the picture crosses half the viewing zone.
   await drag(page, stage, [-0.16 * stage.width, 0.08 * stage.width]);
   await page.waitForTimeout(300);
   const [x, y] = await slope(page);

@@ -32,7 +32,7 @@ after(async () => {
 /** Waits until the work is done. Returns the PSNR that the page computes, and a seen picture. */
 async function solved(page, wait) {
   await wait(() => document.documentElement.dataset.stage === "done");
-  // The page shows the last patterns a little after it reports the end.
+  // The page shows the last patterns shortly after it reports the end of the work.
   await page.evaluate(() => new Promise((resolve) => setTimeout(resolve, 1000)));
   return { psnr: await page.evaluate(() => document.documentElement.dataset.psnr), seen: await pixels(page, [0.05, -0.03]) };
 }
@@ -51,7 +51,7 @@ test("the page that solves computes the same patterns in Firefox and in Chromium
   await page.setViewport({ width: 390, height: 844 });
   await page.screenshot({ path: join(SHOTS, "firefox-phone.png") });
   assert.deepEqual(trouble, []);
-  // A WebAssembly module gives the same results in every browser.
+  // Compare with Chromium: a WebAssembly module gives the same results in every browser.
   const other = await open(chromium, `${server.url}/solve.html${HASH}`);
   const ours = await solved(other, (done) => other.waitForFunction(done));
   assert.equal(theirs.psnr, ours.psnr);

@@ -1,4 +1,5 @@
-// The first seconds of a page: a poster at once, small views to look around in, a hint, a swinging view, and then the picture.
+// The first seconds of a page. It shows a poster at once, then small views in which the user can look around. There is a hint, and the view swings. Then
+// the picture appears.
 import assert from "node:assert/strict";
 import { cpSync, existsSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
@@ -19,7 +20,7 @@ let browser;
 let server;
 before(async () => {
   browser = await launch();
-  // The poster is red, the small view from the left green, that from the right blue. The picture of the patterns is black and white.
+  // The poster is red, the small view from the left is green, the small view from the right is blue. The picture of the patterns is black and white.
   const { cols, rows } = SCENE;
   const around = { path: "stack/around.jpg", cols, rows, slope_x: [-HALF, HALF], slope_y: [0] };
   const files = altered(
@@ -78,7 +79,7 @@ test("the poster is shown first, small views after a move, and then the picture,
   assert.equal(await text(page, "#caption"), "Two squares in depth.");
   assert.match(await text(page, "#nudge"), /Move the mouse/);
   assert.equal(await page.evaluate(() => document.querySelector("lumistack-viewer").shadowRoot.querySelector("#build").open), false);
-  // The view from the right is blue, the one from the middle a blend of both.
+  // The view from the right is blue; the view from the middle is a blend of green and blue.
   await page.evaluate((slope) => void (document.querySelector("lumistack-viewer").slope = slope), [HALF, 0]);
   await page.waitForTimeout(150);
   near(await middle(page), RIGHT);
@@ -151,7 +152,7 @@ test("the view swings at once until the user moves it, unless the user prefers l
 });
 
 test("no task blocks the page while patterns are decoded and pictures drawn", async () => {
-  // Large masks of noise take longest to decode.
+  // Use large masks of noise, which take longest to decode.
   const [cols, rows, frames] = [640, 400, 4];
   let seed = 1;
   const noise = () => (seed = (seed * 48271) % 2147483647) & 255;
@@ -179,7 +180,7 @@ test("no task blocks the page while patterns are decoded and pictures drawn", as
     },
   });
   assert.equal(await complete(page), undefined);
-  // Other work of the machine also makes tasks long, so two long tasks are allowed.
+  // Other programs on the machine also make tasks long, so two long tasks are allowed.
   await page.waitForTimeout(1500);
   const { long, moved } = await page.evaluate(() => ({ long: window.long, moved: document.querySelector("lumistack-viewer").slope }));
   console.log(`  long tasks: ${long.map((ms) => ms.toFixed(0)).join(", ") || "none"} ms`);
@@ -210,14 +211,14 @@ test("the poster of a site that the plugin wrote is visible without scripts", { 
   const before = await page.locator('img[slot="poster"]').boundingBox();
   assert.ok(before.width > 800 && before.height > 500, `${before.width} × ${before.height}`);
   await page.context().close();
-  // Without scripts the poster is at the place and of the size that it has with them.
+  // Without scripts the poster has the same position and size as with scripts.
   for (const viewport of [{ width: 1440, height: 900 }, { width: 390, height: 844 }]) {
     const [bare, full] = await Promise.all([false, true].map(async (javaScriptEnabled) => {
       const page = await (await browser.newContext({ javaScriptEnabled, viewport, reducedMotion: "reduce" })).newPage();
       await page.goto(written.url);
       if (javaScriptEnabled) await page.evaluate(() => document.querySelector("lumistack-viewer").complete);
       const { x, y, width, height } = await page.locator('img[slot="poster"]').boundingBox();
-      // The image of 60 × 40 pixels is centred in its box, as large as it fits.
+      // The image of 60 × 40 pixels is centred in its box, and as large as the box allows.
       const scale = Math.min(width / 60, height / 40);
       await page.context().close();
       return [x + (width - 60 * scale) / 2, y + (height - 40 * scale) / 2, 60 * scale, 40 * scale];

@@ -42,7 +42,7 @@ export const SCENE = {
   frames: 2,
 };
 
-/** Two clear layers with a dark square on each. From a slope s, a square at position d appears moved by −d·s on the display plane. */
+/** Makes two clear layers with a dark square on each. From a slope s, a square at position d appears shifted by −d·s on the display plane. */
 export function twoSquares() {
   const { cols, rows, pitchMm, far, near, fovDeg, views, frames } = SCENE;
   const files = new Map();

@@ -133,11 +133,11 @@ test("the view acts as a tracked head while the switch is on", { skip }, async (
   assert.equal(zone(), 1, "the view moved the viewer before the switch was on");
   await page.getByLabel("The display follows my view").check();
   await until("rays near the view", () => zone() === 0);
-  // A mouse at rest still counts as a viewer, for longer than a tracker may be silent.
+  // A mouse at rest still counts as a viewer, also after a time in which a silent tracker would be ignored.
   await new Promise((resolve) => setTimeout(resolve, 2500));
   assert.equal(zone(), 0);
   await page.screenshot({ path: join(SHOTS, "live-follows.png") });
-  // The key F also operates the switch.
+  // The key F turns the switch off.
   await page.keyboard.press("f");
   assert.equal(await page.getByLabel("The display follows my view").isChecked(), false);
   await until("the whole zone", () => zone() === 1);

@@ -8,7 +8,7 @@ import { complete, launch, open, pixels, SHOTS, site, text } from "./browser.mjs
 import { twoSquares } from "./fixture.mjs";
 
 const FIXTURES = process.env.LUMISTACK_FIXTURES ?? join(dirname(fileURLToPath(import.meta.url)), "fixtures");
-/** A preview folder with a richer picture, for the screenshots. */
+/** A preview folder with a more detailed picture, for the screenshots. */
 const SHOWN = process.env.LUMISTACK_WEB_SHOWN ?? join(FIXTURES, "uniform3");
 const MODES = [["perceived"], ["slow"], ["exploded"], ["compare", "slider"], ["compare", "side"], ["compare", "error"], ["layers"]];
 

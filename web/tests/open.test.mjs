@@ -46,7 +46,7 @@ test("the files of a preview without their folder", async () => {
 
 test("a quilt, whose first view is at the bottom left", async () => {
   const colours = [[200, 40, 40], [40, 200, 40], [40, 40, 200], [200, 200, 40]];
-  // 2 × 2 tiles of 24 × 16: views 0 and 1 below, 2 and 3 above.
+  // The quilt has 2 × 2 tiles of 24 × 16 pixels: views 0 and 1 are at the bottom, 2 and 3 at the top.
   const quilt = png(48, 32, (r, c) => colours[(r < 16 ? 2 : 0) + (c < 24 ? 0 : 1)]);
   await drop(new Map([["holiday_qs2x2a1.5.png", quilt]]));
   assert.equal(await text(page, "#title"), "holiday");

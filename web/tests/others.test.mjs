@@ -1,4 +1,4 @@
-// Other displays: a headset (Meta's emulator), lenticular panels against a plain reference, and Looking Glass Bridge, whose answers are replayed.
+// Other displays: a headset (Meta's emulator), lenticular panels (compared with a simple reference), and Looking Glass Bridge (recorded answers).
 import assert from "node:assert/strict";
 import { mkdirSync, readFileSync } from "node:fs";
 import { dirname, join } from "node:path";
@@ -25,7 +25,7 @@ after(async () => {
 
 const shadow = (page, action, argument) => page.evaluate(`(${action})(document.querySelector("lumistack-viewer").shadowRoot, ${JSON.stringify(argument ?? null)})`);
 const status = (page) => text(page, "#others-status");
-/** Waits until the dialog says something that fits. */
+/** Waits until the dialog shows a text that matches the pattern. */
 async function said(page, pattern) {
   await page.waitForFunction((source) => new RegExp(source).test(document.querySelector("lumistack-viewer").shadowRoot.querySelector("#others-status").textContent), pattern.source, { timeout: 20_000 }).catch(async () => assert.match(await shadow(page, "(root) => root.querySelector('#others-status').textContent"), pattern));
 }
@@ -48,7 +48,7 @@ test("the dialog fits phones and desktops, axe finds nothing, and nothing is loa
     await page.evaluate(AXE);
     const found = await page.evaluate(async () => (await window.axe.run()).violations.map(({ id, nodes }) => `${id}: ${nodes.map(({ target }) => target).join("; ")}`));
     assert.deepEqual(found, []);
-    // this browser has no headset
+    // the button is disabled, since this browser has no headset
     assert.equal(await shadow(page, "(root) => root.querySelector('#headset').disabled"), true);
     const inside = await shadow(page, "(root) => { const box = root.querySelector('#others').getBoundingClientRect(); return box.left >= 0 && box.right <= innerWidth && box.top >= 0 && box.bottom <= innerHeight; }");
     assert.ok(inside, name);
@@ -58,7 +58,7 @@ test("the dialog fits phones and desktops, axe finds nothing, and nothing is loa
   }
 });
 
-/** The scene of the fixture ten times as large: wide enough for a headset. */
+/** The preview with two squares, ten times as large, so that it is wide enough for a headset. */
 function large() {
   return altered(twoSquares(), {}, (preview) => {
     preview.display.field.pitch_mm *= 10;
@@ -96,7 +96,7 @@ test("in a headset both eyes see every depth where it is, at true scale", async 
   const before = await pixels(page, [0.1, 0.05]);
   await page.waitForFunction(() => !document.querySelector("lumistack-viewer").shadowRoot.querySelector("#headset").disabled, undefined, { timeout: 10_000 }).catch(() => assert.deepEqual(page.trouble, []));
   await page.click("#headset");
-  // one and a half of its width before the head
+  // the display stands in front of the head, at a distance of one and a half of its width
   await page.waitForFunction(() => first.right);
   const { left, right } = await page.evaluate(() => first);
   const centre = [0, 1, 2].map((i) => (left.at[i] + right.at[i]) / 2 - (i === 2 ? 1.5 * (SCENE.cols / 100) : 0));
@@ -105,7 +105,7 @@ test("in a headset both eyes see every depth where it is, at true scale", async 
     ["aside", [0.24, 1.65, 0.1]],
   ]) {
     await page.evaluate(([x, y, z]) => device.position.set(x, y, z), head);
-    // the pictures of both eyes have to arrive
+    // wait until the pictures of both eyes have arrived
     await page.waitForTimeout(900);
     const eyes = await page.evaluate(() => eyes);
     assert.ok(Math.abs(eyes.right.at[0] - eyes.left.at[0] - 0.063) < 1e-3, `the eyes are at ${eyes.left.at} and ${eyes.right.at}`);
@@ -122,14 +122,14 @@ test("in a headset both eyes see every depth where it is, at true scale", async 
     }, shot.toString("base64"));
     const bright = Buffer.from(green, "base64");
     for (const eye of [eyes.left, eyes.right]) {
-      /** Pixel of a point of the room, from the left and from the top of the screenshot. */
+      /** Returns the pixel at which an eye sees a point of the room, from the left and from the top of the screenshot. */
       const seen = (point) => {
         const to = (m, v) => [0, 1, 2, 3].map((row) => [0, 1, 2, 3].reduce((sum, k) => sum + m[row + 4 * k] * v[k], 0));
         const [x, y, , w] = to(eye.projection, to(eye.inverse, [...point, 1]));
         return [eye.x + (0.5 + x / w / 2) * eye.width, size.height - eye.y - (0.5 + y / w / 2) * eye.height];
       };
       for (const { row, col, half, dMm } of [SCENE.far, SCENE.near]) {
-        // ten times the fixture's millimetres
+        // the preview is ten times as large as the fixture, so 100 pixels measure one metre
         const place = (dx, dy) => seen([centre[0] + (col + 0.5 + dx - SCENE.cols / 2) / 100, centre[1] - (row + 0.5 + dy - SCENE.rows / 2) / 100, centre[2] + dMm / 100]);
         const [left, top] = place(-half - 2, -half - 2);
         const [right, bottom] = place(half + 2, half + 2);
@@ -147,7 +147,7 @@ test("in a headset both eyes see every depth where it is, at true scale", async 
         assert.ok(Math.hypot(found[0] - x, found[1] - y) < 0.8, `${name}, ${dMm}: at ${found}, expected ${[x, y]}`);
         assert.ok(Math.abs(area - 1) < 0.15, `${name}, ${dMm}: ${area} of the area`);
       }
-      // beyond the display's edge the room is dark
+      // outside of the display's edge the room is dark
       const [x, y] = seen([centre[0] + SCENE.cols / 200 + 0.02, centre[1], centre[2]]);
       assert.ok(bright[Math.round(y) * size.width + Math.round(x)] < 10);
     }
@@ -160,9 +160,9 @@ test("in a headset both eyes see every depth where it is, at true scale", async 
 });
 
 const value = (number) => ({ value: number });
-/** A panel of stripes, with values like those of real ones for its size. */
+/** The calibration of a panel with stripes of colours. Its values are similar to those of real panels, for a smaller screen. */
 const STRIPES = { configVersion: "1.0", serial: "LKG-TEST", pitch: value(49.8), slope: value(-6.9), center: value(0.41), viewCone: value(40), invView: value(1), verticalAngle: value(0), DPI: value(491), screenW: value(240), screenH: value(150), flipImageX: value(0), flipImageY: value(0), flipSubp: value(0) };
-/** One with two kinds of pixels, higher than wide, whose cone is wider than the zone. */
+/** The calibration of a panel with two kinds of pixels. It is higher than wide, and its cone is wider than the viewing zone. */
 const CELLS = {
   ...STRIPES,
   configVersion: "3.0",
@@ -193,7 +193,7 @@ for (const [name, panel] of Object.entries({ stripes: STRIPES, cells: CELLS })) 
     const woven = Buffer.from(text, "base64");
     const get = (key) => panel[key].value;
     const [cols, rows, count] = [get("screenW"), get("screenH"), 48];
-    // the views: angles of the cone, but within the zone
+    // the expected views have the slopes of the panel's cone, scaled down so that they stay in the viewing zone
     const cone = (get("viewCone") * Math.PI) / 180;
     const share = Math.min(1, Math.tan((SCENE.fovDeg * Math.PI) / 360) / Math.tan(cone / 2));
     const views = [];
@@ -207,7 +207,7 @@ for (const [name, panel] of Object.entries({ stripes: STRIPES, cells: CELLS })) 
     };
     const flip = get("flipImageX") ? -1 : 1;
     const lenses = ((get("pitch") * cols) / get("DPI")) * Math.cos(Math.atan(1 / get("slope")));
-    // the whole picture fits the screen
+    // the whole picture fits into the screen
     const shape = (SCENE.cols / SCENE.rows) * (rows / cols);
     const [wide, high] = [Math.min(shape, 1), Math.min(1 / shape, 1)];
     let compared = 0;
@@ -215,7 +215,7 @@ for (const [name, panel] of Object.entries({ stripes: STRIPES, cells: CELLS })) 
     for (let row = 0; row < rows; row++) {
       for (let col = 0; col < cols; col++) {
         const [u, v] = [((col + 0.5) / cols - 0.5) / wide + 0.5, ((row + 0.5) / rows - 0.5) / high + 0.5];
-        // rows from the bottom
+        // the calibration counts rows from the bottom
         const up = rows - 1 - row;
         for (let c = 0; c < 3; c++) {
           const found = woven[4 * (row * cols + col) + c];
@@ -228,7 +228,7 @@ for (const [name, panel] of Object.entries({ stripes: STRIPES, cells: CELLS })) 
           const phase = ((col + 0.5 + dx) / cols + ((up + 0.5 + dy) / rows) * ((flip * rows) / (cols * get("slope")))) * lenses - get("center");
           const part = phase - Math.floor(phase);
           const view = count * (get("invView") ? 1 - part : part);
-          // single precision may choose the neighbour
+          // skip positions near the border of two views, where single precision may choose the other view
           if (Math.abs(view - Math.round(view)) < 0.02) continue;
           used.add(Math.floor(view));
           compared++;
@@ -290,7 +290,7 @@ const device = (index, { calibration = "", quilt = "{}", version = "thirdparty",
 });
 const map = (content) => ({ name: "payload", type: "VARIANT_MAP", value: content });
 const GO = device(1, { calibration: JSON.stringify(STRIPES), quilt: JSON.stringify({ quiltAspect: 0.5625, quiltX: 4092, quiltY: 4092, tileX: 11, tileY: 6 }), version: "go_p", hwid: "LKG-E00001" });
-/** The requests in their order, with the keys of each, and Bridge's answers: documented at docs.lookingglassfactory.com. */
+/** The expected requests in their order: the name, the types of the keys, and Bridge's answer, as docs.lookingglassfactory.com describes them. */
 const TRANSCRIPT = [
   ["enter_orchestration", { name: "string" }, { payload: word("payload", SESSION) }],
   ["available_output_devices", { orchestration: "string" }, { payload: map({ 0: device(0, {}), 1: GO }) }],
@@ -305,7 +305,7 @@ const TRANSCRIPT = [
   ["play_playlist", { orchestration: "string", name: "string", head_index: "number" }, { payload: map({ message: word("message", "") }) }],
 ];
 
-/** Bridge's place on this computer: replays the transcript, or `change`s it. Returns what was asked. */
+/** Answers requests in place of Bridge, with the answers of the transcript, which `change` may replace. Returns the list of requests. */
 async function bridge(page, change = (_, answer) => answer) {
   const asked = [];
   await page.route("http://localhost:33334/**", async (route) => {
@@ -337,11 +337,11 @@ test("a quilt is handed over to Looking Glass Bridge as its protocol wants it", 
   assert.equal(uri, `C:\\Users\\Me\\Downloads\\${file.suggestedFilename()}`);
   assert.match(uri, /_qs11x6a1\.6\.png$/);
   assert.deepEqual([rows, cols, aspect, views], [6, 11, 1.6, 66]);
-  // width and height of the PNG
+  // the PNG file states its width and height at bytes 16 and 20
   const png = readFileSync(await file.path());
   assert.deepEqual([png.readUInt32BE(16), png.readUInt32BE(20)], [11 * SCENE.cols, 6 * SCENE.rows]);
   assert.deepEqual(page.trouble, []);
-  // the folder is known the next time
+  // after a reload, the dialog still contains the folder
   await page.reload();
   assert.equal(await complete(page), undefined);
   assert.equal(await shadow(page, "(root) => root.querySelector('#stored').value"), "C:\\Users\\Me\\Downloads");

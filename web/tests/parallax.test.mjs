@@ -42,7 +42,7 @@ for (const renderer of ["webgl2", "cpu"]) {
       const half = rows / 2;
       const [farRow, farCol] = darkCentre(shown, 0, half);
       const [nearRow, nearCol] = darkCentre(shown, half, rows);
-      // The near square moves by −kx columns. The far one, at −d, moves by +kx columns.
+      // The near square moves by −kx columns, and the far square, at −d, by +kx columns.
       const off = [nearCol - (near.col - kx), nearRow - (near.row + ky), farCol - (far.col + kx), farRow - (far.row - ky)];
       assert.ok(off.every((value) => Math.abs(value) < 0.02), `at ${slope}: off by ${off.map((v) => v.toFixed(3))} pixels`);
     }

@@ -12,7 +12,7 @@ import { complete, launch, open, pixels, text } from "./browser.mjs";
 const BINARY = process.env.LUMISTACK_BIN;
 const FIXTURES = process.env.LUMISTACK_FIXTURES ?? join(dirname(fileURLToPath(import.meta.url)), "fixtures");
 const skip = !BINARY ? "LUMISTACK_BIN is not set (`cargo xtask web test` sets it)" : !existsSync(FIXTURES) ? "no fixtures (`cargo xtask web fixtures`)" : false;
-/** Longest time until a reload, ms. The page requests the stamp once a second, and the server checks the folder once a second. */
+/** Longest time until the page reloads, ms. The server checks the folder once a second, and the page requests the result of this check once a second. */
 const RELOAD_MS = 5000;
 
 const folder = mkdtempSync(join(tmpdir(), "lumistack-preview-"));

@@ -9,13 +9,13 @@ import { npy, unpacked } from "./saved.mjs";
 import { serve } from "./server.mjs";
 import { stripes } from "./stripes.mjs";
 
-/** Chromium's own graphics adapter in software. The pages below ask for it by `device=gpu`. */
+/** Options that give Chromium a graphics adapter in software. Pages use it only with `device=gpu` in their address. */
 const WEBGPU = ["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader"];
 /** Largest difference of the patterns' values, 0 to 1. */
 const SAME = 1e-4;
 
 let browser;
-/** A browser without WebGPU's adapter in software. */
+/** A browser without these options, which has no adapter for WebGPU. */
 let plain;
 let server;
 let folder;
@@ -48,7 +48,7 @@ const start = (at) => at.setInputFiles("#files", field);
 const stage = (at, name) => at.waitForFunction((name) => document.documentElement.dataset.stage === name, name);
 const status = (at) => at.textContent("#status");
 
-/** The patterns that the page saves: name → values. */
+/** Returns the patterns that the page saves, as a map from file name to values. */
 async function patterns(at) {
   await stage(at, "done");
   assert.ok(await at.isHidden("#problem"), await at.textContent("#problem"));
@@ -58,7 +58,7 @@ async function patterns(at) {
   return new Map(arrays.map(([name, bytes]) => [name, npy(bytes)]));
 }
 
-/** Largest difference of two sets of patterns, of their values and of their codes of 8 bits, and the root mean square difference of the values. */
+/** Compares two sets of patterns. Returns the largest difference of their values and of their 8-bit codes, and the root mean square difference of the values. */
 function apart(a, b) {
   assert.deepEqual([...a.keys()], [...b.keys()]);
   let [values, codes, squares, count] = [0, 0, 0, 0];
@@ -138,7 +138,7 @@ test("the processor solves if a limit of the device is too small", async () => {
   await at.context().close();
 });
 
-test("the processor solves without an adapter, or if the adapter is software that nobody asked for", async () => {
+test("the processor solves without an adapter, or if the only adapter is software and the address does not select it", async () => {
   for (const [of, reason] of [
     [browser, /On the processor: this browser offers only a graphics adapter in software\.$/],
     [plain, /On the processor: this browser offers no graphics processor\.$/],

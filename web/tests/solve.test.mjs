@@ -16,11 +16,11 @@ const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.mi
 const SCENES = join(dirname(fileURLToPath(import.meta.url)), "../../scenes");
 const BIN = process.env.LUMISTACK_BIN;
 /**
- * Largest root mean square difference of the patterns of page and command. It is above 0, since the two use other instructions, and the command's
- * cache rounds views.
- */
+* Largest root mean square difference between the patterns of the page and of the command. It is above 0, since the two use different instructions of
+* the processor, and the command rounds views when it caches them.
+*/
 const SAME = 2e-3;
-/** Largest difference of the PSNR of page and command, dB. */
+/** Largest difference between the PSNR that the page reports and the command's, dB. */
 const SAME_DB = 0.01;
 /** Largest difference of a seen picture in codes, since the page shows patterns of 8 bits and the command simulates unrounded patterns. */
 const ROUNDING = 3;
@@ -71,7 +71,7 @@ async function savedQuilt(at) {
     return { width, height, tiles: [[0, 5], [7, 0]].map(([col, row]) => [...context.getImageData(col * width, row * height, width, height).data]) };
   }, readFileSync(await download.path(), "base64"));
   assert.deepEqual([views.width, views.height], [96, 60]);
-  // The zone is divided into 48 parts, and the outermost views are half a part inside its edge.
+  // The viewing zone is divided into 48 parts, one for each view. The outermost views are half a part inside the zone's edge.
   const { slope_x, slope_y } = await at.evaluate(() => JSON.parse(document.querySelector("lumistack-viewer").content.json).target);
   const step = slope_x[1] - slope_x[0];
   const edge = slope_x.at(-1) + step / 2 - (step * slope_x.length) / 96;
@@ -106,7 +106,7 @@ test("a built-in scene becomes the patterns that the command makes", { skip: !BI
   const run = await save(at, "letters");
   assert.match(execFileSync(BIN, ["info", run], { encoding: "utf8" }), /96/);
 
-  // The viewer's picture agrees with the command's simulation.
+  // The picture that the viewer shows agrees with the command's simulation of the saved patterns.
   await at.waitForFunction(() => !document.querySelector("main").classList.contains("idle"));
   const slope = [3, -2].map((degrees) => Math.tan((degrees * Math.PI) / 180));
   const shown = await pixels(at, slope);
@@ -139,7 +139,7 @@ test("a built-in scene becomes the patterns that the command makes", { skip: !BI
 test("the page shows intermediate patterns, stops, continues, and solves for another display", async () => {
   const at = await page("#preset=paper-three-layer&cols=96&frames=2&zone_samples=400&iterations=2");
   await shot(at, "empty");
-  // The module of decoders is loaded once, since this scene has pictures to decode.
+  // Count the requests for the module of decoders. It is loaded once, since this scene has pictures to decode.
   let decoders = 0;
   at.on("request", (request) => (decoders += request.url().endsWith("lumistack_web_decoders_bg.wasm")));
   await at.click("text=Letters");
@@ -189,7 +189,7 @@ test("a broken file gives the command's error, and the page stays usable", { ski
     assert.equal(status, 1);
     assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
   }
-  // A picture that is cut short is an error of the module of decoders.
+  // If a picture is cut short, the module of decoders reports the error, and not the solver's module.
   const letters = join(folder, "cut");
   cpSync(join(SCENES, "letters"), letters, { recursive: true });
   writeFileSync(join(letters, "charts.png"), readFileSync(join(SCENES, "letters/charts.png")).subarray(0, 400));
@@ -239,7 +239,7 @@ test("patterns of light fields agree with those of the command", { skip: !BIN &&
   const command = join(folder, "array-command");
   execFileSync(BIN, ["run", join(ours, "job.toml"), "-o", command], { stdio: "pipe" });
   assert.ok(apart(ours, command) < SAME, `${apart(ours, command)}`);
-  // The command's folder of OpenEXR pictures has rounded values, so the tolerance is larger.
+  // The command wrote the light field as OpenEXR pictures with rounded values. So the tolerance for this folder is larger.
   const views = join(folder, "array-views");
   cpSync(join(command, "target"), views, { recursive: true });
   const again = await solved(() => at.setInputFiles("#folder", views), "views");
@@ -255,7 +255,7 @@ test("patterns of light fields agree with those of the command", { skip: !BIN &&
   execFileSync(BIN, ["run", join(third, "job.toml"), "-o", known], { stdio: "pipe" });
   assert.ok(apart(third, known) < SAME, `${apart(third, known)}`);
 
-  // Errors of light fields are those of the command.
+  // A damaged light field gives the same error as in the command.
   const few = join(folder, "few");
   mkdirSync(few);
   writeFileSync(join(few, "cut.npy"), readFileSync(array).subarray(0, 5000));

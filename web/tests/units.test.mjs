@@ -33,9 +33,9 @@ test("names of views determine their order", async () => {
   assert.deepEqual(grid(["out_00_01_-3.5_2.1_.png", "out_00_00_-3.5_9.9_.png", "out_00_02_1_1_.png"]), ["out_00_00_-3.5_9.9_.png out_00_01_-3.5_2.1_.png out_00_02_1_1_.png"]);
   const cams = Array.from({ length: 9 }, (_, i) => `input_Cam${String(i).padStart(3, "0")}.png`);
   assert.deepEqual(grid([...cams].reverse()), [cams.slice(0, 3).join(" "), cams.slice(3, 6).join(" "), cams.slice(6).join(" ")]);
-  // Three views are no square, so they form one row, in the order of their numbers.
+  // Three is not a square number, so these views form one row, in the order of their numbers.
   assert.deepEqual(grid(["frame10.jpg", "frame9.jpg", "frame11.jpg"]), ["frame9.jpg frame10.jpg frame11.jpg"]);
-  // A grid with a hole is not a grid, so its views form one row.
+  // The names state an incomplete grid, so the views form one row.
   assert.deepEqual(grid(["view_0_0.png", "view_0_1.png", "view_1_0.png"]), ["view_0_0.png view_0_1.png view_1_0.png"]);
 });
 

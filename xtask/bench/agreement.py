@@ -54,7 +54,7 @@ def incomplete_beta(a, b, x):
 
 
 def t_p(t, freedom):
-    """Probability that chance gives a larger |t|."""
+    """Returns the probability that |t| is larger than this by chance, by Student's distribution."""
     return incomplete_beta(0.5 * freedom, 0.5, freedom / (freedom + t * t))
 
 
@@ -133,7 +133,8 @@ def load(folder):
 
 
 def compare(ours, theirs):
-    """Compares two stacks of batches: mean ratio, largest |t| with its p, p of the picture's mean, p of the mean of t^2."""
+    """Compares two stacks of batches. Returns the ratio of their means, and the largest |t| of a pixel. It also returns
+    the probabilities p of the largest |t|, of the picture's mean and of the mean of t^2."""
     count = len(ours)
 
     def t_of(a, b):
@@ -142,8 +143,8 @@ def compare(ours, theirs):
         error = np.sqrt((a.var(0, ddof=1) + b.var(0, ddof=1)) / count)
         excess = np.maximum(np.abs(difference) - granted, 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            # without noise (error 0), t is 0 where the difference is at most SYSTEMATIC, and
-            # otherwise infinite
+            # without noise (error 0), t is 0 if the difference is at most SYSTEMATIC, and otherwise
+            # infinite
             return np.where(excess > 0.0, excess / error, 0.0), error, difference
 
     freedom = count - 1

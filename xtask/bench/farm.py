@@ -1,5 +1,5 @@
-"""Computes a sequence on one and on two workers. Compares the times with the predicted ones, and checks that the files are the same
-after kills of workers and of the client, and after a full disk. `cargo xtask bench farm` runs it."""
+"""Computes a sequence on one and on two workers, and compares the times with the predicted times. It also checks that the results have the
+same bytes after kills of workers and of the client, and after a full disk. `cargo xtask bench farm` runs it."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ turn_deg = {turn}
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    """Reads the files of a run, except caches, reports (which contain times) and the job file."""
+    """Returns the files of a run and their bytes, except caches, reports (which contain times) and the job file."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_file() and "cache" not in path.relative_to(folder).parts)
     kept = (path for path in files if not path.name.startswith("report.") and path.name != "job.toml")
     return {str(path.relative_to(folder)): path.read_bytes() for path in kept}
 
 
 def predicted(folder: Path, workers: list[int]) -> dict[int, float]:
-    """Predicts makespans in seconds from the measured times of a finished run."""
+    """Predicts the time of a run for several numbers of workers, from the measured times of a finished run, seconds."""
     words = [*PROGRAM, "--json", "farm", "show", str(folder), "--workers", ",".join(map(str, workers))]
     answer = json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()[-1])
     return {prediction["workers"]: prediction["makespan_seconds"] for prediction in answer["predictions"]}
@@ -56,13 +56,13 @@ def predicted(folder: Path, workers: list[int]) -> dict[int, float]:
 
 def timed(job: Path, folder: Path, workers: int, options: list[str]) -> float:
     with connected(None, None, workers, None) as client:
-        # each worker loads its modules now, before the time is measured
+        # make each worker load its modules before the time is measured
         client.run(lumistack.farm._work.probe, None, str(folder))
         return lumistack.farm.run(job, folder, options=options, client=client, threads=1).seconds
 
 
 def kill_often(job: Path, folder: Path, options: list[str], count: int) -> int:
-    """Runs the job while workers are killed at random times, and once the client with all its children. Returns the number of kills."""
+    """Runs the job. It kills the client with all its children once, then workers at random times. Returns the number of kills."""
     chance = random.Random(7)
     words = [*PROGRAM, "--threads", "1", "farm", str(job), "-o", str(folder), *options]
     first = subprocess.Popen(words, env={**os.environ, "LUMISTACK_PYTHON": sys.executable}, process_group=0, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
@@ -110,7 +110,7 @@ def seams(place: Path, job: Path, times: int) -> dict[str, Any]:
         if warm_up > chunk:
             continue
         folder = place / f"chunks-{warm_up}"
-        # the copy contains the rendered views, so that both runs have the same
+        # the copy contains the rendered views, so that both runs use the same views
         subprocess.run(["cp", "-r", str(place / "plain"), str(folder)], check=True)
         cut = report(folder, "--chunk-times", str(chunk), "--warm-up-times", str(warm_up))
         starts = range(chunk, times, chunk)
@@ -121,7 +121,7 @@ def seams(place: Path, job: Path, times: int) -> dict[str, Any]:
 
 
 def full_disk(job: Path, expected: dict[str, bytes], options: list[str]) -> str:
-    """Runs in a file system that is too small, which must fail; then enlarges it and runs again. Needs root."""
+    """Runs the job in a file system that is too small, which must fail. Then it enlarges the file system and runs again. Needs root."""
     with tempfile.TemporaryDirectory() as place:
         mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", place]
         if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
@@ -149,7 +149,7 @@ def main() -> int:
     given = parser.parse_args()
     size: dict[str, Any] = {"cols": 40, "rows": 26, "samples": 8, "times": 12} if given.quick else {"cols": 84, "rows": 52, "samples": 32, "times": 48}
     size["times"], size["samples"] = given.times or size["times"], given.samples or size["samples"]
-    # 0.4° from each time step to the next
+    # the window turns by 0.4° from each time step to the next
     size["turn"] = 0.4 * (size["times"] - 1)
     figures: dict[str, Any] = dict(size)
     with tempfile.TemporaryDirectory() as name:

@@ -1,4 +1,4 @@
-"""Sends random edits to `lumistack live`, and checks the states that two pages get, the memory, and the reaction to Ctrl-C.
+"""Sends random edits to `lumistack live`, and checks the states that two pages receive, the memory, and the reaction to Ctrl-C.
 `cargo xtask bench live` runs it."""
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-# Largest growth of memory from a third of the edits to the end, as a fraction of the earlier
-# memory.
+# Largest growth of memory from the first third of the edits to the end, as a fraction of the memory
+# after the first third.
 GROWTH = 0.10
-# Longest time from Ctrl-C to the last state.
+# Longest time from Ctrl-C to the last state, seconds.
 FREEZE_S = 0.3
 
 
@@ -51,7 +51,7 @@ def edit(random: random.Random) -> dict[str, Any]:
 
 
 class Watcher(threading.Thread):
-    """Requests states as a page does, and checks that each is complete."""
+    """Requests states as a page does, and checks that each state is complete."""
 
     def __init__(self, address: str) -> None:
         super().__init__(daemon=True)
@@ -85,7 +85,7 @@ class Watcher(threading.Thread):
 
 
 def is_whole(png: bytes) -> bool:
-    """Returns whether every part of a PNG matches its checksum."""
+    """Returns true if every chunk of a PNG file matches its checksum."""
     at = 8
     while at + 12 <= len(png):
         size = struct.unpack_from(">I", png, at)[0]

@@ -1,4 +1,4 @@
-"""Renders the view in Blender's Cycles, on the CPU. `view.py` describes the requests."""
+"""Renders the view of `cargo xtask bench render` in Blender's Cycles, on the CPU. `view.py` describes the requests."""
 import os
 import sys
 import tempfile
@@ -59,8 +59,8 @@ def frame(x, y, z, origin):
 
 
 def add_lamp():
-    """Adds the light as a lamp, for scenes where it need not be exact. A lamp has less noise than a glowing mesh, but is 1 % too
-    bright in Blender 5.0.1.
+    """Adds the rectangle light as a lamp, for scenes in which it need not be exact. A lamp has less noise than a mesh that emits light, but
+    it is 1 % too bright in Blender 5.0.1.
 
     The squared error is 2.7e-5 with the lamp and 3.5e-5 with the mesh, on FlightHelmet at 16 samples per pixel.
     """
@@ -68,7 +68,7 @@ def add_lamp():
     lamp = bpy.data.lights.new("light", "AREA")
     lamp.shape = "RECTANGLE"
     lamp.size, lamp.size_y = np.linalg.norm(u), np.linalg.norm(w)
-    # a Lambertian emitter of radiance L and area A has the power π L A
+    # a diffuse emitter of radiance L and area A has the power π L A
     lamp.energy = v.light["radiance"] * lamp.size * lamp.size_y * np.pi
     lamp.cycles.max_bounces = 1024
     lamp.use_shadow = True
@@ -127,7 +127,7 @@ def configure():
     c.min_light_bounces = 1024
     c.light_sampling_threshold = 0.0
     c.pixel_filter_type = "BOX"
-    # width of the box filter in pixels
+    # width of the box filter, pixels
     c.filter_width = 1.0
 
 
@@ -155,8 +155,9 @@ def timed(samples, seed):
 
 
 def render(sampler, samples, seed):
-    # A render with one sample measures the fixed costs, such as preparing the scene and writing the
-    # file. Subtracting its time leaves the time of the paths.
+    # The time of a render with one sample is that of the fixed work, such as preparing the scene
+    # and writing the file. Its difference from the time of a longer render is the time of the
+    # paths.
     start, _ = timed(1, seed)
     seconds, picture = timed(samples, seed)
     return (seconds - start) * samples / max(samples - 1, 1), picture

@@ -1,4 +1,4 @@
-"""Renders the view in Mitsuba 3, `llvm_ad_rgb`. `view.py` describes the requests.
+"""Renders the view of `cargo xtask bench render` in Mitsuba 3, `llvm_ad_rgb`. `view.py` describes the requests.
 
 Mitsuba compiles its kernels with the system's LLVM library. LLVM before version 16 fails on machines with AVX-512, so this
 script uses the newest library that it finds. On Debian `apt-get install libllvm19` installs one. DRJIT_LIBLLVM_PATH
@@ -24,7 +24,7 @@ def newest_llvm():
 if "DRJIT_LIBLLVM_PATH" not in os.environ and newest_llvm():
     os.environ["DRJIT_LIBLLVM_PATH"] = newest_llvm()
 
-import mitsuba as mi  # noqa: E402  the variable above is read here
+import mitsuba as mi  # noqa: E402  this import reads DRJIT_LIBLLVM_PATH
 import numpy as np  # noqa: E402
 
 mi.set_variant("llvm_ad_rgb")

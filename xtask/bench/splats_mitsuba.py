@@ -18,12 +18,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-# Mitsuba requires this before any other call
+# Mitsuba needs a variant before any other call
 mi.set_variant("llvm_ad_rgb")
 
 LEAST_APART = 60.0
 LEAST_CAPTURE = 36.0
-# rays per pixel and axis
+# number of rays per pixel along each axis
 RAYS = 4
 
 

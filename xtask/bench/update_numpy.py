@@ -1,4 +1,4 @@
-"""The paper's multiplicative update in NumPy, with shifted slices. `worker.py` describes the requests."""
+"""The paper's multiplicative update in NumPy, on shifted slices of arrays. `worker.py` describes the requests."""
 from functools import reduce
 from operator import mul
 

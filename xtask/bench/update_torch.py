@@ -1,4 +1,4 @@
-"""The paper's multiplicative update in PyTorch on the CPU, with shifted slices and without gradients.
+"""The paper's multiplicative update in PyTorch on the CPU, on shifted slices of tensors and without gradients.
 
 `worker.py` describes the requests.
 """

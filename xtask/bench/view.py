@@ -1,12 +1,12 @@
-"""The scene and the requests that the peers of `cargo xtask bench render` share: other renderers, which are compared with Lumistack.
+"""The scene and the requests that the peers of `cargo xtask bench render` share. Peers are other renderers, which are compared with Lumistack.
 
 The script of a peer renders one view of a scene with diffuse surfaces. Its argument is a folder with
 
-    scene.json          meshes, camera, sky and rectangle light; whether this light must be exact
+    scene.json          meshes, camera, sky and rectangle light; a flag for a light that must be exact
     N_positions.npy     vertices of mesh N in the world, N_triangles.npy its indices, N_uvs.npy texture coordinates (v downwards)
     image_N.png         textures, sRGB
 
-It answers requests. A request is one line of text with fields separated by tabs; an answer is one line of JSON:
+The script answers requests. A request is one line of text with fields separated by tabs; an answer is one line of JSON:
 
     render SAMPLER SAMPLES SEED FILE    writes the picture to FILE as linear float32 [row][col][rgb]; answers {"seconds": time for the paths}
 
@@ -40,7 +40,7 @@ class View:
 
 
 def serve(name, samplers, render):
-    """Answers requests until standard input ends. `render(sampler, samples, seed)` returns the seconds and the picture."""
+    """Answers requests until standard input ends. `render(sampler, samples, seed)` returns the time of the paths in seconds, and the picture."""
     answer({"name": name, "samplers": samplers})
     for line in sys.stdin:
         _, sampler, samples, seed, path = line.rstrip("\n").split("\t")

@@ -2,7 +2,7 @@
 //
 // Prints when the poster is painted, when the user can look around ("interactive"), and when the first picture of the patterns is shown. These times
 // count from the start of the navigation. "longest task" is the longest task of the page's main thread, until two seconds after all files have arrived. The time of a
-// frame includes drawing and reading back the picture in the simulator's thread. WebGL2 is drawn by software here.
+// frame includes drawing and reading back the picture in the simulator's thread. In this browser WebGL2 draws in software.
 import { createReadStream, existsSync, statSync } from "node:fs";
 import { createServer } from "node:http";
 import { createRequire } from "node:module";
@@ -31,7 +31,7 @@ const browser = await chromium.launch({
 });
 const median = (values) => values.sort((a, b) => a - b)[values.length >> 1];
 
-/** Networks to emulate: none, and a mobile connection. */
+/** The emulated networks: one without limits, and a mobile connection. */
 const PROFILES = [["no limits", undefined], ["10 Mbit/s, 60 ms", { offline: false, latency: 60, downloadThroughput: 10e6 / 8, uploadThroughput: 5e6 / 8 }]];
 
 for (const [profile, limits] of PROFILES) {

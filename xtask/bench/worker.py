@@ -1,5 +1,5 @@
-"""The problem, its geometry and the requests that the peers of `cargo xtask bench factorize` share: array libraries, which are
-compared with Lumistack.
+"""The problem, its geometry and the requests that the peers of `cargo xtask bench factorize` share. Peers are array libraries, which
+are compared with Lumistack.
 
 The script of a peer runs the paper's multiplicative update (eq. 16) on arrays of its library. Its argument is a
 folder with
@@ -8,15 +8,15 @@ folder with
     target.npy      L, [view_y][view_x][row][col][rgb]
     layer_N.npy     start of layer N, [frame][row][col][rgb]; layer 0 is the rearmost
 
-It answers requests. A request is one line of text with fields separated by tabs; an answer is one line of JSON. VARIANT is the
-name of one way to write the update:
+The script answers requests. A request is one line of text with fields separated by tabs; an answer is one line of JSON. VARIANT
+is the name of one way to write the update:
 
     save VARIANT FOLDER     makes one update from the start, and writes its masks to FOLDER/layer_N.npy as float32
     update VARIANT          makes one more update
     both answer {"seconds": time for the update}
 
-The script computes the geometry itself from the display's numbers, with oblique views and nearest sampling. Rays that
-leave a layer are ignored. Therefore the pixels of a layer that a view uses form a rectangle, which is a slice of the arrays.
+The script computes the geometry itself from the display's numbers, with oblique views and nearest sampling. It ignores rays
+that miss a layer. So the pixels of a layer that a view uses form a rectangle, which is a slice of the layer's array.
 """
 import json
 import math
@@ -29,15 +29,15 @@ FLOOR = 1e-4  # smallest mask: the update multiplies, so an exact 0 would stay 0
 
 
 class Problem:
-    """The arrays of the problem, with colour and frame before rows and columns, so that slices of rows and columns come last."""
+    """The arrays of the problem. Rows and columns are their last axes, so that slices of rows and columns are short to write."""
 
     def __init__(self, folder):
         with open(f"{folder}/problem.json") as file:
             about = json.load(file)
         target = np.load(f"{folder}/target.npy") * np.float32(about["brightness"])
-        # βL, [view_y][view_x][rgb][row][col]
+        # the target βL, [view_y][view_x][rgb][row][col]
         self.target = np.ascontiguousarray(target.transpose(0, 1, 4, 2, 3))
-        # [frame][rgb][row][col]
+        # the start of every layer, [frame][rgb][row][col]
         layers = [np.load(f"{folder}/layer_{n}.npy") for n in range(len(about["d_mm"]))]
         self.layers = [np.ascontiguousarray(layer.transpose(0, 3, 1, 2)) for layer in layers]
         self.views = list(views(about))
@@ -62,7 +62,7 @@ def views(about):
 
 
 def others(layers, at, n):
-    """Returns the slices of all layers but layer n."""
+    """Returns the slices of all layers except layer n."""
     return [layer[part] for k, (layer, part) in enumerate(zip(layers, at)) if k != n]
 
 

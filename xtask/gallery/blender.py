@@ -1,4 +1,4 @@
-"""Renders one file of the gallery with Blender's Cycles, with Lumistack's camera and light, as linear EXR pictures.
+"""Renders one file of the gallery in Blender's Cycles with Lumistack's camera and light, as linear EXR pictures.
 
     python blender.py FOLDER/ours.json [threads]
 
@@ -7,7 +7,7 @@ different seeds), FOLDER/covered.npy (for every pixel the fraction that surfaces
 
 glTF's y up becomes Blender's z up: (x, y, z) -> (x, -z, y). Lights are imported as "Unitless" (COMPAT): W/sr for candela, W/m^2 for lux,
 as in Lumistack's path tracer. Two deviations of the importer from the format are corrected, so that only the rendering
-differs. Surfaces without a material get glTF's default one. Glass absorbs -ln(attenuationColor)/attenuationDistance.
+differs. Surfaces without a material get glTF's default material. Glass absorbs -ln(attenuationColor)/attenuationDistance.
 """
 
 import hashlib
@@ -86,7 +86,7 @@ def render(ours, folder, threads):
 
 
 def rest():
-    """Removes animations before the import, so that nodes, joints and morph targets keep the values that the file's nodes give."""
+    """Removes animations before the import. So nodes, joints and morph targets have the values that the file's nodes state."""
     from io_scene_gltf2.io.imp.gltf2_io_gltf import glTFImporter
 
     read = glTFImporter.read
@@ -99,7 +99,7 @@ def rest():
 
 
 def default_material():
-    """Gives surfaces without a material glTF's default one: fully rough white metal."""
+    """Gives surfaces without a material glTF's default material: fully rough white metal."""
     white = bpy.data.materials.new("glTF default")
     white.use_nodes = True
     shader = white.node_tree.nodes["Principled BSDF"]
@@ -158,8 +158,8 @@ def world(scene, ours, folder):
     picture = nodes.new("ShaderNodeTexEnvironment")
     picture.image = bpy.data.images.load(os.path.join(folder, "environment.exr"))
     picture.image.colorspace_settings.name = "Linear Rec.709"
-    # the centre of Lumistack's maps looks along -z, which is Blender's +y; the centre of Blender's
-    # maps looks along +x
+    # the centre of an environment map of Lumistack looks along -z, which is Blender's +y; the
+    # centre of a map of Blender looks along +x
     x, y, z, w = ours["environment"]["rotation"]
     turned = mathutils.Quaternion((w, x, y, z)).to_matrix().to_4x4()
     scene_from_map = BLENDER_FROM_GLTF @ turned @ BLENDER_FROM_GLTF.inverted()
@@ -188,7 +188,7 @@ def settings(scene, ours, threads):
     cycles.use_denoising = False
     cycles.pixel_filter_type = "BOX"
     cycles.filter_width = 1.0
-    # no clamping or blurring, and paths as long as Lumistack's
+    # do not clamp or blur, and trace paths as long as Lumistack's
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     cycles.blur_glossy = 0.0
     cycles.caustics_reflective = cycles.caustics_refractive = True

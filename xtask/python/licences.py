@@ -26,7 +26,7 @@ with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
             rows.insert(len(rows) - 1, [name, f"sha256={digest}", str(len(content))])
             lines = io.StringIO()
             csv.writer(lines, lineterminator="\n").writerows(rows)
-            # installers expect the record at the end
+            # installers expect RECORD, the list of files, as the last file of a wheel
             archive.writestr(zipfile.ZipInfo(name, info.date_time), content, zipfile.ZIP_DEFLATED)
             data = lines.getvalue().encode()
         if info.filename != name:

@@ -94,7 +94,7 @@ def title_of(source: Path) -> str:
 
 
 def navigation(path: str, displays: bool) -> str:
-    """The links of the page for `path`; `displays`: also one to the gallery."""
+    """Returns the links for the navigation of the page `path`. With `displays`, it also has a link to the gallery."""
     root = "../" * path.count("/")
     parts = {part: {page_of(page): title for page, title in pages.items()} for part, pages in PARTS.items()}
     if displays:
@@ -147,8 +147,8 @@ class Site:
             extension_configs={"toc": {"slugify": slug}},
         )
         text = (ROOT / path).read_text()
-        # Forges accept a list directly after a line of text. This Markdown library needs an empty
-        # line between, which is added.
+        # GitHub accepts a list directly after a line of text. This Markdown library needs an empty
+        # line before a list, so add one.
         text = re.sub(r"(?m)^(?!\s*(?:[*-]|\d+\.) |\s*$|\s+)(.+)\n(?=[*-] |\d+\. )", r"\1\n\n", text)
         body = maker.convert(text)
         self.anchors[path] = set(re.findall(r'id="([^"]+)"', body))

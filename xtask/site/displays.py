@@ -1,8 +1,8 @@
 """Adds the gallery of displays to the site: displays.py LUMISTACK WORK SITE SCENES..., or displays.py --check.
 
-Every display is a folder of its own with its scene, its job and its viewer. Jobs run in WORK, whose results
-later calls use again. SCENES are folders of scenes; displays whose scene is in none of them are left out.
-With --check it only checks displays.toml.
+Every display has a folder with its scene, its job and its viewer. Jobs run in WORK; later calls use the results
+in WORK again. SCENES are folders of scenes. A display is left out if none of these folders has its scene.
+With --check the program only checks displays.toml.
 """
 
 import html
@@ -17,7 +17,7 @@ from typing import Any
 
 from build import PAGE, ROOT, navigation
 
-#: Keys of every job, beside those of displays.toml.
+#: Keys of the table `render` that every job gets in addition to the keys in displays.toml.
 RENDER = {"zone_samples": 200}
 STYLE = """
 .displays { display: grid; grid-template-columns: repeat(auto-fill, minmax(17rem, 1fr)); gap: 1.6rem; padding: 0; list-style: none; }
@@ -38,7 +38,7 @@ CARD = """<li><a href="{name}/index.html"><img src="{name}/stack/poster.jpg" alt
 
 
 def toml_of(job: dict[str, Any]) -> str:
-    """A job's tables; plain values of JSON are values of TOML, too."""
+    """Returns a job as TOML. Plain values are written as JSON, which is also valid TOML."""
     lines = [f"{key} = {json.dumps(value)}" for key, value in job.items() if not isinstance(value, (dict, list))]
     for key, value in job.items():
         for table in value if isinstance(value, list) else [value] if isinstance(value, dict) else []:
@@ -57,7 +57,7 @@ def job_of(display: dict[str, Any]) -> dict[str, Any]:
 
 
 def check(displays: list[dict[str, Any]]) -> None:
-    """Ends the program if a job would not be read as it is meant, or if a preset or a scene of ours is missing."""
+    """Ends the program with an error if TOML does not read a job back unchanged, or if a preset or a scene of this repository is missing."""
     for display in displays:
         job, scene = job_of(display), ROOT / "scenes" / display["scene"]
         preset = ROOT / f"scenes/displays/{job['display']['preset']}.toml"

@@ -200,7 +200,7 @@ fn convergence(options: &[&str]) -> Option<Outcome> {
     Some(example("lumistack-factorizer", "bench_convergence", &passed))
 }
 
-/// Finds a Python with Mitsuba, or makes one.
+/// Finds a Python with Mitsuba, or makes an environment with it.
 fn mitsuba() -> Outcome<PathBuf> {
     let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
     let python = given.clone().unwrap_or_else(|| tools::root().join("target/python-bench/bin/python"));
@@ -227,7 +227,8 @@ fn agreement(samples: &str) -> Outcome {
     tools::run(command(&python).arg(tools::root().join("xtask/bench/agreement.py")).arg(&folder))
 }
 
-/// Returns the Python and the script of every library for comparison that can be imported.
+/// Returns a Python and a script for each library that is compared with the factorizer (NumPy,
+/// PyTorch), if it can be imported.
 fn peers() -> Vec<[PathBuf; 2]> {
     let given = std::env::var_os("LUMISTACK_BENCH_PYTHON").map(PathBuf::from);
     let python = given.clone().unwrap_or_else(|| tools::root().join("target/python-bench/bin/python"));

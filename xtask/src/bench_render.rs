@@ -4,15 +4,15 @@ use std::path::{Path, PathBuf};
 
 use crate::tools::{self, Outcome, absolute, command, example, output_of, text};
 
-/// The renderers for comparison, called peers: the package for pip, the Python module, and the
-/// script that renders with it.
+/// The renderers that are compared with ours, called peers. Each has the package for pip, the
+/// Python module, and the script that renders with it.
 const MITSUBA: [&str; 3] = ["mitsuba==3.*", "mitsuba", "render_mitsuba.py"];
 const CYCLES: [&str; 3] = ["bpy==5.0.1", "bpy", "render_cycles.py"];
 const EMBREE: [&str; 2] = ["embreex==4.*", "embreex"];
 /// Scenes of other projects, in LUMISTACK_ASSETS.
 const FLIGHT_HELMET: &str = "gltf/FlightHelmet/FlightHelmet.gltf";
 const CHESS_SET: &str = "usd/OpenChessSet/chess_set.usda";
-/// Numbers of copies; with FlightHelmet they give 1.4 and 100 million triangles.
+/// Numbers of copies of a scene. With FlightHelmet the scenes have 1.4 and 100 million triangles.
 const COPIES: &str = "15";
 const MANY_COPIES: &str = "1100";
 
@@ -91,13 +91,14 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
     Some(example("lumistack-pathtracer", "bench_render", &words))
 }
 
-/// Views, zone in degrees, and samples of the measured light fields: one with the views of the
-/// paper's prototypes, one with a display's native views, and a quilt.
+/// The measured light fields: number of views, viewing zone in degrees, and samples per pixel. The
+/// first has the views of the paper's prototypes, the second the views that a display chooses, and
+/// the third those of a quilt.
 const FIELDS: [[&str; 3]; 3] = [["5x5", "20", "16"], ["13x13", "20", "2"], ["1x45", "35", "4"]];
 
-/// Renders light fields view by view and with shared light. The scenes have diffuse surfaces, the
-/// materials of their files, or many copies. Then it compares filtered and unfiltered views in
-/// equal time.
+/// Renders light fields view by view, and with light that all views share. The scenes have diffuse
+/// surfaces, the materials of their files, or many copies. The function also compares filtered with
+/// unfiltered views at equal rendering time.
 pub fn field(options: &[&str]) -> Option<Outcome> {
     let mut scenes: Vec<String> = options.iter().map(|scene| absolute(scene)).collect();
     if options.iter().any(|word| word.starts_with("--")) {
@@ -159,7 +160,7 @@ pub fn asset(file: &str) -> Option<String> {
     found.map(|path| text(&path))
 }
 
-/// Returns a Python for the peers, which is made at the first call.
+/// Returns a Python for the peers. The first call makes its environment.
 fn python() -> Option<PathBuf> {
     if let Some(given) = std::env::var_os("LUMISTACK_BENCH_PYTHON") {
         return Some(given.into());
@@ -178,8 +179,8 @@ fn imports(python: &Path, module: &str) -> bool {
     output_of(command(python).args(["-c", &format!("import {module}")])).is_some()
 }
 
-/// Returns true if a peer can be imported. If it cannot, this first tries to install it into the
-/// environment that only benchmarks use.
+/// Returns true if a peer can be imported. If the peer is missing, the function first tries to
+/// install it into the environment that only benchmarks use.
 fn has(python: &Path, [package, module]: &[&str; 2]) -> bool {
     if !imports(python, module) && std::env::var_os("LUMISTACK_BENCH_PYTHON").is_none() {
         println!("\nfetching: {package}, in target/python-render-bench (used only for comparing speed)");

@@ -12,8 +12,8 @@ use crate::tools::{Outcome, absolute, cargo, command, root, text};
 
 /// Samples per pixel, summed over all views, in every run.
 const SAMPLES: u32 = 400;
-/// Views, samples, filter and iterations of the displays for comparison. They were the defaults
-/// before displays could choose their views.
+/// Views, samples, filter and iterations of the displays with 5 × 5 views. They were the defaults
+/// of jobs before displays could choose their views.
 const FIXED: &str = "views = [5, 5]\n[render]\nsamples = 16\ndenoise = \"guided\"\n[factorize]\niterations = 50\n";
 /// Files of other projects, in LUMISTACK_ASSETS.
 const ASSETS: [&str; 2] = ["gltf/FlightHelmet/FlightHelmet.gltf", "gltf/2CylinderEngine/2CylinderEngine.glb"];
@@ -37,17 +37,18 @@ impl Case {
         Self { name: name.into(), scene: scene.into(), preset, resolution: [420, 262], frames, display: "" }
     }
 
-    /// A scene of this repository.
+    /// Makes a case from a scene of this repository.
     fn own(name: &str) -> Self {
         Self::new(name, &text(&root().join("scenes").join(name).join(format!("{name}.gltf"))))
     }
 
-    /// The case at the size of the prototypes' light fields.
+    /// The case with 840 × 525 pixels, the size of the light fields of the paper's prototypes.
     fn large(self) -> Self {
         Self { name: format!("{}, 840 × 525", self.name), resolution: [840, 525], ..self }
     }
 
-    /// Text of the job. It ends with `rest`: further keys of `[display]`, then other tables.
+    /// Text of the job. It ends with `rest`, which contains further keys of `[display]` and then
+    /// other tables.
     fn job(&self, rest: &str) -> String {
         format!(
             "scene = {:?}\n[window]\nfit_depth = \"compress\"\n[display]\npreset = {:?}\nresolution = {:?}\nframes = {}\n{}\n{rest}",
@@ -71,7 +72,7 @@ impl Run {
         self.report[key].as_f64().unwrap_or(f64::NAN)
     }
 
-    /// Zone score, mean over its worst tenth, SSIM and FLIP, as cells of a table.
+    /// Zone score, score of the worst tenth of the directions, SSIM and FLIP, as cells of a table.
     fn quality(&self) -> String {
         let [ssim, flip] = ["ssim", "flip"].map(|key| self.report["zone"][key].as_f64().unwrap_or(f64::NAN));
         let [zone, worst] = ["psnr_zone", "psnr_zone_worst_tenth"].map(|key| self.number(key));
@@ -170,7 +171,8 @@ fn beside_fixed(cases: &[Case], rounds: usize) -> Outcome {
     Ok(())
 }
 
-/// Measures the zone score against the number of views, with the same number of samples in total.
+/// Measures the zone score for several numbers of views, with the same number of samples summed
+/// over all views.
 fn by_views(case: &Case) -> Outcome {
     println!("\n{}: {SAMPLES} samples per pixel, summed over all views and rounded up per view", case.name);
     println!("| views | psnr_zone | worst tenth | SSIM | FLIP | wall s | factorize s |\n|---|---|---|---|---|---|---|");
@@ -186,7 +188,7 @@ fn by_views(case: &Case) -> Outcome {
     Ok(())
 }
 
-/// Measures the zone score against the solver's time.
+/// Measures the zone score and the solver's time for several numbers of iterations.
 fn by_iterations(case: &Case) -> Outcome {
     println!("\n{}: the solver's time", case.name);
     println!("| iterations | psnr_zone | worst tenth | SSIM | FLIP | factorize s |\n|---|---|---|---|---|---|");
@@ -229,8 +231,8 @@ fn cpu_of_children() -> f64 {
     /// Clock ticks per second, which Linux fixes for programs.
     const PER_SECOND: f64 = 100.0;
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // The name in parentheses may contain any character. cutime and cstime are the 14th and 15th
-    // word after it.
+    // The line has the program's name in parentheses, which may contain any character. cutime and
+    // cstime are the words with the indices 13 and 14 after the name.
     let behind = stat.rsplit(')').next().unwrap_or_default();
     let ticks = |word: usize| behind.split_whitespace().nth(word).and_then(|text| text.parse::<f64>().ok());
     ticks(13).zip(ticks(14)).map_or(f64::NAN, |(user, system)| (user + system) / PER_SECOND)

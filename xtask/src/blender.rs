@@ -1,13 +1,14 @@
-//! Builds the zip of the Blender extension, which Blender's own tool validates. Its tests run in
-//! the module bpy, which has an environment of its own for each version of Blender.
+//! Builds the zip of the Blender extension, which Blender's own tool validates. The extension's
+//! tests run in Blender's Python module bpy; each version of Blender has an environment with its
+//! bpy.
 
 use std::path::{Path, PathBuf};
 
 use crate::python;
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
-/// The version of Blender that runs the tests and validates the zips, and the older versions that
-/// `--full` tests too.
+/// The version of Blender that runs the tests and validates the zips (`BLENDER`). With `--full` the
+/// tests also run in the older versions.
 const BLENDER: &str = "5.0.1";
 const OLDER: [&str; 2] = ["4.5.15", "4.2.23"];
 /// The version of Python that all these versions need.
@@ -55,8 +56,8 @@ pub fn check(full: bool) -> Outcome {
     Ok(())
 }
 
-/// Debian packages of Blender's program (3.4 in Debian 12, whose Python is the system's), each with
-/// a file that shows that it is installed.
+/// Files that show that Debian's Blender and its NumPy are installed, each with the Debian package
+/// that contains it. Debian 12 has Blender 3.4, which uses the system's Python.
 const PROGRAM: [(&str, &str); 2] =
     [("/usr/bin/blender", "blender"), ("/usr/lib/python3/dist-packages/numpy", "python3-numpy")];
 
@@ -107,7 +108,7 @@ fn program(python: &Path, wheel: &Path) -> Outcome {
     run(blender.arg("plugins/blender/tests/program.py").arg("--").arg(&folder).arg(&place))
 }
 
-/// Runs some cases in one version of Blender, with the existing zip.
+/// Runs the cases in `names` in one version of Blender, with the existing zip.
 pub fn some(names: &str, version: &str) -> Outcome {
     let python = environment(version)?;
     let zip = zip_of(machine()?);
@@ -121,7 +122,7 @@ fn folder() -> PathBuf {
     tools::root().join("target/blender")
 }
 
-/// Finds or makes an environment with a version of bpy.
+/// Finds or makes an environment with a version of bpy. Returns the environment's Python.
 fn environment(version: &str) -> Outcome<PathBuf> {
     let has = |python: &Path| {
         let test = format!("import bpy, numpy, sys; sys.exit(bpy.app.version_string.split()[0] != '{version}')");
@@ -150,7 +151,7 @@ fn python_of_blender() -> Option<String> {
         .find(|python| output_of(command(python).args(["-c", test])).is_some_and(|said| said.trim() == PYTHON))
 }
 
-/// Makes the wheel of this machine by `make`.
+/// Makes the wheel for this machine by `make`, and returns its path.
 fn wheel(python: &Path, make: fn(&Path) -> Outcome<PathBuf>) -> Outcome<PathBuf> {
     fetch_tools(python)?;
     make(python)
@@ -253,7 +254,7 @@ fn platforms_of(wheels: &[PathBuf]) -> Outcome<Vec<&'static str>> {
         let expected = format!("lumistack-{}-cp311-abi3-", env!("CARGO_PKG_VERSION"));
         let tag = name.strip_prefix(&expected).and_then(|rest| rest.strip_suffix(".whl"));
         let tag = tag.ok_or_else(|| format!("{}: expected a wheel {expected}PLATFORM.whl", wheel.display()))?;
-        // for example manylinux_2_28_x86_64 or macosx_11_0_universal2
+        // a tag is for example manylinux_2_28_x86_64 or macosx_11_0_universal2
         let fits = |platform: &&Platform| {
             let [system, machine] = platform.tag;
             let is_mac_of_both = system == "macosx" && tag.ends_with("_universal2");
@@ -278,7 +279,7 @@ fn cases(python: &Path, zip: &Path, version: &str, names: &str) -> Outcome {
     let place = folder().join(format!("cases-{version}"));
     let mut cases = command(python);
     cases.arg("plugins/blender/tests/cases.py").arg(names).arg(zip).arg(&place);
-    // versions of Blender without OpenUSD use the Python of the other tests, which has it
+    // for versions of Blender without OpenUSD, the tests read USD by this Python, which has it
     run(cases.env("LUMISTACK_PYTHON", tools::python()?))
 }
 

@@ -76,8 +76,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     )?;
     steps.step("tests", || {
         let mut tests = command("cargo");
-        // skip the tests of presentations: they run in the step `panels`, at the same time as no
-        // other step
+        // skip the tests of presentations: they run in the step `panels`, when no other step runs
         run(tests.arg("test").args(EVERYTHING).args(["--", "--skip", "show::"]).env("LUMISTACK_PYTHON", &python))
     })?;
     beside(
@@ -93,7 +92,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
             steps.step("blender", || blender::check(full))
         },
     )?;
-    // run this step alone, since it counts refreshes, which other steps would delay
+    // run this step alone, since it counts refreshes, and other steps would delay these
     steps.step("panels", || panels::check(full))?;
     if full {
         steps.step("slow tests", || {
@@ -105,7 +104,8 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     Ok(())
 }
 
-/// Runs both functions in parallel. Returns the result of `waits`, or an error of either.
+/// Runs both functions in parallel. Returns the result of `waits`, or an error if one of them
+/// fails.
 fn beside<T: Send>(waits: impl FnOnce() -> Outcome<T> + Send, works: impl FnOnce() -> Outcome) -> Outcome<T> {
     std::thread::scope(|scope| {
         let waits = scope.spawn(waits);

@@ -1,5 +1,6 @@
-//! Finds cycles of files of a crate that use each other. Cycles are bad, since a reader who wants
-//! to understand one file of a cycle must also read all its other files.
+//! Finds cycles of files in a crate, which use each other directly or through other files. Cycles
+//! are bad: a reader who wants to understand one file of a cycle must also read all its other
+//! files.
 //!
 //! A file uses another file if its code names an item that the other file defines. `use`
 //! declarations and full paths are followed through re-exports to the definition. Re-exports, `mod`
@@ -29,12 +30,12 @@ struct Source {
     defined: BTreeSet<String>,
 }
 
-/// Finds the cycles of the crate with the root file `root`. Each cycle is a list of its files, and
-/// a list with a line for every use within the cycle.
+/// Finds the cycles of the crate with the root file `root`. A cycle is given by the list of its
+/// files, and by a list with a line for every use of one of them by another.
 pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let mut files = BTreeMap::new();
     read(root, Vec::new(), &mut files)?;
-    // For every file, find the files that it uses, each with one name of an item that it uses.
+    // For every file, find the files that it uses. Store one used item of each as an example.
     let edges: BTreeMap<&Names, BTreeMap<Names, String>> = files
         .iter()
         .map(|(module, source)| {
@@ -57,8 +58,8 @@ pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let reach: BTreeMap<&Names, BTreeSet<Names>> = edges.keys().map(|module| (*module, reached(module))).collect();
     let folder = root.parent().unwrap_or(Path::new(""));
     let name = |module: &Names| files[module].path.strip_prefix(folder).unwrap_or(root).display().to_string();
-    // A file that reaches itself is in a cycle. The cycle consists of the files that it reaches and
-    // that reach it.
+    // A file that reaches itself is in a cycle. The cycle consists of all files that this file
+    // reaches and that also reach this file.
     let mut circles = BTreeSet::new();
     for (module, seen) in reach.iter().filter(|(module, seen)| seen.contains(**module)) {
         let back = |other: &Names| seen.contains(other) && reach[other].contains(*module);
@@ -116,8 +117,8 @@ struct Reader {
 }
 
 impl Reader {
-    /// Converts a path in the code to one from the crate's root. Returns `None` if the path refers
-    /// to another crate or to an item of this file.
+    /// Converts a path in the code to a path from the crate's root. Returns `None` if the path
+    /// refers to another crate or to an item of this file.
     fn whole(&self, path: &[String]) -> Option<Names> {
         let here = || self.source.module.iter().chain(&self.inner).cloned();
         let (first, rest) = path.split_first()?;
@@ -175,7 +176,7 @@ impl Reader {
 
 impl<'ast> Visit<'ast> for Reader {
     fn visit_file(&mut self, file: &'ast File) {
-        // read `mod` lines first, since `use` declarations may precede them
+        // read all `mod` lines first, since `use` declarations may precede them in the file
         for item in &file.items {
             let name = match item {
                 Item::Const(item) => &item.ident,
@@ -257,7 +258,7 @@ fn home_of(files: &BTreeMap<Names, Source>, path: &[String], depth: usize) -> Op
             let from: Names = from.iter().chain(&path[module.len() + 1..]).cloned().collect();
             return home_of(files, &from, depth + 1);
         }
-        // a name that is not found elsewhere comes from the module of the only glob import
+        // if the name is neither defined nor imported by name, the only glob import must provide it
         if let [glob] = source.globs.as_slice()
             && !source.defined.contains(name)
         {

@@ -2,8 +2,8 @@
 //! `deny.toml`.
 //!
 //! Advisories need the RustSec database, which is fetched if the network allows it. cargo-deny
-//! takes two minutes to build, so `ci` uses it only if it is installed. If the database or the tool
-//! is missing, this is not reported as a skipped check, since CI would then fail for a reason
+//! takes two minutes to build, so `cargo xtask ci` uses it only if it is installed. A missing
+//! database or tool is not reported as a skipped check, since CI would then fail for a reason
 //! outside of this repository.
 
 use std::path::{Path, PathBuf};

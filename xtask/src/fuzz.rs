@@ -8,9 +8,8 @@ use crate::tools::{self, Outcome, command, output_of};
 /// Largest size of a seed, bytes. The fuzzer is faster with small files.
 const MAX_SEED_BYTES: u64 = 64 << 10;
 
-/// A target in `fuzz/fuzz_targets`. Its seeds are in `fuzz/seeds/NAME`, in folders of the
-/// repository (`own`) and in folders of the assets. In these folders the field `extensions` selects
-/// the files.
+/// A target in `fuzz/fuzz_targets`. Its seeds are the files in `fuzz/seeds/NAME`, and files with
+/// the given `extensions` in folders of the repository (`own`) and of the assets.
 struct Target {
     name: &'static str,
     own: &'static [&'static str],
@@ -42,8 +41,8 @@ const TARGETS: [Target; 11] = [
     Target { name: "calibration", own: &[], assets: &[], extensions: &[] },
 ];
 
-/// Fuzzes every target, or only the named one, for `minutes` each. Inputs that break a reader are
-/// reported as an error after all targets.
+/// Fuzzes every target, or only the target `only`, for `minutes` each. After all targets it reports
+/// inputs that break a reader as an error.
 pub fn run(minutes: f64, only: Option<&str>) -> Outcome {
     let targets: Vec<&Target> = TARGETS.iter().filter(|target| only.is_none_or(|only| target.name == only)).collect();
     if targets.is_empty() {
@@ -87,7 +86,7 @@ fn fuzz(target: &Target, minutes: f64, cargo_fuzz: &Path, nightly: bool) -> Outc
     println!("bench: {}: {count} seeds, {minutes} minutes", target.name);
     // Start the fuzzer in a clean environment.
     let mut fuzzer = if nightly { command("rustup") } else { command(cargo_fuzz) };
-    // remove the variables that cargo set for this task, which would select its toolchain
+    // remove the variables that cargo has set for xtask, which would select xtask's toolchain
     for variable in ["CARGO", "RUSTC", "RUSTUP_TOOLCHAIN", "RUSTFLAGS", "CARGO_TARGET_DIR"] {
         fuzzer.env_remove(variable);
     }
@@ -96,15 +95,15 @@ fn fuzz(target: &Target, minutes: f64, cargo_fuzz: &Path, nightly: bool) -> Outc
     } else {
         fuzzer.env("RUSTC_BOOTSTRAP", "1");
     }
-    // -O builds with the release profile. fuzz/Cargo.toml adds debug assertions and overflow checks
-    // to it.
+    // -O builds with the release profile, to which fuzz/Cargo.toml adds debug assertions and
+    // overflow checks.
     fuzzer.args(["run", "-O", "--sanitizer", "none", "--target-dir"]).arg(&build);
     fuzzer.arg(target.name).arg(&corpus).arg(&seeds).arg("--");
     let seconds = (60.0 * minutes).ceil().max(1.0);
     fuzzer.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", found.display()));
-    // Set limits. An input of this size takes milliseconds. The target `load` limits a scene to 64
-    // MiB. For other targets the size in a picture's header may demand much memory, within the
-    // limits of the readers.
+    // Set limits of time, size and memory. A reader needs milliseconds for an input of this size.
+    // The target `load` limits a scene to 64 MiB. In other targets the size in a picture's header
+    // may demand much memory, up to the limits of the readers.
     let memory_mib = if target.name == "load" { 1024 } else { 8192 };
     fuzzer.args(["-timeout=25", "-max_len=65536", "-print_final_stats=1", "-verbosity=1"]);
     fuzzer.arg(format!("-rss_limit_mb={memory_mib}"));
@@ -143,7 +142,7 @@ fn copy_seeds(folder: &Path, seeds: &Path, extensions: &[&str]) -> usize {
             } else if is_small && is_input {
                 let name = path.strip_prefix(folder).unwrap_or(&path).display().to_string().replace(['/', '\\'], "-");
                 let Ok(bytes) = std::fs::read(&path) else { continue };
-                // if the file contains a Draco stream, the stream is another seed
+                // a Draco stream in the file becomes a seed of its own
                 let stream = bytes.windows(5).position(|window| window == b"DRACO").map(|at| &bytes[at..]);
                 for (name, bytes) in [(name.clone(), Some(&*bytes)), (format!("{name}.drc"), stream)] {
                     count += usize::from(bytes.is_some_and(|bytes| std::fs::write(seeds.join(name), bytes).is_ok()));

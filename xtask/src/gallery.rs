@@ -23,7 +23,7 @@ The package bpy (Blender as a Python module, some 400 MB, for Python 3.11) is fe
 the page shows Lumistack's renders alone. LUMISTACK_BENCH_PYTHON names a Python that has it already.
 ";
 
-/// The version of Blender that the notes describe.
+/// The packages of Blender's module. The texts in `notes.toml` describe renders of this version.
 const BLENDER: [&str; 2] = ["bpy==5.0.1", "numpy"];
 
 /// Runs the task with the words after `gallery`; `None` if they are wrong.

@@ -5,7 +5,7 @@
 //! dependencies may be of any layer. Build dependencies may be of the crate's own layer, since they
 //! are not part of the program.
 //!
-//! Within a crate no two files may use each other, directly or through others.
+//! Within a crate no two files may use each other, directly or through other files.
 
 use std::collections::HashMap;
 
@@ -78,7 +78,7 @@ pub fn check() -> Outcome {
                 }
             }
         }
-        // Check for cycles of files, and for items that wasm32 lacks.
+        // Check the crate for cycles of files, and a portable crate for items that wasm32 lacks.
         for target in package["targets"].as_array().into_iter().flatten() {
             let is_code = ["lib", "cdylib", "rlib", "bin"].iter().any(|kind| target["kind"][0] == **kind);
             let root = std::path::Path::new(target["src_path"].as_str().unwrap_or_default());
@@ -112,7 +112,7 @@ fn check_portable(folder: &std::path::Path, problems: &mut Vec<String>) -> Outco
     for entry in entries {
         let path = entry.map_err(|error| error.to_string())?.path();
         if path.is_dir() {
-            // src/tests contains test modules, which do not run on wasm32
+            // skip src/tests: it contains test modules, which do not run on wasm32
             if path.file_name().is_some_and(|name| name != "tests") {
                 check_portable(&path, problems)?;
             }

@@ -13,8 +13,8 @@ struct Machine {
     flags: &'static str,
 }
 
-/// The packages with vector kernels, cargo's options for each, and a part of the names of its
-/// tests.
+/// The packages with vector kernels. Each has options for cargo, and a text that the names of its
+/// kernel tests contain.
 const TESTS: [(&str, &[&str], &str); 3] = [
     ("lumistack-simd", &[], ""),
     ("lumistack-factorizer", &["--no-default-features"], "updates"),

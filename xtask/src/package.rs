@@ -117,7 +117,7 @@ fn front(package: &Value, name: &str, manifest: &Path, problems: &mut Vec<String
     Ok(())
 }
 
-/// Finds files that code includes from outside its crate.
+/// Reports code that includes a file from outside of its crate's folder, which the package lacks.
 fn outside(folder: &Path, problems: &mut Vec<String>) -> Outcome {
     let failed = |error: std::io::Error| format!("{}: {error}", folder.display());
     for entry in std::fs::read_dir(folder).map_err(failed)? {

@@ -1,5 +1,6 @@
-//! Builds the windows of `lumistack show`, and tests them on real compositors without hardware. The
-//! windows are behind a feature of the crate, since winit and wgpu compile slowly.
+//! Builds the windows of `lumistack show`, and tests them on real compositors without hardware.
+//! Only builds with the crate's feature `window` contain the windows, since winit and wgpu compile
+//! slowly.
 
 use crate::tools::{EVERYTHING, Outcome, apt, build_everything, command, run, skipped};
 
@@ -20,11 +21,11 @@ const LIBRARIES: [(&str, &str); 4] = [
     ("/usr/share/doc/libxkbcommon-x11-0", "libxkbcommon-x11-0"),
 ];
 
-/// Numbers of repetitions with `full`: starts of presentations, and stalls of a solver.
+/// Numbers of repetitions if `full` is set: of starts of presentations, and of pauses of a solver.
 const FULL_TURNS: [&str; 2] = ["50", "5"];
 
-/// Builds and tests the windows. With `full`, tests whose failures would be rare are repeated,
-/// which takes some minutes more.
+/// Builds and tests the windows. With `full` it repeats tests that would fail only rarely, which
+/// takes some minutes more.
 pub fn check(full: bool) -> Outcome {
     if let Err(error) = fetch() {
         skipped("panels", &format!("not tested on every compositor: {error}"));
@@ -46,10 +47,10 @@ pub fn check(full: bool) -> Outcome {
     Ok(())
 }
 
-/// Fetches missing packages; tests skip without them.
+/// Fetches missing packages. Without them the tests of panels are skipped.
 ///
 /// # Errors
-/// When a package cannot be installed.
+/// If a package cannot be installed.
 pub fn fetch() -> Outcome {
     let has = |program: &str| {
         std::env::var_os("PATH")

@@ -14,12 +14,12 @@ use crate::tools::{EVERYTHING, Outcome, build_everything, command, output_of, ro
 const DUMP: &str = "docs/plugins.json";
 /// Folder with a page for each plugin.
 const PAGES: &str = "docs/plugins";
-/// The crate of the tutorial, which is outside the workspace.
+/// The crate of the tutorial for authors of plugins, which is outside of the workspace.
 const SAMPLE: &str = "examples/rust-plugin";
 
 /// Builds and checks all plugins; `write` rewrites the committed pages.
 pub fn run(write: bool) -> Outcome {
-    // the library of a plugin is built as an example of its crate
+    // this also builds the libraries: a plugin's library is an example of its crate
     build_everything()?;
     let metadata = output_of(command("cargo").args(["metadata", "--format-version", "1", "--no-deps"]))
         .and_then(|text| serde_json::from_str::<Value>(&text).ok())
@@ -70,7 +70,7 @@ fn take(built: &Path, package: &str, folder: &Path) -> Outcome {
 fn pages(lumistack: &Path, write: bool) -> Outcome {
     let mut program = command(lumistack);
     program.args(["--json", "plugins"]);
-    // list compiled-in plugins only
+    // without these folders of libraries the program lists only compiled-in plugins
     program.env_remove("LUMISTACK_PLUGIN_PATH").env("XDG_DATA_HOME", root().join("target/no-such-folder"));
     let said = output_of(&mut program).ok_or("`lumistack --json plugins` failed")?;
     let said: Value = serde_json::from_str(&said).map_err(|error| format!("`lumistack --json plugins`: {error}"))?;

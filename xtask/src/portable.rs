@@ -1,9 +1,10 @@
-//! Checks the command for Windows and macOS. Its types are checked on any machine. On these systems
-//! themselves, the tests that need no other program can run.
+//! Checks the command for Windows and macOS. On every machine it checks the command's types for
+//! these systems. On Windows or macOS itself it can also run the tests that need no other program.
 
 use crate::tools::{self, Outcome, cargo, command, run};
 
-/// The systems with releases, except Linux. A check of types does not need their libraries.
+/// The systems with releases, except Linux. A check of types does not need the libraries of these
+/// systems.
 const TARGETS: [&str; 3] = ["x86_64-pc-windows-gnu", "x86_64-apple-darwin", "aarch64-apple-darwin"];
 
 /// Crates whose tests need neither Debian packages nor a window system.
@@ -20,7 +21,7 @@ const TESTED: [&str; 10] = [
     "lumistack-cli",
 ];
 
-/// Checks the command for the other systems.
+/// Checks the types of the command for every system in [`TARGETS`].
 pub fn check() -> Outcome {
     for target in TARGETS {
         if let Err(error) = tools::rust_target(target) {

@@ -94,7 +94,7 @@ struct Collector {
 
 impl Collector {
     fn line(&mut self, number: usize, text: &str) {
-        // a comment ends if the next comment is not on the next line
+        // a gap of a line or more between two lines of comment ends the block
         if self.lines.last().is_some_and(|(last, _)| last + 1 != number) {
             self.end();
         }
@@ -259,8 +259,8 @@ fn raw_string(text: &str) -> Option<usize> {
     Some(body.find(&close).map_or(text.len(), |end| start + end + close.len()))
 }
 
-/// Returns the length of the character literal of Rust at the start of `text`. For a lifetime it
-/// returns 1, the length of the quote.
+/// Returns the length of the character literal of Rust at the start of `text`. If `text` begins
+/// with a lifetime instead, it returns 1, the length of the quote.
 fn character(text: &str) -> usize {
     let mut letters = text.char_indices().skip(1);
     match (letters.next(), letters.next()) {

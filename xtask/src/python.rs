@@ -1,5 +1,5 @@
-//! Builds the Python package as a wheel, installs it into `target/python`, tests it there like a
-//! user's installation, and measures it.
+//! Builds the Python package as a wheel and installs it into `target/python`, as a user does. Tests
+//! and measures the installed package.
 
 use std::path::{Path, PathBuf};
 
@@ -26,7 +26,7 @@ const NOTEBOOKS: [&str; 4] = ["--only-binary=:all:", "matplotlib==3.*", "xarray"
 const OLDEST: (u32, u32) = (3, 11);
 
 /// Packs a wheel with the module that the workspace's tests compile, installs it, checks it and
-/// measures it. Skips with a message if Python is too old or the tools cannot be fetched.
+/// measures it. If Python is too old or the tools cannot be fetched, it skips this with a message.
 pub fn check() -> Outcome {
     let python = tools::python()?;
     if let Err(error) = fetch(&python) {
@@ -102,9 +102,9 @@ pub fn build(python: &Path) -> Outcome<PathBuf> {
     only_file(&folder)
 }
 
-/// Packs a wheel with the module that the workspace's tests compile. maturin provides all other
-/// files of the wheel; it would compile the module again with other features. Returns the wheel's
-/// path.
+/// Packs a wheel, and returns its path. The module is the one that the workspace's tests compile:
+/// maturin would compile it again with other features. maturin provides all other files of the
+/// wheel.
 pub fn pack(python: &Path) -> Outcome<PathBuf> {
     tools::build_everything()?;
     let (info, folder) = (empty("target/wheels/info")?, empty("target/wheels/dev")?);

@@ -8,14 +8,15 @@ use crate::web::target_folder;
 /// The package for pip that converts Markdown.
 const TOOLS: [&str; 2] = ["--only-binary=:all:", "markdown==3.*"];
 
-/// Builds the documentation alone, and checks every link between its pages, and the gallery's list.
+/// Builds the documentation alone. Checks every link between its pages, and the list of the
+/// gallery's displays.
 pub fn docs() -> Outcome {
     pages(false)?;
     run(command(tools::python()?).args(["xtask/site/displays.py", "--check"]))
 }
 
-/// Builds the documentation, and makes every display of the gallery. Displays that were made before
-/// are used again.
+/// Builds the documentation, and makes every display of the gallery. It uses the results of earlier
+/// calls again.
 pub fn build() -> Outcome {
     pages(true)?;
     cargo(&["build", "--quiet", "--package", "lumistack-cli"])?;

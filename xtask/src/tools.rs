@@ -24,14 +24,15 @@ pub const EVERYTHING: [&str; 3] = ["--workspace", "--features", "lumistack-plugi
 /// Builds all programs, the Python module and all examples into `target/debug`. The examples
 /// include the libraries of plugins.
 ///
-/// Examples may use development dependencies, as tests do. So with examples cargo selects the same
-/// features as for `cargo test`. Without them it would compile a third of the workspace again.
+/// Examples may use development dependencies, as tests do. So if a build includes examples, cargo
+/// selects the same features as for `cargo test`. If it did not, cargo would compile a third of the
+/// workspace again.
 pub fn build_everything() -> Outcome {
     cargo(&[&["build", "--quiet"], &EVERYTHING[..], &["--lib", "--bins", "--examples"]].concat())
 }
 
-/// Returns a command for a program that runs in the workspace's root. Tests that it runs append to
-/// the list of skipped checks.
+/// Returns a command for a program that runs in the workspace's root. If the program runs tests,
+/// its skipped tests are added to the list of skipped checks.
 pub fn command(program: impl AsRef<std::ffi::OsStr>) -> Command {
     let mut command = Command::new(program);
     command.current_dir(root()).env(SKIPPED, skip_list());
@@ -52,7 +53,8 @@ fn is_ci() -> bool {
     std::env::var("CI").is_ok_and(|value| !["", "0", "false"].contains(&value.as_str()))
 }
 
-/// Reports that a check is skipped, and the reason. At the end [`account_of_skipped`] lists it.
+/// Reports that a check is skipped, and the reason. [`account_of_skipped`] lists all skipped checks
+/// at the end.
 pub fn skipped(check: &str, why: &str) {
     use std::io::Write;
     let line = format!("{check}: {}", why.replace('\n', " "));
@@ -95,8 +97,8 @@ fn account(list: &str, is_ci: bool) -> Outcome {
     }
 }
 
-/// Installs Debian packages. Waits for other programs that install packages, and updates the
-/// package lists if they are missing or old.
+/// Installs Debian packages. If another program installs packages, it waits. If the package lists
+/// are missing or old, it updates them.
 ///
 /// # Errors
 /// If the packages cannot be installed.
@@ -115,14 +117,14 @@ pub fn apt(packages: &[&str], purpose: &str) -> Outcome {
         if result.is_ok() || turn + 1 == TURNS {
             return result;
         }
-        // wait here, since `apt-get update` does not wait until the lists' lock is free
+        // wait, since `apt-get update` fails if another program locks the package lists
         std::thread::sleep(std::time::Duration::from_secs(20 * turn));
         let _ = apt(&["update"]);
     }
     Ok(())
 }
 
-/// Number of times that an installation is tried.
+/// Number of attempts of an installation.
 const TURNS: u64 = 4;
 
 /// Runs a program to its end, and shows its output.
@@ -147,13 +149,14 @@ fn describe(command: &Command) -> String {
     words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ")
 }
 
-/// Reference tools of image metrics, as packages for pip; tests skip without them.
+/// Reference implementations of image metrics, as packages for pip. Without them their tests are
+/// skipped.
 const METRICS: [&str; 3] = ["--only-binary=:all:", "scikit-image", "flip-evaluator==1.*"];
 
 /// Readers of pictures, which check the files that Lumistack writes.
 const READERS: [&str; 3] = ["--only-binary=:all:", "pillow", "OpenEXR==3.*"];
 
-/// OpenUSD with its MaterialX plugin; tests of USD stages skip without it.
+/// OpenUSD with its MaterialX plugin. Without it the tests of USD stages are skipped.
 const USD: [&str; 2] = ["--only-binary=:all:", "usd-exchange==3.*"];
 
 /// Finds or makes a Python environment with NumPy in `target/python`. It also has Pillow, OpenEXR,
@@ -202,8 +205,8 @@ pub fn install(python: &Path, packages: &[&str]) -> Outcome {
         install
     } else {
         let mut install = command(python);
-        // do not compile all modules now, which would take as long as unpacking them; Python
-        // compiles a module when it is first imported
+        // `--no-compile`: to compile all modules would take as long as to unpack them, and Python
+        // compiles a module at its first import
         install.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile"]);
         install
     };
@@ -251,8 +254,8 @@ fn uv() -> Option<&'static Path> {
     .as_deref()
 }
 
-/// Installs `pdftoppm`, which rasterizes the pages of PDF files, if it is missing. Tests skip
-/// without it.
+/// Installs `pdftoppm`, which rasterizes the pages of PDF files, if it is missing. Without it the
+/// tests of PDF files are skipped.
 pub fn poppler() {
     if output_of(command("pdftoppm").arg("-v")).is_some() {
         return;
@@ -262,8 +265,8 @@ pub fn poppler() {
     }
 }
 
-/// Returns true if rustc can compile to wasm32; first installs the target by rustup if it is
-/// missing.
+/// Returns true if rustc can compile to wasm32. If the target is missing, the function first
+/// installs it by rustup.
 pub fn wasm_target() -> bool {
     rust_target("wasm32-unknown-unknown").is_ok()
 }

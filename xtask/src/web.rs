@@ -3,9 +3,9 @@
 //!
 //! `web/dist` is committed, so that the program can write previews on machines without a
 //! WebAssembly toolchain. It contains three hashes: of the modules' sources, of the other sources,
-//! and of its files. If a hash differs, the page was not rebuilt after a change, or was changed by
-//! hand. If all agree, tests use the committed files, since a build of the same sources would take
-//! minutes and give the same bytes.
+//! and of its own files. If a hash differs from that of the present files, the page was not rebuilt
+//! after a change, or was changed by hand. If all hashes agree, tests use the committed files,
+//! since a build of the same sources would take minutes and give the same bytes.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -69,7 +69,7 @@ const BUDGETS: [(&str, &[&str], usize); 6] = [
     ("solver with WebGPU", &["solve-gpu.js", "lumistack_web_solver_gpu_bg.wasm"], 600_000),
     ("decoders", &["lumistack_web_decoders_bg.wasm"], 600_000),
 ];
-/// Sources of the modules, in addition to the lock file's entries of their dependencies.
+/// Sources of the modules. The modules' hash also covers the versions of their dependencies.
 const MODULE_SOURCES: [&str; 21] = [
     "crates/core/src",
     "crates/display/src",
@@ -93,7 +93,7 @@ const MODULE_SOURCES: [&str; 21] = [
     "scenes/displays",
     "xtask/examples/bindgen.rs",
 ];
-/// Sources of the pages, beside the modules.
+/// Sources of the pages, in addition to the modules.
 const PAGE_SOURCES: [&str; 6] =
     ["scenes/dandelion", "scenes/letters", "scenes/still-life", "web/build.mjs", "web/package-lock.json", "web/src"];
 
@@ -103,7 +103,8 @@ pub fn build() -> Outcome {
     bundle()
 }
 
-/// Builds the pages around the committed modules, in seconds.
+/// Builds the pages with the committed modules, which takes seconds. Fails if the modules' sources
+/// have changed.
 pub fn pages() -> Outcome {
     let committed = fs::read_to_string(root().join(HASH)).unwrap_or_default();
     if committed.lines().next() != Some(&module_hash()?) {
@@ -181,8 +182,8 @@ fn module(&Module { package: name_of_package, features, name, profile, bare }: &
     build.args(["build", "--quiet", "--profile", profile, "--target", WASM, "--package", name_of_package]);
     build.args(["--features", features]);
     if bare {
-        // these options make the module a third smaller; RUSTC_BOOTSTRAP allows them, since the
-        // workspace's compiler still calls them unstable
+        // These options make the module a third smaller. The workspace's compiler calls them
+        // unstable, so RUSTC_BOOTSTRAP must allow them.
         tools::rust_sources()?;
         flags.extend(["-Zunstable-options", "-Cpanic=immediate-abort"].map(str::to_owned));
         build.env("RUSTC_BOOTSTRAP", "1").arg("-Zbuild-std=std,panic_abort");
@@ -227,7 +228,7 @@ fn rustflags() -> Vec<String> {
 /// Options of the optimizer that allow the WebAssembly instructions that the compiler uses.
 const FEATURES: [&str; 8] = [
     "--enable-bulk-memory",
-    // only in the module with WebGPU, whose exports can be suspended
+    // only the module with WebGPU uses exceptions, since its exports can be suspended
     "--enable-exception-handling",
     "--enable-nontrapping-float-to-int",
     "--enable-sign-ext",
@@ -248,7 +249,7 @@ pub fn fixtures() -> Outcome {
 pub fn browser_tests() -> Outcome {
     let chromium = chromium()?;
     firefox();
-    // build the program, whose `lumistack preview` and `lumistack live` the tests run
+    // build the program, since tests run `lumistack preview` and `lumistack live`
     tools::build_everything()?;
     let binary = target_folder()?.join("debug").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX));
     let mut tests = command("npm");
@@ -280,7 +281,8 @@ pub fn bench() -> Outcome {
     tools::run(bench.env("LUMISTACK_CHROMIUM", chromium()?))
 }
 
-/// Finds Chromium: the program in `LUMISTACK_CHROMIUM`, or the system's.
+/// Finds Chromium: the program that `LUMISTACK_CHROMIUM` names, or the system's. Installs it if it
+/// is missing.
 fn chromium() -> Outcome<PathBuf> {
     if let Some(path) = std::env::var_os("LUMISTACK_CHROMIUM") {
         return Ok(path.into());
@@ -299,7 +301,7 @@ fn chromium() -> Outcome<PathBuf> {
     })
 }
 
-/// Installs Firefox if its test would not find one.
+/// Installs Firefox if the test in Firefox would not find it.
 fn firefox() {
     let there = || {
         std::env::var_os("LUMISTACK_FIREFOX").is_some()
@@ -312,8 +314,9 @@ fn firefox() {
     }
 }
 
-/// Prints the sizes of all parts: plain, compressed with gzip, and compressed with Brotli. A size
-/// with Brotli above the budget is an error. Static hosts send Brotli to all current browsers.
+/// Prints the sizes of all parts: plain, compressed with gzip, and compressed with Brotli. It is an
+/// error if the size with Brotli exceeds the part's budget, since static hosts send Brotli to all
+/// current browsers.
 fn measure() -> Outcome {
     let script = "const z = require('zlib'), b = require('fs').readFileSync(process.argv[1]); \
         console.log(b.length, z.gzipSync(b, { level: 9 }).length, z.brotliCompressSync(b).length)";

@@ -19,7 +19,7 @@ use crate::tools::{Outcome, command, output_of, root};
 /// Folders whose files need not follow the rules.
 #[rustfmt::skip]
 const EXCEPTIONS: &[&str] = &[
-    // built from web/src
+    // this folder is built from web/src, which is checked
     "web/dist",
 ];
 
@@ -81,7 +81,7 @@ pub fn check(all: bool) -> Outcome {
         crates.entry((crate_of(path), excepted)).or_default().add(&sum);
     }
 
-    // `git grep` fails if it finds nothing
+    // Find marks of a merge. `git grep` fails if it finds none, which is the normal case.
     for mark in output_of(command("git").args(["grep", "-InE", MERGE_MARK])).unwrap_or_default().lines() {
         println!("{mark}: a mark of an unfinished merge");
         failed += 1;

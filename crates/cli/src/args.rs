@@ -25,8 +25,9 @@ pub(crate) struct Args {
     #[arg(long, global = true, value_name = "N")]
     pub(crate) threads: Option<usize>,
     /// Use the plugins in this shared library `lumistack_plugin_ID`, or in all such libraries of
-    /// this folder. They take precedence over plugins with the same id in LUMISTACK_PLUGIN_PATH and
-    /// in lumistack/plugins of your data folder. The flag may be given several times
+    /// this folder. These plugins take precedence over plugins with the same id in
+    /// LUMISTACK_PLUGIN_PATH and in lumistack/plugins of your data folder. The flag may be given
+    /// several times
     #[cfg(feature = "dynamic")]
     #[arg(long, global = true, value_name = "FILE|DIR")]
     pub(crate) plugin_path: Vec<PathBuf>,
@@ -91,7 +92,7 @@ pub(crate) enum Command {
     /// Print the contents of a scene, a light field, a layer stack, a run folder, a display or a
     /// job
     Info(Info),
-    /// Remove files from run folders: those that stopped runs left behind, and cached results that
+    /// Remove files from run folders: files that stopped runs left behind, and cached results that
     /// the last run did not use. The results of the last run stay
     #[command(
         after_help = "Examples:\n  lumistack clean runs/still-life --dry-run     prints the sizes of the files, and removes none\n  lumistack clean runs/*                        cleans every run, sequence and sweep in the folder runs\n  lumistack clean runs/still-life --all         also removes all cached views"
@@ -102,7 +103,7 @@ pub(crate) enum Command {
         after_help = "Example:\n  lumistack plugins tensor-display      only this plugin, with the values that its parameters accept"
     )]
     Plugins {
-        /// Only these plugins
+        /// Ids of the plugins to list [default: all plugins]
         #[arg(value_name = "ID")]
         ids: Vec<String>,
     },
@@ -116,7 +117,8 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: crate::display::DisplayCommand,
     },
-    /// Report which optional software and hardware this machine has, and how to get the rest
+    /// Report which optional software and hardware this machine has, and how to get the missing
+    /// parts
     #[command(after_help = crate::doctor::EXAMPLES)]
     Doctor,
     /// Install optional software that some kinds of scene files need
@@ -176,7 +178,7 @@ pub(crate) enum Setup {
 pub(crate) struct Run {
     /// Job file (.toml) or scene (.gltf, .glb, USD, or a file of an importer plugin)
     pub(crate) input: PathBuf,
-    /// Do not run. Print the steps of the run, those whose results are cached, and estimates of
+    /// Do not run. Print the steps of the run, which of them have cached results, and estimates of
     /// time and memory
     #[arg(long)]
     pub(crate) plan: bool,
@@ -253,8 +255,8 @@ pub(crate) struct Simulate {
     /// Write N views side by side, spread evenly over the horizontal field of view, 1 to 64
     #[arg(long, value_name = "N")]
     pub(crate) sweep: Option<usize>,
-    /// Write the light that the display emits. Without this flag it is divided by the brightness
-    /// scale β, so that the picture is as bright as the scene's
+    /// Write the light that the display emits. Without this flag the light is divided by the
+    /// brightness scale β, so that the picture is as bright as the scene's
     #[arg(long)]
     pub(crate) raw: bool,
     /// Picture to write: .png (encoded as sRGB) or .exr (linear values)
@@ -267,8 +269,8 @@ pub(crate) struct Clean {
     /// Folders of runs, sequences, sweeps or rendered views
     #[arg(required = true, value_name = "RUN")]
     pub(crate) dirs: Vec<PathBuf>,
-    /// Also remove all cached views. No result is lost, but a run with settings other than those of
-    /// the last run renders its views again
+    /// Also remove all cached views. No result is lost, but a later run with other settings renders
+    /// its views again
     #[arg(long)]
     pub(crate) all: bool,
     /// Report the files that would be removed, but remove none
@@ -282,8 +284,8 @@ pub(crate) struct Preview {
     /// --solve
     #[arg(required_unless_present = "solve")]
     pub(crate) dir: Option<PathBuf>,
-    /// Show another page, which computes patterns in the browser. Drop a model or a light field
-    /// there
+    /// Show another page, which computes patterns in the browser for a model or a light field that
+    /// you drop there
     #[arg(long, conflicts_with = "dir")]
     pub(crate) solve: bool,
     /// Port of this machine at which the page is served; 0 for any free port
@@ -306,8 +308,8 @@ pub(crate) struct Info {
     /// display plane
     #[arg(long, value_name = "NAME|N", requires = "display", help_heading = "Depth")]
     pub(crate) camera: Option<String>,
-    /// View the scene from this azimuth (0 is the front, above 0 to its right) and elevation,
-    /// degrees
+    /// View the scene from this azimuth and elevation, degrees. Azimuth 0 is the front, positive
+    /// azimuths lie to its right
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true, requires = "display", help_heading = "Depth")]
     pub(crate) look_from: Option<Numbers<2>>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.

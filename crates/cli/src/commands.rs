@@ -26,7 +26,7 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
         set_threads(threads)
             .map_err(|error| PipelineError::option("--threads", "N", "a number of threads that can start", error))?;
     }
-    // if a command's result is one document, standard output contains nothing else
+    // A command whose result is one document must print nothing else to standard output.
     let answers = matches!(args.command, Command::Info(_));
     let console = Console::new(args.json && !answers);
     let task = Task { progress: &console, warnings: &console, cancel };
@@ -34,7 +34,7 @@ pub(crate) fn run(args: Args, line: &str, cancel: &Cancel) -> Result<(), Pipelin
     let registry = || plugins(&args.plugin_path);
     #[cfg(not(feature = "dynamic"))]
     let registry = || plugins(&[]);
-    // plugins that cannot be loaded give warnings, and the program works without them
+    // A plugin that cannot be loaded causes a warning, and the program works without it.
     let registry_for_work = || {
         let registry = registry()?;
         registry.failed().iter().for_each(|error| task.warn("plugin", error.to_string()));

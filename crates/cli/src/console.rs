@@ -40,7 +40,7 @@ pub(crate) fn print_line(text: std::fmt::Arguments<'_>) {
 const PLAIN_INTERVAL: Duration = Duration::from_millis(2500);
 /// Interval at which a thread checks whether a report is due.
 const TICK: Duration = Duration::from_millis(250);
-/// A stage of a single step is announced only if it takes longer than this.
+/// A stage of a single step is announced only if the stage takes longer than this.
 const LAZY: Duration = Duration::from_secs(1);
 
 /// Output of progress and warnings.
@@ -62,7 +62,7 @@ pub(crate) struct Stage {
     note: String,
     start: Instant,
     shown: Instant,
-    /// True if a line has announced the stage.
+    /// True if a line on standard error has announced the stage.
     announced: bool,
 }
 
@@ -73,7 +73,7 @@ impl Console {
         }
         let state = Arc::<Mutex<Option<Stage>>>::default();
         let watched = Arc::downgrade(&state);
-        // a stage reports nothing during a long step, so this thread reports for it
+        // A stage reports nothing during a long step, so this thread reports for it.
         std::thread::spawn(move || {
             while let Some(state) = watched.upgrade() {
                 if let Some(stage) = lock(&state).as_mut() {
@@ -98,7 +98,7 @@ impl Stage {
         Self { name, unit, done: 0, total, note, start: now, shown: now, announced: false }
     }
 
-    /// Reports the progress of the stage, if the last report is long ago.
+    /// Reports the stage's progress if the last report is at least [`PLAIN_INTERVAL`] ago.
     fn tick(&mut self, json: bool) {
         if !json && !self.announced && self.start.elapsed() >= LAZY {
             self.announce();
@@ -135,7 +135,7 @@ impl Progress for Console {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
         match self {
             Self::Bar(bar, _) => {
-                // the unit may be a plugin's text, so braces are escaped
+                // The unit may be a plugin's text, so its braces must be escaped in the template.
                 let unit = unit.replace('{', "{{").replace('}', "}}");
                 let template = ["{prefix:>12} {wide_bar:.cyan/dim} {pos}/{len} ", &unit, " {msg} {eta:>4}"].concat();
                 let style = ProgressStyle::with_template(&template).expect("the template is valid");

@@ -12,7 +12,8 @@ pub(crate) struct Adapter {
     backend: String,
     kind: String,
     driver: String,
-    /// Sizes of the largest buffer, and of the largest piece of it that a shader can read, bytes.
+    /// Size of the largest buffer, and size of the largest part of a buffer that a shader can read,
+    /// bytes.
     buffer_bytes: [u64; 2],
     pub(crate) is_hardware: bool,
 }

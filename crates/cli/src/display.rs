@@ -22,8 +22,8 @@ pub(crate) enum DisplayCommand {
         after_help = "Examples:\n  lumistack display new my-display.toml\n  lumistack display new my-display.toml --gaps-mm 40,40 --panel-resolution 1680x1050 --diagonal-inch 22 --no-questions\n\nFor a display of a single layer use --gaps-mm 0. With --lens-pitch-mm the display has a lens array, and one more panel than layers, which is behind the lenses. The default is then a single layer."
     )]
     New(Box<New>),
-    /// Compute the positions of the panels from photographs. Each shows the crosshairs on one
-    /// layer, as `lumistack show --pattern crosshairs --only N` draws them
+    /// Compute the positions of the panels from photographs. Each photograph shows the crosshairs
+    /// on one layer, as `lumistack show --pattern crosshairs --only N` draws them
     #[command(
         after_help = "Example:\n  lumistack display calibrate my-display.toml --reference 1=middle.jpg --photo 0=rear.jpg --photo 2=front.jpg\n\ndocs/PANELS.md explains how to take the photographs."
     )]
@@ -111,8 +111,9 @@ pub(crate) struct Calibrate {
     /// Another layer and its photograph; the flag may be given several times
     #[arg(long, value_name = "N=FILE", required = true)]
     pub(crate) photo: Vec<String>,
-    /// Position of the camera's lens, the same as --eye-mm of `lumistack show`: X right, Y up, Z in
-    /// front, millimetres [default: the default of `lumistack show`]
+    /// Position of the camera's lens: X right, Y up, Z in front of the display, millimetres. It
+    /// must be the position that --eye-mm of `lumistack show` had [default: the default of that
+    /// flag]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) eye_mm: Option<Numbers<3>>,
     /// Print the result, but do not write it to the display file
@@ -193,7 +194,8 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     if let Some(bad) = gaps_mm.iter().find(|gap| !(gap.is_finite() && **gap > 0.0)) {
         return Err(PipelineError::value("--gaps-mm", "MM", "distances above 0", bad.to_string()));
     }
-    // Panels: default values come from the outputs that the system reports.
+    // Request the settings of the panels. Default values come from the outputs that the system
+    // reports.
     let layers = gaps_mm.len() + 1;
     let panels = layers + usize::from(lens_pitch_mm > 0.0);
     let known: Vec<String> = outputs.iter().take(panels).map(|(name, ..)| name.clone()).collect();
@@ -230,7 +232,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
             None => positive(text).map(from_diagonal),
         },
     )?;
-    // Light field and lenses.
+    // Request the settings of the light field, and of the lenses if there are any.
     let scale = ask.value(
         "--panel-pixels",
         "Panel pixels per pixel of the masks (1 is sharpest, 2 factorizes four times as fast)",
@@ -274,7 +276,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         Some((format!("{fov_default:.1}x{fov_default:.1}"), [fov_default; 2])),
         |text| text.parse::<Angles>().ok().map(|angles| angles.0),
     )?;
-    // Time and brightness.
+    // Request refresh rate, frames and brightness.
     let rate = first.and_then(|output| output.2).unwrap_or(60.0);
     let refresh_hz = ask.value(
         "--refresh-hz",
@@ -391,7 +393,7 @@ fn calibrate_display(args: &Calibrate, json: bool) -> Result<(), PipelineError> 
     if args.dry_run {
         return Ok(());
     }
-    // Write the calibration alone: comments and other keys of the file stay as they are.
+    // Write only the calibration. Comments and other keys of the file stay as they are.
     let read = lumistack_files::read_text(&args.file);
     let text = read.map_err(|source| PipelineError::Read { path: args.file.clone(), source })?;
     let text = with_new_seal(&text, &keep_panels(&text, &display).map_err(PipelineError::command)?);
@@ -458,9 +460,9 @@ mod tests {
     #[test]
     fn answers_make_a_directional_display() {
         let folder = tempfile::tempdir().unwrap();
-        // Answers for name, lens pitch, gaps, outputs, resolution, panel pitch (a mistake, then a
-        // valid answer), pixels, views, focal length, gap and the rest. An empty line takes the
-        // default.
+        // The lines answer the questions in turn: name, lens pitch, gaps, outputs, resolution,
+        // panel pitch, and so on. The first panel pitch, `large`, is a mistake, which repeats the
+        // question. An empty line takes the default.
         let answers = "bench\n2.54\n\nDP-2,DP-1\n\nlarge\n0.2827 mm\n\n\n2.85\n8.5\n\n\n\n\n";
         let display = made(folder.path(), &[], &outputs(), Some(answers)).unwrap();
         let Backlight::Lenslets(backlight) = &display.backlight else { panic!("directional") };
@@ -469,7 +471,7 @@ mod tests {
         assert!((backlight.fov_deg[0] - 48.04).abs() < 0.01 && (display.field.fov_deg[0] - 48.04).abs() < 0.01);
         assert_eq!(backlight.panel.as_ref().unwrap().output.as_deref(), Some("DP-2"));
         assert_eq!(display.layers[0].panel.as_ref().unwrap().output.as_deref(), Some("DP-1"));
-        // 120 Hz show two frames without flicker
+        // The eye sees no flicker at 60 Hz, so panels of 120 Hz show two frames by default.
         assert_eq!(display.frames, 2);
         assert!(made(folder.path(), &[], &outputs(), Some("bench\n")).is_err());
     }

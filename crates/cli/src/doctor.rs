@@ -1,4 +1,5 @@
-//! `lumistack doctor`: optional software and hardware of this machine, and how to get the rest.
+//! `lumistack doctor`: optional software and hardware of this machine, and how to get the missing
+//! parts.
 
 use std::path::Path;
 
@@ -25,9 +26,9 @@ struct Finding {
 
 enum Found {
     Good(String),
-    /// It works, but not well: its state, and how to improve it.
+    /// The checked item works, but not well: its state, and how to improve it.
     Poor(String, String),
-    /// It is missing: the places that were searched, and how to get it.
+    /// The checked item is missing: the places that were searched, and how to get the item.
     Missing(String, String),
 }
 

@@ -31,7 +31,7 @@ Examples:
 
 The results are the same as those of `lumistack run`, byte for byte. If a run was stopped or killed, the same command continues it. docs/FARM.md has recipes.";
 
-/// Assumed time to start a unit, for predictions, seconds.
+/// Assumed time to start a unit of work, seconds. Predictions add it to the time of each unit.
 const OVERHEAD_SECONDS: f64 = 0.1;
 
 #[derive(Debug, clap::Args)]
@@ -266,7 +266,8 @@ pub(crate) fn run(
             Ok(())
         }
         (None, Some(input)) => {
-            // a missing Python is reported before planning, which may take a minute
+            // Find Python before planning, which may take a minute, so that a missing Python is
+            // reported early.
             let python = python()?;
             let (_, dir) = planned(input, &args.job, &args.cut, registry, task)?;
             engine(&args.engine, &python, &dir, threads, json, task)
@@ -293,7 +294,7 @@ fn planned(
 fn own_words() -> Vec<String> {
     let program = std::env::current_exe().map_or("lumistack".into(), |path| path.to_string_lossy().into_owned());
     let stem = Path::new(&program).file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    // in the Python package the command runs inside the interpreter
+    // In a Python interpreter the program is Python, so the words must also name the module.
     if !stem.starts_with("python") {
         return vec![program];
     }
@@ -478,7 +479,7 @@ fn engine(
     if json {
         command.arg("--json");
     }
-    // Ctrl-C reaches the module too, which then ends cleanly
+    // Ctrl-C also reaches the Python module, which then ends cleanly. So only wait for its end.
     let status = command.status().map_err(PipelineError::command)?;
     task.cancel.check()?;
     match status.success() {

@@ -40,12 +40,12 @@ pub(crate) struct DisplayArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Rendering")]
 pub(crate) struct RenderArgs {
-    /// Number of views, as columns and rows. With auto, the display chooses the views: so many that
-    /// it is also right between them
+    /// Number of views, as columns and rows. With auto, the number follows from the display. It is
+    /// so large that the display also shows correct pictures between the views
     #[arg(long, value_name = "auto|CxR")]
     pub(crate) views: Option<Views>,
-    /// Number of paths per pixel, summed over all views. With auto, it is so large that more paths
-    /// would hardly improve the display's picture [default: auto]
+    /// Number of paths per pixel, summed over all views. With auto, the number is so large that
+    /// more paths would hardly improve the display's picture [default: auto]
     #[arg(long, value_name = "auto|N")]
     pub(crate) zone_samples: Option<lumistack_pipeline::ZoneSamples>,
     /// Number of paths per pixel of each view; use it instead of --zone-samples
@@ -63,8 +63,8 @@ pub(crate) struct RenderArgs {
     /// Filter that removes noise from views: auto, shared, off, guided or oidn. With shared, the
     /// diffuse light of each surface point is averaged over the views that see the point. With
     /// guided, Lumistack's filter works on all views together. With oidn, Open Image Denoise
-    /// filters each view, if it is installed. Auto means shared if the display chooses the views
-    /// and Lumistack's path tracer renders them, otherwise off
+    /// filters each view, if it is installed. Auto means shared if the number of views is automatic
+    /// and Lumistack's path tracer renders the views, otherwise off
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
     /// Camera that sees the scene, by its name or its number from 0. Its plane of focus becomes the
@@ -87,8 +87,8 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub(crate) lights_visible: Option<bool>,
     /// Time at which the scene's animations are shown, seconds. Without this flag, glTF scenes have
-    /// the pose of the file, or with --animation that of time 0. USD scenes have the pose of the
-    /// first time code, and .blend scenes that of the saved frame
+    /// the pose of the file, or the pose at time 0 with --animation. USD scenes have the pose at
+    /// the first time code, and .blend scenes the pose at the saved frame
     #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
     pub(crate) time_s: Option<f64>,
     /// Animation, by name or number [default: all animations together, or only the first if two of
@@ -115,8 +115,8 @@ pub(crate) struct RenderArgs {
     /// without light gets
     #[arg(long, value_name = "K")]
     pub(crate) environment_strength: Option<f32>,
-    /// Rotation of the environment about the up axis, degrees; above 0 the part that lies straight
-    /// ahead moves to the left
+    /// Rotation of the environment about the up axis, degrees. A positive angle moves the part
+    /// straight ahead to the left
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     pub(crate) environment_rotation: Option<f64>,
     /// Background behind all surfaces: environment, or a colour such as #202028. A colour does not
@@ -168,7 +168,7 @@ pub(crate) struct FileArgs {
 #[command(next_help_heading = "Factorization")]
 pub(crate) struct FactorizeArgs {
     /// Number of iterations of the solver. Each updates every layer, and a directional backlight,
-    /// once [default: 50, or 16 if the display chooses the views of a scene]
+    /// once [default: 50, or 16 for a scene whose number of views is automatic]
     #[arg(long, value_name = "N")]
     pub(crate) iterations: Option<u32>,
     #[arg(long, value_name = "NAME", help = format!("Solver, which computes the patterns: {}", either(solver_names())))]
@@ -216,8 +216,8 @@ pub(crate) struct SequenceArgs {
     /// so several machines can solve them at the same time [default: one chunk of all time steps]
     #[arg(long, value_name = "N")]
     pub(crate) chunk_times: Option<usize>,
-    /// Number of time steps before each chunk that are solved once more for the chunk, so that it
-    /// starts from good patterns [default: 2]
+    /// Number of time steps before each chunk that are solved again for the chunk, so that the
+    /// chunk starts from good patterns [default: 2]
     #[arg(long, value_name = "N")]
     pub(crate) warm_up_times: Option<usize>,
 }
@@ -298,8 +298,8 @@ pub(crate) struct GeometryArgs {
     /// Reduce every view to this many columns and rows
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
-    /// Number of pixels by which content on the display plane moves to the left, from each view to
-    /// its neighbour on the right
+    /// Number of pixels by which a point of the display plane moves to the left from one view to
+    /// the next view on its right
     #[arg(long, value_name = "PX", allow_hyphen_values = true)]
     pub(crate) focus_px: Option<f64>,
     /// Reverse the order of views from left to right
@@ -387,7 +387,7 @@ pub(crate) fn change_render(job: &mut Job, args: &RenderArgs) {
         None => {}
     }
     change_importer(&mut job.importer, &args.files);
-    // the command line takes precedence over the job file
+    // The command line takes precedence over the job file.
     if args.camera.is_some() {
         job.window.camera = args.camera.clone();
         job.window.look_from = None;
@@ -475,8 +475,8 @@ pub(crate) fn job_of(input: &Path, args: &JobArgs) -> Result<(Job, PathBuf), Pip
     change_factorize(&mut job, &args.factorize);
     change_sequence(&mut job, &args.sequence);
     if !is_job(input) && job.sequence.is_none() {
-        // Without a job file the user has chosen no outputs. The default is a preview, which shows
-        // the display without further options.
+        // Without a job file the user has chosen no outputs. The default output is a preview, which
+        // a browser shows.
         let params = serde_json::Map::from_iter([("title".into(), job.name.clone().into())]);
         job.outputs.push(OutputJob { name: Some("preview".into()), params, ..OutputJob::new("web_simulator") });
     }
@@ -485,8 +485,8 @@ pub(crate) fn job_of(input: &Path, args: &JobArgs) -> Result<(Job, PathBuf), Pip
     Ok((job, folder))
 }
 
-/// Replaces the place "job" of an error: by the job file, or by the command line if `input` is a
-/// scene.
+/// Corrects an error whose place is "job". The place becomes the job file, or the command line if
+/// `input` is a scene.
 pub(crate) fn in_place(error: PipelineError, input: &Path) -> PipelineError {
     match error {
         PipelineError::Value(value) if value.place == Place::Job => {

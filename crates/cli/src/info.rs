@@ -81,7 +81,8 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
 
 fn scene(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, PipelineError> {
     let path = args.file.as_path();
-    // describe the file's own light, without the studio light
+    // Describe only the file's own light: without `automatic`, a scene without light gets no studio
+    // light.
     let light = LightJob { automatic: false, ..LightJob::default() };
     let mut importer = ImporterJob::default();
     change_importer(&mut importer, &args.files);
@@ -182,7 +183,7 @@ fn on_display(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value,
     let Prediction { depth, coverage, memory } = predict(&job, registry, task)?;
     let mut figures = depth.to_json();
     if let Some(figures) = figures.as_object_mut() {
-        // histograms are too long for this list; report.json of a run has them
+        // Histograms are too long for this list; report.json of a run has them.
         figures.retain(|key, _| !key.ends_with("histogram"));
     }
     let megabytes = |bytes: usize| format!("{:.1} MB", bytes as f64 / 1e6);
@@ -222,7 +223,7 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     let resolved = job.resolve_display()?;
     let refused: Vec<Value> = match refused_outputs(&job, registry, task) {
         Ok(refused) => refused.iter().map(|output| format!("{}: {}", output.name, output.reason).into()).collect(),
-        // a job may name input files that do not exist yet, so other errors become a note
+        // A job may name input files that do not exist yet, so other errors become a note.
         Err(PipelineError::Cancelled) => return Err(PipelineError::Cancelled),
         Err(error) => vec![format!("not checked: {error}").into()],
     };
@@ -348,7 +349,7 @@ pub(crate) fn print_displays(as_json: bool) -> Result<(), PipelineError> {
         if as_json {
             say!("{}", json!({ "name": name, "display": presets::load(name)? }));
         } else {
-            // the first line of the file is a comment that describes the display
+            // The first line of the file is a comment that describes the display.
             say!("{name:28} {}", text.lines().next().unwrap_or_default().trim_start_matches("# "));
         }
     }

@@ -44,7 +44,7 @@ use crate::groups::{
 use crate::server::{Site, listen, port_of, serve};
 use crate::values::Numbers;
 
-/// For `lumistack live --help`.
+/// Examples and commands that `lumistack live --help` prints.
 pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb                      updates the display when the model is saved again\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n  lumistack live views/ --times --rate 12       plays a video of 12 light fields per second\n  lumistack live model.glb --opentrack 4242     follows the head that OpenTrack reports (UDP over network)\n\nStandard input accepts commands. Each line is a JSON object, such as:\n  {\"set\": {KEY: VALUE, ...}}       changes keys of the job\n  {\"time\": SECONDS}                changes the time of the scene's animation\n  {\"viewers\": [[X, Y, Z], ...]}    states the positions of the viewers' heads, millimetres\n  {\"reload\": true}                 reads all files again\n  {\"stop\": true}                   ends the display\n  {\"stop_at_end\": true}            ends the display when standard input ends\n\nAfter the end, also by Ctrl-C, the last state of the display is a run folder. docs/LIVE.md has the details.";
 
 /// Interval at which files are checked for changes.
@@ -175,7 +175,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     // A thread that waits for a line of input cannot be ended, so it is detached.
     let requests = shared.requests.clone();
     std::thread::spawn(move || read_commands(std::io::stdin().lock(), &requests, json));
-    // The page moves the viewer only if no tracker and no mouse in the window does.
+    // The page may move the viewer only if neither a tracker nor the mouse in the window does so.
     let is_tracked = args.opentrack.is_some() || args.mouse;
     let guest = (!is_tracked).then(|| Guest::new(&shared.requests, args.head_mm.0[2])).transpose()?;
     let feed = PageFeed::new(&shared.states, &shared.messages, (&site, &title), guest, registry, work);
@@ -194,7 +194,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
             None => Ok(()),
         };
         if args.show.is_none() {
-            // until Ctrl-C, a command, or the end of a video
+            // Wait for Ctrl-C, a command that stops the display, or the end of a video.
             while !(task.cancel.is_cancelled() || shared.requests.is_stopped()) {
                 std::thread::sleep(TICK);
             }
@@ -209,7 +209,8 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let _ = std::fs::remove_dir_all(&site);
     let dropped = ended.map_err(in_input)?;
     let Some((number, state)) = shared.states.after(0) else { return Err(PipelineError::Cancelled) };
-    // Ctrl-C may have set the flag of `task`, which would stop these last steps too.
+    // Ctrl-C may have set the flag of `task`, which would stop these last steps too. So they get a
+    // flag of their own.
     let cancel = Cancel::default();
     let report = folder.finish(
         &shared.requests.job(),
@@ -249,7 +250,7 @@ fn serve_page(
     json: bool,
     task: Task<'_>,
 ) {
-    // the page's own files are written with the first state
+    // The page's own files are written with the first state, so the address is printed after it.
     while feed.prepare().is_none() {
         if shared.is_stopped() {
             return;
@@ -283,7 +284,7 @@ fn watch_files(args: &Live, begun: SystemTime, shared: &Shared, task: Task<'_>) 
         if is_job(&args.input) && of_job.have_changed(std::slice::from_ref(&args.input), begun) {
             let changed = args.job().and_then(|job| shared.requests.replace(job));
             if let Err(error) = changed {
-                // the file is incomplete or wrong: the previous job stays
+                // The changed file is incomplete or wrong, so the previous job stays in use.
                 task.warn(args.input.display().to_string(), error.to_string());
             }
         }
@@ -308,8 +309,8 @@ fn show(
         }
     };
     let (mut seen, state) = first;
-    // The channel holds one state. Newer ones wait in the mailbox, where each replaces the
-    // previous.
+    // The channel holds one state. Newer states wait in the mailbox `shared.states`, in which each
+    // state replaces the previous one.
     let (send, input) = sync_channel(1);
     let stop = Cancel::default();
     let see = |head_mm| {
@@ -339,7 +340,7 @@ fn show(
                     return;
                 }
             }
-            // a stop by command also closes the panels
+            // A stop by a command must also close the panels.
             let _ = send.send(PresenterInput::Command(json!(Command::Quit)));
         });
         let on_output = |output: PresenterOutput<'_>| match output {
@@ -360,8 +361,8 @@ fn show(
     })
 }
 
-/// Position of a head that sees the display's centre from these angles to the right and up,
-/// degrees.
+/// Returns the position of a head that sees the display's centre from these angles to the right and
+/// up, degrees.
 fn head_at(from_deg: [f64; 2], distance_mm: f64) -> [f64; 3] {
     let [x, y] = from_deg.map(|angle| distance_mm * angle.to_radians().tan());
     [x, y, distance_mm]

@@ -81,7 +81,7 @@ fn taken(file: &Path) -> PipelineError {
 
 /// Makes the text of a job file from options and answers.
 fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<String, PipelineError> {
-    // this error comes before the first question
+    // Report an existing file before the first question, so that no answers are lost.
     if args.file.exists() {
         return Err(taken(&args.file));
     }
@@ -126,14 +126,14 @@ fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<
         let first = doc.split_inclusive(". ").next().unwrap_or(doc).trim();
         let _ = write!(text, "\n# {first}\n[[outputs]]\nplugin = {}\n", quoted(id));
         if id == "web_simulator" {
-            // `lumistack preview` looks for this name first
+            // `lumistack preview` looks for this name first.
             text.push_str("name = \"preview\"\n");
         }
     }
     Ok(text)
 }
 
-/// Ids and descriptions of the output plugins that write files.
+/// Returns the ids and descriptions of the output plugins that write files.
 fn writers(registry: &Registry) -> impl Iterator<Item = (&str, &str)> {
     let outputs = registry.infos().filter(|info| json!(info.kind) == "output" && !info.presents);
     outputs.map(|info| (info.id.as_str(), info.doc.as_str()))
@@ -152,7 +152,7 @@ fn seen_from(folder: &Path, path: &Path) -> String {
 }
 
 fn quoted(text: &str) -> String {
-    // JSON's escapes are valid in TOML
+    // JSON escapes the text, since JSON's escapes are also valid in TOML.
     json!(text).to_string()
 }
 

@@ -20,7 +20,7 @@ pub(crate) fn print(job: &Job, folder: &Path, registry: &Registry, json: bool) -
     Ok(())
 }
 
-/// Returns a line per step, and a last line with the sums.
+/// Returns a line per step, and a last line with the total time and the largest memory.
 fn table(plan: &Plan) -> Vec<String> {
     let width = plan.steps.iter().map(|step| step.id.chars().count()).max().unwrap_or(0).max(4);
     let mut lines = vec![format!(

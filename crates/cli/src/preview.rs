@@ -13,7 +13,7 @@ use crate::console::say;
 use crate::server::{Server, Site, listen, port_of, serve};
 use crate::solve_page;
 
-/// The index of a preview's folder.
+/// Path of a preview's index, relative to the preview's folder.
 const PREVIEW_JSON: &str = "stack/preview.json";
 /// Interval at which files are checked for changes.
 const LOOK: Duration = Duration::from_secs(1);
@@ -43,7 +43,8 @@ pub(crate) fn preview_command(
         if looked.elapsed() >= LOOK {
             looked = Instant::now();
             if let Err(error) = source.refresh(registry, task) {
-                // the run may be incomplete while it is written; a later check finds it complete
+                // The run may be incomplete while it is written. So this error is a warning, and a
+                // later check finds the complete run.
                 task.warn("preview", error.to_string());
             }
             stamp = stamp_of(&source.site);
@@ -53,7 +54,8 @@ pub(crate) fn preview_command(
     Ok(())
 }
 
-/// Serves the page that solves, which is part of the program.
+/// Serves the page that solves light fields in the browser. The program contains the files of this
+/// page.
 fn solve_command(args: &Preview, json: bool, task: Task<'_>) -> Result<(), PipelineError> {
     let page = solve_page::write()?;
     let server = announced(args, page.path(), json, task)?;
@@ -139,7 +141,8 @@ impl Source {
             return Ok(());
         }
         update_preview(run, registry, task)?;
-        // if the run changed in the meantime, the next call compares again
+        // If the run changed during the comparison, nothing is stored, and the next call compares
+        // again.
         *seen = (files_of(run, &self.site).0 == before.0).then(|| files_of(run, &self.site));
         Ok(())
     }

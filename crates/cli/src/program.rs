@@ -12,7 +12,8 @@ static NAME: OnceLock<String> = OnceLock::new();
 /// Stores the name under which the command was started. `first` is the first word of its command
 /// line.
 pub(crate) fn remember(first: Option<&OsStr>) {
-    // cargo names the package in the environment of a program that it runs
+    // Cargo names the package in the environment of a program that it runs, so `cargo lumistack` is
+    // recognized by this name.
     let by_cargo =
         std::env::var_os("CARGO").is_some() && std::env::var("CARGO_PKG_NAME").is_ok_and(|name| name == PACKAGE);
     let first = first.map_or_else(|| "lumistack".into(), |word| word.to_string_lossy().into_owned());
@@ -43,13 +44,14 @@ fn started_as(first: &str, by_cargo: bool, folders: &[PathBuf]) -> String {
     if by_cargo {
         return "cargo lumistack".into();
     }
-    // the Python package passes a name of several words
+    // The Python package passes the complete name, such as `python -m lumistack`.
     if first.contains(" -m ") {
         return first.into();
     }
     let path = Path::new(first);
     let Some(file) = path.file_name().filter(|_| path.components().count() > 1) else { return first.into() };
-    // a shell starts a script on PATH with its whole path
+    // A shell passes the whole path of a script that it finds on PATH. The user typed only the
+    // file's name.
     let canonical = |path: &Path| std::fs::canonicalize(path).ok();
     let on_path = folders.iter().map(|folder| folder.join(file)).find(|found| found.is_file());
     match on_path {

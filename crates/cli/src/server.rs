@@ -22,17 +22,17 @@ use percent_encoding::percent_decode_str;
 
 /// Path that the page requests to find out whether the stack has changed.
 const STAMP: &str = "/.stamp";
-/// Interval of the calls of `tick`.
+/// Interval at which [`serve`] calls `tick`.
 const TICK: Duration = Duration::from_millis(200);
 /// Largest number of connections at a time; a browser opens six.
 const MOST: usize = 64;
-/// Time limit for a whole head, even if its bytes come one by one.
+/// Time limit for a client to send the whole head of a request, even byte by byte.
 const HEAD_TIME: Duration = Duration::from_secs(5);
-/// Longest head, bytes.
+/// Longest head of a request (its first line and header fields), bytes.
 const HEAD: usize = 16 << 10;
-/// Largest number of fields in a head.
+/// Largest number of header fields in a request.
 const FIELDS: usize = 64;
-/// Time limit for a client to take the next part of a response.
+/// Time limit for a client to receive the next part of a response.
 const WRITE_TIME: Duration = Duration::from_secs(10);
 /// Size of the pieces in which a response is written, bytes.
 const PART: usize = 64 << 10;
@@ -67,7 +67,7 @@ pub(crate) fn listen(port: u16) -> io::Result<Server> {
     Ok(Server { listener, address })
 }
 
-/// The port that a server listens on.
+/// Returns the port that a server listens on.
 pub(crate) fn port_of(server: &Server) -> u16 {
     server.address.port()
 }
@@ -83,12 +83,13 @@ pub(crate) struct Site<'a> {
 
 /// States of a display that changes.
 pub(crate) trait Feed: Sync {
-    /// The script that requests states.
+    /// Returns the script that requests states.
     fn script(&self) -> &'static str;
     /// Waits for a state newer than the query's, or for a timeout. Returns the response, or `None`
     /// if there is no such state.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
-    /// The word that a query of [`look`](Self::look) must have; `None` where pages move no viewer.
+    /// Returns the word that a query of [`look`](Self::look) must have; `None` where pages move no
+    /// viewer.
     fn word(&self) -> Option<&str>;
     /// Moves the viewer of a page. Returns whether the query is valid.
     fn look(&self, query: &str) -> bool;
@@ -118,7 +119,7 @@ pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> O
                 if stop.load(Ordering::Relaxed) {
                     break;
                 }
-                // perhaps no file descriptors are left: wait until a connection ends
+                // Accepting fails if no file descriptors are left, so wait until a connection ends.
                 let Ok((stream, _)) = accepted else {
                     thread::sleep(Duration::from_millis(50));
                     continue;
@@ -126,7 +127,7 @@ pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> O
                 let Some(connection) = open.add(&stream) else { continue };
                 let answer = move || {
                     let complete = || open.has_request(connection);
-                    // after a panic only this response is missing
+                    // A panic is caught, so that only the response to this request is lost.
                     let _ = catch_unwind(AssertUnwindSafe(|| answer(&stream, site, stamp, complete)));
                     open.remove(connection);
                 };
@@ -141,7 +142,7 @@ pub(crate) fn serve(server: &Server, site: Site<'_>, mut tick: impl FnMut() -> O
         }
         stop.store(true, Ordering::Relaxed);
         open.end();
-        // this connection wakes the thread that accepts connections
+        // This connection wakes the thread that accepts connections, which then sees `stop`.
         let _ = TcpStream::connect_timeout(&server.address, TICK);
     });
 }
@@ -164,7 +165,7 @@ struct Open {
 struct Connection {
     number: u64,
     stream: TcpStream,
-    /// True if its request is complete.
+    /// True if the connection's request has been received completely.
     complete: bool,
 }
 
@@ -180,7 +181,7 @@ impl Connections {
         }
         if open.streams.len() >= MOST {
             let waits = open.streams.iter().position(|connection| !connection.complete);
-            // the thread of the closed connection wakes up and ends
+            // The shutdown wakes the thread of this connection, which then ends.
             let _ = open.streams.remove(waits.unwrap_or(0)).stream.shutdown(Shutdown::Both);
         }
         open.last += 1;
@@ -280,7 +281,7 @@ fn read_request(mut stream: &TcpStream) -> Result<Request, Option<Reply>> {
             }
             Err(_) => return Err(None),
         };
-        // the end of the head may be split between two reads
+        // Two reads may split the mark that ends the head, so the search begins 3 bytes earlier.
         let before = head.len().saturating_sub(3);
         head.extend_from_slice(&part[..count]);
         let ends = |end: &[u8]| head[before..].windows(end.len()).any(|window| window == end);
@@ -334,7 +335,7 @@ fn write(mut stream: &TcpStream, reply: Reply, with_content: bool) -> io::Result
     match reply.content {
         Content::Bytes(bytes) => stream.write_all(&bytes),
         Content::File(file, length) => {
-            // send exactly the announced length, even if the file grows in the meantime
+            // Send exactly the announced length, even if the file grows in the meantime.
             let (mut file, mut part) = (file.take(length), vec![0; PART]);
             loop {
                 match file.read(&mut part)? {
@@ -346,7 +347,8 @@ fn write(mut stream: &TcpStream, reply: Reply, with_content: bool) -> io::Result
     }
 }
 
-/// Closes a connection so that the client receives the response, even if it is still sending.
+/// Closes a connection so that the client receives the response, even if the client is still
+/// sending.
 fn linger(mut stream: &TcpStream) {
     if stream.shutdown(Shutdown::Write).is_err() {
         return;
@@ -497,7 +499,8 @@ mod tests {
         assert_eq!(get(&root, "/app/a%20b.wasm?x=1"), (200, "application/wasm", "module".into()));
         let (status, kind, page) = get(&root, "/");
         assert!(status == 200 && kind.starts_with("text/html") && page.contains("location.reload()"), "{page}");
-        // the page contains the stamp, so it notices a change before its first check
+        // The page contains the stamp of its own content, so that even its first check detects a
+        // change.
         assert!(page.contains("const was='7'"), "{page}");
         assert_eq!(get(&root, "/.stamp").2, "7");
     }
@@ -566,8 +569,9 @@ mod tests {
         (stream, text)
     }
 
-    /// Uses real sockets, and a server that listens to this machine alone. A browser opens six
-    /// connections at a time, and keeps as many as the server allows.
+    /// A browser opens six connections at a time, and keeps as many as the server allows. The page
+    /// must also arrive over many open connections. This test uses real sockets on this machine
+    /// alone.
     #[test]
     fn browsers_with_many_connections_get_the_page() {
         const CONNECTIONS: usize = 24;
@@ -593,11 +597,12 @@ mod tests {
         clients.join().unwrap();
     }
 
-    /// Serves the folder while `clients` works with the port.
+    /// Serves a folder while `clients`, which receives the server's port, makes requests.
     fn against(clients: impl FnOnce(u16) + Send + 'static) {
         let folder = folder();
         let root = folder.path().join("site");
-        // more bytes than the system buffers for a connection
+        // The file exceeds the system's buffer for a connection, so its response must wait for the
+        // client.
         std::fs::write(root.join("large.bin"), vec![7; 32 << 20]).unwrap();
         let server = listen(0).unwrap();
         let port = port_of(&server);
@@ -621,10 +626,11 @@ mod tests {
         assert!(took < Duration::from_secs(3), "{case}: {took:?}");
     }
 
-    /// Returns the whole response to these bytes.
+    /// Sends these bytes to the server, and returns the whole response.
     fn response_to(port: u16, bytes: &[u8]) -> String {
         let mut stream = connect(port);
-        // the server may refuse the request before all bytes are written
+        // The server may refuse the request before all bytes are written, so ignore errors of the
+        // write.
         let _ = stream.write_all(bytes);
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);
@@ -642,7 +648,8 @@ mod tests {
                 let stuck: Vec<TcpStream> = (0..200)
                     .map(|_| {
                         let mut stream = connect(port);
-                        // the server may have closed the connection already
+                        // The server may have closed the connection already, so ignore errors of
+                        // the write.
                         let _ = stream.write_all(start.as_bytes());
                         stream
                     })

@@ -67,8 +67,8 @@ pub(crate) struct Show {
     #[arg(long, value_name = "N|backlight", requires = "pattern")]
     pub(crate) only: Option<String>,
     /// Position of the eye or camera for which the crosshairs of all layers coincide: X right, Y
-    /// up, Z in front, millimetres. The default is straight ahead at the display's viewing
-    /// distance, or at 2000 mm if it has none
+    /// up, Z in front of the display, millimetres. The default is straight ahead at the display's
+    /// viewing distance, or at 2000 mm if the display has none
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, requires = "pattern")]
     pub(crate) eye_mm: Option<Numbers<3>>,
     /// Hold frame K, counted from 0, instead of showing all frames in turn
@@ -85,9 +85,9 @@ pub(crate) struct Show {
     /// (pixels), save, look X Y (degrees to the right and up), report, quit
     #[arg(long)]
     pub(crate) control: bool,
-    /// Write a CSV file with a line for each submitted frame. Its columns are the number of the
-    /// refresh, the position in the cycle of frames, the number of the patterns, and the time since
-    /// the first frame in seconds. The file has at most the first 1,048,576 frames
+    /// Write a CSV file with a line for each submitted frame. Its columns are: number of the
+    /// refresh, position in the cycle of frames, number of the patterns, seconds since the first
+    /// frame. The file has at most the first 1,048,576 frames
     #[arg(long, value_name = "FILE")]
     pub(crate) log: Option<PathBuf>,
 }
@@ -99,7 +99,7 @@ pub(crate) fn show_command(args: &Show, registry: &Registry, json: bool, task: T
     let dir = args.dir.as_deref().unwrap_or(Path::new("."));
     let Subject { display, stack, file } = subject(args, dir)?;
     let params = params(args)?;
-    // a test pattern or a picture does not change with the run
+    // Only patterns of a run may change later; a test pattern or a picture stays.
     let first = stack.filter(|_| args.pattern.is_none() && args.full_resolution_2d.is_none());
     let (send, input) = channel();
     if first.is_some() {
@@ -156,7 +156,8 @@ fn subject(args: &Show, dir: &Path) -> Result<Subject, PipelineError> {
         subject.file = Some(path.clone());
     }
     if args.fit {
-        // the panels are not the file's panels, so their shifts must not be saved to the file
+        // With --fit the shown panels are not the panels of the display file, so their shifts must
+        // not be saved to this file.
         subject.file = None;
     }
     Ok(subject)
@@ -172,7 +173,8 @@ fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Disp
         let expected = "the layers and lenslets that the patterns were made for";
         return Err(PipelineError::value(path, "layers", expected, "others"));
     }
-    // distances and frames must stay as they are in the patterns' display
+    // Take only the calibration. Distances and frames must stay as they were when the patterns were
+    // solved.
     let mut display = display.clone();
     for (own, measured) in display.layers.iter_mut().zip(&measured.layers) {
         own.panel.clone_from(&measured.panel);
@@ -208,7 +210,7 @@ fn params(args: &Show) -> Result<Value, PipelineError> {
         }
     };
     set("hold", args.hold.map(Value::from));
-    // for the presenter 0 means "not set", so the options refuse 0
+    // For the presenter 0 means "not set", so the options refuse 0.
     for (flag, value) in [("--duration-s", args.duration_s), ("--eye-mm", args.eye_mm.map(|eye| eye.0[2]))] {
         if let Some(found) = value.filter(|value| *value <= 0.0) {
             return Err(PipelineError::value(flag, "value", "a number above 0", found.to_string()));

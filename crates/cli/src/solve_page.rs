@@ -49,7 +49,7 @@ files!(
 pub(crate) fn write() -> Result<TempDir, PipelineError> {
     let folder = tempfile::tempdir().map_err(PipelineError::write(&std::env::temp_dir()))?;
     for (path, content) in FILES {
-        // a server sends index.html if the address names no file
+        // A server sends index.html if the address names no file, so the page also has this name.
         let names = if *path == "solve.html" { vec![*path, "index.html"] } else { vec![*path] };
         names.iter().try_for_each(|name| write_one(&folder.path().join(name), content))?;
     }
@@ -67,7 +67,7 @@ fn write_one(path: &Path, content: &[u8]) -> Result<(), PipelineError> {
 mod tests {
     use super::*;
 
-    /// If the build adds a file to the page, the program must contain it too.
+    /// The program must contain every file that the build of the page writes.
     #[test]
     fn the_program_holds_all_of_the_page() {
         let dist = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../web/dist");

@@ -35,8 +35,8 @@ pub(crate) struct Sweep {
     /// Folder for the results [default: sweeps/NAME]
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// Do not run. Print the steps of the sweep, those whose results are cached, and estimates of
-    /// time and memory
+    /// Do not run. Print the steps of the sweep, which of them have cached results, and estimates
+    /// of time and memory
     #[arg(long)]
     plan: bool,
     /// Number of plots of PSNR [default: few]. With few, there are at most six: maps over one pair
@@ -63,7 +63,7 @@ pub(crate) struct Sweep {
     factorize: FactorizeArgs,
 }
 
-/// Number of plots.
+/// The plots of PSNR that a sweep writes.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum PlotsArg {
     None,
@@ -110,8 +110,8 @@ struct Search {
     /// Largest distance from the rearmost to the frontmost layer or lens array, millimetres
     #[arg(long, value_name = "MM")]
     max_thickness_mm: Option<f64>,
-    /// Highest refresh rate of the panels, hertz. All frames of a design must repeat 60 times a
-    /// second
+    /// Highest refresh rate of the panels, hertz. At this rate all frames of a design must repeat
+    /// 60 times a second
     #[arg(long, value_name = "HZ")]
     max_refresh_hz: Option<f64>,
     /// Number of available panels. A design needs one for each layer, and one behind the lenslets
@@ -151,7 +151,7 @@ impl FromStr for List {
             if !(step > 0.0 && (0.0..1e6).contains(&count)) {
                 return Err(format!("expected a rising range, found `{part}`"));
             }
-            // rounding, since 0.1 + 2 · 0.1 is not 0.3 in binary
+            // Round to 9 decimals, since 0.1 + 2 · 0.1 is not exactly 0.3 in binary.
             numbers.extend((0..=count as usize).map(|i| ((from + i as f64 * step) * 1e9).round() / 1e9));
         }
         Ok(Self(numbers))
@@ -180,7 +180,7 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
     let table = job.sweep.get_or_insert_default();
     let Axes { displays, layers, frames, brightness, gap_mm, fov, lenslets } = &args.axes;
     if !displays.is_empty() {
-        // paths on the command line are relative to the working folder, not to the job's folder
+        // Paths on the command line are relative to the working folder, not to the job's folder.
         table.displays = displays.iter().map(|name| typed(name)).collect();
     }
     if let Some(layers) = layers {

@@ -15,7 +15,7 @@ pub(crate) fn print(error: &Error) {
     let styled = error.render();
     let text = if is_terminal { styled.ansi().to_string() } else { styled.to_string() };
     let text = hinted(&in_words(&text));
-    // a pipe that the reader has closed is no error
+    // Ignore errors of the write, since a reader may close the pipe early.
     let _ = if to_stdout {
         std::io::stdout().write_all(text.as_bytes())
     } else {
@@ -46,7 +46,7 @@ fn in_words(text: &str) -> String {
     ]
     .iter()
     .fold(text.to_owned(), |text, (rust, words)| text.replace(rust, words));
-    // rewrites "70000 is not in 0..=65535"
+    // Rewrites clap's message about a number outside of a range: "70000 is not in 0..=65535".
     let Some((before, after)) = text.split_once(" is not in ") else { return text };
     let end = after.find(|c: char| !(c.is_ascii_digit() || ".=-".contains(c))).unwrap_or(after.len());
     let (range, rest) = after.split_at(end);

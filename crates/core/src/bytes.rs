@@ -1,7 +1,7 @@
 //! Numbers as bytes.
 
-/// Appends each value as four little-endian bytes. Callers' crates may be compiled without
-/// optimization, so that their own loops over values would be slow.
+/// Appends each value as four little-endian bytes. The function exists because a caller may be
+/// compiled without optimization, which would make its own loop over many values slow.
 pub fn append(bytes: &mut Vec<u8>, values: &[f32]) {
     let start = bytes.len();
     bytes.resize(start + size_of_val(values), 0);

@@ -1,5 +1,6 @@
 //! Colour encodings. Inside Lumistack all light is linear, with sRGB (BT.709) primaries. These
-//! functions convert where pictures are read and written.
+//! functions convert light to the encoding of pictures that are written, and back for pictures that
+//! are read.
 
 /// Converts linear light to the sRGB encoding (IEC 61966-2-1). Values outside of 0..1 are clamped,
 /// and NaN becomes 0.

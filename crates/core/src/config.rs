@@ -8,11 +8,11 @@ use thiserror::Error;
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("line {line}, column {column}: {message}{}", suggestion.as_ref().map_or(String::new(), |key| format!("; did you mean `{key}`?")))]
 pub struct ConfigError {
-    /// Line, from 1.
+    /// Line of the error in the text, from 1.
     pub line: usize,
-    /// Column, from 1.
+    /// Column of the error in its line, from 1.
     pub column: usize,
-    /// Byte range in the text.
+    /// Range of bytes in the text to which the error applies.
     pub span: std::ops::Range<usize>,
     /// One sentence with the expected and the found value.
     pub message: String,
@@ -49,7 +49,7 @@ pub fn plain(message: &str, key: &str) -> String {
         return message.into();
     };
     let Some((found, expected)) = rest.rsplit_once(", expected ") else { return message.into() };
-    // in messages about JSON, the position follows the expected type
+    // messages about JSON state the position behind the expected type; keep it for the end
     let (expected, place) = expected.find(" at line ").map_or((expected, ""), |at| expected.split_at(at));
     let unit = UNITS.iter().find(|(ending, _)| key.ends_with(ending)).map_or("", |(_, unit)| *unit);
     let expected = match expected {

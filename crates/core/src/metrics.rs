@@ -14,9 +14,9 @@ pub use ssim::ssim;
 /// A sum of squared errors, and the number of values in it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SquaredError {
-    /// Sum of squared differences.
+    /// Sum of the squared differences of all compared values.
     pub sum: f64,
-    /// Number of values compared.
+    /// Number of values that were compared.
     pub count: u64,
 }
 
@@ -62,9 +62,9 @@ impl SquaredError {
 /// A mean as sum and count, so that means can be joined.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mean {
-    /// Sum of the values.
+    /// Sum of the values whose mean this is.
     pub sum: f64,
-    /// Number of values.
+    /// Number of values whose mean this is.
     pub count: u64,
 }
 
@@ -83,11 +83,11 @@ impl Mean {
 /// The values of a metric at every pixel of a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MetricMap {
-    /// Pixel rows.
+    /// Number of pixel rows of the picture.
     pub rows: usize,
-    /// Pixel columns.
+    /// Number of pixel columns of the picture.
     pub cols: usize,
-    /// `[row][col]`.
+    /// The metric at every pixel, `[row][col]`.
     pub values: Vec<f32>,
     /// Width of the border that the metric's mean leaves out, pixels.
     pub margin: usize,
@@ -99,8 +99,8 @@ impl MetricMap {
         self.mean_where(|_| true)
     }
 
-    /// Mean over the pixels for which `counts` returns true. It receives the index in `values`.
-    /// Pixels of the border are never included.
+    /// Mean over the pixels for which `counts` returns true. The function `counts` receives a
+    /// pixel's index in `values`. Pixels of the border, which is `margin` wide, are never included.
     pub fn mean_where(&self, counts: impl Fn(usize) -> bool) -> Mean {
         let mut mean = Mean::default();
         for row in self.margin..self.rows.saturating_sub(self.margin) {

@@ -34,8 +34,9 @@ pub fn in_large_pages<T: Copy>(values: Vec<T>) -> Vec<T> {
 
 /// Limits how much of a mapped file is in memory.
 ///
-/// Callers announce the bytes that they use next. After `limit` bytes all pages are released. The
-/// system keeps them in its cache if it has room, and maps them again at their next use.
+/// Callers announce the bytes that they use next. Once `limit` bytes have been announced, all pages
+/// are released, and the count begins anew. The system keeps released pages in its cache if it has
+/// room, and maps them again at their next use.
 ///
 /// So the pages in memory take at most the limit, plus the bytes that all threads use at a time.
 /// The system maps up to [`NEIGHBOURS`](Self::NEIGHBOURS) bytes around a byte that is read. Systems
@@ -62,7 +63,8 @@ impl Window {
         Self { start: memory.as_ptr() as usize, length: memory.len(), limit, announced: AtomicUsize::new(0) }
     }
 
-    /// Announces that `bytes` are used next.
+    /// Announces that the caller uses this number of bytes next. Releases all pages once the limit
+    /// is exceeded.
     #[inline]
     pub fn announce(&self, bytes: usize) {
         if self.announced.fetch_add(bytes, Ordering::Relaxed) + bytes > self.limit {
@@ -72,7 +74,8 @@ impl Window {
     }
 }
 
-/// A place for arrays that exceed memory. It creates arrays of a number of bytes, all of them zero.
+/// Creates arrays that may exceed memory, such as arrays in files. The function receives a number
+/// of bytes, and returns an array in which all bytes are zero.
 pub type Storage = Arc<dyn Fn(usize) -> io::Result<Pages> + Send + Sync>;
 
 /// Bytes in a file, of which few are in memory at a time.
@@ -89,10 +92,9 @@ impl<T: AsRef<[u8]> + AsMut<[u8]> + Send + Sync> MappedBytes for T {}
 impl Pages {
     /// Takes a mapping of which about `limit` bytes may be in memory.
     ///
-    /// # Safety
-    /// As [`Window::new`]. The mapping begins at a page.
+    /// # Safety The conditions of [`Window::new`] hold for `mapped`. The mapping begins at a page.
     pub unsafe fn new(mapped: Box<dyn MappedBytes>, limit: usize) -> Self {
-        // SAFETY: guaranteed by the caller; the box does not move the mapping
+        // SAFETY: the caller guarantees the conditions; the box does not move the mapping
         let window = unsafe { Window::new((*mapped).as_ref(), limit) };
         Self { mapped, window }
     }
@@ -104,23 +106,23 @@ impl Pages {
 /// The type has no padding, no invalid bit patterns, and an alignment of at most a page.
 pub unsafe trait Plain: Copy + Default + Send + Sync {}
 
-// SAFETY: numbers
+// SAFETY: a number has no padding, and all its bit patterns are valid
 unsafe impl Plain for u16 {}
-// SAFETY: numbers
+// SAFETY: a number has no padding, and all its bit patterns are valid
 unsafe impl Plain for f32 {}
-// SAFETY: arrays have no gaps
+// SAFETY: an array has no gaps between its values, and the values are plain
 unsafe impl<T: Plain, const N: usize> Plain for [T; N] where [T; N]: Default {}
 
 /// A large array, in memory or in a file.
 pub enum Array<T> {
-    /// In memory.
+    /// The values are in memory.
     Held(Vec<T>),
-    /// In a file; pages that are used are in memory.
+    /// The values are in a file, of which only pages in use are in memory.
     Paged(Pages),
 }
 
 impl<T: Plain> Array<T> {
-    /// Makes `count` zeros, in memory without a storage.
+    /// Makes `count` zeros in the storage, or in memory if there is no storage.
     ///
     /// # Errors
     /// If the storage is full.
@@ -133,7 +135,8 @@ impl<T: Plain> Array<T> {
         storage(count * size_of::<T>()).map(Self::Paged)
     }
 
-    /// All values, and the window, to which the values that are used next must be announced.
+    /// All values. If they are in a file, also its window, to which callers announce the bytes that
+    /// they use next.
     #[inline(always)]
     pub fn all(&self) -> (&[T], Option<&Window>) {
         match self {
@@ -152,7 +155,7 @@ impl<T: Plain> Array<T> {
         }
     }
 
-    /// Returns some values, and announces them to the window.
+    /// Returns the values of a range. Announces their bytes to the window if they are in a file.
     #[inline(always)]
     pub fn part(&self, range: std::ops::Range<usize>) -> &[T] {
         let (values, window) = self.all();
@@ -200,7 +203,7 @@ unsafe fn madvise(start: usize, length: usize, advice: i32) {
     unsafe extern "C" {
         fn madvise(address: *mut c_void, length: usize, advice: c_int) -> c_int;
     }
-    // SAFETY: guaranteed by the caller
+    // SAFETY: the caller guarantees that the advice is harmless
     unsafe { madvise(start as *mut c_void, length, advice) };
 }
 

@@ -2,7 +2,8 @@
 //!
 //! A path that is UTF-8 is a text. Any other path is a table `{ percent = "m%F6bel.glb" }`, in
 //! which `%` and two hexadecimal digits stand for a byte. So a job that was written leads to the
-//! same file when it is read back. In paths that are only shown, U+FFFD replaces other bytes.
+//! same file when it is read back. In paths that are only shown, U+FFFD replaces bytes that are not
+//! UTF-8.
 
 use std::path::{Path, PathBuf};
 
@@ -12,10 +13,10 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 const ENCODED: &AsciiSet = &CONTROLS.add(b'%');
 
-/// The one key of the table.
+/// The only key of the table for a path that is not UTF-8.
 const KEY: &str = "percent";
 
-/// For an optional path that is opened again: `#[serde(with =
+/// Stores an optional path that is opened again: `#[serde(with =
 /// "lumistack_core::path_text::optional")]`.
 pub mod optional {
     use super::*;
@@ -31,7 +32,7 @@ pub mod optional {
     }
 }
 
-/// For paths that are opened again, each with a hash of its content: `#[serde(with =
+/// Stores paths that are opened again, each with a hash of its content: `#[serde(with =
 /// "lumistack_core::path_text::hashed")]`.
 pub mod hashed {
     use super::*;
@@ -48,17 +49,18 @@ pub mod hashed {
     }
 }
 
-/// For a path that is only shown: `#[serde(serialize_with = "lumistack_core::path_text::told")]`.
+/// Stores a path that is only shown: `#[serde(serialize_with =
+/// "lumistack_core::path_text::told")]`.
 pub fn told<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&path.to_string_lossy())
 }
 
-/// As [`told`], for an optional path.
+/// Stores an optional path as [`told`] does.
 pub fn told_optional<S: Serializer>(path: &Option<PathBuf>, serializer: S) -> Result<S::Ok, S::Error> {
     path.as_deref().map(Path::to_string_lossy).serialize(serializer)
 }
 
-/// As [`told`], for several paths.
+/// Stores several paths as [`told`] does.
 pub fn told_each<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(paths.iter().map(|path| path.to_string_lossy()))
 }

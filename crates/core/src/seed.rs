@@ -8,7 +8,7 @@ pub fn derive(seed: u64, labels: &[u64]) -> u64 {
     labels.iter().fold(mix(seed), |state, &label| mix(state ^ mix(label.wrapping_add(0x9e37_79b9_7f4a_7c15))))
 }
 
-/// A bijective scrambling of 64 bits.
+/// Scrambles 64 bits. Different inputs give different outputs.
 #[inline]
 pub fn mix(mut z: u64) -> u64 {
     z = z.wrapping_add(0x9e37_79b9_7f4a_7c15);
@@ -33,7 +33,7 @@ impl Stream {
         Self(seed)
     }
 
-    /// The stream as it is after `numbers` further numbers.
+    /// Returns the stream in the state that it has after `numbers` more numbers.
     #[must_use]
     pub fn after(&self, numbers: u64) -> Self {
         Self(self.0.wrapping_add(numbers.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
@@ -77,7 +77,7 @@ mod tests {
         let mut stream = Stream::new(derive(7, &[3]));
         let n = 100_000;
         let mean = (0..n).map(|_| f64::from(stream.next_f32())).sum::<f64>() / f64::from(n);
-        // five standard errors, each 0.29 / sqrt(n) = 9e-4
+        // the limit is five standard errors, each 0.29 / sqrt(n) = 9e-4
         assert!((mean - 0.5).abs() < 4.6e-3, "{mean}");
     }
 }

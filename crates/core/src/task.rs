@@ -9,7 +9,7 @@ use thiserror::Error;
 pub trait Progress: Sync {
     /// A stage starts; `total` is its number of steps of kind `unit` ("views", "iterations").
     fn begin(&self, stage: &str, total: u64, unit: &str);
-    /// Some steps are done; `note` is a short value to show next to the bar, or empty.
+    /// Some steps of the stage are done; `note` is a short text beside the progress bar, or empty.
     fn advance(&self, steps: u64, note: &str);
     /// The stage has ended.
     fn end(&self);
@@ -98,11 +98,11 @@ impl Warnings for Collector {
 /// Context of long work: progress, warnings, cancellation.
 #[derive(Clone, Copy)]
 pub struct Task<'a> {
-    /// Progress sink.
+    /// Receives the progress of the work.
     pub progress: &'a dyn Progress,
-    /// Warning sink.
+    /// Receives the warnings of the work.
     pub warnings: &'a dyn Warnings,
-    /// Stop flag.
+    /// Flag by which a caller stops the work.
     pub cancel: &'a Cancel,
 }
 

@@ -31,7 +31,7 @@ pub trait Lend: Send + Sync {
         None
     }
 
-    /// A place for arrays of similar size, if the values are in a file.
+    /// Creates arrays of similar size in files, if the values themselves are in a file.
     fn storage(&self) -> Option<&Storage> {
         None
     }
@@ -159,7 +159,7 @@ impl<const N: usize> Tensor<N> {
         &self.data()[range]
     }
 
-    /// A place for arrays of similar size, if the values are in a file.
+    /// Creates arrays of similar size in files, if the values themselves are in a file.
     pub fn storage(&self) -> Option<&Storage> {
         self.lender()?.storage()
     }

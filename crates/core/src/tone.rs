@@ -6,8 +6,8 @@
 //!
 //! * [`ToneCurve::Linear`]: min(x, 1), channel by channel.
 //! * [`ToneCurve::KhronosNeutral`]: Khronos PBR Neutral (Khronos Group, 2024, specification and
-//!   sample in `KhronosGroup/ToneMapping`). With F = 0.04, the reflection that a dielectric adds to
-//!   its base colour, K_s = 0.8 − F and K_d = 0.15:
+//!   sample in `KhronosGroup/ToneMapping`). It maps a channel c of (R, G, B) with K_s = 0.8 − F,
+//!   K_d = 0.15 and F = 0.04. F is the reflection that a dielectric adds to its base colour.
 //!
 //! ```text
 //! x = min(R, G, B),   f = x − x²/4F for x ≤ 2F, else F
@@ -45,9 +45,9 @@ const START: f32 = 0.8 - F90;
 /// Rate at which highlights lose colour in the Khronos curve.
 const DESATURATION: f32 = 0.15;
 
-/// Middle grey, which AgX keeps.
+/// Exposed value of middle grey, which AgX does not change.
 const MIDDLE_GREY: f32 = 0.18;
-/// Range of AgX around middle grey, stops.
+/// Lowest and highest value of AgX's sigmoid, in stops from middle grey.
 const STOPS: [f32; 2] = [-10.0, 6.5];
 /// Slope of AgX's sigmoid at middle grey.
 const SLOPE: f32 = 2.4;
@@ -60,19 +60,19 @@ const HUE_AFTER: f32 = 0.4;
 
 type Matrix = [[f32; 3]; 3];
 
-/// BT.709 to BT.2020 primaries (ITU-R BT.2087).
+/// Matrix from BT.709 to BT.2020 primaries (ITU-R BT.2087).
 const REC2020_FROM_BT709: Matrix =
     [[0.627_404, 0.329_283, 0.043_313], [0.069_097, 0.919_54, 0.011_362], [0.016_391, 0.088_013, 0.895_595]];
-/// BT.2020 to BT.709 primaries.
+/// Matrix from BT.2020 to BT.709 primaries.
 const BT709_FROM_REC2020: Matrix =
     [[1.660_491, -0.587_641, -0.072_85], [-0.124_55, 1.132_9, -0.008_349], [-0.018_151, -0.100_579, 1.118_73]];
-/// AgX's inset.
+/// AgX's inset matrix, which draws colours together.
 const INSET: Matrix = [
     [0.856_627_15, 0.095_121_24, 0.048_251_606],
     [0.137_318_97, 0.761_242, 0.101_439_04],
     [0.111_898_21, 0.076_799_42, 0.811_302_4],
 ];
-/// AgX's outset: the inverse of another inset matrix.
+/// AgX's outset matrix, which spreads colours again. It is the inverse of another inset matrix.
 const OUTSET: Matrix = [
     [1.127_100_6, -0.110_606_64, -0.016_493_94],
     [-0.141_329_76, 1.157_823_7, -0.016_493_94],
@@ -104,7 +104,7 @@ impl ToneCurve {
     /// Exposed radiance of the grey that is shown as `level`, 0 < `level` < 1.
     pub fn grey_shown_as(self, level: f32) -> f32 {
         let (mut low, mut high) = (0.0f32, 1e4f32);
-        // the curves are monotone on greys
+        // bisection finds the level, since the curves are monotone on greys
         for _ in 0..100 {
             let middle = 0.5 * (low + high);
             if self.apply([middle; 3])[1] < level { low = middle } else { high = middle }
@@ -144,8 +144,8 @@ fn stops(value: f32) -> f32 {
     (((value.max(1e-10) / MIDDLE_GREY).log2() - STOPS[0]) / (STOPS[1] - STOPS[0])).clamp(0.0, 1.0)
 }
 
-/// AgX's sigmoid. Its slope at middle grey (x₀, y₀) is SLOPE. On either side, s is such that the
-/// end of the range, 0 or 1, is kept:
+/// AgX's sigmoid. Its slope at middle grey (x₀, y₀) is SLOPE. On each side of x₀, s is chosen so
+/// that the end of the range keeps its value, 0 or 1:
 ///
 /// ```text
 /// s·h(SLOPE (x − x₀)/s) + y₀,   h(t) = t/(1 + |t|^POWER)^(1/POWER)
@@ -158,8 +158,8 @@ fn sigmoid(x: f32) -> f32 {
     scale * t / (1.0 + t.abs().powf(POWER)).powf(1.0 / POWER) + y0
 }
 
-/// Turns the hue of `rgb`, in the hexcone of HSV, towards the hue of the colour `before`. The turn
-/// is the fraction 1 − [`HUE_AFTER`] of their difference.
+/// Turns the hue of `rgb`, in the hexcone of HSV, towards the hue of the colour `before`. It turns
+/// by the fraction 1 − [`HUE_AFTER`] of the difference of the two hues.
 fn with_hue_of(rgb: [f32; 3], before: [f32; 3]) -> [f32; 3] {
     let (low, high) = (rgb[0].min(rgb[1]).min(rgb[2]), rgb[0].max(rgb[1]).max(rgb[2]));
     let (Some(after), Some(before)) = (hue(rgb), hue(before)) else { return rgb };
@@ -191,7 +191,7 @@ fn hue([r, g, b]: [f32; 3]) -> Option<f32> {
     Some(hue.rem_euclid(6.0))
 }
 
-/// Raises all channels equally until none is below 0, then scales back to the luminance.
+/// Raises all channels equally until none is below 0, then scales them to the luminance of `rgb`.
 fn raised(rgb: [f32; 3]) -> [f32; 3] {
     let least = rgb[0].min(rgb[1]).min(rgb[2]);
     if least >= 0.0 {
@@ -257,13 +257,13 @@ mod tests {
     #[test]
     fn khronos_neutral_follows_its_specification() {
         let cases = [
-            // x = 0.02: f = 0.02 − 0.0025
+            // the least channel x is 0.02, so f = 0.02 − 0.0025 is subtracted from every channel
             ([0.02, 0.5, 0.3], [0.0025, 0.4825, 0.2825]),
             ([0.2, 0.5, 0.3], [0.16, 0.46, 0.26]),
-            // p = 1.96, p_n = 1 − 0.0576/1.44 = 0.96, g = 1/1.15: c = (c − f) · 0.48979592 ·
-            // 0.86956522 + 0.96 · 0.13043478
+            // The largest channel p = 1.96 is compressed to p_n = 1 − 0.0576/1.44 = 0.96, with g =
+            // 1/1.15. A channel becomes (c − f) · 0.48979592 · 0.86956522 + 0.96 · 0.13043478.
             ([2.0, 1.0, 0.5], [0.96, 0.534_086_6, 0.321_135_8]),
-            // grey keeps its colour: p = 3.96, p_n = 1 − 0.0576/3.44
+            // a compressed grey stays grey: p = 3.96 becomes p_n = 1 − 0.0576/3.44
             ([4.0; 3], [0.983_256; 3]),
         ];
         for (exposed, expected) in cases {
@@ -282,7 +282,8 @@ mod tests {
             for i in 1..=60_000 {
                 let exposed = i as f32 / 10_000.0;
                 let shown = curve.apply([exposed; 3]);
-                // the slope is never above 2, except for rounding
+                // exposures are 1e-4 apart, and the slope of a curve is at most 2, except for
+                // rounding
                 let step = shown[1] - last[1];
                 assert!((-1e-6..=2.1e-4).contains(&step), "{name}: from {last:?} to {shown:?} at {exposed}");
                 assert!(shown.iter().all(|v| (v - shown[1]).abs() < 2e-3), "{name}: a grey stays grey: {shown:?}");
@@ -313,8 +314,9 @@ mod tests {
         }
     }
 
-    /// Measures the hue of the hexcone in degrees. The neutral curve keeps the hue exactly (it
-    /// scales and mixes with grey), AgX within the change of Blender's table.
+    /// The hue of the hexcone, in degrees, stays nearly the same. The neutral curve keeps it
+    /// exactly, since it only scales colours and mixes them with grey. AgX changes it by at most
+    /// 45°.
     #[test]
     fn hues_stay() {
         let mut stream = Stream::new(6);
@@ -332,8 +334,8 @@ mod tests {
                 }
             }
         }
-        // base colours below the compression stay as they are, less the reflection that a
-        // dielectric's surface adds
+        // base colours below the compression keep their values, less the reflection that a
+        // dielectric's surface adds, 0.04
         let [r, g, b] = ToneCurve::KhronosNeutral.apply([0.64, 0.24, 0.14]);
         assert!((r - 0.6).abs() < ROUNDED && (g - 0.2).abs() < ROUNDED && (b - 0.1).abs() < ROUNDED);
     }

@@ -14,7 +14,7 @@ const SAMPLES: usize = 1601;
 /// Limits of a display, and the depths of a scene if there is one.
 #[derive(Clone, Debug, Serialize)]
 pub struct Analysis {
-    /// Name of the display.
+    /// Name of the analysed display.
     pub name: String,
     /// Number of layers N.
     pub layers: usize,
@@ -27,10 +27,10 @@ pub struct Analysis {
     /// [low, high] depths between which the display can show the finest detail of the light field's
     /// pixels, millimetres. `None` if there is no such depth.
     pub depth_of_field_mm: Option<[f64; 2]>,
-    /// True if the bound can be achieved at all depths. If the display adds its layers' light, the
-    /// bound holds only on the planes of the layers.
+    /// True if patterns can reach the bound at all depths. A display that adds the light of its
+    /// layers reaches the bound only on the planes of its layers.
     pub bound_holds: bool,
-    /// The bound along x and along y.
+    /// The bound on spatial frequency, along x and along y.
     pub axes: [AxisAnalysis; 2],
     /// The viewing zone of the display.
     pub zone: Zone,
@@ -50,18 +50,19 @@ pub struct AxisAnalysis {
     pub own_cutoff: f64,
     /// ω0: the highest frequency that the finest layer can show.
     pub layer_cutoff: f64,
-    /// The bound on the display plane.
+    /// Value of the bound on the display plane, where z = 0.
     pub cutoff_on_screen: f64,
     /// Points of the bound: [z in millimetres, bound].
     pub bound: Vec<[f64; 2]>,
     /// Corners of the spectral support, a polygon: [cycles per millimetre, cycles per unit of
     /// slope].
     pub support: Vec<[f64; 2]>,
-    /// Width of the prefilter, as a range of slopes.
+    /// Width of the prefilter: the range of slopes over which it averages the light field.
     pub footprint: f64,
-    /// The closed form that the paper has for displays of this kind, if there is one.
+    /// The closed form of the bound that the paper has for displays of this kind, if there is one.
     pub closed: Option<Closed>,
-    /// Equation (23), for the lens array without the layers.
+    /// The paper's equation (23): the bound of the backlight's lens array alone, without the
+    /// layers. `None` without a lens array.
     pub lens_array: Option<Closed>,
 }
 
@@ -74,7 +75,7 @@ pub struct Closed {
     pub assumes: &'static str,
     /// The assumptions that this display violates.
     pub broken: Vec<String>,
-    /// Maximum of |general/closed − 1| over the sampled depths.
+    /// Maximum of |general bound/closed form − 1| over the sampled depths.
     pub largest_difference: f64,
     /// Depth at which `largest_difference` is found, millimetres.
     pub at_mm: f64,
@@ -91,18 +92,21 @@ pub struct Zone {
     pub fov_deg: [f64; 2],
     /// Number of views.
     pub views: [usize; 2],
-    /// Slope between neighbouring views.
+    /// Difference of slope between neighbouring views.
     pub step: [f64; 2],
     /// Smallest distance at which an eye on the axis sees the whole display within the zone,
-    /// millimetres. For pinhole views it is the viewing distance of the views.
+    /// millimetres. For pinhole views, which are made for eyes at one distance, it is this
+    /// distance.
     pub whole_from_mm: f64,
     /// Width and height of the zone at the distance `at_mm`, millimetres.
     pub width_mm: [f64; 2],
-    /// Twice `whole_from_mm`, or the viewing distance of pinhole views, millimetres.
+    /// Distance from the display for `width_mm` and `views_between_eyes`, millimetres: twice
+    /// `whole_from_mm`, or the viewing distance of pinhole views.
     pub at_mm: f64,
     /// Number of views between two eyes that are 63 mm apart, at the distance `at_mm`.
     pub views_between_eyes: f64,
-    /// True if the zone repeats at its sides.
+    /// True if eyes beside the zone see the views of the zone again, as neighbouring lenslets
+    /// cause.
     pub repeats: bool,
 }
 
@@ -111,15 +115,16 @@ pub struct Zone {
 pub struct Timing {
     /// Number of frames M.
     pub frames: usize,
-    /// Refreshes of the panels in one period: M, or 3M with a colour sequence.
+    /// Number of refreshes in which the panels show all frames once: M, or 3M with a colour
+    /// sequence.
     pub subframes: usize,
     /// Refresh rate of the panels, hertz.
     pub refresh_hz: f64,
-    /// Number of periods a second.
+    /// Number of times a second that the panels show all frames.
     pub period_hz: f64,
-    /// Refresh rate at which [`Display::FLICKER_HZ`] periods a second are shown, hertz.
+    /// Refresh rate at which all frames are shown [`Display::FLICKER_HZ`] times a second, hertz.
     pub wanted_hz: f64,
-    /// True if there are fewer than [`Display::FLICKER_HZ`] periods a second.
+    /// True if all frames are shown less than [`Display::FLICKER_HZ`] times a second.
     pub flickers: bool,
 }
 
@@ -128,7 +133,7 @@ pub struct Timing {
 pub struct Brightness {
     /// Brightness scale β.
     pub beta: f64,
-    /// Largest transmittance of all layers together; a larger β cannot be reached.
+    /// Largest transmittance of all layers together, which is the largest possible β.
     pub white: f64,
     /// Light of the darkest state divided by the light of the brightest.
     pub black: f64,
@@ -176,7 +181,8 @@ impl Analysis {
             Backlight::Lenslets(backlight) => Some(backlight.d_mm),
             Backlight::Uniform => None,
         };
-        // Sample depths up to the requested reach, or up to the extent of layers, scene and field.
+        // Sample depths up to the requested depth, or else up to some distance past the layers, the
+        // scene and the depth of field.
         let parts = || layers_mm.iter().copied().chain(backlight_mm);
         let (rear, front) = parts().fold((f64::MAX, f64::MIN), |(a, b), d| (a.min(d), b.max(d)));
         let of_scene = scene.iter().flat_map(|scene| &scene.percentiles).map(|p| 1.2 * p[0].abs());
@@ -216,13 +222,14 @@ impl Analysis {
 }
 
 impl Analysis {
-    /// Largest depth at which the bound is sampled, millimetres.
+    /// Returns the largest depth at which the bound is sampled, millimetres.
     pub fn reach_mm(&self) -> f64 {
         self.axes[0].bound.last().map_or(0.0, |last| last[0])
     }
 }
 
-/// Fraction of the hits between two depths. A bar that the limits cut contributes in proportion.
+/// Returns the fraction of the hits between two depths. A bar that the limits cut contributes in
+/// proportion.
 fn share_between(bars: &[[f64; 3]], low: f64, high: f64) -> Option<f64> {
     let all: f64 = bars.iter().map(|bar| bar[2]).sum();
     let inside =
@@ -266,8 +273,9 @@ impl Zone {
         let size = display.field_pixels().size_mm();
         let step = [0, 1].map(|axis| 2.0 * half[axis] / display.views()[axis] as f64);
         let pinholes = field.distance_mm.filter(|_| field.projection == ProjectionKind::Perspective);
-        // From a distance D on, the rays from the eye to both edges have slopes of at most
-        // tan(α/2). An axis with a single direction requires no distance.
+        // From this distance on, the rays from the eye to both edges of the display have slopes of
+        // at most tan(α/2). The field of view is α. An axis with a single direction requires no
+        // distance.
         let whole = [0, 1].map(|axis| if half[axis] > 0.0 { 0.5 * size[axis] / half[axis] } else { 0.0 });
         let whole_from_mm = pinholes.unwrap_or(whole[0].max(whole[1]));
         let at_mm = pinholes.unwrap_or(2.0 * whole_from_mm);
@@ -311,8 +319,8 @@ impl Brightness {
         };
         let (white, black) = match display.formation {
             Formation::Attenuating => (peaks.product(), blacks.product::<f64>() * lamp),
-            // If the light of layers adds up, or rotations add up under one sine, any single layer
-            // reaches the brightest state.
+            // In formations other than attenuation, one layer alone can make the display fully
+            // bright. So every layer must be at its black level for the darkest state.
             _ => (1.0, blacks.fold(0.0, f64::max)),
         };
         Self { beta: display.brightness, white, black }
@@ -354,7 +362,8 @@ mod tests {
         assert!(analysis.text().contains("eq. 25") && analysis.text().contains("the same"), "{}", analysis.text());
     }
 
-    /// Oracle: an eye at distance D sees the edge at W/2 under a slope of W/(2D).
+    /// Oracle: an eye at distance D sees the edges of a display of width W at slopes of ±W/(2D).
+    /// The zone must contain these slopes.
     #[test]
     fn the_zone_holds_the_whole_display() {
         let zone = Analysis::of(&directional(), None, None).zone;
@@ -373,8 +382,8 @@ mod tests {
         let display = Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2);
         let analysis = Analysis::of(&display, Some(Scene::from_budget(&budget, "deep".into())), None);
         let scene = analysis.scene.as_ref().unwrap();
-        // the depth of field is −80 to 80 mm, so half of the first bar and half of the last are
-        // outside
+        // The depth of field is −80 to 80 mm, so half of the first bar and half of the last bar are
+        // outside.
         assert!((scene.inside.unwrap() - 0.625).abs() < 1e-6, "{:?}", scene.inside);
         let expected = [0.8, 3.0 * 40.0 / 90.0, 3.0, 1.5, 1.0];
         for (found, expected) in scene.percentiles.iter().zip(expected) {

@@ -54,7 +54,7 @@ pub const SHOWN: f64 = 0.5;
 pub const POINTS: usize = 3;
 /// The x at which sin(πx)/(πx) = ½.
 pub const HALF_SINC: f64 = 0.603;
-/// Approximate number of slopes of the measures over the whole zone.
+/// Approximate number of slopes in the whole zone at which contrast between the views is measured.
 const SLOPES: usize = 40;
 /// Largest number of views of a strip.
 const MOST_VIEWS: usize = 48;
@@ -64,7 +64,8 @@ const MOST_VIEWS: usize = 48;
 pub struct Gratings {
     /// Depths, millimetres.
     pub depths_mm: Vec<f64>,
-    /// Frequencies, relative to the highest of the light field's pixels, above 0 and at most 1.
+    /// Frequencies of the gratings, divided by the highest frequency of the light field's pixels;
+    /// above 0 and at most 1.
     pub frequencies: Vec<f64>,
     /// Iterations of the solver.
     pub iterations: u32,
@@ -77,7 +78,7 @@ pub struct Gratings {
 pub struct Contrast {
     /// Depth of the grating, millimetres.
     pub z_mm: f64,
-    /// Frequency of the grating, relative to the highest of the light field's pixels.
+    /// Frequency of the grating, relative to the highest frequency of the light field's pixels.
     pub frequency: f64,
     /// The bound at this depth, relative to the highest frequency of the light field's pixels.
     pub bound: f64,
@@ -85,7 +86,8 @@ pub struct Contrast {
     pub contrast: f64,
     /// Contrast of the whole emission into the viewing zone.
     pub between: f64,
-    /// Contrast of the whole emission, for patterns that are solved for more views; see the module.
+    /// Contrast of the whole emission, for patterns that are solved for as many views as the bound
+    /// can use.
     pub dense: f64,
 }
 
@@ -101,7 +103,7 @@ pub enum Achieved {
 }
 
 impl Contrast {
-    /// The contrast of the grating by one measure.
+    /// Returns the contrast of the grating by one measure.
     pub fn of(&self, achieved: Achieved) -> f64 {
         match achieved {
             Achieved::AtTheViews => self.contrast,
@@ -111,7 +113,7 @@ impl Contrast {
     }
 }
 
-/// The contrast cannot be measured.
+/// Reasons for which the contrast cannot be measured.
 #[derive(Debug, Error)]
 pub enum ContrastError {
     /// The display cannot be reduced to a strip.
@@ -126,7 +128,7 @@ pub enum ContrastError {
 }
 
 impl Gratings {
-    /// Eight frequencies at depths up to `reach_mm` on both sides.
+    /// Returns gratings of eight frequencies at depths up to `reach_mm` on both sides.
     pub fn up_to(reach_mm: f64) -> Self {
         Self {
             depths_mm: (0..17).map(|i| reach_mm * (f64::from(i) / 8.0 - 1.0)).collect(),
@@ -160,7 +162,8 @@ impl Gratings {
         Ok(found)
     }
 
-    /// Contrast at the target views, and over rays in between.
+    /// Solves a strip for one grating. Returns the contrast at the target views, and the contrast
+    /// over rays between these views.
     fn one(&self, strip: &Display, z_mm: f64, frequency: f64, task: Task<'_>) -> Result<[f64; 2], ContrastError> {
         let geometry = strip.geometry()?;
         let mut target = LightField::black(geometry.clone())?;
@@ -190,17 +193,18 @@ struct Grating {
 }
 
 impl Grating {
-    /// φ of value `i` of a view.
+    /// Returns the grating's phase φ at value `i` of a view, whose values are [col][rgb].
     fn phase(&self, geometry: &FieldGeometry, view: usize, i: usize) -> f64 {
         let x = geometry.x_mm(i / 3);
         let s = geometry.grid.slope_at([0, view], [x, 0.0])[0];
         TAU * (self.frequency * (x + self.z_mm * s) + (i % 3) as f64 / 3.0 + 0.1)
     }
 
-    /// Contrast at the rays of a geometry.
+    /// Returns the contrast along the rays of a geometry.
     fn share_of(&self, display: &Display, stack: &LayerStack, geometry: &FieldGeometry) -> f64 {
         let (simulator, map) = (Simulator::new(display, stack), RayMap::new(display, geometry));
-        // Σ of weight, L, L̃/β and cos φ, and of the products of L and L̃/β with cos φ, per channel
+        // `sums` has, for each channel, Σ of weight, L, L̃/β and cos φ, and of the products of L
+        // and L̃/β with cos φ.
         let mut sums = [[0.0f64; 6]; 3];
         for view in 0..geometry.grid.views()[1] {
             let emitted = simulator.view(&map, geometry, [0, view]);
@@ -217,7 +221,8 @@ impl Grating {
     }
 }
 
-/// The geometry of a strip with more rays: [`POINTS`] per pixel, and slopes in between.
+/// Returns the geometry of a strip with more rays: [`POINTS`] per pixel, and more slopes between
+/// the views.
 fn finer(geometry: &FieldGeometry) -> FieldGeometry {
     let slopes = &geometry.grid.slope_x;
     let per_view = (SLOPES / slopes.len()).max(2);
@@ -234,14 +239,15 @@ fn finer(geometry: &FieldGeometry) -> FieldGeometry {
     }
 }
 
-/// Number of views with one per angular footprint. More views add no detail that the bound allows.
+/// Returns the number of views at which each angular footprint has one view. More views add no
+/// detail that the bound allows.
 fn useful_views(display: &Display, axis: usize) -> usize {
     let zone = 2.0 * (0.5 * display.field.fov_deg[axis].to_radians()).tan();
     let footprint = display.angular_footprint()[axis];
     if footprint > 0.0 { ((zone / footprint - 1e-9).ceil() as usize).clamp(1, MOST_VIEWS) } else { 1 }
 }
 
-/// The display reduced to one row of pixels, and to `views` views, along an axis.
+/// Returns the display reduced to one row of pixels, and to `views` views, along an axis.
 fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, ContrastError> {
     let mut strip = display.clone();
     let cols = display.field.resolution[axis].min(MOST_COLS);
@@ -251,15 +257,15 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     strip.field.views = Views::Fixed([views, 1]);
     strip.field.fov_deg = [display.field.fov_deg[axis], 0.0];
     for layer in &mut strip.layers {
-        // as wide as the rays require, but no wider than the layer itself
+        // The layer becomes as wide as the rays require, but not wider than it was.
         let needed = ((width_mm + 2.0 * layer.d_mm.abs() * half) / layer.pitch_mm).ceil() as usize + 2;
         layer.resolution = [needed.min(layer.resolution[axis]).max(1), 1];
         layer.offset_mm = [layer.offset_mm[axis], 0.0];
     }
     if let Backlight::Lenslets(backlight) = &mut strip.backlight {
         let needed = ((width_mm + 2.0 * backlight.d_mm.abs() * half) / backlight.pitch_mm).ceil() as usize + 2;
-        // keep the count odd or even, since the lenslets of odd and even arrays differ by half a
-        // lenslet
+        // Keep the count odd or even, since a lenslet's centre lies on the axis only if the count
+        // is odd.
         let count = needed.min(backlight.lenslets[axis]);
         let same_parity = count + (backlight.lenslets[axis] - count) % 2;
         backlight.lenslets = [same_parity.max(1), 1];
@@ -271,8 +277,8 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     Ok(strip)
 }
 
-/// The highest frequency with a contrast of at least [`SHOWN`], by depth: [z in millimetres,
-/// frequency relative to the highest of the pixels].
+/// Returns the highest frequency with a contrast of at least [`SHOWN`] for each depth. A pair is [z
+/// in millimetres, frequency divided by the highest frequency of the pixels].
 pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> {
     let mut by_depth: Vec<(f64, Vec<&Contrast>)> = Vec::new();
     for contrast in found {
@@ -283,8 +289,8 @@ pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> 
     }
     let cutoff = |mut list: Vec<&Contrast>| {
         list.sort_by(|a, b| a.frequency.total_cmp(&b.frequency));
-        // interpolate between the last contrast above the threshold and the first one below it; the
-        // contrast is 1 at frequency 0
+        // Interpolate between the last contrast above the threshold and the first contrast below
+        // it. At frequency 0 the contrast is 1.
         let (mut frequency, mut before) = (0.0, 1.0);
         for contrast in list {
             if contrast.of(achieved) < SHOWN {
@@ -298,7 +304,7 @@ pub fn achieved_cutoff(found: &[Contrast], achieved: Achieved) -> Vec<[f64; 2]> 
     by_depth.into_iter().map(|(z, list)| [z, cutoff(list)]).collect()
 }
 
-/// [`Contrast::dense`] over depth as SVG: a curve per frequency.
+/// Draws [`Contrast::dense`] over depth as SVG, with a curve for each frequency.
 ///
 /// # Errors
 /// If there are no results.
@@ -323,7 +329,8 @@ pub fn contrast_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
     plot::curves(&axes, &curves.collect::<Vec<_>>(), &[], &[])
 }
 
-/// Axes of the half-contrast frequency over depth.
+/// Makes the axes of a plot that shows, for each depth, the highest frequency with a contrast of at
+/// least ½.
 fn cutoff_axes(title: String) -> Axes {
     Axes {
         title,
@@ -340,7 +347,8 @@ fn bound_of(found: &[Contrast]) -> Vec<[f64; 2]> {
     bound
 }
 
-/// The half-contrast frequency of a display over depth, by each measure, next to its bound, as SVG.
+/// Draws, as SVG, the highest frequency with a contrast of at least ½ at each depth. The plot has a
+/// curve for each measure of contrast, and the display's bound.
 ///
 /// # Errors
 /// If there are no results.
@@ -362,8 +370,8 @@ pub fn achieved_plot(name: &str, found: &[Contrast]) -> Result<String, PlotError
     plot::curves(&cutoff_axes(format!("{name}: half contrast")), &curves, &[], &[])
 }
 
-/// The half-contrast frequencies of several displays by [`Contrast::dense`], and the displays'
-/// bounds, as SVG.
+/// Draws, as SVG, the highest frequency with a contrast of at least ½ at each depth, for several
+/// displays. The measure is [`Contrast::dense`]. The plot also shows the displays' bounds.
 ///
 /// # Errors
 /// If there are no results.
@@ -397,8 +405,8 @@ mod tests {
         Display { brightness: 0.3, ..display }
     }
 
-    /// A lens array of Δx = 4 pixels with a layer in its plane. If `open`, the layer is clear, so
-    /// the display is integral imaging.
+    /// Returns a lens array of pitch Δx = 4 pixels with a layer in its plane. If `open`, the layer
+    /// is clear, so that the display works by integral imaging alone.
     fn lenses(frames: usize, open: bool) -> Display {
         let mut display = stack(&[0.0], frames);
         display.backlight = Backlight::Lenslets(LensletBacklight::new(-1e-6, [16, 10], 2.0, [5, 5], [20.0, 20.0]));
@@ -424,12 +432,13 @@ mod tests {
     }
 
     /// The paper's Figure 11, over the whole emission: a layer in front of integral imaging
-    /// improves the display plane with a single frame. Off that plane it needs more than one frame.
+    /// improves the display plane with a single frame. Off that plane the layer needs more than one
+    /// frame.
     #[test]
     fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();
-        // a depth at which the frequency is above the lens array's limit, 1/(2Δx), and below the
-        // bound with the layer, 1/(2 z Δs)
+        // At this depth the frequency is above the limit 1/(2Δx) of the lens array alone. It is
+        // below the bound 1/(2 z Δs) with the layer, where Δs is the width of an angular bin.
         let off = 0.45 * 2.0 / bin;
         let gratings = |display: &Display| {
             let found = measured(display, &[0.0, off], &[0.45]);
@@ -444,11 +453,13 @@ mod tests {
         assert!(many[0] > 0.9 && many[1] > SHOWN, "six frames: {many:?}");
     }
 
-    /// Over the whole emission no display exceeds its bound by more than the term for narrow zones,
-    /// `alike`. At the target views, each of these displays exceeds it.
+    /// Over the whole emission no display exceeds its bound, except by the term `alike`. In narrow
+    /// zones, even a picture that is alike for all slopes has contrast. At the target views, each
+    /// of these displays exceeds its bound.
     #[test]
     fn the_bound_holds_for_all_that_is_emitted() {
-        // the half-contrast frequency is interpolated between two measured frequencies
+        // The half-contrast frequency is interpolated between two measured frequencies, which
+        // causes an error of about this size.
         const BETWEEN_FREQUENCIES: f64 = 0.01;
         let zone = 2.0 * 10f64.to_radians().tan();
         let depths = [-90.0, -50.0, -30.0, 25.0, 60.0];
@@ -485,7 +496,8 @@ mod tests {
         let views = Achieved::AtTheViews;
         assert_eq!(achieved_cutoff(&[at(0.5, 1.0), at(1.0, 0.0)], views), [[3.0, 0.75]]);
         assert_eq!(achieved_cutoff(&[at(1.0, 0.9), at(0.5, 1.0)], views), [[3.0, 1.0]]);
-        // linear from contrast 1 at frequency 0 to contrast ¼ at the first frequency
+        // The contrast falls linearly from 1 at frequency 0 to ¼ at frequency 0.5, so it is ½ at
+        // two thirds of the way.
         assert_eq!(achieved_cutoff(&[at(0.5, 0.5)], Achieved::InBetween), [[3.0, 0.5 * 0.5 / 0.75]]);
         assert!(contrast_plot("a", &[at(0.5, 1.0), at(1.0, 0.0)]).unwrap().contains("contrast of gratings"));
         assert!(achieved_plot("a", &[at(0.5, 1.0)]).unwrap().contains("a: half contrast"));

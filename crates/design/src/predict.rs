@@ -17,20 +17,21 @@ use lumistack_display::Display;
 
 use crate::table::Design;
 
-/// Constants c_0 to c_3, dB.
+/// Constants c_0 to c_3 of the prediction, dB.
 pub const COEFFICIENTS: [f64; 4] = [26.1, 7.7, 0.9, 14.7];
 
 /// Number of depths over which the bound is averaged.
 const DEPTHS: usize = 65;
 
-/// The features of a display: log2 ρ, log2 1/β, and the mean detail.
+/// Returns the features of a display: log2 of the patterns' values per ray, log2 1/β, and the mean
+/// detail that the bound allows.
 pub fn features(display: &Display) -> [f64; 3] {
     let design = Design::of("", display);
     let own = 0.5 / display.field.pitch_mm;
     let steps =
         [0, 1].map(|axis| 2.0 / display.views()[axis] as f64 * (0.5 * display.field.fov_deg[axis].to_radians()).tan());
     let step = steps[0].max(steps[1]);
-    // a single direction shows no depth
+    // A display with a single direction shows no depth, so only the display plane counts.
     let reach = if step > 0.0 { display.field.pitch_mm / step } else { 0.0 };
     let share = |i: usize| {
         let z = reach * (2.0 * i as f64 / (DEPTHS - 1) as f64 - 1.0);
@@ -40,14 +41,14 @@ pub fn features(display: &Display) -> [f64; 3] {
     [design.values_per_ray.log2(), -display.brightness.log2(), detail]
 }
 
-/// Predicted PSNR, dB.
+/// Returns the predicted PSNR, dB.
 pub fn predicted_db(display: &Display) -> f64 {
     let [c0, rest @ ..] = COEFFICIENTS;
     c0 + rest.iter().zip(features(display)).map(|(c, feature)| c * feature).sum::<f64>()
 }
 
-/// Spearman's rank correlation of two lists of equal length. Equal values have the mean of their
-/// ranks. NaN if a list is constant.
+/// Returns Spearman's rank correlation of two lists of equal length. Equal values have the mean of
+/// their ranks. NaN if a list is constant.
 pub fn rank_correlation(first: &[f64], second: &[f64]) -> f64 {
     let [a, b] = [first, second].map(ranks);
     let mean = (a.len() as f64 - 1.0) / 2.0;
@@ -84,7 +85,7 @@ mod tests {
         let close = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-12, "{found}");
         close(rank_correlation(&[1.0, 2.0, 3.0], &[10.0, 20.0, 1e9]), 1.0);
         close(rank_correlation(&[1.0, 2.0, 3.0], &[3.0, 2.0, 1.0]), -1.0);
-        // without equal values, the correlation is 1 − 6 Σ d²/(n (n² − 1))
+        // Without equal values, the correlation is 1 − 6 Σ d²/(n (n² − 1)).
         close(rank_correlation(&[1.0, 2.0, 3.0, 4.0], &[2.0, 1.0, 4.0, 3.0]), 1.0 - 6.0 * 4.0 / 60.0);
         close(rank_correlation(&[1.0, 1.0, 2.0], &[5.0, 5.0, 7.0]), 1.0);
         assert!(rank_correlation(&[1.0, 1.0], &[1.0, 2.0]).is_nan());

@@ -34,7 +34,7 @@ const LINE: usize = 17;
 const SIDE: usize = 30;
 
 impl Sheet {
-    /// Draws the sheet: [width, height] and the codes `[row][col][rgb]`.
+    /// Draws the sheet. Returns its [width, height] and its codes `[row][col][rgb]`.
     ///
     /// # Errors
     /// If the number of a picture's pixels is wrong, or the sheet is too large.
@@ -106,7 +106,7 @@ mod tests {
         };
         let ([width, height], rgb) = sheet.drawn().unwrap();
         assert_eq!(rgb.len(), 3 * width * height);
-        // every picture is enlarged by two
+        // Every picture is enlarged by two, so it covers 200 × 80 pixels.
         for value in [10u8, 20, 30] {
             assert_eq!(rgb.chunks_exact(3).filter(|p| **p == [value; 3]).count(), 200 * 80, "{value}");
         }

@@ -30,13 +30,14 @@ pub struct Design {
     pub panels: usize,
     /// Lowest refresh rate at which the display does not flicker, hertz; 0 for a static display.
     pub refresh_hz: f64,
-    /// Values of the patterns per ray of the light field: degrees of freedom. With 1 or more, each
+    /// Values of the patterns per ray of the light field: the degrees of freedom. With 1 or more,
+    /// each
     /// ray could have a value of its own.
     pub values_per_ray: f64,
 }
 
 impl Design {
-    /// The design of a display.
+    /// Returns the design of a display.
     pub fn of(name: &str, display: &Display) -> Self {
         let layers = &display.layers;
         let d_mm = || layers.iter().map(|layer| layer.d_mm);
@@ -74,7 +75,7 @@ pub struct Row {
     /// pictures.
     #[serde(default)]
     pub psnr_zone_db: Option<f64>,
-    /// As `psnr_zone_db`, but over the worst tenth of the directions, dB.
+    /// As `psnr_zone_db`, but only over the tenth of the directions with the lowest PSNR, dB.
     #[serde(default)]
     pub psnr_zone_worst_tenth_db: Option<f64>,
     /// PSNR of L̃/β against L, dB, at most [`MOST_DB`].
@@ -83,19 +84,19 @@ pub struct Row {
     pub psnr_raw_db: f64,
     /// PSNR of L̃/β at views between the target's views, dB; `None` if these views are not known.
     pub psnr_between_db: Option<f64>,
-    /// For several time steps, the PSNR of L̃/β against L of the worst one, dB. The values above
-    /// are over all time steps.
+    /// PSNR of L̃/β against L at the worst time step of a sequence, dB; `None` for a still. The
+    /// other scores are over all time steps.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_worst_db: Option<f64>,
-    /// For a job with several nodes, the results of each. The fields above have the results of the
-    /// first node.
+    /// Results of each node, for a job with several nodes. The other fields of this row have the
+    /// results of the first node.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub nodes: Vec<NodeRow>,
 }
 
 impl Row {
-    /// PSNR by which designs are ranked, dB: the zone score. Without it, as for sequences, the PSNR
-    /// at the target views.
+    /// Returns the PSNR by which designs are ranked, dB: the zone score or, without reference
+    /// pictures, the PSNR at the target views.
     pub fn quality_db(&self) -> f64 {
         self.psnr_zone_db.unwrap_or(self.psnr_view_db)
     }
@@ -106,19 +107,19 @@ impl Row {
 pub struct NodeRow {
     /// Name of the node.
     pub id: String,
-    /// Defined as in [`Row`].
+    /// Zone score of the node, dB; `None` without reference pictures.
     #[serde(default)]
     pub psnr_zone_db: Option<f64>,
-    /// Defined as in [`Row`].
+    /// Zone score over the tenth of the directions with the lowest PSNR, dB.
     #[serde(default)]
     pub psnr_zone_worst_tenth_db: Option<f64>,
-    /// Defined as in [`Row`].
+    /// PSNR of L̃/β against L, dB, at most [`MOST_DB`].
     pub psnr_view_db: f64,
-    /// Defined as in [`Row`].
+    /// PSNR of L̃ against βL, dB.
     pub psnr_raw_db: f64,
-    /// Defined as in [`Row`].
+    /// PSNR of L̃/β at views between the target's views, dB; `None` if these views are not known.
     pub psnr_between_db: Option<f64>,
-    /// Defined as in [`Row`].
+    /// PSNR of L̃/β against L at the worst time step of a sequence, dB; `None` for a still.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_worst_db: Option<f64>,
 }
@@ -126,8 +127,8 @@ pub struct NodeRow {
 /// Largest PSNR in the table. An exact display has an infinite PSNR, which JSON cannot store.
 pub const MOST_DB: f64 = 200.0;
 
-/// The table as CSV: a line of names, then a line per row. Several time steps add a column for the
-/// worst one. Several nodes add columns for each node.
+/// Writes the table as CSV: a line of names, then a line per row. Several time steps add a column
+/// for the worst time step. Several nodes add columns for each node.
 pub fn csv(rows: &[Row]) -> String {
     let mut text = String::from(
         "display,layers,frames,brightness,gap_mm,fov_x_deg,fov_y_deg,lenslets_x,lenslets_y,thickness_mm,panels,refresh_hz,values_per_ray,\
@@ -182,7 +183,7 @@ pub fn csv(rows: &[Row]) -> String {
     text
 }
 
-/// A number with at most `digits` decimals.
+/// Returns a number with at most `digits` decimals.
 fn rounded(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
@@ -204,7 +205,7 @@ impl Axis {
     const ALL: [Self; 7] =
         [Self::Display, Self::Layers, Self::Frames, Self::Brightness, Self::Gap, Self::Fov, Self::Lenslets];
 
-    /// Label with its unit.
+    /// Returns the label of the axis, with the unit.
     fn label(self) -> &'static str {
         match self {
             Self::Display => "display",
@@ -221,7 +222,7 @@ impl Axis {
         ["display", "layers", "frames", "brightness", "gap", "fov", "lenslets"][self as usize]
     }
 
-    /// Position of a design on this axis.
+    /// Returns the position of a design on this axis.
     fn number(self, design: &Design) -> f64 {
         match self {
             Self::Display => f64::NAN,
@@ -243,7 +244,7 @@ impl Axis {
         }
     }
 
-    /// Value of a design on this axis, as text that differs between values.
+    /// Returns the value of a design on this axis as a text. Different values have different texts.
     fn name(self, design: &Design) -> String {
         match self {
             Self::Display => design.display.clone(),
@@ -251,7 +252,7 @@ impl Axis {
         }
     }
 
-    /// Name and value of a design on this axis, for titles.
+    /// Returns the name and value of a design on this axis, for titles.
     fn with_value(self, design: &Design) -> String {
         let value = self.name(design);
         match self {
@@ -283,10 +284,12 @@ const GOOD_DB: f64 = 40.0;
 pub enum Plots {
     /// No plots.
     None,
-    /// Maps of one pair of N, M and β, and a plot for every other axis.
+    /// Maps over one pair of the axes layers, frames and brightness, and curves along every other
+    /// axis.
     #[default]
     Few,
-    /// Maps of every pair and curves along every axis, for all values of the other axes.
+    /// Maps over every pair of the axes layers, frames and brightness, and curves along every axis.
+    /// Values of further axes have plots of their own.
     All,
 }
 
@@ -305,9 +308,9 @@ struct Sketch {
     others: Vec<Axis>,
 }
 
-/// Plots of the axes along which designs differ, by [`Row::quality_db`]. There are maps over two of
-/// N, M and β (Figures 7 and 8), and curves along single axes. Also returns the number of omitted
-/// plots.
+/// Draws plots of [`Row::quality_db`] over the axes along which designs differ. Maps have two of
+/// the axes layers, frames and brightness (the paper's Figures 7 and 8), and curves have one axis.
+/// Also returns the number of omitted plots.
 ///
 /// # Errors
 /// If drawing fails.
@@ -374,7 +377,7 @@ fn few(all: Vec<Sketch>) -> Vec<Sketch> {
     chosen
 }
 
-/// The values of an axis in rising order; displays in order of appearance.
+/// Returns the values of an axis in rising order; displays are in the order of the rows.
 fn values(rows: &[Row], axis: Axis) -> Vec<String> {
     let mut found: Vec<(f64, String)> = Vec::new();
     for row in rows.iter().filter(|row| axis.concerns(&row.design)) {
@@ -389,7 +392,7 @@ fn values(rows: &[Row], axis: Axis) -> Vec<String> {
     found.into_iter().map(|(_, name)| name).collect()
 }
 
-/// Groups of rows that have equal values on all of `axes`, in order of appearance.
+/// Returns groups of rows that have equal values on all of `axes`, in order of appearance.
 fn groups(rows: &[Row], axes: &[Axis]) -> Vec<Vec<Row>> {
     let mut found: Vec<(Vec<String>, Vec<Row>)> = Vec::new();
     for row in rows {
@@ -436,7 +439,7 @@ fn map_of(all: &[Row], part: &[Row], x: Axis, y: Axis, others: &[Axis]) -> Resul
         columns,
         rows,
         values,
-        // the paper's threshold refers to target views
+        // The paper's threshold refers to target views, so plots of zone scores do not mark it.
         mark_from: (!of_zone(all)).then_some(GOOD_DB),
         range: if of_zone(all) { [lowest.min(15.0), 35.0] } else { [lowest.min(20.0), 50.0] },
     })
@@ -525,9 +528,9 @@ mod tests {
         for stem in ["psnr-frames-layers-01", "psnr-frames-layers-02", "psnr-layers-01", "psnr-frames-01"] {
             assert!(all.iter().any(|other| other == stem), "{stem} is not among {all:?}");
         }
-        // a single layer has no gap to vary
+        // Gaps get no plot, since a single layer has no gap to vary.
         assert!(!all.iter().any(|stem| stem.contains("brightness") || stem.contains("gap")), "{all:?}");
-        // axes that the maps show need no curves
+        // The axes layers and frames need no curves, since the maps show them.
         assert_eq!(stems(Plots::Few), ["psnr-frames-layers-01", "psnr-frames-layers-02"]);
         assert_eq!(plots(&rows(), Plots::None).unwrap(), (Vec::new(), all.len()));
         assert!(plots(&rows()[..1], Plots::All).unwrap().0.is_empty(), "one design is no trend");

@@ -1,4 +1,4 @@
-//! The same display at another resolution, or for another light field.
+//! Adapts a display to another resolution, or to another light field.
 
 use crate::{
     Backlight, Display, DisplayError, FieldGeometry, LensletBacklight, OutsideBins, Projection, ProjectionKind, Views,
@@ -7,15 +7,15 @@ use crate::{
 /// Relative difference up to which angles and lengths are taken as equal. So rounding changes
 /// nothing if a display is adapted to its own light field.
 const SAME: f64 = 1e-9;
-/// Largest number of angular bins per axis of a backlight that follows a light field. It may have
-/// more bins if there are at most two per view.
+/// Largest number of angular bins per axis of a backlight that follows a light field. A backlight
+/// with at most two bins per view may have more.
 const MOST_BINS: usize = 64;
 
 impl Display {
-    /// The same display at another resolution. The field becomes `resolution` = [columns, rows]
+    /// Returns this display at another resolution. The field becomes `resolution` = [columns, rows]
     /// pixels over the same width. The numbers of mask pixels and of lenslets are scaled by the
     /// same factors. The lenslets cover at least the same fraction of the field. Point spreads keep
-    /// their width in millimetres, so that a coarse preview keeps the display's character. Physical
+    /// their width in millimetres, so that a coarse preview blurs as the display does. Physical
     /// panels stay the same, and colour filters stay stripes of one mask column.
     #[must_use]
     pub fn with_resolution(&self, resolution: [usize; 2]) -> Self {
@@ -36,8 +36,9 @@ impl Display {
             let [old_cols, old_rows] = backlight.lenslets.map(|count| count as f64);
             let cols = scaled(backlight.lenslets[0], 0);
             let pitch_mm = backlight.pitch_mm * old_cols / cols as f64;
-            // one pitch is used for both axes; the rows cover no smaller fraction of the height
-            // than before, since rays outside the grid are lost
+            // Lenslets have one pitch for both axes. The number of rows is rounded up, so that the
+            // lenslets cover at least the old fraction of the height. Rays outside the lenslets
+            // would be lost.
             let height_factor = pitch_factor * resolution[1] as f64 / old[1] as f64;
             let rows = old_rows * backlight.pitch_mm * height_factor / pitch_mm;
             backlight.lenslets = [cols, ((rows - SAME * rows).ceil() as usize).max(1)];
@@ -46,10 +47,9 @@ impl Display {
         display
     }
 
-    /// The same display for a light field that already exists. Masks take the light field's
-    /// resolution and size. The field of view is chosen such that the display's views are as far
-    /// apart as the light field's. Lenslets scale with the masks. Distances and frames stay the
-    /// same.
+    /// Returns this display adapted to a light field that already exists. Masks take the light
+    /// field's resolution and size. The new field of view makes the display's views as far apart as
+    /// the light field's. Lenslets scale with the masks. Distances and frames stay the same.
     ///
     /// The backlight's bins follow the views per axis: the number of bins per view stays the same.
     /// So a backlight that was made for the display's views has one bin for each view of the light
@@ -88,8 +88,8 @@ impl Display {
         Ok(display)
     }
 
-    /// Number of bins and full angle (degrees) along an axis of a backlight that follows the views
-    /// of a light field.
+    /// Returns the number of bins along an axis, and their full angle in degrees, for a backlight
+    /// that follows the views of a light field.
     fn adapted_bins(
         &self,
         own: &LensletBacklight,
@@ -98,14 +98,14 @@ impl Display {
     ) -> Result<(usize, f64), DisplayError> {
         let half = |fov_deg: f64| (0.5 * fov_deg.to_radians()).tan();
         let own_bins = own.views[axis] as f64;
-        // if the display chooses its own number of views, take one view per bin
+        // If the display file states no number of views, assume one view per bin.
         let own_views = match self.field.views {
             Views::Fixed(views) => views[axis] as f64,
             Views::Auto | Views::Step(_) => own_bins,
         };
         let (own_reach, bins_reach) = (half(self.field.fov_deg[axis]), half(own.fov_deg[axis]));
-        // keep the display's number of bins per view, and the ratio of its bins' reach to its
-        // views' reach
+        // Keep the display's number of bins per view. Also keep the ratio of the largest slope of
+        // its bins to the largest slope of its field of view.
         let (fineness, spread) = if own_reach > 0.0 {
             (own_reach / own_views * own_bins / bins_reach, bins_reach / own_reach)
         } else {
@@ -113,8 +113,9 @@ impl Display {
         };
         let slopes = if axis == 0 { &geometry.grid.slope_x } else { &geometry.grid.slope_y };
         let outermost = slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
-        // A pinhole sees the field's edges under other slopes than its centre, so the bins must
-        // reach farther by this difference. A lens array that repeats its bins needs no such reach.
+        // The rays of a perspective view have other slopes at the field's edges than at its centre.
+        // So dark bins must reach farther by this difference. Bins that repeat need not reach
+        // farther.
         let fan = match (geometry.grid.projection, own.outside_bins) {
             (Projection::Perspective { distance_mm }, OutsideBins::Dark) => {
                 0.5 * geometry.size_mm()[axis] / distance_mm
@@ -123,8 +124,8 @@ impl Display {
         };
         let width = geometry.grid.bin_width()[axis];
         if width == 0.0 {
-            // a single view has one direction, so it gets as many bins as one view, spread over all
-            // of its rays
+            // A single view gets the number of bins that the display has per view. They spread over
+            // the slopes of all rays of the view.
             let bins = (own_bins / own_views).round().max(1.0) as usize;
             let reach = outermost + fan;
             let fov_deg = if reach < bins_reach { own.fov_deg[axis] } else { full_angle_deg(reach * 1.001) };
@@ -189,12 +190,12 @@ impl Display {
     }
 }
 
-/// Full angle, in degrees, between the slopes −`half` and `half`.
+/// Returns the angle between the slopes −`half` and `half`, in degrees.
 fn full_angle_deg(half: f64) -> f64 {
     2.0 * half.atan().to_degrees()
 }
 
-/// Returns `own` if `new` equals it up to rounding.
+/// Returns `own` if `new` differs from it only by rounding, otherwise `new`.
 fn kept(own: f64, new: f64) -> f64 {
     if (new - own).abs() <= SAME * own.abs() { own } else { new }
 }
@@ -220,7 +221,7 @@ mod tests {
         assert_eq!(adapted.grid.views(), [1, 5]);
     }
 
-    /// A display of one layer in front of lenslets, made for 3 × 3 views over 20°.
+    /// Returns a display of one layer in front of lenslets, made for 3 × 3 views over 20°.
     fn directional() -> Display {
         let mut display = Display::uniform([160, 100], 2.961, [3, 3], [20.0, 20.0], &[0.0], 8);
         let bins = LensletBacklight::new(-8.5, [47, 29], 10.08, [3, 3], [20.0, 20.0]);
@@ -234,8 +235,8 @@ mod tests {
         lenslets
     }
 
-    /// The bins that the rays of each view column (axis 0) or row (axis 1) read. No ray may be
-    /// outside of the bins.
+    /// Returns the bins that the rays of each view column (axis 0) or view row (axis 1) read.
+    /// Panics if a ray is outside the bins.
     fn bins_of_views(display: &Display, geometry: &FieldGeometry, axis: usize) -> Vec<std::collections::BTreeSet<u32>> {
         let map = crate::RayMap::new(display, geometry);
         let backlight = map.backlight.as_ref().unwrap();
@@ -260,13 +261,13 @@ mod tests {
             assert_eq!(backlight.views, views);
             for axis in [0, 1] {
                 assert!((backlight.fov_deg[axis] - fov[axis]).abs() < 1e-9, "{:?}", backlight.fov_deg);
-                // every view reads one bin, its own
+                // the rays of view i read bin i and no other bin
                 let bins = bins_of_views(&display, &geometry, axis);
                 for (view, bins) in (0u32..).zip(&bins) {
                     assert_eq!(bins.iter().copied().collect::<Vec<_>>(), [view], "{views:?}, axis {axis}");
                 }
             }
-            // the lenslets span the light field
+            // the lenslets are as wide as the light field, and almost as high
             let [cols, rows] = backlight.lenslets.map(|count| count as f64 * backlight.pitch_mm);
             let [width, height] = geometry.size_mm();
             assert!((cols - width).abs() < 1e-6 * width && rows > 0.98 * height, "{cols} × {rows} mm");
@@ -298,7 +299,7 @@ mod tests {
                 bins_of_views(&display, &geometry, axis);
             }
         }
-        // a real lens array repeats its bins
+        // If bins repeat, as behind a real lens array, perspective views need no additional bins.
         let mut repeated = directional();
         if let Backlight::Lenslets(backlight) = &mut repeated.backlight {
             backlight.outside_bins = OutsideBins::Repeat;

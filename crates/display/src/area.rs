@@ -1,43 +1,45 @@
-//! Intersections of the rays of one view with the display, over the whole area of every field
-//! pixel.
+//! Computes the intersections of the rays of one view with the display, over the whole area of
+//! every field pixel.
 //!
 //! Layers consist of squares of constant value. So along an axis the layer pixel that a ray reads
 //! changes only where the ray crosses an edge. Each axis of a field pixel is cut at all these
 //! edges: the edges of every layer, of the lenslets and of their bins. All rays between two cuts
-//! read the same values. So one ray represents them, with the width of the part as its weight. The
-//! map is separable, so the parts are separable too: a pixel's area is the product of its parts
-//! along x and along y. Thus the mean over the area is exact.
+//! read the same values. So one ray represents the part of the pixel between two cuts, with the
+//! part's width as its weight. The intersections are separable, so the pixel's area is divided into
+//! products of a part along x and a part along y. Thus the mean over the area is exact.
 
 use crate::raymap::{Axis, AxisRay};
 use crate::{Backlight, Display, FieldGeometry, RayMap, Sampling};
 
-/// Parts narrower than this fraction of a pixel are left out. They come from rounding, if an edge
-/// coincides with the pixel's own border.
+/// Parts of a pixel that are narrower than this fraction of the pixel are left out. Such parts come
+/// from rounding, if a layer's edge coincides with the pixel's border.
 const SLIVER: f64 = 1e-9;
 
-/// The tables of one view, with one ray for every part of a pixel.
+/// The intersections of the rays of one view with the display, with one ray for every part of a
+/// pixel.
 #[derive(Clone, Debug)]
 pub struct AreaMap {
-    /// The map of one view, whose columns and rows are the parts in the order of `x` and `y`.
+    /// The intersections of one ray per part. Its columns are the parts `x`, and its rows the parts
+    /// `y`.
     pub map: RayMap,
     /// Parts along x: the first parts of all pixels, then the second parts, and so on. So
-    /// neighbours in the list read neighbouring pixels.
+    /// neighbouring parts in the list read neighbouring pixels of a layer.
     pub x: Vec<Part>,
-    /// Parts along y, from the top, pixel by pixel.
+    /// Parts along y: all parts of the top pixel, then all parts of the next pixel, and so on.
     pub y: Vec<Part>,
 }
 
 /// A part of a field pixel along one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Part {
-    /// Field column or row.
+    /// Index of the field column or row that has this part.
     pub pixel: u32,
-    /// Fraction of the pixel's width, above 0; the fractions of a pixel add up to 1.
+    /// The part's fraction of the pixel's width, above 0. The fractions of a pixel add up to 1.
     pub share: f64,
 }
 
 impl AreaMap {
-    /// Cuts the pixels of the view `view` = [view_y, view_x].
+    /// Cuts the field pixels at all edges that the rays of `view` = [view_y, view_x] cross.
     pub fn new(display: &Display, geometry: &FieldGeometry, view: [usize; 2]) -> Self {
         let (rays_x, x) = phase_by_phase(cut_axis(display, geometry, Axis::X, view[1]));
         let (rays_y, y) = cut_axis(display, geometry, Axis::Y, view[0]).into_iter().flatten().unzip();
@@ -47,7 +49,8 @@ impl AreaMap {
     }
 }
 
-/// The parts of every pixel along an axis, in the direction of array indices.
+/// Returns the parts of every field pixel along an axis, in the order of array indices, each with
+/// its ray.
 fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize) -> Vec<Vec<(AxisRay, Part)>> {
     let half_mm = 0.5 * geometry.pitch_mm * if axis == Axis::X { 1.0 } else { -1.0 };
     let mut cuts = Vec::new();
@@ -55,7 +58,7 @@ fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize
         let centre = axis.centre_mm(geometry, pixel);
         let ray = |t: f64| axis.ray(geometry, view, centre + (2.0 * t - 1.0) * half_mm);
         cuts.clear();
-        // every position is linear in t, which runs over the pixel from 0 to 1
+        // A ray's position on a layer is linear in t, which runs over the field pixel from 0 to 1.
         let (first, last) = (ray(0.0), ray(1.0));
         for layer in &display.layers {
             let edge = |ray| axis.pixel(layer, ray) + 0.5;
@@ -64,7 +67,7 @@ fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize
         if let Backlight::Lenslets(lenslets) = &display.backlight {
             let count = lenslets.lenslets[axis.index()];
             cut_at_whole_numbers(&mut cuts, [&first, &last].map(|ray| axis.lenslet(lenslets, ray)), count);
-            // bins may repeat outside their range, but not farther than the lenslets reach
+            // Bins may repeat outside their range, but only as often as there are lenslets.
             let bins = [&first, &last].map(|ray| axis.bin(lenslets, ray));
             let reach = lenslets.views[axis.index()].saturating_mul(count + 1);
             cut_at_whole_numbers(&mut cuts, bins.map(|bin| bin + reach as f64), reach.saturating_mul(2));
@@ -84,8 +87,9 @@ fn cut_axis(display: &Display, geometry: &FieldGeometry, axis: Axis, view: usize
     (0..axis.count(geometry)).map(pixel).collect()
 }
 
-/// Adds a cut at each edge 0 to `count` that a position crosses on its straight way from `place[0]`
-/// to `place[1]`. A cut is a fraction of that way. `cuts` stays sorted.
+/// Adds a cut at each whole number from 0 to `count` between `place[0]` and `place[1]`. A cut is
+/// the fraction of the distance from `place[0]` to `place[1]` at which the number lies. `cuts`
+/// stays sorted.
 fn cut_at_whole_numbers(cuts: &mut Vec<f64>, place: [f64; 2], count: usize) {
     let [low, high] = [place[0].min(place[1]), place[0].max(place[1])];
     let first = low.ceil().max(0.0);
@@ -96,14 +100,16 @@ fn cut_at_whole_numbers(cuts: &mut Vec<f64>, place: [f64; 2], count: usize) {
     for edge in first as u64..=last as u64 {
         let t = (edge as f64 - place[0]) / (place[1] - place[0]);
         if t > 0.0 && t < 1.0 {
-            // cuts are few, and the library's sort would add much code to the browser's module
+            // Insert the cut in order: cuts are few, and the library's sort would add much code to
+            // the browser's module.
             let at = cuts.iter().take_while(|cut| **cut < t).count();
             cuts.insert(at, t);
         }
     }
 }
 
-/// Orders parts: the first parts of all pixels, then the second parts, and so on.
+/// Orders the parts of all pixels: the first part of each pixel, then the second part of each
+/// pixel, and so on.
 fn phase_by_phase(pixels: Vec<Vec<(AxisRay, Part)>>) -> (Vec<AxisRay>, Vec<Part>) {
     let most = pixels.iter().map(Vec::len).max().unwrap_or(0);
     (0..most).flat_map(|phase| pixels.iter().filter_map(move |parts| parts.get(phase).copied())).unzip()

@@ -13,7 +13,7 @@ pub enum Backlight {
     /// Unit radiance in all directions.
     #[default]
     Uniform,
-    /// A low-resolution light field emitter.
+    /// Lenslets in front of a panel, which emit a light field of low resolution.
     Lenslets(LensletBacklight),
 }
 
@@ -21,7 +21,7 @@ pub enum Backlight {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LensletBacklight {
-    /// Signed distance of the lenslets from z = 0, millimetres; behind every layer.
+    /// Signed distance of the lenslets from z = 0, millimetres. They must be behind every layer.
     pub d_mm: f64,
     /// [columns, rows] of lenslets.
     pub lenslets: [usize; 2],
@@ -47,20 +47,21 @@ pub struct LensletBacklight {
     /// [columns, rows] of the panel behind the lenslets.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_resolution: Option<[usize; 2]>,
-    /// Pitch of that panel, millimetres.
+    /// Pitch of the panel behind the lenslets, millimetres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_pitch_mm: Option<f64>,
     /// Calibration of the panel behind the lenslets; patterns do not depend on it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel: Option<Panel>,
-    /// The lens array as built; patterns do not depend on it.
+    /// Measured data of the real lens array; patterns do not depend on them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lens: Option<Lens>,
 }
 
 impl LensletBacklight {
-    /// A centred grid at `d_mm` of [columns, rows] lenslets of `pitch_mm`. It has [horizontal,
-    /// vertical] bins `views` over full angles `fov_deg`, and is dark outside the bins.
+    /// Makes a centred grid of [columns, rows] lenslets of pitch `pitch_mm`, at distance `d_mm`. It
+    /// has [horizontal, vertical] bins `views` over the full angles `fov_deg`, and is dark outside
+    /// the bins.
     pub fn new(d_mm: f64, lenslets: [usize; 2], pitch_mm: f64, views: [usize; 2], fov_deg: [f64; 2]) -> Self {
         Self {
             d_mm,
@@ -79,13 +80,13 @@ impl LensletBacklight {
         }
     }
 
-    /// [darkest, brightest] emission that the solver may use.
+    /// Returns the [darkest, brightest] emission that the solver may use.
     pub fn range(&self) -> [f32; 2] {
         [self.black_level as f32, 1.0]
     }
 
-    /// Input of the transfer function with which the panel emits `value`: 0 for the darkest state,
-    /// 1 for the brightest. Values outside the range are clamped; NaN becomes 0.
+    /// Converts an emission to the input of the transfer function: 0 for the panel's darkest state,
+    /// 1 for its brightest. Emission outside this range is clamped; NaN becomes 0.
     pub fn drive(&self, value: f32) -> f32 {
         let drive = (f64::from(value) - self.black_level) / (1.0 - self.black_level);
         if drive.is_nan() { 0.0 } else { drive.clamp(0.0, 1.0) as f32 }
@@ -96,9 +97,9 @@ impl LensletBacklight {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum OutsideBins {
-    /// Nothing: 0.
+    /// The ray reads 0.
     #[default]
     Dark,
-    /// The neighbouring lenslet's bins, as behind a real lens array.
+    /// The ray reads a bin of the neighbouring lenslet, as behind a real lens array.
     Repeat,
 }

@@ -1,6 +1,6 @@
 //! A Gaussian point spread over the pixels of a plane, and its transpose.
 //!
-//! Along one axis of n pixels
+//! Along one axis of n pixels the blur computes
 //!
 //! ```text
 //! out(i) = Σ_k w_k in(i + k) / Σ_k w_k      over the k with 0 ≤ i + k < n
@@ -8,8 +8,8 @@
 //! ```
 //!
 //! A plane is blurred along both axes. The divisor is 1 away from the borders; near them it keeps a
-//! constant plane constant. Let D be the diagonal matrix of one over the divisors, and K the
-//! symmetric band of weights. Then the map is D·K, and its transpose K·D.
+//! constant plane constant. Let K be the symmetric matrix of weights w_k, and D the diagonal matrix
+//! of one over the divisors. Then the blur is the matrix D·K, and its transpose is K·D.
 //!
 //! The simple version makes two passes over the plane, with a loop over the weights for each pixel.
 //! Departures from the simple version:
@@ -29,17 +29,17 @@
 /// Number of neighbouring pixels whose sums are kept in registers.
 const LANES: usize = 32;
 
-/// The weights of a point spread; the same along both axes.
+/// The weights of a point spread, which are the same along both axes.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PointSpread {
-    /// Odd number of weights with sum 1; a single 1 without blur.
+    /// The weights, whose number is odd and whose sum is 1. Without blur it is a single 1.
     taps: Vec<f32>,
-    /// Sums of the first 0, 1, ... taps.
+    /// Entry i is the sum of the first i taps.
     sums: Vec<f32>,
 }
 
 impl PointSpread {
-    /// `sigma_px`: standard deviation in pixels, ≥ 0.
+    /// Computes the weights of a Gaussian with standard deviation `sigma_px` ≥ 0, in pixels.
     pub(crate) fn gaussian(sigma_px: f64) -> Self {
         let radius = (3.0 * sigma_px).ceil() as i32;
         let weight = |k: i32| if k == 0 { 1.0 } else { (-0.5 * (f64::from(k) / sigma_px).powi(2)).exp() };
@@ -60,7 +60,7 @@ impl PointSpread {
         self.taps.len() == 1
     }
 
-    /// Applies the map, or its transpose, to the plane `input[row][col]`.
+    /// Blurs the plane `input[row][col]`, or applies the transpose of the blur.
     pub(crate) fn apply<const TRANSPOSED: bool>(
         &self,
         [rows, cols]: [usize; 2],
@@ -100,7 +100,8 @@ impl PointSpread {
         self.taps.len() / 2
     }
 
-    /// Scales the pixels near the ends of a line, where the point spread reaches past the end.
+    /// Divides the pixels near the ends of a line by the sum of the weights that are inside the
+    /// line.
     fn scale_ends(&self, line: &mut [f32]) {
         let count = line.len();
         let left = self.radius().min(count);
@@ -110,7 +111,7 @@ impl PointSpread {
         }
     }
 
-    /// One over the sum of the point spread's weights around pixel `i` that are inside an axis of
+    /// Returns 1 / Σ_k w_k over the weights of pixel `i` that reach no pixel outside an axis of
     /// `count` pixels.
     #[inline]
     fn border_scale(&self, i: usize, count: usize) -> f32 {
@@ -120,7 +121,7 @@ impl PointSpread {
     }
 }
 
-/// out(i) = Σ_k weights(k) · input(k · stride + i).
+/// Computes output(i) = Σ_k weights(k) · input(k · stride + i).
 fn weighted_sums(output: &mut [f32], weights: &[f32], input: &[f32], stride: usize) {
     let mut first = 0;
     let (blocks, rest) = output.as_chunks_mut::<LANES>();

@@ -1,15 +1,16 @@
-//! Checks of the ranges of a display's values.
+//! Checks the ranges of a display's values.
 
 use crate::{Backlight, Display, DisplayError, Layer, LayerColour, Lens, Panel, Views};
 
-/// Tolerance of row sums: a program that wrote the file may have rounded the entries.
+/// Tolerance of the row sums of a crosstalk matrix: the program that wrote the file may have
+/// rounded the entries.
 const ROW_SUM_ROUNDING: f64 = 1e-6;
 
 impl Display {
     /// Checks the range of every value.
     ///
     /// # Errors
-    /// On the first value out of range.
+    /// If a value is out of range; the error names the first one.
     pub fn check(&self) -> Result<(), DisplayError> {
         let check = |ok: bool, key: &str, expected: &str, found: String| {
             if ok { Ok(()) } else { Err(DisplayError::Value { key: key.into(), expected: expected.into(), found }) }
@@ -23,7 +24,7 @@ impl Display {
             let ok = (1..=1 << 16).contains(&cols) && (1..=1 << 16).contains(&rows);
             check(ok, key, "1 to 65536 per axis", format!("[{cols}, {rows}]"))
         };
-        // values of the display as a whole
+        // Check the values of the display as a whole.
         check(self.schema == Self::SCHEMA, "schema", Self::SCHEMA, self.schema.clone())?;
         check(self.version == 1, "version", "1", self.version.to_string())?;
         check((1..=1000).contains(&self.frames), "frames", "1 to 1000", self.frames.to_string())?;
@@ -41,7 +42,7 @@ impl Display {
             }
         }
         self.geometry()?.check()?;
-        // layers, each in front of the previous one
+        // Check the layers, each of which must be in front of the previous layer.
         check(!self.layers.is_empty(), "layers", "at least one layer", "none".into())?;
         for (n, layer) in self.layers.iter().enumerate() {
             let key = |name: &str| format!("layers[{n}].{name}");
@@ -92,7 +93,7 @@ impl Display {
                 check(layer.d_mm > behind, &key("d_mm"), &expected, layer.d_mm.to_string())?;
             }
         }
-        // the directional backlight, behind all layers
+        // Check the directional backlight, which must be behind all layers.
         if let Backlight::Lenslets(backlight) = &self.backlight {
             finite("backlight.offset_mm", &backlight.offset_mm)?;
             positive("backlight.pitch_mm", backlight.pitch_mm)?;

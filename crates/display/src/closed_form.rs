@@ -16,7 +16,7 @@
 
 use crate::{Backlight, Display};
 
-/// A closed form, for one axis of a display.
+/// A closed form of the bound on depth of field, for one axis of a display.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClosedForm {
     /// Number of the equation in the paper, 23 to 26.
@@ -36,14 +36,15 @@ enum Form {
     LayerOnLenses { lenslet_mm: f64, step: f64, own: f64 },
 }
 
-/// Relative difference that is taken as equal, since files round numbers.
+/// Relative difference up to which two numbers count as equal, since files round numbers.
 const ROUNDING: f64 = 1e-9;
 
 impl Display {
-    /// The closed form for a display of this kind along one axis (0: x, 1: y); `None` if the paper
-    /// has none.
+    /// Returns the closed form for this display's kind of layers and backlight, along one axis (0:
+    /// x, 1: y). Returns `None` if the paper has no form for this kind.
     pub fn closed_form(&self, axis: usize) -> Option<ClosedForm> {
-        // assumptions that all forms share; a display that violates them still has a form
+        // Check the assumptions that all forms share. A display that violates an assumption still
+        // has a form.
         let own = self.layers.iter().map(|layer| 0.5 / layer.pitch_mm).fold(f64::INFINITY, f64::min);
         let mut broken = Vec::new();
         if self.layers.iter().any(|layer| 0.5 / layer.pitch_mm > own * (1.0 + ROUNDING)) {
@@ -86,8 +87,8 @@ impl Display {
         Some(ClosedForm { equation, assumes, broken, form })
     }
 
-    /// Equation (23) for the display's lens array alone: integral imaging with the same lenslets
-    /// and views. `None` without a lens array.
+    /// Returns equation (23) for the display's lens array alone, as if its layers were clear.
+    /// `None` without a lens array.
     pub fn lens_array_form(&self, axis: usize) -> Option<ClosedForm> {
         let mut broken = Vec::new();
         let form = self.lenses(axis, &mut broken)?;
@@ -105,7 +106,7 @@ impl Display {
 }
 
 impl ClosedForm {
-    /// The cutoff frequency ω at depth `z_mm`, cycles per millimetre.
+    /// Returns the closed form's cutoff frequency ω at depth `z_mm`, in cycles per millimetre.
     pub fn cutoff(&self, z_mm: f64) -> f64 {
         let far = z_mm.abs();
         let angular = |step: f64| 0.5 / (far * step);
@@ -133,10 +134,11 @@ mod tests {
     use super::*;
     use crate::LensletBacklight;
 
-    /// Largest allowed relative difference between the general form and the closed forms.
+    /// Largest allowed relative difference between [`Display::spatial_cutoff_along`] and a closed
+    /// form.
     const AGREEMENT: f64 = 1e-6;
 
-    /// A random display for which the closed form of a kind is exact.
+    /// Returns a random display that satisfies all assumptions of equation `kind`, 23 to 26.
     fn random(kind: u32, stream: &mut Stream) -> Display {
         let mut number = |low: f64, high: f64| low + (high - low) * f64::from(stream.next_f32());
         let (pitch, gap) = (number(0.05, 2.0), number(1.0, 80.0));
@@ -182,7 +184,7 @@ mod tests {
         let form = display.closed_form(0).unwrap();
         assert_eq!((form.equation, form.broken.len()), (25, 2), "{:?}", form.broken);
         let mut directional = Display::uniform([16, 10], 0.5, [5, 5], [20.0, 20.0], &[0.0], 1);
-        assert_eq!(directional.closed_form(0), None, "one layer alone has no formula");
+        assert_eq!(directional.closed_form(0), None, "the paper has no equation for one layer alone");
         directional.backlight = Backlight::Lenslets(LensletBacklight::new(-8.5, [9, 9], 2.5, [5, 5], [48.0, 48.0]));
         let form = directional.closed_form(1).unwrap();
         assert_eq!(form.broken, ["the lens array is at -8.5 mm"]);
@@ -191,8 +193,9 @@ mod tests {
         assert_eq!(four.closed_form(0), None);
     }
 
-    /// The prototype's lenslets are 8.5 mm behind the layer. Away from the display plane the bound
-    /// is some 60 % above (26), which assumes no gap.
+    /// The prototype's lenslets are 8.5 mm behind the layer. Equation (26) assumes no gap. So the
+    /// general bound is some 60 % above (26) at a depth of 100 mm, and agrees with (26) within 20 %
+    /// in the display plane.
     #[test]
     fn a_gap_before_the_lenses_raises_the_bound() {
         let mut display = Display::uniform([840, 525], 0.5655, [5, 5], [48.0, 48.0], &[0.0], 12);
@@ -200,8 +203,6 @@ mod tests {
         let form = display.closed_form(0).unwrap();
         let excess = display.spatial_cutoff_along(0, 100.0) / form.cutoff(100.0) - 1.0;
         assert!((0.55..0.65).contains(&excess), "{excess}");
-        // the lenslets are behind the layer, so their frequencies add up as in (26) only in the
-        // layer's own plane
         assert!((display.spatial_cutoff_along(0, 0.0) / form.cutoff(0.0) - 1.0).abs() < 0.2);
     }
 }

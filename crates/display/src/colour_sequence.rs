@@ -1,17 +1,18 @@
-//! Colours of a frame that are shown together or one after another, and their order.
+//! The order in time of a frame's colours: together, or one after another.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Order in time of the colours of a frame: together, or one after another.
+/// The order in time of the colours of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ColourSequence {
-    /// Colour filters next to one another: one refresh per frame.
+    /// Panels with colour filters show all colours together, in one refresh per frame.
     #[default]
     Simultaneous,
-    /// No colour filters; red, green and blue light in turn: three refreshes per frame. Each colour
-    /// has its own pattern, so layers keep [`LayerColour::Rgb`](crate::LayerColour::Rgb).
+    /// Panels without colour filters show red, green and blue light in turn, in three refreshes per
+    /// frame. Each colour has its own pattern, so layers keep
+    /// [`LayerColour::Rgb`](crate::LayerColour::Rgb).
     Field,
 }
 

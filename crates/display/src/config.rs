@@ -1,4 +1,4 @@
-//! The display's description: a TOML file, millimetres and degrees.
+//! The description of a display, a TOML file with lengths in millimetres and angles in degrees.
 
 use lumistack_core::config;
 use schemars::JsonSchema;
@@ -32,7 +32,7 @@ pub struct Display {
     /// Order of the colours that are shown one after another.
     #[serde(default, skip_serializing_if = "ColourOrder::is_default")]
     pub colour_order: ColourOrder,
-    /// Formation of an image from the layers of one frame.
+    /// The way in which the layers of one frame form an image.
     #[serde(default)]
     pub formation: Formation,
     /// Brightness scale β (eq. 27), above 0 and at most 1: the display emits β times the target.
@@ -44,12 +44,12 @@ pub struct Display {
     /// Rule for a ray that misses a layer.
     #[serde(default)]
     pub missing: Missing,
-    /// The light field.
+    /// Views and pixels of the light field that the display shows.
     pub field: FieldConfig,
     /// The light source behind the layers.
     #[serde(default)]
     pub backlight: Backlight,
-    /// Layers, rear to front; `d_mm` rises.
+    /// Layers from rear to front, so that `d_mm` rises.
     pub layers: Vec<Layer>,
 }
 
@@ -90,14 +90,14 @@ pub struct FieldConfig {
     pub distance_mm: Option<f64>,
 }
 
-/// Kind of view grid.
+/// Projection of the views of a grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ProjectionKind {
     /// Every view is a parallel projection, as in the paper.
     #[default]
     Oblique,
-    /// Every view is a pinhole at distance `distance_mm`.
+    /// Every view is the picture of a pinhole camera at distance `distance_mm`.
     Perspective,
 }
 
@@ -105,10 +105,10 @@ impl Display {
     /// Value of the key `schema`.
     pub const SCHEMA: &'static str = "lumistack/display";
 
-    /// A plain stack of `frames` frames. Its layers at `d_mm` (rear to front, millimetres) all have
-    /// the field's pixels. It has oblique views, a uniform backlight, and every other key at its
-    /// default. `resolution` and `views` are [columns, rows], `fov_deg` full angles in degrees. The
-    /// values are not checked: call [`check`](Self::check).
+    /// Returns a plain display of `frames` frames. Its layers at `d_mm` (rear to front,
+    /// millimetres) all have the field's pixels. It has oblique views, a uniform backlight, and
+    /// every other key at its default. `resolution` and `views` are [columns, rows], `fov_deg` full
+    /// angles in degrees. The values are not checked: call [`check`](Self::check).
     ///
     /// ```
     /// use lumistack_display::{Display, Missing};
@@ -164,7 +164,7 @@ impl Display {
         toml::to_string(self).expect("a display holds nothing that TOML cannot")
     }
 
-    /// The light field's pixels and views.
+    /// Returns the light field's pixels and views.
     ///
     /// # Errors
     /// If the view grid is invalid.
@@ -185,7 +185,7 @@ impl Display {
         Ok(FieldGeometry { grid, ..self.field_pixels() })
     }
 
-    /// The light field's pixels with a single view along z.
+    /// Returns the light field's pixels with a single view along z.
     pub fn field_pixels(&self) -> FieldGeometry {
         FieldGeometry {
             rows: self.field.resolution[1],
@@ -195,8 +195,8 @@ impl Display {
         }
     }
 
-    /// The display without its panels' calibration. Patterns do not depend on calibration, so two
-    /// displays that differ in nothing else have the same patterns.
+    /// Returns the display without the calibration of its panels. Patterns do not depend on
+    /// calibration, so two displays that differ only in calibration have the same patterns.
     #[must_use]
     pub fn without_panels(&self) -> Self {
         let mut display = Self { colour_order: Default::default(), ..self.clone() };
@@ -236,7 +236,8 @@ resolution = [16, 10]
 pitch_mm = 1.0
 "#;
 
-    /// Three layers, two frames, 16 × 10 pixels, 3 × 3 views: the display of [`SMALL`].
+    /// Returns the display that [`SMALL`] describes: three layers, two frames, 16 × 10 pixels, 3 ×
+    /// 3 views.
     pub(crate) fn small_display() -> Display {
         let plain = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 0.0, 12.0], 2);
         Display { name: "small".into(), brightness: 0.2, ..plain }
@@ -333,7 +334,7 @@ pitch_mm = 1.0
         assert_eq!(error.to_string(), "backlight.transfer.gamma: expected a number above 0, found 0");
     }
 
-    /// The keys of a table, as the parser lists them in the error about an unknown key.
+    /// Returns the keys of a table, from the parser's error about an unknown key, which lists them.
     fn keys<T: serde::de::DeserializeOwned>() -> Vec<String> {
         let Err(error) = config::parse::<T>("no_such_key = 1") else { panic!("unknown keys are accepted") };
         let names: Vec<String> = error.message.split('`').skip(1).step_by(2).map(String::from).collect();

@@ -1,5 +1,5 @@
-//! Depth of field: the sharpness of each depth on a display, and the shift of content from view to
-//! view.
+//! Depth of field: the highest spatial frequency that a display shows at each depth, and the shift
+//! of content between views.
 //!
 //! A diffuse plane at z occupies the line of direction u = (1, z) in the plane of spatial frequency
 //! and frequency per slope. N layers and a backlight cover the Minkowski sum of segments ±g (the
@@ -18,19 +18,21 @@
 
 use crate::{Backlight, Display, FieldGeometry};
 
-/// Relative tolerance of a bound against rounding.
+/// Relative tolerance of a frequency bound, so that rounding does not exclude a depth exactly at
+/// the bound.
 const ROUNDING: f64 = 1e-12;
 
 impl Display {
-    /// ω(z) of the coarser axis: the highest spatial frequency that can be shown on a plane at
-    /// `z_mm`, cycles per millimetre. It is infinite if nothing limits it.
+    /// Returns the highest spatial frequency that the display can show on a plane at `z_mm`, in
+    /// cycles per millimetre. This is the smaller ω(z) of the two axes. Returns infinity if neither
+    /// axis limits the frequency.
     pub fn spatial_cutoff(&self, z_mm: f64) -> f64 {
         [0, 1].map(|axis| cutoff(&self.generators(axis), z_mm)).into_iter().fold(f64::INFINITY, f64::min)
     }
 
     /// The depths, [low, high] in millimetres, at which frequencies up to `cutoff` (cycles per
     /// millimetre) can be shown; `None` if there are none. A single layer without directional
-    /// backlight shows them only in its own plane: low = high.
+    /// backlight shows these frequencies only in its own plane, so low = high.
     pub fn depths_shown(&self, cutoff: f64) -> Option<[f64; 2]> {
         let [x, y] = [0, 1].map(|axis| range(&self.generators(axis), cutoff));
         let ([x_low, x_high], [y_low, y_high]) = (x?, y?);
@@ -38,13 +40,15 @@ impl Display {
         (low <= high).then_some([low, high])
     }
 
-    /// The display's depth of field for a light field of pixel pitch `pitch_mm`. At these depths
-    /// the finest detail of its pixels, 1/(2 pitch), can be shown.
+    /// Returns the depths, [low, high] in millimetres, at which the display shows the finest detail
+    /// of pixels of pitch `pitch_mm`. This detail has the frequency 1/(2 pitch). Returns `None` if
+    /// there are no such depths.
     pub fn depth_of_field(&self, pitch_mm: f64) -> Option<[f64; 2]> {
         self.depths_shown(0.5 / pitch_mm)
     }
 
-    /// The segments g along one axis.
+    /// Returns the segments g_i of the layers and the lenslets along one axis; see the head of the
+    /// file.
     pub(crate) fn generators(&self, axis: usize) -> Vec<[f64; 2]> {
         let mut generators: Vec<[f64; 2]> = self
             .layers
@@ -70,21 +74,22 @@ pub(crate) fn cross(a: [f64; 2], c: [f64; 2]) -> f64 {
     a[0] * c[1] - a[1] * c[0]
 }
 
-/// Σ_j |g × g_j|.
+/// Returns Σ_j |g × g_j| over all segments g_j.
 pub(crate) fn width(generators: &[[f64; 2]], g: [f64; 2]) -> f64 {
     generators.iter().map(|other| cross(g, *other).abs()).sum()
 }
 
 pub(crate) fn cutoff(generators: &[[f64; 2]], z_mm: f64) -> f64 {
-    // parallel segments add up to one segment
+    // If all segments are parallel to u = (1, z), the bound is the sum of their spatial
+    // frequencies.
     let along = || generators.iter().map(|g| g[0]).sum();
     let bounds = generators.iter().map(|&g| (width(generators, g), cross(g, [1.0, z_mm]).abs()));
     let bounds = bounds.filter(|(_, across)| *across > 0.0).map(|(width, across)| width / across);
     bounds.reduce(f64::min).unwrap_or_else(along)
 }
 
-/// The interval of depths with ω(z) ≥ `least`. Each term of the minimum bounds the distance from
-/// one layer, so the depths are an interval.
+/// Returns the interval of depths z with ω(z) ≥ `least`. Each segment of a layer limits the
+/// distance |z − d| from that layer, so the depths are an interval.
 fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
     let least = least * (1.0 - ROUNDING);
     let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
@@ -96,7 +101,7 @@ fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
             }
             continue;
         }
-        // |g × u| = g_1 |z − d|
+        // For u = (1, z) and g = g_1 (1, d), |g × u| is g_1 |z − d|.
         let (d, reach) = (g[1] / g[0], width / (g[0] * least));
         (low, high) = (low.max(d - reach), high.min(d + reach));
     }
@@ -108,9 +113,9 @@ fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
 }
 
 impl FieldGeometry {
-    /// Shift of content at depth `z_mm` between a view and another one whose slope is larger by
-    /// `step`, in pixels of z = 0. A positive value is a shift against the step's direction. At the
-    /// distance of the eyes it is infinite. With Δs = `step`:
+    /// Returns the shift of content at depth `z_mm` between two views whose slopes differ by
+    /// `step`, in field pixels on z = 0. A positive shift is opposite to the step. The shift is
+    /// infinite at the eyes of perspective views. With Δs = `step` and pixel pitch p:
     ///
     /// ```text
     /// parallel projections        z·Δs/p
@@ -140,7 +145,8 @@ mod tests {
         assert!((found - expected).abs() <= 1e-9 * expected.abs().max(1.0), "{found} instead of {expected}");
     }
 
-    /// Equations (24) and (25) of the paper. ω0 is 1 cycle per millimetre at a pitch of 0.5 mm.
+    /// Two and three layers have the bounds of the paper's equations (24) and (25). The pitch of
+    /// 0.5 mm gives ω0 = 1 cycle per millimetre.
     #[test]
     fn two_and_three_layers_have_the_papers_bounds() {
         let gap = 40.0;
@@ -157,10 +163,10 @@ mod tests {
         let [low, high] = two.depth_of_field(0.5).unwrap();
         close(low, -0.5 * gap);
         close(high, 0.5 * gap);
-        assert!(two.depth_of_field(0.2).is_none(), "finer than both layers together");
+        assert!(two.depth_of_field(0.2).is_none(), "a pitch of 0.2 mm is finer than two layers together can show");
     }
 
-    /// Equations (23) and (26) of the paper. Their lens array is at z = 0.
+    /// The bounds of a lens array at z = 0 are equations (23) and (26) of the paper.
     #[test]
     fn a_directional_backlight_has_the_papers_bounds() {
         let (lenslet, views, fov) = (2.5, 5, 48.0f64);
@@ -173,7 +179,8 @@ mod tests {
             let near = f64::abs(z) <= lenslet / (step + 2.0 * lenslet * step * own);
             close(display.spatial_cutoff(z), if near { barrier + own } else { 0.5 / (f64::abs(z) * step) });
         }
-        // at the finest detail, a shift of half a cycle per view is a disparity of one pixel
+        // The depth of field of pixels of pitch 0.5 mm ends where content shifts by one pixel per
+        // view. That is half a cycle of the finest detail.
         let [low, high] = display.depth_of_field(0.5).unwrap();
         close(high, 0.5 / step);
         close(low, -0.5 / step);
@@ -188,7 +195,8 @@ mod tests {
         close(display.spatial_cutoff(8.0), 0.0);
     }
 
-    /// The interval agrees with the bound, for random stacks.
+    /// For random stacks, a depth is inside the returned interval exactly if the bound there
+    /// reaches the requested frequency.
     #[test]
     fn the_range_is_where_the_bound_reaches() {
         let mut stream = Stream::new(3);
@@ -219,7 +227,8 @@ mod tests {
             let grid = ViewGrid { projection, slope_x: vec![-0.05, 0.02], slope_y: vec![0.0] };
             let geometry = FieldGeometry { rows: 3, cols: 9, pitch_mm: 0.8, grid };
             for z in [-70.0, 0.0, 30.0] {
-                // where the ray of a view through (10, z) crosses z = 0: x + z s(x) = 10
+                // The view's ray through the point (10, z) crosses z = 0 at the x that solves x + z
+                // s(x) = 10.
                 let crossing = |view: usize| match projection {
                     Projection::Oblique => 10.0 - z * geometry.grid.slope_x[view],
                     Projection::Perspective { distance_mm } => {

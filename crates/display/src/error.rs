@@ -8,7 +8,7 @@ use crate::GridError;
 /// A display file that cannot be used.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum DisplayError {
-    /// The text does not parse.
+    /// The text of the file cannot be read as a display.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// The view grid is invalid.
@@ -21,7 +21,7 @@ pub enum DisplayError {
         key: String,
         /// The expected value or range.
         expected: String,
-        /// The value found.
+        /// The invalid value.
         found: String,
     },
 }

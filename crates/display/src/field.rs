@@ -17,9 +17,10 @@ pub struct LightField {
 /// light fields of pictures have none.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenDepth {
-    /// Number of rows of the map over the whole height of the view; may be less than the view has.
+    /// Number of rows of the map, which covers the whole height of the view. It may be smaller than
+    /// the view's number of rows.
     pub rows: usize,
-    /// Number of columns of the map over the whole width.
+    /// Number of columns of the map, which covers the whole width of the view.
     pub cols: usize,
     /// z of the first surface in display space, `[row][col]`, millimetres towards the viewer;
     /// `None` where a ray hits nothing.
@@ -27,8 +28,8 @@ pub struct SeenDepth {
 }
 
 impl SeenDepth {
-    /// z at a pixel of a view of `size` = [rows, columns] pixels, read at the nearest position of
-    /// the map.
+    /// Returns z at a pixel of a view of `size` = [rows, columns] pixels, from the nearest entry of
+    /// the map. Returns `None` if the ray hits nothing.
     pub fn at(&self, row: usize, col: usize, size: [usize; 2]) -> Option<f32> {
         let place = |i: usize, from: usize, to: usize| ((2 * i + 1) * to / (2 * from)).min(to.saturating_sub(1));
         let index = place(row, size[0], self.rows) * self.cols + place(col, size[1], self.cols);
@@ -40,7 +41,7 @@ impl LightField {
     /// Axis names of [`radiance`](Self::radiance).
     pub const AXES: [&'static str; 5] = ["view_y", "view_x", "row", "col", "rgb"];
 
-    /// Joins geometry and values.
+    /// Makes a light field of a geometry and its radiance.
     ///
     /// # Errors
     /// If the geometry is invalid, or the values have another shape than the geometry.
@@ -57,7 +58,7 @@ impl LightField {
         Ok(Self { geometry, radiance, depth: None })
     }
 
-    /// A black light field.
+    /// Makes a black light field.
     ///
     /// # Errors
     /// If the geometry is invalid.
@@ -67,18 +68,19 @@ impl LightField {
         Ok(Self { geometry, radiance, depth: None })
     }
 
-    /// Depth in the view [view rows / 2, view columns / 2], if known.
+    /// Returns the depth in the middle view, [view rows / 2, view columns / 2]; `None` if it is
+    /// unknown.
     pub fn depth(&self) -> Option<&SeenDepth> {
         self.depth.as_ref()
     }
 
-    /// The same light field with the depth of its middle view.
+    /// Returns this light field with `depth` as the depth of its middle view.
     #[must_use]
     pub fn with_depth(self, depth: Option<SeenDepth>) -> Self {
         Self { depth, ..self }
     }
 
-    /// Shape of the values of a geometry.
+    /// Returns the shape of [`radiance`](Self::radiance) for a geometry.
     pub fn shape_of(geometry: &FieldGeometry) -> [usize; 5] {
         let [view_rows, view_cols] = geometry.grid.views();
         [view_rows, view_cols, geometry.rows, geometry.cols, 3]
@@ -89,22 +91,22 @@ impl LightField {
         &self.geometry
     }
 
-    /// All values.
+    /// Returns the values of all views.
     pub fn radiance(&self) -> &Tensor<5> {
         &self.radiance
     }
 
-    /// All values, writable.
+    /// Returns the values of all views, writable.
     pub fn radiance_mut(&mut self) -> &mut Tensor<5> {
         &mut self.radiance
     }
 
-    /// One view, `[row][col][rgb]`; `view` = [view_y, view_x].
+    /// Returns the values `[row][col][rgb]` of the view `view` = [view_y, view_x].
     pub fn view(&self, view: [usize; 2]) -> &[f32] {
         self.radiance.block(view)
     }
 
-    /// One view, writable.
+    /// Returns the values `[row][col][rgb]` of the view `view` = [view_y, view_x], writable.
     pub fn view_mut(&mut self, view: [usize; 2]) -> &mut [f32] {
         self.radiance.block_mut(view)
     }

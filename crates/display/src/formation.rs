@@ -13,23 +13,23 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How the layers of one frame form an image.
+/// The way in which the layers of one frame form an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Formation {
-    /// Layers absorb: the product of their transmittances.
+    /// Layers absorb light: a ray's value is the product of their transmittances.
     #[default]
     Attenuating,
-    /// Layers emit and are clear: the sum of their emissions. A uniform backlight adds nothing; a
-    /// directional one is one more emitter.
+    /// Layers emit light and are clear: a ray's value is the sum of their emissions. A uniform
+    /// backlight adds nothing; a directional backlight adds its emission.
     Additive,
-    /// Layers between one pair of crossed polarizers rotate the polarization: sin² of the summed
-    /// rotation. A value of 1 is a rotation by 90°.
+    /// Layers between one pair of crossed polarizers rotate the polarization: a ray's value is sin²
+    /// of the sum of their rotations. A layer value of 1 is a rotation by 90°.
     Polarization,
 }
 
 impl Formation {
-    /// The value that a missing layer would have: 1 if layers absorb, otherwise 0.
+    /// Returns the value of a layer that has no effect on light: 1 if layers absorb, otherwise 0.
     #[inline]
     pub fn neutral(self) -> f32 {
         match self {

@@ -5,10 +5,10 @@
 //! ([`LayerStack::effective`]). A [`Simulator`] computes these values once and then renders any
 //! number of views.
 //!
-//! The simple version reads four pixels of a layer for every ray. Departure: if neighbouring rays
-//! of a view read neighbouring single pixels, whole lines are combined together (`Reads::Runs`), to
-//! the same bits. This holds for nearest sampling at equal pitch, and for views whose rays hit the
-//! layer's pixel centres. It also holds for the parts of pixels of a seen picture.
+//! The simple version reads four pixels of a layer for every ray. The fast version combines whole
+//! runs of rays that read neighbouring single pixels (`Reads::Runs`), with the same bits as a
+//! result. Rays form such runs under nearest sampling at equal pitch, and in views whose rays hit
+//! the layer's pixel centres. The rays of a seen picture also form runs.
 
 use std::borrow::Cow;
 
@@ -20,14 +20,14 @@ use crate::{BacklightTap, Display, FieldGeometry, Formation, LayerStack, Missing
 /// A pixel of a seen picture is scored if the rays of at least this fraction of its area are valid.
 pub const LEAST_SHARE: f32 = 0.5;
 
-/// One emitted view.
+/// The light that the display emits in one view, with one ray per pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EmittedView {
-    /// Emitted radiance L̃, `[row][col][rgb]`; divided by the stack's brightness it is the picture
-    /// of an adapted viewer. The radiance of rays that miss the display is 0.
+    /// Emitted radiance L̃, `[row][col][rgb]`; an adapted viewer sees it divided by the stack's
+    /// brightness. The radiance of rays that miss the display is 0.
     pub radiance: Tensor<3>,
-    /// True for a valid ray, `[row][col]` row-major: false if the ray misses the display under the
-    /// display's [`Missing`] rule.
+    /// True for a valid ray, `[row][col]`: false if the ray misses the lenslets, or a layer that
+    /// the display's [`Missing`] rule requires.
     pub valid: Vec<bool>,
 }
 
@@ -35,16 +35,17 @@ pub struct EmittedView {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenView {
     /// Mean of the emitted radiance L̃ over the area of the pixel with valid rays,
-    /// `[row][col][rgb]`. It is 0 if no ray of the pixel is valid. Divided by the stack's
-    /// brightness it is the picture of an adapted viewer.
+    /// `[row][col][rgb]`. It is 0 if no ray of the pixel is valid. An adapted viewer sees the
+    /// radiance divided by the stack's brightness.
     pub radiance: Tensor<3>,
-    /// Fraction of the pixel's area with valid rays, 0..1, `[row][col]` row-major. The rays of the
-    /// remaining area miss the display under its [`Missing`] rule.
+    /// Fraction of the pixel's area with valid rays, 0..1, `[row][col]` row-major. The remaining
+    /// rays miss the lenslets, or a layer that the display's [`Missing`] rule requires.
     pub share: Vec<f32>,
 }
 
 impl From<SeenView> for EmittedView {
-    /// The picture as it is scored: a pixel is valid if at least [`LEAST_SHARE`] of its area is.
+    /// Marks a pixel as valid for scores if its rays are valid over at least [`LEAST_SHARE`] of its
+    /// area.
     fn from(seen: SeenView) -> Self {
         Self { radiance: seen.radiance, valid: seen.share.iter().map(|share| *share >= LEAST_SHARE).collect() }
     }
@@ -54,34 +55,36 @@ impl From<SeenView> for EmittedView {
 #[derive(Clone, Debug)]
 pub struct Simulator<'a> {
     display: &'a Display,
-    /// The stack after the layers' response.
+    /// The stack's values after the response of the layers' hardware.
     stack: Cow<'a, LayerStack>,
 }
 
 impl<'a> Simulator<'a> {
-    /// Applies the layers' response, the one step that does not depend on the view.
+    /// Applies the response of the layers' hardware, which is the same for all views.
     pub fn new(display: &'a Display, stack: &'a LayerStack) -> Self {
         Self { display, stack: stack.effective(display) }
     }
 
-    /// The seen picture from slope (s_x, s_y): a parallel projection, as from far away.
+    /// Returns the seen picture along slope (s_x, s_y): a parallel projection, as an eye far away
+    /// sees it.
     pub fn from_slope(&self, slope: [f64; 2]) -> SeenView {
         self.seen_from(&ViewGrid::single(Projection::Oblique, slope))
     }
 
-    /// The seen picture from an eye at (x, y, z) millimetres in display space, z > 0.
+    /// Returns the seen picture from an eye at (x, y, z) millimetres in display space, z > 0.
     pub fn from_eye(&self, eye_mm: [f64; 3]) -> SeenView {
         let [x, y, z] = eye_mm;
         self.seen_from(&ViewGrid::single(Projection::Perspective { distance_mm: z }, [x / z, y / z]))
     }
 
-    /// The seen picture of one view, given as a grid of one view: from far away, or from an eye.
+    /// Returns the seen picture of a view grid with a single view.
     pub fn seen_from(&self, view: &ViewGrid) -> SeenView {
         self.seen(&self.display.field_pixels().with_grid(view.clone()), [0, 0])
     }
 
-    /// The view `view` = [view_y, view_x] of a geometry, with one ray per pixel through its centre,
-    /// as solvers use it. `map` has the tables of the geometry for this display.
+    /// Returns the view `view` = [view_y, view_x] of a geometry, with one ray through the centre of
+    /// each pixel, as in the solvers' objective. `map` is the [`RayMap`] of this display and
+    /// geometry.
     pub fn view(&self, map: &RayMap, geometry: &FieldGeometry, view: [usize; 2]) -> EmittedView {
         let (rows, cols) = (geometry.rows, geometry.cols);
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
@@ -101,9 +104,9 @@ impl<'a> Simulator<'a> {
         EmittedView { radiance, valid }
     }
 
-    /// The seen picture of a view: for every pixel of `geometry`, the mean over its area of the
-    /// emission along the rays of that view. It is exact, since layers consist of squares of
-    /// constant value, and pixels are cut where rays cross from one square to the next.
+    /// Returns the seen picture of a view: for every pixel of `geometry`, the mean emission along
+    /// the rays of the view through the pixel's area. The mean is exact. Layers consist of squares
+    /// of constant value, and pixels are cut where rays cross from one square to the next.
     pub fn seen(&self, geometry: &FieldGeometry, view: [usize; 2]) -> SeenView {
         let area = AreaMap::new(self.display, geometry, view);
         let missing = self.display.missing;
@@ -115,7 +118,7 @@ impl<'a> Simulator<'a> {
         for (row, cuts) in area.y.chunk_by(|a, b| a.pixel == b.pixel).enumerate() {
             sums.fill(0.0);
             shares.fill(0.0);
-            // sum the emission of the parts of each pixel of the row, weighted by their area
+            // sum the emission along the rays of each pixel's parts, weighted by the parts' area
             let first = area.y.partition_point(|cut| cut.pixel < row as u32);
             for (number, cut_y) in cuts.iter().enumerate() {
                 let line = lines.emitted(first + number);
@@ -140,7 +143,7 @@ impl<'a> Simulator<'a> {
     }
 }
 
-/// Emission of the rows of one view, one after another, in storage that is reused.
+/// Computes the emission of one view row by row, in storage that all rows share.
 struct Lines<'a> {
     simulator: &'a Simulator<'a>,
     map: &'a RayMap,
@@ -193,17 +196,18 @@ impl<'a> Lines<'a> {
     }
 }
 
-/// One seen picture from a slope; for more than one make a [`Simulator`].
+/// Returns the seen picture along one slope. For several pictures make a [`Simulator`].
 pub fn view_from_slope(display: &Display, stack: &LayerStack, slope: [f64; 2]) -> SeenView {
     Simulator::new(display, stack).from_slope(slope)
 }
 
-/// One seen picture from an eye; for more than one make a [`Simulator`].
+/// Returns the seen picture from one eye position. For several pictures make a [`Simulator`].
 pub fn view_from_eye(display: &Display, stack: &LayerStack, eye_mm: [f64; 3]) -> SeenView {
     Simulator::new(display, stack).from_eye(eye_mm)
 }
 
-/// True if a ray is valid: it hits the lenslet grid and, under [`Missing::Drop`], every layer.
+/// Returns true if a ray is valid. It must hit the lenslets and, under [`Missing::Drop`], every
+/// layer.
 #[inline]
 pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize, col: usize) -> bool {
     let layers = missing == Missing::Clear
@@ -217,15 +221,17 @@ pub fn ray_is_valid(map: &RayMap, missing: Missing, view: [usize; 2], row: usize
     layers && backlight
 }
 
-/// How the rays of a row read a layer.
+/// The layer pixels that the rays of a row read.
 enum Reads<'a> {
-    /// Runs of rays that read neighbouring single pixels; all other rays miss the layer.
+    /// Runs of neighbouring rays that read neighbouring single pixels; all other rays of the row
+    /// miss the layer.
     Runs(Vec<Run>),
-    /// Each ray reads the pixels of its tap.
+    /// The pixels of every ray, for rays that form no runs.
     Taps(&'a [Tap]),
 }
 
-/// The rays `first..end` read neighbouring single pixels, from pixel `from` on.
+/// The rays `first..end` read one pixel each: ray `first` reads pixel `from`, and each next ray
+/// reads the next pixel.
 #[derive(Clone, Copy)]
 struct Run {
     first: usize,
@@ -245,12 +251,12 @@ impl<'a> Reads<'a> {
                 _ => runs.push(Run { first: i, end: i + 1, from: tap.first as usize }),
             }
         }
-        // calls for runs of a few rays cost more than reading these rays one by one
+        // A call for a run of few rays costs more than reading these rays one by one.
         if runs.len() * SHORT_RUN > taps.len() { Self::Taps(taps) } else { Self::Runs(runs) }
     }
 }
 
-/// Mean length of runs, in rays, below which rays are read one by one.
+/// Mean number of rays per run below which rays are read one by one.
 const SHORT_RUN: usize = 4;
 
 /// Combines each `formed[col][rgb]` with the layer's value at the ray. If the ray misses the layer,
@@ -316,14 +322,16 @@ fn combine_backlight(
     }
 }
 
-/// sin²(π/2 · x) for 0 ≤ x < 1000; x is at most the number of layers. The absolute error is below
-/// 1e-6 up to x = 8. `f32::sin` would take most of a view's time.
+/// Returns sin²(π/2 · x) for 0 ≤ x < 1000, where x is at most the number of layers. The absolute
+/// error is below 1e-6 for x ≤ 8. With `f32::sin` this function would take most of the time of a
+/// view.
 fn sin2_of_quarter_turns(x: f32) -> f32 {
-    // the sum with 1.5 · 2²³ has no bits for a fraction, so it is rounded to whole half turns
+    // An `f32` near 1.5 · 2²³ has no bits for a fraction. So the addition rounds to the nearest
+    // whole number of half turns.
     const ROUND: f32 = 12_582_912.0;
     let half_turns = (0.5 * x + ROUND) - ROUND;
     let angle = std::f32::consts::FRAC_PI_2 * (x - 2.0 * half_turns);
-    // the Taylor series of the sine; its next term is at most 6e-8 for |angle| ≤ π/2
+    // Sum the Taylor series of the sine. Its next term is at most 6e-8 for |angle| ≤ π/2.
     let s = angle * angle;
     let series = [-1.0 / 39_916_800.0, 1.0 / 362_880.0, -1.0 / 5040.0, 1.0 / 120.0, -1.0 / 6.0, 1.0];
     (angle * series.into_iter().fold(0.0, |sum, factor| sum * s + factor)).powi(2)
@@ -362,8 +370,8 @@ mod tests {
         };
         let straight = dark(&view_from_slope(&display, &stack, [0.0, 0.0]));
         assert_eq!(straight, (rows / 2, cols / 2));
-        // an eye further right sees the front dot further left on z = 0; an eye further up sees it
-        // further down
+        // An eye further right sees the front dot further left on z = 0, and an eye further up sees
+        // the dot further down.
         let right = dark(&view_from_slope(&display, &stack, [0.1, 0.0]));
         assert!(right.1 < straight.1 && right.0 == straight.0, "{right:?}");
         let up = dark(&view_from_slope(&display, &stack, [0.0, 0.1]));
@@ -384,11 +392,11 @@ mod tests {
         display.missing = Missing::Clear;
         let clear = view_from_slope(&display, &stack, [0.14, 0.0]);
         assert!(clear.share.iter().all(|share| (share - 1.0).abs() < 1e-6));
-        assert!(clear.radiance.data().iter().any(|v| (*v - 0.25).abs() < 1e-6), "one layer missed");
+        assert!(clear.radiance.data().iter().any(|v| (*v - 0.25).abs() < 1e-6), "a ray misses one of three layers");
     }
 
-    /// Runs and taps give the same bits, for both samplings, if rays hit pixel centres and if they
-    /// do not.
+    /// [`Reads::Runs`] and [`Reads::Taps`] give the same bits for both samplings, for rays that hit
+    /// pixel centres and for rays between centres.
     #[test]
     fn whole_lines_are_read_as_single_pixels_are() {
         let (cols, rows, mut lines, mut taps) = (13, 4, 0, 0);
@@ -422,7 +430,7 @@ mod tests {
             }
         }
         assert!(lines > 20 && taps > 20, "{lines} {taps}");
-        // a layer that every ray misses, and a list without rays
+        // Rays that all miss the layer give no runs, and so does an empty list of rays.
         let missed = Tap { first: Tap::MISSED, second: Tap::MISSED, t: 0.0 };
         assert!(
             [&[][..], &[missed; 3]].iter().all(|taps| matches!(Reads::of(taps), Reads::Runs(runs) if runs.is_empty()))

@@ -7,7 +7,8 @@ use thiserror::Error;
 pub enum Projection {
     /// Every view is a parallel projection (the paper's): one slope for all its rays.
     Oblique,
-    /// Every view is a pinhole at eye e = D·s: the slope of its ray at x is (e − x)/D.
+    /// Every view of slope s is a pinhole at eye position e = D·s. Its ray through position x on z
+    /// = 0 has slope (e − x)/D.
     Perspective {
         /// Viewing distance D from z = 0, millimetres, > 0.
         distance_mm: f64,
@@ -26,7 +27,7 @@ pub struct ViewGrid {
     pub slope_y: Vec<f64>,
 }
 
-/// An invalid grid.
+/// An error of an invalid view grid.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{what}: expected {expected}, found {found}")]
 pub struct GridError {
@@ -34,7 +35,7 @@ pub struct GridError {
     pub what: &'static str,
     /// The expected value or range.
     pub expected: &'static str,
-    /// The value found.
+    /// The invalid value.
     pub found: String,
 }
 
@@ -45,9 +46,9 @@ impl GridError {
 }
 
 impl ViewGrid {
-    /// A grid of `views` = [horizontal, vertical] views over the full angles `fov_deg`. Views are
-    /// at the centres of equal bins of the slope. s_y has the same form, with the topmost view
-    /// first. The spacing is Δv of eq. 23.
+    /// Makes a grid of `views` = [horizontal, vertical] views over the full angles `fov_deg`, at
+    /// the centres of equal bins of slopes. View column a has the slope below; rows have the same
+    /// form, with the topmost view first. The spacing is Δv of eq. 23.
     ///
     /// ```text
     /// s_x(a) = (a − (A_x−1)/2)·(2/A_x)·tan(α_x/2)
@@ -76,7 +77,7 @@ impl ViewGrid {
         Ok(grid)
     }
 
-    /// A grid of one view.
+    /// Makes a grid of one view.
     pub fn single(projection: Projection, slope: [f64; 2]) -> Self {
         Self { projection, slope_x: vec![slope[0]], slope_y: vec![slope[1]] }
     }
@@ -104,18 +105,19 @@ impl ViewGrid {
         }
     }
 
-    /// Number of views as [vertical, horizontal], the order of the arrays.
+    /// Returns the number of views as [vertical, horizontal], which is the order of array indices.
     pub fn views(&self) -> [usize; 2] {
         [self.slope_y.len(), self.slope_x.len()]
     }
 
-    /// All views as [view_y, view_x], row by row.
+    /// Iterates over all views [view_y, view_x], row by row.
     pub fn iter(&self) -> impl Iterator<Item = [usize; 2]> + use<> {
         let [rows, cols] = self.views();
         (0..rows).flat_map(move |y| (0..cols).map(move |x| [y, x]))
     }
 
-    /// Slope (s_x, s_y) of the ray of `view` = [view_y, view_x] through the point (x, y) of z = 0.
+    /// Returns the slope (s_x, s_y) of the ray of `view` = [view_y, view_x] through the point (x,
+    /// y) on z = 0.
     pub fn slope_at(&self, view: [usize; 2], point_mm: [f64; 2]) -> [f64; 2] {
         [
             self.projection.slope(self.slope_x[view[1]], point_mm[0]),
@@ -123,8 +125,8 @@ impl ViewGrid {
         ]
     }
 
-    /// The grid of the midpoints between neighbouring views, for which a display was not optimized.
-    /// An axis with one view keeps that view.
+    /// Returns the grid of the midpoints between neighbouring views. A display is not optimized for
+    /// these views. An axis with one view keeps its view.
     pub fn in_between(&self) -> Self {
         let midpoints = |slopes: &[f64]| match slopes {
             [only] => vec![*only],
@@ -133,9 +135,10 @@ impl ViewGrid {
         Self { projection: self.projection, slope_x: midpoints(&self.slope_x), slope_y: midpoints(&self.slope_y) }
     }
 
-    /// Views outside the zone, in the middle row: `steps` to the left and as many to the right of
-    /// the outermost columns. They are one mean spacing apart. A grid with one column has them
-    /// above and below. `None` if `steps` is 0 or there are no two different views.
+    /// Returns views outside the zone, in the middle row: `steps` views on the left of the leftmost
+    /// column and `steps` views on the right of the rightmost one. They are one mean spacing apart.
+    /// If the grid has one column, the views are above and below it instead. `None` if `steps` is 0
+    /// or all slopes are equal.
     pub fn outside(&self, steps: usize) -> Option<Self> {
         let beyond = |slopes: &[f64]| {
             let (low, high) = slopes.iter().fold((f64::MAX, f64::MIN), |(low, high), s| (low.min(*s), high.max(*s)));
@@ -153,18 +156,16 @@ impl ViewGrid {
         Some(Self { projection: self.projection, slope_x: middle(&self.slope_x), slope_y })
     }
 
-    /// The grid with all slopes multiplied by `factor`, so that views are closer together or
-    /// further apart. Between these views content moves `factor` times as far as between the
-    /// original views, as if depth were [scaled](Projection::scaled_depth). The view of slope 0
-    /// stays.
+    /// Returns the grid with all slopes multiplied by `factor`. Between the new views content moves
+    /// `factor` times as far as between the old views, as if its depth were
+    /// [scaled](Projection::scaled_depth).
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         let scaled = |slopes: &[f64]| slopes.iter().map(|slope| slope * factor).collect();
         Self { projection: self.projection, slope_x: scaled(&self.slope_x), slope_y: scaled(&self.slope_y) }
     }
 
-    /// Width of one view's bin of slopes per axis (x, y): the mean spacing; 0 for an axis with one
-    /// view.
+    /// Returns the mean spacing of the views' slopes per axis (x, y); 0 for an axis with one view.
     pub fn bin_width(&self) -> [f64; 2] {
         [&self.slope_x, &self.slope_y].map(|slopes| match slopes.as_slice() {
             [first, .., last] => (last - first).abs() / (slopes.len() - 1) as f64,
@@ -174,8 +175,8 @@ impl ViewGrid {
 }
 
 impl Projection {
-    /// Slope along one axis of a view's ray at position `x_mm`, for the view of slope `view_slope`
-    /// at the centre.
+    /// Returns the slope, along one axis, of a view's ray through position `x_mm` on z = 0. The
+    /// view's ray through the field's centre has slope `view_slope`.
     #[inline]
     pub fn slope(self, view_slope: f64, x_mm: f64) -> f64 {
         match self {
@@ -184,9 +185,9 @@ impl Projection {
         }
     }
 
-    /// Apparent depth of content at depth `z_mm` whose parallax is multiplied by `factor`. For
-    /// parallel projections it is factor · z. For pinholes at distance D it is the z' with z'/(D −
-    /// z') = factor · z/(D − z).
+    /// Returns the depth that content at depth `z_mm` seems to have if its parallax is multiplied
+    /// by `factor`. For parallel projections it is factor · z. For pinholes at distance D it is the
+    /// z' with z'/(D − z') = factor · z/(D − z).
     pub fn scaled_depth(self, z_mm: f64, factor: f64) -> f64 {
         match self {
             Self::Oblique => factor * z_mm,
@@ -207,7 +208,7 @@ pub struct FieldGeometry {
     pub cols: usize,
     /// Pixel pitch on z = 0, millimetres, > 0.
     pub pitch_mm: f64,
-    /// Views.
+    /// The grid of the views.
     pub grid: ViewGrid,
 }
 
@@ -242,19 +243,19 @@ impl FieldGeometry {
         ((self.rows as f64 - 1.0) / 2.0 - row as f64) * self.pitch_mm
     }
 
-    /// Width and height in millimetres.
+    /// Returns the width and the height of the field, in millimetres.
     pub fn size_mm(&self) -> [f64; 2] {
         [self.cols as f64 * self.pitch_mm, self.rows as f64 * self.pitch_mm]
     }
 
-    /// The same pixels with other views.
+    /// Returns a geometry with the same pixels and the views of `grid`.
     pub fn with_grid(&self, grid: ViewGrid) -> Self {
         Self { grid, ..self.clone() }
     }
 }
 
-/// Evenly spread indices below `count`, at most `most` ≥ 2 of them. They include the first and the
-/// last index. If `count` and `most` are odd, they also include the middle index.
+/// Returns at most `most` ≥ 2 evenly spread indices below `count`. The first and the last index are
+/// among them. If `count` and `most` are odd, so is the middle index.
 pub fn spread(count: usize, most: usize) -> Vec<usize> {
     if count <= most {
         return (0..count).collect();
@@ -266,7 +267,7 @@ pub fn spread(count: usize, most: usize) -> Vec<usize> {
 mod tests {
     use super::*;
 
-    /// Tolerance for slopes that are written out to 17 digits.
+    /// Tolerance for the test's expected slopes, which have 17 digits.
     const EXACT: f64 = 1e-15;
 
     #[test]
@@ -305,8 +306,8 @@ mod tests {
         }
     }
 
-    /// Seen from slopes that are multiplied by a factor, a point moves as a point at the scaled
-    /// depth does from the original slopes. From the middle both look the same.
+    /// From slopes multiplied by a factor, a point appears where a point at the scaled depth
+    /// appears from the original slopes. From slope 0 the two points appear at the same position.
     #[test]
     fn scaled_slopes_are_scaled_depths() {
         for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 400.0 }] {
@@ -314,13 +315,15 @@ mod tests {
             let narrow = grid.scaled(0.4);
             for z in [-90.0, 0.0, 25.0, 120.0] {
                 let shown = projection.scaled_depth(z, 0.4);
-                // where the ray to a point (x, z) crosses z = 0
+                // Compute the x at which the ray of slope `slope` through the point (x, z) crosses
+                // z = 0.
                 let seen = |slope: f64, x: f64, z: f64| match projection {
                     Projection::Oblique => x - z * slope,
                     Projection::Perspective { distance_mm } => (x - z * slope) / (1.0 - z / distance_mm),
                 };
                 let straight = seen(0.0, 17.0, z);
-                // the point on the same straight ray at the shown depth
+                // Find the point at depth `shown` that appears at the same position in the view of
+                // slope 0.
                 let x = match projection {
                     Projection::Oblique => straight,
                     Projection::Perspective { distance_mm } => straight * (1.0 - shown / distance_mm),

@@ -1,12 +1,12 @@
-//! Projective maps of the plane: to the real positions of a panel's pixels
+//! Projective maps of the plane. They map a panel's pixels to their real positions
 //! ([`Panel`](crate::Panel)), and to the positions where a camera sees them.
 
-/// A projective map of the plane: rows of a 3 × 3 matrix.
+/// A projective map of the plane, as the rows of a 3 × 3 matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Homography(pub [[f64; 3]; 3]);
 
 impl Homography {
-    /// The map that keeps every point.
+    /// The identity, which maps every point to itself.
     pub const IDENTITY: Self = Self([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
 
     /// Maps a point.
@@ -16,7 +16,7 @@ impl Homography {
         [a / c, b / c]
     }
 
-    /// The inverse map, by cofactors.
+    /// Returns the inverse map, computed by cofactors.
     pub fn inverse(&self) -> Self {
         let m = &self.0;
         let minor = |r: usize, c: usize| {
@@ -27,13 +27,13 @@ impl Homography {
         Self([0, 1, 2].map(|r| [0, 1, 2].map(|c| minor(c, r) / determinant)))
     }
 
-    /// The map that applies `first`, then `self`.
+    /// Returns the map that applies `first`, then `self`.
     pub fn after(&self, first: &Self) -> Self {
         Self([0, 1, 2].map(|r| [0, 1, 2].map(|c| (0..3).map(|k| self.0[r][k] * first.0[k][c]).sum())))
     }
 
-    /// The map that takes the corners (0,0), (1,0), (1,1), (0,1) of the unit square to four points.
-    /// `None` if the points span no area, or if the map would take a point of the square to
+    /// Returns the map that takes the corners (0,0), (1,0), (1,1), (0,1) of the unit square to four
+    /// points. `None` if the points span no area, or if the map would take a point of the square to
     /// infinity. Source: Heckbert, "Fundamentals of Texture Mapping and Image Warping" (1989),
     /// section 2.2.3.
     pub fn of_unit_square([a, b, c, d]: [[f64; 2]; 4]) -> Option<Self> {
@@ -66,7 +66,8 @@ mod tests {
         }
         let same = map.after(&back).apply([4.0, 5.0]);
         assert!((same[0] - 4.0).abs() < 1e-12 && (same[1] - 5.0).abs() < 1e-12);
-        // four equal points, and a corner inside the triangle of the others
+        // No map exists for four equal points, nor if one point is inside the triangle of the other
+        // three.
         assert_eq!(Homography::of_unit_square([[0.0, 0.0]; 4]), None);
         assert_eq!(Homography::of_unit_square([[0.0, 0.0], [10.0, 0.0], [3.0, 3.0], [0.0, 10.0]]), None);
     }

@@ -1,21 +1,21 @@
 //! One layer: its position, the range of its values, and the response of its hardware.
 //!
 //! A stored value f is absolute: the transmittance (or emission, or rotation in units of 90°) of a
-//! mask pixel. The panel reaches
+//! mask pixel. The codes of a panel with the darkest value `black`, relative to the brightest value
+//! `peak`, give
 //!
 //! ```text
 //! f = peak · (black + (1 − black) · decode(code / (2^bits − 1)))
 //! ```
 //!
-//! so f lies in the box [black · peak, peak]. Rays then read [`Layer::response`] of the stored
-//! values.
+//! So f lies in [black · peak, peak]. Rays read the stored values after [`Layer::response`].
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{Panel, Transfer};
 
-/// One layer.
+/// One attenuating layer of a display.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Layer {
@@ -30,8 +30,8 @@ pub struct Layer {
     /// nearest sampling they are rounded.
     #[serde(default)]
     pub offset_mm: [f64; 2],
-    /// Value of the brightest state, above 0 and at most 1: the fraction that the filter, polarizer
-    /// or clear film of an open pixel leaves.
+    /// Value of the brightest state, above 0 and at most 1: the fraction of the light that a fully
+    /// open pixel transmits.
     #[serde(default = "default_peak")]
     pub peak: f64,
     /// Value of the darkest state relative to the brightest, 0 to less than 1: one over the
@@ -52,7 +52,7 @@ pub struct Layer {
     /// above 0 and at most 1. Without this key channels do not mix.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crosstalk: Option<[[f64; 3]; 3]>,
-    /// Values per mask pixel: three or one.
+    /// Number of values per mask pixel: three or one.
     #[serde(default)]
     pub colour: LayerColour,
     /// Column stripes of colour filters on a `mono` layer: column j has the RGB factors
@@ -74,11 +74,11 @@ fn default_peak() -> f64 {
     1.0
 }
 
-/// Values of a mask pixel: three, or one.
+/// Number of values of a mask pixel: three, or one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum LayerColour {
-    /// A value per channel.
+    /// One value per colour channel.
     #[default]
     Rgb,
     /// One value: the three stored channels are equal.
@@ -91,7 +91,7 @@ impl Layer {
     /// Largest standard deviation of the point spread, mask pixels.
     pub const MAX_BLUR_PX: f64 = 8.0;
 
-    /// An ideal layer at `d_mm` with [columns, rows] pixels of `pitch_mm`.
+    /// Makes an ideal layer at distance `d_mm`, with [columns, rows] pixels of pitch `pitch_mm`.
     pub fn new(d_mm: f64, resolution: [usize; 2], pitch_mm: f64) -> Self {
         Self {
             d_mm,
@@ -112,14 +112,16 @@ impl Layer {
         }
     }
 
-    /// [darkest, brightest] value that a mask pixel can take: the solver's box.
+    /// Returns the [darkest, brightest] value that a mask pixel can take. The solver keeps all
+    /// values between them.
     pub fn range(&self) -> [f32; 2] {
         [(self.black_level * self.peak) as f32, self.peak as f32]
     }
 
-    /// The 2^bits values that a mask pixel can take, in rising order, from the lower to the upper
-    /// end of [`range`](Self::range). `None` for a continuous range. The values are the same for
-    /// all channels, since `bits` allows only one transfer function for all.
+    /// Returns the 2^bits values that a mask pixel can take, in rising order, from the lower to the
+    /// upper end of [`range`](Self::range). Returns `None` if `bits` is not set, since the range is
+    /// then continuous. The values are the same for all channels, since `bits` allows only one
+    /// transfer function for all.
     pub fn levels(&self) -> Option<Vec<f32>> {
         let codes = 1u32 << self.bits?.clamp(1, Self::MAX_BITS);
         let level = |code: u32| {
@@ -129,16 +131,17 @@ impl Layer {
         Some((0..codes).map(level).collect())
     }
 
-    /// Input of the transfer function with which the panel shows `value`: 0 for the darkest state,
-    /// 1 for the brightest. Values outside the range are clamped; NaN becomes 0.
+    /// Converts a mask value to the input of the transfer function: 0 for the panel's darkest
+    /// state, 1 for its brightest. Values outside this range are clamped; NaN becomes 0.
     pub fn drive(&self, value: f32) -> f32 {
         let drive = (f64::from(value) / self.peak - self.black_level) / (1.0 - self.black_level);
         if drive.is_nan() { 0.0 } else { drive.clamp(0.0, 1.0) as f32 }
     }
 }
 
-/// The level nearest to `value`, among rising levels; of two equally near levels, the lower one.
-/// Without levels it is the value itself. NaN becomes the lowest level.
+/// Returns the entry of the rising list `levels` that is nearest to `value`; of two equally near
+/// levels, the lower one. Returns `value` itself if the list is empty. NaN becomes the lowest
+/// level.
 pub fn quantize(value: f32, levels: &[f32]) -> f32 {
     let above = levels.partition_point(|level| *level < value);
     match (above.checked_sub(1).map(|below| levels[below]), levels.get(above)) {
@@ -177,7 +180,8 @@ mod tests {
                 assert_eq!([levels[0], levels[levels.len() - 1]], layer.range());
             }
         }
-        // code 2 of 0..3 is decoded to (2/3)² above black: 0.8 (0.02 + 0.98 · (2/3)²)
+        // Code 2 of 0 to 3 decodes to (2/3)² at gamma 2. The layer's value is then 0.8 (0.02 + 0.98
+        // · (2/3)²).
         let layer = Layer { bits: Some(2), transfer: Transfer::gamma(2.0), ..limited() };
         assert!((layer.levels().unwrap()[2] - 0.364_444_44).abs() < ROUNDING);
         assert_eq!(limited().range(), [0.016, 0.8]);

@@ -1,18 +1,18 @@
-//! The slopes at which a display shows whole pixels, and the views at these slopes.
+//! The slopes at which pixels of different layers coincide, and the views at these slopes.
 
 use crate::views::{half_width, steps_within};
 use crate::{Backlight, Display, GridError, Projection, ViewGrid, Views};
 
 /// Largest number of views per axis that [`Views::Auto`] chooses.
 const MOST_AUTO: usize = 101;
-/// Views per bin of a directional backlight. A bin shows the mean over its directions, which one
-/// view does not represent. Zone scores of the scene with letters on the display
-/// `paper-directional`: one view per bin gives 22.5 dB, three views give 24.1 dB. One view that is
-/// the mean over the bin gives 22.9 dB.
+/// Number of views per angular bin of a directional backlight. A bin emits the same light in all
+/// its directions, so its best value is a mean over several views. On the display
+/// `paper-directional`, a scene with letters has a zone score of 22.5 dB for one view per bin.
+/// Three views per bin give 24.1 dB. One view that is the mean over the bin gives 22.9 dB.
 const VIEWS_PER_BIN: f64 = 3.0;
 
-/// The native angular step of a display per axis (x, y); `None` without parallax. It is the
-/// smallest of these changes of slope:
+/// Returns a display's native step of slopes per axis (x, y); `None` for an axis without parallax.
+/// The native step is the smallest of these changes of slope:
 ///
 /// * p / max |Δd|, which moves some layer by one pixel against the light field or the next layer,
 /// * the change that moves the rays by one bin of the backlight.
@@ -34,8 +34,8 @@ pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     })
 }
 
-/// Width in slopes of a bin of a directional backlight along an axis; `None` if it has a single
-/// bin.
+/// Returns the width in slopes of a bin of the directional backlight along an axis. `None` for a
+/// uniform backlight or a single bin.
 pub(crate) fn bin_width(display: &Display, axis: usize) -> Option<f64> {
     match &display.backlight {
         Backlight::Lenslets(lenslets) if lenslets.views[axis] > 1 => {
@@ -46,7 +46,7 @@ pub(crate) fn bin_width(display: &Display, axis: usize) -> Option<f64> {
 }
 
 impl Display {
-    /// The views of the light field that the display is made for.
+    /// Returns the views of the light field for which the display is made.
     ///
     /// # Errors
     /// If an angle is outside of 0..180°, there are no views, or the viewing distance is not above
@@ -55,17 +55,17 @@ impl Display {
         self.field.views.grid(projection, self.field.fov_deg, || self.auto_step(usize::MAX))
     }
 
-    /// Number of views of [`view_grid`](Self::view_grid), [horizontal, vertical]; 0 if the display
-    /// is invalid.
+    /// Returns the [horizontal, vertical] number of views of [`view_grid`](Self::view_grid); 0 if
+    /// the display is invalid.
     pub fn views(&self) -> [usize; 2] {
         let [rows, cols] = self.view_grid(Projection::Oblique).map_or([0, 0], |grid| grid.views());
         [cols, rows]
     }
 
-    /// The step of slopes (x, y) of [`Views::Auto`]. It is the [native](native_step) step, or a
-    /// third of a bin of a directional backlight. If there are more than `most_views`, it becomes a
-    /// multiple of this step. An axis with parallax has at least three views: a display that was
-    /// solved for one direction is right in no other.
+    /// Returns the step of slopes (x, y) of [`Views::Auto`]. It is the smaller of the
+    /// [native](native_step) step and a third of a bin of a directional backlight. If this gives
+    /// more than `most_views` views, it is a multiple of that step. An axis with parallax keeps at
+    /// least three views, since a display that is solved for one direction is wrong in all others.
     pub fn auto_step(&self, most_views: usize) -> [f64; 2] {
         let half = self.field.fov_deg.map(half_width);
         let mut native = native_step(self);
@@ -74,7 +74,8 @@ impl Display {
         }
         let step = |every: f64| {
             [0, 1].map(|axis| match native[axis] {
-                // with this bound, the outermost of three views are inside the zone
+                // a step of at most 0.8 half widths keeps the outer two of three views inside the
+                // zone
                 Some(native) if half[axis] > 0.0 => (every * native).min(0.8 * half[axis]),
                 _ => 0.0,
             })
@@ -93,8 +94,8 @@ impl Display {
         step(every)
     }
 
-    /// The same display with its views chosen: [`Views::Auto`] becomes a step with no more than
-    /// `most_views` views.
+    /// Returns this display with [`Views::Auto`] replaced by the step of
+    /// [`auto_step`](Self::auto_step) for `most_views`. Other views stay.
     #[must_use]
     pub fn with_views_chosen(mut self, most_views: usize) -> Self {
         if self.field.views == Views::Auto {
@@ -116,7 +117,8 @@ mod tests {
         display
     }
 
-    /// Numbers of whole shifts over 20° of layers 40 mm apart.
+    /// The number of automatic views is the number of slopes within 20° at which layers 40 mm apart
+    /// shift by whole pixels.
     #[test]
     fn a_display_takes_its_native_slopes() {
         for (cols, views) in [(280, 9), (420, 13), (840, 25)] {
@@ -151,8 +153,8 @@ mod tests {
     }
 
     /// An axis with parallax has at least three views, even if pixels are so coarse that the native
-    /// step is wider than the zone. An axis without field of view has one view. So has a display
-    /// whose only layer is in the display plane.
+    /// step is wider than the zone. An axis without field of view has one view. A display whose
+    /// only layer is in the display plane also has one view.
     #[test]
     fn what_shows_parallax_has_three_views_and_the_rest_one() {
         let mut coarse = stack(20);
@@ -162,21 +164,20 @@ mod tests {
         let mut flat = stack(420);
         flat.layers.retain(|layer| layer.d_mm == 0.0);
         assert_eq!(flat.views(), [1, 1]);
-        // pixels of a micrometre: no more views than the largest number
+        // pixels of a micrometre would need many views, but there are at most [`MOST_AUTO`]
         let fine = stack(400_000);
         assert!(fine.views()[0] <= MOST_AUTO && fine.views()[0] > MOST_AUTO / 2);
     }
 
-    /// The values of displays with three layers 40 mm apart: at 420 columns there are 13 whole
-    /// shifts over 20°.
+    /// Between neighbouring native slopes, a layer shifts by one pixel. Three layers 40 mm apart
+    /// with 420 columns have 13 native slopes within 20°.
     #[test]
     fn native_steps_are_whole_shifts() {
         let display = Display::uniform([420, 262], 1.128, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 6);
         let step = native_step(&display)[0].unwrap();
         assert!((step - 1.128 / 40.0).abs() < 1e-12);
         assert_eq!(2 * (10f64.to_radians().tan() / step).floor() as usize + 1, 13);
-        // two layers around the light field's plane: the step moves one layer by a pixel against
-        // the other
+        // two layers around z = 0: one step moves them by one pixel against each other
         let pair = Display::uniform([4, 4], 1.0, [1, 1], [20.0, 20.0], &[-10.0, 10.0], 1);
         assert_eq!(native_step(&pair), [Some(0.05); 2]);
         let flat = Display::uniform([4, 4], 1.0, [1, 1], [20.0, 20.0], &[0.0], 1);

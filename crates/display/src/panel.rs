@@ -2,8 +2,8 @@
 //! positions of its pixels.
 //!
 //! ```text
-//! output pixel ─rotate, flip─▶ upright pixel (u, v) ─crop─▶ nominal place (x, y) mm
-//!     ─homography─▶ place on the layer, mm ─pitch─▶ mask pixel
+//! output pixel ─rotate, flip─▶ upright pixel (u, v) ─crop─▶ nominal position (x, y) mm
+//!     ─homography─▶ position on the layer, mm ─pitch─▶ mask pixel
 //!
 //! x = (u − nudge_x − u_centre) · panel_pitch,   y = (v_centre − v + nudge_y) · panel_pitch
 //! ```
@@ -37,13 +37,13 @@ pub struct Panel {
     /// [right, down] shift of the upright picture, panel pixels.
     #[serde(default)]
     pub nudge_px: [f64; 2],
-    /// Map from a pixel's nominal position to its real position: rows of a 3 × 3 matrix. Both are
-    /// in millimetres from the layer's centre, x right, y up. Default: the identity.
+    /// Map from a pixel's nominal position to its real position, as the rows of a 3 × 3 matrix.
+    /// Positions are in millimetres from the layer's centre, x right, y up. Default: the identity.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub homography: Option<[[f64; 3]; 3]>,
-    /// Measured crosstalk that the patterns do not account for; they account for
-    /// `layers[].crosstalk`. It is compensated when the patterns are shown. Row = emitted channel,
-    /// column = channel of the picture.
+    /// Measured crosstalk in addition to `layers[].crosstalk`, which the patterns already account
+    /// for. It is compensated when the patterns are shown. Row = emitted channel, column = channel
+    /// of the picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crosstalk: Option<[[f64; 3]; 3]>,
     /// Interpolation of the mask at a panel pixel.
@@ -51,21 +51,21 @@ pub struct Panel {
     pub resample: Sampling,
 }
 
-/// How a picture is mirrored.
+/// The mirroring of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Flip {
-    /// Not mirrored.
+    /// The picture is not mirrored.
     #[default]
     None,
-    /// Left and right exchanged.
+    /// Left and right are exchanged.
     Horizontal,
-    /// Top and bottom exchanged.
+    /// Top and bottom are exchanged.
     Vertical,
 }
 
-/// A lens array as built, if it differs from the array that the patterns were made for. In a
-/// browser all values are defaults, as in [`Panel`].
+/// Measured data of a real lens array that differs from the array for which the patterns were made.
+/// In a browser all values are defaults, as in [`Panel`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Lens {
@@ -73,8 +73,8 @@ pub struct Lens {
     /// `pitch_mm`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pitch_mm: Option<f64>,
-    /// Focal length in air, millimetres; default: the length at which a lenslet fills the
-    /// horizontal bins.
+    /// Focal length in air, millimetres; default: the length at which the horizontal bins fill the
+    /// width of the panel behind one lenslet.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focal_mm: Option<f64>,
     /// Rotation against the panel, counterclockwise seen from the front, degrees.
@@ -102,7 +102,8 @@ mod unread {
     }
 }
 
-/// Determinant, relative to the matrix's size, below which a matrix is taken as singular.
+/// A matrix counts as singular if its determinant, relative to the size of its entries, is below
+/// this.
 const SINGULAR: f64 = 1e-9;
 
 impl Panel {
@@ -131,7 +132,7 @@ impl Panel {
 }
 
 impl Lens {
-    /// As [`Panel::problem`].
+    /// Returns the first invalid key, the expected value and the value found.
     pub(crate) fn problem(&self) -> Option<(&'static str, &'static str, String)> {
         for (key, length) in [("pitch_mm", self.pitch_mm), ("focal_mm", self.focal_mm)] {
             if let Some(length) = length
@@ -164,7 +165,7 @@ mod tests {
     const PANEL: &str = "d_mm = 12.0\n[layers.panel]\n";
 
     fn with(lines: &str) -> String {
-        // the front layer's other keys must stand before its sub-table
+        // In TOML, the front layer's other keys must stand before its table `panel`.
         let (head, _) = SMALL.split_at(SMALL.rfind("d_mm = 12.0").unwrap());
         format!("{head}resolution = [16, 10]\npitch_mm = 1.0\n{PANEL}{lines}")
     }

@@ -1,15 +1,14 @@
-//! A display from the data of its builder: panels of one kind, the gaps between them, and maybe a
-//! lens array.
+//! Makes a display from the parts of a built device: equal panels, the gaps between them, and an
+//! optional lens array.
 
 use crate::{Backlight, Display, DisplayError, Lens, LensletBacklight, Panel, Transfer};
 
-/// Equal panels, one behind another.
+/// The data of a display that is built of equal panels, one behind another.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PanelStack {
     /// Name, as shown to the user.
     pub name: String,
-    /// Gaps between neighbouring layers, rear to front, millimetres; one less than there are
-    /// layers.
+    /// Gaps between neighbouring layers, rear to front, millimetres. N layers have N − 1 gaps.
     pub gaps_mm: Vec<f64>,
     /// [columns, rows] of a panel.
     pub panel_resolution: [usize; 2],
@@ -17,14 +16,14 @@ pub struct PanelStack {
     pub panel_pitch_mm: f64,
     /// Number of panel pixels per pixel of the masks and of the light field, per axis; at least 1.
     pub panel_pixels: usize,
-    /// Names of the outputs, rear to front; the backlight's panel is the first. If the list is
-    /// empty, panels take the outputs from left to right.
+    /// Names of the outputs that drive the panels, rear to front, the panel of a directional
+    /// backlight included. If the list is empty, panels take the outputs from left to right.
     pub outputs: Vec<String>,
     /// [horizontal, vertical] views of the light field.
     pub views: [usize; 2],
     /// [horizontal, vertical] full angles of view, degrees.
     pub fov_deg: [f64; 2],
-    /// Time-multiplexed frames M.
+    /// Number of time-multiplexed frames M.
     pub frames: usize,
     /// Refresh rate of the panels, hertz.
     pub refresh_hz: f64,
@@ -34,7 +33,8 @@ pub struct PanelStack {
     pub transfer: Transfer,
     /// Transmittance of black, relative to white.
     pub black_level: f64,
-    /// A lens array in front of a panel of its own, which then is the rearmost panel.
+    /// A lens array in front of an additional panel, which is the rearmost one. `None` for a
+    /// uniform backlight.
     pub lenses: Option<LensArray>,
 }
 
@@ -50,14 +50,16 @@ pub struct LensArray {
 }
 
 impl LensArray {
-    /// Full angle into which a lenslet sends light, degrees: 2 atan(p / 2f).
+    /// Full angle into which a lenslet emits light, degrees: 2 atan(p / 2f) for lens pitch p and
+    /// focal length f.
     pub fn fov_deg(&self) -> f64 {
         2.0 * (0.5 * self.pitch_mm / self.focal_mm).atan().to_degrees()
     }
 }
 
 impl PanelStack {
-    /// Largest number of frames that do not flicker at this refresh rate; at least 1.
+    /// Largest number of frames per period for which the period does not flicker at a refresh rate;
+    /// at least 1.
     pub fn steady_frames(refresh_hz: f64) -> usize {
         ((refresh_hz / Display::FLICKER_HZ + 1e-6).floor() as usize).max(1)
     }
@@ -69,8 +71,8 @@ impl PanelStack {
     /// If a value is invalid.
     pub fn display(&self) -> Result<Display, DisplayError> {
         let &Self { panel_resolution: resolution, panel_pitch_mm: pitch_mm, panel_pixels: scale, .. } = self;
-        // compute distances with the stack's middle at z = 0; if the number of layers is odd, move
-        // the middle layer to z = 0
+        // Place the middle of the stack at z = 0. If the number of layers is odd, move the middle
+        // layer there.
         let depth_mm: f64 = self.gaps_mm.iter().sum();
         let mut d_mm = vec![-depth_mm / 2.0];
         self.gaps_mm.iter().for_each(|gap| d_mm.push(d_mm[d_mm.len() - 1] + gap));
@@ -78,12 +80,13 @@ impl PanelStack {
             let middle = d_mm[d_mm.len() / 2];
             d_mm.iter_mut().for_each(|d| *d -= middle);
         }
-        // layers with one mask pixel per `scale` × `scale` panel pixels
+        // make layers with one mask pixel for every `scale` × `scale` panel pixels
         let mask = resolution.map(|count| (count / scale).max(1));
         let plain = Display::uniform(mask, pitch_mm * scale as f64, self.views, self.fov_deg, &d_mm, self.frames);
         let (refresh_hz, brightness) = (self.refresh_hz, self.brightness);
         let mut display = Display { name: self.name.clone(), refresh_hz, brightness, ..plain };
-        // outputs are assigned from rear to front; the panel of a backlight is the rearmost one
+        // Assign outputs from rear to front. The panel of a directional backlight is the rearmost
+        // one.
         let mut names = self.outputs.iter().cloned().map(Some).chain(std::iter::repeat(None));
         let mut panel = || Some(Panel { output: names.next().flatten(), ..Panel::default() });
         if let Some(lenses) = &self.lenses {

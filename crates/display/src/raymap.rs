@@ -1,23 +1,25 @@
 //! Intersections of the rays of a light field with the layers and the backlight.
 //!
-//! A ray of field column c at slope s hits layer n at pixel position u, computed in f64. The
-//! formula for rows is the same, with y down:
+//! Column c of the field has its centre at x_c. Its ray at slope s hits layer n, of offset o_n,
+//! pitch p_n and W_n columns, at pixel position u. The formula for rows is the same, with y down:
 //!
 //! ```text
 //! u = (x_c + d_n·s − o_n)/p_n + (W_n−1)/2
 //! ```
 //!
-//! The map is separable. Each layer has one table of W entries per view column, and one of H
-//! entries per view row. They describe all rays, so rays are never expanded into a list.
+//! The map is separable. Let the light field have W × H pixels. Then each layer has a table of W
+//! entries per view column, and one of H entries per view row. These tables describe all rays, so
+//! no list of rays is made.
 
 use crate::{Backlight, Display, FieldGeometry, Layer, LensletBacklight, OutsideBins, Sampling};
 
-/// Intersection of a ray with a layer, along one axis: value = (1 − t)·f(first) + t·f(second).
+/// Intersection of a ray with a layer, along one axis. The ray reads the value (1 − t)·f(first) +
+/// t·f(second) of the pixels f.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tap {
-    /// Pixel index, or [`Tap::MISSED`].
+    /// Index of the first pixel that the ray reads, or [`Tap::MISSED`].
     pub first: u32,
-    /// The next pixel; equals `first` under nearest sampling and at the border.
+    /// Index of the next pixel. It equals `first` under nearest sampling and at the border.
     pub second: u32,
     /// Weight of `second`, 0..1.
     pub t: f32,
@@ -33,9 +35,9 @@ impl Tap {
         self.first == Self::MISSED
     }
 
-    /// The pixel or pixels around position `u` on an axis of `count` pixels. `u` is in pixels, and
-    /// is 0 at the centre of the first pixel. The layer ends half a pixel outside its outermost
-    /// pixel centres, with any sampling.
+    /// Returns the pixel or the two pixels around position `u` on an axis of `count` pixels. `u` is
+    /// in pixels, and is 0 at the centre of the first pixel. The layer ends half a pixel outside
+    /// its outermost pixel centres, with any sampling.
     fn at(u: f64, count: usize, sampling: Sampling) -> Self {
         let nearest = (u + 0.5).floor();
         if !(nearest >= 0.0 && nearest < count as f64) {
@@ -61,13 +63,13 @@ pub struct AxisTaps {
 }
 
 impl AxisTaps {
-    /// Taps of all field columns (or rows) for view column (or row) `view`.
+    /// Returns the taps of all field columns (or rows) for view column (or row) `view`.
     #[inline]
     pub fn of_view(&self, view: usize) -> &[Tap] {
         &self.taps[view * self.rays..(view + 1) * self.rays]
     }
 
-    /// The taps of some rays of every view, changed by `change`.
+    /// Returns the taps of a range of rays of every view, each changed by `change`.
     pub(crate) fn cut(&self, rays: &std::ops::Range<usize>, change: impl Fn(&Tap) -> Tap) -> Self {
         let views = self.taps.chunks_exact(self.rays.max(1));
         let taps = views.flat_map(|view| view[rays.clone()].iter().map(&change));
@@ -78,9 +80,9 @@ impl AxisTaps {
 /// Intersections of rays with one layer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerMap {
-    /// Taps along columns, per view column.
+    /// Layer columns that rays hit, per view column.
     pub x: AxisTaps,
-    /// Taps along rows, per view row.
+    /// Layer rows that rays hit, per view row.
     pub y: AxisTaps,
     /// Number of rows of the layer.
     pub rows: usize,
@@ -88,7 +90,7 @@ pub struct LayerMap {
     pub cols: usize,
 }
 
-/// The element of a directional backlight that one axis of a ray reads.
+/// The lenslet and the angular bin that a ray reads along one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BacklightTap {
     /// A lenslet and one of its angular bins.
@@ -113,20 +115,20 @@ pub struct BacklightMap {
 }
 
 impl BacklightMap {
-    /// Taps of all field columns for a view column.
+    /// Returns the taps of all field columns for a view column.
     #[inline]
     pub fn x(&self, view: usize) -> &[BacklightTap] {
         &self.x[view * self.rays[0]..(view + 1) * self.rays[0]]
     }
 
-    /// Taps of all field rows for a view row.
+    /// Returns the taps of all field rows for a view row.
     #[inline]
     pub fn y(&self, view: usize) -> &[BacklightTap] {
         &self.y[view * self.rays[1]..(view + 1) * self.rays[1]]
     }
 
-    /// The taps of some rays [along x, along y] of every view, changed by `change`. It also
-    /// receives the number in `first` for the tap's axis.
+    /// Returns the taps of ranges of rays [along x, along y] of every view, each changed by
+    /// `change`. The second argument of `change` is the entry of `first` for the tap's axis.
     pub(crate) fn cut(
         &self,
         rays: [&std::ops::Range<usize>; 2],
@@ -141,7 +143,7 @@ impl BacklightMap {
     }
 }
 
-/// All tables of one display and one field geometry.
+/// The intersections of all rays of one field geometry with one display.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RayMap {
     /// Maps of the layers, rearmost first.
@@ -151,14 +153,15 @@ pub struct RayMap {
 }
 
 impl RayMap {
-    /// Computes the tables. Each layer has A_x·W entries along x and A_y·H entries along y.
+    /// Computes the tables for all rays of a geometry. For A_x × A_y views of W × H pixels, each
+    /// layer has A_x·W entries along x and A_y·H entries along y.
     pub fn new(display: &Display, geometry: &FieldGeometry) -> Self {
         let [x, y] = [Axis::X, Axis::Y].map(|axis| axis.centres(geometry));
         Self::of_rays(display, display.sampling, [(&x, geometry.cols), (&y, geometry.rows)])
     }
 
-    /// Tables of any rays. Per axis (x, y), `rays` has the rays of all views, and the number of
-    /// rays per view.
+    /// Computes the tables for any rays. For each axis (x, y), `rays` holds the rays of all views,
+    /// and the number of rays per view.
     pub(crate) fn of_rays(display: &Display, sampling: Sampling, rays: [(&[AxisRay], usize); 2]) -> Self {
         let layers = display
             .layers
@@ -185,14 +188,14 @@ impl RayMap {
     }
 }
 
-/// One axis of a ray: where it crosses z = 0, in millimetres, and its slope.
+/// One axis of a ray: the position at which it crosses z = 0, in millimetres, and its slope.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct AxisRay {
     pub(crate) at_mm: f64,
     pub(crate) slope: f64,
 }
 
-/// The two axes of the separable map. Array indices run with x, and against y.
+/// The two axes of the separable map. Array indices rise with x, and fall with y.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Axis {
     X,
@@ -211,7 +214,7 @@ impl Axis {
         }
     }
 
-    /// Number of field pixels along the axis.
+    /// Returns the number of field pixels along the axis.
     pub(crate) fn count(self, geometry: &FieldGeometry) -> usize {
         match self {
             Self::X => geometry.cols,
@@ -219,7 +222,7 @@ impl Axis {
         }
     }
 
-    /// The ray of a view at the point `at_mm` of z = 0.
+    /// Returns the ray of a view that crosses z = 0 at position `at_mm`.
     pub(crate) fn ray(self, geometry: &FieldGeometry, view: usize, at_mm: f64) -> AxisRay {
         let slopes = match self {
             Self::X => &geometry.grid.slope_x,
@@ -228,7 +231,7 @@ impl Axis {
         AxisRay { at_mm, slope: geometry.grid.projection.slope(slopes[view], at_mm) }
     }
 
-    /// Centre of a pixel of the field, millimetres.
+    /// Returns the centre of a field pixel, millimetres.
     pub(crate) fn centre_mm(self, geometry: &FieldGeometry, pixel: usize) -> f64 {
         match self {
             Self::X => geometry.x_mm(pixel),
@@ -236,7 +239,7 @@ impl Axis {
         }
     }
 
-    /// The rays through all pixel centres, view by view.
+    /// Returns the rays through the centres of all field pixels, view by view.
     fn centres(self, geometry: &FieldGeometry) -> Vec<AxisRay> {
         let views = match self {
             Self::X => geometry.grid.slope_x.len(),
@@ -248,19 +251,21 @@ impl Axis {
         (0..views).flat_map(pixels).collect()
     }
 
-    /// Intersection of a ray with a layer, in pixels from the centre of the first pixel.
+    /// Returns the position at which a ray hits a layer, in pixels from the centre of the first
+    /// pixel.
     pub(crate) fn pixel(self, layer: &Layer, ray: &AxisRay) -> f64 {
         let position = ray.at_mm + layer.d_mm * ray.slope - layer.offset_mm[self.index()];
         self.sign() * position / layer.pitch_mm + (layer.resolution[self.index()] as f64 - 1.0) / 2.0
     }
 
-    /// Intersection of a ray with the lenslet grid, in lenslets from the grid's edge.
+    /// Returns the position at which a ray hits the lenslet grid, in lenslets from the grid's edge.
     pub(crate) fn lenslet(self, backlight: &LensletBacklight, ray: &AxisRay) -> f64 {
         let position = ray.at_mm + backlight.d_mm * ray.slope - backlight.offset_mm[self.index()];
         self.sign() * position / backlight.pitch_mm + backlight.lenslets[self.index()] as f64 / 2.0
     }
 
-    /// Angular bin of a ray: A_b/2·(1 + s/tan(α_b/2)), in bins from the edge of the first bin.
+    /// Angular bin of a ray of slope s: A_b/2·(1 + s/tan(α_b/2)) for A_b bins over angle α_b, in
+    /// bins from the edge of the first bin. Along y, s is negated.
     pub(crate) fn bin(self, backlight: &LensletBacklight, ray: &AxisRay) -> f64 {
         let bins = backlight.views[self.index()] as f64;
         let half_width = (0.5 * backlight.fov_deg[self.index()].to_radians()).tan();
@@ -268,9 +273,10 @@ impl Axis {
     }
 }
 
-/// A ray reads the lenslet at its position on d_b, and the bin of its slope. Under `repeat` a ray
-/// outside the bins sees the picture of a neighbouring lenslet, as behind a real lens array. Bins
-/// then continue periodically, and the lenslet changes by one per period.
+/// Returns the lenslet and the bin that each ray reads. The ray's position on the lenslets' plane
+/// selects the lenslet, and its slope selects the bin. Under `repeat` a ray outside the bins sees
+/// the picture of a neighbouring lenslet, as behind a real lens array. Bins then continue
+/// periodically, and the lenslet changes by one per period.
 fn backlight_taps(backlight: &LensletBacklight, rays: &[AxisRay], axis: Axis) -> Vec<BacklightTap> {
     let lenslets = backlight.lenslets[axis.index()] as f64;
     let bins = backlight.views[axis.index()] as f64;
@@ -301,15 +307,15 @@ mod tests {
         let geometry = display.geometry().unwrap();
         let map = RayMap::new(&display, &geometry);
         let front = map.layers.last().unwrap();
-        // rightmost view column: slope > 0, so the ray hits the front layer (d > 0) further right
-        // than z = 0
+        // The rightmost view column has slope > 0. So its rays hit the front layer (d > 0) further
+        // right than they cross z = 0.
         let view = geometry.grid.slope_x.len() - 1;
         let shift =
             (display.layers.last().unwrap().d_mm * geometry.grid.slope_x[view] / geometry.pitch_mm + 0.5).floor();
         assert!(shift >= 1.0, "the test needs a shift");
         assert_eq!(front.x.of_view(view)[0].first, shift as u32);
-        // topmost view row: slope_y > 0, the ray climbs, so it hits the front layer further up: a
-        // smaller row
+        // The topmost view row has slope_y > 0. So its rays hit the front layer further up, in a
+        // smaller row.
         assert!(front.y.of_view(0)[0].is_missed());
         assert!(front.y.of_view(0)[geometry.rows - 1].first < geometry.rows as u32 - 1);
     }
@@ -341,7 +347,8 @@ mod tests {
         for view in 0..geometry.grid.slope_y.len() {
             assert!(map.y(view).iter().all(|tap| !matches!(tap, BacklightTap::Lit { bin, .. } if *bin != view as u32)));
         }
-        // outside the bins a ray reads 0, or the picture of the neighbouring lenslet
+        // Outside the bins a ray is dark, or under `Repeat` it reads a bin of the neighbouring
+        // lenslet.
         let steep = geometry.with_grid(ViewGrid::single(Projection::Oblique, [1.1 * (10f64.to_radians()).tan(), 0.0]));
         let near = LensletBacklight { d_mm: -1.0, ..backlight };
         assert_eq!(backlight_taps(&near, &Axis::X.centres(&steep), Axis::X)[geometry.cols - 1], BacklightTap::Dark);

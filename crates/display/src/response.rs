@@ -5,8 +5,9 @@
 //! F_c = Σ_c' crosstalk[c][c'] · blur(filter_c' · f_c')
 //! ```
 //!
-//! The filters belong to the mask's columns. The blur is a Gaussian along both axes that keeps
-//! constant planes constant. On a `mono` layer the three stored channels are equal, so A maps one
+//! The filters belong to the mask's columns. The blur is a Gaussian along both axes, whose weights
+//! add up to 1 also at the borders. F_c is the value that rays read in channel c, and f_c' the
+//! stored value of channel c'. On a `mono` layer the three stored channels are equal, so A maps one
 //! value per pixel to three channels.
 
 use lumistack_core::Tensor;
@@ -14,12 +15,12 @@ use lumistack_core::Tensor;
 use crate::blur::PointSpread;
 use crate::{Layer, LayerColour};
 
-/// The linear map of one layer; see the module.
+/// The linear map A of one layer; see the head of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Response {
     tied: bool,
     mix: [[f32; 3]; 3],
-    /// Empty if columns are clear.
+    /// RGB factors of the colour filters on successive columns; empty if there are no filters.
     filters: Vec<[f32; 3]>,
     spread: PointSpread,
 }
@@ -27,8 +28,8 @@ pub struct Response {
 const IDENTITY: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 impl Layer {
-    /// The hardware's response to this layer's values. `None` if rays read the stored values and no
-    /// channels are tied.
+    /// Returns the response of this layer's hardware. Returns `None` if rays read the stored values
+    /// and the three channels of a pixel are independent.
     pub fn response(&self) -> Option<Response> {
         let response = Response::of(self);
         (response.is_tied() || !response.is_identity()).then_some(response)
@@ -72,12 +73,14 @@ impl Response {
         if self.filters.is_empty() { [1.0; 3] } else { self.filters[col % self.filters.len()] }
     }
 
-    /// Weights of the point spread along either axis: an odd number, symmetric, with sum 1.
+    /// Returns the weights of the point spread, which are the same along both axes. They are
+    /// symmetric, their number is odd, and their sum is 1.
     pub fn taps(&self) -> &[f32] {
         self.spread.taps()
     }
 
-    /// Blurs one plane `[row][col]`. Calls may share the storage `scratch`.
+    /// Blurs one plane `input[row][col]` into `output`. Calls may share the working memory
+    /// `scratch`.
     ///
     /// # Panics
     /// If a plane does not hold `rows · cols` values.

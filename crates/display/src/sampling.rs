@@ -3,14 +3,14 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How a ray reads a layer between pixel centres.
+/// The value that a ray reads between the centres of a layer's pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Sampling {
-    /// The pixel at the intersection: floor(ξ + ½).
+    /// The value of the pixel that the ray hits.
     #[default]
     Nearest,
-    /// A mixture of the four pixels around the intersection.
+    /// A mixture of the values of the four pixels around the intersection, by their distance.
     Bilinear,
 }
 

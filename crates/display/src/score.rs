@@ -1,8 +1,8 @@
-//! Difference of a display's emission from its target.
+//! The error of a display's emission against its target.
 //!
-//! PSNR has a peak of 1, and includes all channels of all rays with w > 0. `psnr_view` compares
-//! L̃/β, the picture of an adapted viewer, with L. `psnr_raw` compares L̃ with βL, so it is higher
-//! by −20·log10 β.
+//! PSNR has a peak of 1, and includes all channels of all rays of weight w > 0. `psnr_view`
+//! compares L̃/β, the picture of an adapted viewer, with L. `psnr_raw` compares L̃ with βL, so it
+//! is higher by −20·log10 β.
 
 use lumistack_core::metrics::SquaredError;
 
@@ -11,7 +11,7 @@ use crate::{Display, EmittedView, LayerStack, LightField, RayMap, Simulator, Wei
 /// Errors of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ViewScore {
-    /// [view_y, view_x].
+    /// Position of the view in the grid: [view_y, view_x].
     pub view: [usize; 2],
     /// Squared error of L̃/β against L.
     pub error: SquaredError,
@@ -20,18 +20,18 @@ pub struct ViewScore {
 /// Errors of a light field, view by view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Score {
-    /// Views, row by row.
+    /// The errors of all views, row by row.
     pub views: Vec<ViewScore>,
     brightness: f64,
 }
 
 impl Score {
-    /// PSNR of L̃/β against L over all rays, dB.
+    /// Returns the PSNR of L̃/β against L over all rays, dB.
     pub fn psnr_view(&self) -> f64 {
         self.total().psnr()
     }
 
-    /// PSNR of L̃ against βL over all rays, dB.
+    /// Returns the PSNR of L̃ against βL over all rays, dB.
     pub fn psnr_raw(&self) -> f64 {
         self.total().psnr() - 20.0 * self.brightness.log10()
     }
@@ -41,7 +41,7 @@ impl Score {
     }
 }
 
-/// Error of one emitted view against one target view `[row][col][rgb]`.
+/// Returns the squared error of one emitted view against one target view `[row][col][rgb]`.
 pub fn view_error(
     emitted: &EmittedView,
     target: &[f32],

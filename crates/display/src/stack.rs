@@ -10,7 +10,7 @@ use crate::{Backlight, Display};
 /// Patterns for every layer and frame, linear, 0..1, and the brightness that they were made for.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerStack {
-    /// Per layer, rearmost first: `transmittance[frame][row][col][rgb]`.
+    /// The masks of every layer, rearmost first: `transmittance[frame][row][col][rgb]`.
     pub layers: Vec<Tensor<4>>,
     /// Emission of a directional backlight:
     /// `emission[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`.
@@ -37,7 +37,7 @@ impl LayerStack {
     /// Axis names of the emission.
     pub const EMISSION_AXES: [&'static str; 6] = ["frame", "bin_y", "bin_x", "lenslet_row", "lenslet_col", "rgb"];
 
-    /// A stack whose every value is `value`.
+    /// Makes a stack in which every value is `value`.
     pub fn filled(display: &Display, value: f32) -> Self {
         Self {
             layers: (0..display.layers.len())
@@ -48,13 +48,14 @@ impl LayerStack {
         }
     }
 
-    /// Shape of layer `n` of a display.
+    /// Returns the shape of layer `n` of a display.
     pub fn layer_shape(display: &Display, n: usize) -> [usize; 4] {
         let [cols, rows] = display.layers[n].resolution;
         [display.frames, rows, cols, 3]
     }
 
-    /// Shape of the emission of a display's backlight, when it is directional.
+    /// Returns the shape of the emission of a display's directional backlight; `None` for a uniform
+    /// backlight.
     pub fn emission_shape(display: &Display) -> Option<[usize; 6]> {
         match &display.backlight {
             Backlight::Uniform => None,
@@ -67,8 +68,8 @@ impl LayerStack {
         self.layers.first().map_or(0, |layer| layer.shape()[0])
     }
 
-    /// The stack that rays read: every layer's [`Response`](crate::Response) is applied. It is
-    /// borrowed if no layer has a response that changes values.
+    /// Returns the values that rays read: every layer after its [`Response`](crate::Response). The
+    /// stack itself is returned, borrowed, if no response changes values.
     pub fn effective(&self, display: &Display) -> Cow<'_, Self> {
         let responses: Vec<_> =
             display.layers.iter().map(|layer| layer.response().filter(|response| !response.is_identity())).collect();

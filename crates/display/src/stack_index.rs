@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Backlight, Display, Layer, LayerStack};
 
-/// `stack.json`.
+/// The content of `stack.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StackIndex {
     /// Name of the format, `lumistack/stack`.
@@ -17,7 +17,7 @@ pub struct StackIndex {
     pub layer_axes: Vec<String>,
     /// Axes of the backlight's array.
     pub emission_axes: Vec<String>,
-    /// True: values are amounts of light, not code values.
+    /// True, since values are amounts of light and not code values.
     pub linear: bool,
     /// Frames M of one period; the display emits the mean of its frames.
     pub frames: usize,
@@ -37,11 +37,11 @@ pub struct LayerEntry {
     pub file: String,
     /// Signed distance from z = 0, millimetres.
     pub d_mm: f64,
-    /// [columns, rows].
+    /// [columns, rows] of the mask.
     pub resolution: [usize; 2],
     /// Pixel pitch, millimetres.
     pub pitch_mm: f64,
-    /// [x, y] of the centre, millimetres.
+    /// [x, y] of the layer's centre, millimetres.
     #[serde(default)]
     pub offset_mm: [f64; 2],
 }
@@ -81,7 +81,8 @@ impl StackIndex {
         Self { frames: stack.frames(), brightness: stack.brightness, ..Self::of_display(display) }
     }
 
-    /// The index of patterns that do not exist yet, with the display's frames and brightness.
+    /// Returns the index of patterns that do not exist yet. It has the display's frames and
+    /// brightness.
     pub fn of_display(display: &Display) -> Self {
         let digits = (display.layers.len() - 1).to_string().len();
         let layer = |(n, layer): (usize, &Layer)| LayerEntry {

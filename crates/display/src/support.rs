@@ -1,14 +1,15 @@
-//! Spectral support: the frequencies that a display can show at all, and the range of slopes over
-//! which light may be averaged for them.
+//! Spectral support: the frequencies that a display can show, and the range of slopes over which
+//! light may be averaged without loss of these frequencies.
 //!
-//! Along one axis the support is the sum of the segments ±g of
-//! [`depth`](crate::Display::spatial_cutoff): a polygon that is symmetric about the origin. Its
+//! Along one axis the support is the Minkowski sum of the segments ±g of the layers and lenslets
+//! ([`Display::spatial_cutoff`]). This sum is a polygon that is symmetric about the origin. Its
 //! first axis is the spatial frequency ω_x, in cycles per millimetre. Its second axis is the
 //! frequency per slope ω_s, in cycles per unit of slope (the paper's ω_v with d_r = 1). The polygon
-//! is a box for a lens array, a diamond for two layers, a hexagon for three (the paper's Figure 4).
+//! is a box for a lens array, a diamond for two layers, and a hexagon for three layers (the paper's
+//! Figure 4).
 //!
-//! The support's extent ω_s on the axis ω_x = 0 limits the bound far from the display: ω(z) →
-//! ω_s/|z|. Light that is gathered over slopes of width
+//! Let ω_s now be the support's extent on the axis ω_x = 0. It limits the spatial frequency at
+//! depths z far from the display: ω(z) → ω_s/|z|. An average of light over slopes of width
 //!
 //! ```text
 //! δs = 1/(2 ω_s)
@@ -60,9 +61,9 @@ impl Display {
         corners
     }
 
-    /// Width of slopes per axis (x, y) over which light may be gathered: δs of the module.
-    /// Gathering over this width loses no detail that the display can show far from itself. The
-    /// width is at most the whole field of view, as for a single layer.
+    /// Returns the width of slopes δs per axis (x, y) over which light may be averaged. An average
+    /// over this width loses no detail that the display can show far from the display plane. The
+    /// width is at most the whole field of view, which it is for a single layer.
     pub fn angular_footprint(&self) -> [f64; 2] {
         [0, 1].map(|axis| {
             let generators = self.generators(axis);
@@ -101,7 +102,8 @@ mod tests {
         }
     }
 
-    /// The supports of Figure 4: diamond, hexagon, box. ω0 is 1 cycle per millimetre.
+    /// The spectral supports are those of the paper's Figure 4: a diamond, a hexagon and a box. The
+    /// layers' highest frequency ω0 is 1 cycle per millimetre.
     #[test]
     fn supports_have_the_papers_corners() {
         assert_corners(&stack(&[-20.0, 20.0]), &[[2.0, 0.0], [0.0, 40.0], [-2.0, 0.0], [0.0, -40.0]]);
@@ -115,7 +117,8 @@ mod tests {
         assert_corners(&stack(&[5.0]), &[[1.0, 5.0], [-1.0, -5.0]]);
     }
 
-    /// The bound is the frequency at which the line of a plane leaves the support, for every stack.
+    /// For random stacks, the bound ω(z) is the frequency at which the line of direction (1, z)
+    /// leaves the support.
     #[test]
     fn the_bound_lies_on_the_supports_edge() {
         let mut stream = Stream::new(11);

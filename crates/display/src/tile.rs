@@ -1,5 +1,5 @@
-//! A display cut into tiles: the pixels that a tile decides, the rays through these pixels, and all
-//! other pixels that these rays hit.
+//! Cuts a display into tiles. A tile has the pixels that it decides, the rays through these pixels,
+//! and all other pixels that these rays hit.
 //!
 //! ```text
 //! held   ┌───────────────────────┐   hit by rays through free pixels; fixed in a solve
@@ -30,12 +30,13 @@ pub struct Region {
     pub cols: Range<usize>,
 }
 
-/// The pixels of a tile on one layer or on the lenslets; see the module.
+/// The pixels of a tile on one layer or on the lenslets; the head of the file has a figure.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TilePart {
-    /// Pixels that this tile decides; may be empty.
+    /// Pixels whose values in the whole display come from this tile; may be empty.
     pub own: Region,
-    /// Pixels that are solved together with the own pixels.
+    /// The own pixels, and further pixels that are solved together with them but belong to other
+    /// tiles.
     pub free: Region,
     /// Pixels that rays through free pixels hit, so the tile must know their values. Never empty.
     pub held: Region,
@@ -46,9 +47,9 @@ pub struct TilePart {
 pub struct Tile {
     /// Field pixels of the tile. The tile has the rays of all views through these pixels.
     pub field: Region,
-    /// Pixels on the layers, rear to front, then on the lenslets.
+    /// The tile's pixels on each layer, rear to front, and then on the lenslets.
     pub parts: Vec<TilePart>,
-    /// Rows and columns of the whole display's layers and lenslets.
+    /// [rows, columns] of each layer of the whole display, and then of the lenslets.
     pub whole: Vec<[usize; 2]>,
 }
 
@@ -56,13 +57,14 @@ pub struct Tile {
 #[derive(Clone, Debug)]
 pub struct Tiling {
     map: RayMap,
-    /// Along x and along y: the tiles, and the number of pixels of every layer and of the lenslets.
+    /// For x and for y: the tiles along the axis, and the number of pixels of every layer and of
+    /// the lenslets.
     axes: [(Vec<AxisTile>, Vec<usize>); 2],
 }
 
 impl Tiling {
-    /// Cuts a display into `tiles` = [columns, rows] of about the same size. No tile has fewer than
-    /// two field pixels to a side.
+    /// Cuts a display into `tiles` = [columns, rows] of about the same size. There are fewer tiles
+    /// if a tile would have less than two field pixels to a side.
     pub fn new(display: &Display, geometry: &FieldGeometry, tiles: [usize; 2]) -> Self {
         let map = RayMap::new(display, geometry);
         let axes = [0, 1].map(|axis| {
@@ -72,7 +74,7 @@ impl Tiling {
         Self { map, axes }
     }
 
-    /// Number of tiles.
+    /// Returns the number of tiles.
     pub fn count(&self) -> usize {
         self.tiles().iter().product()
     }
@@ -82,7 +84,7 @@ impl Tiling {
         [0, 1].map(|axis| self.axes[axis].0.len())
     }
 
-    /// The map of the whole display's rays.
+    /// Returns the intersections of the rays of the whole display.
     pub fn map(&self) -> &RayMap {
         &self.map
     }
@@ -102,14 +104,15 @@ impl Tiling {
         Tile { field: region(&rows.field, &cols.field), parts: parts.collect(), whole: whole.collect() }
     }
 
-    /// Numbers of the tiles whose own pixels a tile holds, ascending; the tile itself is among
-    /// them. The tile reads the patterns of these tiles.
+    /// Returns the numbers of all tiles whose own pixels are among the held pixels of tile
+    /// `number`, ascending. The solver reads the patterns of these tiles. The tile itself is one of
+    /// them.
     pub fn around(&self, number: usize) -> Vec<usize> {
         let tile = self.tile(number);
         let shares = |other: &usize| {
             let of_other = self.tile(*other);
             let overlaps = |(part, other): (&TilePart, &TilePart)| !part.held.common(&other.own).is_empty();
-            // a tile of few pixels may have no own pixels
+            // The tile itself is always included, since a small tile may have no own pixels.
             *other == number || tile.parts.iter().zip(&of_other.parts).any(overlaps)
         };
         (0..self.count()).filter(shares).collect()
@@ -128,11 +131,11 @@ struct AxisCut {
 struct AxisPart {
     count: usize,
     pitch_mm: f64,
-    /// Offset of the centre in the direction of growing indices.
+    /// Offset of the layer's centre in the direction of growing indices, millimetres.
     offset_mm: f64,
-    /// Number of pixels by which the layer's blur reaches.
+    /// Reach of the layer's blur, pixels.
     blur: usize,
-    /// Per view and field pixel, the two pixels that the ray reads.
+    /// The two pixels that a ray reads, `[view][field pixel]`; `None` if the ray misses.
     met: Vec<Vec<Option<[usize; 2]>>>,
 }
 
@@ -173,8 +176,8 @@ impl AxisCut {
         Self { tiles, pixels, pitch_mm: geometry.pitch_mm, parts }
     }
 
-    /// The first field pixel of a tile. It is even, so that pairs of pixels stay together at half
-    /// the resolution.
+    /// Returns the first field pixel of a tile. It is even, so that pairs of pixels stay together
+    /// at half the resolution.
     fn cut(&self, tile: usize) -> usize {
         if tile == self.tiles { self.pixels } else { self.pixels * tile / self.tiles / 2 * 2 }
     }
@@ -193,7 +196,7 @@ impl AxisCut {
         let field = even(&self.rays(&free, &middle), self.pixels);
         let held = self.parts.iter().zip(&free).map(|(part, free)| {
             let held = hull(free, &part.hits(&field));
-            // if no ray of the tile hits a layer, the tile still holds one pixel of it
+            // If no ray of the tile hits a layer, the tile still holds one pixel of the layer.
             let held =
                 if held.is_empty() { held.start.min(part.count - 1)..held.start.min(part.count - 1) + 1 } else { held };
             even(&held, part.count)
@@ -203,21 +206,22 @@ impl AxisCut {
         AxisTile { field, parts }
     }
 
-    /// The range of field pixels whose rays hit a pixel of `ranges`, one range per layer and for
-    /// the lenslets. It includes `middle`.
+    /// Returns the smallest range that holds `middle` and all field pixels whose rays hit a pixel
+    /// of `ranges`. These are one range per layer, and one for the lenslets.
     fn rays(&self, ranges: &[Range<usize>], middle: &Range<usize>) -> Range<usize> {
         self.parts.iter().zip(ranges).fold(middle.clone(), |all, (part, range)| hull(&all, &part.rays(range)))
     }
 }
 
 impl AxisPart {
-    /// The first pixel whose centre is at a position or after it.
+    /// Returns the first pixel whose centre is at `place_mm` or after it.
     fn first_from(&self, place_mm: f64) -> usize {
         let pixel = (place_mm - self.offset_mm) / self.pitch_mm + (self.count as f64 - 1.0) / 2.0;
         (pixel.ceil().max(0.0) as usize).min(self.count)
     }
 
-    /// The range of field pixels whose rays depend on pixels of a range, with the blur included.
+    /// Returns the range of field pixels whose rays depend on pixels of `range`, also through the
+    /// blur.
     fn rays(&self, range: &Range<usize>) -> Range<usize> {
         if range.is_empty() {
             return 0..0;
@@ -231,20 +235,20 @@ impl AxisPart {
         })
     }
 
-    /// The range of pixels that influence the rays through a range of field pixels.
+    /// Returns the range of layer pixels on which the rays through a range of field pixels depend.
     fn hits(&self, field: &Range<usize>) -> Range<usize> {
         let met = self.met.iter().flat_map(|view| view[field.clone()].iter().flatten().flatten());
         let range = met.fold(0..0, |all, &pixel| hull(&all, &(pixel..pixel + 1)));
         if range.is_empty() { range } else { self.widened(&range) }
     }
 
-    /// Extends a range by all pixels that the blur mixes into its pixels.
+    /// Extends a range by all pixels whose values the blur mixes into the range.
     fn widened(&self, range: &Range<usize>) -> Range<usize> {
         range.start.saturating_sub(self.blur)..(range.end + self.blur).min(self.count)
     }
 }
 
-/// The smallest range that holds both ranges.
+/// Returns the smallest range that holds `a` and `b`.
 fn hull(a: &Range<usize>, b: &Range<usize>) -> Range<usize> {
     match (a.is_empty(), b.is_empty()) {
         (_, true) => a.clone(),
@@ -253,8 +257,7 @@ fn hull(a: &Range<usize>, b: &Range<usize>) -> Range<usize> {
     }
 }
 
-/// The smallest range of whole pairs that holds a range. The last pixel of an odd count has no
-/// partner.
+/// Extends a range to an even start and an even end, but not past `count`.
 fn even(range: &Range<usize>, count: usize) -> Range<usize> {
     range.start / 2 * 2..range.end.next_multiple_of(2).min(count)
 }
@@ -270,14 +273,15 @@ impl Region {
         self.rows.is_empty() || self.cols.is_empty()
     }
 
-    /// The same rectangle, with indices counted from the first pixel of a region `around` it.
+    /// Returns this region with indices relative to the first pixel of the region `around`, which
+    /// contains it.
     #[must_use]
     pub fn within(&self, around: &Self) -> Self {
         let shift = |range: &Range<usize>, by: usize| range.start.saturating_sub(by)..range.end.saturating_sub(by);
         Self { rows: shift(&self.rows, around.rows.start), cols: shift(&self.cols, around.cols.start) }
     }
 
-    /// The pixels that both regions have; may be empty.
+    /// Returns the pixels common to this region and `other`; may be empty.
     #[must_use]
     pub fn common(&self, other: &Self) -> Self {
         let common = |a: &Range<usize>, b: &Range<usize>| {
@@ -289,7 +293,8 @@ impl Region {
 }
 
 impl Tile {
-    /// The tile as a separate display, which has the held pixels at their positions.
+    /// Returns a display that consists of the tile's held pixels, at their positions in the whole
+    /// display.
     pub fn display(&self, whole: &Display, geometry: &FieldGeometry) -> Display {
         let mut display = whole.without_panels();
         display.field.resolution = [self.field.cols.len(), self.field.rows.len()];
@@ -300,7 +305,7 @@ impl Tile {
             layer.resolution = [held.cols.len(), held.rows.len()];
             layer.offset_mm = [0, 1].map(|axis| layer.offset_mm[axis] + centre_mm[axis] - field_mm[axis]);
             (layer.panel_resolution, layer.panel_pitch_mm) = (None, None);
-            // the stripes of colour filters continue as in the whole display
+            // Rotate the list of colour filters, so that every column keeps its filter.
             let stripes = layer.filters.len();
             if stripes > 0 {
                 layer.filters.rotate_left(held.cols.start % stripes);
@@ -318,11 +323,12 @@ impl Tile {
         display
     }
 
-    /// The geometry of the tile's rays.
+    /// Returns the geometry of the tile's part of the light field.
     pub fn geometry(&self, whole: &FieldGeometry) -> FieldGeometry {
         let mut grid = whole.grid.clone();
         if let Projection::Perspective { distance_mm } = grid.projection {
-            // the eyes stay where they are, so their positions relative to the tile's centre change
+            // The eyes keep their positions in the whole display. So their positions relative to
+            // the tile's centre change.
             let [x, y] = centre_mm(&self.field, [whole.rows, whole.cols], whole.pitch_mm);
             grid.slope_x.iter_mut().for_each(|slope| *slope -= x / distance_mm);
             grid.slope_y.iter_mut().for_each(|slope| *slope -= y / distance_mm);
@@ -331,8 +337,8 @@ impl Tile {
         FieldGeometry { rows, cols, pitch_mm: whole.pitch_mm, grid }
     }
 
-    /// Where the tile's rays hit its pixels: a section of the whole display's map, so no position
-    /// is rounded a second time.
+    /// Returns the intersections of the tile's rays with its pixels. They are copied from the whole
+    /// display's map, so that no position is rounded again.
     pub fn map(&self, whole: &RayMap) -> RayMap {
         let tap = |tap: &Tap, first: usize| {
             let shifted = |pixel: u32| pixel.wrapping_sub(first as u32);
@@ -364,7 +370,7 @@ impl Tile {
         RayMap { layers: layers.collect(), backlight }
     }
 
-    /// The radiance of the tile's rays.
+    /// Returns the part of a light field that belongs to the tile's rays.
     ///
     /// # Panics
     /// If `whole` is not the light field that was divided into tiles.
@@ -382,7 +388,7 @@ impl Tile {
         target
     }
 
-    /// The weights of the tile's rays. `None` if all of them are 0.
+    /// Returns the weights of the tile's rays; `None` if all these weights are 0.
     pub fn weights(&self, whole: &Weights) -> Option<Weights> {
         let Weights::PerRay(weights) = whole else { return Some(whole.clone()) };
         let [view_rows, view_cols, _, _] = weights.shape();
@@ -401,16 +407,16 @@ impl Tile {
     }
 }
 
-/// The centre of a region of a grid relative to the grid's centre, [x, y] in display space,
-/// millimetres.
+/// Returns the centre of a region relative to the centre of the whole grid of `rows` × `cols`
+/// pixels, [x, y] in millimetres.
 fn centre_mm(region: &Region, [rows, cols]: [usize; 2], pitch_mm: f64) -> [f64; 2] {
     let beside = |range: &Range<usize>, count: usize| 0.5 * (range.start + range.end) as f64 - 0.5 * count as f64;
     [beside(&region.cols, cols) * pitch_mm, -beside(&region.rows, rows) * pitch_mm]
 }
 
 impl LayerStack {
-    /// The pixels of one region per layer, and of the lenslets, as a separate stack. `regions` must
-    /// be within the stack.
+    /// Returns a stack of the pixels in `regions`: one region per layer, and one for the lenslets.
+    /// The regions must be within this stack.
     #[must_use]
     pub fn cut(&self, regions: &[Region]) -> Self {
         let layers = self.layers.iter().zip(regions).map(|(layer, region)| {
@@ -432,9 +438,9 @@ impl LayerStack {
 }
 
 impl LayerStack {
-    /// Copies the pixels that this stack shares with another section of the same patterns.
-    /// `regions` are the pixels of this stack within the whole display, one region per layer and
-    /// one for the lenslets. `others` are the pixels of `other`.
+    /// Copies from `other` the pixels that both stacks have. `regions` and `others` state the
+    /// pixels of this stack and of `other` within the whole display: one region per layer, and one
+    /// for the lenslets.
     pub fn paste(&mut self, regions: &[Region], other: &Self, others: &[Region]) {
         for (n, (to, from)) in self.layers.iter_mut().zip(&other.layers).enumerate() {
             paste(to.data_mut(), &regions[n], from.data(), &others[n]);
@@ -446,7 +452,7 @@ impl LayerStack {
     }
 }
 
-/// Copies the pixels that both regions have, in every plane `[row][col][rgb]`.
+/// Copies the pixels common to `region` and `other`, in every plane `[row][col][rgb]`.
 fn paste(to: &mut [f32], region: &Region, from: &[f32], other: &Region) {
     let common = region.common(other);
     if common.is_empty() {

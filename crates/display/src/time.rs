@@ -3,22 +3,23 @@
 use crate::{ColourSequence, Display};
 
 impl Display {
-    /// Rate below which eyes see flicker, periods a second.
+    /// Rate below which eyes see flicker, periods per second.
     pub const FLICKER_HZ: f64 = 60.0;
 
-    /// Number of refreshes of one period: M, or 3·M if colours are shown in turn.
+    /// Returns the number of refreshes of one period: M, or 3·M if colours are shown in turn.
     pub fn subframes(&self) -> usize {
         self.frames * self.colour_sequence.fields()
     }
 
-    /// Number of periods that the eye sees per second.
+    /// Returns the number of periods that the display shows per second.
     pub fn period_hz(&self) -> f64 {
         self.refresh_hz / self.subframes() as f64
     }
 
-    /// The warning to the user if a period is so long that it flickers.
+    /// Returns a warning to the user if the display flickers; `None` if it does not.
     pub fn flicker_warning(&self) -> Option<String> {
-        // a display made for exactly the limit must not flicker because of a rounding error
+        // A display with exactly 60 periods per second must get no warning because of a rounding
+        // error.
         const ROUNDING: f64 = 1e-9;
         if self.subframes() <= 1 || self.period_hz() >= Self::FLICKER_HZ * (1.0 - ROUNDING) {
             return None;
@@ -66,7 +67,8 @@ mod tests {
             warning.starts_with("6 frames of 3 colours in turn at 360 Hz") && warning.ends_with("1080 Hz"),
             "{warning}"
         );
-        // an image that never changes cannot flicker, however slow the panel
+        // A display of one frame shows the same image at every refresh, so it cannot flicker at any
+        // refresh rate.
         let still = Display { frames: 1, refresh_hz: 30.0, ..small_display() };
         assert_eq!(still.flicker_warning(), None);
         let coloured = Display { colour_sequence: ColourSequence::Field, ..still };

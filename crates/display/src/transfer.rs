@@ -2,15 +2,15 @@
 //! measurements of the panel.
 //!
 //! A measured table holds pairs (code, amount of light), each in any unit. The first pair is the
-//! darkest state, the last pair the brightest. Both are scaled to 0..1:
+//! darkest state, the last pair the brightest. Codes and light are scaled to 0..1:
 //!
 //! ```text
 //! code → (code − code_first) / (code_last − code_first)
 //! light → (light − light_first) / (light_last − light_first)
 //! ```
 //!
-//! Between the pairs the function is linear. `black_level` and `peak` hold the brightness of the
-//! darkest and the brightest state, not this table.
+//! Between the pairs the function is linear. The table does not state the brightness of the darkest
+//! and the brightest state: the display's keys `black_level` and `peak` do.
 
 use lumistack_core::colour::{srgb_decode, srgb_encode};
 use schemars::JsonSchema;
@@ -20,14 +20,14 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Transfer {
-    /// sRGB, IEC 61966-2-1.
+    /// The sRGB curve, IEC 61966-2-1.
     #[default]
     Srgb,
-    /// Codes proportional to light.
+    /// Codes are proportional to light.
     Linear,
-    /// Light = code^gamma.
+    /// The light of a code is code^gamma.
     Gamma(Channels<f64>),
-    /// Measured pairs [code, light], both rising.
+    /// Measured pairs [code, light], in which codes and light rise.
     Table(Channels<Vec<[f64; 2]>>),
 }
 
@@ -37,7 +37,7 @@ pub enum Transfer {
 pub enum Channels<T> {
     /// One value for all channels.
     Same(T),
-    /// Red, green, blue.
+    /// The values of red, green and blue.
     Rgb([T; 3]),
 }
 
@@ -53,7 +53,7 @@ impl<T> Channels<T> {
         }
     }
 
-    /// All given values: one or three.
+    /// Iterates over the given values: one or three.
     pub fn iter(&self) -> impl Iterator<Item = &T> {
         match self {
             Self::Same(same) => std::slice::from_ref(same).iter(),
@@ -63,12 +63,12 @@ impl<T> Channels<T> {
 }
 
 impl Transfer {
-    /// Light = code^gamma in all channels.
+    /// Makes the transfer function light = code^gamma for all channels.
     pub fn gamma(gamma: f64) -> Self {
         Self::Gamma(Channels::Same(gamma))
     }
 
-    /// The code of a linear value of a channel, both in 0..1. Values outside are clamped; NaN
+    /// Returns the code, 0..1, of a linear value of a channel. Values outside 0..1 are clamped; NaN
     /// becomes 0.
     pub fn encode(&self, channel: usize, linear: f32) -> f32 {
         let linear = if linear.is_nan() { 0.0 } else { linear.clamp(0.0, 1.0) };
@@ -80,7 +80,7 @@ impl Transfer {
         }
     }
 
-    /// The linear value of a code of a channel, both in 0..1.
+    /// Returns the linear value, 0..1, of a code, 0..1, of a channel.
     pub fn decode(&self, channel: usize, code: f32) -> f32 {
         match self {
             Self::Srgb => srgb_decode(code),
@@ -90,12 +90,12 @@ impl Transfer {
         }
     }
 
-    /// True if channels differ.
+    /// Returns true if the channels have functions of their own.
     pub fn is_per_channel(&self) -> bool {
         matches!(self, Self::Gamma(Channels::Rgb(_)) | Self::Table(Channels::Rgb(_)))
     }
 
-    /// The first invalid key under `transfer`, the expected value and the value found.
+    /// Returns the first invalid key under `transfer`, the expected value and the value found.
     pub(crate) fn problem(&self) -> Option<(String, &'static str, String)> {
         let key = |name: &str, channels: usize, i: usize| {
             if channels == 1 { name.to_string() } else { format!("{name}[{i}]") }
@@ -141,7 +141,7 @@ mod tests {
     const ROUNDING: f32 = 1e-6;
 
     fn measured() -> Transfer {
-        // codes of 8 bits, and light in candela per square metre
+        // The pairs have codes of 8 bits, and light in candela per square metre.
         let red = vec![[0.0, 0.3], [64.0, 10.3], [128.0, 40.3], [255.0, 200.3]];
         let green = vec![[0.0, 0.0], [255.0, 1.0]];
         Transfer::Table(Channels::Rgb([red, green.clone(), green]))

@@ -1,10 +1,10 @@
-//! Changes of a display's values: the axes along which designs are compared.
+//! Changes of a display's values, for the comparison of designs.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{Backlight, Display, DisplayError};
 
-/// Changes to a display; values that are not given stay the same.
+/// Changes to a display. A value that is `None` stays the same.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Variation {
@@ -13,25 +13,27 @@ pub struct Variation {
     /// layer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub layers: Option<usize>,
-    /// Frames M.
+    /// Number of frames M.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frames: Option<usize>,
     /// Brightness scale β.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brightness: Option<f64>,
-    /// Distance of neighbouring layers Δd, millimetres; without it, the mean of the old distances.
+    /// Distance of neighbouring layers Δd, millimetres. If only `layers` is given, the distance is
+    /// the mean of the old distances.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gap_mm: Option<f64>,
     /// [horizontal, vertical] full angles of view of the light field and the backlight, degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fov_deg: Option<[f64; 2]>,
-    /// [columns, rows] of lenslets over the same area.
+    /// [columns, rows] of lenslets. Their pitch changes, so that they cover the same width as
+    /// before.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lenslets: Option<[usize; 2]>,
 }
 
 impl Variation {
-    /// The changed display, checked.
+    /// Returns the changed display, after a check of its values.
     ///
     /// # Errors
     /// If a value is out of range, or if layers are added to a single layer without a gap.
@@ -97,7 +99,8 @@ impl Variation {
     }
 }
 
-/// Largest number of layers: more would let no light through.
+/// Largest number of layers. Larger numbers are surely mistakes, since so many layers would
+/// transmit no light.
 const MOST_LAYERS: usize = 64;
 
 #[cfg(test)]

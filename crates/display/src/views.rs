@@ -1,4 +1,4 @@
-//! Density of the views in the viewing zone.
+//! The choice of the views that sample the viewing zone.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -10,18 +10,18 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::{GridError, Projection, ViewGrid};
 
-/// Fraction of a step by which the outermost view may be outside of the zone. So the zone's rim is
-/// at most three quarters of a step from that view.
+/// Fraction of a step by which the outermost view may be outside the zone. So every slope at the
+/// zone's edge is at most three quarters of a step from a view.
 const BEYOND: f64 = 0.25;
-/// Tolerance for quotients that are whole numbers up to rounding.
+/// Tolerance with which a quotient is rounded down to a whole number.
 const ROUNDING: f64 = 1e-9;
 
 /// The views that sample the zone |s| ≤ tan(α/2) of a display. In files `"auto"`,
 /// `[horizontal, vertical]`, or `{ step = [x, y] }`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Views {
-    /// Views at multiples of the display's [native step](crate::native_step). A display that is
-    /// right at these views is also right between them.
+    /// Views at multiples of the display's [native step](crate::native_step). A display that shows
+    /// these views well also shows the views between them well.
     #[default]
     Auto,
     /// A number of views, [horizontal, vertical], at the centres of equal bins of the zone, as in
@@ -33,8 +33,8 @@ pub enum Views {
 }
 
 impl Views {
-    /// The grid over full angles of `fov_deg`. For [`Views::Auto`] it has the steps that `auto`
-    /// returns.
+    /// Returns the view grid over the full angles `fov_deg`. For [`Views::Auto`] its steps are the
+    /// result of `auto`.
     pub(crate) fn grid(
         self,
         projection: Projection,
@@ -46,7 +46,7 @@ impl Views {
             Self::Step(step) => step,
             Self::Auto => auto(),
         };
-        // check the angles
+        // return an error for invalid angles
         ViewGrid::uniform(projection, [1, 1], fov_deg)?;
         let slopes = |axis: usize| {
             let most = steps_within(half_width(fov_deg[axis]), step[axis]) as i64;
@@ -57,12 +57,12 @@ impl Views {
     }
 }
 
-/// tan(α/2) of a full angle.
+/// Returns tan(α/2) of a full angle α in degrees.
 pub(crate) fn half_width(fov_deg: f64) -> f64 {
     (0.5 * fov_deg.to_radians()).tan()
 }
 
-/// Number of views on either side of the middle one.
+/// Returns the number of views on either side of the middle view.
 pub(crate) fn steps_within(half_width: f64, step: f64) -> usize {
     if step > 0.0 { (half_width / step + BEYOND + ROUNDING) as usize } else { 0 }
 }
@@ -77,7 +77,7 @@ impl Serialize for Views {
     }
 }
 
-/// Views at all multiples of these slopes.
+/// The form `{ step = [x, y] }`: views at all multiples of a step.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Steps {
@@ -116,7 +116,8 @@ impl<'de> Visitor<'de> for Form {
     }
 
     fn visit_str<E: Error>(self, name: &str) -> Result<Views, E> {
-        // `5x3` is allowed only on the command line; files state the same numbers as a list
+        // A text such as `5x3` is allowed only on the command line. Files have the list [5, 3]
+        // instead.
         if name == "auto" { Ok(Views::Auto) } else { Err(E::invalid_value(Unexpected::Str(name), &self)) }
     }
 

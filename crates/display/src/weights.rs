@@ -1,4 +1,4 @@
-//! Weights w of the objective Σ w (βL − L̃)² (eq. 27, with real weights entering linearly).
+//! Weights w ≥ 0 of the objective Σ w (βL − L̃)², which is linear in w (eq. 27).
 
 use lumistack_core::Tensor;
 use thiserror::Error;
@@ -21,9 +21,9 @@ pub enum Weights {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("weights: expected {expected}, found {found}")]
 pub struct WeightError {
-    /// The expected value or range.
+    /// The expected shape or range of values.
     pub expected: String,
-    /// The value found.
+    /// The wrong shape or the invalid value.
     pub found: String,
 }
 
@@ -73,7 +73,8 @@ impl Weights {
         let shape = [view_rows, view_cols, geometry.rows, geometry.cols];
         let mut weights = Tensor::filled(["view_y", "view_x", "row", "col"], shape, floor);
         for eye_box in boxes {
-            // the Gaussian of a distance is the product of the Gaussians of its components
+            // The Gaussian of a distance is the product of the Gaussians of its components. So
+            // compute a factor for each axis.
             let [x, y] = eye_box.falloff(geometry);
             for [view_y, view_x] in geometry.grid.iter() {
                 let x = &x[view_x * geometry.cols..(view_x + 1) * geometry.cols];
@@ -124,8 +125,8 @@ impl Weights {
 }
 
 impl EyeBox {
-    /// The Gaussian's factors along x `[view_x][col]` and y `[view_y][row]`: a ray at p with slope
-    /// s crosses the eye's plane at p + z·s.
+    /// Returns the Gaussian's factors along x `[view_x][col]` and along y `[view_y][row]`. A ray
+    /// that crosses z = 0 at p with slope s crosses the eye's plane at p + z·s.
     fn falloff(&self, geometry: &FieldGeometry) -> [Vec<f64>; 2] {
         let [eye_x, eye_y, z] = self.eye_mm;
         let along = |slopes: &[f64], positions: Vec<f64>, eye: f64| {
@@ -145,7 +146,7 @@ mod tests {
     use crate::config::tests::small_display;
     use crate::{GridError, Projection, ViewGrid};
 
-    /// Tolerance: single precision of weights near 1.
+    /// Tolerance for the rounding of weights near 1 in single precision.
     const ROUNDING: f64 = 1e-6;
 
     fn at(eye_mm: [f64; 3]) -> EyeBox {

@@ -1,14 +1,14 @@
-//! The viewing zone of a display, and the errors of its seen pictures there.
+//! The viewing zone of a display, and the errors of the seen pictures from this zone.
 //!
-//! The zone of an oblique light field is the slopes |s_x| ≤ tan(α_x/2), |s_y| ≤ tan(α_y/2). The
-//! zone of a perspective light field is the eye positions D·s. With eye boxes, the zone is the
-//! union of the boxes.
+//! The zone of an oblique light field is the set of slopes s with |s_x| ≤ tan(α_x/2) and |s_y| ≤
+//! tan(α_y/2). The zone of a perspective light field is the set of eye positions D·s for these
+//! slopes. With eye boxes, the zone is the union of the boxes.
 //!
 //! The score `psnr_zone` is −10 log₁₀ of the mean squared error between seen picture / β and the
 //! scene's picture. The mean is over directions that are spread over the whole zone and that the
-//! solver did not use. The scene's pictures are noisy, so each is given twice with independent
-//! noise. The mean product of the two differences is the squared error without their noise, since
-//! E[(e + n₁)(e + n₂)] = e².
+//! solver did not use. The scene's pictures are noisy, so each is rendered twice, with independent
+//! noise n₁ and n₂. With e the true error, the two measured errors are e + n₁ and e + n₂. The score
+//! is the mean of their product, since E[(e + n₁)(e + n₂)] = e².
 
 use crate::{EyeBox, LEAST_SHARE, Projection, SeenView, ViewGrid};
 
@@ -27,14 +27,15 @@ pub enum Zone {
         /// tan(α/2) per axis (x, y), ≥ 0.
         half_width: [f64; 2],
     },
-    /// Eyes that move around known places.
+    /// Eye positions: a disc in each eye box.
     Eyes(Vec<EyeBox>),
 }
 
 impl Zone {
-    /// The zone of a light field's views. Per axis it reaches half a spacing past the outermost
-    /// views, or is as wide as `fov_deg` if that is known. An axis with one view has no width,
-    /// since a display that is solved for one direction is right in no other.
+    /// Returns the zone of a light field's views. If `fov_deg` is known, the zone is as wide as
+    /// these full angles. Otherwise it reaches half a spacing past the outermost views. An axis
+    /// with one view has no width, since a display that is solved for one direction is wrong in all
+    /// others.
     pub fn of_grid(grid: &ViewGrid, fov_deg: Option<[f64; 2]>) -> Self {
         let slopes = [&grid.slope_x, &grid.slope_y];
         let spacing = grid.bin_width();
@@ -46,9 +47,9 @@ impl Zone {
         Self::Slopes { projection: grid.projection, half_width }
     }
 
-    /// `count` directions, each as a grid of one view. An additive recurrence of low discrepancy
-    /// spreads them over the zone: Roberts' R₂, whose ratio is the real root of x³ = x + 1. The
-    /// same zone and count always give the same directions.
+    /// Returns `count` directions, each as a grid of one view. An additive recurrence of low
+    /// discrepancy (Roberts' R₂) spreads them over the zone. Its ratio is the real root of x³ = x +
+    /// 1. Equal zones and counts give equal directions.
     pub fn directions(&self, count: usize) -> Vec<ViewGrid> {
         const RATIO: f64 = 1.324_717_957_244_746;
         let point = |i: usize| [1.0, 2.0].map(|power| (0.5 + (i + 1) as f64 * RATIO.powf(-power)).fract());
@@ -59,7 +60,8 @@ impl Zone {
                     ViewGrid::single(*projection, [(2.0 * u - 1.0) * x, (2.0 * v - 1.0) * y])
                 }
                 Self::Eyes(boxes) => {
-                    // take the boxes in turn; within a box, directions are uniform over its disc
+                    // Take the eye boxes in turn. Within a box, spread directions uniformly over
+                    // its disc.
                     let EyeBox { eye_mm: [x, y, z], sigma_mm, .. } = boxes[i % boxes.len()];
                     let [u, v] = point(i / boxes.len());
                     let (radius, angle) = (EYE_BOX_SIGMAS * sigma_mm * u.sqrt(), std::f64::consts::TAU * v);
@@ -80,8 +82,8 @@ impl Zone {
 pub struct DirectionScore {
     /// Slope (x, y) at the centre of the field.
     pub slope: [f64; 2],
-    /// Mean squared error over pixels and channels. Noise may make it slightly negative if a
-    /// display is perfect.
+    /// Mean squared error over pixels and channels. If the true error is tiny, noise may make it
+    /// slightly negative.
     pub mse: f64,
     /// Number of pixels that are scored.
     pub pixels: usize,
@@ -106,7 +108,7 @@ impl DirectionScore {
         Self { slope: [direction.slope_x[0], direction.slope_y[0]], mse, pixels }
     }
 
-    /// −10 log₁₀ of the error, dB.
+    /// Returns the PSNR in this direction, −10 log₁₀ of the mean squared error, dB.
     pub fn psnr(&self) -> f64 {
         psnr(self.mse)
     }
@@ -126,8 +128,8 @@ impl ZoneScore {
         mean(&self.scored()).map(psnr)
     }
 
-    /// PSNR of the mean error over the worst tenth of the directions, dB. A tenth of their number
-    /// is rounded up.
+    /// Returns the PSNR of the mean error over the worst tenth of the directions, dB. The number of
+    /// these directions is rounded up.
     pub fn worst_tenth(&self) -> Option<f64> {
         let mut scored = self.scored();
         scored.sort_by(|a, b| b.total_cmp(a));
@@ -144,8 +146,8 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// PSNR with peak 1, dB. The smallest error is the square of a tenth of a 16-bit step, since noise
-/// may make an error 0 or negative.
+/// Returns the PSNR with peak 1, dB. Errors below the square of a tenth of a 16-bit step are raised
+/// to it, since noise may make an error 0 or negative.
 fn psnr(mse: f64) -> f64 {
     const LEAST: f64 = 1.5e-6 * 1.5e-6;
     -10.0 * mse.max(LEAST).log10()
@@ -168,7 +170,7 @@ mod tests {
         }
         let row = ViewGrid::uniform(Projection::Oblique, [5, 1], [20.0, 14.0]).unwrap();
         let Zone::Slopes { half_width, .. } = Zone::of_grid(&row, Some([20.0, 14.0])) else { panic!("slopes") };
-        assert_eq!(half_width[1], 0.0, "one view row promises nothing above or below it");
+        assert_eq!(half_width[1], 0.0, "with one view row, the zone has no height");
     }
 
     #[test]
@@ -176,7 +178,8 @@ mod tests {
         let zone = Zone::Slopes { projection: Projection::Oblique, half_width: [0.2, 0.1] };
         let directions = zone.directions(32);
         assert_eq!(directions, zone.directions(32));
-        // every cell of a 4 × 4 grid holds one to three of the 32 directions
+        // The directions are evenly spread: every cell of a 4 × 4 grid over the zone holds one to
+        // three of the 32 directions.
         let mut cells = [0; 16];
         for direction in &directions {
             let [x, y] = [direction.slope_x[0] / 0.2, direction.slope_y[0] / 0.1].map(|s| (2.0 + 2.0 * s) as usize);
@@ -199,8 +202,8 @@ mod tests {
         assert!(Zone::Eyes(Vec::new()).directions(32).is_empty());
     }
 
-    /// Two noisy references give the error of the picture, without the error of the noise, which is
-    /// 19 times as large.
+    /// Two noisy references give the error of the seen picture alone, though the squared error of
+    /// the noise is 19 times as large.
     #[test]
     fn noise_of_the_references_does_not_count() {
         let pixels = 40_000;
@@ -213,7 +216,8 @@ mod tests {
         };
         let direction = ViewGrid::single(Projection::Oblique, [0.0; 2]);
         let score = DirectionScore::new(&direction, &seen, 0.2, [&a, &b]);
-        // the tolerance is five standard errors of the mean product of 120,000 pairs, each 9e-5
+        // The standard error of the mean product of 120,000 pairs is 9e-5. The tolerance is five
+        // standard errors.
         assert!((score.mse - 0.0016).abs() < 4.5e-4, "{}", score.mse);
         assert!((DirectionScore::new(&direction, &seen, 0.2, [&a, &a]).mse - 0.0316).abs() < 1e-3);
     }
@@ -227,6 +231,6 @@ mod tests {
         assert!((score.worst_tenth().unwrap() - psnr(0.055)).abs() < 1e-12);
         assert!((score.psnr().unwrap() - psnr(0.128 / 20.0)).abs() < 1e-12);
         assert_eq!(ZoneScore::default().psnr(), None);
-        assert!(DirectionScore { mse: -1e-9, ..direction(0.0) }.psnr() > 100.0, "noise below zero is no error");
+        assert!(DirectionScore { mse: -1e-9, ..direction(0.0) }.psnr() > 100.0, "an error below 0 is only noise");
     }
 }

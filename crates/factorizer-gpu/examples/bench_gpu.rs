@@ -26,7 +26,8 @@ use lumistack_factorizer_gpu::{Device, adapters};
 const WIDTH_MM: f64 = 473.76;
 const FRAMES: usize = 12;
 
-/// Seconds of the first update, including the start, and of one further update.
+/// Returns the seconds of the start and the first update together, and the seconds of one further
+/// update.
 fn time(
     solver: &dyn Solver,
     problem: &Problem,
@@ -68,7 +69,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if !adapter.is_hardware {
         println!("no graphics processor: the device measured below is the processor, through a software driver");
     }
-    // the limits of this adapter, which bound every update
+    // measure the limits of this adapter, below which every update stays
     let limits = device.measured_limits();
     println!(
         "on {}: copies {:.1} GB/s, {:.1} G multiply-adds/s",
@@ -84,7 +85,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let target = scene::light_field(&display)?;
     let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
     let start = random_start(&display, 1);
-    // the smallest traffic of an update, see the top of this file
+    // the numbers of values and rays, from which the smallest traffic of an update follows (see the
+    // top of this file)
     let (factors, frames) = (3.0, FRAMES as f64);
     let values = 3.0 * (resolution[0] * resolution[1]) as f64;
     let rays = 25.0 * values;

@@ -56,7 +56,8 @@ fn described(adapter: &wgpu::Adapter) -> Adapter {
         kind,
         driver: [info.driver, info.driver_info].join(" ").trim().to_owned(),
         buffer_bytes: [limits.max_buffer_size, limits.max_storage_buffer_binding_size],
-        // a browser does not report the kind of a graphics processor
+        // A browser does not report the kind of an adapter, so every browser adapter of kind
+        // `other` counts as a graphics processor.
         is_hardware: ["discrete", "integrated", "virtual"].contains(&kind)
             || (info.backend == wgpu::Backend::BrowserWebGpu && kind == "other"),
     }
@@ -66,7 +67,7 @@ fn described(adapter: &wgpu::Adapter) -> Adapter {
 /// case.
 ///
 /// # Errors
-/// If there is none; the error lists all adapters.
+/// If no adapter fits; the error lists all adapters.
 pub(crate) fn choose(name: Option<&str>) -> Result<(Adapter, wgpu::Adapter), String> {
     let mut all = found();
     let fits = |adapter: &Adapter| match name {

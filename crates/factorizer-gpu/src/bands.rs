@@ -1,8 +1,9 @@
-//! Divides lines into bands, so that the data of a dispatch fits into the device's bindings.
+//! Divides the lines of a factor (its rows of pixels) into bands, so that the data of a dispatch
+//! fit into the device's bindings.
 //!
-//! Buffers hold whole channels. A dispatch writes some lines, and binds windows of the buffers that
-//! it reads for these lines. The windows hold the field rows whose rays read the lines, and the
-//! lines of other factors that these rays read. A band whose windows are too large is halved.
+//! Buffers hold whole channels. A dispatch writes the lines of one band. For these lines it binds
+//! windows of the buffers that it reads. They hold the field rows whose rays read the lines, and
+//! the lines of other factors that these rays read. A band whose windows are too large is halved.
 
 use std::ops::Range;
 
@@ -11,7 +12,7 @@ use crate::tables::Tables;
 /// The windows of one dispatch; ranges are in 4-byte words of a channel's buffers.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Band {
-    /// Lines of a factor; field rows, if errors are computed.
+    /// The band's lines of a factor. For the program that computes errors, the band's field rows.
     pub(crate) lines: Range<usize>,
     pub(crate) own: Range<u64>,
     pub(crate) target: Range<u64>,
@@ -90,8 +91,8 @@ impl BandSizes<'_> {
         })
     }
 
-    /// The range of some lines in words, from an aligned offset on; `None` if the range exceeds a
-    /// binding.
+    /// Returns the range of some lines in words, extended to an aligned start. `None` if the range
+    /// is larger than a binding may be.
     fn window(&self, lines: Range<usize>, words: u64) -> Option<Range<u64>> {
         let align = self.align.div_ceil(4);
         let start = lines.start as u64 * words / align * align;
@@ -100,7 +101,7 @@ impl BandSizes<'_> {
     }
 }
 
-/// The smallest range that contains all given ranges.
+/// Returns the smallest range that contains all given ranges.
 fn span(ranges: &[Option<[usize; 2]>]) -> Range<usize> {
     let all = ranges.iter().flatten();
     let first = all.clone().map(|range| range[0]).min();

@@ -12,7 +12,7 @@ use crate::wait;
 /// Number of bytes that are written or read at a time.
 pub(crate) const CHUNK: u64 = 32 << 20;
 
-/// An open device.
+/// An open graphics device.
 pub struct Gpu {
     adapter: Adapter,
     pub(crate) device: wgpu::Device,
@@ -27,7 +27,7 @@ impl Gpu {
     /// ignoring case.
     ///
     /// # Errors
-    /// [`FactorizeError::Device`] if there is none, or if it does not open.
+    /// [`FactorizeError::Device`] if there is no such adapter, or if it does not open.
     pub fn open(name: Option<&str>) -> Result<Self, FactorizeError> {
         let failed = |device: &str, why: String| FactorizeError::Device { device: device.into(), why };
         let (adapter, found) = adapters::choose(name).map_err(|why| failed(name.unwrap_or("gpu"), why))?;
@@ -45,7 +45,8 @@ impl Gpu {
         };
         let (heard, lost) = (record(&failure), record(&failure));
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| heard(error.to_string())));
-        // a page solves on the processor then, without an option
+        // In a page the solver continues on the processor without an option, so the error needs no
+        // remedy.
         let remedy = if cfg!(target_arch = "wasm32") { "" } else { "; run again, or use --device cpu" };
         device.set_device_lost_callback(move |_, message| {
             lost(format!("the device was lost: {message}").trim_end_matches(": ").to_owned() + remedy);
@@ -53,7 +54,7 @@ impl Gpu {
         Ok(Self { adapter, device, queue, limits, programs: Mutex::default(), failure })
     }
 
-    /// Returns the adapter.
+    /// Returns the adapter of the device.
     pub fn adapter(&self) -> &Adapter {
         &self.adapter
     }
@@ -105,8 +106,8 @@ impl Gpu {
         }
     }
 
-    /// Writes words to a buffer, a chunk at a time, since words in flight occupy memory a second
-    /// time.
+    /// Writes words to a buffer, a chunk at a time, since words that are being copied are in memory
+    /// twice.
     pub(crate) fn write<T: Copy>(&self, buffer: &wgpu::Buffer, words: &[T], bytes: impl Fn(&[T]) -> Vec<u8>) {
         let per_chunk = (CHUNK / 4) as usize;
         for (index, part) in words.chunks(per_chunk).enumerate() {
@@ -156,7 +157,7 @@ impl Gpu {
         floats
     }
 
-    /// The layout of the bindings of all programs for a number of factors.
+    /// Returns the layout of bindings that all programs for a number of factors share.
     pub(crate) fn layout(&self, factors: usize) -> wgpu::BindGroupLayout {
         let binding = |binding: usize| {
             let ty = match binding {

@@ -54,7 +54,7 @@ impl Device {
     /// ignoring case.
     ///
     /// # Errors
-    /// [`FactorizeError::Device`] if there is none, or if it does not open.
+    /// [`FactorizeError::Device`] if there is no such adapter, or if it does not open.
     pub fn open(name: Option<&str>) -> Result<Self, FactorizeError> {
         Ok(Self { gpu: Arc::new(gpu::Gpu::open(name)?) })
     }

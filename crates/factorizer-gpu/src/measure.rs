@@ -1,4 +1,4 @@
-//! Measured limits of a device, with which its updates are compared.
+//! Measures the limits of a device, with which the speed of its updates is compared.
 
 use std::time::Instant;
 
@@ -21,7 +21,7 @@ const ROUNDS: usize = 5;
 
 /// Runs each kernel several times and takes the fastest run.
 pub(crate) fn limits(gpu: &Gpu) -> Limits {
-    // use buffers as large as the device allows
+    // use fewer threads if their data exceed the device's buffers
     let fits = gpu.limits.max_storage_buffer_binding_size.min(gpu.limits.max_buffer_size) / 16;
     let threads = THREADS.min(fits / 64 * 64);
     let [from, to] = [0; 2].map(|_| gpu.buffer(4 * threads));
@@ -51,7 +51,7 @@ pub(crate) fn limits(gpu: &Gpu) -> Limits {
     });
     let groups = (threads / 64) as u32;
     let across = groups.min(1 << 12);
-    // measure the time of a dispatch until the device is idle
+    // Returns the shortest time from a dispatch until the device is idle.
     let fastest = |entry: &str| {
         let pipeline = gpu.pipeline(&module, &layout, entry);
         let once = || {

@@ -36,10 +36,10 @@ pub(crate) struct State {
     row_bands: Vec<Band>,
     layout: wgpu::BindGroupLayout,
     params: wgpu::Buffer,
-    /// Distance of the parameters of successive dispatches, bytes.
+    /// Distance between the parameters of successive dispatches in `params`, bytes.
     params_stride: u64,
     sums: wgpu::Buffer,
-    /// Buffers that are bound where a program needs none.
+    /// Buffers for bindings that a program does not use.
     unused: [wgpu::Buffer; 3],
     /// Number of workgroups of the last dispatch; their results are in `sums`.
     found: usize,
@@ -169,7 +169,8 @@ impl State {
             found += groups_x * band.lines.len();
             calls.push((self.bind(update, channel, band, at), band.lines.len()));
         }
-        // at most one update waits on the device while the next is prepared
+        // Wait for the update before, so that at most one update runs on the device while the next
+        // is prepared.
         if let Some(index) = self.submitted.take() {
             let waiting = wgpu::PollType::Wait { submission_index: Some(index), timeout: None };
             if let Err(error) = self.gpu.device.poll(waiting) {
@@ -191,7 +192,7 @@ impl State {
         self.found = found;
     }
 
-    /// The parameters of a dispatch, in the order of `Params` in `read.wgsl`.
+    /// Returns the parameters of a dispatch, in the order of `Params` in `read.wgsl`.
     fn parameters(
         &self,
         update: Option<Update>,
@@ -312,8 +313,8 @@ impl Updater for State {
     }
 
     fn save(&mut self, _: usize) {
-        // nothing to copy: an update leaves the previous values in the buffer that the next update
-        // overwrites
+        // Nothing is copied, since an update leaves the previous values in the buffer `next`, until
+        // the next update of the factor.
     }
 
     fn restore(&mut self, n: usize) {

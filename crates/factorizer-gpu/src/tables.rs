@@ -3,7 +3,7 @@
 use lumistack_display::Tap;
 use lumistack_factorizer::device::Plan;
 
-/// Word of a tap that misses the factor.
+/// The word in a table for a ray that misses the factor.
 const MISSED: u32 = u32::MAX;
 
 /// All tables, and the offset of each.
@@ -30,16 +30,18 @@ pub(crate) struct FactorTables {
     /// Offset in `words` of the table `[view column][column]` of the offsets of lists: the field
     /// columns that read the column. A list ends at the next entry's offset.
     pub(crate) own_columns: u32,
-    /// Per line, the first and last field row that read it from any view.
+    /// For each line, the first and the last field row whose rays read it in any view; `None` if
+    /// there are none.
     pub(crate) rows_of_line: Vec<Option<[usize; 2]>>,
-    /// Per field row, the first and last line that it reads from any view.
+    /// For each field row, the first and the last line that its rays read in any view; `None` if
+    /// there are none.
     pub(crate) lines_of_row: Vec<Option<[usize; 2]>>,
 }
 
 impl Tables {
     pub(crate) fn new(plan: &Plan) -> Self {
         let ([views_y, views_x], [rows, cols]) = (plan.views(), plan.field());
-        // the valid rays, as flags
+        // add a flag for every row and column of rays, which is 1 if the rays are valid
         let mut words = Vec::new();
         let counted_rows = 0;
         for view_y in 0..views_y {

@@ -5,7 +5,7 @@ use lumistack_factorizer::device::{Plan, Row};
 
 use crate::gpu::{CHUNK, Gpu};
 
-/// Target and weights.
+/// The target light field and the weights of its rays, in buffers of the device.
 pub(crate) struct Target {
     pub(crate) channels: Vec<wgpu::Buffer>,
     /// √w; `None` if all are 1.
@@ -16,7 +16,7 @@ pub(crate) struct Target {
 }
 
 impl Target {
-    /// Words per field row of the target and of the weights.
+    /// Returns the words per field row of the target and of the weights.
     fn words(plan: &Plan) -> [u64; 2] {
         let ([views_y, views_x], [_, cols]) = (plan.views(), plan.field());
         let views = (views_y * views_x) as u64;
@@ -25,7 +25,7 @@ impl Target {
         [views * row, if weighted { views * cols as u64 } else { 0 }]
     }
 
-    /// Words of the largest buffer.
+    /// Returns the words of the largest buffer.
     pub(crate) fn largest(plan: &Plan) -> u64 {
         let [row, weights] = Self::words(plan);
         row.max(weights) * plan.field()[0] as u64
@@ -50,7 +50,7 @@ impl Target {
                 }
             }
         };
-        // channels are separate buffers, so that a dispatch binds one
+        // Each channel has its own buffer, since a dispatch reads only one channel.
         let channels = (0..plan.channels()).map(|channel| {
             let buffer = gpu.buffer(row_words * rows as u64);
             by_rows(gpu, &buffer, rows, row_words, |row, to| of_row(channel, row, to));
@@ -71,7 +71,8 @@ impl Target {
     }
 }
 
-/// Writes a buffer some rows at a time, so that memory never holds a second copy.
+/// Writes a buffer some rows at a time, so that memory never holds a second copy of the whole
+/// buffer.
 fn by_rows(gpu: &Gpu, buffer: &wgpu::Buffer, rows: usize, words: u64, fill: impl Fn(usize, &mut Vec<u8>)) {
     let together = (CHUNK / (4 * words)).max(1) as usize;
     let mut bytes = Vec::new();

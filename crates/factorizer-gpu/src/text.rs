@@ -1,5 +1,5 @@
-//! Generates the text of shaders. In their sources, a block that repeats per factor and frame is
-//! written once.
+//! Generates the text of shaders. In the source of a shader, a block that is repeated for every
+//! factor or frame is written once.
 //!
 //! ```text
 //! //@ factors   all factors, {k}             //@ frames   {m} = 0 .. M
@@ -39,8 +39,8 @@ pub(crate) struct Update {
     pub(crate) own: usize,
     pub(crate) rule: Rule,
     pub(crate) extrapolated: bool,
-    /// True if the update takes the curvature at the current point. This matters only if L̃ is not
-    /// linear in the values.
+    /// True if the update uses the curvature at the current values instead of a bound of the
+    /// curvature. The two differ only if L̃ is not linear in the values.
     pub(crate) local: bool,
 }
 
@@ -91,7 +91,7 @@ impl Program<'_> {
         }
     }
 
-    /// Names of the sums that the rule needs.
+    /// Returns the names of the sums that the rule needs.
     fn sums(&self) -> Vec<String> {
         let frames = 0..self.plan.frames();
         if self.is("ratio") {
@@ -100,7 +100,7 @@ impl Program<'_> {
         frames.clone().map(|m| format!("r{m}")).chain(self.pairs().map(|(m, j)| format!("g{m}_{j}"))).collect()
     }
 
-    /// Pairs of frames (m, j) for which products a_m a_j are summed.
+    /// Returns the pairs of frames (m, j) whose products a_m a_j the shader sums.
     fn pairs(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
         let (frames, gram) = (self.plan.frames(), self.is("gram"));
         (0..frames).flat_map(move |m| (m..if gram { frames } else { m + 1 }).map(move |j| (m, j)))
@@ -132,7 +132,7 @@ impl Program<'_> {
         }
     }
 
-    /// The substitutions for each repetition of a block.
+    /// Returns the substitutions for each repetition of a block.
     fn places(&self, directive: &str, place: &Place) -> Vec<Place> {
         let plan = self.plan;
         let own = self.update.map(|update| update.own);
@@ -160,7 +160,7 @@ impl Program<'_> {
     }
 }
 
-/// The lines up to the end of the block that has just begun.
+/// Returns the lines up to the end of the block that has just begun.
 fn block_of<'a>(lines: &mut dyn Iterator<Item = &'a str>) -> Vec<&'a str> {
     let mut depth = 1;
     let inside = lines.take_while(|line| {

@@ -44,7 +44,7 @@ impl Values {
     }
 
     /// Allocates the last iterate as a copy of the current values. The first extrapolation calls
-    /// it.
+    /// this function.
     pub(crate) fn begin_latest(&mut self, gpu: &Gpu) {
         if self.latest.is_none() {
             self.latest = Some(self.current.iter().map(|_| gpu.buffer(self.words)).collect());
@@ -68,8 +68,8 @@ impl Values {
         }
     }
 
-    /// Exchanges the current values and the values before the last update. A second call undoes
-    /// this.
+    /// Exchanges the current values and the values before the last update. A second call exchanges
+    /// them back.
     pub(crate) fn swap_next(&mut self) {
         std::mem::swap(&mut self.current, &mut self.next);
     }

@@ -9,7 +9,7 @@ pub(crate) use native::{answer, block_on};
 #[cfg(target_arch = "wasm32")]
 pub(crate) use page::{answer, block_on};
 
-/// A callback that takes the answer.
+/// A callback that receives the answer.
 type Reply<T> = Box<dyn FnOnce(T) + Send>;
 
 #[cfg(not(target_arch = "wasm32"))]
@@ -28,7 +28,7 @@ mod native {
     pub(crate) fn answer<T: Send + 'static>(ask: impl FnOnce(Reply<T>)) -> Option<T> {
         let (sender, receiver) = channel();
         ask(Box::new(move |answer| drop(sender.send(answer))));
-        // if another thread waits too, it may run the callback, slightly later
+        // Another thread that waits for the device may run the callback, slightly later.
         receiver.recv_timeout(CALLBACK_TIMEOUT).ok()
     }
 }

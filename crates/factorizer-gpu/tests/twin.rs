@@ -1,5 +1,5 @@
-//! Compares the device with the processor, on any adapter, software included. Without an adapter
-//! the tests are skipped.
+//! Compares the results of a device with those of the processor. The device is any adapter, also a
+//! software one. Without an adapter the tests are skipped.
 
 use std::sync::{Mutex, OnceLock};
 
@@ -23,7 +23,7 @@ const PATTERN_TOLERANCE: f32 = 1e-4;
 const EMISSION_TOLERANCE: f32 = 1e-5;
 /// Largest allowed relative difference of the objective.
 const OBJECTIVE_TOLERANCE: f64 = 1e-4;
-/// Largest allowed difference of an objective near 0, per ray and channel.
+/// Largest allowed difference of an objective near 0, divided by the number of rays and channels.
 const OBJECTIVE_PER_VALUE: f64 = 1e-11;
 /// Smallest influence of a value on the emission at which the value is taken as determined.
 const DETERMINED: f32 = 0.1;
@@ -33,8 +33,9 @@ const ROUNDS: usize = 4;
 const UPDATES: usize = 10;
 /// Seed of the random problems. All tests use this seed, so that they share compiled programs.
 const SEED: u64 = 4;
-/// The device's emission may differ from the processor's by this multiple of the processor's own
-/// difference. That is the difference between runs whose starts and targets differ by a rounding.
+/// The processor's own difference is the difference of emission between runs whose starts and
+/// targets differ by rounding. The device's emission may differ from the processor's by this
+/// multiple of it.
 const OWN_ROUNDING: f32 = 4.0;
 /// Number of runs of the processor by which its own difference is measured.
 const NUDGES: u32 = 4;
@@ -53,7 +54,7 @@ fn device() -> Option<Device> {
     DEVICE.get_or_init(open).clone()
 }
 
-/// True if the device and the solver accept a problem.
+/// Returns true if the device and the solver accept a problem.
 fn takes(owned: &Owned, name: &str) -> bool {
     let fits = name != "multiplicative" || owned.display.formation != Formation::Polarization;
     fits && owned.display.layers.iter().all(|layer| layer.response().is_none())
@@ -69,7 +70,7 @@ fn tensors(stack: &LayerStack) -> impl Iterator<Item = &[f32]> {
     stack.layers.iter().map(|layer| layer.data()).chain(stack.emission.iter().map(|emission| emission.data()))
 }
 
-/// The emission along all rays.
+/// Returns the emission along all rays.
 fn emissions(owned: &Owned, stack: &LayerStack) -> Vec<f32> {
     let (geometry, simulator) = (owned.target.geometry(), Simulator::new(&owned.display, stack));
     let map = RayMap::new(&owned.display, geometry);
@@ -80,7 +81,8 @@ fn largest<'a>(a: impl IntoIterator<Item = &'a f32>, b: impl IntoIterator<Item =
     a.into_iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
-/// Largest change of any ray's emission per change of a value, found by moving the value.
+/// Returns the largest change of a ray's emission per change of one value, found by a change of the
+/// value.
 fn influence(owned: &Owned, stack: &LayerStack, tensor: usize, index: usize) -> f32 {
     let mut moved = stack.clone();
     let layers = moved.layers.iter_mut().map(|layer| layer.data_mut());
@@ -101,7 +103,7 @@ fn nudge(values: &mut [f32], state: &mut u32) {
     }
 }
 
-/// Runs of the processor whose starts and targets differ only by rounding.
+/// Returns the results of runs on the processor whose starts and targets differ only by rounding.
 fn own_runs(kind: Kind, name: &str, start: &LayerStack) -> Vec<LayerStack> {
     let own_run = |number: u32| {
         let (mut state, mut owned, mut start) = (number, random(kind, SEED), start.clone());
@@ -134,14 +136,14 @@ fn begin_of(name: &str, problem: &Problem, start: LayerStack) -> Begin {
     catch.0.into_inner().unwrap().unwrap()
 }
 
-/// True if two results `a` and `b` are equal within the tolerance. Each is a part of the sum `sum`,
-/// which has `values` terms.
+/// Returns true if two results `a` and `b` are equal within the tolerance. The tolerance depends on
+/// the sum `sum` of `values` terms, of which the results are parts.
 fn are_near(a: f64, b: f64, sum: f64, values: usize) -> bool {
     (a - b).abs() <= OBJECTIVE_TOLERANCE * sum + OBJECTIVE_PER_VALUE * values as f64
 }
 
-/// Compares updates one by one. On both devices, each update starts from the processor's patterns
-/// after the previous update, so that rounding does not accumulate.
+/// Compares single updates of the device and the processor. Each update starts from the processor's
+/// patterns after the previous update, so that rounding does not accumulate.
 #[test]
 fn one_update_equals_the_processors() {
     let Some(device) = device() else { return };
@@ -213,11 +215,11 @@ fn one_update_equals_the_processors() {
     assert!(count > 400, "{count}");
 }
 
-/// Compares whole runs.
+/// Compares whole runs of the device and the processor.
 ///
-/// Single updates agree far better. Later updates depend on values that rounding has decided, so a
-/// few runs end at other patterns. The processor's own runs also do so if their starts differ by
-/// rounding.
+/// Whole runs agree less well than single updates. Later updates depend on values that rounding has
+/// decided, so a few runs end at other patterns. Runs on the processor alone also do so if their
+/// starts differ by rounding.
 #[test]
 fn ten_updates_equal_the_processors() {
     let Some(device) = device() else { return };
@@ -342,7 +344,7 @@ fn what_a_device_cannot_do_is_one_clear_message() {
     owned.display.layers[0].blur_px = 0.0;
     let small = message(&device.with_binding_bytes(16).unwrap(), &owned);
     assert!(small.contains("too little memory"), "{small}");
-    // another device, so that the shared one stays valid
+    // Destroy another device, so that the shared device stays valid.
     let doomed = device.with_binding_bytes(u64::MAX).unwrap();
     let mut run: Box<dyn Run> = doomed.solver("auto").unwrap().start(&owned.problem(), start.clone()).unwrap();
     run.step(&Cancel::default()).unwrap();

@@ -181,7 +181,7 @@ fn light_field(display: &Display, bytes: &[u8]) -> Outcome<LightField> {
     Ok(LightField::new(display.geometry()?, radiance)?)
 }
 
-/// Every solver with every start, with and without a coarser level.
+/// Returns settings for every solver with every start, with and without a coarser level.
 fn combinations() -> Vec<Settings> {
     let mut all = Vec::new();
     for solver in solvers() {
@@ -211,8 +211,8 @@ struct Row {
 
 /// Iterates, and returns the PSNR after the given numbers of iterations.
 ///
-/// If the display allows no coarser level, the start equals that of the previous row `before`. The
-/// result is then a copy of that row's values, without a new run.
+/// If the display allows no coarser level, the start equals the start of the previous row `before`.
+/// The result is then a copy of that row's values, without a new run.
 fn curve(group: &Group, settings: Settings, iterations: &[u32], before: Option<&Row>) -> Outcome<Row> {
     let problem = Problem { display: &group.display, target: &group.target, weights: &Weights::Uniform };
     let (warnings, cancel) = (Collector::default(), Cancel::default());

@@ -59,7 +59,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("target written in {:.1} s", begin.elapsed().as_secs_f64());
     // SAFETY: no other process writes the file
     let map = unsafe { memmap2::Mmap::map(&File::open(&path)?)? };
-    // solve, and check that little memory is held
+    // Solve the target, and check that the process holds little memory.
     let begin = Instant::now();
     let mut run = ChannelRun::start(&display, &geometry, Arc::new(Halves(map)), 1)?;
     println!("started in {:.1} s, {:.0} million rays", begin.elapsed().as_secs_f64(), run.rays() as f64 / 1e6);
@@ -79,7 +79,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Writes three textured planes behind, on and in front of the display, the nearer ones with holes.
+/// Writes three textured planes: one behind the display, one on it, and one in front of it. The two
+/// nearer planes have holes.
 fn write_planes(path: &Path, geometry: &FieldGeometry) -> std::io::Result<()> {
     let mut file = BufWriter::with_capacity(1 << 20, File::create(path)?);
     let texture = |x: f64, y: f64, scale: f64| 0.5 + 0.25 * (x / scale).sin() + 0.25 * (y / scale * 1.3).cos();

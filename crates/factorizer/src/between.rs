@@ -1,4 +1,5 @@
-//! Lines of one factor that rays read between pixels, at a constant distance per view column.
+//! Updates lines of one factor that rays read between pixels, at a constant distance for each view
+//! column.
 //!
 //! As in [`scatter`](crate::scatter), each ray adds its sums to four pixels, by shares. Here all
 //! rays of a view column read at the same distance, so pixels gather:
@@ -13,14 +14,15 @@
 //!     step the pixels by low, keep high for line j + 1
 //! ```
 //!
-//! The terms a_m and e of a ray are computed once. The rays one earlier are the same vector, moved
-//! up by a lane, with the last lane of the block before. As with √w, the terms are multiplied by
-//! the root of the share.
+//! The terms a_m and e of a ray are computed once, with one ray per lane. The rays that read a
+//! pixel second are the rays of the pixel before. Their vector is the same vector, moved up by a
+//! lane. Its lane 0 is the last lane of the block before. Shares are applied like weights: the
+//! terms are multiplied by the root of the share, as by √w.
 //!
-//! At the borders a ray reads the border pixel alone. So the lines that rays read are copies whose
-//! border pixels are repeated once, and the border pixels get the whole share. Copies and mixtures
-//! are made for one part and one row of rays at a time. So they stay in the first-level cache, as
-//! the sums of a part do; an update by whole lines took 10 % longer.
+//! At a border, a ray reads the border pixel twice. So the lines that rays read are copies whose
+//! border pixels are repeated once, and a border pixel gets both shares. Copies and mixtures of
+//! lines are made for one part and one row of rays at a time. So they stay in the first-level
+//! cache, as the sums of a part do. An update by whole lines took 10 % longer.
 
 use std::ops::Range;
 
@@ -35,7 +37,7 @@ use crate::rays::{LineRays, RowOfRays, Spare, Windows, rays_between};
 use crate::step::{Rule, Sums};
 use crate::vector::{self, load, store};
 
-/// Number of columns per part.
+/// Number of columns of a line that are summed together, as one part.
 const PART: usize = 128;
 
 /// The functions of an update, for one instruction set and rule.
@@ -62,33 +64,35 @@ pub(crate) struct Scratch {
     buffers: Buffers,
     rays: LineRays<'static>,
     spare: Spare,
-    /// The weight of the next line in each row of rays.
+    /// For each row of rays, the share of its sums that the next line gets.
     t: Vec<f32>,
-    /// The view columns' shares.
+    /// The shares of every view column that has valid rays.
     shares: Vec<ColumnShares>,
-    /// Mixtures of lines.
+    /// The lines of all factors that rays read, mixed to one row per row of rays.
     windows: Windows,
-    /// Per row of rays, the end of its rows in the list of rows to prefetch.
+    /// For each row of rays, the index at which its entries end in the list of rows to prefetch.
     ahead: Vec<usize>,
-    /// Per factor, the smallest and the largest distance from a pixel to where its rays read.
+    /// For each factor k, the smallest and the largest distance between the pixels of k and of the
+    /// factor under update that a ray reads.
     spread: Vec<[isize; 2]>,
-    /// The low sums of a part, `[quantity][column]`.
+    /// The sums of a part of the line under update, `[quantity][column]`.
     low: Aligned,
-    /// The sums that wait for the next line, `[quantity][x]`.
+    /// The sums that rays have added for the next line, `[quantity][x]`.
     high: Vec<f32>,
-    /// Σ w e² that waits for the next line.
+    /// Σ w e², as far as it belongs to the next line.
     high_error: f64,
-    /// a_m, e and L̃ of each view in the block before, `[view][M + 2][lane]`.
+    /// For each view, the terms of the rays through the previous block of pixels: a_m =
+    /// ∂L̃/∂(f_m/M), then βL and L̃. The order is `[view][M + 2][lane]`.
     before: Aligned,
 }
 
-/// The shares of a view column's rays, as roots, `[x]`: of the ray that reads x first, and of the
-/// ray that reads it second.
+/// Roots of the shares that pixel x gets from rays of a view column. `first` is for the ray that
+/// reads x first, `second` for the ray that reads x second.
 struct ColumnShares {
     first: Vec<f32>,
     /// Empty if no ray reads a second pixel.
     second: Vec<f32>,
-    /// x of the pixels that rays read first.
+    /// Range of the pixels x that valid rays read first.
     valid: Range<usize>,
 }
 
@@ -113,8 +117,8 @@ impl Scratch {
     }
 }
 
-/// Per factor, the smallest and the largest distance from a pixel of factor `n` to where its rays
-/// read.
+/// For each factor k, the smallest and the largest distance between the pixels of k and of factor
+/// `n` that a ray reads.
 fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     let distances = |k: usize| {
         let both = plan.maps[k].x.iter().zip(&plan.maps[n].x);
@@ -124,7 +128,7 @@ fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     (0..plan.maps.len()).map(of).collect()
 }
 
-/// The shares of every view column that has valid rays.
+/// The shares of every view column with valid rays; see [`ColumnShares`].
 fn shares(plan: &Plan, n: usize) -> Vec<ColumnShares> {
     let map = &plan.maps[n];
     let (pad, cols) = (map.layout.pad as isize, map.layout.cols());
@@ -154,16 +158,16 @@ pub(crate) struct BetweenBand<'a> {
     pub(crate) factors: &'a [Factor],
     pub(crate) functions: &'a BetweenFunctions,
     pub(crate) scratch: &'a mut Scratch,
-    /// The previous line, whose high sums wait; `None` at the beginning.
+    /// The line that was updated last, if the rays after it have added sums for the next line.
     pub(crate) before: Option<LineOf>,
 }
 
 impl BetweenBand<'_> {
-    /// Sums and steps the next line.
+    /// Sums the rays of the next line and steps its pixels.
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
         let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);
-        // at the start of a band, the rays that begin at the previous line are summed once more
+        // If the line before was not updated here, the rays that start at it are summed again.
         if !follows {
             self.scratch.high.fill(0.0);
             self.scratch.high_error = 0.0;
@@ -175,15 +179,15 @@ impl BetweenBand<'_> {
         self.add_rays(at, needed, Some(&mut step))
     }
 
-    /// Sums the rays between a line and the next, block by block, and steps the line; without
-    /// `step` only the sums of the next line are kept.
+    /// Sums the rays between a line and the next line, and steps the line. Without `step`, only the
+    /// sums for the next line are kept.
     fn add_rays(&mut self, at: LineOf, needed: Sums, mut step: Option<&mut LineStep>) -> Outcome {
         let (plan, factors, functions) = (self.plan, self.factors, self.functions);
         let Scratch { buffers, rays, spare, t, shares, windows, ahead, spread, low, high, high_error, before } =
             &mut *self.scratch;
         let map = &plan.maps[at.factor];
         let (layout, lanes) = (&map.layout, functions.lanes);
-        // list the rows of rays between the lines
+        // list the rows of rays between the line and the next line
         spare.rows.clear();
         t.clear();
         for view_y in 0..plan.views[0] {
@@ -198,7 +202,7 @@ impl BetweenBand<'_> {
         let windows = windows.lines();
         let rows = spare.rows.clone();
         let list = rays_between(std::mem::take(rays), plan, factors, at, (spare, &windows), ahead);
-        // the first block has no block before it
+        // the block before the first block counts as zeros
         let count = list.views.len() * (plan.frames + 2) * lumistack_simd::MAX_LANES;
         if before.len() < count {
             *before = Aligned::filled(0.0, count);
@@ -206,13 +210,14 @@ impl BetweenBand<'_> {
         before[..count].fill(0.0);
         let params = SumParams { brightness: plan.target.brightness, sums: needed };
         let mut outcome = Outcome { error: std::mem::take(high_error), gain: 0.0 };
-        // a ray before the first pixel reads that pixel second
+        // If a ray reads its first pixel in the padding and pixel 0 second, begin one block
+        // earlier.
         let outside = shares.iter().any(|column| !column.second.is_empty() && column.valid.start < layout.pad);
         let first = if outside { layout.pad - lanes } else { layout.pad };
         let end = layout.pad + layout.cols().next_multiple_of(lanes);
         for start in (first..end).step_by(PART) {
             let part = start..(start + PART).min(end);
-            // the high sums of the previous line are the first low sums of this one
+            // the sums that the previous line's rays added for this line come first
             for (high, low) in high.chunks_exact_mut(layout.stride).zip(low.chunks_exact_mut(PART)) {
                 low[..part.len()].copy_from_slice(&high[part.clone()]);
                 high[part.clone()].fill(0.0);
@@ -267,17 +272,17 @@ impl BetweenBand<'_> {
     }
 }
 
-/// One part of a line, with one row of rays between the line and the next.
+/// One part of a line, with one row of rays between the line and the next line.
 struct PartBetween<'a> {
     rays: &'a LineRays<'a>,
     shares: &'a [ColumnShares],
     /// The first view of the row of rays.
     first: usize,
-    /// The weight of the next line.
+    /// The share of the ray's sums that the next line gets.
     t: f32,
-    /// Rows to prefetch.
+    /// Range of the rows to prefetch, in the list of rows.
     ahead: Range<usize>,
-    /// x of the part.
+    /// Range of x of the part.
     part: Range<usize>,
     params: SumParams,
     buffers: &'a mut Buffers,
@@ -287,7 +292,7 @@ struct PartBetween<'a> {
     before: &'a mut Aligned,
 }
 
-/// Adds a row of rays to the sums of a part; returns Σ w e².
+/// Adds the terms of a row of rays to the sums of a part; returns Σ w e².
 struct SumsBetween;
 
 impl Kernel for SumsBetween {
@@ -307,7 +312,7 @@ impl Kernel for SumsBetween {
                 let mut group = Group { frames, views: 0, add: false };
                 for (view, column) in shares.iter().enumerate() {
                     if column.valid.start < x + V::COUNT && x < column.valid.end + 1 {
-                        // two more views must fit
+                        // a view adds up to two entries to the group, which must have room for them
                         if group.views + 2 > GROUP {
                             sum_views::<V, false>(params.sums, buffers, &[], group);
                             group = Group { frames, views: 0, add: true };
@@ -320,7 +325,7 @@ impl Kernel for SumsBetween {
                     }
                 }
                 sum_views::<V, false>(params.sums, buffers, &[], group);
-                // share the sums between the lines
+                // divide the sums between the line and the next line
                 let Buffers { block, .. } = &mut *buffers;
                 let (low, high) = (&mut low[x - part.start..], &mut high[x..]);
                 for m in 0..frames {
@@ -344,7 +349,8 @@ impl Kernel for SumsBetween {
     }
 }
 
-/// Adds the sum at `at` to quantity `q` of the line and of the next one.
+/// Adds the sum at index `at` of `from` to quantity `q`. The line under update gets the fraction 1
+/// − t, and the next line gets t.
 #[inline(always)]
 unsafe fn share<V: Lanes>(
     from: &[f32],
@@ -365,8 +371,9 @@ unsafe fn share<V: Lanes>(
     }
 }
 
-/// Buffers the terms of one view, times the roots of their shares: the rays that read the block
-/// first, then those that read it second. Returns their number and Σ w e² per lane.
+/// Buffers the terms of one view's rays, times the roots of their shares. The first entry is for
+/// the rays that read the block's pixels first, the second for the rays that read them second.
+/// Returns the number of entries, and their Σ w (βL − L̃)² per lane.
 #[inline(always)]
 unsafe fn add_view<V: Lanes>(
     rays: &LineRays,
@@ -416,7 +423,8 @@ unsafe fn add_view<V: Lanes>(
     }
 }
 
-/// Buffers e (or βL) and L̃, times the root of their share; returns e.
+/// Stores the error e = βL − L̃ (βL itself for the paper's rule) and L̃ in the buffers, times the
+/// root of the share. Returns e times that root.
 #[inline(always)]
 unsafe fn put<V: Lanes>(buffers: &mut Buffers, to: usize, ratio: bool, wanted: V, emitted: V, share: V) -> V {
     // SAFETY: guaranteed by the caller
@@ -429,16 +437,17 @@ unsafe fn put<V: Lanes>(buffers: &mut Buffers, to: usize, ratio: bool, wanted: V
     }
 }
 
-/// One view's rays in a block.
+/// The rays of one view that read the pixels of a block.
 struct Reads<'a> {
     rays: &'a LineRays<'a>,
     view: usize,
     x: usize,
-    /// False if no ray reads the block first.
+    /// False if no ray reads a pixel of the block as its first pixel.
     fresh: bool,
 }
 
-/// Destination of a_m, times the roots of the shares.
+/// Position of a view's derivatives a_m in the buffers, and the roots of the shares that multiply
+/// them.
 struct Buffered<'a, V> {
     to: usize,
     between: bool,
@@ -450,7 +459,8 @@ struct Buffered<'a, V> {
 }
 
 impl Reads<'_> {
-    /// Computes and buffers a_m of the frames m..m + R; returns `emitted` + Σ_m a_m f_m.
+    /// Computes a_m = ∂L̃/∂(f_m/M) for the frames m..m + R, and buffers it, times the roots of the
+    /// shares. Returns `emitted` plus Σ a_m f_m over these frames.
     #[inline(always)]
     unsafe fn frames<V: Lanes, const R: usize>(&self, m: usize, mut emitted: V, buffered: Buffered<V>) -> V {
         let Buffered { to, between, first, second, frames, products, before } = buffered;
@@ -500,7 +510,7 @@ impl Reads<'_> {
     }
 }
 
-/// The values at `from`, mixed with the next values by `t`.
+/// Interpolates between the values at `from` and the values one further, at the fraction `t`.
 #[inline(always)]
 unsafe fn between_pixels<V: Lanes>(from: *const f32, t: f32) -> V {
     // SAFETY: guaranteed by the caller

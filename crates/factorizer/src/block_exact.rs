@@ -87,8 +87,8 @@ impl Method for Extrapolated {
     }
 }
 
-/// The extrapolation's factor (β_k of Ang and Gillis), its bound, and the rates at which factor and
-/// bound change.
+/// The factor of the extrapolation (β_k of Ang and Gillis), its upper bound, and the rates at which
+/// the factor and the bound change.
 #[derive(Clone, Copy, Debug)]
 struct Extrapolation {
     factor: f32,
@@ -124,7 +124,7 @@ impl Extrapolation {
     }
 }
 
-/// Calls `read` with the last iterate instead of the extrapolated patterns.
+/// Calls `read` while the state holds the last iterate instead of the extrapolated patterns.
 fn at_latest<T>(state: &mut dyn Updater, read: impl FnOnce(&mut dyn Updater) -> T) -> T {
     state.swap_latest();
     let result = read(state);
@@ -140,8 +140,9 @@ struct BlockExactRun {
 
 impl BlockExactRun {
     fn new(prepared: Prepared, extrapolation: Option<Extrapolation>) -> Result<Self, FactorizeError> {
-        // The curvature of sin² varies strongly. So extrapolation does not help, and a step by the
-        // curvature at the current point often gains more than one by the bound.
+        // The curvature of sin² varies strongly, so extrapolation does not help. A step by the
+        // curvature at the current point often gains more than a step by the bound of the
+        // curvature.
         let tries_local = prepared.display.formation == Formation::Polarization;
         let state = prepared.begin(0.0, tries_local)?;
         Ok(Self { state, extrapolation: extrapolation.filter(|_| !tries_local), known: None })

@@ -1,5 +1,5 @@
-//! Sums of one block of a line, with the terms of each view in buffers, for any number of frames
-//! and factors. [`step`](crate::step) defines the terms a_m and e and the sums n, d, r and G.
+//! Sums of one block of pixels, for any number of frames and factors. The terms of each view go
+//! through buffers. [`step`](crate::step) defines the terms a_m and e and the sums n, d, r and G.
 //!
 //! [`registers`](crate::registers) has faster functions for common cases and uses the types of this
 //! file.
@@ -19,22 +19,23 @@ pub(crate) const AHEAD: usize = 2;
 /// is read only once.
 const TARGET_AHEAD: usize = 64;
 
-/// Number of views that are buffered before their sums are added up. The buffers of 169 views
-/// together would take twice the first-level cache.
+/// Number of views that are buffered before their terms are added to the sums. The buffers of 169
+/// views together would take twice the first-level cache.
 pub(crate) const GROUP: usize = 32;
 
-/// Buffers of one block. a_m, e, βL and L̃ include a factor √w, so that their products include w.
+/// Buffers of one block of pixels. The derivatives a_m, the errors e, βL and L̃ (see `step.rs`)
+/// include a factor √w, so that their products include w.
 pub(crate) struct Buffers {
     pub(crate) block: Block,
-    /// a_m of a group of views, `[view][frame][lane]`.
+    /// The derivatives a_m = ∂L̃/∂(f_m/M) for a group of views, `[view][frame][lane]`.
     pub(crate) products: Aligned,
-    /// e of a group of views, or βL for the paper's rule, `[view][lane]`.
+    /// The errors e = βL − L̃ of a group of views, or βL for the paper's rule: `[view][lane]`.
     pub(crate) errors: Aligned,
     /// L̃ of a group of views, `[view][lane]`.
     pub(crate) emitted: Aligned,
-    /// f/M of the block's pixels.
+    /// Values f of the block's pixels, divided by the number M of frames.
     pub(crate) scaled: Aligned,
-    /// Σ w e² per lane.
+    /// Σ w (βL − L̃)² over the block's rays, per lane.
     pub(crate) squares: Vector,
 }
 
@@ -53,7 +54,7 @@ impl Buffers {
     }
 }
 
-/// The target's scale, and the sums that an update needs.
+/// The brightness β, and the sums that an update needs.
 #[derive(Clone, Copy)]
 pub(crate) struct SumParams {
     pub(crate) brightness: f32,
@@ -75,13 +76,14 @@ pub(crate) struct BlockOfLine<'a> {
 }
 
 impl BlockOfLine<'_> {
-    /// Copies the block's values f, and f/M, and prefetches rows.
+    /// Copies the values f of the block's pixels, and f divided by the number of frames, into the
+    /// buffers. Also prefetches rows.
     ///
-    /// With `in_registers` the caller prefetches some rows view by view, so this function leaves
-    /// these rows out.
+    /// If `in_registers` is true, the caller prefetches some rows view by view, and this function
+    /// leaves these rows out.
     ///
     /// # Safety
-    /// The machine has V.
+    /// The machine has `V`'s instruction set.
     #[inline(always)]
     pub(crate) unsafe fn begin<V: Lanes>(&mut self, frames: usize, in_registers: bool) {
         // SAFETY: guaranteed by the caller
@@ -96,7 +98,7 @@ impl BlockOfLine<'_> {
     }
 }
 
-/// Adds up the sums over all views through buffers.
+/// Computes the sums of a block over all views, by way of the buffers.
 pub(crate) struct ByBuffers;
 
 impl Kernel for ByBuffers {
@@ -129,14 +131,15 @@ impl Kernel for ByBuffers {
     }
 }
 
-/// Writes a_m, e and L̃ of one view in the block, times √w, to position `to` of the buffers. The
-/// paper's rule gets βL instead of e. Returns e √w.
+/// Writes the derivatives a_m, the error e and the emission L̃ of one view (see `step.rs`) to
+/// position `to` of the buffers, times √w. For the paper's rule it writes βL instead of e. Returns
+/// e √w.
 ///
-/// With `OWN`, each view reads different values of the factor under update, as under bilinear
+/// If `OWN` is true, each view reads different values of the factor under update, as under bilinear
 /// sampling.
 ///
 /// # Safety
-/// The machine has V, and x lies within the rows of the view.
+/// The machine has `V`'s instruction set, and x lies within the rows of the view.
 #[inline(always)]
 pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     rays: &LineRays,
@@ -149,8 +152,8 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     let (frames, others) = (buffers.block.frames, rays.others_of(view));
     // SAFETY: guaranteed by the caller
     unsafe {
-        // if each view reads different values, f/M is read along the rays; otherwise it comes from
-        // the block
+        // If each view reads different values of the factor under update, they are read along the
+        // rays. Otherwise they come from the block.
         let products = &mut buffers.products[to * frames * V::COUNT..(to + 1) * frames * V::COUNT];
         let scaled = if OWN {
             Scaled::<V, OWN> {
@@ -161,7 +164,7 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
         } else {
             Scaled { first: buffers.scaled.as_ptr(), stride: V::COUNT, mean: V::splat(1.0) }
         };
-        // compute a_m and L̃; there are separate loops for one, two and three other factors
+        // compute a_m and L̃, in separate loops for one, two and three other factors
         let emitted = match others {
             [a] => products_of::<V, OWN, 1>(rays, [a], x, frames, weight, products, scaled),
             [a, b] => products_of::<V, OWN, 2>(rays, [a, b], x, frames, weight, products, scaled),
@@ -179,7 +182,7 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
                 emitted
             }
         };
-        // the error e; the paper's rule sums βL instead
+        // store the error e, or βL for the paper's rule
         let wanted = wanted::<V>(&rays.targets[view], x, params).mul(weight);
         let error = wanted.sub(emitted);
         store(if params.sums == Sums::Ratio { wanted } else { error }, &mut buffers.errors, to * V::COUNT);
@@ -188,8 +191,9 @@ pub(crate) unsafe fn buffered<V: Lanes, const OWN: bool>(
     }
 }
 
-/// f/M of the factor under update, frame by frame. If each view reads different values, they are
-/// read along the rays; otherwise they come from the block.
+/// Values of the factor under update in every frame, divided by the number of frames. If each view
+/// reads different values (`OWN`), they are read along the rays; otherwise they come from the
+/// block.
 #[derive(Clone, Copy)]
 struct Scaled<V, const OWN: bool> {
     first: *const f32,
@@ -208,7 +212,8 @@ impl<V: Lanes, const OWN: bool> Scaled<V, OWN> {
     }
 }
 
-/// Writes the products of K factors and `weight` for all frames; returns Σ_m a_m f_m/M.
+/// Writes a_m = ∂L̃/∂(f_m/M) for every frame m: the product of `weight` and the values of K other
+/// factors. Returns Σ_m a_m f_m/M over the M frames.
 #[inline(always)]
 unsafe fn products_of<V: Lanes, const OWN: bool, const K: usize>(
     rays: &LineRays,
@@ -240,7 +245,7 @@ unsafe fn products_of<V: Lanes, const OWN: bool, const K: usize>(
 /// Returns βL of one view in the block.
 ///
 /// # Safety
-/// The machine has V, and x lies within the row.
+/// The machine has `V`'s instruction set, and x lies within the row.
 #[inline(always)]
 pub(crate) unsafe fn wanted<V: Lanes>(row: &TargetRow, x: usize, params: SumParams) -> V {
     // SAFETY: guaranteed by the caller
@@ -270,11 +275,11 @@ pub(crate) struct Group {
     pub(crate) add: bool,
 }
 
-/// Adds up the terms of a group of views. With `SHARED`, the terms of each view are multiplied by
-/// the view's share in the line.
+/// Adds the terms of a group of views to the sums. If `SHARED` is true, the terms of each view are
+/// multiplied by the share of the line under update in the view's rays.
 ///
 /// # Safety
-/// The machine has V, and the buffers hold as many views as the group.
+/// The machine has `V`'s instruction set, and the buffers hold as many views as the group.
 #[inline(always)]
 pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
     sums: Sums,
@@ -286,7 +291,8 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
     let (frames, tiles) = (group.frames, Tiles::<SHARED> { group, shares, products, errors, emitted });
     // SAFETY: guaranteed by the caller
     unsafe {
-        // sum r and the diagonal of G, or n and d, for as many frames at a time as registers hold
+        // Without the whole Gram matrix, a pixel has two sums per frame. They are computed for as
+        // many frames at a time as registers hold.
         if sums != Sums::Gram {
             let mut m = 0;
             while m < frames {
@@ -305,8 +311,8 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
             }
             return;
         }
-        // sum G: first the tiles of 3×3 frames along the diagonal together with r, then the rest of
-        // G
+        // Sum the Gram matrix: first its tiles of 3×3 frames along the diagonal, together with the
+        // residual sums, then its other entries.
         for m in (0..frames).step_by(3) {
             match frames - m {
                 1 => tiles.diagonal::<V, 1>(m, block),
@@ -321,7 +327,7 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
 /// The buffers of a block's views, to be summed.
 pub(crate) struct Tiles<'a, const SHARED: bool> {
     pub(crate) group: Group,
-    /// The share of each view in the line; empty without `SHARED`.
+    /// For each view, the share of the line under update in its rays; empty if `SHARED` is false.
     pub(crate) shares: &'a [f32],
     pub(crate) products: &'a [f32],
     pub(crate) errors: &'a [f32],
@@ -329,7 +335,7 @@ pub(crate) struct Tiles<'a, const SHARED: bool> {
 }
 
 impl<const SHARED: bool> Tiles<'_, SHARED> {
-    /// Returns `value` times the view's share in the line.
+    /// Returns `value` times the share of the line under update in the view's rays.
     #[inline(always)]
     unsafe fn shared<V: Lanes>(&self, view: usize, value: V) -> V {
         // SAFETY: guaranteed by the caller
@@ -342,7 +348,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         unsafe { load::<V>(self.products, (view * self.group.frames + frame) * V::COUNT) }
     }
 
-    /// The sum so far, or 0 for the first group.
+    /// The sum of the groups before this group; 0 for the first group.
     #[inline(always)]
     unsafe fn sum_so_far<V: Lanes>(&self, sums: &[f32], quantity: usize) -> V {
         // SAFETY: guaranteed by the caller
@@ -355,7 +361,8 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         unsafe { store(sum, sums, quantity * V::COUNT) }
     }
 
-    /// Sums n and d, or r and the diagonal of G, of frames m..m + R.
+    /// Adds up n and d of the frames m..m + R, or r and the diagonal of G; `step.rs` defines these
+    /// sums.
     #[inline(always)]
     unsafe fn pair<V: Lanes, const R: usize>(&self, m: usize, diagonal: bool, block: &mut Block) {
         // SAFETY: guaranteed by the caller
@@ -379,7 +386,8 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         }
     }
 
-    /// Sums r of frames m..m + R, and the upper triangle of G between these frames.
+    /// Adds up r of the frames m..m + R, and the upper triangle of G between these frames;
+    /// `step.rs` defines r and G.
     #[inline(always)]
     unsafe fn diagonal<V: Lanes, const R: usize>(&self, m: usize, block: &mut Block) {
         let at = |i: usize, k: usize| (m + i) * self.group.frames + m + k;
@@ -408,7 +416,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         }
     }
 
-    /// Sums G between frames m..m + 3 and k..k + C.
+    /// Adds up G of `step.rs` between the frames m..m + 3 and k..k + C.
     #[inline(always)]
     unsafe fn rectangle<V: Lanes, const C: usize>(&self, m: usize, k: usize, block: &mut Block) {
         let at = |i: usize, c: usize| (m + i) * self.group.frames + k + c;
@@ -434,7 +442,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
     }
 }
 
-/// Sums G outside the tiles of 3×3 frames along its diagonal.
+/// Adds up G of `step.rs` outside the tiles of 3×3 frames along its diagonal.
 pub(crate) struct BetweenTiles<const SHARED: bool>;
 
 impl<const SHARED: bool> Kernel for BetweenTiles<SHARED> {

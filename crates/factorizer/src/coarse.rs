@@ -1,9 +1,9 @@
 //! A problem at half the resolution, whose solution is a start for the whole problem.
 //!
-//! Low frequencies converge at this resolution at a quarter of the cost. Field and layers keep half
-//! their pixels per axis. If there are many views, every second one is kept. The parallax between
-//! two views is half as many coarse pixels, so fewer views suffice. Lenslets, angular bins and
-//! frames stay the same.
+//! Low frequencies converge at half the resolution at a quarter of the cost. Field and layers keep
+//! half their pixels per axis. The parallax between two views is half as many coarse pixels, so
+//! fewer views suffice: if there are many views, every second view is kept. Lenslets, angular bins
+//! and frames stay the same.
 //!
 //! A coarse pixel is the area-weighted mean of the fine pixels that it covers. A coarse solution is
 //! interpolated linearly at the centres of the fine pixels. All values stay in the layout of the
@@ -17,7 +17,8 @@ use crate::bands;
 use crate::factor::{Factor, Layout};
 use crate::plan::Plan;
 
-/// Smallest number of pixels per axis of a coarse field; fewer pixels are not worth a level.
+/// Smallest number of pixels per axis of a coarse field. A smaller field would save too little
+/// time.
 const SMALLEST_FIELD: usize = 48;
 /// Smallest number of views per axis of which only every second view is kept.
 const MANY_VIEWS: usize = 9;
@@ -32,8 +33,8 @@ pub(crate) struct Coarse {
 impl Coarse {
     /// Halves the resolution of a problem.
     ///
-    /// Returns `None` if a coarser level has no use. This holds for too few pixels, fewer than two
-    /// coarse pixels per lenslet, or colour filters on single columns.
+    /// Returns `None` if a coarser level has no use: with too few pixels, with fewer than two
+    /// coarse pixels per lenslet, or with colour filters.
     pub(crate) fn of(display: &Display, geometry: &FieldGeometry, fine: &Plan) -> Option<Self> {
         let layers = display.layers.iter();
         let smallest =
@@ -46,7 +47,7 @@ impl Coarse {
         {
             return None;
         }
-        // the same display and layers with pixels of twice the pitch
+        // make a display whose field and layers have pixels of twice the pitch
         let mut display = display.clone();
         display.field.resolution = display.field.resolution.map(|n| n.div_ceil(2));
         display.field.pitch_mm *= 2.0;
@@ -55,8 +56,9 @@ impl Coarse {
             layer.pitch_mm *= 2.0;
             layer.blur_px /= 2.0;
         }
-        // Every second view is dropped only if no angular bins need it. The number of views must be
-        // odd, since otherwise the remaining views would not be symmetrical.
+        // Every second view is dropped only if the backlight is uniform, since angular bins need
+        // all views. The number of views must be odd, since otherwise the remaining views would not
+        // be symmetrical.
         let thins = |count: usize| display.backlight == Backlight::Uniform && count >= MANY_VIEWS && count % 2 == 1;
         let views = geometry.grid.views().map(|count| (0..count).step_by(if thins(count) { 2 } else { 1 }));
         let mut coarse = FieldGeometry {
@@ -102,8 +104,8 @@ pub(crate) fn refine(coarse: &Factor, layout: &Layout, [low, high]: [f32; 2]) ->
                     to.copy_from_slice(row(line));
                 } else {
                     let ([before, after], t) = steps_y.around(line);
-                    // mix two coarse lines, then interpolate along the mixture; its first and last
-                    // value are repeated outwards
+                    // mix two coarse lines, repeat the mixture's first and last value, and
+                    // interpolate along it
                     let (upper, lower) = (row(before.saturating_sub(1)), row((after - 1).min(rows - 1)));
                     let inner = mixed[1..=cols].iter_mut().zip(upper).zip(lower);
                     inner.for_each(|((mixed, &a), &b)| *mixed = a + t * (b - a));
@@ -119,11 +121,11 @@ pub(crate) fn refine(coarse: &Factor, layout: &Layout, [low, high]: [f32; 2]) ->
 
 /// Positions of fine pixels between coarse pixels of twice the pitch, around the same centre.
 ///
-/// In the list of coarse pixels, the first and the last one are repeated once. Then fine pixel 2k
-/// lies between entries k and k + 1, and fine pixel 2k + 1 between entries k + 1 and k + 2.
+/// In the list of coarse pixels, the first pixel and the last pixel are repeated once. Then fine
+/// pixel 2k lies between entries k and k + 1, and fine pixel 2k + 1 between entries k + 1 and k +
+/// 2.
 struct Between {
-    /// Position of pixel 2k between entries k and k + 1, and of pixel 2k + 1 between entries k + 1
-    /// and k + 2, 0..1.
+    /// Positions of the fine pixels 2k and 2k + 1 between their two entries of the list, 0..1.
     t: [f32; 2],
 }
 
@@ -132,7 +134,8 @@ impl Between {
         Self { t: if fine == 2 * coarse { [0.75, 0.25] } else { [1.0, 0.5] } }
     }
 
-    /// The two entries of the list around a fine pixel, and its position between them, 0..1.
+    /// The two entries of the extended list around a fine pixel, and the pixel's position between
+    /// them, 0..1.
     fn around(&self, fine: usize) -> ([usize; 2], f32) {
         let first = fine / 2 + fine % 2;
         ([first, first + 1], self.t[fine % 2])
@@ -154,8 +157,8 @@ impl Between {
 
 /// The fine pixels under each coarse pixel of twice the pitch, around the same centre.
 ///
-/// Returns, per coarse pixel, the first fine pixel that it covers, and the shares of that pixel and
-/// of the next two.
+/// For each coarse pixel, returns the first fine pixel that it covers, and the shares of this fine
+/// pixel and the next two fine pixels.
 pub(crate) fn cover(fine: usize, coarse: usize) -> Vec<(usize, [f32; 3])> {
     (0..coarse)
         .map(|i| {

@@ -46,8 +46,8 @@ pub struct Begin {
     pub tries_local: bool,
 }
 
-/// The remaining error is computed as error − gain only if it exceeds this fraction of the error.
-/// The gain's terms are f32, so a smaller difference would be mostly rounding.
+/// The remaining error is computed as error − gain only if it exceeds this fraction of the error. A
+/// smaller difference would be mostly rounding, since the gain's terms are f32.
 const LEAST_LEFT: f64 = 0.01;
 
 /// The patterns of a run, on any device.
@@ -94,7 +94,7 @@ pub trait Updater {
     /// Checks that the patterns still exist.
     ///
     /// # Errors
-    /// [`FactorizeError::Device`] if the device lost them.
+    /// [`FactorizeError::Device`] if the device has lost the patterns.
     fn check(&self) -> Result<(), FactorizeError>;
 
     /// Returns the stored patterns.
@@ -103,13 +103,13 @@ pub trait Updater {
     /// Ends the run and returns its stored patterns.
     ///
     /// # Errors
-    /// As [`check`](Self::check).
+    /// The errors of [`check`](Self::check).
     fn into_stack(self: Box<Self>) -> Result<LayerStack, FactorizeError>;
 
     /// Ends the run and returns the stored values of its factors.
     ///
     /// # Errors
-    /// As [`check`](Self::check).
+    /// The errors of [`check`](Self::check).
     fn into_factors(self: Box<Self>) -> Result<Vec<Factor>, FactorizeError>;
 
     /// Runs [`apply`](Self::apply) with the better curvature.
@@ -157,14 +157,14 @@ pub trait Updater {
         self.over_all(Rule::KktResidual)
     }
 
-    /// As [`kkt_residual`](Self::kkt_residual), and darkens unlit values if layers attenuate. In
-    /// other formations no value is unlit.
+    /// Computes the [`kkt_residual`](Self::kkt_residual), and darkens unlit values if layers
+    /// attenuate. In other formations no value is unlit.
     fn darken_unlit(&mut self) -> f64 {
         let rule = if self.plan().is_product() { Rule::Darken } else { Rule::KktResidual };
         self.over_all(rule)
     }
 
-    /// Root mean square of a rule's gain over all values.
+    /// Updates every factor by a rule. Returns the root of the mean gain per value that may change.
     fn over_all(&mut self, rule: Rule) -> f64 {
         let (mut sum, mut count) = (0.0, 0);
         for n in 0..self.plan().factor_count() {
@@ -224,8 +224,8 @@ impl Plan {
         self.target.brightness
     }
 
-    /// Returns the largest Σ w a_m² of an unlit pixel, relative to Σ w over its rays; for
-    /// [`Rule::Darken`].
+    /// For [`Rule::Darken`], returns the largest Σ w a_m² of an unlit pixel, divided by Σ w over
+    /// the pixel's rays. Here a_m is M times the derivative of L̃ by the pixel's value in frame m.
     pub fn unlit_share(&self) -> f32 {
         crate::unlit::share(self)
     }
@@ -287,7 +287,8 @@ impl Plan {
         self.target.row(channel, self.view(view[0], view[1]), row).part(0..self.cols)
     }
 
-    /// Returns one row of √w of a view, with weights relative to the largest; `None` if all are 1.
+    /// Returns one row of √w of a view, with weights relative to the largest weight. `None` if all
+    /// weights are equal.
     pub fn weights_row(&self, view: [usize; 2], row: usize) -> Option<&[f32]> {
         let weights = self.target.weights(self.view(view[0], view[1]), row)?;
         Some(&weights[crate::factor::PAD..][..self.cols])
@@ -306,7 +307,7 @@ impl Factor {
         &self.row(channel, line, frame)[self.layout.pad..][..self.layout.cols()]
     }
 
-    /// As [`Self::values`], for writing.
+    /// Returns the row of [`values`](Self::values) for writing.
     pub fn values_mut(&mut self, channel: usize, line: usize, frame: usize) -> &mut [f32] {
         let layout = &self.layout;
         let at = (channel * layout.stored_lines() + line) * layout.line_len() + frame * layout.stride + layout.pad;

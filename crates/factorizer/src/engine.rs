@@ -37,13 +37,14 @@ pub struct Engine {
     display: Display,
     /// Values that rays read: layers rear to front, then the backlight.
     factors: Vec<Factor>,
-    /// Per factor, its response and stored values, if the response makes rays read other values.
+    /// For each factor whose rays read other values than the stored values: its response and its
+    /// stored values.
     stored: Vec<Option<(Response, Factor)>>,
-    /// Per factor, the levels of its values and the frames confined to them.
+    /// For each factor, the levels that its values may have, and the frames to which this applies.
     pub(crate) levels: Vec<Option<Levels>>,
     /// The last iterate, if rays read extrapolated values; otherwise empty.
     latest: Vec<Aligned>,
-    /// Storage for factors that cannot be updated in place.
+    /// Memory for the new values of factors that cannot be updated in place.
     spare: Aligned,
     /// Box [low, high] of each factor's values.
     ranges: Vec<[f32; 2]>,
@@ -153,33 +154,33 @@ impl Engine {
         Ok(Self::begin(prepared.into_begin(floor, false)))
     }
 
-    /// Factor from sums of weighted errors to the objective. Weights in the sums are relative to
-    /// the largest weight.
+    /// Number by which sums of weighted errors are multiplied to give the objective. Weights in the
+    /// sums are relative to the largest weight.
     pub fn weight_scale(&self) -> f64 {
         self.plan.target.weight_scale
     }
 
-    /// True if the fast kernel updates factor `n`. If other factors are read between columns,
-    /// [`between`] was no faster for such a factor.
+    /// True if the fast kernel updates factor `n`, since all rays of a view read it at a constant
+    /// shift. It does so even if other factors are read between columns; [`between`] was no faster.
     pub fn is_fast(&self, n: usize) -> bool {
         self.fast && self.plan.is_product() && self.plan.maps[n].shifted
     }
 
     fn update_by(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool) -> Outcome {
-        // the first extrapolation needs a previous iterate
+        // the first extrapolation takes the current values as the previous iterate
         if extrapolation.is_some() && self.latest.is_empty() {
             self.latest = self.own().map(|factor| factor.values.clone()).collect();
         }
         if self.stored[n].is_some() {
             return self.update_stored(n, rule, extrapolation, local);
         }
-        // update in place if no other line of the factor is read; otherwise write into the spare
-        // storage
+        // Update in place if the rays through a line read no other line of the factor. Otherwise
+        // write into the spare memory.
         let in_place = self.is_fast(n);
         let mut values = std::mem::take(&mut self.factors[n].values);
         if !in_place {
             // rays through a line read other lines of the factor, which must keep their values
-            // meanwhile
+            // during the update
             let mut next = std::mem::take(&mut self.spare);
             if next.len() != values.len() {
                 next = Aligned::filled(0.0, values.len());
@@ -227,14 +228,15 @@ impl Engine {
             },
         );
         let gain: f64 = lines.iter().map(|line| line.outcome.gain).sum();
-        // tied channels share one value, whose gain is computed three times
+        // all three channels of a tied response share one value, whose gain is thus counted three
+        // times
         let gain = if response.is_tied() { gain / 3.0 } else { gain };
         respond::respond(response, stored, &mut self.factors[n].values);
         Outcome { error: outcome.error, gain }
     }
 
-    /// Sums and steps the lines of a factor. With `sums`, the sums of all lines are stored and no
-    /// line steps.
+    /// Sums and steps the lines of a factor. If `sums` is given, the sums of all lines are stored
+    /// in it, and no line steps.
     fn update_lines(
         &mut self,
         n: usize,
@@ -247,19 +249,20 @@ impl Engine {
         let (plan, factors, fast) = (&self.plan, &self.factors, self.is_fast(n));
         let layout = &plan.maps[n].layout;
         let latest = extrapolation.map(|_| &mut self.latest[n]);
-        // if the sums are stored, a later step needs the sums of every line
+        // if the sums are stored, every line must be summed, since the later step needs the sums of
+        // all lines
         let all = sums.is_some();
-        // split the factor into lines, which threads share
+        // split the factor into lines, which are distributed to the threads
         let mut lines = lines_of(layout, values, extrapolation.zip(latest), sums);
         let line_of = |index: usize| LineOf {
             factor: n,
             channel: index / layout.stored_lines(),
             line: index % layout.stored_lines(),
         };
-        // if the sums are stored, nothing is stepped or darkened here
+        // if the sums are stored, no value is stepped or darkened here, so no limits are needed
         let limits =
             (rule == Rule::Darken && lines.iter().all(|line| line.sums.is_none())).then(|| unlit::limits(plan, n));
-        // conditions and functions that all lines share
+        // prepare the conditions and the functions that all lines share
         let steps = Steps::new(plan, n, rule, self.ranges[n], self.levels[n].as_ref(), limits);
         let cancel = &self.cancel;
         let may_change = |at: &LineOf| at.line < layout.lines() && (all || plan.may_change(n, at.line));
@@ -417,8 +420,8 @@ impl Updater for Engine {
         stack_of(&self.display, self.own())
     }
 
-    /// As [`download`](Updater::download), but into the memory of the previous iterate if there is
-    /// one. Allocation of new memory would take longer than the copy.
+    /// Does the same as [`download`](Updater::download), but into the memory of the previous
+    /// iterate if there is one. Allocation of new memory would take longer than the copy.
     fn into_stack(mut self: Box<Self>) -> Result<LayerStack, FactorizeError> {
         if self.latest.is_empty() {
             return Ok(self.download());
@@ -456,7 +459,8 @@ impl AsRef<[f32]> for Reused {
     }
 }
 
-/// Copies a factor into the memory of `values`, as a tensor of the same shape as `tensor`.
+/// Copies a factor into the memory of `values`. Returns a tensor of the shape of `tensor` that
+/// lends this memory.
 fn lent<const N: usize>(tensor: &Tensor<N>, own: &Factor, mut values: Aligned) -> Tensor<N> {
     let len = tensor.shape().iter().product();
     own.download(&mut values[..len]);
@@ -495,16 +499,16 @@ fn lines_of<'a>(
     lines.collect()
 }
 
-/// The parameters that the steps of all lines share.
+/// Parameters of an update that the steps of all lines share.
 struct Steps<'a> {
     rule: Rule,
     range: [f32; 2],
     levels: Option<&'a Levels>,
     columns: std::ops::Range<usize>,
     stride: usize,
-    /// `[line][x]`, see [`LineStep::limits`].
+    /// [`LineStep::limits`] of all lines, `[line][x]`.
     limits: Option<Vec<f32>>,
-    /// `[x]`, see [`LineStep::fixed`].
+    /// [`LineStep::fixed`], the same for all lines.
     fixed: Option<Vec<bool>>,
 }
 

@@ -12,7 +12,7 @@ use crate::vector::{mask, sum};
 /// Sums of squared errors over some rays.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ErrorSum {
-    /// Σ w (βL − L̃)², with weights relative to the largest.
+    /// Σ w (βL − L̃)², with weights w relative to the largest weight.
     pub weighted: f64,
     /// Σ (βL − L̃)² over rays with w > 0.
     pub plain: f64,
@@ -59,7 +59,8 @@ impl RowErrors<'_> {
                     if plan.shifted {
                         // SAFETY: the tables are constant shifts
                         let errors = unsafe { (functions.shifted)((plan, factors, &rays, weights)) };
-                        // squares above 1e38 overflow f32; the slow path below sums in f64
+                        // Squares above 1e38 overflow f32. In that case the code below computes the
+                        // sum again in f64.
                         if errors.plain.is_finite() {
                             total = total.merged(errors);
                             continue;
@@ -81,8 +82,9 @@ impl RowErrors<'_> {
 /// Number of blocks whose squares are summed in f32 before the sum goes into an f64 sum.
 const BLOCKS_PER_SUM: usize = 4;
 
-/// Squared errors along rays, with L̃ = (1/M) Σ_m Π_k f_k, where all rays of a view read each
-/// factor at a constant shift. [`Plan::shifted`] must hold.
+/// Squared errors along rays of attenuating layers, with L̃ = (1/M) Σ_m Π_k f_k over the values f_k
+/// that a ray reads. All rays of a view must read each factor at a constant shift, as
+/// [`Plan::shifted`] reports.
 struct Shifted;
 
 impl Kernel for Shifted {
@@ -124,7 +126,7 @@ unsafe fn squared_shifted<V: Lanes>(
         let (mean, brightness) = (V::splat(1.0 / plan.frames as f32), V::splat(plan.target.brightness));
         let zero = V::splat(0.0);
         let (mut weighted, mut plain) = (zero, zero);
-        // one vector of rays at a time
+        // compute one vector of rays at a time
         for (index, col) in run.clone().step_by(V::COUNT).enumerate() {
             // compute L̃ for up to three frames at a time
             let mut emitted = zero;
@@ -135,7 +137,7 @@ unsafe fn squared_shifted<V: Lanes>(
                     _ => emitted_by::<V, 3>(&lines, m, col, emitted),
                 };
             }
-            // L̃ − βL, and 0 after the last ray
+            // compute L̃ − βL, and set it to 0 after the last ray
             let wanted = match target {
                 Row::Half(row) => V::load_half(row[PAD + col..][..V::COUNT].as_ptr()),
                 Row::Float(row) => V::load(row[PAD + col..][..V::COUNT].as_ptr()),
@@ -144,7 +146,7 @@ unsafe fn squared_shifted<V: Lanes>(
             if run.end - col < V::COUNT {
                 error = error.mul(mask::<V>(0, run.end - col));
             }
-            // weights are applied before the squares, as √w
+            // multiply by √w before squaring, so that the squares include w
             if let Some(roots) = root_weights {
                 let root = V::load(roots[PAD + col..][..V::COUNT].as_ptr());
                 let rooted = root.mul(error);
@@ -152,7 +154,7 @@ unsafe fn squared_shifted<V: Lanes>(
                 error = error.where_else(zero.below(root), zero);
             }
             plain = error.mul_add(error, plain);
-            // f32 sums are short, so that they stay precise
+            // add the f32 sums to the f64 sums after few blocks, so that they stay precise
             if (index + 1) % BLOCKS_PER_SUM == 0 || col + V::COUNT >= run.end {
                 total.plain += sum::<V>(plain);
                 total.weighted += if root_weights.is_some() { sum::<V>(weighted) } else { 0.0 };
@@ -166,14 +168,14 @@ unsafe fn squared_shifted<V: Lanes>(
     total
 }
 
-/// One factor's line, which rays read at their column plus a shift.
+/// One line of a factor. A ray reads it at the ray's own column plus `shift`.
 struct Line<'a> {
     values: &'a [f32],
     stride: usize,
     shift: isize,
 }
 
-/// Adds the products of frames m..m + R to `emitted`.
+/// Adds the products of all lines' values, for the frames m..m + R, to `emitted`.
 ///
 /// # Safety
 ///

@@ -28,8 +28,8 @@ pub(crate) struct Rays<'a> {
 ///   values in frame m, and b the backlight. So a_m = b (π/2) sin(π s_m) for a layer, and a_m =
 ///   sin²((π/2) s_m) for the backlight.
 ///
-/// The curvature along the values of a rotating layer is at most (π/2)² M (1 + 2 max|e|). The
-/// reason: Σ_m sin²(π s_m) ≤ M, |cos(π s_m)| ≤ 1 and b ≤ 1.
+/// With e = βL − L̃, the curvature of e² along the values of a rotating layer is at most (π/2)² M
+/// (1 + 2 max|e|). The reason: Σ_m sin²(π s_m) ≤ M, |cos(π s_m)| ≤ 1 and b ≤ 1.
 pub(crate) fn coefficients(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     match plan.formation {
         Formation::Attenuating => {
@@ -57,15 +57,15 @@ pub(crate) fn coefficients(plan: &Plan, factors: &[Factor], own: Option<usize>, 
     }
 }
 
-/// [`coefficients`] of polarization-rotating layers, and the bound of their curvature.
+/// Computes [`coefficients`] of polarization-rotating layers, and the bound of their curvature.
 fn rotate(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     let len = rays.run.len();
     let Scratch { product, phase, values, emitted, curvature, .. } = scratch;
     let (values, emitted) = (&mut values[..len], &mut emitted[..len]);
     emitted.fill(0.0);
     let (layers, backlight) = (0..plan.layers, (plan.layers < factors.len()).then_some(plan.layers));
-    // for each frame, compute the sum of rotations s_m, the backlight b, then a_m and the
-    // contribution to L̃
+    // For each frame, compute the sum of rotations s_m and the backlight b, then the derivative a_m
+    // and the frame's contribution to L̃.
     for frame in 0..plan.frames {
         let phase = &mut phase[frame * plan.cols..][..len];
         phase.fill(0.0);
@@ -95,7 +95,8 @@ fn rotate(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scra
     }
 }
 
-/// Computes P_m = Π_{k≠skip} f_m^(k) along the rays.
+/// Computes the products P_m of all factors' values except factor `skip`, frame by frame, along the
+/// rays.
 fn expand_product(plan: &Plan, factors: &[Factor], skip: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     let len = rays.run.len();
     let mut first = true;
@@ -112,8 +113,8 @@ fn expand_product(plan: &Plan, factors: &[Factor], skip: Option<usize>, rays: &R
     }
 }
 
-/// Computes the emission along the rays: L̃ = (1/M) Σ_m P_m f_m, with the values f of factor `own`.
-/// Without `own` the product already holds every factor.
+/// Computes the emission L̃ = (1/M) Σ_m P_m f_m along the rays, with the values f of factor `own`.
+/// Without `own` the products P_m already include every factor.
 fn emit_product(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     let len = rays.run.len();
     let emitted = &mut scratch.emitted[..len];

@@ -1,7 +1,8 @@
 //! Storage of one factor: a layer, or the directional backlight as one more layer.
 //!
-//! The order is `values[channel][line][frame][x]`. One line is contiguous over all frames. So a
-//! thread gets a band of lines as one slice, and a ray's values of all frames are near one another.
+//! The order is `values[channel][line][frame][x]`, so the rows of a line in all frames are
+//! contiguous. A thread thus gets successive lines as one slice, and a ray's values of all frames
+//! are near one another.
 //!
 //! Lines are padded by at least [`PAD`] values on both sides, and an extra line follows the last.
 //! Padding holds the value of a miss, so inner loops have no branch for misses.
@@ -73,7 +74,8 @@ impl Factor {
     /// Copies a tensor's values, clamped to `low`..`high`.
     pub(crate) fn upload(layout: &Layout, tensor: &[f32], [low, high]: [f32; 2]) -> Self {
         let mut factor = Self::blank(layout, 3);
-        // a line of all channels at a time, so that every pixel is read once
+        // copy a line of all three channels at a time, so that every pixel of the tensor is read
+        // once
         let (line_len, width) = (layout.line_len(), layout.size[1]);
         let (red, rest) = factor.values.split_at_mut(layout.stored_lines() * line_len);
         let (green, blue) = rest.split_at_mut(layout.stored_lines() * line_len);

@@ -116,7 +116,7 @@ pub struct Factorization {
     pub settings: Settings,
     /// KKT residual before quantization; see [`crate::Run::kkt_residual`].
     pub kkt_residual: f64,
-    /// PSNR lost by few levels; `None` if no layer has few bits, or without [`Settings::levels`].
+    /// PSNR that few levels cost; `None` if no layer has few bits, or without [`Settings::levels`].
     pub levels: Option<LevelsLoss>,
 }
 
@@ -150,11 +150,11 @@ pub fn factorize(
     factorize_on(&Processor, problem, settings, warm, task, on_iteration)
 }
 
-/// Runs [`factorize`] on another executor. The processor re-optimizes patterns for panels of few
-/// bits.
+/// Runs [`factorize`] on an executor. Re-optimization for panels of few bits runs on the processor
+/// for every executor.
 ///
 /// # Errors
-/// As [`factorize`], and if the device cannot solve the problem or is lost.
+/// The errors of [`factorize`]; also if the device cannot solve the problem or is lost.
 pub fn factorize_on(
     executor: &dyn Executor,
     problem: &Problem,
@@ -170,11 +170,12 @@ pub fn factorize_on(
 ///
 /// `problem` consists of [`Tile::display`] and [`Tile::light_field`]. `whole` maps the rays of the
 /// whole display. With `fixed`, the pixels of `warm` around the tile's free pixels keep their
-/// values, except that black is lifted as in every warm start. Otherwise all pixels of the tile are
-/// solved. A start by the settings is the tile's part of the start of the whole display.
+/// values, except that black is lifted as in every warm start. Without `fixed`, all pixels of the
+/// tile are solved. A start by the settings is the tile's part of the start of the whole display.
 ///
 /// # Errors
-/// As [`factorize`], and [`FactorizeError::NoRays`] if no ray of the tile has a weight above 0.
+/// The errors of [`factorize`], and [`FactorizeError::NoRays`] if no ray of the tile has a weight
+/// above 0.
 pub fn factorize_tile(
     problem: &Problem,
     (tile, whole): (&Tile, &RayMap),
@@ -211,15 +212,16 @@ fn solve(
             if iteration > 0 {
                 run.step(task.cancel)?;
             }
-            // darken before the last evaluation, so that it describes the returned patterns
+            // darken before the last evaluation, so that the evaluation describes the returned
+            // patterns
             if iteration == settings.iterations {
                 kkt_residual = if iteration > 0 { run.darken_unlit() } else { run.kkt_residual() };
                 task.cancel.check()?;
             }
             let mut note = String::new();
-            // The last step may already have found an objective. But this may be the objective of
-            // the extrapolated patterns. So the returned patterns are evaluated after the last
-            // iteration.
+            // The last step may already have found an objective. But after the last iteration the
+            // returned patterns are evaluated anyway, since the known objective may belong to
+            // extrapolated patterns.
             if iteration == settings.iterations || iteration % settings.report_every.max(1) == 0 {
                 let known = run.known_objective().filter(|_| iteration < settings.iterations);
                 let objective = known.unwrap_or_else(|| run.objective());
@@ -238,7 +240,7 @@ fn solve(
     let result = iterate();
     task.progress.end();
     result?;
-    // confine layers of few bits to their levels, and measure the loss
+    // confine the values of panels of few bits to the panels' levels, and measure the loss
     let (mut stack, mut levels) = (run.finish().into_stack()?, None);
     if settings.levels && has_levels(problem) {
         let psnr_view = |stack: &LayerStack| {
@@ -264,7 +266,7 @@ fn start_run(
     let method = method(&settings.solver)?;
     let display = problem.display;
     let run = match warm {
-        // a warm start replaces the start of the settings; otherwise solve coarser levels first
+        // A warm start replaces the start of the settings and has no coarser levels.
         Some(warm) => {
             warm.check(display)?;
             // Equal frames stay equal, so the user is warned. In a tile with fixed pixels they may
@@ -294,7 +296,7 @@ impl Ongoing {
     /// Starts as [`factorize`] does, and copies the target.
     ///
     /// # Errors
-    /// As [`factorize`].
+    /// The errors of [`factorize`].
     pub fn begin(
         problem: &Problem,
         settings: &Settings,
@@ -304,10 +306,10 @@ impl Ongoing {
         Self::begin_on(&Processor, problem, settings, warm, task)
     }
 
-    /// As [`begin`](Self::begin), with the patterns on an executor.
+    /// Starts as [`begin`](Self::begin) does, with the patterns on an executor.
     ///
     /// # Errors
-    /// As [`begin`](Self::begin), and if the executor cannot solve the problem.
+    /// The errors of [`begin`](Self::begin); also if the executor cannot solve the problem.
     pub fn begin_on(
         executor: &dyn Executor,
         problem: &Problem,
@@ -322,7 +324,7 @@ impl Ongoing {
     /// Checks that the patterns still exist.
     ///
     /// # Errors
-    /// [`FactorizeError::Device`] if a device lost them.
+    /// [`FactorizeError::Device`] if a device has lost the patterns.
     pub fn check(&self) -> Result<(), FactorizeError> {
         self.0.check()
     }
@@ -330,7 +332,7 @@ impl Ongoing {
     /// Runs one iteration.
     ///
     /// # Errors
-    /// When cancelled, or if a device lost the patterns.
+    /// When cancelled, or if a device has lost the patterns.
     pub fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError> {
         self.0.step(cancel)
     }
@@ -365,9 +367,9 @@ impl Ongoing {
 /// objectives of the starts themselves mislead: patterns of moved content begin far off and improve
 /// quickly. The cost is a fresh start, and sometimes two iterations.
 ///
-/// This was measured on a plane of waves and on a striped card, moved by 0 to 20 pixels (64 × 40
-/// pixels, 5 × 3 views, 4 frames). A start that led by 1 dB after one iteration was never more than
-/// 1.4 dB behind after five.
+/// This was measured on a plane of waves and on a striped card, moved by 0 to 20 of 64 pixels (5 ×
+/// 3 views, 4 frames). A start that led by 1 dB after one iteration was never more than 1.4 dB
+/// behind after five.
 ///
 /// # Errors
 /// If the problem, the settings or the warm start are unusable, or when cancelled.
@@ -381,12 +383,13 @@ pub fn warm_start_pays(
     let fresh = &fresh.resolved();
     let (plan, display) = (Arc::new(Plan::new(problem)?), problem.display);
     warm.check(display)?;
-    // both starts use one rule, since the first steps of different rules cannot be compared
+    // both starts use the rule of `warm_solver`, since first steps of different rules cannot be
+    // compared
     let rule = method(&Settings { solver: warm_solver.into(), ..Settings::default() }.resolved().solver)?;
     let mut from_fresh = start_fresh(&Processor, rule, &plan, (display, problem.target.geometry()), fresh, task)?;
     let mut from_warm =
         rule.begin(Prepared { plan, display, patterns: Patterns::Stack(unlit::lifted(warm)), executor: &Processor })?;
-    // a warm start that leads already needs no iteration
+    // a warm start that has the lower objective already needs no iteration
     if from_warm.objective().value <= from_fresh.objective().value {
         return Ok(true);
     }
@@ -396,7 +399,7 @@ pub fn warm_start_pays(
     Ok(from_warm.objective().value * 10f64.powf(0.1 * AHEAD_DB) <= from_fresh.objective().value)
 }
 
-/// Lead in dB that a warm start must have over a fresh one after an iteration.
+/// Lead in dB that a warm start must have over a fresh start after one iteration of each.
 const AHEAD_DB: f64 = 1.0;
 
 /// Starts a run without a warm start.

@@ -1,5 +1,5 @@
-//! One line of one factor at a constant shift. Every ray reads one pixel of the factor. The pixel's
-//! column is the ray's column plus a constant of the view.
+//! Updates one line of a factor at a constant shift. Every ray reads one pixel of the factor. The
+//! pixel's column is the ray's column plus a constant of the view.
 //!
 //! This is the paper's case: oblique views, equal pitch, nearest sampling. The simple version, for
 //! line j of layer n:
@@ -14,7 +14,7 @@
 //! step f_n[j][..][x] by r and G
 //! ```
 //!
-//! Departures from the simple version:
+//! The code departs from the simple version in the following ways:
 //!
 //! 1. **Blocks.** Columns are processed in blocks of one vector, and a block sums all views before
 //!    the next begins. Its values stay in the first-level cache, and accumulators stay in
@@ -51,8 +51,8 @@
 //!   everything in the first-level cache they would take 26.
 //! * Three variants took longer. Aligned loads with a permutation took 63 cycles, and groups of one
 //!   to three view rows 58 to 75. Lines in steps of a view's shift took 60.
-//! * Tiles of fewer columns, vectors of AVX2 with the registers of AVX-512, and two chains for the
-//!   sum over frames changed nothing.
+//! * These changes had no effect: tiles of fewer columns, vectors of AVX2 with the registers of
+//!   AVX-512, and two chains for the sum over frames.
 //! * A single function for all cases, inlined, was 400 kB of code and took four times as long to
 //!   compile.
 
@@ -82,7 +82,7 @@ pub(crate) struct GatherFunctions {
 }
 
 impl GatherFunctions {
-    /// `others` is the number of factors besides the one under update.
+    /// Chooses the functions. `others` is the number of factors besides the factor under update.
     pub(crate) fn new(backend: Backend, rule: Rule, frames: usize, others: usize, step: StepFunctions) -> Self {
         macro_rules! in_registers {
             ($kernel:ident($whole:tt, $masked:tt) for $($frames:literal),*) => {
@@ -101,7 +101,7 @@ impl GatherFunctions {
         let [whole, masked] = match rule.sums() {
             Sums::Gram => in_registers!(Gram((false), (true)) for 1, 2, 3, 4, 6),
             Sums::Ratio => in_registers!(Pairs((false, false), (true, false)) for 1, 2, 3, 4, 6, 8),
-            // one function for all blocks, since this rule runs once per solve
+            // one function serves all blocks, since a rule with these sums runs once per solve
             Sums::Diagonal => in_registers!(Pairs((true, true), (true, true)) for 3, 4, 6),
         };
         Self { lanes: backend.lanes(), whole, masked, step }
@@ -110,7 +110,7 @@ impl GatherFunctions {
 
 /// Buffers of one thread, reused from line to line.
 pub(crate) struct Scratch {
-    /// Rows of other factors that are not at a constant shift.
+    /// Values of factors without a constant shift, expanded along the rays.
     spare: Spare,
     buffers: Buffers,
     /// Storage of a line's list of rays.
@@ -123,10 +123,10 @@ impl Scratch {
     }
 }
 
-/// One line and its update.
+/// One line of a factor, and the step that updates it.
 pub(crate) struct GatherLine<'a, 'b> {
     pub(crate) plan: &'a Plan,
-    /// The line's own factor is not read here; `step` has its values.
+    /// All factors. The factor of the line is not read here; `step` has its values.
     pub(crate) factors: &'a [Factor],
     pub(crate) at: LineOf,
     pub(crate) functions: &'a GatherFunctions,
@@ -165,7 +165,7 @@ impl GatherLine<'_, '_> {
             step.finish_block(&functions.step, &mut buffers.block, x);
             vector::add(&mut gain, &buffers.block.gain);
             x += lanes;
-            // a few blocks may share an f32 sum; a whole line would lose digits
+            // Few blocks add to one f32 sum, since an f32 sum over a whole line would lose digits.
             if x >= end || (x - first) % (BLOCKS_PER_SUM * lanes) == 0 {
                 outcome.error += vector::sum_of(&squares[..lanes]);
                 outcome.gain += vector::sum_of(&gain[..lanes]);

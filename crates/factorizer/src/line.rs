@@ -5,7 +5,7 @@ use lumistack_simd::{Backend, Function, Kernel, Lanes};
 use crate::step::{Block, Levels, Rule, Step, StepFunction, Sums, step_function};
 use crate::vector::{self, Vector, load};
 
-/// Position of a line.
+/// Position of a line: its factor, its colour channel, and its index in that channel.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LineOf {
     pub(crate) factor: usize,
@@ -13,7 +13,8 @@ pub(crate) struct LineOf {
     pub(crate) line: usize,
 }
 
-/// Error and gain of an update, with weights relative to the largest.
+/// Error and gain of an update. A ray's error is e = βL − L̃, its target minus its light. The
+/// weights w of rays are relative to the largest weight.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
     /// Σ w e² over the rays through the line, before the step. If a ray reads several lines, each
@@ -31,23 +32,24 @@ impl Outcome {
     }
 }
 
-/// A line's values and the constraints of its step. x is an index into padded storage; frames are
-/// `stride` apart.
+/// A line's values and the limits of its step. In `[x]`, x is an index into a padded row; the rows
+/// of successive frames are `stride` apart.
 pub(crate) struct LineStep<'a> {
     pub(crate) rule: Rule,
     /// Box [low, high] of the values.
     pub(crate) range: [f32; 2],
     pub(crate) levels: Option<&'a Levels>,
-    /// For [`Rule::Darken`], the largest Σ w a_m² of an unlit pixel, `[x]`.
+    /// For [`Rule::Darken`] and each x, the largest Σ w a_m² of an unlit pixel; `step.rs` defines
+    /// a_m.
     pub(crate) limits: Option<&'a [f32]>,
-    /// In a tile, true for pixels that keep their values, `[x]`.
+    /// In a tile, true for each x whose pixel keeps its values.
     pub(crate) fixed: Option<&'a [bool]>,
     /// Columns that rays can hit.
     pub(crate) columns: std::ops::Range<usize>,
     pub(crate) stride: usize,
     /// The values that rays read, of all frames.
     pub(crate) values: &'a mut [f32],
-    /// The extrapolation's factor β_k, and the line of the last iterate.
+    /// The extrapolation's factor β_k, and this line's values in the last iterate.
     pub(crate) extrapolation: Option<(f32, &'a mut [f32])>,
     /// Destination of the sums, `[quantity][x]` in the order of [`Sums`]. If it is given, the line
     /// stores its sums and does not step, since a later step needs the sums of other lines too.
@@ -91,7 +93,7 @@ impl LineStep<'_> {
     }
 
     /// Steps the vector of pixels at x by the sums and values in `block`, and writes the gain to
-    /// the block. x + lanes must be within the padded rows.
+    /// the block. The vector must be within the padded rows.
     pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize) {
         let lanes = functions.lanes;
         // Lanes past the last column are padding, to which rays that miss the layer add their sums.
@@ -103,7 +105,7 @@ impl LineStep<'_> {
             unsafe { (functions.store_sums)((block, &mut sums[x..], self.stride, self.rule.sums())) };
             return;
         }
-        // step by the rule, then apply darkening and fixed values, which concern single pixels
+        // Step by the rule. Darkening and fixed values follow, since they concern single pixels.
         let step = Step { block: &mut *block, sweeps: self.rule.sweeps(), range: self.range, levels: self.levels };
         // SAFETY: the function is for the block's number of frames
         unsafe { (functions.step)(step) };
@@ -123,8 +125,8 @@ impl LineStep<'_> {
     }
 }
 
-/// Fills a block with the values from x on, and with their sums: rows, `stride` apart, that begin
-/// at the block.
+/// Copies the values from x on and their sums into a block. The sums are rows, `stride` apart,
+/// whose first value belongs to x.
 pub(crate) struct Fetch;
 
 impl Kernel for Fetch {
@@ -156,7 +158,7 @@ impl Kernel for Fetch {
     }
 }
 
-/// Copies the sums of a block to rows that begin at the block.
+/// Copies the sums of a block to rows whose first value belongs to the block's first pixel.
 pub(crate) struct StoreSums;
 
 impl Kernel for StoreSums {
@@ -182,7 +184,8 @@ impl Kernel for StoreSums {
     }
 }
 
-/// The destination of a block's values: lines from its first pixel on, and their box.
+/// Where a block's values go: the rest of the lines from the block's first pixel on, and the box of
+/// the values.
 struct Stepped<'a> {
     values: &'a mut [f32],
     extrapolation: Option<(f32, &'a mut [f32])>,
@@ -190,7 +193,8 @@ struct Stepped<'a> {
     range: [f32; 2],
 }
 
-/// Writes the first `room` values of a block to the line, extrapolated if requested.
+/// Writes the first `room` values of a block to the line. With an extrapolation, the last iterate
+/// gets these values, and the line gets extrapolated values.
 struct Put;
 
 impl Kernel for Put {

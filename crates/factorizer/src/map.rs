@@ -1,4 +1,5 @@
-//! The tables of where rays read one factor: the columns per view column, the lines per view row.
+//! Tables of the pixels that rays read in one factor: columns for each view column, and lines for
+//! each view row.
 
 use std::ops::Range;
 
@@ -7,20 +8,20 @@ use lumistack_display::Tap;
 use crate::aligned::LINE;
 use crate::factor::{Layout, PAD};
 
-/// Weights of neighbouring pixels that differ by less are taken as equal; a mask value changes by
-/// no more than this difference.
+/// A weight below this is treated as 0 in a mixture of two neighbouring pixels. The mixture changes
+/// by no more than this number, since values are in 0..1.
 const SAME_WEIGHT: f32 = 1e-6;
 /// Smallest length of a piece of equal shift that has a separate loop. Shorter pieces are read
 /// through the tables of pixel indices.
 const SHORTEST_PIECE: usize = 8;
 /// Number of rays, weighted by their shares, up to which a pixel's sums stay in f32.
 ///
-/// A mean over more rays is nearly the same in all frames. So the Gram matrix is nearly singular,
-/// and the rounding of its sums shows. Sums over 64 rays in f32 moved values by 4e-5. With sums in
-/// f64, bilinear updates take 30 % longer.
+/// With more rays, all entries of a pixel's Gram matrix become nearly equal. The matrix is then
+/// nearly singular, and the rounding of its sums shows. Sums over 64 rays in f32 moved values by
+/// 4e-5. With sums in f64, bilinear updates take 30 % longer.
 const SHORT_SUM: f32 = 40.0;
 
-/// The places where rays read one factor, and the rays of each line.
+/// The pixels that rays read in one factor, and the rays of each line.
 #[derive(Clone, Debug)]
 pub(crate) struct FactorMap {
     pub(crate) layout: Layout,
@@ -31,7 +32,7 @@ pub(crate) struct FactorMap {
     /// Per view row, the field rows whose rays read each line.
     rays: Vec<RaysOfLine>,
     /// Per view row and line, the field rows whose rays read between this line and the next line,
-    /// with the weight of the next line.
+    /// with the share of the next line.
     after: Vec<RaysOfLine>,
     /// True if so few rays read each pixel that sums in f32 are precise.
     pub(crate) short_sums: bool,
@@ -40,9 +41,10 @@ pub(crate) struct FactorMap {
     /// True if the rays of each view column read columns at a constant shift. They may still read a
     /// mixture of two lines.
     pub(crate) columns_shifted: bool,
-    /// True if each view column's rays read at a constant distance, on pixels or between them.
+    /// True if all rays of a view column read pixels, or positions between pixels, at a constant
+    /// distance from their own columns.
     pub(crate) between: bool,
-    /// True if rays read between columns, at a constant distance per view column.
+    /// True if rays read positions between columns, and `between` is true.
     pub(crate) mixes_columns: bool,
     /// True if every ray reads a single pixel.
     pub(crate) nearest: bool,
@@ -50,19 +52,20 @@ pub(crate) struct FactorMap {
     pub(crate) complete: bool,
 }
 
-/// The columns that one view column's rays read, as indices into a padded line.
+/// The columns that the rays of one view column read, as indices into a padded line.
 #[derive(Clone, Debug)]
 pub(crate) struct ColumnTaps {
     pub(crate) first: Vec<u32>,
     pub(crate) second: Vec<u32>,
     /// Weight of `second`, 0..1.
     pub(crate) t: Vec<f32>,
-    /// The same taps as pieces for the inner loops; together they cover all field columns.
+    /// The taps as pieces for the inner loops; together the pieces cover all field columns.
     pub(crate) pieces: Vec<Piece>,
-    /// Index minus field column, if it is the same for every valid ray and every `t` is 0.
+    /// Index in the padded line minus field column, if it is the same for every valid ray and every
+    /// `t` is 0.
     pub(crate) shift: Option<isize>,
-    /// Index of the first pixel minus field column, and the weight of the second, if both are the
-    /// same for every valid ray. A ray at the border reads the border pixel alone.
+    /// Index of the first pixel minus field column, and the weight of the second pixel, if these
+    /// are the same for every valid ray. A ray at the border reads the border pixel alone.
     pub(crate) between: Option<(isize, f32)>,
 }
 
@@ -73,7 +76,7 @@ pub(crate) struct Piece {
     pub(crate) access: Access,
 }
 
-/// How consecutive field columns read a factor.
+/// The way in which consecutive field columns read a factor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Access {
     /// Each ray reads its own column plus `by`, mixed with the next pixel by the weight `t`.
@@ -99,18 +102,19 @@ pub(crate) struct LineTap {
 struct RaysOfLine {
     /// Line j has `entries[starts[j]..starts[j + 1]]`.
     starts: Vec<u32>,
-    /// Field row, and the weight of the line in its rays.
+    /// Field row, and the share of the line in that row's rays.
     entries: Vec<(u32, f32)>,
 }
 
 impl FactorMap {
-    /// Valid field rows whose rays read `line`, with the line's weight.
+    /// Valid field rows whose rays read `line`, with the share of `line` in these rays.
     #[inline(always)]
     pub(crate) fn rays_of_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.rays[view_y].of_line(line)
     }
 
-    /// Valid field rows whose rays read between `line` and the next, with the next line's weight.
+    /// Valid field rows whose rays read between `line` and the next line, with the share of the
+    /// next line.
     #[inline(always)]
     pub(crate) fn rays_after_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.after[view_y].of_line(line)
@@ -136,7 +140,7 @@ impl FactorMap {
         // times as long. If they lie a multiple of 1 KiB apart, it takes a fifth longer.
         let stride = ((pad + cols + after as usize + PAD).div_ceil(LINE) | 1) * LINE;
         let layout = Layout { bins: raw.bins, size: raw.size, frames, pad, stride, outside: raw.outside };
-        // list where rays read; the line after the last one stands for a miss
+        // list the pixels that rays read; the line after the last line stands for a miss
         let column = |((taps, shift), runs): ((_, &Option<isize>), &Vec<Range<usize>>)| {
             let between = shift.map(|shift| (shift, 0.0)).or_else(|| constant_between(taps, runs, cols));
             ColumnTaps::new(taps, *shift, between, pad)
@@ -153,7 +157,7 @@ impl FactorMap {
                 taps.iter().map(line).collect()
             })
             .collect();
-        // the rays of each line: valid field rows that hit the factor
+        // list the rays of each line: valid field rows that hit the factor
         let read_by_view = |(taps, valid): (&Vec<LineTap>, &Vec<bool>)| -> Vec<(u32, LineTap)> {
             let rows = taps.iter().zip(valid).enumerate();
             rows.filter(|(_, (tap, valid))| **valid && tap.first as usize != lines)
@@ -172,7 +176,7 @@ impl FactorMap {
             .iter()
             .map(|rows| RaysOfLine::new(lines, rows.iter().map(|&(row, tap)| (tap.first, (row, tap.t)))))
             .collect();
-        // the largest number of rays of a pixel decides if f32 is precise enough
+        // the largest number of rays of a pixel decides whether f32 sums are precise enough
         let shares_of_line =
             |line: usize| rays.iter().flat_map(|rays| rays.of_line(line)).map(|(_, share)| share).sum();
         let mut shares_of_col = vec![0.0f32; cols];
@@ -182,7 +186,7 @@ impl FactorMap {
         }
         let most_shares: f32 = (0..lines).map(shares_of_line).fold(0.0, f32::max);
         let short_sums = most_shares * shares_of_col.into_iter().fold(0.0, f32::max) <= SHORT_SUM;
-        // the properties that select a kernel
+        // find the properties by which an update chooses its kernel
         let one_shift = |x: &ColumnTaps, runs: &[Range<usize>]| runs.is_empty() || x.shift.is_some() && runs.len() == 1;
         let shifted =
             x.iter().zip(runs).all(|(x, runs)| one_shift(x, runs)) && y.iter().flatten().all(|tap| tap.t == 0.0);
@@ -216,7 +220,7 @@ impl FactorMap {
 }
 
 impl ColumnTaps {
-    /// The pieces of a run, each with its access.
+    /// Splits a run of columns into pieces, each with one kind of access.
     #[inline(always)]
     pub(crate) fn pieces_within<'a>(
         &'a self,
@@ -229,7 +233,7 @@ impl ColumnTaps {
     }
 
     fn new(taps: &[Option<Tap>], shift: Option<isize>, between: Option<(isize, f32)>, pad: usize) -> Self {
-        // a miss reads the padding
+        // a miss gets index 0, which is in the padding
         let index = |i: Option<u32>| i.map_or(0, |i| i + pad as u32);
         Self {
             first: taps.iter().map(|tap| index(tap.map(|tap| tap.first))).collect(),
@@ -242,8 +246,8 @@ impl ColumnTaps {
     }
 }
 
-/// A tap that reads one pixel alone if the other one's weight is only rounding. Without it, rays
-/// that hit pixels exactly would read some pixels and some pairs.
+/// A tap that reads one pixel alone if the weight of its second pixel is only rounding. Without
+/// this, rays that hit pixels exactly would read single pixels in some columns and pairs in others.
 pub(crate) fn snapped(tap: Tap) -> Tap {
     match tap.t {
         t if t < SAME_WEIGHT => Tap { t: 0.0, ..tap },
@@ -252,7 +256,7 @@ pub(crate) fn snapped(tap: Tap) -> Tap {
     }
 }
 
-/// Splits the field columns where their access changes.
+/// Splits the field columns into pieces of one kind of access.
 fn pieces(taps: &[Option<Tap>], pad: isize) -> Vec<Piece> {
     let access = |col: usize| match taps[col] {
         Some(tap) => Access::Shift { by: tap.first as isize + pad - col as isize, t: tap.t },
@@ -301,7 +305,7 @@ impl RaysOfLine {
         &self.entries[self.starts[line] as usize..self.starts[line + 1] as usize]
     }
 
-    /// Sorts entries into lists per line.
+    /// Sorts entries, each given with its line, into one list per line.
     fn new(lines: usize, all: impl Iterator<Item = (u32, (u32, f32))>) -> Self {
         let mut of_line: Vec<Vec<(u32, f32)>> = vec![Vec::new(); lines];
         all.for_each(|(line, entry)| of_line[line as usize].push(entry));
@@ -339,8 +343,8 @@ fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> O
         .then_some(shift)
 }
 
-/// First pixel minus field column, and the weight of the second pixel, if both are the same for all
-/// rays of the run. At the borders, rays read the border pixel alone.
+/// First pixel minus field column, and the weight of the second pixel, if these two values are the
+/// same for all rays of the run. At the borders, rays read the border pixel alone.
 fn constant_between(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<(isize, f32)> {
     let [run] = runs else { return None };
     let distance = |c: usize| taps[c].map(|tap| (tap.first as isize - c as isize, tap.t));

@@ -12,7 +12,7 @@ use crate::step::Sums;
 /// The tables hold the positions where rays hit the factor, once as floats and once for the
 /// kernels.
 const TABLE_BYTES: u64 = 96;
-/// Bytes of everything else, which is small.
+/// Upper bound of the bytes of all small data.
 const SMALL: u64 = 1 << 20;
 
 /// Upper bound of the bytes that [`factorize`](crate::factorize()) holds at any time, on `threads`
@@ -29,8 +29,8 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
     4 * target_bytes(geometry) / 3 + bytes_beside_target(display, geometry, threads)
 }
 
-/// As [`held_bytes`], if the caller's target is in a file. The factorizer's copy is then also in a
-/// file. About `window` bytes of that file may be in memory.
+/// The bound of [`held_bytes`] for a target that the caller has in a file. The factorizer's copy is
+/// then also in a file. About `window` bytes of that file may be in memory.
 pub fn paged_bytes(display: &Display, geometry: &FieldGeometry, threads: usize, window: u64) -> u64 {
     /// Bytes of a small page.
     const PAGE: u64 = 4096;
@@ -75,7 +75,7 @@ fn bytes_beside_target(display: &Display, geometry: &FieldGeometry, threads: usi
         _ => 0,
     };
     let sums: u64 = factors.iter().enumerate().map(summed).sum();
-    // tables of the rays
+    // bytes of the ray tables
     let tables = TABLE_BYTES * factors.len() as u64 * (view_cols * cols + view_rows * rows);
     // For each factor without a constant shift, every thread keeps values along rays. They take at
     // most three rows per view row, for the field rows around a line.
@@ -93,7 +93,7 @@ fn bytes_beside_target(display: &Display, geometry: &FieldGeometry, threads: usi
     4 * (4 * patterns + sums + tables) / 3 + 2 * patterns + threads * expanded + SMALL
 }
 
-/// Columns and rows of every layer and the backlight, and the number of columns past their edges
+/// For every layer and the backlight: columns and rows, and the number of columns past their edges
 /// that rays may read.
 fn factors(display: &Display, geometry: &FieldGeometry) -> Vec<([u64; 2], u64)> {
     let steepest = geometry.grid.slope_x.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));

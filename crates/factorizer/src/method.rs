@@ -8,7 +8,7 @@ use crate::solver::{Run, Solver};
 
 /// A solver that can start on a prepared problem.
 pub(crate) trait Method: Solver {
-    /// As [`Solver::start`], on a prepared problem.
+    /// Does the same as [`Solver::start`], on a prepared problem.
     fn begin(&self, prepared: Prepared) -> Result<Box<dyn Iterated>, FactorizeError>;
 }
 

@@ -1,6 +1,6 @@
 //! The paper's multiplicative rule (eqs. 16 and 17), per ray.
 //!
-//! For every pixel j of layer n:
+//! For every pixel j of layer n, with the backlight's value b_m(r) on the ray r:
 //!
 //! ```text
 //! P_m(r) = b_m(r) Π_{k≠n} f_m^(k)
@@ -12,7 +12,7 @@
 //! Layers are updated in sequence, rear to front, then the directional backlight by the same rule.
 //! Each step minimizes a separable quadratic majorizer over the box, so the objective never rises.
 //! This holds for all weights w ≥ 0. It also holds under bilinear sampling, where each term of the
-//! sums is multiplied by the pixel's share in the ray.
+//! sums is multiplied by the weight of pixel j in the ray.
 //!
 //! The lower end of the box is at least [`FLOOR`], since a value of 0 would stay 0. A pixel keeps
 //! its value if no weighted ray hits it or if its denominator is below f32's normal range.

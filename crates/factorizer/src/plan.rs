@@ -33,7 +33,7 @@ pub struct Plan {
     pub(crate) formation: Formation,
     /// True if layers attenuate and every map is a constant shift per view.
     pub(crate) shifted: bool,
-    /// As many ones as field columns.
+    /// A row of ones, one for each field column.
     pub(crate) ones: Vec<f32>,
     /// Layers rear to front, then the directional backlight.
     pub(crate) maps: Vec<FactorMap>,
@@ -54,8 +54,8 @@ pub struct Plan {
 /// The position of a tile in its display.
 #[derive(Clone, Debug)]
 pub(crate) struct TilePlace {
-    /// Per factor: first [row, column] of the tile in the whole display, and [rows, columns] of the
-    /// whole.
+    /// Per factor: first [row, column] of the tile in the whole factor, and [rows, columns] of the
+    /// whole factor.
     pub(crate) place: Vec<[[usize; 2]; 2]>,
     /// Per factor, the pixels that may change, counted within the tile; `None` if all may.
     pub(crate) free: Option<Vec<Region>>,
@@ -83,7 +83,8 @@ impl Plan {
         Ok(Self::with_target(problem.display, problem.target.geometry(), target))
     }
 
-    /// As [`Self::new`] for a tile; `map` maps the tile's rays to its pixels.
+    /// Builds the tables of a tile, and checks its problem; `map` maps the tile's rays to its
+    /// pixels.
     pub(crate) fn of_tile(problem: &Problem, map: &RayMap, tile: TilePlace) -> Result<Self, FactorizeError> {
         problem.check_all_but_target()?;
         let target = Target::new(problem)?;
@@ -114,7 +115,7 @@ impl Plan {
             .collect();
         let valid_rows: Vec<Vec<bool>> =
             (0..views[0]).map(|view| (0..rows).map(|i| valid(view, i, |l| &l.y, &lit_y)).collect()).collect();
-        // make the maps of layers and backlight; constant shifts allow the fast kernels
+        // Make the map of every layer and of the backlight.
         let frames = display.frames;
         let maps: Vec<_> = raw_maps(display, map, views)
             .into_iter()
@@ -219,9 +220,9 @@ impl Plan {
     }
 }
 
-/// Converts the taps of layers and lenslets to one form; a miss is `None`.
+/// Converts the taps of layers and lenslets to one form, in which a miss is `None`.
 fn raw_maps(display: &Display, map: &RayMap, views: [usize; 2]) -> Vec<RawMap> {
-    // a layer's taps are in the map already
+    // the taps of layers have the common form already
     let hit = |taps: &[Tap]| taps.iter().map(|tap| (!tap.is_missed()).then(|| snapped(*tap))).collect();
     let mut maps: Vec<RawMap> = map
         .layers
@@ -258,7 +259,7 @@ fn raw_maps(display: &Display, map: &RayMap, views: [usize; 2]) -> Vec<RawMap> {
     maps
 }
 
-/// Ranges of consecutive `true`.
+/// Returns the ranges of consecutive `true` values.
 fn runs_of(valid: &[bool]) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
     for i in (0..valid.len()).filter(|&i| valid[i]) {

@@ -32,7 +32,7 @@ impl Problem<'_> {
         self.check_target()
     }
 
-    /// As [`check`](Self::check), without reading the values of the target.
+    /// Makes the checks of [`check`](Self::check) that do not read the target's values.
     pub(crate) fn check_all_but_target(&self) -> Result<(), FactorizeError> {
         self.display.check()?;
         self.weights.check(self.target.geometry())?;
@@ -42,7 +42,7 @@ impl Problem<'_> {
     /// Checks that every value of the target is finite.
     pub(crate) fn check_target(&self) -> Result<(), FactorizeError> {
         let geometry = self.target.geometry();
-        // view by view, since the target may be in a file
+        // one view at a time is read, since the target may be in a file
         for view in geometry.grid.iter() {
             let values = self.target.view(view);
             if bands::all(values, |part| part.iter().all(|value| value.is_finite())) {
@@ -61,7 +61,7 @@ impl Problem<'_> {
         let emission = LayerStack::emission_shape(self.display).map(|shape| shape.to_vec());
         let values: u128 = layers.chain(emission).map(|shape| shape.iter().map(|&n| n as u128).product::<u128>()).sum();
         // four copies must fit, with 4 bytes per value: the input, two working copies and a spare
-        // one
+        // copy
         let bytes = 4 * 4 * values;
         if bytes > isize::MAX as u128 { Err(FactorizeError::TooLarge { values }) } else { Ok(()) }
     }

@@ -3,7 +3,7 @@
 //!
 //! The masks are confined frame by frame and layer by layer to the levels that the panel can show
 //! ([`lumistack_display::Layer::levels`]). After each mask is confined, its layer is updated. A
-//! coordinate step goes to the level nearest to its minimum. That is the best level, since the
+//! coordinate step goes to the level nearest to the minimum. This level is the best one, since the
 //! objective is a parabola along a coordinate. Free frames and later layers then reduce the error.
 //! Confined masks still move from level to level, so a few last iterations gain more. Once all
 //! masks are confined, the objective never rises.
@@ -19,7 +19,7 @@ use crate::{FactorizeError, Problem};
 
 /// Number of sweeps of coordinate steps per update.
 const SWEEPS: u32 = 4;
-/// Number of iterations over all layers at the end.
+/// Number of iterations over all layers after the last mask is confined.
 const LAST_ROUNDS: u32 = 3;
 
 /// True if any layer has few levels.
@@ -50,7 +50,8 @@ pub fn reoptimize_on_levels(problem: &Problem, stack: LayerStack, task: Task) ->
     reoptimize(Prepared::new(problem, stack, &Processor)?, task)
 }
 
-/// As [`reoptimize_on_levels`], on a prepared problem. It runs on the processor for every executor.
+/// Does the same as [`reoptimize_on_levels`] on a prepared problem, on the processor for every
+/// executor.
 pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, FactorizeError> {
     let display = prepared.display;
     let (frames, layers) = (display.frames, &display.layers);
@@ -71,7 +72,8 @@ pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, F
         task.progress.advance(1, "");
         Ok(())
     };
-    // confine frame by frame, so that the frames that are still free compensate
+    // Confine the masks frame by frame, so that frames that are still free compensate for the
+    // errors.
     let mut confine = || -> Result<(), FactorizeError> {
         for frame in 0..frames {
             for &n in &few {
@@ -88,6 +90,6 @@ pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, F
     };
     let done = confine();
     task.progress.end();
-    // a value that no ray reads was not moved to a level, so it is rounded here
+    // round values that no ray reads, since no step has moved them to a level
     done.map(|()| round(display, &engine.download()))
 }

@@ -1,5 +1,5 @@
-//! The rows that the rays through one line read, as inner loops need them: a pointer per row and
-//! view.
+//! The rows of all factors that the rays through one line read, in the form for inner loops: a
+//! pointer per row and view.
 
 use std::marker::PhantomData;
 use std::ops::Range;
@@ -28,7 +28,7 @@ pub(crate) struct Place<'a, T> {
 }
 
 impl<'a, T> Place<'a, T> {
-    /// A row whose `row[x + offset]` is the value at x.
+    /// A place in `row`, such that `row[x + offset]` is the value at x.
     #[inline(always)]
     fn new(row: &'a [T], offset: isize) -> Self {
         Self {
@@ -39,7 +39,7 @@ impl<'a, T> Place<'a, T> {
         }
     }
 
-    /// A row of `len` values that may be written while the place exists.
+    /// A place in a row of `len` values, which may be written while the place exists.
     fn within(row: *const T, len: usize, offset: isize) -> Self {
         let _ = len;
         Self {
@@ -60,7 +60,7 @@ impl<'a, T> Place<'a, T> {
     }
 }
 
-/// One view's rays through the line.
+/// The rays of one view through the line under update.
 pub(crate) struct View<'a> {
     /// Range of x in which the view's rays are valid.
     valid: Range<usize>,
@@ -69,7 +69,7 @@ pub(crate) struct View<'a> {
 }
 
 impl View<'_> {
-    /// √w; `None` if all weights are 1.
+    /// √w of the rays; `None` if all weights are 1.
     #[inline(always)]
     pub(crate) fn root_weights(&self) -> Option<&Place<'_, f32>> {
         self.weights.as_ref()
@@ -78,7 +78,7 @@ impl View<'_> {
     /// √w of the rays of a block, 0 for invalid rays; `None` if all are invalid.
     ///
     /// # Safety
-    /// The machine has V.
+    /// The machine has `V`'s instruction set.
     #[inline(always)]
     pub(crate) unsafe fn weight<V: Lanes>(&self, x: usize) -> Option<V> {
         let (low, high) = (self.valid.start.max(x), self.valid.end.min(x + V::COUNT));
@@ -99,7 +99,7 @@ pub(crate) enum TargetRow<'a> {
 /// Number of rows that each view prefetches. A prefetch of all rows together would stall the loads.
 const PREFETCHED: usize = 3;
 
-/// The rows that one view's rays read.
+/// The rows that the rays of one view read.
 pub(crate) struct RowsOfView<'a, const K: usize> {
     pub(crate) view: &'a View<'a>,
     pub(crate) target: &'a TargetRow<'a>,
@@ -122,17 +122,18 @@ impl<const K: usize> RowsOfView<'_, K> {
 pub(crate) struct LineRays<'a> {
     pub(crate) views: Vec<View<'a>>,
     pub(crate) targets: Vec<TargetRow<'a>>,
-    /// The other factors' lines of all frames; `others_per_view` lines per view.
+    /// For each view, the lines of the other factors that its rays read, with all frames of a line;
+    /// `others_per_view` lines per view.
     pub(crate) others: Vec<Place<'a, f32>>,
     pub(crate) others_per_view: usize,
-    /// Per other factor, the distance from one frame to the next, in values.
+    /// For each other factor, the distance from one frame to the next frame, in values.
     pub(crate) strides: Vec<usize>,
-    /// Per view, where its rays read the line's own factor, in all frames. Empty if all views read
-    /// the same columns of it.
+    /// For each view, the line of the factor under update that its rays read, with all frames.
+    /// Empty if all views read the same columns of that line.
     pub(crate) own: Vec<Place<'a, f32>>,
     pub(crate) own_stride: usize,
-    /// Per view, the weight of the next pixel in every other factor, then in the own one. Empty if
-    /// no ray reads between columns.
+    /// For each view, the weight of the second pixel in every other factor, then in the factor
+    /// under update. Empty if no ray reads between columns.
     pub(crate) fractions: Vec<f32>,
     /// Rows to prefetch, as pointers to x = 0: the line's own rows, and the other factors' rows.
     /// Views of a view row read the same rows at neighbouring columns, so only the pointer of the
@@ -156,7 +157,7 @@ impl LineRays<'_> {
         start..self.views.iter().map(|view| view.valid.end).max().unwrap_or(0)
     }
 
-    /// The rows of some views, with K other factors each.
+    /// The rows of a range of views, with K factors besides the factor under update.
     #[inline(always)]
     pub(crate) fn by_view<const K: usize>(&self, views: Range<usize>) -> impl Iterator<Item = RowsOfView<'_, K>> {
         let others = &self.others.as_chunks::<K>().0[views.clone()];
@@ -165,13 +166,13 @@ impl LineRays<'_> {
         views.map(|(((view, target), others), ahead)| RowsOfView { view, target, others, ahead })
     }
 
-    /// The other factors of one view.
+    /// The lines of the other factors that one view reads.
     pub(crate) fn others_of(&self, view: usize) -> &[Place<'_, f32>] {
         &self.others[view * self.others_per_view..(view + 1) * self.others_per_view]
     }
 
-    /// Prefetches the values at x of the rows that no view prefetches; without `by_views`, of all
-    /// rows.
+    /// Prefetches the values at x of listed rows: of the rows that are assigned to no view if
+    /// `by_views` is true, otherwise of all rows.
     #[inline(always)]
     pub(crate) fn prefetch_rest(&self, x: usize, by_views: bool) {
         for row in &self.ahead[if by_views { (PREFETCHED * self.views.len()).min(self.ahead.len()) } else { 0 }..] {
@@ -179,7 +180,7 @@ impl LineRays<'_> {
         }
     }
 
-    /// Prefetches the values at x of some of the listed rows.
+    /// Prefetches the values at x of a range of the listed rows.
     #[inline(always)]
     pub(crate) fn prefetch(&self, rows: Range<usize>, x: usize) {
         for row in &self.ahead[rows] {
@@ -214,7 +215,7 @@ pub(crate) fn expanded_stride(plan: &Plan) -> usize {
     (PAD + plan.cols + PAD).next_multiple_of(PAD)
 }
 
-/// Storage of one thread for values that rays read and that no factor holds: mixtures of two lines,
+/// Memory of one thread for values that rays read but that no factor holds: mixtures of two lines,
 /// and values expanded along rays.
 #[derive(Default)]
 pub(crate) struct Spare {
@@ -224,7 +225,7 @@ pub(crate) struct Spare {
     expanded: Vec<f32>,
     /// The content of each expanded row: factor, channel, view column, first column, line.
     held: Vec<Option<[usize; 5]>>,
-    /// The rows of rays that are listed.
+    /// The rows of rays for which the values are computed.
     pub(crate) rows: Vec<RowOfRays>,
 }
 
@@ -236,8 +237,8 @@ pub(crate) struct RowOfRays {
 }
 
 impl Spare {
-    /// Mixes two lines of a factor for every listed row of rays that reads it between lines;
-    /// `mixes` selects the factors.
+    /// For every listed row of rays, mixes the two lines of each factor that it reads between
+    /// lines. `mixes` selects the factors.
     pub(crate) fn mix_lines(&mut self, plan: &Plan, factors: &[Factor], channel: usize, mixes: impl Fn(usize) -> bool) {
         let mut end = 0;
         for &RowOfRays { view_y, row } in &self.rows {
@@ -257,8 +258,8 @@ impl Spare {
     }
 }
 
-/// The storage that is still free, and the mixed lines that are still unread, in the order in which
-/// they were made.
+/// The rest of a [`Spare`]: memory that is still free, and mixed lines that are still unread, in
+/// the order in which they were made.
 struct Left<'a> {
     mixed: &'a [f32],
     expanded: &'a mut [f32],
@@ -266,7 +267,7 @@ struct Left<'a> {
 }
 
 impl<'a> Left<'a> {
-    /// Storage for the listed rows of rays, each expanded `times` times.
+    /// Prepares the memory for the listed rows of rays, each expanded `times` times.
     fn of(spare: &'a mut Spare, plan: &Plan, times: usize) -> (Self, &'a [RowOfRays]) {
         let Spare { mixed, expanded, held, rows } = spare;
         let count = rows.len() * times;
@@ -295,7 +296,7 @@ impl<'a> Left<'a> {
     /// The values that the rays of a view read from a line of a factor: in place, or expanded along
     /// the rays.
     ///
-    /// `offset` is added to x, as in [`Place`].
+    /// `offset` is added to x, see [`Place`].
     fn place(
         &mut self,
         plan: &Plan,
@@ -331,8 +332,8 @@ impl<'a> Left<'a> {
     }
 }
 
-/// Distance from one frame to the next, in the values that rays of a view column read from factor
-/// `k`.
+/// Distance from one frame to the next frame in the values that the rays of a view column read from
+/// factor `k`.
 fn stride_of(plan: &Plan, k: usize, view_x: usize) -> usize {
     if plan.maps[k].x[view_x].shift.is_some() { plan.maps[k].layout.stride } else { expanded_stride(plan) }
 }
@@ -385,7 +386,8 @@ pub(crate) fn rays_of_column<'a>(
 
 /// Lists the rays of a line, and expands factors that are not at a constant shift.
 ///
-/// `rays` provides the storage; `own` are the line's rows, which are prefetched.
+/// `rays` gives its memory to the result. `own` are the rows of the line under update, which are
+/// prefetched too.
 pub(crate) fn rays_through<'a>(
     mut rays: LineRays<'a>,
     plan: &'a Plan,
@@ -418,7 +420,8 @@ pub(crate) fn rays_through<'a>(
         let before = rays.others.len();
         lines.clear();
         lines.extend((0..factors.len()).map(|k| left.line(plan, factors, k, at.channel, row_of)));
-        // list, per view, its valid range, weights and target, then the other factors
+        // for each view, list its valid range, its weights and its target, then the rows of the
+        // other factors
         for view_x in 0..plan.views[1] {
             let ([run], Some(own)) = (plan.runs[view_x].as_slice(), map.x[view_x].shift) else { continue };
             let view = plan.view(view_y, view_x);
@@ -451,16 +454,17 @@ pub(crate) fn rays_through<'a>(
     rays
 }
 
-/// Mixtures of two lines of each factor: only the columns that one part needs.
+/// Rows of every factor that one row of rays reads, each mixed from two lines. Only the columns of
+/// one part are computed.
 #[derive(Default)]
 pub(crate) struct Windows {
     values: Vec<f32>,
-    /// Per factor, the position of its line in `values`.
+    /// For each factor, the index in `values` at which its line begins.
     starts: Vec<usize>,
 }
 
 impl Windows {
-    /// Storage for one line of every factor.
+    /// Allocates memory for one line of every factor.
     pub(crate) fn new(plan: &Plan) -> Self {
         let mut starts = vec![0];
         starts.extend(plan.maps.iter().scan(0, |end, map| {
@@ -470,14 +474,14 @@ impl Windows {
         Self { values: vec![0.0; starts[plan.maps.len()]], starts }
     }
 
-    /// True if a row of rays reads factor `k` through this storage.
+    /// True if a row of rays reads factor `k` in this memory, not in the factor itself.
     pub(crate) fn holds(plan: &Plan, k: usize, rays: RowOfRays) -> bool {
         let map = &plan.maps[k];
         map.between && (map.mixes_columns || map.y[rays.view_y][rays.row].t != 0.0)
     }
 
-    /// Mixes the lines that a row of rays reads, within `columns` of the padded lines, and repeats
-    /// the border pixels once.
+    /// Mixes the two lines of factor `k` that a row of rays reads, within `columns` of the padded
+    /// lines, and repeats the border pixels once.
     ///
     /// # Safety
     /// No reference to these values exists.
@@ -504,18 +508,20 @@ impl Windows {
         }
     }
 
-    /// Pointers to the lines of all factors.
+    /// Returns a function that points to the line of a factor.
     pub(crate) fn lines(&mut self) -> impl Fn(usize) -> *mut f32 + use<'_> {
         let first = self.values.as_mut_ptr();
         move |k| first.wrapping_add(self.starts[k])
     }
 }
 
-/// Lists the rays between a line and the next; `spare.rows` has the rows of rays. The own factor
-/// must be [`between`](crate::map::FactorMap::between). `windows` are the lines of [`Windows`].
+/// Lists the rays between a line and the next line; `spare.rows` has the rows of rays. The factor
+/// under update must be [`between`](crate::map::FactorMap::between). `windows` are the lines of
+/// [`Windows`].
 ///
-/// Views without valid rays are left out, as in [`rays_through`]. `ahead` gets, per row of rays,
-/// the end of its rows in the list of rows to prefetch; lines in windows have none.
+/// Views without valid rays are left out, as in [`rays_through`]. For each row of rays, `ahead`
+/// gets the index at which its entries end in the list of rows to prefetch. Lines in windows have
+/// no entries.
 pub(crate) fn rays_between<'a>(
     mut rays: LineRays<'a>,
     plan: &'a Plan,
@@ -571,7 +577,7 @@ pub(crate) fn rays_between<'a>(
                 rays.fractions.push(between.map_or(0.0, |(_, t)| t));
             }
         }
-        // as in `rays_through`, but every row of rays has its own prefetches
+        // List rows to prefetch as `rays_through` does, but separately for every row of rays.
         for (index, k) in others().chain([at.factor]).enumerate() {
             let (places, of) = match k == at.factor {
                 true => (&rays.own[before[1]..], 1),

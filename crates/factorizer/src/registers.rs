@@ -7,31 +7,33 @@ use crate::buffers::{AHEAD, BetweenTiles, BlockOfLine, Buffers, ByBuffers, GROUP
 use crate::rays::{LineRays, RowsOfView};
 use crate::vector::{load, store};
 
-/// Sums n and d of all frames, or r and the diagonal of G.
+/// Adds up the sums n and d of `step.rs` of all frames; or r and the diagonal of G if `DIAGONAL` is
+/// true.
 ///
-/// `MASKED`: some rays of a view are invalid or weighted. `DIAGONAL`: r and the diagonal.
+/// `MASKED` is true if some rays of a view are invalid or weighted.
 pub(crate) struct Pairs<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool>;
 
-/// Sums r of all frames, and G.
+/// Adds up the sums r and G of `step.rs`, for all frames.
 ///
-/// G's tiles along the diagonal are summed together, the rest from buffered a_m. `MASKED` has the
-/// same meaning as in [`Pairs`].
+/// The tiles of G along the diagonal are summed together. The rest of G is summed from buffered
+/// a_m. `MASKED` has the same meaning as in [`Pairs`].
 pub(crate) struct Gram<const M: usize, const K: usize, const MASKED: bool>;
 
-/// Number of registers that [`Pairs`] needs: two accumulators and a_m per frame, and a few more.
+/// Number of registers that [`Pairs`] needs: three for each frame (two sums and the derivative
+/// a_m), and a few more.
 const fn registers_for_pairs(frames: usize) -> usize {
     3 * frames + 4
 }
 
-/// Number of registers that [`Gram`] needs: r, a_m, the upper triangles of the tiles, and a few
-/// more.
+/// Number of registers that [`Gram`] needs: the residual sum and the derivative a_m of each frame,
+/// the upper triangles of the tiles, and a few more.
 const fn registers_for_gram(frames: usize) -> usize {
     let (tile, tiles) = (tile_of(frames), frames.div_ceil(tile_of(frames)));
     2 * frames + tiles * tile * (tile + 1) / 2 + 5
 }
 
-/// Number of frames per tile of G. While a_m is in registers, only the tiles along the diagonal are
-/// summed; up to 4 frames, one tile is all of G.
+/// Number of frames per tile of the Gram matrix. In registers, only the tiles along the diagonal
+/// are summed. Up to 4 frames, one tile is the whole matrix.
 const fn tile_of(frames: usize) -> usize {
     if frames <= 4 { frames } else { 3 }
 }
@@ -46,7 +48,7 @@ impl<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool> K
     unsafe fn run<V: Lanes>(mut at: BlockOfLine<'_>) {
         // SAFETY: guaranteed by the caller
         unsafe {
-            // an instruction set with too few registers would spill; buffers are faster there
+            // With too few registers the sums would spill to memory, so buffers are faster.
             if registers_for_pairs(M) > V::REGISTERS {
                 return V::call::<ByBuffers>(at);
             }
@@ -67,7 +69,7 @@ impl<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool> K
                     below[m] = products[m].mul_add(if DIAGONAL { products[m] } else { emitted }, below[m]);
                 }
             }
-            // the block gets n and d, or r and the diagonal of G
+            // store the two sums of every frame in the block
             for m in 0..M {
                 store(above[m], &mut buffers.block.residual, m * V::COUNT);
                 store(below[m], &mut buffers.block.emitted, m * V::COUNT);
@@ -85,7 +87,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
     unsafe fn run<V: Lanes>(mut at: BlockOfLine<'_>) {
         // SAFETY: guaranteed by the caller
         unsafe {
-            // with too few registers, buffers are faster
+            // With too few registers the sums would spill to memory, so buffers are faster.
             if registers_for_gram(M) > V::REGISTERS {
                 return V::call::<ByBuffers>(at);
             }
@@ -96,8 +98,9 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
             let shared = SharedInputs::<K>::new(rays, x, params, scaled);
             let views = rays.views.len();
             let mut first = 0;
-            // views go in groups whose a_m fit the buffer. Sums wait in memory between groups,
-            // since the function called at the end of this loop may overwrite all registers
+            // Views are summed in groups whose derivatives a_m fit the buffer. Between groups the
+            // sums are in memory, since the function called at the end of this loop may overwrite
+            // all registers.
             loop {
                 let add = first > 0;
                 let mut squares = if add { load::<V>(all, 0) } else { V::splat(0.0) };
@@ -112,7 +115,8 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                         }
                     }
                 }
-                // sum the tiles along the diagonal in registers, and buffer a_m for the rest
+                // sum the tiles along the diagonal in registers, and buffer the derivatives a_m for
+                // the other entries
                 let mut active = 0;
                 for rows in rays.by_view::<K>(first..views.min(first + GROUP)) {
                     let Some(ViewTerms { products, wanted, emitted }) = shared.terms_of::<V, M, MASKED>(&rows) else {
@@ -143,7 +147,7 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
                     }
                 }
                 store(squares, all, 0);
-                // sum the rest of G from the buffered a_m
+                // sum the other entries of the Gram matrix from the buffered derivatives a_m
                 if tile < M {
                     let group = Group { frames: M, views: active, add };
                     let tiles = Tiles { group, shares: &[], products: buffered, errors, emitted };
@@ -158,7 +162,8 @@ impl<const M: usize, const K: usize, const MASKED: bool> Kernel for Gram<M, K, M
     }
 }
 
-/// a_m of all frames, βL and L̃ of one view in a block, each times √w.
+/// Terms of one view in a block, each times √w: a_m = ∂L̃/∂(f_m/M) for each frame m, βL, and the
+/// emission L̃.
 struct ViewTerms<V, const M: usize> {
     products: [V; M],
     wanted: V,
@@ -169,7 +174,7 @@ struct ViewTerms<V, const M: usize> {
 struct SharedInputs<'a, const K: usize> {
     x: usize,
     params: SumParams,
-    /// f/M.
+    /// Values f of the block's pixels, divided by the number M of frames.
     scaled: &'a [f32],
     strides: [usize; K],
 }
@@ -180,7 +185,8 @@ impl<'a, const K: usize> SharedInputs<'a, K> {
         Self { x, params, scaled, strides: std::array::from_fn(|k| rays.strides[k]) }
     }
 
-    /// Computes a_m, βL and L̃ of one view in the block; `None` if no ray is valid.
+    /// Computes the [`ViewTerms`] of one view in the block. `None` if no ray of the view in the
+    /// block is valid.
     #[inline(always)]
     unsafe fn terms_of<V: Lanes, const M: usize, const MASKED: bool>(
         &self,
@@ -195,7 +201,7 @@ impl<'a, const K: usize> SharedInputs<'a, K> {
             if MASKED {
                 wanted = wanted.mul(weight);
             }
-            // P_m = Π_{k≠n} f_m^(k), and L̃ = Σ_m P_m f_m/M
+            // a_m is the product of the other factors' values in frame m, and L̃ = Σ_m a_m f_m/M
             let others: [_; K] = std::array::from_fn(|k| rows.others[k].at::<V>(self.x));
             let (mut products, mut emitted) = ([V::splat(0.0); M], V::splat(0.0));
             for m in 0..M {

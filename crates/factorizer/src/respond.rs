@@ -1,5 +1,5 @@
-//! Layers whose stored values f differ from the values F = A f that rays read, because of blur,
-//! crosstalk, colour filters or tied channels ([`lumistack_display::Response`]).
+//! Layers whose stored values f differ from the values F = A f that rays read. The reasons are
+//! blur, crosstalk, colour filters or tied channels ([`lumistack_display::Response`]).
 //!
 //! G_i is the Gram matrix and r_i the residual sums of pixel i as rays read it. A change d of the
 //! stored values changes the objective by
@@ -40,15 +40,15 @@ impl AdjointSums {
         let mix = response.mix();
         let mut scratch = Vec::new();
         // Blur the filter of each channel, which is the same in every row. Mixed over channels, the
-        // blurred filters give ρ.
+        // blurred filters give ρ_i of the file's head: the sum of row i of A.
         let passed = [0, 1, 2].map(|c: usize| {
             let filter: Vec<f32> = filters.iter().map(|filter| filter[c]).collect();
             let mut blurred = vec![0.0; cols];
             response.blur(1, cols, &filter, &mut blurred, &mut scratch);
             blurred
         });
-        // apply Aᵀ: mix the channels, blur by the adjoint, then filter; entries of G are also
-        // multiplied by ρ
+        // Apply Aᵀ: mix the channels, blur by the adjoint, then filter. Entries of the Gram matrix
+        // are also multiplied by ρ.
         let plane_of = |quantity: usize| -> [Vec<f32>; 3] {
             let bounded = needed != Sums::Ratio && quantity >= layout.frames;
             let (mut mixed, mut plane, mut scratch) = (vec![0.0; rows * cols], vec![0.0; rows * cols], Vec::new());
@@ -81,7 +81,7 @@ impl AdjointSums {
     }
 }
 
-/// One line of stored values and its step.
+/// One line of stored values, and the step that updates it.
 pub(crate) struct StepLine<'a, 'b> {
     pub(crate) adjoint: &'a AdjointSums,
     pub(crate) channel: usize,
@@ -105,7 +105,7 @@ impl StepLine<'_, '_> {
     }
 }
 
-/// Sets tied channels to their mean, since they are one value.
+/// Sets the three channels of tied values to their mean, since they are one value.
 pub(crate) fn tie(stored: &mut Factor) {
     let (left, right) = stored.values.split_at_mut(stored.layout.stored_lines() * stored.layout.line_len());
     let (middle, right) = right.split_at_mut(left.len());
@@ -115,7 +115,7 @@ pub(crate) fn tie(stored: &mut Factor) {
     }
 }
 
-/// Computes the values that rays read, F = A f.
+/// Computes the values that rays read from the stored values: filter, blur, then mix the channels.
 pub(crate) fn respond(response: &Response, stored: &Factor, effective: &mut Aligned) {
     let layout = &stored.layout;
     let (rows, cols) = (layout.lines(), layout.cols());

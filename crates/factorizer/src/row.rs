@@ -14,7 +14,7 @@ pub enum Row<'a> {
 }
 
 impl<'a> Row<'a> {
-    /// Returns a range of columns; the row is padded.
+    /// Returns a range of columns of a padded row.
     #[inline(always)]
     pub(crate) fn part(self, cols: Range<usize>) -> Self {
         let part = PAD + cols.start..PAD + cols.end;
@@ -25,7 +25,8 @@ impl<'a> Row<'a> {
     }
 }
 
-/// A mean over three neighbouring pixels: the index of the first, and the share of each.
+/// A coarse pixel as a mean over three neighbouring fine pixels: the index of the first fine pixel,
+/// and the share of each.
 pub(crate) type Cover = (usize, [f32; 3]);
 
 /// A row to be written.

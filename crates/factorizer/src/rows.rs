@@ -45,29 +45,29 @@ impl RowFunctions {
         }
     }
 
-    /// Writes a factor's values along the rays.
+    /// Writes the values of a factor that rays read.
     pub(crate) fn read(&self, from: Reading, to: &mut [f32]) {
         unsafe { (self.read)((from, to)) }
     }
 
-    /// Multiplies by a factor's values along the rays.
+    /// Multiplies `to` by the values of a factor that rays read.
     pub(crate) fn multiply(&self, from: Reading, to: &mut [f32]) {
         unsafe { (self.multiply)((from, to)) }
     }
 
-    /// Adds a·b of every ray to the pixels that it reads, weighted by their shares.
+    /// For every ray, adds a·b to the two pixels that the ray reads, times the pixels' shares.
     ///
     /// Rays that miss the line add to the padding, which no step reads.
     pub(crate) fn scatter(&self, x: &ColumnTaps, run: &Range<usize>, a: &[f32], b: &[f32], sums: &mut [f32]) {
         unsafe { (self.scatter)((x, run, a, b, sums)) }
     }
 
-    /// As [`scatter`](Self::scatter), with sums in f64.
+    /// Does the same as [`scatter`](Self::scatter), with sums in f64.
     pub(crate) fn scatter_long(&self, x: &ColumnTaps, run: &Range<usize>, a: &[f32], b: &[f32], sums: &mut [f64]) {
         unsafe { (self.scatter_long)((x, run, a, b, sums)) }
     }
 
-    /// Writes values · share · w; `root_weights` is √w.
+    /// Writes values · share · w. `root_weights` has √w, and w is 1 without it.
     pub(crate) fn weigh(&self, values: &[f32], share: f32, root_weights: Option<&[f32]>, to: &mut [f32]) {
         unsafe { (self.weigh)((values, share, root_weights, to)) }
     }
@@ -77,15 +77,15 @@ impl RowFunctions {
         unsafe { (self.radiance)((row, brightness, to)) }
     }
 
-    /// Writes one row of coarser pixels: the weighted mean of `rows`, then the mean over the
-    /// columns that each pixel covers.
+    /// Writes one row of coarser pixels. It is the weighted mean of `rows`, averaged over the
+    /// columns that each coarse pixel covers.
     ///
     /// `mixed` is scratch storage, two values longer than the rows.
     pub(crate) fn average(&self, rows: &[(Row, f32)], cols: &[Cover], mixed: &mut [f32], to: RowMut) {
         unsafe { (self.average)((rows, cols, mixed, to)) }
     }
 
-    /// Writes (1 − t)·first + t·second.
+    /// Writes (1 − t)·rows[0] + t·rows[1].
     pub(crate) fn mix(&self, rows: [&[f32]; 2], t: f32, to: &mut [f32]) {
         unsafe { (self.mix)((rows, t, to)) }
     }
@@ -108,7 +108,7 @@ pub(crate) struct Reading<'a> {
     pub(crate) run: &'a Range<usize>,
     /// The row that the rays read.
     pub(crate) upper: &'a [f32],
-    /// A second row with its weight, for bilinear sampling.
+    /// A second row for bilinear sampling, with its weight.
     pub(crate) lower: Option<(&'a [f32], f32)>,
 }
 
@@ -116,7 +116,7 @@ fn mix(a: f32, b: f32, t: f32) -> f32 {
     a + t * (b - a)
 }
 
-/// Reads a factor along rays, and writes or multiplies.
+/// Reads a factor along rays, and writes the values or multiplies by them.
 struct Read<const MULTIPLY: bool>;
 
 impl<const MULTIPLY: bool> Kernel for Read<MULTIPLY> {

@@ -15,15 +15,16 @@
 //!     once:  line j += low,  line j + 1 += high,  by t_x
 //! ```
 //!
-//! Lines come in bands, one after another, and each line hands its high sums over to the next.
+//! Lines come in bands, one after another. Each line passes its sums `high` on to the next line.
 //! Factors are read in two steps as well. First, two lines of the factor are mixed, once for all
-//! view columns; then the columns of that mixture are read. In parts of 128 columns, whose rows
+//! view columns. Then the columns of that mixture are read. In parts of 128 columns, whose rows
 //! stay in the first-level cache, an update took 1.25 times as long.
 //!
-//! Under bilinear sampling a ray reads a mean Σ_t s_t f_t of pixels. By Jensen's inequality, (e −
-//! a·Σ_t s_t δ_t)² ≤ Σ_t s_t (e − a·δ_t)². So the sums by shares describe a quadratic that is
-//! separable over pixels. It bounds the objective from above and equals it at δ = 0, so a step to
-//! its minimum never raises the objective.
+//! Under bilinear sampling a ray reads a mean Σ_t s_t f_t of the pixels t with the shares s_t. If
+//! these pixels change by δ_t, Jensen's inequality gives (e − a·Σ_t s_t δ_t)² ≤ Σ_t s_t (e −
+//! a·δ_t)². So the sums by shares describe a quadratic that is separable over pixels. It bounds the
+//! objective from above and equals it at δ = 0, so a step to its minimum never raises the
+//! objective.
 
 use std::ops::{AddAssign, Mul, Range};
 
@@ -67,9 +68,9 @@ impl ScatterFunctions {
     }
 }
 
-/// Sums of one line in its own columns, `[quantity][x]`.
+/// Sums of the pixels of one line, `[quantity][x]`.
 struct LineSums {
-    /// The sums in f32. Sums in f64 are rounded to these at the end.
+    /// The sums in f32. In the end, the sums in f64 are rounded to f32 and stored here.
     short: Vec<f32>,
     /// The sums in f64, if pixels may get many rays; otherwise empty.
     long: Vec<f64>,
@@ -89,12 +90,12 @@ pub(crate) struct Scratch {
     buffers: Buffers,
     rays: LineRays<'static>,
     spare: Spare,
-    /// The sums of one view column by field columns, `[quantity][x]`: low sums for this line, high
-    /// sums for the next line.
+    /// The sums of one view column by field columns, `[quantity][x]`: those for this line and those
+    /// for the next line.
     columns: [Vec<f32>; 2],
     /// The sums of this line and of the next line.
     lines: [LineSums; 2],
-    /// The shares of the listed rows of rays in this line and in the next.
+    /// For each listed row of rays, its shares in this line and in the next line.
     shares: Vec<[f32; 2]>,
 }
 
@@ -123,16 +124,16 @@ pub(crate) struct ScatterBand<'a> {
     pub(crate) factors: &'a [Factor],
     pub(crate) functions: &'a ScatterFunctions,
     pub(crate) scratch: &'a mut Scratch,
-    /// The previous line, whose high sums wait; `None` at the beginning.
+    /// The line that was updated last, if the rays after it have added sums for the next line.
     pub(crate) before: Option<LineOf>,
 }
 
 impl ScatterBand<'_> {
-    /// Sums and steps the next line.
+    /// Sums the rays of the next line and steps its pixels.
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
         let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);
-        // at the start of a band, the rays that begin at the previous line are summed once more
+        // If the line before was not updated here, the rays that start at it are summed again.
         if !follows {
             self.scratch.lines.iter_mut().for_each(LineSums::clear);
             if at.line > 0 {
@@ -140,7 +141,7 @@ impl ScatterBand<'_> {
             }
         }
         self.before = Some(at);
-        // the high sums of the previous line are the low sums of this one
+        // The sums that the previous line's rays added for this line come first.
         self.scratch.lines.swap(0, 1);
         self.scratch.lines[1].clear();
         self.add_rays(at, needed, false);
@@ -154,12 +155,12 @@ impl ScatterBand<'_> {
 
     /// Adds the rays between a line and the next line to the sums of these two lines.
     ///
-    /// With `high_alone`, the caller needs only the sums of the next line.
+    /// If `high_alone` is true, the caller needs only the sums of the next line.
     fn add_rays(&mut self, at: LineOf, needed: Sums, high_alone: bool) {
         let (plan, factors, functions) = (self.plan, self.factors, self.functions);
         let Scratch { buffers, rays, spare, columns, lines, shares } = &mut *self.scratch;
         let map = &plan.maps[at.factor];
-        // list the field rows whose rays read between the lines
+        // list the field rows whose rays read between the line and the next line
         spare.rows.clear();
         shares.clear();
         for view_y in 0..plan.views[0] {
@@ -168,7 +169,7 @@ impl ScatterBand<'_> {
                 shares.push([1.0 - t, t]);
             }
         }
-        // if no row of rays has a share in the next line, there are no high sums
+        // if no row of rays has a share in the next line, there are no sums for the next line
         let is_high = shares.iter().any(|[_, high]| *high > 0.0);
         if shares.is_empty() || high_alone && !is_high {
             return;
@@ -178,8 +179,8 @@ impl ScatterBand<'_> {
         let together = if map.short_sums { GROUP } else { SHORT_ROWS };
         let params = SumParams { brightness: plan.target.brightness, sums: needed };
         spare.mix_lines(plan, factors, at.channel, |_| true);
-        // for each view column, sum by field columns; then add these sums to the pixels that the
-        // field columns read
+        // For each view column, sum the rays of each field column. Then add these sums to the
+        // pixels that the field column reads.
         for view_x in 0..plan.views[1] {
             for run in &plan.runs[view_x] {
                 let list = rays_of_column(std::mem::take(rays), plan, factors, at, (view_x, run), spare);
@@ -194,7 +195,7 @@ impl ScatterBand<'_> {
                         let squares = unsafe { (functions.block)(block) };
                         lines.iter_mut().zip(squares).for_each(|(line, squares)| line.error += squares);
                     }
-                    // add the low sums to this line, then the high sums to the next line
+                    // add the sums for this line, then the sums for the next line
                     for (columns, line) in columns.iter().zip(&mut *lines).take(if is_high { 2 } else { 1 }) {
                         let (x, columns) = (&map.x[view_x], (&columns[..], field_stride));
                         // SAFETY: the kernels have no requirements
@@ -218,21 +219,22 @@ impl ScatterBand<'_> {
 /// One block of field columns, with the rays of one view column.
 struct ColumnBlock<'a> {
     rays: &'a LineRays<'a>,
-    /// A range of rows of rays, no longer than a group.
+    /// A range of the rows of rays, no longer than a group of buffered views.
     views: Range<usize>,
-    /// Shares of each row of rays in the line and in the next.
+    /// For each row of rays, its shares in the line and in the next line.
     shares: &'a [[f32; 2]],
-    /// True if some row of rays has a share in the next line.
+    /// True if any row of rays has a share in the next line.
     is_high: bool,
     x: usize,
     params: SumParams,
     buffers: &'a mut Buffers,
-    /// Destination of the low and high sums: rows that begin at the block.
+    /// Destination of the sums for the line and for the next line: rows whose first value belongs
+    /// to the block.
     to: [&'a mut [f32]; 2],
     field_stride: usize,
 }
 
-/// Sums a block's rays by their shares; returns Σ w e² for the line and for the next line.
+/// Sums a block's rays by their shares in the line and in the next line. Returns Σ w e² for each.
 struct Apart;
 
 impl Kernel for Apart {
@@ -257,7 +259,7 @@ impl Kernel for Apart {
                 }
                 group.views += 1;
             }
-            // sum the buffers for each line, and keep the sums by field columns
+            // sum the buffers for each of the two lines, and keep the sums of each field column
             for (half, to) in to.into_iter().enumerate().take(if is_high { 2 } else { 1 }) {
                 sum_views::<V, true>(params.sums, buffers, &active[half], group);
                 let mut rows = to.chunks_mut(field_stride);
@@ -274,13 +276,14 @@ impl Kernel for Apart {
                     }
                 }
             }
-            // two calls, since a closure in `squares.map` would not be inlined
+            // vector::sum is called twice, since a closure in `squares.map` would not be inlined
             [vector::sum(squares[0]), vector::sum(squares[1])]
         }
     }
 }
 
-/// Adds rows of field columns, `[quantity][x]`, to the pixels that they read.
+/// Adds the sums of field columns, `[quantity][column]`, to the sums of the pixels that the columns
+/// read.
 ///
 /// Rays that miss the line add to the padding, which no step reads.
 struct ScatterQuantities<T>(std::marker::PhantomData<T>);
@@ -303,8 +306,8 @@ impl<T: Copy + Default + From<f32> + AddAssign + Mul<Output = T> + 'static> Kern
                             to.iter_mut().zip(from).for_each(|(sum, &value)| *sum += T::from(value));
                             continue;
                         }
-                        // a pixel gets the second share of one column and the first share of the
-                        // next
+                        // A pixel gets the second share of one column and the first share of the
+                        // next column.
                         to[0] += share.0 * T::from(from[0]);
                         to[from.len()] += share.1 * T::from(from[from.len() - 1]);
                         for (sum, pair) in to[1..].iter_mut().zip(from.windows(2)) {

@@ -6,7 +6,7 @@ use crate::step::{Block, Sums};
 
 /// Buffers of one thread, reused from line to line.
 pub(crate) struct Scratch {
-    /// a_m, `[frame][column of the run]`.
+    /// a_m of `step.rs` along a run of columns, `[frame][column of the run]`.
     pub(crate) product: Vec<f32>,
     /// Per frame, the sum of all layers' rotations; empty unless layers rotate polarization.
     pub(crate) phase: Vec<f32>,
@@ -14,15 +14,15 @@ pub(crate) struct Scratch {
     pub(crate) values: Vec<f32>,
     /// L̃ along a run.
     pub(crate) emitted: Vec<f32>,
-    /// e along a run.
+    /// The error e = βL − L̃ along a run.
     pub(crate) errors: Vec<f32>,
     /// Curvature along a run, for formations whose curvature the Gram matrix does not bound.
     pub(crate) curvature: Vec<f32>,
-    /// e, L̃, a_m or the curvature, times the weights.
+    /// Another row of this struct (error, emission, a_m or curvature), times the weights.
     pub(crate) weighted: Vec<f32>,
-    /// r and the upper triangle of G, or n and d: `[quantity][x]`.
+    /// The sums r and G (upper triangle) of `step.rs`, or n and d: `[quantity][x]`.
     pub(crate) sums: Vec<f32>,
-    /// The sums of `sums` in f64 if a pixel may get many rays; otherwise empty.
+    /// The sums in f64, if a pixel may get so many rays that f32 is too coarse; otherwise empty.
     pub(crate) long_sums: Vec<f64>,
     pub(crate) block: Block,
 }

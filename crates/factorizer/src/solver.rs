@@ -28,18 +28,19 @@ pub trait Solver: Sync {
 pub trait Run {
     /// Runs one iteration: updates every factor once.
     ///
-    /// When cancelled; the patterns so far remain usable. The check is made per line of a factor,
-    /// or per factor on a device. A lost device is an error too; its patterns are then lost.
+    /// Fails when cancelled; the patterns so far remain usable. The check is made per line of a
+    /// factor, or per factor on a device. It also fails if the device is lost, and the patterns
+    /// with it.
     fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError>;
 
     /// Computes the objective of the current patterns.
     fn objective(&mut self) -> Objective;
 
-    /// The objective that the last step obtained from its own sums. This may be the objective of
-    /// the extrapolated patterns.
+    /// The objective that the last step obtained from its own sums. It may belong to the
+    /// extrapolated patterns, not to the last iterate.
     ///
-    /// `None` if the sums do not contain it, or after a restart. [`Self::objective`] computes it in
-    /// any case.
+    /// `None` after a restart, or if the sums do not contain the objective. [`Self::objective`]
+    /// computes it in any case.
     fn known_objective(&self) -> Option<Objective>;
 
     /// Computes the KKT residual: the distance of the patterns from the first-order conditions.
@@ -49,13 +50,14 @@ pub trait Run {
     /// through the pixel, with weights relative to the largest.
     fn kkt_residual(&mut self) -> f64;
 
-    /// Ends a run: sets unlit values to the darkest that the hardware shows. Returns the KKT
-    /// residual, see [`kkt_residual`](Self::kkt_residual). Almost no light reaches an unlit value,
-    /// so the objective does not determine it. A real layer is not quite black and would leak light
-    /// there. The light of a value is the light that the other layers transmit to its pixel in its
-    /// frame. A value is unlit if the root mean square of this light over its rays is at most 10⁻⁴
-    /// of the brightness. Pixels without a weighted ray keep their values, since views between the
-    /// target's views may see them.
+    /// Ends a run: sets unlit values to the darkest value that the hardware shows. Returns the KKT
+    /// residual, see [`kkt_residual`](Self::kkt_residual).
+    ///
+    /// Almost no light reaches an unlit value, so the objective does not determine it. A real layer
+    /// is not quite black, and would leak light at this value. The light of a value is the light
+    /// that the other layers transmit to its pixel in its frame. A value is unlit if the root mean
+    /// square of its light over its rays is at most 10⁻⁴ of the brightness. Pixels without a
+    /// weighted ray keep their values, since views between the target's views may see them.
     fn darken_unlit(&mut self) -> f64;
 
     /// Number of rays with w > 0 that hit all layers.
@@ -78,6 +80,6 @@ pub struct Objective {
     /// Σ w (βL − L̃)² over all rays and channels (eq. 27).
     pub value: f64,
     /// PSNR of L̃/β against L with a peak of 1, dB. It covers all rays with w > 0 and all channels,
-    /// and is NaN if there is no such ray.
+    /// and is NaN if no ray has w > 0.
     pub psnr_view: f64,
 }

@@ -34,7 +34,8 @@ pub fn solver(name: &str) -> Result<&'static dyn Solver, FactorizeError> {
 /// Runs [`Solver::start`] of the named solver on an executor.
 ///
 /// # Errors
-/// As [`solver`] and [`Solver::start`], and if the executor cannot solve the problem.
+/// The errors of [`solver`] and of [`Solver::start`]; also if the executor cannot solve the
+/// problem.
 pub fn start_on(
     executor: &dyn Executor,
     name: &str,
@@ -44,7 +45,7 @@ pub fn start_on(
     Ok(method(name)?.begin(Prepared::new(problem, start, executor)?)?)
 }
 
-/// As [`solver`], by the internal interface.
+/// Returns the solver of a name, by its internal interface; [`AUTO`] selects the best one.
 pub(crate) fn method(name: &str) -> Result<&'static dyn Method, FactorizeError> {
     let name = if name == AUTO { Extrapolated.name() } else { name };
     METHODS.into_iter().find(|method| method.name() == name).ok_or_else(|| FactorizeError::UnknownSolver {

@@ -25,8 +25,9 @@ pub enum StartKind {
     /// Neighbouring rays then see nearly the same values, so the first updates need not smooth the
     /// patterns.
     Smooth,
-    /// The value at which N equal factors emit the mean of βL over the pixel's rays, times smooth
-    /// noise per frame. If layers attenuate, it is the N-th root of the mean.
+    /// Level times smooth noise, separately in each frame. A pixel's level is the value at which N
+    /// equal factors emit the mean of βL over the pixel's rays. If layers attenuate, it is the N-th
+    /// root of the mean.
     Content,
 }
 
@@ -68,8 +69,8 @@ impl StartKind {
 const NOISE_BLUR_PX: f64 = 1.5;
 /// Range of the noise that multiplies the level of a content start.
 ///
-/// Narrow noise starts closer to the target (20 dB), and frames still diverge. PSNR measured after
-/// 5 iterations (3 layers, 6 frames, β = 0.2 and 1):
+/// With narrow noise a start is close to the target (20 dB), and frames still diverge. PSNR
+/// measured after 5 iterations (3 layers, 6 frames, β = 0.2 and 1):
 ///
 /// | range | β = 0.2 | β = 1 |
 /// |---|---|---|
@@ -96,7 +97,7 @@ pub(crate) fn start_patterns(plan: &Plan, display: &Display, kind: StartKind, se
         let scale = (1.0 - FLOOR) / (range.1 - range.0).max(f32::MIN_POSITIVE);
         plane.iter_mut().for_each(|value| *value = FLOOR + (*value - range.0) * scale);
     });
-    // scale the noise by the level of each pixel
+    // multiply the noise by the level of each pixel
     if kind == StartKind::Content {
         let factors = plan.maps.len() as f32;
         for (n, values) in parts(&mut stack).enumerate() {
@@ -127,7 +128,8 @@ pub fn random_start(display: &Display, seed: u64) -> LayerStack {
     noise(display, seed, None)
 }
 
-/// As [`random_start`]; for a tile, its region of the whole display's noise.
+/// Returns patterns of [`StartKind::Random`]. For a tile, they are its region of the whole
+/// display's patterns.
 fn noise(display: &Display, seed: u64, tile: Option<&TilePlace>) -> LayerStack {
     let mut stack = LayerStack::filled(display, 0.0);
     let sizes = sizes(&stack);
@@ -187,7 +189,7 @@ fn for_each_plane(stack: &mut LayerStack, change: impl Fn(&mut [f32], usize, usi
     }
 }
 
-/// Returns Σ βL over the rays through every pixel of a line, and the number of rays.
+/// For every pixel of a line, returns Σ βL over the rays through the pixel, and the number of rays.
 pub(crate) fn line_means(plan: &Plan, at: LineOf) -> Vec<[f32; 2]> {
     let map = &plan.maps[at.factor];
     let layout = &map.layout;

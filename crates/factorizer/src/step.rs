@@ -22,20 +22,21 @@ use crate::vector::{Vector, load as get, store as put};
 /// The computation of a pixel's M new values from its sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
-    /// f ← clamp(f·n/d): the paper's rule (eq. 16).
+    /// f ← clamp(f·n/d): the paper's rule (eq. 16), with n = Σ w βL a_m and d = Σ w L̃ a_m.
     ///
-    /// n is summed directly, not computed as r + d. Values may shrink by orders of magnitude in one
-    /// step and must keep their relative precision, which the sum r + d would lose.
+    /// n is summed directly. It is not computed as Σ w (βL − L̃) a_m + d. Values may shrink by
+    /// orders of magnitude in one step and must keep their relative precision, which that sum would
+    /// lose.
     Multiplicative,
     /// Sweeps of exact coordinate steps on the quadratic within the box.
     Block {
         /// Number of sweeps over the M frames.
         sweeps: u32,
     },
-    /// Changes nothing. The gain is Σ_m G_mm δ_m², the squared change of the emission that exact
-    /// coordinate steps δ_m within the box would cause.
+    /// Changes nothing. The gain is the squared change of the emission that exact coordinate steps
+    /// within the box would cause.
     KktResidual,
-    /// As [`Self::KktResidual`], and sets unlit values to the darkest value; see
+    /// The same gain as [`Self::KktResidual`]. Also sets unlit values to the darkest value; see
     /// [`crate::Run::darken_unlit`].
     Darken,
 }
@@ -58,17 +59,17 @@ impl Rule {
 /// The sums that a rule needs, per pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sums {
-    /// n and d.
+    /// For each frame m, n = Σ w βL a_m and d = Σ w L̃ a_m.
     Ratio,
-    /// r and G_mm.
+    /// For each frame m, r_m of the top of the file, and the diagonal entry Σ w a_m² of the Gram
+    /// matrix.
     Diagonal,
-    /// r and G.
+    /// For each frame m, r_m of the top of the file; and the Gram matrix G_mk = Σ w a_m a_k.
     Gram,
 }
 
 impl Sums {
-    /// Number of sums per pixel. The M sums r or n come first, then d, the diagonal of G or the
-    /// upper triangle of G.
+    /// Number of sums per pixel: one residual or wanted sum per frame, and then the other sums.
     pub(crate) fn count(self, frames: usize) -> usize {
         if self == Self::Gram { frames + frames * (frames + 1) / 2 } else { 2 * frames }
     }
@@ -100,17 +101,18 @@ const LEAST_CURVATURE: f32 = 1e-30;
 /// Sums and values of one vector of pixels, `[frame][lane]`.
 pub(crate) struct Block {
     pub(crate) frames: usize,
-    /// r or n.
+    /// The sums r_m (for the paper's rule n_m), which the top of the file defines.
     pub(crate) residual: Aligned,
-    /// d or G_mm; during a descent M/G_mm.
+    /// The sums d_m of the top of the file, or the Gram matrix's diagonal G_mm. During coordinate
+    /// descent M/G_mm.
     pub(crate) emitted: Aligned,
-    /// G, `[frame][frame][lane]`; the upper triangle is the input.
+    /// The Gram matrix, `[frame][frame][lane]`. The input is its upper triangle.
     pub(crate) gram: Aligned,
     /// f, the values of the pixels.
     pub(crate) values: Aligned,
-    /// r before the step.
+    /// The residual sums before the step.
     before: Aligned,
-    /// δ, the change of u.
+    /// The change of the values by the step, divided by the number of frames.
     change: Aligned,
     /// Decrease of the objective by the last step, per lane, with weights relative to the largest.
     /// The multiplicative rule does not compute it and leaves 0.
@@ -140,26 +142,27 @@ impl Block {
                 let at = m * V::COUNT;
                 let (f, n, d) = (get::<V>(&self.values, at), get::<V>(&self.residual, at), get::<V>(&self.emitted, at));
                 let moved = f.mul(n.div(d)).max(V::splat(low)).min(V::splat(high));
-                // d below f32's normal range is taken as 0, and the value stays
+                // if the sum d is below f32's normal range, it counts as 0, and the value stays
                 put(moved.where_else(V::splat(f32::MIN_POSITIVE).below(d), f), &mut self.values, at);
             }
             V::splat(0.0)
         }
     }
 
-    /// Coordinate descent with values and r in registers.
+    /// Coordinate descent with the values and the residual sums in registers.
     ///
-    /// Every coordinate step waits for the previous one. That takes the latency of 5 instructions
+    /// Every coordinate step waits for the previous step. That takes the latency of 5 instructions
     /// through registers, and three times as long through memory. Two vectors side by side do not
-    /// fit into registers and gained nothing. An update of each frame's best value instead of r
-    /// saved 6 % of an update, but lost digits if G is nearly singular.
+    /// fit into registers and gained nothing. A variant kept each frame's best value instead of its
+    /// residual sum. It saved 6 % of an update, but lost digits if the Gram matrix is nearly
+    /// singular.
     #[inline(always)]
     unsafe fn descend_in_registers<V: Lanes, const M: usize>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
         let n = V::COUNT;
         // SAFETY: see `kernel`
         unsafe {
             let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / M as f32));
-            // store G/M in the upper triangle and M/G_mm, so that the sweeps have no divisions
+            // store the Gram matrix divided by M, and M/G_mm, so that the sweeps have no divisions
             for m in 0..M {
                 for k in m + 1..M {
                     let g = get::<V>(&self.gram, (m * M + k) * n).mul(mean);
@@ -168,7 +171,8 @@ impl Block {
                 let curvature = get::<V>(&self.gram, (m * M + m) * n).max(V::splat(LEAST_CURVATURE));
                 put(V::splat(M as f32).div(curvature), &mut self.emitted, m * n);
             }
-            // sweeps of coordinate steps: move u_m to its clamped minimum, then update r
+            // make sweeps of coordinate steps: each moves a frame's value to its clamped minimum,
+            // then updates the residual sums
             let start: [V; M] = std::array::from_fn(|m| get::<V>(&self.values, m * n));
             let before: [V; M] = std::array::from_fn(|m| get::<V>(&self.residual, m * n));
             let (mut values, mut residual) = (start, before);
@@ -185,7 +189,7 @@ impl Block {
                     }
                 }
             }
-            // compute the gain by −2 rᵀδ + δᵀGδ = −(r + r')ᵀδ with r' = r − Gδ
+            // With δ the change of f/M and r' = r − Gδ, the gain is 2 rᵀδ − δᵀGδ = (r + r')ᵀδ.
             let mut gain = V::splat(0.0);
             for m in 0..M {
                 gain = before[m].add(residual[m]).mul_add(values[m].sub(start[m]).mul(mean), gain);
@@ -195,7 +199,7 @@ impl Block {
         }
     }
 
-    /// As [`Self::descend_in_registers`], for any number of frames.
+    /// Does the same as [`Self::descend_in_registers`], for any number of frames.
     #[inline(always)]
     unsafe fn descend_in_memory<V: Lanes>(&mut self, sweeps: u32, [low, high]: [f32; 2]) -> V {
         let n = V::COUNT;
@@ -203,7 +207,7 @@ impl Block {
         // SAFETY: see `kernel`
         unsafe {
             let (low, high, mean) = (V::splat(low), V::splat(high), V::splat(1.0 / frames as f32));
-            // mirror G, so that the sweeps read its rows in order
+            // mirror the Gram matrix, so that the sweeps read its rows in order
             for m in 0..frames {
                 for k in 0..m {
                     let mirrored = get::<V>(&self.gram, (k * frames + m) * n);
@@ -214,7 +218,7 @@ impl Block {
                 put(get::<V>(&self.residual, m * n), &mut self.before, m * n);
                 put(V::splat(0.0), &mut self.change, m * n);
             }
-            // the sweeps, as in `descend_in_registers`
+            // run the sweeps of `descend_in_registers`, with the residual sums in memory
             for _ in 0..sweeps {
                 for m in 0..frames {
                     let f = get::<V>(&self.values, m * n);
@@ -233,7 +237,7 @@ impl Block {
                     }
                 }
             }
-            // the gain, as in `descend_in_registers`
+            // compute the gain by the formula in `descend_in_registers`
             let mut gain = V::splat(0.0);
             for m in 0..frames {
                 let both = get::<V>(&self.before, m * n).add(get::<V>(&self.residual, m * n));
@@ -243,8 +247,8 @@ impl Block {
         }
     }
 
-    /// Coordinate steps for values on levels. The level nearest to the minimum of a coordinate's
-    /// parabola is the best one.
+    /// Coordinate steps for values that are confined to levels. Along a coordinate the objective is
+    /// a parabola, so the level nearest to its minimum is the best one.
     #[inline(always)]
     unsafe fn descend_levels<V: Lanes>(&mut self, sweeps: u32, [low, high]: [f32; 2], levels: &Levels) -> V {
         let (n, frames) = (V::COUNT, self.frames);
@@ -273,10 +277,10 @@ impl Block {
         unsafe { V::load(gains.as_ptr()) }
     }
 
-    /// Sets unlit values to `low`: those with Σ w a_m² at most the limit of their lane.
+    /// Sets unlit values to `low`. A value is unlit if Σ w a_m² is at most the limit of its lane.
     ///
     /// A negative limit exempts a lane. This function runs once per solve, so it has no vector
-    /// code. Inlined into the kernels, it cost every update a fifth.
+    /// code. Inlined into the kernels, it made every update a fifth slower.
     #[cold]
     #[inline(never)]
     pub(crate) fn darken(&mut self, lanes: usize, limits: &[f32], low: f32) {
@@ -291,10 +295,10 @@ impl Block {
         }
     }
 
-    /// Restores the values `old` from before the step in the lanes of fixed pixels. `old` has one
-    /// row per frame, `stride` apart.
+    /// In the lanes of fixed pixels, restores the values from before the step. `old` has these
+    /// values, one row per frame, `stride` apart.
     ///
-    /// Only borders of tiles need it, so it has no vector code.
+    /// Only borders of tiles need this function, so it has no vector code.
     #[cold]
     #[inline(never)]
     pub(crate) fn restore_fixed(&mut self, lanes: usize, fixed: &[bool], old: &[f32], stride: usize) {
@@ -337,8 +341,8 @@ pub(crate) struct Step<'a> {
 /// the number of frames for which the function was made.
 pub(crate) type StepFunction = for<'a> unsafe fn(Step<'a>);
 
-/// Returns the function for an instruction set, a rule and a number of frames. `levels`: some
-/// frames are confined to levels.
+/// Returns the function for an instruction set, a rule and a number of frames. `levels` is true if
+/// some frames are confined to levels.
 pub(crate) fn step_function(backend: Backend, rule: Rule, levels: bool, frames: usize) -> StepFunction {
     match (rule, levels, frames) {
         (Rule::Multiplicative, ..) => backend.function::<Multiply>(),

@@ -59,7 +59,8 @@ pub struct ChannelRun {
 }
 
 impl ChannelRun {
-    /// Starts from the content. `target` has half floats in the order `[view_y][view_x][row][col]`.
+    /// Starts a run from the level of [`StartKind::Content`](crate::StartKind::Content) times
+    /// noise. `target` has half floats in the order `[view_y][view_x][row][col]`.
     ///
     /// # Errors
     /// If the display is invalid, if layers mix channels or neighbouring pixels, or if the target
@@ -70,8 +71,8 @@ impl ChannelRun {
         target: LentTarget,
         seed: u64,
     ) -> Result<Self, FactorizeError> {
-        // refuse targets of another size or with invalid values, and displays whose channels
-        // depend on one another
+        // refuse targets of another size or with invalid values, and displays whose layers need all
+        // channels together
         display.check()?;
         let [view_rows, view_cols] = geometry.grid.views();
         let count = view_rows * view_cols * geometry.rows * geometry.cols;
@@ -109,7 +110,7 @@ impl ChannelRun {
         Ok(())
     }
 
-    /// Ends the run; see [`crate::Run::darken_unlit`].
+    /// Ends the run, and returns the KKT residual; see [`crate::Run::darken_unlit`].
     pub fn darken_unlit(&mut self) -> f64 {
         self.engine.darken_unlit()
     }
@@ -131,7 +132,7 @@ impl ChannelRun {
     }
 }
 
-/// Fills one line with the content start; its noise is not blurred.
+/// Fills one line with the level of its pixels' rays, times noise that is not blurred.
 fn fill_line(
     plan: &Plan,
     at: LineOf,

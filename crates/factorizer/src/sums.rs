@@ -18,14 +18,14 @@ use crate::plan::Plan;
 use crate::scratch::Scratch;
 use crate::step::Sums;
 
-/// One line and its update.
+/// One line of a factor, and the step that updates it.
 pub(crate) struct SumLine<'a, 'b> {
     pub(crate) plan: &'a Plan,
-    /// All factors; the line's own factor is read too, since L̃ is computed from all of them.
+    /// All factors. The factor of the line is read too, since L̃ depends on all factors.
     pub(crate) factors: &'a [Factor],
     pub(crate) at: LineOf,
-    /// True for the curvature at the current point instead of its upper bound. This matters only if
-    /// L̃ is not linear in the values.
+    /// True to take the curvature at the current point instead of its upper bound. This matters
+    /// only if L̃ is not linear in the values.
     pub(crate) local: bool,
     pub(crate) functions: &'a StepFunctions,
     pub(crate) step: LineStep<'b>,
@@ -48,7 +48,8 @@ impl SumLine<'_, '_> {
     }
 }
 
-/// Adds all rays of a line to its sums; returns Σ w e², each ray weighted by its share in the line.
+/// Adds all rays of a line to its sums. Returns Σ w e², with each ray weighted by its share in the
+/// line.
 fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bool, scratch: &mut Scratch) -> f64 {
     let map = &plan.maps[at.factor];
     let (frames, stride) = (plan.frames, map.layout.stride);
@@ -58,7 +59,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
             for view_x in 0..plan.views[1] {
                 for run in &plan.runs[view_x] {
                     let rays = Rays { channel: at.channel, view: [view_y, view_x], row: row as usize, run };
-                    // compute the coefficients a_m and the emission L̃ of these rays
+                    // compute the derivatives a_m and the emission L̃ of these rays
                     coefficients(plan, factors, Some(at.factor), &rays, scratch);
                     let len = run.len();
                     let weights = plan.target.weights(plan.view(view_y, view_x), row as usize);
@@ -67,7 +68,7 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         &mut *scratch;
                     let (e, weighted) = (&mut e[..len], &mut weighted[..len]);
                     let weigh = |values: &[f32], to: &mut [f32]| plan.row.weigh(values, line_weight, weights, to);
-                    // compute the residual, which also gives the objective
+                    // compute the error e of these rays, and add w e² to the objective
                     errors(plan, &rays, emitted, e);
                     weigh(e, weighted);
                     error += e.iter().zip(&*weighted).map(|(&e, &we)| f64::from(e) * f64::from(we)).sum::<f64>();
@@ -89,7 +90,8 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                         (0..frames).for_each(|m| add(frames + m, row_of(m), weighted));
                         continue;
                     }
-                    // r = Σ w e a_m; then G, unless a bound of the curvature replaces it
+                    // Add Σ w e a_m. Then add the Gram matrix, unless an upper bound of the
+                    // curvature replaces it.
                     (0..frames).for_each(|m| add(m, row_of(m), weighted));
                     let mut quantity = frames;
                     let bounded = plan.is_bounded(at.factor);
@@ -102,10 +104,12 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                             }
                         }
                     }
-                    // polarization: the curvature that G does not bound goes to the diagonal
+                    // In layers that rotate polarization, the Gram matrix does not bound the
+                    // curvature. Add the rest of the curvature to the diagonal.
                     if !bounded {
                         if local {
-                            // |e ∂²L̃/∂u²| ≤ (π²/2) M |e|, since |cos| ≤ 1
+                            // with u = f/M, the second term of the curvature is at most (π²/2) M
+                            // |e|, since |cos| ≤ 1
                             let most = FRAC_PI_2 * PI * frames as f32;
                             curvature.iter_mut().zip(&*e).for_each(|(value, e)| *value = most * e.abs());
                         }

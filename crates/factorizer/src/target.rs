@@ -1,9 +1,10 @@
-//! The target and the weights in the order of the inner loops, rows padded on both sides.
+//! The target and the weights in the order of the inner loops, in rows that are padded at both
+//! ends.
 //!
 //! A target in memory is `[channel][view][row][x]`. A target in a file is
 //! `[channel][row][view][x]`, since the rays through a line of a layer are in a band of rows. So
-//! updates read the file from one end to the other, and only a band is in memory. In memory, the
-//! order of files made updates take 1.3 times as long for 13 × 13 views.
+//! updates read the file from one end to the other, and only a band is in memory. If a target in
+//! memory had the order of files, updates would take 1.3 times as long for 13 × 13 views.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -43,9 +44,9 @@ pub(crate) struct Target {
 /// Order of the rows of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Order {
-    /// `[view][row]`.
+    /// Rows in the order `[view][row]`.
     Views,
-    /// `[row][view]`.
+    /// Rows in the order `[row][view]`.
     Rows,
 }
 
@@ -96,7 +97,7 @@ enum RayWeights {
     Uniform,
     /// `[view][x]`, constant along a row.
     PerView(Vec<f32>),
-    /// `[view][row][x]`.
+    /// A weight for each ray, `[view][row][x]`.
     PerRay(Vec<f32>),
 }
 
@@ -104,7 +105,7 @@ impl Target {
     /// Copies the problem's target and weights. The copy of a target in a file is in a file, too.
     ///
     /// # Errors
-    /// If that file cannot be written.
+    /// If the file for the copy cannot be written.
     pub(crate) fn new(problem: &Problem) -> Result<Self, FactorizeError> {
         let geometry = problem.target.geometry();
         let (rows, cols) = (geometry.rows, geometry.cols);
@@ -112,7 +113,7 @@ impl Target {
         let views = view_rows * view_cols;
         let stride = PAD + cols + PAD;
         let radiance = problem.target.radiance();
-        // half floats if they hold all values exactly, else f32
+        // store half floats if they hold all values exactly, otherwise f32
         let halve = Backend::best().function::<Halve>();
         // SAFETY: the kernel has no requirements
         let halves = rows_of(radiance, stride, |from, to| unsafe { halve((from, to)) })?;
@@ -126,7 +127,7 @@ impl Target {
         Ok(Self { stride, rows, views, order, channels: 3, values, brightness, weights, weight_scale })
     }
 
-    /// One channel of half floats that stay where they are; all weights are 1.
+    /// One channel of half floats that stay in the caller's memory; all weights are 1.
     ///
     /// `brightness` is β.
     ///
@@ -152,7 +153,7 @@ impl Target {
         }
     }
 
-    /// The target of coarser pixels: means over the fine ones, for the given views.
+    /// The target at a coarser resolution: means over fine pixels, for the given views.
     ///
     /// `pixels` = [rows, columns] lists the three fine pixels per axis whose weighted mean is a
     /// coarse pixel. Half floats are rounded to half floats again, since only a start depends on
@@ -187,7 +188,7 @@ impl Target {
             });
             Radiance::Half(Arc::new(Array::Held(values)))
         };
-        // weights w are averaged, not their roots
+        // average the weights w themselves, not their roots
         let weights = match &self.weights {
             RayWeights::Uniform => RayWeights::Uniform,
             RayWeights::PerView(fine) => {
@@ -284,7 +285,7 @@ fn rows_of<T: Plain>(
     let (green, blue) = rest.split_at_mut(lines * stride);
     let channels = red.chunks_exact_mut(stride).zip(green.chunks_exact_mut(stride)).zip(blue.chunks_exact_mut(stride));
     let mut places: Vec<_> = channels.map(|((red, green), blue)| [red, green, blue]).collect();
-    // visit the rows in the order of the given values, since these values may be in a file too
+    // visit the rows in the order of the values in `radiance`, since it may be in a file too
     let order = Order::of(radiance);
     let place = |line| std::mem::take(&mut places[order.index([views, rows], line / rows, line % rows)]);
     let mut places: Vec<_> = (0..lines).map(place).collect();
@@ -344,7 +345,7 @@ impl Kernel for Halve {
     }
 }
 
-/// As [`Halve`], for any values.
+/// Does the same as [`Halve`] for any values, more slowly.
 #[cold]
 fn exact_halves(pixels: &[[f32; 3]], rows: [&mut [u16]; 3]) -> bool {
     rows.into_iter().enumerate().all(|(channel, row)| {
@@ -377,7 +378,8 @@ fn half_from_float(value: f32) -> Option<u16> {
     }
 }
 
-/// √w per view or per ray, relative to the largest weight, which is the second result.
+/// √w per view or per ray, where w is relative to the largest weight. The second result is the
+/// largest weight.
 fn ray_weights(weights: &Weights, [views, rows, cols]: [usize; 3], stride: usize) -> (RayWeights, f64) {
     let data = match weights {
         Weights::Uniform => return (RayWeights::Uniform, 1.0),

@@ -1,30 +1,32 @@
 //! Unlit values: other layers block almost all their light, so the objective does not determine
 //! them.
 //!
-//! If another layer is black in frame m on all rays through a pixel, then a_m = 0. Every value of
-//! f_m then gives the same emission. A run ends with the darkest value
-//! ([`crate::Run::darken_unlit`]).
+//! The factor a_m of a value f_m is the light that the other layers transmit in frame m. If another
+//! layer is black in frame m on all rays through a pixel, then a_m = 0. Every value of f_m then
+//! gives the same emission. A run ends with the darkest value ([`crate::Run::darken_unlit`]).
 //!
-//! If two layers are black on the same rays, neither can move any more, since each makes the
-//! other's a_m 0. A warm start therefore [lifts](lifted) black slightly. From there an exact step
-//! reaches any value.
+//! If two layers are black on the same rays, neither layer can move any more, since each makes a_m
+//! of the other layer 0. A warm start therefore [lifts](lifted) black slightly. From the lifted
+//! value an exact step reaches any value.
 
 use lumistack_display::LayerStack;
 
 use crate::bands;
 use crate::plan::Plan;
 
-/// Largest root mean square of a_m over the rays of an unlit pixel, relative to the brightness β.
+/// Largest root mean square of the light a_m that the other layers pass to an unlit pixel, relative
+/// to the brightness β.
 ///
 /// The full range of an unlit value changes the seen picture by at most a third of the smallest
 /// step in 8-bit sRGB.
 const UNLIT: f64 = 1e-4;
 
-/// Smallest value of a warm start. An exact step moves a value to its minimum however small a_m is,
-/// so any number whose square is a normal f32 suffices.
+/// Smallest value of a warm start. An exact step moves a value to its minimum even if very little
+/// light reaches it. So any number whose square is a normal f32 suffices.
 const LIFTED: f32 = 1e-4;
 
-/// Per pixel of factor `n`, the largest Σ w a_m² of an unlit pixel: (UNLIT β)² Σ w over its rays.
+/// For each pixel of factor `n`, the limit: the largest Σ w a_m² of an unlit pixel, which is (UNLIT
+/// β)² Σ w over the pixel's rays.
 ///
 /// The order is `[line][x]` as the factor's lines are stored. The limit of a pixel without rays is
 /// negative.
@@ -64,12 +66,12 @@ pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
     limits
 }
 
-/// The largest Σ w a_m² of an unlit pixel relative to Σ w over its rays.
+/// The largest Σ w a_m² of an unlit pixel, divided by Σ w over the pixel's rays.
 pub(crate) fn share(plan: &Plan) -> f32 {
     ((UNLIT * f64::from(plan.target.brightness)).powi(2)) as f32
 }
 
-/// Raises black to a value from which layers in front of one another can move.
+/// Raises values below [`LIFTED`] to it, so that layers in front of one another can move.
 pub(crate) fn lifted(stack: &LayerStack) -> LayerStack {
     let mut stack = stack.clone();
     let tensors = stack.layers.iter_mut().map(|layer| layer.data_mut());

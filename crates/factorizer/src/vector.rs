@@ -9,7 +9,7 @@ pub(crate) type Vector = [f32; MAX_LANES];
 /// Loads the vector that begins at `at`.
 ///
 /// # Safety
-/// The machine has V, and `at` + COUNT is at most the length.
+/// The machine has `V`'s instruction set, and `at` + COUNT is at most the length.
 #[inline(always)]
 pub(crate) unsafe fn load<V: Lanes>(from: &[f32], at: usize) -> V {
     debug_assert!(at + V::COUNT <= from.len(), "{at} + {} > {}", V::COUNT, from.len());
@@ -17,10 +17,10 @@ pub(crate) unsafe fn load<V: Lanes>(from: &[f32], at: usize) -> V {
     unsafe { V::load(from.as_ptr().add(at)) }
 }
 
-/// Stores a vector at `at`.
+/// Stores a vector in `to`, from index `at` on.
 ///
 /// # Safety
-/// As [`load`].
+/// The machine has `V`'s instruction set, and `at` + COUNT is at most the length of `to`.
 #[inline(always)]
 pub(crate) unsafe fn store<V: Lanes>(vector: V, to: &mut [f32], at: usize) {
     debug_assert!(at + V::COUNT <= to.len(), "{at} + {} > {}", V::COUNT, to.len());
@@ -28,13 +28,13 @@ pub(crate) unsafe fn store<V: Lanes>(vector: V, to: &mut [f32], at: usize) {
     unsafe { vector.store(to.as_mut_ptr().add(at)) }
 }
 
-/// 1 in lanes low..high, 0 in all others.
+/// A vector with 1 in the lanes low..high and 0 in all other lanes.
 ///
 /// # Safety
-/// The machine has V; low and high are at most COUNT.
+/// The machine has `V`'s instruction set; low and high are at most COUNT.
 #[inline(always)]
-// a table of zeros, ones and zeros: one window of it masks one end, the product of two windows
-// masks both ends
+// The table has zeros, ones and zeros. One window of the table masks one end of the vector, and the
+// product of two windows masks both ends.
 pub(crate) unsafe fn mask<V: Lanes>(low: usize, high: usize) -> V {
     static STEPS: [f32; 3 * MAX_LANES] = {
         let mut steps = [0.0; 3 * MAX_LANES];
@@ -52,7 +52,7 @@ pub(crate) unsafe fn mask<V: Lanes>(low: usize, high: usize) -> V {
 /// Sum of all lanes, in f64.
 ///
 /// # Safety
-/// The machine has V.
+/// The machine has `V`'s instruction set.
 #[inline(always)]
 pub(crate) unsafe fn sum<V: Lanes>(vector: V) -> f64 {
     let mut lanes = Vector::default();

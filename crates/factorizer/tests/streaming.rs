@@ -1,4 +1,4 @@
-//! Targets in a mapped file: the memory of a solve in addition to the target must agree with
+//! Tests targets in a mapped file: the memory that a solve takes besides the target must agree with
 //! `held_bytes`.
 
 use std::alloc::{GlobalAlloc, Layout, System};

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Submits the jobs of this folder to Deadline: python3 submit.py. Where deadlinecommand is not on PATH, DEADLINE_COMMAND names it."""
+"""Submits the jobs of this folder to Deadline: python3 submit.py. If deadlinecommand is not on PATH, the environment variable DEADLINE_COMMAND must name it."""
 
 import json
 import os

@@ -59,7 +59,7 @@ fn job_info(graph: &Graph, group: &Group<'_>) -> String {
 
 fn plugin_info(graph: &Graph, group: &Group<'_>) -> String {
     let words = graph.command(&group.id_with("<STARTFRAME>"));
-    // Deadline marks quotes with `<QUOTE>`; paths of run folders do not contain this mark
+    // Deadline marks quotes with `<QUOTE>`. Paths of run folders do not contain this mark.
     let word = |word: &String| match word.contains(' ') {
         true => format!("<QUOTE>{}<QUOTE>", one_line(word)),
         false => one_line(word),

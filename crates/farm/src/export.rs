@@ -26,7 +26,7 @@ impl Format {
     pub const ALL: [Self; 6] =
         [Self::Makefile, Self::Shell, Self::OpenJd, Self::Flamenco, Self::OpenCue, Self::Deadline];
 
-    /// Name of the format on the command line.
+    /// Returns the name of the format on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Makefile => "makefile",

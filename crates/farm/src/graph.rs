@@ -16,7 +16,7 @@ pub enum Kind {
     Score,
     /// A light field, made of its views, a file or a source.
     Field,
-    /// The patterns of one tile of a display, in one round.
+    /// The patterns of one tile (a rectangle of the display) in one round over all tiles.
     Tile,
     /// The patterns of a display at a time step.
     Patterns,
@@ -29,7 +29,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Name of the kind in files.
+    /// Returns the name of the kind in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Place => "place",
@@ -57,11 +57,11 @@ pub struct Unit {
     pub inputs: Vec<String>,
     /// Ids of the plan's steps that this unit executes.
     pub steps: Vec<String>,
-    /// If the step is cut into blocks: [number of this block from 1, number of blocks].
+    /// If the unit is one block of a divided step: [number of this block from 1, number of blocks].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub block: Option<[usize; 2]>,
-    /// If the unit is a tile: number of the round, from 1. Tiles exchange their borders between
-    /// rounds.
+    /// If the unit is a tile: number of the round over all tiles, from 1. Tiles exchange their
+    /// borders between rounds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub round: Option<usize>,
     /// Files and folders that this unit publishes, relative to the run folder.
@@ -72,7 +72,7 @@ pub struct Unit {
     pub memory_bytes: u64,
 }
 
-/// All units of a run, and the command that executes one.
+/// All units of a run, and the command that executes a unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Graph {
     /// Name of the job.
@@ -99,17 +99,17 @@ pub(crate) struct Group<'a> {
 }
 
 impl Group<'_> {
-    /// Expected time of the longest unit, seconds.
+    /// Returns the expected time of the longest unit, seconds.
     pub(crate) fn seconds(&self) -> f64 {
         self.units.iter().map(|unit| unit.seconds).fold(0.0, f64::max)
     }
 
-    /// Expected memory of the largest unit, bytes.
+    /// Returns the expected memory of the largest unit, bytes.
     pub(crate) fn memory_bytes(&self) -> u64 {
         self.units.iter().map(|unit| unit.memory_bytes).max().unwrap_or(0)
     }
 
-    /// Id of a unit, with a placeholder for the number of the block.
+    /// Returns the id of a unit, with a placeholder for the number of the block.
     pub(crate) fn id_with(&self, number: &str) -> String {
         match self.units[0].block {
             Some([_, count]) => format!("{}/{number}-of-{count}", self.name),
@@ -119,17 +119,17 @@ impl Group<'_> {
 }
 
 impl Graph {
-    /// Command line of a unit.
+    /// Returns the command line of a unit.
     pub fn command(&self, id: &str) -> Vec<String> {
         self.command.iter().cloned().chain([self.folder.clone(), id.to_owned()]).collect()
     }
 
-    /// Index of each unit, by the unit's id.
+    /// Returns the index of each unit, by the unit's id.
     pub(crate) fn indices(&self) -> HashMap<&str, usize> {
         self.units.iter().enumerate().map(|(index, unit)| (unit.id.as_str(), index)).collect()
     }
 
-    /// For each unit, the indices of its inputs.
+    /// Returns, for each unit, the indices of its inputs.
     pub(crate) fn inputs(&self) -> Vec<Vec<usize>> {
         let indices = self.indices();
         let of = |unit: &Unit| unit.inputs.iter().filter_map(|id| indices.get(id.as_str()).copied()).collect();
@@ -170,7 +170,7 @@ impl Graph {
 pub(crate) mod tests {
     use super::*;
 
-    /// Two time steps with two blocks of views each.
+    /// Makes a graph of two time steps with two blocks of views each.
     pub(crate) fn sample() -> Graph {
         let unit = |id: &str, kind, inputs: &[&str], seconds| Unit {
             id: id.into(),

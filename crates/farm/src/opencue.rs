@@ -7,7 +7,7 @@ use crate::graph::Graph;
 
 /// Writes a string literal of Python.
 fn literal(text: &str) -> String {
-    // JSON's escapes are valid in Python
+    // JSON's escapes are also valid in Python.
     serde_json::to_string(text).expect("texts serialize")
 }
 
@@ -19,7 +19,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
     let _ = writeln!(text, "    job = outline.Outline({}, frame_range=\"1\")", literal(&plain(&graph.name)));
     text.push_str("    layers = {}\n");
     for group in &groups {
-        // the number of a frame is the number of a block
+        // OpenCue replaces `#IFRAME#` by the number of a frame, which is the number of a block.
         let mut words = graph.command(&group.id_with("#IFRAME#"));
         let frames = match group.units.len() {
             1 if group.units[0].block.is_none() => "1".to_owned(),

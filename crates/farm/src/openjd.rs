@@ -25,7 +25,7 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
             steps.push(step(graph, group, &name, &ids, &needed));
         }
     }
-    // two braces would begin an expression of Open Job Description
+    // Separate two braces, since they would begin an expression of Open Job Description.
     let name: String = graph.name.replace("{{", "{ {").chars().filter(|c| !c.is_control()).take(128).collect();
     let template = json!({
         "specificationVersion": "jobtemplate-2023-09",
@@ -39,7 +39,8 @@ pub(crate) fn export(graph: &Graph) -> Vec<File> {
             },
             {
                 "name": "Folder",
-                // a parameter of type PATH may not have an absolute default
+                // The type is not PATH, since a parameter of that type may not have an absolute
+                // default.
                 "type": "STRING",
                 "default": graph.folder,
                 "description": "The run folder, which all workers share",

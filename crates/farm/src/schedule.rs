@@ -54,7 +54,8 @@ pub fn predict(graph: &Graph, workers: usize, overhead_seconds: f64) -> Predicti
     for (index, inputs) in inputs.iter().enumerate() {
         inputs.iter().for_each(|&input| followers[input].push(index));
     }
-    // the bits of non-negative floats have the same order as the floats
+    // The heap sorts times by their bits, since the bits of non-negative floats have the order of
+    // the floats.
     let bits = |seconds: f64| seconds.max(0.0).to_bits();
     let mut ready: BinaryHeap<(u64, Reverse<usize>)> =
         (0..waits.len()).filter(|&i| waits[i] == 0).map(|i| (bits(priority[i]), Reverse(i))).collect();
@@ -94,13 +95,15 @@ mod tests {
         let sum: f64 = graph.units.iter().map(|unit| unit.seconds).sum();
         let one = predict(&graph, 1, 0.0);
         assert_eq!((one.makespan_seconds, one.busy), (sum, 1.0));
-        // place, views, field, two factorizations, finish: one after the other
+        // The longest path has these units in turn: place, views, field, two factorizations,
+        // finish.
         let longest = 1.0 + 8.0 + 1.0 + 2.0 + 2.0 + 1.0;
         assert_eq!(paths(&graph, 0.0)[0], longest);
         assert_eq!(predict(&graph, 1000, 0.0).makespan_seconds, longest);
         assert_eq!(predict(&graph, 1, 0.5).makespan_seconds, sum + 0.5 * graph.units.len() as f64);
-        // the order is: place; the views of each time step in pairs; both light fields in parallel;
-        // the factorizations one after the other; finish
+        // Two workers begin with place, then trace the views of each time step in pairs, then make
+        // both light fields in parallel. The factorizations follow one after the other, then
+        // finish.
         assert_eq!(predict(&graph, 2, 0.0).makespan_seconds, 1.0 + 8.0 + 8.0 + 1.0 + 2.0 + 2.0 + 1.0);
     }
 }

@@ -46,7 +46,7 @@ pub(crate) fn source(path: &Path, task: Task<'_>) -> Result<Source, FieldError> 
         linear = geometry.linear;
         hints = geometry.into_hints(&json, views)?;
     }
-    // Without that file, integers are sRGB codes and floats are linear.
+    // Unless the JSON file states the encoding, integers are sRGB codes and floats are linear.
     let encoded = !linear.unwrap_or(!array.scalar().is_code());
     if encoded && linear.is_none() {
         task.warn(

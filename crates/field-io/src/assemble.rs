@@ -24,9 +24,10 @@ use crate::source::Source;
 pub(crate) const LARGEST: f32 = 65504.0;
 /// Negative values down to this one are regarded as overshoot of a filter and become 0.
 const OVERSHOOT: f32 = -1e-3;
-/// Pixels are regarded as square below this relative difference of width and height.
+/// Pixels are regarded as square if their width and height differ by less than this fraction.
 const SQUARE: f64 = 0.01;
-/// The focus is moved only if all content moves in one direction by at least this, pixels per view.
+/// The focus is moved only if all content moves in one direction by at least this many pixels per
+/// view.
 const STILL_PX: f64 = 0.5;
 
 /// A view of the source that is not kept, and lies between two kept ones.
@@ -34,30 +35,30 @@ const STILL_PX: f64 = 0.5;
 pub struct LeftOut {
     /// Direction of the view, as a grid that has only this view.
     pub grid: ViewGrid,
-    /// Linear radiance, `[row][col][rgb]`, with the pixels of the kept views.
+    /// Linear radiance, `[row][col][rgb]`, with as many rows and columns as a kept view.
     pub radiance: Vec<f32>,
 }
 
-/// How a light field is read.
+/// Options of reading a light field.
 #[derive(Clone, Copy, Default)]
 pub struct Reading<'a> {
-    /// The display's footprint, for [`GeometryFlags::prefilter`].
+    /// The display's footprint. It is needed only if [`GeometryFlags::prefilter`] is set.
     pub footprint: Option<Footprint<'a>>,
-    /// Greatest number of views between the kept ones that are read too.
+    /// Greatest number of views, among those between the kept ones, that are read too.
     pub most_left_out: usize,
-    /// For light fields that memory shall not hold: a folder for the file, and the bytes that may
-    /// be in memory.
+    /// Decides whether the light field is kept in a file. `None` keeps every light field in memory.
     pub paging: Option<Paging<'a>>,
-    /// Changes every view, `[row][col][rgb]`, after it is read.
+    /// Function that changes every view, `[row][col][rgb]`, after it is read.
     pub change: Option<&'a dyn Fn(&mut [f32])>,
 }
 
-/// Decides by geometry where a light field is kept; `None` keeps it in memory.
+/// Returns the folder for a light field's file, and the number of its bytes that may be in memory.
+/// The result `None` keeps the light field in memory.
 pub type Paging<'a> = &'a dyn Fn(&FieldGeometry) -> Option<(&'a Path, usize)>;
 
 /// The parts of a source to read, and their geometry.
 pub(crate) struct Plan {
-    /// Kept views: [view rows, view columns].
+    /// Indices of the kept views in the source: view rows, then view columns.
     picks: [Vec<usize>; 2],
     window: Window,
     pub(crate) geometry: FieldGeometry,
@@ -100,7 +101,7 @@ pub(crate) fn assemble(
     // Reserve a place for the result, and read views one at a time.
     let place = reading.paging.and_then(|paging| paging(&geometry));
     let mut all = match place {
-        // memory is only reserved here and touched later, since a header may claim any size
+        // only reserve memory; a header may claim any size, so pages are touched when values arrive
         None => FieldWriter::Held { geometry: geometry.clone(), values: reserved(&path, count)? },
         Some(_) => FieldWriter::begin(geometry.clone(), place)?,
     };
@@ -132,7 +133,7 @@ pub(crate) fn assemble(
         all.write(&part)?;
         task.progress.advance(1, "");
     }
-    // Read the views between the kept ones in the same geometry.
+    // Read the left-out views between the kept ones, in the same geometry.
     let mut left_out = Vec::with_capacity(others.len());
     for (view, grid) in others {
         task.cancel.check()?;
@@ -158,7 +159,7 @@ fn left_out(
 ) -> Vec<([usize; 2], ViewGrid)> {
     let grid = &geometry.grid;
     let positions = positions(source);
-    // per axis: the views that are kept or lie between two kept ones, each with its slope
+    // along each axis, list the views that are kept or lie between two kept ones, with their slopes
     let along = |axis: usize, slopes: &[f64]| -> Vec<(usize, f64)> {
         let (kept, positions) = (&picks[1 - axis], &positions[axis]);
         let mut found = vec![(kept[0], slopes[0])];
@@ -178,7 +179,7 @@ fn left_out(
             all.push(([*row, *col], ViewGrid::single(grid.projection, [*slope_x, *slope_y])));
         }
     }
-    // multiples of the golden ratio, modulo 1, are evenly spread for any count
+    // choose `most` of the views: multiples of the golden ratio, modulo 1, are evenly spread
     let mut order: Vec<(f64, usize)> = (0..all.len()).map(|i| ((i as f64 * GOLDEN).fract(), i)).collect();
     order.sort_by(|a, b| a.0.total_cmp(&b.0));
     order.truncate(most);
@@ -186,7 +187,7 @@ fn left_out(
     order.into_iter().map(|(_, i)| all[i].clone()).collect()
 }
 
-/// (√5 − 1)/2.
+/// The golden ratio's fraction, (√5 − 1)/2.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
 /// The views that are averaged into every kept view, with their weights. The first list has a row
@@ -247,8 +248,8 @@ struct Window {
     corner: [f64; 2],
     size: [f64; 2],
     out_size: [usize; 2],
-    /// Offsets of the corner: x for each view column in `shift[0]`, y for each view row in
-    /// `shift[1]`.
+    /// Offset of `corner` in each view: x for each view column in `shift[0]`, y for each view row
+    /// in `shift[1]`, in pixels.
     shift: [Vec<f64>; 2],
 }
 
@@ -365,7 +366,7 @@ fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError>
     Ok(motion.map(|m| Motion { low: -m.high / step, median: -m.median / step, high: -m.low / step }))
 }
 
-/// Statistics of negative values.
+/// Number of negative values, and the lowest of them, for a single warning.
 #[derive(Default)]
 struct Range {
     negative: usize,

@@ -49,8 +49,8 @@ pub fn create_folder(path: &Path) -> Result<(), FieldError> {
     fs::create_dir_all(path).map_err(FieldError::io(path, "make the folder"))
 }
 
-/// Removes a file that may be absent. An index is removed before the files that it lists are
-/// changed.
+/// Removes a file that may be absent. Before files are changed, the index that lists them is
+/// removed, so that an index never lists half-written files.
 ///
 /// # Errors
 /// If the file exists and cannot be removed.
@@ -70,8 +70,8 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
         return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder has this name"));
     }
     let mut beside = temporary_beside(folder)?;
-    // The lock shows other processes that the writer is alive; see [`is_abandoned`]. If the file
-    // system has no locks, no file is regarded as abandoned.
+    // The lock shows other processes that the writer is alive; see [`is_abandoned`]. On a file
+    // system without locks, no file counts as abandoned.
     let _ = beside.as_file().try_lock();
     {
         let mut writer = BufWriter::with_capacity(1 << 16, beside.as_file_mut());
@@ -107,8 +107,8 @@ pub fn is_abandoned(path: &Path) -> bool {
 pub(crate) fn temporary_beside(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
-    // by default only the user can read a temporary file; results have the permissions of other
-    // files
+    // by default only the user can read a temporary file; give it the permissions of other files,
+    // since it becomes a result
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder.tempfile_in(folder)
@@ -170,7 +170,7 @@ mod tests {
         };
         let left = folder.path().join(".lumistack-a1b2c3.tmp");
         fs::write(&left, "half").unwrap();
-        assert!(!is_abandoned(&left), "its writer may just have made it");
+        assert!(!is_abandoned(&left), "a file this young may have a writer");
         age(&left);
         assert!(is_abandoned(&left));
         let other = folder.path().join("a.tmp");

@@ -19,8 +19,7 @@ use crate::geometry::{Cameras, Hints, place};
 use crate::picture::{Picture, has_picture_extension};
 use crate::source::{Kind, Source, Views};
 
-/// Two centres are regarded as equal if their distance, relative to the mean spacing, is below
-/// this.
+/// Two centres are regarded as equal if their distance is below this fraction of the mean spacing.
 const SAME_CENTRE: f64 = 1e-3;
 
 /// Views that are pictures of one size.
@@ -32,8 +31,8 @@ pub(crate) struct PictureGrid {
 }
 
 impl PictureGrid {
-    /// `files` are listed row by row, and `views` is [vertical, horizontal]. Reads the header of
-    /// every file.
+    /// Makes a grid of pictures, and reads the header of every file. `files` are listed row by row,
+    /// and `views` is [vertical, horizontal].
     pub(crate) fn new(files: Vec<PathBuf>, views: [usize; 2]) -> Result<Self, FieldError> {
         let size = Picture::size_of(&files[0])?;
         for file in &files[1..] {
@@ -82,9 +81,9 @@ struct CameraName {
     prefix: String,
     row: u32,
     col: u32,
-    /// Centre of the camera, (Y, X).
+    /// Centre of the camera (Y, X), if the name has it.
     centre: Option<[f64; 2]>,
-    /// Focal length and sensor width, millimetres.
+    /// Focal length and sensor width in millimetres, if the name has them.
     lens: Option<[f64; 2]>,
 }
 
@@ -92,15 +91,15 @@ struct CameraName {
 pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, FieldError> {
     let mut cameras = Vec::new();
     for file in pictures(folder)? {
-        // only the numbers are used; the name before them may have any encoding
+        // read only the numbers of a name; the text in front of them may have any encoding
         let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         if let Some(name) = parse_name(&stem) {
             cameras.push((name, file));
         }
     }
     let Some((first, _)) = cameras.first() else { return Ok(None) };
-    // depth or disparity maps may have another prefix; the largest group of names is the light
-    // field
+    // depth or disparity maps may have another prefix, so take the prefix of most names as the
+    // light field's
     let mut groups = BTreeMap::<&str, usize>::new();
     cameras.iter().for_each(|(name, _)| *groups.entry(&name.prefix).or_default() += 1);
     let prefix = groups.iter().max_by_key(|(_, count)| **count).map_or(&first.prefix[..], |(prefix, _)| prefix);
@@ -137,7 +136,7 @@ fn parse_name(stem: &str) -> Option<CameraName> {
 }
 
 fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, FieldError> {
-    // Index pictures by row and column; each must be unique.
+    // Index pictures by row and column. Two pictures of the same row and column are an error.
     let mut by_index = BTreeMap::<(u32, u32), (CameraName, PathBuf)>::new();
     for (name, file) in cameras {
         if let Some((_, other)) = by_index.get(&(name.row, name.col)) {
@@ -154,7 +153,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
     };
     let mut rows = distinct(|key| key.0);
     let mut cols = distinct(|key| key.1);
-    // The grid must be complete.
+    // Refuse a grid in which a row and a column have no picture.
     for &row in &rows {
         for &col in &cols {
             if !by_index.contains_key(&(row, col)) {

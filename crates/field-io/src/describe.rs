@@ -15,35 +15,35 @@ use crate::{FieldError, detect};
 /// Summary of a light field on disk. A value is `None` if neither files nor flags define it.
 #[derive(Clone, Debug, Serialize)]
 pub struct Description {
-    /// Kind of the files.
+    /// Kind of the files that hold the light field.
     pub kind: Kind,
     /// Path of the light field.
     pub path: String,
-    /// [horizontal, vertical] views.
+    /// Number of views, [horizontal, vertical].
     pub views: [usize; 2],
-    /// [columns, rows] of every view.
+    /// Size of every view in pixels, [columns, rows].
     pub resolution: [usize; 2],
     /// Projection of the rays of one view.
     pub projection: Option<ProjectionKind>,
-    /// Viewing distance of a perspective grid, millimetres.
+    /// Distance of the eyes from the display plane, millimetres, if views are perspective.
     pub distance_mm: Option<f64>,
     /// Pixel pitch on z = 0, millimetres.
     pub pitch_mm: Option<f64>,
-    /// [horizontal, vertical] full angle, degrees.
+    /// Full angle of all views, [horizontal, vertical], degrees.
     pub fov_deg: Option<[f64; 2]>,
     /// Slopes of view columns, left to right.
     pub slope_x: Option<Vec<f64>>,
     /// Slopes of view rows, y up, top to bottom.
     pub slope_y: Option<Vec<f64>>,
-    /// Smallest finite value, linear.
+    /// Smallest finite value of all views, linear.
     pub minimum: f32,
-    /// Largest finite value, linear.
+    /// Largest finite value of all views, linear.
     pub maximum: f32,
-    /// Mean of the finite values, linear.
+    /// Mean of the finite values of all views, linear.
     pub mean: f64,
-    /// Values that are infinite or not a number.
+    /// Number of values that are infinite or not a number.
     pub not_finite: u64,
-    /// Notes in the index of a `lightfield.json` folder, by the program that wrote it.
+    /// Notes of the program that wrote the folder, from `info` in `lightfield.json`.
     pub info: Map<String, Value>,
 }
 
@@ -56,7 +56,7 @@ pub struct Description {
 pub fn describe(path: &Path, flags: &GeometryFlags, task: Task<'_>) -> Result<Description, FieldError> {
     let mut source = detect::detect(path, flags, task)?;
     let [rows, cols] = source.views;
-    // Statistics of all values need every view once.
+    // Read every view once, since the statistics are over all values.
     let (mut minimum, mut maximum) = (f32::INFINITY, f32::NEG_INFINITY);
     let (mut sum, mut finite, mut not_finite) = (0.0, 0u64, 0);
     task.progress.begin("read views", (rows * cols) as u64, "views");

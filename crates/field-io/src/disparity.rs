@@ -6,29 +6,30 @@
 
 use lumistack_core::colour;
 
-/// Motion of content from the first picture to the second, pixels; positive towards higher indices.
+/// Motion of content from the first picture to the second, in pixels. It is positive towards higher
+/// columns or rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Motion {
-    /// 10th percentile of the blocks' shifts.
+    /// 10th percentile of the shifts of all blocks, pixels.
     pub(crate) low: f64,
-    /// 50th percentile of the blocks' shifts.
+    /// 50th percentile of the shifts of all blocks, pixels.
     pub(crate) median: f64,
-    /// 90th percentile of the blocks' shifts.
+    /// 90th percentile of the shifts of all blocks, pixels.
     pub(crate) high: f64,
 }
 
-/// Size of a block across and along the axis of motion, pixels.
+/// Size of a matched block of pixels, across and along the motion.
 const BLOCK: [usize; 2] = [12, 24];
-/// Largest shift, pixels.
+/// Largest shift that is searched, pixels.
 const REACH: usize = 64;
-/// Approximate number of blocks per axis.
+/// Approximate number of matched blocks per axis.
 const BLOCKS_PER_AXIS: usize = 40;
-/// Smallest number of blocks that gives a result.
+/// Smallest number of blocks with a distinct minimum that gives a result.
 const FEWEST_BLOCKS: usize = 12;
-/// A block has texture if the mean difference of √luminance between neighbours is above this.
+/// A block has texture if the mean difference of √luminance between neighbours is above this value.
 const TEXTURE: f32 = 0.01;
-/// A minimum is distinct if the sums at all shifts more than two pixels away are larger by this
-/// factor.
+/// The smallest sum of differences is distinct if the sums at all shifts more than two pixels away
+/// are larger by this factor.
 const DISTINCT: f32 = 1.5;
 
 /// Motion along `axis` (0: columns, 1: rows) between two pictures `[row][col][rgb]` of `size` =
@@ -114,7 +115,7 @@ mod tests {
 
     use super::*;
 
-    /// Tolerance of the parabola fit when a shifted copy is matched.
+    /// Largest accepted error of the shift that is found for a shifted copy, pixels.
     const SUBPIXEL: f64 = 0.3;
 
     #[test]

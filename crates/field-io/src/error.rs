@@ -14,9 +14,9 @@ pub enum FieldError {
     /// The operating system returned an error.
     #[error("{}: cannot {action}: {source}", path.display())]
     Io {
-        /// The file or folder.
+        /// The file or folder that could not be accessed.
         path: PathBuf,
-        /// The operation: "read", "write", "list the folder".
+        /// The operation that failed: "read", "write", "list the folder".
         action: &'static str,
         /// The operating system's error.
         #[source]
@@ -25,7 +25,7 @@ pub enum FieldError {
     /// The content is malformed.
     #[error("{}: {place}: expected {expected}, found {found}", path.display())]
     Malformed {
-        /// The file or folder.
+        /// The file or folder that is malformed.
         path: PathBuf,
         /// The position in the file: a key, an axis, an index.
         place: String,
@@ -52,9 +52,9 @@ pub enum FieldError {
     /// Neither files nor flags define the views' geometry.
     #[error("{}: {what} is not known: give {flag}", path.display())]
     MissingGeometry {
-        /// The light field.
+        /// Path of the light field.
         path: PathBuf,
-        /// The missing value.
+        /// Description of the value that is missing, such as "the size of its pixels".
         what: &'static str,
         /// The flag that supplies it, with an example.
         flag: &'static str,
@@ -62,9 +62,9 @@ pub enum FieldError {
     /// The geometry is invalid.
     #[error("{}: {source}", path.display())]
     Geometry {
-        /// The light field.
+        /// Path of the light field.
         path: PathBuf,
-        /// The reason.
+        /// The reason why the geometry is invalid.
         #[source]
         source: GridError,
     },
@@ -73,7 +73,7 @@ pub enum FieldError {
     Stack {
         /// The stack's folder.
         path: PathBuf,
-        /// The reason.
+        /// The reason why the stack does not match.
         #[source]
         source: StackError,
     },

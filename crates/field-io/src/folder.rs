@@ -11,8 +11,8 @@
 //!               "slope": [s_x, s_y], "eye_mm": [x, y, z] }] }
 //! ```
 //!
-//! Slopes are tangents, x right, y up. `eye_mm` (perspective views only) is D·(s_x, s_y, 1). The
-//! index is written last.
+//! Slopes are tangents, x right, y up. `eye_mm` (perspective views only) is D·(s_x, s_y, 1), with D
+//! = `distance_mm`. The index is written last, so a folder with an index is complete.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -110,7 +110,7 @@ pub fn write_field(folder: &Path, field: &LightField, info: &Map<String, Value>)
     atomic::create_folder(folder)?;
     atomic::remove(&folder.join(INDEX))?;
     let views: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
-    // compression takes longer than writing, so it runs in parallel
+    // write views in parallel, since their compression takes longer than writing
     views.par_iter().try_for_each(|&view| write_view(folder, field.geometry(), view, field.view(view)))?;
     write_index(folder, field.geometry(), info)
 }
@@ -163,7 +163,8 @@ pub fn write_views(
 ) -> Result<(), FieldError> {
     let geometry = field.geometry();
     atomic::create_folder(folder)?;
-    // Without an index, a folder whose writing was interrupted is not taken for a light field.
+    // Remove the index first: readers refuse a folder without an index, so an interrupted write
+    // leaves no light field that seems complete.
     atomic::remove(&folder.join(INDEX))?;
     for &view in views {
         write_view_as(folder, geometry, view, field.view(view), precision)?;
@@ -214,7 +215,7 @@ fn write_index_of(
         Projection::Oblique => None,
         Projection::Perspective { distance_mm } => Some(distance_mm),
     };
-    // Entries repeat slope and eye position, for readers that do not interpret the grid.
+    // Each entry repeats its slope and eye position, for readers that do not interpret the grid.
     let entry = |(view, file): ([usize; 2], String)| {
         let slope = [grid.slope_x[view[1]], grid.slope_y[view[0]]];
         ViewEntry {
@@ -257,8 +258,8 @@ pub fn read_field_folder(folder: &Path) -> Result<(LightField, Map<String, Value
     Ok((field, info))
 }
 
-/// Reads a region, some rows and columns of pixels, of all views of a light field's folder. The
-/// result has this geometry. One view is in memory at a time.
+/// Reads a region, some rows and columns of pixels, of all views of a light field's folder.
+/// `geometry` is the geometry of the result. One view is in memory at a time.
 ///
 /// # Errors
 /// The errors of [`read_field_folder`]. Also if the folder has other views than the geometry, or
@@ -349,7 +350,7 @@ pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
     })
 }
 
-/// The files of all views, in the order of view rows.
+/// Checks the entries of the index. Returns the files of all views, row by row.
 fn listed_files(
     folder: &Path,
     index: &Path,
@@ -387,7 +388,8 @@ fn listed_files(
         if !plain || entry.file.is_empty() {
             return bad("file", "a name inside the folder".into(), entry.file.clone());
         }
-        // a link may lead outside of the folder; a missing file is reported when it is read
+        // A link that leads outside of the folder is an error. A missing file is an error only when
+        // it is read.
         if let Err(refusal @ Refusal::Outside { .. }) = inside.resolve(name) {
             return bad("file", "a name inside the folder".into(), format!("{}: {refusal}", entry.file));
         }

@@ -59,13 +59,13 @@ fn is_unset(mirror: &[bool; 2]) -> bool {
     *mirror == [false; 2]
 }
 
-/// Values that are used if neither flags nor files define them. A value that is `None` here too is
-/// an error.
+/// Values that are used if neither flags nor files define them. If a value is `None` here too, it
+/// is an error that the value is missing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryDefaults {
-    /// Width of the light field on z = 0, millimetres.
+    /// Width of the light field on the display plane z = 0, millimetres.
     pub width_mm: Option<f64>,
-    /// [horizontal, vertical] full angle, degrees.
+    /// Full angle of all views, [horizontal, vertical], degrees.
     pub fov_deg: Option<[f64; 2]>,
 }
 
@@ -76,7 +76,7 @@ pub(crate) struct Hints {
     pub(crate) distance_mm: Option<f64>,
     pub(crate) pitch_mm: Option<f64>,
     pub(crate) fov_deg: Option<[f64; 2]>,
-    /// Slopes of view columns (x) and view rows (y, up).
+    /// Slopes of the view columns (x, right) and of the view rows (y, up), if the files have them.
     pub(crate) slopes: [Option<Vec<f64>>; 2],
     pub(crate) cameras: Option<Cameras>,
     /// Width of one view divided by its height, for anamorphic tiles.
@@ -94,8 +94,8 @@ pub(crate) struct Cameras {
     /// Slope between neighbouring cameras: a step divided by the distance of the plane of zero
     /// disparity. 0 for parallel cameras, for which that plane is at infinity.
     pub(crate) slope_per_step: f64,
-    /// True if the pictures may be unsheared, or sheared to any plane. Then the focus is found by
-    /// the content of the pictures.
+    /// True if the file does not state the plane of zero disparity. The focus then follows from the
+    /// content of the pictures.
     pub(crate) plane_unknown: bool,
 }
 
@@ -145,7 +145,7 @@ impl GeometryJson {
 
 /// Relates the pixels of the result to the pixels of the files.
 pub(crate) struct Pixels {
-    /// [columns, rows] of the result.
+    /// Number of [columns, rows] of each resulting view.
     pub(crate) size: [usize; 2],
     /// Width of the rectangle that is read from a file's view, in pixels of the file.
     pub(crate) window_cols: f64,
@@ -153,7 +153,8 @@ pub(crate) struct Pixels {
     pub(crate) focus_px: f64,
 }
 
-/// Selects `count` of `available` indices: evenly spaced, as wide as possible, around the centre.
+/// Selects `count` of `available` indices, with equal steps as large as possible, around the
+/// centre.
 pub(crate) fn pick(available: usize, count: usize) -> Vec<usize> {
     let stride = if count > 1 { (available - 1) / (count - 1) } else { 1 };
     let first = (available - 1 - (count - 1) * stride) / 2;
@@ -174,8 +175,8 @@ pub(crate) fn resolve(
     let pitch_mm = pitch(path, flags, defaults, hints, pixels, task)?;
     let own_slopes = physical_slopes(hints, picks, pixels);
     let (slopes, physical) = slopes(path, flags, defaults, hints, picks, own_slopes, task)?;
-    // Select the projection: by the flag, then by the file. If neither defines it, perspective if
-    // cameras or a viewing distance are known.
+    // Select the projection: by the flag, then by the file. If neither defines it, it is
+    // perspective if cameras or a viewing distance are known, and oblique otherwise.
     let kind = flags.grid.or(hints.projection).unwrap_or(match flags.distance_mm {
         None if !physical => ProjectionKind::Oblique,
         _ => ProjectionKind::Perspective,
@@ -265,7 +266,7 @@ fn slopes(
 ) -> Result<([Vec<f64>; 2], bool), FieldError> {
     let counts = [picks[1].len(), picks[0].len()];
     let spread = |fov_deg: [f64; 2]| spread(path, fov_deg, hints, picks);
-    // First choice: the angles of the flags. Warn if they differ from the files' angles.
+    // The angles of the flags come first. Warn if they differ from the files' angles.
     if let Some(fov_deg) = flags.fov_deg {
         let slopes = spread(fov_deg)?;
         let of_file = |axis: usize| {
@@ -286,7 +287,7 @@ fn slopes(
         }
         return Ok((slopes, false));
     }
-    // Second choice: slopes in the files, then full angles in the files.
+    // Next come slopes in the files, and then full angles in the files.
     let explicit = [0, 1].map(|axis| {
         let all = hints.slopes[axis].as_ref()?;
         Some(picks[1 - axis].iter().map(|&view| all[view]).collect::<Vec<f64>>())
@@ -305,7 +306,7 @@ fn slopes(
     if counts == [1, 1] {
         return Ok((filled([vec![0.0], vec![0.0]]), false));
     }
-    // Third choice: the default angles, with a warning. Last choice: the slopes of the cameras.
+    // Then come the default angles, with a warning. The cameras' own slopes come last.
     if let Some(fov_deg) = defaults.fov_deg {
         let [x, y] = fov_deg;
         let mut message = format!("its views are spread over {x}° × {y}° (--fov sets the angles)");

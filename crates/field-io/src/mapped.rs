@@ -1,5 +1,5 @@
-//! Arrays that may be larger than memory: their values stay in the file, and the system keeps the
-//! pages in memory that are read.
+//! Arrays that may be larger than memory. Their values stay in the file, and the system loads a
+//! page of the file into memory when the page is read.
 
 #[cfg(target_pointer_width = "64")]
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use lumistack_files::File;
 #[cfg(target_pointer_width = "64")]
 use memmap2::Mmap;
 
-/// Smallest size of an array that stays in its file, bytes.
+/// Smallest size in bytes of an array that stays in its file; smaller arrays are read.
 pub(crate) const FROM: u64 = 1 << 30;
 
 /// `float32` values in a mapped file.

@@ -31,7 +31,7 @@ pub struct NpyFile {
     file: BufReader<lumistack_files::File>,
 }
 
-/// Type of the values.
+/// Type of the values of an array file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scalar {
     /// Half floats.
@@ -129,7 +129,7 @@ impl NpyFile {
         &self.shape
     }
 
-    /// Type of the values.
+    /// Type of the file's values.
     pub fn scalar(&self) -> Scalar {
         self.scalar
     }

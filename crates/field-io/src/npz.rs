@@ -10,13 +10,13 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use crate::npy;
 
-/// An array of this many bytes or more needs ZIP's long form of sizes.
+/// An array of this many bytes or more is written with ZIP's 64-bit sizes.
 const LARGE: u64 = 1 << 31;
 
 /// An archive in progress.
 pub struct NpzWriter<W: Write> {
     zip: ZipWriter<StreamWriter<W>>,
-    /// Number of values still to be written to the array.
+    /// Number of values that the current array still lacks.
     missing: usize,
 }
 

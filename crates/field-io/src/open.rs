@@ -67,7 +67,7 @@ pub fn geometry_of(
 /// Upper bound of the bytes that the decoded file of a light field takes while views are read from
 /// it: 0 unless all views are in one picture.
 pub fn picture_bytes(path: &Path) -> u64 {
-    // a picture has at most four floats a pixel, and half as much while it is decoded
+    // a decoded picture takes at most 16 bytes per pixel (four floats), and decoding takes 8 more
     const BYTES: u64 = 24;
     let is_picture = path.is_file() && has_picture_extension(path);
     let size = is_picture.then(|| Picture::size_of(path).ok()).flatten();

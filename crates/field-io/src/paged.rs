@@ -1,7 +1,8 @@
 //! Light fields larger than memory, in an unnamed file of which few pages are in memory.
 //!
-//! Views are written one by one, and read like memory. Arrays of similar size that are computed
-//! from such a light field have a place in the same folder ([`Tensor::storage`]).
+//! Views are written one by one. The finished light field is read like an array in memory. Arrays
+//! of similar size that are computed from it can be stored in the same folder
+//! ([`Tensor::storage`]).
 
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Write};
@@ -20,20 +21,20 @@ const PART: usize = 1 << 14;
 
 /// A light field that is written view by view, into memory or into a file.
 pub enum FieldWriter {
-    /// In memory.
+    /// The views are in memory.
     Held {
-        /// Its geometry.
+        /// Geometry of the light field.
         geometry: FieldGeometry,
-        /// The views so far.
+        /// The views that have been written so far.
         values: Vec<f32>,
     },
-    /// In a file.
+    /// The views are in a file.
     Paged(Paged),
 }
 
 impl FieldWriter {
-    /// Begins in a file, if there is a folder for it and a number of bytes that may be in memory;
-    /// else in memory.
+    /// Begins a light field. It is written to a file if `place` has a folder and a number of bytes
+    /// that may be in memory, and else to memory.
     ///
     /// # Errors
     /// If the file cannot be created.
@@ -86,9 +87,9 @@ impl FieldWriter {
 pub struct Paged {
     geometry: FieldGeometry,
     file: BufWriter<File>,
-    /// Folder of the file.
+    /// Folder on whose disk the file is.
     folder: PathBuf,
-    /// Bytes that may be in memory.
+    /// Largest number of bytes of the file that may be in memory.
     limit: usize,
     bytes: Vec<u8>,
 }
@@ -138,8 +139,8 @@ impl Paged {
     }
 }
 
-/// Returns a place for arrays on the disk of a folder, of which `limit` bytes each may be in
-/// memory.
+/// Returns a [`Storage`] that creates arrays in files on the disk of a folder. At most `limit`
+/// bytes of each array are in memory.
 pub fn storage(folder: &Path, limit: usize) -> Storage {
     let folder = folder.to_owned();
     Arc::new(move |bytes| {
@@ -187,7 +188,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let grid = ViewGrid::uniform(Projection::Oblique, [3, 2], [20.0, 20.0]).unwrap();
         let geometry = FieldGeometry { rows: 70, cols: 90, pitch_mm: 1.0, grid };
-        // a limit below one view, so that pages are released between views
+        // the limit is smaller than one view, so pages are released between views
         let mut paged = Paged::begin(geometry.clone(), folder.path(), 1 << 14).unwrap();
         let value = |view: [usize; 2], i: usize| (i + 7919 * view[0] + 104_729 * view[1]) as f32;
         for view in geometry.grid.iter() {

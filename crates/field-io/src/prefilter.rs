@@ -62,7 +62,8 @@ mod tests {
     #[test]
     fn shares_are_lengths() {
         let positions: Vec<f64> = (0..9).map(f64::from).collect();
-        // three of nine views are kept, with slopes 0.4 apart; a bin of the nine has a width of 0.1
+        // three of nine views are kept, with slopes 0.4 apart, so the bin of each of the nine is
+        // 0.1 wide
         let of = |width: f64| shares(&[-0.4, 0.0, 0.4], &[0, 4, 8], &positions, width);
         let close = |found: &[(usize, f32)], expected: &[(usize, f32)]| {
             let near = |(a, b): (&(usize, f32), &(usize, f32))| a.0 == b.0 && (a.1 - b.1).abs() < 1e-6;
@@ -71,7 +72,7 @@ mod tests {
         assert_eq!(of(0.1), alone(&[0, 4, 8]));
         close(&of(0.2)[1], &[(3, 0.25), (4, 0.5), (5, 0.25)]);
         close(&of(0.3)[1], &[(3, 1.0 / 3.0), (4, 1.0 / 3.0), (5, 1.0 / 3.0)]);
-        // at the end, only views that exist
+        // the mean of an outermost view contains only views that exist
         close(&of(0.3)[0], &[(0, 0.5), (1, 0.5)]);
         assert_eq!(shares(&[0.0], &[4], &positions, 1.0), alone(&[4]), "one view has no step");
     }

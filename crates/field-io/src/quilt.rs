@@ -19,7 +19,7 @@ use crate::source::{Kind, Source, Views};
 /// Largest number of tiles per axis.
 const TILE_LIMIT: usize = 1000;
 
-/// Arrangement of views by the name of a quilt.
+/// Arrangement of views that the name of a quilt states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Layout {
     pub(crate) columns: usize,
@@ -52,7 +52,7 @@ fn leading_number(text: &str) -> Option<(usize, &str)> {
 struct TileViews {
     path: PathBuf,
     tile: [usize; 2],
-    /// Top left corner of each view, in the order of view rows.
+    /// [column, row] of the top left pixel of each view in the picture, in the order of view rows.
     corners: Vec<[usize; 2]>,
     cols: usize,
     picture: Option<Picture>,

@@ -45,7 +45,7 @@ pub(crate) fn area(source: &[f32], size: [usize; 2], rect: Rect, out_size: [usiz
 
 fn covers(start: f64, length: f64, count: usize, limit: usize) -> Vec<Cover> {
     let step = length / count as f64;
-    // rectangles lie within the source; where rounding exceeds it, the border pixel is read
+    // rectangles lie within the source; an edge that a rounding error puts outside is clamped
     let inside = |edge: f64| edge.clamp(0.0, limit as f64);
     let cover = |index: usize| {
         let from = inside(start + index as f64 * step);
@@ -65,7 +65,7 @@ fn covers(start: f64, length: f64, count: usize, limit: usize) -> Vec<Cover> {
 mod tests {
     use super::*;
 
-    /// Tolerance of sums of a few weights in single precision.
+    /// Largest accepted error of a sum of a few weights in single precision.
     const ROUNDING: f32 = 1e-6;
 
     fn averaged(values: &[f32], size: [usize; 2], corner: [f64; 2], span: [f64; 2], out: [usize; 2]) -> Vec<f32> {

@@ -101,7 +101,7 @@ impl Views for Mirrored {
     }
 }
 
-/// Placeholder for a reader while it is wrapped.
+/// Stands in for a reader while the reader is moved into a wrapper.
 struct NoViews;
 
 impl Views for NoViews {

@@ -1,7 +1,7 @@
 //! Layer stacks: `stack.json`, `layer_L.npy` (`float32`, `[frame][row][col][rgb]`, layer 0
 //! rearmost) and, for a directional backlight, `emission.npy`
 //! (`[frame][bin_y][bin_x][lenslet_row][lenslet_col][rgb]`). All values are linear, 0..1. The index
-//! is written last.
+//! `stack.json` is written last, so a folder with an index is complete.
 
 use std::path::Path;
 
@@ -64,7 +64,8 @@ pub fn read_stack_index(folder: &Path) -> Result<StackIndex, FieldError> {
     for file in files {
         let plain = Path::new(file).file_name().is_some_and(|name| name.to_str() == Some(file));
         check(plain, "file", "a name inside the folder", file.clone())?;
-        // a link may lead outside of the folder; a missing file is reported when it is read
+        // A link that leads outside of the folder is an error. A missing file is an error only when
+        // it is read.
         if let Err(refusal @ Refusal::Outside { .. }) = inside.resolve(file) {
             check(false, "file", "a name inside the folder", format!("{file}: {refusal}"))?;
         }

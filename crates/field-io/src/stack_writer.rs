@@ -16,7 +16,8 @@ use crate::{FieldError, atomic, npy};
 pub struct StackWriter {
     folder: PathBuf,
     index: StackIndex,
-    /// The layers from rear to front, then the backlight.
+    /// The arrays of the layers from rear to front, then the array of the backlight if there is
+    /// one.
     arrays: Vec<Array>,
 }
 
@@ -25,7 +26,7 @@ pub struct StackWriter {
 struct Array {
     path: PathBuf,
     file: NamedTempFile,
-    /// Number of bytes before the values.
+    /// Number of bytes of the file in front of the array's values.
     header: u64,
     rows: usize,
     cols: usize,
@@ -165,7 +166,7 @@ mod tests {
             let own: Vec<Region> = tiling.tile(number).parts.into_iter().map(|part| part.own).collect();
             writer.write(&own, &stack.cut(&own)).unwrap();
         }
-        assert!(!parts.join("stack.json").exists(), "not before it is finished");
+        assert!(!parts.join("stack.json").exists(), "the index appears only when the stack is finished");
         writer.finish().unwrap();
         let files = |folder: &Path| {
             let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();

@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 pub use std::fs::File;
 
 pub(crate) fn open(path: &Path) -> io::Result<File> {
-    // check before opening: opening a pipe waits for a writer, and opening a device may have an
-    // effect
+    // check before opening: opening a pipe would wait for a writer, and opening a device may do
+    // something
     check_kind(fs::metadata(path)?.file_type())?;
     let file = File::open(path)?;
-    // check again: the path may lead to another file by now
+    // check again, since the path may lead to another file by now
     check_kind(file.metadata()?.file_type())?;
     Ok(file)
 }

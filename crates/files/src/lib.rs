@@ -55,16 +55,14 @@ pub fn is_file(path: &Path) -> bool {
 
 /// Returns whether the path leads to a folder.
 ///
-/// # Errors
-/// When it leads to nothing.
+/// # Errors If no file or folder has this path.
 pub fn is_folder(path: &Path) -> io::Result<bool> {
     system::is_folder(path)
 }
 
 /// Paths of all entries of a folder, sorted.
 ///
-/// # Errors
-/// When it cannot be listed.
+/// # Errors If the folder cannot be listed.
 pub fn list(folder: &Path) -> io::Result<Vec<PathBuf>> {
     system::list(folder)
 }
@@ -121,12 +119,12 @@ pub struct Folder {
     inside: Vec<PathBuf>,
 }
 
-/// A name that cannot be followed.
+/// The reason why a name cannot be resolved to a file.
 #[derive(Debug)]
 pub enum Refusal {
     /// The operating system refused, or the name does not lead to a regular file.
     Io(io::Error),
-    /// The name leads out of the folder.
+    /// The name leads out of the folder that it may not leave.
     Outside {
         /// The path that the name leads to, with all links resolved.
         found: PathBuf,

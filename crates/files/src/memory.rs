@@ -67,7 +67,8 @@ pub(crate) fn list(folder: &Path) -> io::Result<Vec<PathBuf>> {
         let below = files.keys().filter_map(|file| file.strip_prefix(&within).ok());
         below.filter_map(|rest| rest.components().next()).map(|name| folder.join(name)).collect()
     });
-    // files of one subfolder are next to one another, so its name is kept once
+    // names are sorted, so a subfolder with several files gives equal names in a row; keep one of
+    // them
     names.dedup();
     Ok(names)
 }

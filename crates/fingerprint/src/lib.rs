@@ -125,8 +125,8 @@ mod tests {
     fn the_same_sources_elsewhere_have_the_same_fingerprint() {
         let [here, there] = [(); 2].map(|()| tempfile::tempdir().unwrap());
         write(here.path(), &CRATE);
-        // the same sources, written in another order, next to files that are not sources, and with
-        // a packaged manifest
+        // Write the same sources in another order, next to files that are not sources, and with a
+        // packaged manifest. The fingerprint must be the same.
         let mut reversed = CRATE;
         reversed.reverse();
         write(there.path(), &reversed);

@@ -21,11 +21,11 @@ const MAX_IMPLICIT_COUNT: u64 = 1 << 24;
 pub(crate) struct Format {
     pub(crate) types: &'static [Type],
     pub(crate) components: &'static [ComponentType],
-    /// Types and component types in glTF's words, for messages.
+    /// The allowed types and component types in glTF's words, for messages.
     pub(crate) text: &'static str,
 }
 
-/// A checked accessor.
+/// An accessor whose type, count and bounds have been checked.
 pub(crate) struct Accessor<'a> {
     /// JSON pointer to the index that refers to the accessor.
     used_at: String,
@@ -50,7 +50,7 @@ struct Elements<'a> {
 }
 
 struct Sparse<'a> {
-    /// Indices of the replaced elements, strictly increasing.
+    /// Indices of the elements that `values` replaces, strictly increasing.
     indices: Vec<u32>,
     values: Elements<'a>,
 }
@@ -63,7 +63,7 @@ impl<'a> Accessor<'a> {
         used_at: &str,
         format: &Format,
     ) -> Result<Self, Fault> {
-        // the accessor's type has to fit its use
+        // check that the accessor's type fits its use
         let accessor = document.get(index, used_at)?;
         let place = format!("/accessors/{}", index.value());
         let invalid = |field: &str| {
@@ -83,10 +83,10 @@ impl<'a> Accessor<'a> {
             return Err(Fault::new(format!("{place}/count"), format!("a count in 1..{most}"), count));
         }
         let count = count as usize;
-        // dense elements, sparse replacements, or both
+        // read the dense elements, and the sparse elements that replace some of them
         let dimensions = kind.multiplicity();
         let size = component.size() * dimensions;
-        // only vertex attributes may be interleaved, and all of them are vectors
+        // allow a stride only for vectors, since only vertex attributes may be interleaved
         let may_stride = matches!(kind, Type::Vec2 | Type::Vec3 | Type::Vec4);
         let offset = accessor.byte_offset.unwrap_or_default().0;
         let dense = match accessor.buffer_view {
@@ -225,8 +225,8 @@ impl<'a> Accessor<'a> {
         if self.normalized { (value / largest).max(-1.0) } else { value }
     }
 
-    /// Treats integers as normalized. glTF requires `normalized` for these attributes, but some
-    /// writers do not set it.
+    /// Treats integers as normalized. glTF requires `normalized` for every attribute that is opened
+    /// in this way, but some writers do not set it.
     pub(crate) fn assume_normalized(mut self) -> Self {
         self.normalized = true;
         self
@@ -234,8 +234,8 @@ impl<'a> Accessor<'a> {
 }
 
 impl<'a> Elements<'a> {
-    /// `count` elements of `size` bytes, from byte `offset` of a view. `place` is the object with
-    /// the fields `bufferView` and `byteOffset`.
+    /// Opens `count` elements of `size` bytes, from byte `offset` of a view. `place` is the object
+    /// with the fields `bufferView` and `byteOffset`.
     fn open(
         document: &'a Document<'_>,
         view: json::Index<json::buffer::View>,
@@ -248,7 +248,7 @@ impl<'a> Elements<'a> {
     ) -> Result<Self, Fault> {
         let view = document.view(view, &format!("{place}/bufferView"))?;
         let length = view.bytes.len();
-        // the distance from one element to the next
+        // the stride is the distance from the start of one element to the start of the next
         let mut stride = view.stride.unwrap_or(size);
         if stride != size && !may_stride {
             // glTF allows no stride here. Most readers apply a stride under which the elements fit
@@ -305,7 +305,7 @@ impl<'a> Sparse<'a> {
             let expected = format!("a count in 1..{accessor_count}");
             return Err(Fault::new(format!("{place}/count"), expected, sparse.count.0));
         };
-        // indices and values are in separate views
+        // read the indices and the new values, which are in separate views
         let elements = |view, part: &str, offset: u64, size| {
             let (part, count_place) = (format!("{place}/{part}"), format!("{place}/count"));
             Elements::open(document, view, &part, &count_place, offset, count, size, false)
@@ -314,7 +314,7 @@ impl<'a> Sparse<'a> {
         let raw = elements(indices.buffer_view, "indices", indices.byte_offset.0, index_size)?;
         let values = elements(values.buffer_view, "values", values.byte_offset.0, size)?;
         document.spend(&place, count, size_of::<u32>())?;
-        // indices increase, so all are in range if the last one is
+        // check only the last index, since indices increase
         let indices: Vec<u32> = (0..count).map(|i| unsigned(raw.get(i))).collect();
         let place = format!("{place}/indices");
         if let Some(at) = indices.windows(2).position(|pair| pair[0] >= pair[1]) {

@@ -169,7 +169,7 @@ fn channels(document: &Document<'_>, number: usize) -> Result<Vec<Channel>, Faul
         let Some(target) = Fields::at(document, target_place.clone())? else {
             return Err(expected(target_place, "a target"));
         };
-        // the target: a node and one of its properties
+        // read the target: a node, and one of its properties
         let property = match target.text("path")? {
             Some("translation") => Property::Translation,
             Some("rotation") => Property::Rotation,
@@ -188,7 +188,7 @@ fn channels(document: &Document<'_>, number: usize) -> Result<Vec<Channel>, Faul
         if !moved.insert((node.value(), property)) {
             return Err(Fault::new(target_place, "one channel for one target", "a second one"));
         }
-        // the sampler: keys, values, and the interpolation between them
+        // read the sampler: keys, values, and the interpolation between them
         let Some(sampler) = channel.count("sampler")?.filter(|&sampler| sampler < sampler_count) else {
             let expected = format!("an index below {sampler_count}");
             return Err(Fault::new(channel.place("sampler"), expected, document.quote(&channel.place("sampler"))));
@@ -236,15 +236,16 @@ fn key_interval(times: &[f32], time_s: f64) -> KeyInterval {
     KeyInterval { key: after - 1, share: (time_s - before_s) / gap_s, gap_s }
 }
 
-/// Values of a channel before and after a time, with the factors that blend them. Each value is a
-/// group of `group` elements of `N` numbers.
+/// Values of a channel before and after a time, with the factors that blend them. A value is a list
+/// of elements of `N` numbers, such as the weights of all morph targets of a node.
 enum Values<const N: usize> {
     Held(Vec<[f64; N]>),
     Linear {
         values: [Vec<[f64; N]>; 2],
         share: f64,
     },
-    /// v_k, b_k, a_{k+1} and v_{k+1}, with their factors.
+    /// Out-tangent b and value v at the key before the time, in-tangent a and value v at the key
+    /// after it: v_k, b_k, a_{k+1}, v_{k+1}, with their factors in the spline of the file's head.
     Cubic {
         values: [Vec<[f64; N]>; 4],
         factors: [f64; 4],
@@ -261,7 +262,7 @@ fn values<const N: usize>(
     let times = times(document, channel)?;
     let place = format!("{}/output", channel.sampler);
     let accessor = Accessor::open(document, channel.output, &place, format)?.assume_normalized();
-    // every key has one group of elements, or three for a cubic spline
+    // every key has one group of elements, or three groups for a cubic spline
     let is_cubic = channel.interpolation == Interpolation::CubicSpline;
     let per_key = if is_cubic { 3 * group } else { group };
     if times.len().checked_mul(per_key) != Some(accessor.count) {

@@ -12,10 +12,10 @@ use crate::error::Fault;
 /// Opens the vertex attributes of a primitive by their meaning.
 pub(crate) struct Attributes<'d, 'f> {
     pub(crate) document: &'d Document<'f>,
-    /// `/meshes/I/primitives/J`.
+    /// JSON pointer to the primitive, `/meshes/I/primitives/J`.
     pub(crate) place: &'d str,
     pub(crate) primitive: &'d json::mesh::Primitive,
-    /// Attributes of a Draco stream, which replace those of accessors.
+    /// Attributes of a Draco stream, which replace the attributes that accessors hold.
     pub(crate) decoded: Option<&'d draco::Decoded>,
 }
 

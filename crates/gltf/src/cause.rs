@@ -105,7 +105,7 @@ fn defect(document: &Document<'_>, nodes: &Nodes) -> Result<(), Fault> {
     let root = &document.root;
     let mut dataless = None;
     let mut note = |read: Result<(), Fault>| match read {
-        // a buffer without data may be a placeholder, so any other defect is a better reason
+        // a buffer without data may be a placeholder, so report it only if there is no other defect
         Err(Fault::Malformed { place, expected, found }) if found == "none" && place.starts_with("/buffers/") => {
             dataless.get_or_insert(Fault::Malformed { place, expected, found });
             Ok(())

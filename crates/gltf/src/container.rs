@@ -14,7 +14,7 @@ pub(crate) struct Container<'a> {
     pub(crate) raw: Value,
     /// The JSON as typed values, whose indices are not checked yet.
     pub(crate) root: json::Root,
-    /// The binary chunk of a `.glb`.
+    /// The binary chunk of a `.glb`, if the file has one.
     pub(crate) bin: Option<&'a [u8]>,
 }
 
@@ -66,7 +66,7 @@ fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), Fault> {
     };
     let (json, next) = chunk(file, HEADER_BYTES, b"JSON", "a JSON chunk")?;
     let bin = match file.get(next + 4..next + CHUNK_HEADER_BYTES) {
-        // chunks of other types may follow and are to be ignored
+        // a chunk of another type may follow the JSON, and is ignored
         Some(kind) if kind != b"BIN\0" => None,
         None if next >= file.len() => None,
         _ => Some(chunk(file, next, b"BIN\0", "a binary chunk")?.0),

@@ -20,7 +20,7 @@ use crate::quote::{quote, shorten};
 use crate::unpack::{Packed, Unpacked, Unsound};
 use crate::{AssetResolver, LoadOptions};
 
-/// An opened file.
+/// An opened glTF file, with the buffers and files that have been read.
 pub(crate) struct Document<'a> {
     pub(crate) root: json::Root,
     pub(crate) task: Task<'a>,
@@ -93,7 +93,7 @@ impl<'a> Document<'a> {
     where
         json::Root: Get<T> + AsRef<[T]>,
     {
-        // the typed reader keeps 32 bits only, so the index as written is compared too
+        // the typed reader keeps only 32 bits of an index, so compare the index as written too
         let written = self.json(place).and_then(Value::as_u64);
         match self.root.get(index) {
             // if there is no number at `place`, then `place` is the object itself
@@ -105,8 +105,8 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// Adds bytes that are about to be allocated for decoded content, and refuses more than the
-    /// limit.
+    /// Adds the bytes of decoded content to their sum before they are allocated. Fails if the sum
+    /// exceeds the limit.
     pub(crate) fn spend(&self, place: &str, elements: usize, element_bytes: usize) -> Result<(), Fault> {
         let bytes = elements as u64 * element_bytes as u64;
         let total = self.decoded_bytes.get().saturating_add(bytes);
@@ -118,8 +118,8 @@ impl<'a> Document<'a> {
         Ok(())
     }
 
-    /// Adds bytes that a picture will take after decoding, and refuses more than the limit. `size`
-    /// describes the picture.
+    /// Adds the bytes of a decoded picture to the sum of all pictures. Fails if the sum exceeds the
+    /// limit. `size` describes the picture.
     pub(crate) fn spend_on_picture(&self, place: &str, bytes: u64, size: &str) -> Result<(), Fault> {
         let before = self.picture_bytes.get();
         let total = before.saturating_add(bytes);
@@ -200,8 +200,8 @@ impl<'a> Document<'a> {
                 return Err(Fault::new(format!("{place}/uri"), expected, "none"));
             }
         };
-        // the binary chunk is padded, and files may be longer, so only the buffer's own length is
-        // used
+        // the binary chunk is padded, and a file may be longer than its buffer, so use only the
+        // buffer's own length
         usize::try_from(buffer.byte_length.0).ok().and_then(|length| bytes.get(..length)).ok_or_else(|| {
             let expected = format!("at most {} bytes, which the buffer's data has", bytes.len());
             Fault::new(format!("{place}/byteLength"), expected, buffer.byte_length.0)
@@ -215,7 +215,7 @@ impl<'a> Document<'a> {
             return decode_data_uri(data, place);
         }
         let scheme = uri.split_once(':').map(|(scheme, _)| scheme);
-        // a scheme of one letter is a Windows drive, about which the resolver decides
+        // a scheme of one letter is a Windows drive, so the resolver decides about it
         if scheme.is_some_and(|scheme| {
             scheme.len() > 1 && scheme.bytes().all(|b| b.is_ascii_alphanumeric() || b"+-.".contains(&b))
         }) {
@@ -235,7 +235,7 @@ fn firsts<'u>(uris: impl Iterator<Item = Option<&'u str>>) -> Vec<usize> {
     uris.enumerate().map(|(i, uri)| uri.map_or(i, |uri| *known.entry(uri).or_insert(i))).collect()
 }
 
-/// Padding is optional, since some writers leave it out.
+/// Base64 decoder that accepts data without padding, which some writers leave out.
 const BASE64: GeneralPurpose = GeneralPurpose::new(
     &STANDARD,
     GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),

@@ -21,7 +21,7 @@ const MAX_PRIMITIVE_BYTES: u64 = 2 << 30;
 pub(crate) struct Decoded {
     pub(crate) triangles: Vec<[u32; 3]>,
     pub(crate) vertices: usize,
-    /// Attributes by glTF's name.
+    /// Decoded attributes; the key is the attribute's name in glTF.
     pub(crate) attributes: HashMap<String, Attribute>,
 }
 

@@ -27,13 +27,13 @@ pub enum GltfError {
     UnsupportedExtension {
         /// The file as the caller named it.
         file: String,
-        /// JSON pointer to the extension's name.
+        /// JSON pointer to the name of the unsupported extension in the file.
         place: String,
-        /// Name of the extension.
+        /// Name of the unsupported extension.
         name: String,
-        /// Names of all extensions that a file may require.
+        /// Names of all extensions that this crate supports.
         supported: String,
-        /// A hint for the user; starts with "; " or is empty.
+        /// Advice on how to replace the extension; starts with "; " or is empty.
         advice: String,
     },
     /// The caller chose an animation or a variant that the file does not have.
@@ -41,11 +41,11 @@ pub enum GltfError {
     NoSuch {
         /// The file as the caller named it.
         file: String,
-        /// "scene animation" or "material variant".
+        /// Kind of the choice: "scene animation" or "material variant".
         what: &'static str,
         /// The name or number that the caller chose.
         wanted: String,
-        /// Numbers and names of the choices that the file has.
+        /// Numbers and names of the animations or variants that the file has.
         known: String,
     },
     /// The task was stopped.

@@ -7,12 +7,12 @@ use crate::error::Fault;
 /// Handling of an extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Handling {
-    /// It is read, and a file may require it.
+    /// The extension is read, and a file may require it.
     Read,
-    /// It does not change the picture, and a file may require it.
+    /// The extension does not change the picture, and a file may require it.
     WithoutEffect,
-    /// It is not read. A file that requires it is refused, and a file that uses it is loaded with a
-    /// warning. Holds advice for the user, which starts with "; " or is empty.
+    /// The extension is not read. A file that requires it is refused, and a file that uses it is
+    /// loaded with a warning. The text is advice for the user, which starts with "; " or is empty.
     NotRead(&'static str),
 }
 
@@ -88,7 +88,7 @@ mod tests {
 
     use super::*;
 
-    /// The rows of the table in `docs/GLTF.md`: extension, handling, test.
+    /// The rows of the table in `docs/GLTF.md`: extension, handling, and the test that shows it.
     fn rows() -> Vec<[&'static str; 3]> {
         let text = include_str!("../../../docs/GLTF.md");
         let table = text.split("| extension |").nth(1).expect("a table of extensions");

@@ -2,8 +2,8 @@
 //!
 //! The material is a dielectric (metallic 0) of base colour `diffuse` whose reflection at normal
 //! incidence is `specular`. The index of refraction 0 turns off the Fresnel term, so that the
-//! specular colour alone sets the reflection (KHR_materials_specular, "Conversions", and
-//! KHR_materials_ior).
+//! specular colour alone sets the reflection. Sources: KHR_materials_specular, "Conversions", and
+//! KHR_materials_ior.
 //!
 //! Roughness is 1 − glossiness. A texture may hold glossiness in its alpha. It is replaced by a
 //! picture whose green channel is 1 − glossinessFactor · alpha, since no factor on a roughness
@@ -41,7 +41,8 @@ pub(crate) fn convert(loader: &mut Loader<'_, '_>, material: &mut Material, plac
     Ok(true)
 }
 
-/// Index of a texture with the roughness that corresponds to a texture with glossiness.
+/// Returns the index of a texture with roughness that replaces the texture `glossy` with
+/// glossiness.
 fn roughness_texture(loader: &mut Loader<'_, '_>, glossy: usize, factor: f32, place: &str) -> Result<usize, Fault> {
     let source = loader.textures[glossy];
     let key = (source.image, factor.to_bits());

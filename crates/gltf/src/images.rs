@@ -16,7 +16,7 @@ use crate::unpack::{Packed, Unpacked, Use};
 pub(crate) struct Images {
     /// Sizes of the images; also their pixels, after [`decode`](Self::decode).
     pub(crate) decoded: Vec<Image>,
-    /// Index into `decoded`, by the image's index in the file.
+    /// Position in `decoded` of an image; the key is the image's index in the file.
     position: HashMap<usize, usize>,
     /// Sources of the images without pixels, in the order of `decoded`.
     waiting: Vec<Waiting>,
@@ -24,7 +24,7 @@ pub(crate) struct Images {
 
 /// The source of an image.
 enum Waiting {
-    /// A picture.
+    /// The picture in `content`, at the place `place` of the file.
     Picture { content: Content, place: String, usage: Use },
     /// Roughness: 1 − `factor` times the alpha of the image at the position `from`, which holds
     /// glossiness.
@@ -130,14 +130,14 @@ impl Content {
     }
 }
 
-/// The bytes of a file or data URI, which stay in memory until its picture is decoded.
+/// Reads a file or data URI. Counts its bytes, which stay in memory until the picture is decoded.
 fn read(document: &Document<'_>, uri: &str, place: &str) -> Result<Vec<u8>, Fault> {
     let bytes = document.read_uri(uri, place, document.affordable_bytes())?;
     document.spend(place, bytes.len(), 1)?;
     Ok(bytes)
 }
 
-/// Reads the size of a picture from its header, and counts the memory of its texels.
+/// Reads the size of a picture from its header, and adds the memory of its texels to the scene's.
 fn size(document: &Document<'_>, usage: Use, bytes: &[u8], place: &str) -> Result<[usize; 2], Fault> {
     document.task.cancel.check()?;
     let header = document.unpack(place, &Packed::Size(usage, bytes), |unpacked| match unpacked {
@@ -149,14 +149,14 @@ fn size(document: &Document<'_>, usage: Use, bytes: &[u8], place: &str) -> Resul
     Ok(size)
 }
 
-/// Counts the memory of a picture before it is decoded.
+/// Adds the memory of a picture to the scene's before the picture is decoded.
 fn spend(document: &Document<'_>, place: &str, size: [usize; 2], texel_bytes: usize) -> Result<(), Fault> {
     let [width, height] = size;
     let bytes = width as u64 * height as u64 * texel_bytes as u64;
     document.spend_on_picture(place, bytes, &format!("{width} × {height} texels"))
 }
 
-/// Pixels whose green channel is 1 − `factor` · alpha.
+/// Makes a picture whose green channel is 1 − `factor` · alpha of the picture `glossy`.
 fn roughness(glossy: &Pixels, factor: f32) -> Pixels {
     let rough = |alpha: f32| ((1.0 - factor * alpha) * 255.0).round() as u8;
     let texel = |roughness: u8| [0, roughness, 0, 255];

@@ -37,7 +37,7 @@ pub(crate) fn lights(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Light
             let found = format!("colour {:?} and intensity {}", source.color, source.intensity);
             return Err(Fault::new(place, "a finite colour and intensity ≥ 0", found));
         }
-        // light shines along −z of the node
+        // a light shines along −z of its node
         let placement = &nodes.scene_from_node[node];
         let direction = match (placement.transform_vector3(DVec3::NEG_Z).try_normalize(), kind) {
             (Some(direction), _) => direction.as_vec3(),
@@ -200,7 +200,7 @@ pub(crate) fn environment(
     Ok(Some(Environment { image, strength, scene_from_environment }))
 }
 
-/// The placement with 32-bit numbers, as scenes have them.
+/// Converts a placement to 32-bit numbers, as scenes have them.
 pub(crate) fn affine(placement: &DAffine3) -> Affine3A {
     placement.as_affine3a()
 }

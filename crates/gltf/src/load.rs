@@ -26,9 +26,9 @@ use crate::{
 /// `name` is the file's name in messages, `bytes` is its content, and `resolver` reads the files to
 /// which it refers. Only objects that the default scene uses are read.
 ///
-/// # Errors
-/// [`GltfError`] with the place in the file. A file may be missing or broken, or require an
-/// extension that is not supported. Or no object in it can be rendered, or the task was cancelled.
+/// # Errors [`GltfError`] with the place in the file. The file may be broken, refer to a missing
+/// file, or require an extension that is not supported. It may have no object that can be rendered.
+/// The task may have been cancelled.
 pub fn load(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Scene, GltfError> {
     load_with(name, bytes, resolver, &LoadOptions::default(), task)
 }
@@ -80,7 +80,7 @@ pub fn contents(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Ta
     list().map_err(|fault| fault.in_file(name))
 }
 
-/// Adds the file's name in front of the place of every warning.
+/// Passes warnings on, with the file's name in front of the place of each.
 struct InFile<'a> {
     name: &'a str,
     inner: &'a dyn Warnings,
@@ -118,7 +118,7 @@ fn load_scene(
     };
     place_meshes(&document, &nodes, &mut materials, &mut parts)?;
     if parts.instances.is_empty() && parts.placed_clouds.is_empty() {
-        // there is nothing to validate; [`cause`] finds the reason
+        // without meshes there is nothing to validate, so [`cause`] finds the reason
         return Err(cause::nothing_to_show(&document, &nodes));
     }
     materials.images.decode(&document)?;
@@ -137,10 +137,10 @@ fn load_scene(
     })
 }
 
-/// Marks the materials that the meshes of the scene use.
+/// For each material, finds whether a mesh of the scene uses it.
 fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, Fault> {
     let mut used = vec![false; document.root.materials.len()];
-    // a flag per mesh, since thousands of nodes may share a mesh of thousands of primitives
+    // thousands of nodes may share a mesh of thousands of primitives, so each mesh is searched once
     let mut seen = vec![false; document.root.meshes.len()];
     for &node in &nodes.shown {
         let Some(index) = document.root.nodes[node].mesh else { continue };
@@ -158,14 +158,15 @@ fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, F
     Ok(used)
 }
 
-/// Reads every mesh that the scene shows, each only once, and places it wherever a node shows it.
+/// Reads every mesh that the scene shows once, and places it for each node that shows it.
 fn place_meshes(
     document: &Document<'_>,
     nodes: &Nodes,
     materials: &mut Materials,
     parts: &mut SceneParts,
 ) -> Result<(), Fault> {
-    // by mesh; also by node, if the node's skin or weights give the mesh another shape
+    // the key is a mesh; it has a node too if the node's skin or weights give the mesh another
+    // shape
     let mut loaded: HashMap<(usize, Option<usize>), Range<usize>> = HashMap::new();
     let mut loaded_splats: HashMap<usize, Vec<(usize, DAffine3)>> = HashMap::new();
     let mut default_material = None;
@@ -189,7 +190,7 @@ fn place_meshes(
         let animated_weights = nodes.poses.get(&number).and_then(|pose| pose.weights.as_deref());
         let weights = animated_weights.or(node.weights.as_deref());
         let own_shape = pose.is_some() || weights.is_some();
-        // read the mesh once per shape
+        // read the mesh once for each shape that it has
         let clouds = match loaded_splats.entry(index.value()) {
             Entry::Occupied(entry) => entry.into_mut(),
             Entry::Vacant(entry) => entry.insert(read_splats(document, mesh, index.value(), &mut parts.clouds)?),
@@ -239,9 +240,9 @@ fn read_splats(
     Ok(found)
 }
 
-/// A mesh with one shape. One node shows it in this shape, or all nodes that share the mesh do.
+/// A mesh with one shape, in which one node shows it, or all nodes that share the mesh.
 struct Shape<'a> {
-    /// The node's weights of morph targets, if it has any.
+    /// The node's weights of morph targets, if the node has its own.
     weights: Option<&'a [f32]>,
     mesh: &'a json::Mesh,
     number: usize,

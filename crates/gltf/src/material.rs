@@ -21,7 +21,8 @@ use crate::{glossiness, material_extensions};
 /// Materials in the file's order, with their textures and images.
 pub(crate) struct Materials {
     pub(crate) materials: Vec<Material>,
-    /// Per material, the texture coordinate sets of the file that become sets 0 and 1 of the mesh.
+    /// For each material, the texture coordinate sets of the file that become sets 0 and 1 of a
+    /// mesh.
     pub(crate) uv_sets: Vec<[u32; 2]>,
     pub(crate) textures: Vec<Texture>,
     pub(crate) images: Images,
@@ -49,7 +50,7 @@ impl Loader<'_, '_> {
     fn material(&mut self, source: &json::Material, place: &str) -> Result<(Material, [u32; 2]), Fault> {
         let pbr = &source.pbr_metallic_roughness;
         let extensions = source.extensions.clone().unwrap_or_default();
-        // read the factors
+        // read the factors of the metallic-roughness model
         let strength = extensions.emissive_strength.map_or(1.0, |strength| strength.emissive_strength.0);
         let emission = Vec3::from(source.emissive_factor.0) * strength;
         if !(emission.is_finite() && emission.min_element() >= 0.0) {
@@ -75,7 +76,7 @@ impl Loader<'_, '_> {
             material.attenuation_distance = volume.attenuation_distance.0;
         }
 
-        // read the textures
+        // read the textures of the metallic-roughness model
         let pbr_place = format!("{place}/pbrMetallicRoughness");
         let base_color = pbr.base_color_texture.as_ref().map(|info| plain(info, &pbr_place, "baseColorTexture"));
         material.base_color_texture = self.texture_use(base_color)?;
@@ -152,7 +153,7 @@ fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2]
         );
         task.warn(place, message);
     }
-    // renumber the set of every texture
+    // replace the file's number of a coordinate set by the mesh's number, in every texture
     let coat = material.clearcoat.as_mut();
     let sheen = material.sheen.as_mut();
     let film = material.iridescence.as_mut();

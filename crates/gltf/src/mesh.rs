@@ -51,17 +51,17 @@ const COLOR: Format = Format {
 
 /// The primitive to read, with everything that determines its mesh.
 pub(crate) struct Request<'a> {
-    /// `/meshes/I/primitives/J`.
+    /// JSON pointer to the primitive, `/meshes/I/primitives/J`.
     pub(crate) place: String,
     pub(crate) primitive: &'a json::mesh::Primitive,
-    /// Index into the scene's materials.
+    /// Index of the primitive's material in the scene.
     pub(crate) material: usize,
     pub(crate) appearance: &'a Material,
-    /// The texture coordinate sets of the file that become sets 0 and 1 of the mesh.
+    /// The texture coordinate sets of the file that the material uses as sets 0 and 1.
     pub(crate) uv_sets: [u32; 2],
-    /// Weights of the morph targets.
+    /// Weights of the mesh's morph targets.
     pub(crate) weights: &'a [f32],
-    /// Joint matrices of a skinned mesh.
+    /// Joint matrices of the skin, if the node that shows the mesh has one.
     pub(crate) pose: Option<&'a Pose>,
 }
 
@@ -84,7 +84,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         document.leave_out(place, "a primitive without POSITION is left out".into());
         return Ok(None);
     };
-    // triangles, from the Draco stream, or from indices by the mode
+    // make the triangles: from the Draco stream, or from the indices as the primitive's mode states
     let count = positions.count;
     let (mut triangles, left_over) = match &decoded {
         Some(decoded) if decoded.vertices == count => {
@@ -97,7 +97,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         }
         None => {
             let indices = indices(document, request, count)?;
-            // at most one triangle per index
+            // there is at most one triangle per index
             document.spend(place, indices.len(), size_of::<[u32; 3]>())?;
             triangles(mode, &indices)
         }
@@ -115,8 +115,8 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
         material: request.material,
         ..Mesh::default()
     };
-    // normals and tangents may lack a direction; the scene's validator and `mend_tangents` replace
-    // them then
+    // a normal or tangent may have no direction; the scene's validator mends normals, and
+    // `mend_tangents` mends tangents
     if let Some(normals) = attributes.open(Semantic::Normals, &NORMAL, Some(count))? {
         mesh.normals = vec3s(normals.assume_normalized().floats::<3>(document, &selection, 0.0)?);
         if let Some(tangents) = attributes.open(Semantic::Tangents, &TANGENT, Some(count))? {
@@ -167,8 +167,8 @@ fn indices(document: &Document<'_>, request: &Request<'_>, count: usize) -> Resu
     }
 }
 
-/// Triangles of a list, strip or fan, all with the same orientation; and the number of vertices
-/// that are left over.
+/// Makes the triangles of a list, strip or fan, all with the same orientation. Also returns the
+/// number of vertices at the end that make no triangle.
 fn triangles(mode: Mode, v: &[u32]) -> (Vec<[u32; 3]>, usize) {
     match mode {
         Mode::TriangleStrip => {
@@ -188,8 +188,8 @@ fn triangles(mode: Mode, v: &[u32]) -> (Vec<[u32; 3]>, usize) {
     }
 }
 
-/// The vertices that the triangles use; renumbers the triangles' corners. Primitives often share
-/// one long list of vertices, of which each uses only a few.
+/// Selects the vertices that the triangles use, and renumbers the triangles' corners. Primitives
+/// often share one long list of vertices, of which each uses only a few.
 fn select_used_vertices(triangles: &mut [[u32; 3]], count: usize) -> Selection {
     let corners = triangles.as_flattened_mut();
     let used: Vec<u32> = if corners.len() < count / 16 {
@@ -206,13 +206,13 @@ fn select_used_vertices(triangles: &mut [[u32; 3]], count: usize) -> Selection {
         return Selection::All;
     }
     for vertex in corners {
-        // the search succeeds, since `used` holds all of the corners
+        // the search succeeds, since `used` holds every vertex of the corners
         *vertex = used.binary_search(vertex).unwrap_or_default() as u32;
     }
     Selection::Some(used)
 }
 
-/// Adds the morph targets with the given weights.
+/// Adds the offsets of the morph targets, times their weights, to the mesh.
 fn morph(
     attributes: &Attributes<'_, '_>,
     weights: &[f32],
@@ -263,8 +263,8 @@ fn clamp_colors(document: &Document<'_>, place: &str, colors: Vec<[f32; 4]>) -> 
     clamped
 }
 
-/// Makes tangents unit vectors with handedness ±1. If any tangent has no direction, all tangents
-/// are dropped and generated anew.
+/// Makes tangents unit vectors with handedness ±1. If any tangent has no direction, all are
+/// dropped, and the validator generates tangents where they are needed.
 fn mend_tangents(document: &Document<'_>, mesh: &mut Mesh) {
     let mended: Option<Vec<Vec4>> = mesh
         .tangents

@@ -14,14 +14,14 @@ use gltf::json;
 
 const NAMES: [&str; 2] = ["KHR_meshopt_compression", "EXT_meshopt_compression"];
 
-/// Largest ratio of compression: a block of 256 vertices takes at least a byte for every four
-/// columns of bytes.
+/// Largest ratio of compression. A block of 256 vertices takes at least one byte for every four
+/// columns of bytes, which are 1024 bytes unpacked.
 const MAX_RATIO: u64 = 1024;
 
-/// A packed view.
+/// A buffer view that is compressed by meshopt.
 pub(crate) struct Packed<'d> {
     fields: Fields<'d>,
-    /// `byteLength` of the view.
+    /// Size of the view after decompression: its `byteLength`.
     unpacked_bytes: u64,
     stride: Option<usize>,
 }
@@ -47,7 +47,7 @@ impl<'d> Packed<'d> {
         let fields = &self.fields;
         let number =
             |key: &str| fields.count(key)?.ok_or_else(|| Fault::new(fields.place(key), "a whole number", "nothing"));
-        // the extension's numbers must agree with the view's, and they bound the memory
+        // check that the extension's numbers agree with the view's numbers, which bound the memory
         let (count, stride, length) = (number("count")?, number("byteStride")?, number("byteLength")?);
         let offset = fields.count("byteOffset")?.unwrap_or_default();
         let source = document.range(fields.needed_index("buffer")?, offset, length, fields.here())?;

@@ -24,9 +24,9 @@ pub(crate) struct Nodes {
     pub(crate) scene_place: Option<String>,
     /// Nodes of the scene, parents before children, without those that `KHR_node_visibility` hides.
     pub(crate) shown: Vec<usize>,
-    /// Placement of every node of the file in the scene.
+    /// Placement in the scene of every node of the file; the index is the node's number.
     pub(crate) scene_from_node: Vec<DAffine3>,
-    /// Animated values of nodes.
+    /// Animated values, which replace a node's own; the key is the node's number.
     pub(crate) poses: HashMap<usize, NodePose>,
 }
 
@@ -46,7 +46,8 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
         Some(scene) => Some((document.get(scene, "/scene")?, scene.value())),
         None => root.scenes.first().map(|scene| (scene, 0)),
     };
-    // the roots: of the scene, or all nodes without a parent if the file has no scene
+    // find the roots: the nodes that the scene lists, or all nodes without a parent if there is no
+    // scene
     let mut roots = Vec::new();
     match scene {
         Some((scene, number)) => {
@@ -104,7 +105,7 @@ fn adopt(
     let found = format!("expected a node without a parent, found node {node}, a child of node {parent}");
     let (mut path, mut at, mut shown) = (Vec::new(), Some(parent), false);
     while let Some(ancestor) = at {
-        // a path longer than the number of nodes is a cycle, which is refused later
+        // a path with more nodes than the file has is a cycle, which is refused later
         if listed[ancestor] || path.len() > parents.len() {
             shown = true;
             break;
@@ -130,7 +131,7 @@ fn children(node: &json::Node) -> &[json::Index<json::Node>] {
     node.children.as_deref().unwrap_or_default()
 }
 
-/// The parent of every node. A node with several parents gets the first, with a warning.
+/// Finds the parent of every node. A node with several parents gets the first, with a warning.
 fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
     let mut parents = vec![None; document.root.nodes.len()];
     for (parent, node) in document.root.nodes.iter().enumerate() {
@@ -149,7 +150,7 @@ fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
     Ok(parents)
 }
 
-/// The placement of every node in the scene; refuses cycles.
+/// Computes the placement of every node in the scene. A cycle of nodes is an error.
 fn placements(
     document: &Document<'_>,
     parents: &[Option<usize>],
@@ -158,7 +159,8 @@ fn placements(
     let nodes = &document.root.nodes;
     let mut placements: Vec<Option<DAffine3>> = vec![None; nodes.len()];
     for start in 0..nodes.len() {
-        // go up to the nearest ancestor that is placed already, then down again
+        // go up to the nearest ancestor that is placed already, then place the nodes of the path
+        // downwards
         let mut path = Vec::new();
         let mut at = Some(start);
         while let Some(node) = at.filter(|&node| placements[node].is_none()) {
@@ -211,7 +213,7 @@ fn parent_from_node(
     if placement.is_finite() { Ok(placement) } else { Err(Fault::new(place, "a finite placement", placement)) }
 }
 
-/// A placement from scale, rotation and translation; animated values replace these.
+/// Makes a placement of scale, rotation and translation. Animated values replace the given ones.
 fn posed(pose: Option<&NodePose>, (scale, rotation, translation): (DVec3, DQuat, DVec3)) -> DAffine3 {
     let moved = pose.cloned().unwrap_or_default();
     DAffine3::from_scale_rotation_translation(
@@ -221,7 +223,7 @@ fn posed(pose: Option<&NodePose>, (scale, rotation, translation): (DVec3, DQuat,
     )
 }
 
-/// A unit quaternion from four numbers of any length.
+/// Makes a unit quaternion of four numbers. Their length may be any, except 0.
 pub(crate) fn rotation(xyzw: [f32; 4], place: impl FnOnce() -> String) -> Result<DQuat, Fault> {
     let quaternion = DQuat::from_array(xyzw.map(f64::from));
     let length = quaternion.length();
@@ -249,7 +251,7 @@ pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<
         let index = index.ok_or_else(|| Fault::new(&place, "an accessor's index", quote(Some(value))))?;
         Accessor::open(document, json::Index::new(index), &place, format).map(Some)
     };
-    // absent attributes have their defaults; all others must have the same count
+    // an absent attribute has its default; present attributes must have the same count
     let translations = open("TRANSLATION", &TRANSLATION)?;
     let rotations = open("ROTATION", &ROTATION)?.map(Accessor::assume_normalized);
     let scales = open("SCALE", &TRANSLATION)?;
@@ -286,8 +288,8 @@ fn vectors(document: &Document<'_>, accessor: Option<Accessor<'_>>) -> Result<Op
     accessor.map(|accessor| accessor.finite::<3>(document, &Selection::All, 0.0)).transpose()
 }
 
-/// Lumistack's extras `extras.lumistack` of the object at `owner`; warns of members that are not in
-/// `known`.
+/// Returns Lumistack's extras, `extras.lumistack`, of the object at `owner`. Warns of members that
+/// are not in `known`.
 pub(crate) fn extras<'a>(document: &'a Document<'_>, owner: &str, known: &[&str]) -> Option<&'a Value> {
     let place = format!("{owner}/extras/lumistack");
     let value = document.json(&place)?;

@@ -5,7 +5,7 @@ use crate::error::Fault;
 /// Largest width or height of a picture, in texels.
 pub(crate) const MAX_SIDE: u32 = 1 << 15;
 
-/// Largest unpacked view, bytes.
+/// Largest size of a buffer view after decompression, bytes.
 pub(crate) const MAX_VIEW_BYTES: u64 = 2 << 30;
 
 /// Choices of [`load_with`](crate::load_with). By default, nodes keep their own transforms and
@@ -22,9 +22,9 @@ pub struct LoadOptions {
     /// Name or number of the material variant (`KHR_materials_variants`). `None`: the default
     /// materials.
     pub variant: Option<String>,
-    /// Largest number of bytes that the scene without its pictures may decode to. Small files can
-    /// require any amount (many primitives over one accessor, pictures of one colour). Files that
-    /// exceed this are refused, so that they cannot exhaust the machine. Default 8 GiB.
+    /// Largest number of bytes that the scene without its pictures may decode to. A small file can
+    /// decode to any size, since many primitives may share one accessor. A file over the limit is
+    /// refused, so that it cannot exhaust the machine. Default 8 GiB.
     pub max_decoded_bytes: u64,
     /// Largest number of bytes that all decoded pictures of the scene may take, in addition to
     /// `max_decoded_bytes`. The sizes in all headers are added up before the first picture is
@@ -38,7 +38,7 @@ impl Default for LoadOptions {
     }
 }
 
-/// Index of the entry that `wanted` names; a name takes precedence over a number.
+/// Index of the entry that `wanted` names or numbers. A name takes precedence over a number.
 pub(crate) fn choose(what: &'static str, wanted: &str, names: &[Option<&str>]) -> Result<usize, Fault> {
     let by_name = names.iter().position(|name| *name == Some(wanted));
     let by_number = || wanted.parse().ok().filter(|&number: &usize| number < names.len());

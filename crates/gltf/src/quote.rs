@@ -10,7 +10,7 @@ pub(crate) fn quote(value: Option<&Value>) -> String {
     value.map_or_else(|| "nothing".to_owned(), |value| shorten(&value.to_string()))
 }
 
-/// The beginning of a text, if it is long.
+/// Returns a text, or the beginning of a long text followed by three dots.
 pub(crate) fn shorten(text: &str) -> String {
     match text.char_indices().nth(MAX_QUOTE_CHARS) {
         Some((end, _)) => format!("{}...", &text[..end]),

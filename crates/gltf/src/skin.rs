@@ -1,7 +1,8 @@
 //! Skins: linear blend skinning, in the pose that the nodes have.
 //!
-//! p' = Σ w_j · G_j · B_j · p, with G_j the joint's global transform and B_j its inverse bind
-//! matrix (glTF 2.0, section 3.7.3). The placement of the node that has the mesh is ignored.
+//! p' = Σ w_j · G_j · B_j · p. For each joint j of a vertex p, w_j is the joint's weight. G_j is
+//! its global transform, and B_j its inverse bind matrix (glTF 2.0, section 3.7.3). The placement
+//! of the node that has the mesh is ignored.
 
 use glam::{Affine3A, DAffine3, DMat4, Mat3A, Vec3A};
 use gltf::json;
@@ -71,7 +72,7 @@ impl Pose {
         selection: &Selection,
         count: usize,
     ) -> Result<(), Fault> {
-        // sum the weighted joint matrices of every vertex, over all sets of joints
+        // for every vertex, sum the weighted joint matrices over all sets of joints
         let mut sums = vec![(Affine3A::ZERO, 0.0f32); mesh.positions.len()];
         let mut first_joints = Vec::new();
         for set in 0.. {
@@ -96,7 +97,8 @@ impl Pose {
             }
         }
         for (i, (matrix, weight)) in sums.into_iter().enumerate() {
-            // weights may have any sum; a vertex whose weights are all 0 follows its first joint
+            // divide by the sum of weights, which may be any; without weights a vertex follows its
+            // first joint
             let matrix = if weight > 0.0 {
                 Affine3A { matrix3: matrix.matrix3 * weight.recip(), translation: matrix.translation / weight }
             } else {

@@ -55,7 +55,7 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
     if mode != 0 {
         return Err(Fault::new(format!("{place}/mode"), "0 (POINTS), as splats have", mode));
     }
-    // an unknown value is treated as the value that is named here, with a warning
+    // replace a value that is not known by the value that is named here, with a warning
     let text = |key: &str| document.json(&format!("{here}/{key}")).and_then(serde_json::Value::as_str);
     let encoding = match text("colorSpace") {
         Some("srgb_rec709_display") => Encoding::Srgb,
@@ -81,7 +81,8 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
         document.spend(place, found.cloud.bytes(), 1)?;
         found.left_out.into_iter().for_each(|message| document.task.warn(place, message));
         let cloud = Cloud { place: place.to_owned(), encoding, ..found.cloud };
-        // SPZ has x to the right and z to the back, glTF has x to the left and z to the front
+        // SPZ has x to the right and z to the back, glTF has x to the left and z to the front. A
+        // half turn about y converts one to the other.
         let mesh_from_cloud = DAffine3::from_quat(DQuat::from_xyzw(0.0, 1.0, 0.0, 0.0));
         return Ok(Splats { cloud, mesh_from_cloud });
     }
@@ -110,12 +111,13 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
     let positions = needed("POSITION", &POSITION, None)?;
     let count = Some(positions.count);
     let all = &Selection::All;
-    // the validator drops splats with values that are not finite or out of range
+    // values are not checked here: the validator drops splats that are not finite or out of range
     let positions = positions.floats::<3>(document, all, 0.0)?;
     let rotations = needed(&own("ROTATION"), &ROTATION, count)?.assume_normalized().floats::<4>(document, all, 0.0)?;
     let scales = needed(&own("SCALE"), &SCALE, count)?.floats::<3>(document, all, 0.0)?;
     let opacities = needed(&own("OPACITY"), &OPACITY, count)?.assume_normalized().floats::<1>(document, all, 0.0)?;
-    // harmonics up to the first absent degree; each degree must have all of its coefficients
+    // read the spherical harmonics up to the first degree that is absent; a degree that is present
+    // must have all of its coefficients
     let mut harmonics = Vec::new();
     for degree in 0..=lumistack_scene::MAX_DEGREE {
         let mut of_degree = Vec::new();
@@ -134,7 +136,7 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
             }
         }
     }
-    // interleave the harmonics splat by splat
+    // the harmonics come coefficient by coefficient, so interleave them splat by splat
     let count = positions.len();
     document.spend(place, count, harmonics.len() * size_of::<[f32; 3]>())?;
     let interleaved = (0..count).flat_map(|i| harmonics.iter().flat_map(move |of_all| of_all[i]));

@@ -18,15 +18,15 @@ use crate::fields::Fields;
 use crate::images::Images;
 use crate::quote::quote;
 
-/// The textures that materials have used so far.
+/// Adds the textures that materials use to a list, each only once.
 pub(crate) struct Loader<'d, 'f> {
     pub(crate) document: &'d Document<'f>,
     pub(crate) textures: Vec<Texture>,
     pub(crate) images: Images,
-    /// Index into `textures`, by the texture's index in the file.
+    /// Position in `textures` of a texture; the key is the texture's index in the file.
     position: HashMap<usize, usize>,
-    /// Index of the image with roughness, by an image with glossiness and the bits of the factor on
-    /// it.
+    /// Index of an image with roughness that was made from an image with glossiness. The key is the
+    /// index of the image with glossiness, and the bits of the factor on it.
     pub(crate) roughness_images: HashMap<(usize, u32), usize>,
 }
 
@@ -64,7 +64,8 @@ impl<'d, 'f> Loader<'d, 'f> {
         Ok(Some(TextureUse { texture, uv_set, texture_from_mesh }))
     }
 
-    /// Index of a texture of the file, whose image is read.
+    /// Returns the index of a texture of the file in `textures`. Reads the texture and its image at
+    /// their first use.
     fn texture(&mut self, index: json::Index<json::Texture>, used_at: &str) -> Result<usize, Fault> {
         let document = self.document;
         let texture = document.get(index, used_at)?;
@@ -73,8 +74,8 @@ impl<'d, 'f> Loader<'d, 'f> {
         }
         let place = format!("/textures/{}", index.value());
         let better = ["KHR_texture_basisu", "EXT_texture_webp"].map(|name| format!("{place}/extensions/{name}/source"));
-        // use the picture of the extension if there is one; `source` is for readers without the
-        // extension
+        // use the picture that an extension names, if there is one; `source` is for readers without
+        // the extension
         let image = match better.iter().find_map(|place| Some((document.json(place)?.as_u64()?, place))) {
             Some((source, place)) => self.images.texture(document, json::Index::new(source as u32), place)?,
             None => self.images.texture(document, texture.source, &format!("{place}/source"))?,
@@ -118,14 +119,14 @@ impl<'d, 'f> Loader<'d, 'f> {
     }
 }
 
-/// A reference for which the `gltf` crate has a type. It is the member `slot` of the object at
-/// `parent`.
+/// Makes a reference from a member for which the `gltf` crate has a type. The member is `slot` of
+/// the object at `parent`.
 pub(crate) fn plain(info: &json::texture::Info, parent: &str, slot: &str) -> Reference {
     let transform = info.extensions.as_ref().and_then(|extensions| extensions.texture_transform.clone());
     Reference { index: info.index, uv_set: info.tex_coord, transform, place: format!("{parent}/{slot}") }
 }
 
-/// The transform of a normal texture: the `gltf` crate has no type for its extensions.
+/// Reads the transform of a normal texture, for whose extensions the `gltf` crate has no type.
 pub(crate) fn untyped_transform(value: &Value, place: &str) -> Result<TextureTransform, Fault> {
     serde_json::from_value(value.clone()).map_err(|_| {
         let place = format!("{place}/extensions/KHR_texture_transform");
@@ -133,9 +134,9 @@ pub(crate) fn untyped_transform(value: &Value, place: &str) -> Result<TextureTra
     })
 }
 
-/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v.
-/// That is counter-clockwise as seen, since v points down. The extension's text does not define the
-/// sense, but its test scene and all common viewers agree.
+/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v,
+/// which is counter-clockwise on the picture, since v points down. The extension's text does not
+/// define the sense, but its test scene and all common viewers agree.
 fn affine(transform: &TextureTransform) -> Affine2 {
     let (scale, offset) = (Vec2::from(transform.scale.0), Vec2::from(transform.offset.0));
     Affine2::from_scale_angle_translation(scale, -transform.rotation.0, offset)

@@ -15,16 +15,16 @@ use serde::de::{
 use serde::forward_to_deserialize_any;
 use serde_json::{Value, map};
 
-/// A value of another type than expected.
+/// The error of a JSON value that has another type than expected.
 #[derive(Debug)]
 pub(crate) struct Mistyped {
-    /// JSON pointer.
+    /// JSON pointer to the value.
     pub(crate) place: String,
-    /// The description of the error by serde.
+    /// The description of the error by the library serde.
     pub(crate) message: String,
 }
 
-/// Reads a typed value.
+/// Converts a JSON value to a value of type `T`.
 pub(crate) fn typed<'v, T: Deserialize<'v>>(value: &'v Value) -> Result<T, Mistyped> {
     T::deserialize(Typed(value))
 }
@@ -129,7 +129,7 @@ impl<'v> Deserializer<'v> for Typed<'v> {
         }
     }
 
-    /// Reads objects only, as glTF has them; serde would also accept an array of the members.
+    /// Accepts only an object, as glTF does; serde would also accept an array of the members.
     fn deserialize_struct<V: Visitor<'v>>(
         self,
         _: &'static str,
@@ -189,7 +189,7 @@ impl<'v> Deserializer<'v> for Typed<'v> {
     }
 }
 
-/// A variant is a text, or an object of one member.
+/// Reads a variant of an enum, which is a text, or an object of one member.
 impl<'v> EnumAccess<'v> for Typed<'v> {
     type Error = Mistyped;
     type Variant = Content<'v>;
@@ -208,7 +208,7 @@ impl<'v> EnumAccess<'v> for Typed<'v> {
     }
 }
 
-/// Content of a variant.
+/// Content of a variant of an enum, if it has content.
 struct Content<'v>(Option<&'v Value>);
 
 impl<'v> Content<'v> {
@@ -266,7 +266,7 @@ impl<'v> SeqAccess<'v> for &mut List<'v> {
 
 struct Table<'v> {
     left: map::Iter<'v>,
-    /// The member whose key was read.
+    /// The member whose key was read last, and whose value comes next.
     value: Option<(&'v str, &'v Value)>,
 }
 

@@ -40,8 +40,8 @@ pub fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
     contained(packed, decode)
 }
 
-/// Runs the decoder of a library. A panic of the library means that the content is broken in a way
-/// that the library does not check. Our own code does not panic.
+/// Runs the decoder of a library. If the library panics, the content is broken in a way that the
+/// library does not check, so the result is an error.
 fn contained<T>(packed: &Packed<'_>, decode: impl FnOnce() -> Result<T, Unsound>) -> Result<T, Unsound> {
     std::panic::catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| Err(packed.stopped()))
 }

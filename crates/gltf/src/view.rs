@@ -14,7 +14,7 @@ pub(crate) struct View<'a> {
 }
 
 impl Document<'_> {
-    /// The bytes of a buffer view.
+    /// Returns the bytes of a buffer view, after decompression if the view is compressed.
     pub(crate) fn view(&self, index: json::Index<json::buffer::View>, place: &str) -> Result<View<'_>, Fault> {
         let view = self.get(index, place)?;
         let place = format!("/bufferViews/{}", index.value());

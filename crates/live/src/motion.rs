@@ -6,10 +6,10 @@
 //! f_n(x) ← f_n(x − v_n(x))
 //! ```
 //!
-//! P_n is the content as layer n sees it; content near the layer is sharp. The motion v_n is found
-//! per block, from the pixels in and around the block, and is interpolated between blocks. The
-//! patterns f_n of every frame move. Pixels whose source is outside the border get values of fresh
-//! patterns.
+//! L is the light field, and P_n is its content as layer n sees it: content near the layer is
+//! sharp. The motion v_n is found for each block of pixels, and is interpolated between blocks. The
+//! sum runs over the pixels x' in and around the block. Then the patterns f_n of every frame are
+//! moved. A pixel whose source x − v_n is outside the layer gets the value of fresh patterns.
 //!
 //! The method needs only light fields, so it works for scenes and for given light fields. Content
 //! that turns or moves in depth has a different motion on every layer and at every place.
@@ -20,8 +20,8 @@ use lumistack_display::{BacklightTap, Display, FieldGeometry, LayerStack, LightF
 const VIEWS: usize = 5;
 /// Edge of a block, pixels.
 const BLOCK: usize = 16;
-/// Width of the border around a block that is compared too, pixels. A block that contains only an
-/// edge cannot show motion along this edge.
+/// Width of the border around a block whose pixels are compared together with the block's, pixels.
+/// The border helps, since a block with a single edge shows no motion along this edge.
 const AROUND: usize = 4;
 /// Longest motion along an axis, pixels. It is a multiple of [`COARSE`].
 const FARTHEST: i32 = 32;
@@ -29,7 +29,8 @@ const FARTHEST: i32 = 32;
 const COARSE: i32 = 2;
 /// Number of best matches of the first search that the second search refines.
 const KEPT: usize = 8;
-/// The factor λ: each pixel of motion must reduce the mean squared difference by this much.
+/// The factor λ: each pixel of motion must reduce the mean squared difference by at least this
+/// much.
 const COST: f32 = 2e-6;
 
 /// The content as every layer sees it. If the backlight is directional, the last plane is the
@@ -207,7 +208,8 @@ fn best_shift(before: &Plane, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2]
     best.0
 }
 
-/// Takes medians of 3 × 3 blocks, which removes single wrong matches.
+/// Replaces each block's motion by the median over 3 × 3 blocks, which removes single wrong
+/// matches.
 fn smoothed([rows, cols]: [usize; 2], shifts: &[[i32; 2]]) -> Vec<[i32; 2]> {
     let around = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
     let one = |index: usize| {
@@ -221,8 +223,8 @@ fn smoothed([rows, cols]: [usize; 2], shifts: &[[i32; 2]]) -> Vec<[i32; 2]> {
     (0..shifts.len()).map(one).collect()
 }
 
-/// Moves patterns along the flows, in every frame. Values that enter across the border are taken
-/// from `fresh`.
+/// Moves patterns along the flows, in every frame. A pixel whose source is outside the layer gets
+/// its value from `fresh`.
 ///
 /// # Panics
 /// If the patterns have different shapes, or the flows do not belong to the patterns' planes.

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! new content:   start = the best of: previous patterns, previous patterns moved along, fresh ones
-//! moved along:   strips that content has entered ──a few updates of their own──▶ start
+//! moved along:   strips that content has entered ──a few updates of the strips──▶ start
 //! every step:    start ──a few updates──▶ patterns, the next start
 //! ```
 
@@ -28,18 +28,19 @@ const GOOD_DB: f64 = 20.0;
 /// field.
 const STRIP: usize = 16;
 
-/// A strip is solved before the whole display if more than this fraction of its pixels is new.
+/// A strip is solved before the whole display if new content has entered more than this fraction of
+/// its pixels.
 const NEW: f64 = 0.25;
 
-/// Number of iterations of a strip, before the whole display is solved. Measured at 10 pixels per
-/// time step on 160 columns. Four cost less than one iteration of the whole display and gain 1 dB;
-/// eight gain another 0.4 dB.
+/// Number of iterations of a strip, before the whole display is solved. Measured for content that
+/// moves by 10 pixels per time step on 160 columns: four iterations gain 1 dB, and eight another
+/// 0.4 dB. Four cost less than one iteration of the whole display.
 const AHEAD: u32 = 4;
 
 /// The patterns from which a step starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Start {
-    /// Fresh factors.
+    /// Fresh factors, which do not depend on the previous patterns.
     Fresh,
     /// The previous patterns.
     Kept,
@@ -50,7 +51,7 @@ pub enum Start {
 /// Patterns after a step.
 #[derive(Clone, Debug)]
 pub struct Solved {
-    /// The patterns.
+    /// The patterns as a layer stack.
     pub stack: LayerStack,
     /// PSNR in dB of L̃/β against L over all rays with a weight.
     pub psnr_view: f64,
@@ -104,8 +105,8 @@ impl Solver {
         // If the display has other shapes, the previous patterns cannot be used.
         let last = self.last.take_if(|last| last.stack.check(&target.display).is_err());
         drop(last);
-        // Choose the start. The same content keeps its patterns; for new content, possible starts
-        // are compared.
+        // Choose the start. If the content is unchanged, it is the previous patterns. For new
+        // content, possible starts are compared.
         let same_content = self.last.as_ref().is_some_and(|last| last.target.content == target.content);
         let planes = match &mut self.last {
             Some(last) if same_content => last.planes.clone(),
@@ -168,7 +169,7 @@ fn at_start(
 
 /// Solves the strips of the display that new content has entered, on the processor. The patterns of
 /// a strip are fresh, so they do not match the patterns beside it. Iterations of the whole display
-/// would mend this only slowly. Patterns outside of the strips do not change.
+/// would remove this mismatch only slowly. Patterns outside of the strips do not change.
 ///
 /// # Errors
 /// If a strip cannot be solved, or when cancelled.
@@ -186,7 +187,8 @@ fn with_border(
         let tiles: Vec<Tile> = (0..tiling.count()).map(|number| tiling.tile(number)).collect();
         let is_new = |tile: &&Tile| tile.parts.iter().zip(flows).any(|(part, flow)| flow.new_share(&part.own) > NEW);
         let new: Vec<&Tile> = tiles.iter().filter(is_new).collect();
-        // if most strips are new, solving them costs as much as solving the whole display
+        // If content has entered more than half of the strips, leave them out, since they would
+        // cost as much as the whole display.
         if 2 * new.len() > tiles.len() {
             continue;
         }

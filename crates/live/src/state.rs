@@ -7,7 +7,7 @@ use lumistack_display::{Display, LayerStack, LightField, Weights};
 /// A light field that a display should show.
 #[derive(Clone, Debug)]
 pub struct Target {
-    /// The display.
+    /// The display that should show the light field.
     pub display: Arc<Display>,
     /// The light field, linear, 0..1.
     pub field: LightField,
@@ -23,7 +23,7 @@ pub struct Target {
 /// shows matching patterns.
 #[derive(Clone, Debug)]
 pub struct State {
-    /// The patterns.
+    /// The patterns as a layer stack.
     pub stack: LayerStack,
     /// The light field for which the patterns were solved.
     pub target: Arc<Target>,

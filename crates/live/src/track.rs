@@ -14,7 +14,7 @@ use std::time::Duration;
 use lumistack_display::{EyeBox, FieldGeometry, WeightError, Weights};
 use thiserror::Error;
 
-/// If the tracker is silent for longer than this, the whole zone fades in.
+/// Time without reports of the tracker after which the weight of the whole zone begins to grow.
 pub const SILENCE: Duration = Duration::from_secs(1);
 /// Duration of the fade from tracked viewers to the whole zone.
 pub const FADE: Duration = Duration::from_secs(1);
@@ -23,11 +23,13 @@ pub const FADE: Duration = Duration::from_secs(1);
 const MOST_AHEAD: Duration = Duration::from_millis(250);
 /// Time over which a velocity is averaged, since positions of trackers are noisy.
 const VELOCITY_TIME: Duration = Duration::from_millis(100);
-/// If a position moves farther between two reports, mm, it belongs to another viewer.
+/// Largest distance between a viewer's positions in two successive reports, mm. A position farther
+/// away belongs to another viewer.
 const JUMP_MM: f64 = 300.0;
 /// Weight of rays far from all viewers while viewers are tracked.
 pub const FLOOR: f64 = 0.002;
-/// Default σ, mm. The two eyes of a viewer are about 64 mm apart.
+/// Default σ, mm. A viewer's eyes are some 32 mm away from the midpoint between them, so their rays
+/// have large weights.
 pub const SIGMA_MM: f64 = 40.0;
 
 /// Positions and velocities of the tracked heads.
@@ -43,7 +45,7 @@ struct Head {
     velocity_mm_s: [f64; 3],
 }
 
-/// The directions that matter at one time.
+/// The positions of the tracked viewers at one time, and the weight of the whole zone.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Boxes {
     /// For each viewer, the point midway between the eyes, display space, mm.
@@ -135,8 +137,8 @@ impl Boxes {
         Weights::eye_boxes(geometry, &boxes.collect::<Vec<_>>(), floor as f32)
     }
 
-    /// Returns true if the weights of `other` are good enough: every viewer differs by at most
-    /// `tolerance_mm` along each axis.
+    /// Returns true if the weights of `other` can be used in place of these: every viewer's
+    /// position differs by at most `tolerance_mm` along each axis.
     pub fn is_like(&self, other: &Self, tolerance_mm: f64) -> bool {
         let close = |(a, b): (&[f64; 3], &[f64; 3])| (0..3).all(|i| (a[i] - b[i]).abs() <= tolerance_mm);
         self.zone == other.zone

@@ -55,5 +55,6 @@ impl Player {
     }
 }
 
-/// A time step may be early by this fraction of the interval, so that rounding does not delay it.
+/// Fraction of the interval by which a time step may be early, so that a rounding error does not
+/// delay it.
 const EARLY: f64 = 1e-6;

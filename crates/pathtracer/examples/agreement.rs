@@ -27,7 +27,7 @@ use lumistack_scene::{
 
 /// Size of an environment map at which the error of bilinear interpolation is negligible.
 const SKY: [usize; 2] = [1024, 512];
-/// Largest number of scattering events of a path; the one at the first hit counts.
+/// Largest number of scattering events of a path; the event at the first hit counts.
 const MAX_BOUNCES: u32 = 6;
 /// Number of texels per edge of the floor's texture. Each texel is several pixels wide, so that no
 /// renderer filters the texture.
@@ -43,7 +43,7 @@ enum Surface {
     Conductor(f32),
     /// Clear glass of index 1.5 and this GGX α.
     Dielectric(f32),
-    /// Black; it emits from its front.
+    /// A black surface that emits this radiance from its front.
     Light(Vec3),
 }
 
@@ -121,8 +121,8 @@ fn scenes() -> Vec<SceneSpec> {
     // The camera is on +z. The floor is a panel that leans back by 40°.
     let lean = Mat3::from_rotation_x(-0.7);
     let floor = |surface| (panel(Vec3::new(0.0, 0.0, -0.6), lean * Vec3::X * 2.5, lean * Vec3::Y * 2.5), surface);
-    // the lamp's front, u × v, faces down and away from the camera; a black panel right behind it
-    // hides its back, which renderers treat differently
+    // The lamp's front, u × v, faces down and away from the camera. A black panel right behind the
+    // lamp hides its back, since renderers disagree on the light from a back.
     let (lamp_u, lamp_v) = (Vec3::X * 0.6, Vec3::new(0.0, -0.42, 0.42));
     let lamp_at = Vec3::new(0.3, 1.1, 1.2);
     let lamp = |radiance| (panel(lamp_at, lamp_u, lamp_v), Surface::Light(radiance));

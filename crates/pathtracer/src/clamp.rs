@@ -7,8 +7,8 @@ use lumistack_core::colour::luminance;
 
 use crate::settings::Settings;
 
-/// Sums are whole numbers, in units of the limit divided by this number. Whole numbers add up to
-/// the same sum in any order.
+/// Removed light is added up in whole numbers, in units of the limit divided by this number. Whole
+/// numbers add up to the same sum in any order.
 const PARTS: f64 = 65536.0;
 
 /// Light that a limit removed from one view.
@@ -20,7 +20,8 @@ pub(crate) struct Clamped {
 }
 
 impl Clamped {
-    /// The sample, scaled so that no channel exceeds the limit.
+    /// Returns the sample, scaled so that no channel exceeds the limit. A sample that is not finite
+    /// stays as it is.
     pub(crate) fn dim(&self, radiance: Vec3, limit: f32) -> Vec3 {
         let largest = radiance.max_element();
         if largest <= limit || !radiance.is_finite() {

@@ -6,8 +6,8 @@ pub(crate) struct Distribution {
     /// Cumulative probability up to and including each entry; the last is 1.
     cumulative: Vec<f32>,
     probabilities: Vec<f32>,
-    /// First entry for each of n equal intervals of [0, 1). The search starts at it and takes
-    /// constant time on average (Chen, Asau 1974).
+    /// For each of n equal intervals of [0, 1): the entry that the interval's start chooses. A
+    /// search starts at this entry and takes constant time on average (Chen, Asau 1974).
     guide: Vec<u32>,
 }
 
@@ -26,10 +26,11 @@ impl Distribution {
                 running as f32
             })
             .collect();
-        // no number below 1 may choose an entry past the last one that has weight
+        // no number below 1 may choose an entry after the last entry that has weight
         let last = weights.iter().rposition(|&w| w > 0.0)?;
         cumulative[last..].fill(1.0);
-        // differences of the rounded sums, so that sampling and density agree up to rounding
+        // Probabilities are differences of the rounded sums, so that they agree with sampling up to
+        // rounding.
         let probabilities =
             (0..cumulative.len()).map(|i| cumulative[i] - if i == 0 { 0.0 } else { cumulative[i - 1] }).collect();
         let parts = cumulative.len() as f32;
@@ -39,7 +40,7 @@ impl Distribution {
         Some(Self { cumulative, probabilities, guide })
     }
 
-    /// Entry for `u` in [0, 1), and `u` rescaled from the entry's interval to [0, 1).
+    /// The entry that `u` in [0, 1) chooses, and `u` rescaled from the entry's interval to [0, 1).
     #[inline]
     pub(crate) fn sample(&self, u: f32) -> (usize, f32) {
         let last = self.cumulative.len() - 1;

@@ -4,9 +4,9 @@
 //! mesh. A mesh that is placed often is kept once, in its own space around its centre, with a
 //! transform per instance. So memory grows with unique geometry only.
 //!
-//! Render space is the scene moved to the centre of its bounds and scaled by a power of two. The
-//! scene's half diagonal is 1 to 2 there. So 32-bit rounding is relatively the same for scenes of
-//! any size and position.
+//! Render space is the scene moved to the centre of its bounds and scaled by a power of two. In
+//! render space the half diagonal of the bounds is 1 to 2. So 32-bit rounding is relatively the
+//! same for scenes of any size and position.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -56,9 +56,9 @@ pub(crate) enum Sharing {
 pub(crate) struct Geometry {
     scene: Arc<Scene>,
     pub(crate) space: RenderSpace,
-    /// First the `loose` triangles, in render space, wound counter-clockwise seen from the front.
-    /// After them come the triangles of shared meshes, each in the space of its tree, with the
-    /// winding of the mesh.
+    /// First the `loose` triangles, in render space, wound counter-clockwise as seen from the
+    /// front. Then the triangles of shared meshes, each in the space of its tree, with the winding
+    /// of the mesh.
     records: Vec<Record>,
     pub(crate) loose: Range<usize>,
     /// Triangles of each shared mesh.
@@ -152,7 +152,7 @@ impl Geometry {
     pub(crate) fn new(scene: Arc<Scene>, sharing: Sharing) -> Self {
         let space = RenderSpace::new(&scene);
         let shares = shared_meshes(&scene, sharing);
-        // loose triangles go to render space, and every instance keeps its transform
+        // Loose triangles are converted to render space, and every instance keeps its transform.
         let mut geometry = Self {
             space,
             records: Vec::with_capacity(unique_triangles(&scene, sharing)),
@@ -291,7 +291,8 @@ impl Geometry {
         prefetch(record.wrapping_add(64));
     }
 
-    /// The point of a loose triangle with these vertex weights (in the winding of render space).
+    /// The point of a loose triangle with these vertex weights, in the vertices' order in render
+    /// space.
     #[inline]
     pub(crate) fn point(&self, triangle: u32, barycentric: [f32; 3]) -> SurfacePoint<'_> {
         let record = &self.records[triangle as usize];
@@ -477,8 +478,8 @@ impl SurfacePoint<'_> {
         self.position + bulge(0) + bulge(1) + bulge(2)
     }
 
-    /// `normal`, turned by a tangent-space normal (glTF: x along u, y up in the picture). `None`
-    /// without tangents.
+    /// Returns `normal`, turned by a tangent-space normal (glTF: x along u, y up in the picture).
+    /// `None` if the mesh has no tangents.
     pub(crate) fn mapped_normal(&self, normal: Vec3, mapped: Vec3) -> Option<Vec3> {
         let tangents = &self.mesh().tangents;
         if tangents.is_empty() {
@@ -495,9 +496,9 @@ impl SurfacePoint<'_> {
 }
 
 /// Bends a shading normal by the smallest angle at which the mirror direction of `to_viewer` is
-/// above the surface. The method is that of Keller et al. 2017, "The Iray light transport
-/// simulation and rendering system", appendix. So there are no black rims, and the normal is always
-/// on the viewer's side. `shading` and `geometric` must be on the viewer's side of the surface.
+/// above the surface. So there are no black rims, and the normal is always on the viewer's side.
+/// `shading` and `geometric` must be on the viewer's side of the surface. Source: Keller et al.
+/// 2017, "The Iray light transport simulation and rendering system", appendix.
 pub(crate) fn bend_normal(shading: Vec3, geometric: Vec3, to_viewer: Vec3) -> Vec3 {
     let least = LEAST_REFLECTED_COSINE.min(0.9 * to_viewer.dot(geometric).max(0.0));
     let reflected = 2.0 * shading.dot(to_viewer) * shading - to_viewer;

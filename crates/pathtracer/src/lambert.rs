@@ -59,9 +59,9 @@ impl Lambert {
         }
     }
 
-    /// A scattered direction, rotated from one around the z axis
-    /// ([`cosine_directions`](crate::bsdf::cosine_directions)). `None` when it is below the surface
-    /// or nothing is reflected.
+    /// Turns `local`, a direction around the z axis from
+    /// [`cosine_directions`](crate::bsdf::cosine_directions), into a direction around the normal.
+    /// `None` if that direction is below the surface, or if nothing is reflected.
     #[inline]
     pub(crate) fn sample(&self, local: Vec3) -> Option<Scatter> {
         let (tangent, bitangent) = self.normals.mapped.any_orthonormal_pair();

@@ -3,7 +3,7 @@
 /// Sine and cosine of an angle of −1..1 turns; absolute error below 1e-6.
 #[inline]
 pub(crate) fn sin_cos_turns(turns: f32) -> (f32, f32) {
-    // nearest quarter turn, and the remainder of at most an eighth of a turn
+    // split the angle into the nearest quarter turn and a remainder of at most an eighth of a turn
     let quarters = (4.0 * turns + if turns < 0.0 { -0.5 } else { 0.5 }) as i32;
     let x = (turns - 0.25 * quarters as f32) * std::f32::consts::TAU;
     let x2 = x * x;
@@ -18,8 +18,8 @@ pub(crate) fn sin_cos_turns(turns: f32) -> (f32, f32) {
     }
 }
 
-/// Angle of a vector from the x axis, in turns, −0.5..0.5; absolute error below 2e-7. 0 for the
-/// zero vector.
+/// Angle from the x axis to the vector (x, y), in turns, −0.5..0.5. The absolute error is below
+/// 2e-7. The zero vector gives 0.
 #[inline]
 pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
     let (across, up) = (x.abs(), y.abs());
@@ -35,8 +35,9 @@ pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
 }
 
 /// Maps the unit square to the unit disc, equal areas to equal areas (concentric map of Shirley,
-/// Chiu 1997). One formula serves both halves of the map, and x and y are exchanged at the end. A
-/// branch would be slower, since no branch predictor can guess the half.
+/// Chiu 1997). The map has two halves, |a| > |b| and |a| ≤ |b|. One formula serves both halves, and
+/// x and y are exchanged at the end. A branch would be slower, since no branch predictor can guess
+/// the half.
 #[inline]
 pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
     let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
@@ -44,7 +45,7 @@ pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
     let (radius, other) = if across { (a, b) } else { (b, a) };
     let x = std::f32::consts::FRAC_PI_4 * if radius == 0.0 { 0.0 } else { other / radius };
     let x2 = x * x;
-    // Taylor series as in `sin_cos_turns`, |x| ≤ π/4
+    // Taylor series of sine and cosine, see `sin_cos_turns`; |x| is at most π/4
     let sin = x * (1.0 + x2 * (-1.0 / 6.0 + x2 * (1.0 / 120.0 + x2 * (-1.0 / 5040.0))));
     let cos = 1.0 + x2 * (-0.5 + x2 * (1.0 / 24.0 + x2 * (-1.0 / 720.0 + x2 * (1.0 / 40_320.0))));
     let (along, aside) = (radius * cos, radius * sin);
@@ -90,7 +91,7 @@ mod tests {
                 let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
                 // a square around the centre becomes a circle whose radius is the larger coordinate
                 assert!((x.hypot(y) - a.abs().max(b.abs())).abs() < 1e-5, "{u:?}");
-                // and an eighth of the square becomes an eighth of the disc
+                // an eighth of the square becomes an eighth of the disc, so angles are proportional
                 let turn = |x: f32, y: f32| f64::from(y).atan2(f64::from(x));
                 let expected = if a.abs() > b.abs() {
                     std::f64::consts::FRAC_PI_4 * f64::from(b / a) + if a < 0.0 { std::f64::consts::PI } else { 0.0 }

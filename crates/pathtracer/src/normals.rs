@@ -9,13 +9,14 @@ pub(crate) struct Normals {
     pub(crate) mapped: Vec3,
     /// Normal interpolated from the vertices.
     smooth: Vec3,
-    /// α² of the bumps that the normal map represents; 0 without a normal map.
+    /// α² of the GGX distribution of the bumps that the normal map represents; 0 without a normal
+    /// map.
     alpha2: f32,
 }
 
 impl Normals {
-    /// Normals of a point with a normal map. The bumps have α² = tan² ∠(mapped, smooth) / 8, at
-    /// most 1.
+    /// Normals of a point with a normal map. The bumps that the map represents have α² = tan²(angle
+    /// between `mapped` and `smooth`) / 8, at most 1.
     #[inline]
     pub(crate) fn new(mapped: Vec3, smooth: Vec3) -> Self {
         if mapped == smooth {
@@ -31,7 +32,7 @@ impl Normals {
         Self { mapped: normal, smooth: normal, alpha2: 0.0 }
     }
 
-    /// The same normals in another frame.
+    /// The same normals in another frame; `turn` maps a vector to that frame.
     pub(crate) fn turned(&self, turn: impl Fn(Vec3) -> Vec3) -> Self {
         let mapped = turn(self.mapped);
         Self { mapped, smooth: if self.alpha2 == 0.0 { mapped } else { turn(self.smooth) }, alpha2: self.alpha2 }
@@ -44,11 +45,11 @@ impl Normals {
     /// 2 cos θ / (cos θ + √(cos² θ + α² sin² θ))
     /// ```
     ///
-    /// This is Smith's shadowing of a GGX surface of the same roughness. With only the cosine to
-    /// the mapped normal, light would end in a hard edge where the smooth surface turns away. It
+    /// This is Smith's shadowing of a GGX surface of the same roughness. With the cosine to the
+    /// mapped normal alone, light would end in a hard edge where the smooth surface turns away. It
     /// would also reach slopes that neighbouring bumps hide. Source: Estevez, Lecocq, Stein 2019,
     /// "A microfacet-based shadowing function to solve the bump terminator problem", Ray Tracing
-    /// Gems; Cycles uses it too.
+    /// Gems.
     #[inline]
     pub(crate) fn unshadowed(&self, direction: Vec3) -> f32 {
         if self.alpha2 == 0.0 {
@@ -64,9 +65,9 @@ impl Normals {
 mod tests {
     use super::*;
 
-    /// Bumps shadow all light at the smooth surface's horizon, and none from straight above. At
-    /// other angles they shadow more, without a step, the steeper they are and the lower the light
-    /// is.
+    /// Bumps shadow all light that arrives along the smooth surface, and no light from straight
+    /// above. In between, the shadow grows steadily with the bumps' steepness, and as the light
+    /// gets lower.
     #[test]
     fn the_shadow_of_bumps_ends_softly() {
         let from = |degrees: f32| Vec3::new(degrees.to_radians().sin(), 0.0, degrees.to_radians().cos());

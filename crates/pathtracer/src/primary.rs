@@ -7,14 +7,14 @@
 //! (x, y, 0) − τ (s_x, s_y, 1),   τ from τ₀ in millimetres
 //! ```
 //!
-//! from a start τ₀. In oblique views the start is in front of the scene's bounds, so that objects
-//! in front of the display plane are seen too. In perspective views it is in front of the bounds,
-//! or at the eye if the eye is nearer to them. If the window has a near plane, no ray starts nearer
-//! to the viewer than that plane.
+//! from a start τ₀. So τ is −z in display space. In oblique views the start is in front of the
+//! scene's bounds, so that objects in front of the display plane are seen too. In perspective views
+//! the start is in front of the bounds, or at the eye if the eye is nearer to the bounds. If the
+//! window has a near plane, no ray starts nearer to the viewer than that plane.
 //!
-//! A sample has two offsets: from the centre of its pixel, and from the centre of its slopes. The
-//! start and the direction of its ray are linear in them. So a pixel's central ray is computed in
-//! f64, and the rays of its samples in f32 from that.
+//! A sample has two offsets: from the centre of its pixel, and from the centre of the range of
+//! slopes. The start and the direction of its ray are linear in these offsets. So a pixel's central
+//! ray is computed in f64. The samples' rays follow from the central ray in f32.
 
 use glam::{DVec3, Vec3};
 use lumistack_display::{FieldGeometry, Projection};
@@ -27,10 +27,12 @@ use crate::tracer::Cone;
 /// Width by which the scene's bounds are enlarged, relative to the scene's radius.
 const BOUNDS_MARGIN: f64 = 1e-5;
 /// Width of the texture footprint, as a fraction of the pixel's width. Samples are spread over the
-/// pixel, so each needs to cover only a fraction of it: each of 16 samples covers a quarter of its
-/// width. A footprint of half the pixel's width dims small letters, and trades variance (up to 3 %)
-/// for blur. A display shows that dimmer target better (still life: 36.8 dB instead of 36.2 dB),
-/// but with less detail: its gradients have 12 % less energy.
+/// pixel, so each needs to cover only a fraction of it. For example, each of 16 samples covers a
+/// quarter of the width.
+///
+/// Measured: a footprint of half the pixel's width dims small letters, and trades variance (up to 3
+/// %) for blur. A display shows that dimmer target better (still life: 36.8 dB instead of 36.2 dB).
+/// But the target has less detail: its gradients have 12 % less energy.
 const FOOTPRINT_SHARE: f64 = 0.25;
 
 /// The rays of one view.
@@ -39,7 +41,7 @@ pub(crate) struct PrimaryRays<'a> {
     view: [usize; 2],
     /// Full width of the range of slopes per axis, 0 for a single slope.
     slope_width: [f64; 2],
-    /// True if the range is the ellipse of those widths, not the rectangle.
+    /// True if slopes fill the ellipse with these widths, false if they fill the rectangle.
     round: bool,
     /// Display space in render space: its origin, one millimetre along each axis, and the length of
     /// a millimetre.
@@ -48,7 +50,8 @@ pub(crate) struct PrimaryRays<'a> {
     millimetre: f64,
     /// Half the size of the scene's bounds, with a margin.
     half_size: DVec3,
-    /// τ at the start of all rays, and the largest |τ| from the start to the far end of the bounds.
+    /// τ is −z in display space, in millimetres. These are τ at the start of all rays, and the
+    /// largest |τ| up to the far end of the bounds.
     start: f64,
     deepest: f64,
 }
@@ -61,11 +64,13 @@ pub(crate) struct PixelRays {
     direction: Vec3,
     /// Vectors of one pixel to the right and one pixel up, on the plane z = 0.
     pixel: [Vec3; 2],
-    /// Unit vectors to the right and up, and τ₀ in render space. A change of slope moves the start
-    /// along these vectors, in proportion to τ₀.
+    /// Unit vectors to the right and up in render space, and the distance from the display plane to
+    /// the start of the central ray. A change of slope moves the start along these vectors, in
+    /// proportion to that distance.
     axes: [Vec3; 2],
     start: f32,
-    /// Change of the slope across the pixel, and full width of the range of slopes.
+    /// Change of the slope over one pixel to the right and one pixel up, and the full width of the
+    /// range of slopes per axis.
     turn: [f32; 2],
     slope_width: [f32; 2],
     round: bool,
@@ -99,8 +104,8 @@ impl<'a> PrimaryRays<'a> {
         let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| space.scale * map.vector(axis));
         let millimetre = map.scale * space.scale;
         let half_size = space.half_size.as_dvec3() + BOUNDS_MARGIN * f64::from(space.radius);
-        // τ at the nearest and at the farthest corner of the bounds, whose centre is the origin of
-        // render space
+        // Along a ray, τ = −z in display space, in millimetres. The corners of the bounds, whose
+        // centre is the origin of render space, have τ from centre − reach to centre + reach.
         let toward = axes[2] / (millimetre * millimetre);
         let (centre, reach) = (origin.dot(toward), half_size.dot(toward.abs()));
         let start = match geometry.grid.projection {
@@ -117,22 +122,22 @@ impl<'a> PrimaryRays<'a> {
         let pitch = self.geometry.pitch_mm;
         let grid = &self.geometry.grid;
         let point = [self.geometry.x_mm(col), self.geometry.y_mm(row)];
-        // slope of the central ray, and its change across a pixel
+        // compute the slope of the central ray, and its change across a pixel
         let slope = grid.slope_at(self.view, point);
         let beside = grid.slope_at(self.view, point.map(|p| p + pitch));
         let turn = [0, 1].map(|axis| beside[axis] - slope[axis]);
         let [x, y, z] = self.axes;
         let on_plane = self.origin + point[0] * x + point[1] * y;
         let along = -(slope[0] * x + slope[1] * y + z);
-        // the texture footprint: constant in parallel projections, growing with the distance from
-        // the eye in perspective
+        // The width of the texture footprint is constant in parallel projections. In perspective it
+        // grows with the distance from the eye.
         let (start, spread) = match grid.projection {
             Projection::Oblique => (1.0, 0.0),
             Projection::Perspective { distance_mm } => {
                 (1.0 + self.start / distance_mm, pitch * self.millimetre / (distance_mm * along.length()))
             }
         };
-        // Width of the region that the pixel's rays cross at the depth where it is largest, summed
+        // Width of the region that the pixel's rays cross, at the depth where it is largest, summed
         // over both axes. A ray is at most half of this width away from the central ray.
         let spreading: f64 =
             [0, 1].map(|axis| pitch + self.deepest * (turn[axis].abs() + self.slope_width[axis])).into_iter().sum();
@@ -157,9 +162,9 @@ impl<'a> PrimaryRays<'a> {
 }
 
 impl PixelRays {
-    /// Fills at most [`BEAM`] rays. Each gets two offsets in −0.5..0.5, x to the right and y up.
-    /// The first is from the centre of the pixel, in pixels. The second is from the centre of the
-    /// range of slopes, in widths of that range.
+    /// Fills at most [`BEAM`] rays. `offsets` returns two offsets for a ray's index, x to the right
+    /// and y up, in −0.5..0.5. The first is from the centre of the pixel, in pixels. The second is
+    /// from the centre of the range of slopes, in widths of that range.
     #[inline]
     pub(crate) fn fill(&self, rays: &mut [Ray], offsets: impl Fn(usize) -> [[f32; 2]; 2]) {
         // one array per coordinate, so that roots and quotients are computed as vectors
@@ -211,7 +216,8 @@ impl PixelRays {
 
 /// True if a line intersects the box −`half`..`half`.
 fn passes_through(origin: DVec3, direction: DVec3, half: DVec3) -> bool {
-    // Avoids 0 · ∞: a line parallel to a pair of planes is between them everywhere or nowhere.
+    // A line parallel to two planes of the box is between them everywhere or nowhere. This test
+    // avoids 0 · ∞ for such a line.
     let across = direction.cmpeq(DVec3::ZERO);
     if (across & origin.abs().cmpgt(half)).any() {
         return false;
@@ -232,8 +238,8 @@ mod tests {
 
     use super::*;
 
-    /// Along each axis the disc has ⟨x²⟩ = r²/4, and every ring holds samples in proportion to its
-    /// area.
+    /// Points that [`in_disc`] maps from an even grid fill the disc evenly. Along each axis ⟨x²⟩ =
+    /// r²/4, and every ring holds points in proportion to its area.
     #[test]
     fn the_disc_is_filled_evenly() {
         let n = 400i16;
@@ -258,9 +264,9 @@ mod tests {
         assert_eq!(in_disc([0.0, 0.0]), [0.0, 0.0]);
     }
 
-    /// Rays of random windows that are far from the scene, near it or inside it. Each ray is the
-    /// line through its point of the display plane with its slope. It starts in front of the bounds
-    /// or at the eye. If it intersects the bounds, its pixel is `in_bounds`.
+    /// Rays of random windows that are far from the scene, near it or inside it. Each ray lies on
+    /// the line through its point of the display plane with its slope. It starts in front of the
+    /// bounds or at the eye. If it intersects the bounds, its pixel is `in_bounds`.
     #[test]
     fn rays_are_lines_of_the_display() {
         let mut stream = Stream::new(4);
@@ -305,7 +311,7 @@ mod tests {
                 let aside = (origin - on_plane).cross(direction).length();
                 let size = origin.length() + on_plane.length();
                 assert!(aside < 1e-6 * size, "{aside} of {size}");
-                // z of the ray's start in display space
+                // compute z of the ray's start in display space
                 let z = map.inverse_point(space.centre + origin / space.scale).z;
                 let rounded = 1e-6 * size / (space.scale * map.scale);
                 if let Projection::Perspective { distance_mm } = projection {

@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use crate::bvh::{BEAM, Bvh, Input, Ray, Stack};
 
-/// Largest number of rays of a beam.
+/// Largest number of rays of a beam, see [`Tree::hits_of_beam`].
 pub const BEAM_RAYS: usize = BEAM;
 
 /// A tree over triangles.
@@ -27,7 +27,7 @@ impl Tree {
     }
 
     /// Returns the distance to the nearest triangle on the ray, in lengths of `direction`, and the
-    /// index of that triangle.
+    /// index of that triangle. `None` if no triangle is nearer than `t_max`.
     #[inline]
     pub fn nearest(&self, origin: Vec3, direction: Vec3, t_max: f32, scratch: &mut Scratch) -> Option<(f32, u32)> {
         let hit = self.0.nearest(&Ray { origin, direction, t_max }, &mut scratch.0, |_| true)?;
@@ -49,7 +49,7 @@ impl Tree {
         hits.iter().flatten().count()
     }
 
-    /// True if the segment hits no triangle.
+    /// True if the segment from `origin` to `origin + t_max · direction` hits no triangle.
     #[inline]
     pub fn is_open(&self, origin: Vec3, direction: Vec3, t_max: f32, scratch: &mut Scratch) -> bool {
         self.0.transmittance(&Ray { origin, direction, t_max }, &mut scratch.0, |_| Vec3::ZERO) == Vec3::ONE

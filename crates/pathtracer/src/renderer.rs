@@ -217,8 +217,8 @@ impl Renderer {
         self
     }
 
-    /// Steps by which one call of [`render_view`](Self::render_view) advances the progress: the
-    /// number of its tiles.
+    /// Number of steps by which one call of [`render_view`](Self::render_view) advances the
+    /// progress: the number of its tiles.
     pub fn steps_per_view(geometry: &FieldGeometry) -> u64 {
         Tiles::new(geometry).count() as u64
     }
@@ -246,9 +246,9 @@ impl Renderer {
         self.view_of::<false, 3>(window, geometry, view, settings, task, mean, rgb)
     }
 
-    /// `K` values of every pixel of a view, `[row][col][k]`. `radiance` returns the radiance that
-    /// the values of a pixel contain. With `FIRST` the values also depend on the first surfaces of
-    /// the paths.
+    /// Computes `K` values for every pixel of a view, `[row][col][k]`. `radiance` extracts the
+    /// radiance from the values of a pixel. If `FIRST` is true, the values also depend on the first
+    /// surfaces of the paths.
     fn view_of<const FIRST: bool, const K: usize>(
         &self,
         window: &Window,
@@ -380,7 +380,7 @@ impl Renderer {
         stack: &mut Stack,
     ) -> (PixelMean, FirstSums) {
         let tracer = self.tracer();
-        // sums in double precision, since their difference gives the variance
+        // Sums are in double precision, since the variance is a small difference of large sums.
         let (mut sum, mut squares) = ([0.0f64; 3], [0.0f64; 3]);
         let mut not_finite = 0;
         let mut sums = FirstSums::default();
@@ -402,7 +402,8 @@ impl Renderer {
                 }
                 if sample.is_finite() {
                     if FIRST {
-                        // `Settings::clamp` dims diffuse and other light by the same factor
+                        // `Settings::clamp` may have dimmed the sample; dim its diffuse light by
+                        // the same factor
                         let kept = if sample == traced { 1.0 } else { sample.max_element() / traced.max_element() };
                         sums.add_diffuse(kept * first[index].diffuse);
                     }
@@ -443,8 +444,8 @@ impl Renderer {
         let fill = |tile: usize| -> Result<Vec<[f32; K]>, Cancelled> {
             let mut stack = self.bvh.stack();
             let one = |(row, col)| {
-                // checked per pixel, not per tile, since a pixel of very many samples may take
-                // seconds
+                // Cancellation is checked at every pixel, since a tile may take long: a pixel of
+                // very many samples takes seconds.
                 task.cancel.check()?;
                 Ok(pixel(row, col, &mut stack))
             };
@@ -466,7 +467,7 @@ impl Renderer {
     }
 }
 
-/// Radiance of a pixel whose first three values are the radiance.
+/// Extracts the radiance from the values of a pixel, whose first three values are the radiance.
 fn rgb(values: &[f32]) -> [f32; 3] {
     [values[0], values[1], values[2]]
 }
@@ -542,8 +543,8 @@ mod tests {
 
     use super::*;
 
-    /// A bowl with texture coordinates that is placed often: turned, stretched, mirrored. One of
-    /// its materials is transparent.
+    /// A scene with many instances of a bowl with texture coordinates: turned, stretched, mirrored.
+    /// One of the bowl's materials is transparent.
     fn bowls(alpha_mode: AlphaMode) -> Arc<Scene> {
         let size = 7;
         let mut mesh = Mesh::default();
@@ -600,7 +601,7 @@ mod tests {
     }
 
     /// Instances that share a tree show the same scene as copies in one tree. The same random
-    /// numbers make the same paths except where rounding decides, so the pictures differ far less
+    /// numbers make the same paths except where rounding decides. So the pictures differ far less
     /// than by noise. A transparent surface draws other numbers if its tree is shared, so its
     /// pictures differ by the noise.
     #[test]
@@ -634,7 +635,7 @@ mod tests {
             let share = if alpha_mode == AlphaMode::Opaque { 0.05 } else { 1.3 };
             assert!(square(&copied, &shared) < share * noise, "{} against noise {noise}", square(&copied, &shared));
             // The bound is five standard errors of the difference of two means. The three channels
-            // of a pixel are one sample.
+            // of a pixel come from the same paths, so they count as one sample.
             let bound = 5.0 * (noise / (copied.data().len() / 3) as f64).sqrt();
             assert!((mean(&copied) - mean(&shared)).abs() < bound, "{} and {}", mean(&copied), mean(&shared));
             assert!(mean(&copied) > 0.1);

@@ -6,21 +6,22 @@
 //! "Practical Hash-based Owen Scrambling").
 //!
 //! Scrambling at every draw costs more than tracing, so a bank of [`PATTERNS`] scrambled sequences
-//! is made once. Each draw picks a pattern and flips bits of the sample's index and of the values
-//! by a hash of (pixel, pair). So it costs one hash and one load. Flipping keeps every sequence's
-//! stratification (Kollig, Keller 2002) and makes each point uniform, hence the estimate unbiased.
+//! is made once. Each draw picks a pattern and flips bits of the sample's index and of the values,
+//! by a hash of (pixel, pair). So a draw costs one hash and one load. Flipping keeps every
+//! sequence's stratification (Kollig, Keller 2002) and makes each point uniform. Hence the estimate
+//! is unbiased.
 
 use lumistack_core::seed;
 
-/// Number of scrambled sequences in the bank. Two pairs of a path use different sequences if they
-/// are less than this apart.
+/// Number of scrambled sequences in the bank. Two pairs of dimensions use different sequences if
+/// their indices differ by less than this number.
 const PATTERNS: usize = 64;
 /// Length of the longest sequence in the bank; further samples use the sequence again with another
 /// hash.
 const LONGEST: u32 = 4096;
 /// Odd step between the hash inputs of successive pairs (2⁶⁴ / golden ratio).
 const PAIR_STEP: u64 = 0x9e37_79b9_7f4a_7c15;
-/// Fixed seed of the bank; the job's seed enters by the pixel's hash.
+/// Fixed seed of the bank. The job's seed has its effect by the hash of the pixel.
 const BANK_SEED: u64 = 0x5eed_ba17;
 
 /// The bank of scrambled sequences for one number of samples per pixel.
@@ -39,11 +40,11 @@ pub(crate) struct Draws<'a> {
     first: u32,
 }
 
-/// One pair of dimensions of a pixel.
+/// One pair of dimensions of the samples of a pixel.
 #[derive(Clone, Copy)]
 pub(crate) struct Pair<'a> {
     points: &'a [[u32; 2]],
-    /// Bits that are flipped in the index, and in the two values.
+    /// Bits that are flipped in a sample's index (`flip`) and in its two values (`flips`).
     flip: u32,
     flips: [u32; 2],
 }
@@ -69,9 +70,9 @@ impl SampleBank {
         Self { points, length, parts }
     }
 
-    /// The numbers for sample `first` and the following samples of the pixel with this hash. All
-    /// samples of one [`Draws`] must be within one pass of the bank's sequence. This is so if
-    /// `first` is a multiple of a power of two, and at most that number of samples are drawn.
+    /// The random numbers of sample `first` and the samples after it, for the pixel with this hash.
+    /// `first` must be a multiple of a power of two, and at most that number of samples may be
+    /// drawn. Otherwise they would extend over the end of the bank's sequence.
     pub(crate) fn draws(&self, pixel: u64, first: u32) -> Draws<'_> {
         let pixel = if first < self.length { pixel } else { seed::derive(pixel, &[u64::from(first / self.length)]) };
         Draws { bank: self, pixel, first: first & (self.length - 1) }
@@ -79,9 +80,9 @@ impl SampleBank {
 }
 
 impl<'a> Draws<'a> {
-    /// Number of equal parts of [0, 1), each of which holds one of the numbers that a pixel's
-    /// samples draw. This holds for both numbers of every pair. If the number of samples is no
-    /// power of two, a part holds one or two.
+    /// Number of equal parts into which a pixel's samples stratify [0, 1). Each part holds one of
+    /// the samples' numbers, for both dimensions of every pair. If the number of samples is no
+    /// power of two, a part holds one or two numbers.
     #[inline]
     pub(crate) fn parts(&self) -> u32 {
         self.bank.parts
@@ -104,8 +105,8 @@ impl<'a> Draws<'a> {
 }
 
 impl Pair<'_> {
-    /// The two numbers of a sample, each in [0, 1). Samples are counted from the first of these
-    /// draws.
+    /// The two numbers of a sample, each in [0, 1). The first sample of these [`Draws`] has the
+    /// index 0.
     #[inline]
     pub(crate) fn of(&self, sample: usize) -> [f32; 2] {
         // the length of the sequence is a power of two, so the mask keeps the index in range
@@ -134,8 +135,8 @@ fn sobol_second(mut index: u32) -> u32 {
     result
 }
 
-/// Owen's nested uniform scrambling: each bit is flipped by a hash of the bits above it. Slow and
-/// exact; used only for the bank.
+/// Owen's nested uniform scrambling: each bit is flipped by a hash of the bits above it. This
+/// function is slow and exact, and only the bank uses it.
 fn owen_scramble(value: u32, key: u64) -> u32 {
     let mut result = value;
     for bit in 0..32 {
@@ -202,8 +203,9 @@ mod tests {
         }
     }
 
-    /// If n is a power of two, both numbers of every pair put one sample into each of n equal
-    /// parts. For other n, each part of the next smaller power holds one or two.
+    /// If the number n of samples is a power of two, both numbers of every pair put one sample into
+    /// each of n equal parts. For another n, each of the parts holds one or two samples; the number
+    /// of parts is the next smaller power of two.
     #[test]
     fn every_number_is_stratified() {
         for samples in [16u32, 48, 64] {
@@ -227,8 +229,8 @@ mod tests {
 
     #[test]
     fn pairs_and_pixels_are_independent() {
-        // correlations between pairs, between pixels and between samples, as means of products over
-        // many pixels
+        // Correlations between pairs, between pixels and between samples are means of products of
+        // centred numbers over many pixels.
         let bank = SampleBank::new(16);
         let pixels = 20_000u64;
         let mut sums = [0.0f64; 4];
@@ -242,8 +244,8 @@ mod tests {
             sums[2] += a[0] * draw(pixel + 1, 3, 2)[0];
             sums[3] += a[1];
         }
-        // a product has the standard deviation 1/12, a value 0.289; the bound is five standard
-        // errors
+        // The bound is five standard errors. A product of two numbers in ±0.5 has the standard
+        // deviation 1/12, and one such number has 0.289.
         let bound = 5.0 / (pixels as f64).sqrt();
         for (sum, deviation) in sums.iter().zip([1.0 / 12.0, 1.0 / 12.0, 1.0 / 12.0, 0.289]) {
             assert!((sum / pixels as f64).abs() < bound * deviation, "{sums:?}");
@@ -252,8 +254,8 @@ mod tests {
 
     #[test]
     fn a_smooth_integral_converges_faster_than_random() {
-        // the integral of a disc of radius 1 around the origin is π/4; its standard deviation with
-        // random points is 0.41/√n
+        // The integral is the area π/4 of a quarter disc of radius 1. With random points its
+        // standard deviation is 0.41/√n.
         let samples = 256;
         let bank = SampleBank::new(samples);
         let mean_square: f64 = (0..200)
@@ -272,7 +274,7 @@ mod tests {
         assert!(mean_square < random / 10.0, "{mean_square} against {random}");
     }
 
-    /// The numbers of a sample do not depend on how many samples are drawn together.
+    /// A sample has the same numbers for any number of samples that are drawn together.
     #[test]
     fn samples_are_the_same_in_any_company() {
         for samples in [1, 16, 48, LONGEST + 40] {

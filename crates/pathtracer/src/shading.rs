@@ -82,7 +82,7 @@ impl Materials {
         Self { scene, textures, slots, compensated: true }
     }
 
-    /// Leaves out the light that compensation returns.
+    /// Turns the compensation off, so that surfaces lose the light that single scattering loses.
     pub(crate) fn without_compensation(&mut self) {
         self.compensated = false;
     }
@@ -104,7 +104,7 @@ impl Materials {
         flags
     }
 
-    /// Opaque fraction of the surface by its alpha, 0..1.
+    /// Opaque fraction of the surface, 0..1, which follows from the alpha at the point.
     pub(crate) fn coverage(&self, index: usize, point: &SurfacePoint<'_>) -> f32 {
         match self.scene.materials[index].alpha_mode {
             AlphaMode::Opaque => 1.0,
@@ -205,7 +205,8 @@ impl Materials {
         Layers::new(material, &slots.layers, texel)
     }
 
-    /// Normals and tangent on the viewer's side; `geometric` is on that side.
+    /// Normals and tangent at a point, on the viewer's side. `geometric` must be on the viewer's
+    /// side.
     pub(crate) fn frame(
         &self,
         index: usize,
@@ -260,7 +261,7 @@ impl Materials {
         if front { Normals::new(mapped, smooth) } else { Normals::new(-mapped, -smooth) }
     }
 
-    /// A normal turned by a normal map, if there is one.
+    /// Returns `normal`, turned by the normal map of `slot` if there is one.
     #[inline]
     fn turned(&self, slot: &Option<Slot>, scale: f32, normal: Vec3, point: &SurfacePoint<'_>, width: f32) -> Vec3 {
         let Some(slot) = slot else { return normal };
@@ -268,7 +269,8 @@ impl Materials {
         point.mapped_normal(normal, Vec3::new(scale * texel.x, scale * texel.y, texel.z)).unwrap_or(normal)
     }
 
-    /// Colour of white light after a distance inside the solid, and that distance in scene units.
+    /// Colour that white light gets over a distance inside the solid, and that distance in scene
+    /// units.
     pub(crate) fn attenuation(&self, index: usize) -> (Vec3, f32) {
         let material = &self.scene.materials[index];
         (material.attenuation_color, material.attenuation_distance)

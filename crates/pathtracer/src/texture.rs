@@ -11,7 +11,7 @@ use glam::{Vec2, Vec4};
 use lumistack_core::colour::{srgb_code, srgb_decode};
 use lumistack_scene::{Filter, Image, Pixels, Scene, Texture, TextureUse, Wrap};
 
-/// Encoding of an image's codes in one slot.
+/// Encoding of the values that a texture slot reads from an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Encoding {
     /// RGB is sRGB-encoded, alpha linear.
@@ -177,8 +177,8 @@ fn interpolate(
 /// `coordinate` (0..1 over the texture) times `size`, less `shift`, in texels.
 #[inline]
 fn neighbours(coordinate: f32, size: usize, wrap: Wrap, shift: f32) -> (usize, usize, f32) {
-    // folded into one period (two if mirrored) before scaling, so that comparisons replace
-    // divisions when texels are found
+    // The coordinate is folded into one period (two if mirrored) before it is scaled. Then
+    // comparisons instead of divisions find the texels.
     let folded = match wrap {
         Wrap::Repeat => coordinate - floor(coordinate),
         Wrap::MirroredRepeat => {
@@ -200,8 +200,8 @@ fn neighbours(coordinate: f32, size: usize, wrap: Wrap, shift: f32) -> (usize, u
     (first as usize, second as usize, share)
 }
 
-/// Floor without a library call, for |x| < 2³¹. Larger values keep their sign, so that they become
-/// texel 0 or the last texel.
+/// Floor without a library call, exact for |x| < 2³¹. The result for a larger |x| has the right
+/// sign, so that it becomes texel 0 or the last texel.
 #[inline]
 fn floor(x: f32) -> f32 {
     let whole = x as i32 as f32;
@@ -214,7 +214,7 @@ fn rough_log2(x: f32) -> f32 {
     x.to_bits() as f32 * (1.0 / (1u32 << 23) as f32) - 127.0
 }
 
-/// Levels 1, 2, ... down to a single texel.
+/// Makes the levels 1, 2, ... of an image's pyramid, down to a single texel.
 fn pyramid(image: &Image, encoding: Encoding) -> Vec<Level> {
     let mut levels: Vec<Level> = Vec::new();
     loop {

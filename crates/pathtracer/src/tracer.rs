@@ -8,9 +8,10 @@
 //! T is the throughput, f the scattering function, and E the emission of the hit surface. The
 //! second term is one sampled light with the radiance L_l and the visibility V. The density of
 //! scattered directions is p_b, the density of light sampling is p_l. In the power heuristic w, the
-//! numerator is the squared density of the technique that made the sample. Alpha of mode `Blend` is
-//! decided by chance along scattered rays, and multiplied along shadow rays. Both have the right
-//! mean.
+//! numerator is the squared density of the technique that made the sample.
+//!
+//! Alpha of mode `Blend` is decided by chance along scattered rays, and multiplied along shadow
+//! rays. Both ways have the right mean.
 //!
 //! The samples of a pixel are traced together, one vertex of all paths at a time. First rays are
 //! close together and traverse the tree as a beam. Random numbers of a vertex share their hash.
@@ -27,8 +28,8 @@
 //!   larger pieces than they were written in. So directions around normals and primary rays are
 //!   computed for all paths together, as vectors. Hits are written where they are read, and a
 //!   light's density is kept as its inverse. Together this gave 9 % more samples.
-//! * A loop over the paths for each step of a vertex (surface, light, scattered direction) cost
-//!   3 %, since the steps' results have to be stored.
+//! * A loop over all paths for each step of a vertex (surface, light, scattered direction) cost 3
+//!   %. The steps' results have to be stored.
 //! * Traced as a beam, the shadow rays of first hits took 1.6 times as long as one by one. The beam
 //!   tested the bounds of every block with eight rays together.
 
@@ -59,7 +60,8 @@ const INSTANCE_STEP: u64 = 0x2545_f491_4f6c_dd1d;
 const WAVE_PAIR: u64 = ALPHA_PAIRS - 1;
 /// Largest chance of a path to survive roulette, so that paths in lossless scenes end too.
 const MOST_SURVIVAL: f32 = 0.95;
-/// Footprints widen by this fraction of the distance after a scattering lobe of α = 1.
+/// Factor on a lobe's α. After a lobe of α = 1, a footprint widens by this fraction of the
+/// distance.
 const SCATTER_SPREAD: f32 = 0.1;
 /// Approximate reflectance of a dielectric at normal incidence.
 const DIELECTRIC_SHARE: f32 = 0.04;
@@ -126,8 +128,8 @@ struct Path {
     inside: Option<usize>,
     /// Wavelength of a path that has entered dispersing glass.
     wave_nm: Option<f32>,
-    /// With `FIRST`, the fraction of the light from the next direction that the first surface
-    /// scatters by Lambert's law.
+    /// Fraction of the light from the next direction that the first surface scatters by Lambert's
+    /// law. It is set only if the first surfaces are recorded.
     diffuse: Vec3,
 }
 
@@ -165,12 +167,12 @@ struct Shadows {
     rays: [Ray; BEAM],
     /// Index of the path, direction to the light, contribution.
     lights: [(usize, Vec3, Vec3); BEAM],
-    /// With `FIRST`, the fraction of the contribution that a first surface scatters by Lambert's
-    /// law.
+    /// For a contribution at a first surface, the fraction that the surface scatters by Lambert's
+    /// law. It is set only if the first surfaces are recorded.
     diffuse: [Vec3; BEAM],
 }
 
-/// A hit with the data for its shading.
+/// A hit with the data by which it is shaded.
 struct Vertex<'a> {
     point: SurfacePoint<'a>,
     material: usize,
@@ -181,10 +183,11 @@ struct Vertex<'a> {
 }
 
 impl Tracer<'_> {
-    /// Radiance along at most [`BEAM`] rays of a pixel, which draw their numbers from `draws` one
-    /// after another. Rays that are not `in_bounds` hit nothing. The call overwrites `rays`. With
-    /// `FIRST` it writes the first surface of every path to `first`, which needs an element per
-    /// ray. The radiance is the same to the bit with and without `FIRST`.
+    /// Radiance along at most [`BEAM`] rays of a pixel. `draws` has the random numbers of
+    /// successive samples, one sample per ray. If `in_bounds` is false, the rays hit nothing. The
+    /// call overwrites `rays`. If `FIRST` is true, it writes the first surface of every path to
+    /// `first`, which needs an element per ray. The radiance is the same to the bit for both values
+    /// of `FIRST`.
     pub(crate) fn radiance<const FIRST: bool>(
         &self,
         rays: &mut [Ray],
@@ -217,7 +220,7 @@ impl Tracer<'_> {
             lights: [(0, Vec3::ZERO, Vec3::ZERO); BEAM],
             diffuse: [Vec3::ZERO; BEAM],
         };
-        // a bit per path that continues
+        // each path that continues has its bit set
         let mut going = (1u32 << rays.len()) - 1;
         for bounce in 0..=settings.max_bounces {
             let pairs = PRIMARY_PAIRS + VERTEX_PAIRS * u64::from(bounce);
@@ -291,8 +294,8 @@ impl Tracer<'_> {
         paths.map(|path| path.radiance)
     }
 
-    /// The first surfaces that the rays of [`radiance`](Self::radiance) hit, without their light
-    /// and without the reflectance of their diffuse lobe.
+    /// Finds the first surfaces that the rays of [`radiance`](Self::radiance) hit. Their light and
+    /// the reflectance of their diffuse lobe are not computed.
     pub(crate) fn first(
         &self,
         rays: &mut [Ray],
@@ -408,8 +411,8 @@ impl Tracer<'_> {
         // next-event estimation: one sampled light, whose shadow ray is traced later
         let [u_roulette, u_fresnel] = pairs[2].of(index);
         if surface.is_smooth() && self.lights.can_be_sampled() {
-            // the roulette's number may be used twice, since this term is only added to the rest of
-            // the path
+            // `u_roulette` may serve two purposes, the light's sample and the roulette. The sampled
+            // light is only added to the rest of the path, so its mean does not change.
             self.direct(
                 &vertex,
                 &surface,
@@ -468,7 +471,7 @@ impl Tracer<'_> {
         hit.map(|hit| hit.t)
     }
 
-    /// The guide of a first surface, for a path that ends there.
+    /// The guide of a path's first surface, for a path whose light is not computed.
     fn guide(&self, vertex: &Vertex<'_>, to_viewer: Vec3) -> Guide {
         if self.traits[vertex.material] & LAMBERTIAN != 0 {
             return Guide::of_lambert(&self.lambert(vertex));
@@ -523,8 +526,9 @@ impl Tracer<'_> {
         let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine, parts) else {
             return;
         };
-        // The light of punctual lights ends where the smooth surface turns away, not where its
-        // triangles do. No other technique finds this light, so the weights stay right.
+        // Light of punctual lights ends where the smooth surface turns away, not where its
+        // triangles do. No other technique finds this light, so the weights of the power heuristic
+        // stay right.
         let is_hard = light.inverse_pdf == 0.0 && vertex.may_bulge(surface);
         let (value, scatter_pdf) = if is_hard {
             surface.evaluate_above(vertex.smooth_normal(), light.direction)
@@ -548,7 +552,7 @@ impl Tracer<'_> {
         shadows.count += 1;
     }
 
-    /// True if the hit surface is one that first hits pass through.
+    /// True if the hit surface is a lamp that viewers do not see.
     fn is_unseen(&self, hit: &Hit) -> bool {
         self.traits[self.geometry.material_index(hit.triangle)] & UNSEEN != 0
     }
@@ -566,7 +570,7 @@ impl Tracer<'_> {
         if coverage <= 0.0 || coverage >= 1.0 {
             return coverage > 0.0;
         }
-        // `instance` is 0 for a hit without an instance
+        // `NO_INSTANCE` + 1 wraps to 0, so a hit without an instance is not moved to other pairs
         let instance = u64::from(hit.instance.wrapping_add(1)).wrapping_mul(INSTANCE_STEP);
         let pair = (u64::from(bounce) << 32) + u64::from(hit.triangle);
         draws.pair((ALPHA_PAIRS + pair) ^ instance).of(index)[0] < coverage
@@ -631,7 +635,8 @@ impl Surface {
         }
     }
 
-    /// The fraction of `value` = f |cos| that the diffuse lobe contributes to it, 0..1 per channel.
+    /// The fraction of `value` that the diffuse lobe contributes, 0..1 per channel. `value` is f
+    /// |cos| of all lobes for `direction`.
     fn diffuse_share(&self, value: Vec3, direction: Vec3) -> Vec3 {
         match self {
             Self::Lambert(_) => Vec3::ONE,
@@ -676,8 +681,8 @@ impl Vertex<'_> {
         First { is_there: true, diffuse: Vec3::ZERO, reflectance, position, normal, guide }
     }
 
-    /// The receiver for choosing a light. With `horizon`, light may also arrive from below the
-    /// triangle's horizon, if the triangle approximates a smooth opaque surface.
+    /// The receiver by which a light is chosen. If `horizon` is true and the triangle approximates
+    /// a smooth opaque surface, light may also arrive from below the triangle's plane.
     #[inline(always)]
     fn receiver(&self, surface: &Surface, horizon: bool) -> Receiver {
         let tilt = if horizon && self.may_bulge(surface) {
@@ -689,8 +694,8 @@ impl Vertex<'_> {
         Receiver { position: self.point.position, normal: (!surface.transmits()).then_some(self.normal), tilt }
     }
 
-    /// True if light may arrive from below the triangle's horizon, since the triangle approximates
-    /// a smooth opaque surface.
+    /// True if the triangle approximates a smooth opaque surface. Light may then arrive from below
+    /// the triangle's plane.
     fn may_bulge(&self, surface: &Surface) -> bool {
         !self.point.is_flat() && !surface.transmits()
     }
@@ -713,15 +718,15 @@ impl Vertex<'_> {
     }
 }
 
-/// The power heuristic for a sample. `ratio` is the density with which another technique finds the
-/// sample, divided by the density of the sample's own technique.
+/// The weight of a sample by the power heuristic. `ratio` is the density with which the other
+/// technique finds the sample, divided by the density of the technique that drew it.
 #[inline]
 fn heuristic(ratio: f32) -> f32 {
     1.0 / (1.0 + ratio * ratio)
 }
 
-/// The density of another technique over that of the sample's own technique. The own density is
-/// infinite if no other technique can find the sample.
+/// The density of the other technique divided by the density of the technique that drew the sample.
+/// `own` is infinite if no other technique can find the sample.
 #[inline]
 fn ratio(other: f32, own: f32) -> f32 {
     if other == 0.0 { 0.0 } else { other / own }

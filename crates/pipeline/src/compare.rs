@@ -39,7 +39,7 @@ pub struct RunComparison {
     pub second_zone: Option<ZoneLikeness>,
     /// Number of directions of the first run's viewing zone whose seen pictures were compared.
     pub directions: usize,
-    /// The second run compared with the first run, over these directions.
+    /// The second run compared with the first run, over the compared directions.
     pub between: Likeness,
     /// Number of views of the first run's target that were compared; 0 without a target.
     pub views: usize,
@@ -143,11 +143,11 @@ pub fn compare_runs(
     })
 }
 
-/// Samples of a pupil per axis; samples outside of its disc are skipped.
+/// Samples of a pupil per axis; samples outside of the pupil's disc are skipped.
 const PUPIL_SAMPLES: usize = 7;
 
-/// The picture for an eye at `eye_mm` with a pupil of diameter `pupil_mm` that focuses on the depth
-/// `focus_mm`: `[row][col][rgb]`, linear, L̃/β.
+/// Returns the picture for an eye at `eye_mm` with a pupil of diameter `pupil_mm` that focuses on
+/// the depth `focus_mm`: `[row][col][rgb]`, linear, L̃/β.
 ///
 /// # Errors
 /// If the eye is not in front of the display and of the focus.
@@ -166,7 +166,7 @@ pub fn refocused(
         let expected = format!("a depth below {distance} mm, the distance of the eye");
         return Err(PipelineError::option("--focus", "Z", expected, focus_mm.to_string()));
     }
-    // Average over a square grid of samples, without those outside of the pupil's disc.
+    // Average over a square grid of samples, without the samples outside of the pupil's disc.
     let pixels = display.field_pixels();
     let mut sum = Tensor::zeros(["row", "col", "rgb"], [pixels.rows, pixels.cols, 3]);
     let mut count = 0u32;
@@ -176,7 +176,7 @@ pub fn refocused(
             continue;
         }
         let view = picture_from(display, stack, Viewpoint::Eye([eye_mm[0] + dx, eye_mm[1] + dy, distance]), false)?;
-        // rows count downwards, and y points up
+        // Rows count downwards, but y points up, so dy changes its sign.
         let shift = [-dy, dx].map(|offset| offset * focus_mm / ((distance - focus_mm) * pixels.pitch_mm));
         add_moved(&mut sum, &view, shift);
         count += 1;
@@ -185,7 +185,8 @@ pub fn refocused(
     Ok(sum)
 }
 
-/// Adds a picture that is shifted by [rows, columns]. Pixels of the edge are repeated outwards.
+/// Adds a picture that is shifted by [rows, columns]. Shifted pixels from outside of the picture
+/// have the values of its edge.
 fn add_moved(sum: &mut Tensor<3>, view: &Tensor<3>, [down, right]: [f64; 2]) {
     let [rows, cols, _] = view.shape();
     let axis = |i: usize, shift: f64, count: usize| {

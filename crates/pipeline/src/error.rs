@@ -241,7 +241,7 @@ impl From<Cancelled> for PipelineError {
 }
 
 impl PipelineError {
-    /// Error for a wrong value of a file.
+    /// Returns an error for a wrong value of a file.
     pub fn value(
         place: impl Into<Place>,
         key: impl Into<String>,
@@ -252,12 +252,12 @@ impl PipelineError {
         Self::Value(Box::new(BadValue { place, key, expected, found }))
     }
 
-    /// Error for a wrong value of the job.
+    /// Returns an error for a wrong value of the job.
     pub fn job(key: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self::value(Place::Job, key, expected, found)
     }
 
-    /// Error for a wrong value of a command-line option or an environment variable.
+    /// Returns an error for a wrong value of a command-line option or an environment variable.
     pub fn option(
         name: &'static str,
         key: impl Into<String>,
@@ -267,12 +267,13 @@ impl PipelineError {
         Self::value(Place::Option(name), key, expected, found)
     }
 
-    /// Error for a result that was replaced just after it was written, for `ok_or_else`.
+    /// Returns a function, for `ok_or_else`, that makes the error for a result that was replaced
+    /// just after it was written.
     pub(crate) fn replaced<'a>(path: &'a Path, role: &'static str) -> impl FnOnce() -> Self + 'a {
         move || Self::Replaced { path: path.to_owned(), role }
     }
 
-    /// Error of work that a command does outside of the pipeline, for `map_err`.
+    /// Wraps an error of work that a command does outside of the pipeline, for `map_err`.
     pub fn command(error: impl std::error::Error + Send + Sync + 'static) -> Self {
         Self::Command(Box::new(error))
     }
@@ -304,7 +305,7 @@ impl PipelineError {
         false
     }
 
-    /// Error for a failed write, for `map_err`.
+    /// Returns a function, for `map_err`, that makes the error for a failed write.
     pub fn write(path: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
         move |source| Self::Write { path: path.to_owned(), source }
     }

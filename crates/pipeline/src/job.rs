@@ -53,7 +53,7 @@ pub struct Job {
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub scene: Option<PathBuf>,
-    /// Light field of another program: a folder, `.npy`, a quilt.
+    /// Light field of another program: a folder of views, a `.npy` file or a quilt.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub light_field: Option<PathBuf>,
@@ -74,10 +74,10 @@ pub struct Job {
     /// Light and exposure.
     #[serde(default)]
     pub light: LightJob,
-    /// Path tracer.
+    /// Settings of the path tracer.
     #[serde(default)]
     pub render: RenderJob,
-    /// Factorizer.
+    /// Settings of the factorizer.
     #[serde(default)]
     pub factorize: FactorizeJob,
     /// Time steps of a sequence; without it the job is a still.
@@ -86,7 +86,7 @@ pub struct Job {
     /// Designs to compare, for `lumistack sweep`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sweep: Option<SweepJob>,
-    /// Report.
+    /// Settings of the report.
     #[serde(default)]
     pub report: ReportJob,
     /// Plugin, folders and memory for reading the scene's files.
@@ -138,7 +138,7 @@ pub struct PoseJob {
     pub crop_sphere: Option<[f64; 4]>,
 }
 
-/// Report.
+/// Settings of the report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReportJob {
@@ -176,7 +176,7 @@ impl Job {
     /// The inputs that a job may have, for messages.
     pub(crate) const INPUTS: &'static str = "one of `scene`, `light_field` and `source`";
 
-    /// A job for a display, with defaults for everything else.
+    /// Returns a job for a display, with defaults for everything else.
     pub fn new(display: DisplayJob) -> Self {
         Self {
             schema: format(),
@@ -242,7 +242,7 @@ impl Job {
         Ok(job)
     }
 
-    /// All paths in the job.
+    /// Returns all paths in the job.
     pub fn paths_mut(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let own = [
             &mut self.scene,
@@ -259,7 +259,8 @@ impl Job {
         own.into_iter().chain(of_nodes).flatten()
     }
 
-    /// Returns the display of the job. If its views are automatic, their number is chosen.
+    /// Returns the display of the job. If the display's views are automatic, their number is
+    /// chosen.
     ///
     /// # Errors
     /// If the preset is unknown, the file does not parse, or a changed value is out of range.
@@ -277,7 +278,7 @@ impl Job {
         if self.may_render_in_blender() { most.min(MOST_OF_BLENDER) } else { most }
     }
 
-    /// Returns the job with values for those automatic settings that depend on the display's views.
+    /// Returns the job with values for the automatic settings that depend on the display's views.
     ///
     /// A display that does not load changes nothing here: [`Self::resolve_display`] returns its
     /// error.
@@ -369,12 +370,12 @@ impl Job {
             .map_or(Ok(()), |sequence| sequence.check(self.scene.is_some(), self.light_field.is_some()))
     }
 
-    /// The job as JSON, for a report.
+    /// Returns the job as JSON, for a report.
     pub(crate) fn to_json(&self) -> serde_json::Value {
         serde_json::to_value(self).expect("a job holds nothing that JSON cannot")
     }
 
-    /// The text of a job file, with all defaults.
+    /// Returns the text of a job file, with all defaults.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a job holds nothing that TOML cannot")
     }
@@ -428,8 +429,8 @@ impl Job {
         Ok(())
     }
 
-    /// The plugins of the job: the key in the job file, the plugin's id and its parameters. The id
-    /// of an importer is empty if the scene's extension selects the plugin.
+    /// Returns the plugins of the job: the key in the job file, the plugin's id and its parameters.
+    /// The id of an importer is empty if the scene's extension selects the plugin.
     pub(crate) fn plugins_mut(
         &mut self,
     ) -> impl Iterator<Item = (String, &str, &mut serde_json::Map<String, serde_json::Value>)> {
@@ -443,7 +444,7 @@ impl Job {
         importer.into_iter().chain(source).chain(nodes).chain(outputs)
     }
 
-    /// The outputs whose input is `from`: a node's id or `light_field`.
+    /// Returns the outputs whose input is `from`: a node's id or `light_field`.
     pub(crate) fn outputs_of(&self, from: &str) -> impl Iterator<Item = &OutputJob> {
         let only = self.nodes.len() < 2;
         self.outputs

@@ -8,7 +8,7 @@ pub use lumistack_display::PRESETS;
 
 use crate::error::{PipelineError, read_to_string};
 
-/// Names of the presets.
+/// Returns the names of the presets.
 pub fn names() -> impl Iterator<Item = &'static str> {
     PRESETS.iter().map(|(name, _)| *name)
 }

@@ -34,7 +34,7 @@ pub fn is_blend(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(lumistack_usd::BLEND_EXTENSION))
 }
 
-/// The built-in reader of a file, by the file's extension.
+/// Returns the built-in reader of a file, by the file's extension.
 pub(crate) fn own_reader(path: &Path) -> Option<Reader> {
     let is_gltf = |extension: &std::ffi::OsStr| ["gltf", "glb"].iter().any(|own| extension.eq_ignore_ascii_case(own));
     if path.extension().is_some_and(is_gltf) {
@@ -46,7 +46,7 @@ pub(crate) fn own_reader(path: &Path) -> Option<Reader> {
     is_blend(path).then_some(Reader::Blend)
 }
 
-/// The reader of a job's scene: the job's importer, a built-in reader, or a plugin.
+/// Returns the reader of a job's scene: the job's importer, a built-in reader, or a plugin.
 ///
 /// # Errors
 /// If the importer does not exist, or no reader reads files with this extension.

@@ -169,7 +169,7 @@ pub fn run_step(
     Executor::new(&of_run(job, run_dir)?, registry, None, task).execute_alone(step)
 }
 
-/// Solves the designs of a job with `[sweep]` into `dir`: all designs, or those that a search
+/// Solves the designs of a job with `[sweep]` into `dir`: all designs, or the designs that a search
 /// selects. A row of the table has the scores over all time steps, and the scores of every node.
 ///
 /// # Errors
@@ -206,7 +206,7 @@ fn without_sweep(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
     plugin_files::resolved(job, registry)
 }
 
-/// The kind of work that a job requires.
+/// Returns the kind of work that a job requires.
 pub(crate) fn work_of(job: &Job) -> Work {
     match (&job.sweep, &job.sequence) {
         (Some(_), _) => Work::Sweep,

@@ -142,7 +142,7 @@ mod tests {
             let committed = std::fs::read_to_string(&path).unwrap_or_default();
             assert!(
                 committed == made,
-                "docs/schema/{name}.json is not that of the types: LUMISTACK_WRITE=1 cargo test -p lumistack-pipeline schema:: writes it"
+                "docs/schema/{name}.json does not match the types: LUMISTACK_WRITE=1 cargo test -p lumistack-pipeline schema:: writes it"
             );
         }
     }

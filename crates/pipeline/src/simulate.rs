@@ -31,7 +31,7 @@ pub struct RunFolder {
     pub stack: LayerStack,
 }
 
-/// The title in the report of a run; empty without a report.
+/// Returns the title in the report of a run; empty without a report.
 fn title_of(dir: &Path) -> String {
     let report = std::fs::read(dir.join("report.json")).ok();
     let report = report.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
@@ -73,7 +73,7 @@ impl RunFolder {
         task: Task<'_>,
     ) -> Result<Vec<PathBuf>, PipelineError> {
         let folder = self.dir.join("target");
-        // The folder of a node has no target, and old runs may have none.
+        // The target is optional: the folder of a node has none, and neither have old runs.
         let target = if folder.join("lightfield.json").is_file() {
             Some(lumistack_field_io::read_field_folder(&folder).map_err(field_error)?.0)
         } else {
@@ -105,7 +105,7 @@ impl RunFolder {
         (share > 0.0).then(|| format!("this viewpoint sees {part} of the display from outside of its viewing zone of {zone}, where the solver does not constrain the emitted light"))
     }
 
-    /// The picture of the run from a viewpoint; see [`picture_from`].
+    /// Returns the picture of the run from a viewpoint; see [`picture_from`].
     ///
     /// # Errors
     /// If the viewpoint is behind the display, or its numbers are out of range.
@@ -154,8 +154,8 @@ fn preview_key(dir: &Path, registry: &Registry) -> Result<String, PipelineError>
     Ok(key.add("title", title_of(dir).as_bytes()).finish())
 }
 
-/// The picture that patterns on a display show to a viewpoint: `[row][col][rgb]`, linear. The
-/// values are L̃/β, or L̃ if `raw` is true.
+/// Returns the picture that patterns on a display show to a viewpoint: `[row][col][rgb]`, linear.
+/// The values are L̃/β, or L̃ if `raw` is true.
 ///
 /// # Errors
 /// If the viewpoint is behind the display, or its numbers are out of range.
@@ -196,8 +196,8 @@ pub fn picture_from(
     Ok(picture)
 }
 
-/// Fraction of the display, 0..1, that a viewpoint sees along rays outside of the viewing zone.
-/// `None` for a sweep, and for viewpoints that [`picture_from`] refuses.
+/// Returns the fraction of the display, 0..1, that a viewpoint sees along rays outside of the
+/// viewing zone. `None` for a sweep, and for viewpoints that [`picture_from`] refuses.
 fn share_outside_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
     let field = &display.field;
     let size_mm = display.field_pixels().size_mm();
@@ -215,9 +215,9 @@ fn share_outside_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
         let place = [place[0] * size_mm[0], place[1] * size_mm[1]];
         let slope = slope_of(place)?;
         let is_outside = |axis: usize| {
-            // A perspective zone is a range of eye positions, so follow the ray to the distance of
-            // the eyes. An axis with a single view does not limit the zone, since all eyes see the
-            // same view.
+            // The zone of perspective views is a range of eye positions, so follow the ray to the
+            // distance of the eyes. An axis with a single view does not limit the zone, since all
+            // eyes see the same view.
             let seen = match field.distance_mm {
                 Some(distance_mm) if field.projection == ProjectionKind::Perspective => {
                     place[axis] / distance_mm + slope[axis]
@@ -294,7 +294,8 @@ mod tests {
 
     #[test]
     fn the_zone_ends_where_the_outermost_views_do() {
-        // The display is 475 mm wide; its field of view is 20° × 20°.
+        // The field of view is 20° × 20°, so parallel projections at less than 10° are within the
+        // zone.
         let display = presets::load("paper-three-layer").unwrap();
         let share = |viewpoint| share_outside_zone(&display, viewpoint).unwrap();
         assert_eq!(share(Viewpoint::Angle([4.0, -2.0])), 0.0);
@@ -305,7 +306,8 @@ mod tests {
         // nearer, so it sees the sides of the display from outside of the zone.
         assert_eq!(share(Viewpoint::Eye([100.0, 0.0, 2000.0])), 0.0);
         let near = share(Viewpoint::Eye([100.0, 0.0, 600.0]));
-        // part of the display inside the zone: |x - 100| <= 105.8 of ±237.5, |y| <= 105.8 of ±148.4
+        // At 600 mm, 10° correspond to 105.8 mm. So the part inside the zone has |x − 100| and |y|
+        // of at most 105.8 mm, on a display of ±237.5 × ±148.4 mm.
         assert!((near - (1.0 - (211.6 / 475.0) * (211.6 / 296.9))).abs() < 0.05, "{near}");
         assert_eq!(share_outside_zone(&display, Viewpoint::Sweep(3)), None);
         let mut perspective = display.clone();

@@ -59,7 +59,7 @@ pub(crate) const INGEST: StageInfo = StageInfo {
     code: code::SCENE,
 };
 
-/// Places the window in the scene: side, position, depth scale.
+/// Places the window in the scene: chooses its side, position and depth scale.
 pub(crate) const PLACE: StageInfo = StageInfo {
     name: "place",
     label: None,
@@ -150,7 +150,7 @@ pub(crate) const NODE: StageInfo = StageInfo {
     code: code::PLUGINS,
 };
 
-/// Writes patterns or light field through an output plugin.
+/// Writes patterns or a light field through an output plugin.
 pub(crate) const OUTPUT: StageInfo = StageInfo {
     name: "output",
     label: Some("output"),

@@ -166,7 +166,7 @@ pub fn factorize_field(
 /// `out_dir`.
 ///
 /// # Errors
-/// If there is no such plugin, it refuses the parameters or the data, or the files cannot be
+/// If the plugin does not exist, it refuses the parameters or the data, or the files cannot be
 /// written.
 pub fn write_output(
     registry: &Registry,

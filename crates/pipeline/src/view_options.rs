@@ -51,7 +51,7 @@ impl ExtraChannel {
         ("coverage", Self::Coverage),
     ];
 
-    /// Names of the channels in the file.
+    /// Returns the names of the channels in the file.
     pub(crate) fn channels(self) -> &'static [&'static str] {
         match self {
             Self::Depth => &["depth.Z"],
@@ -62,7 +62,7 @@ impl ExtraChannel {
         }
     }
 
-    /// Unit and meaning, for the folder's `lightfield.json`.
+    /// Returns the unit and the meaning of the channel, for the folder's `lightfield.json`.
     pub(crate) fn about(self) -> [&'static str; 2] {
         match self {
             Self::Depth => [

@@ -27,7 +27,7 @@ pub(crate) fn ends(values: impl Iterator<Item = f64>, widen: f64) -> Option<[f64
     }
 }
 
-/// Number of decimals that distinguishes tick labels.
+/// Returns the number of decimals that distinguishes tick labels.
 pub(crate) fn digits([low, high]: [f64; 2]) -> usize {
     match high - low {
         width if width >= 8.0 => 0,

@@ -34,7 +34,7 @@ pub fn line(points: &[(f64, f64)], labels: [&str; 2]) -> Result<String, PlotErro
     let none = || PlotError::new("no point");
     let x = ends(points.iter().map(|p| p.0), 0.0).ok_or_else(none)?;
     let y = ends(points.iter().map(|p| p.1), 0.06).ok_or_else(none)?;
-    // if all positions are whole, such as numbers of iterations, their labels have no decimals
+    // If all positions are whole, such as numbers of iterations, their labels have no decimals.
     let whole = points.iter().all(|(x, _)| x.fract() == 0.0);
     let x_digits = if whole && points.len() > 1 { 0 } else { decimals(x) };
     let x_labels = if whole { ((x[1] - x[0]) as usize + 1).min(8) } else { 8 };
@@ -96,7 +96,7 @@ fn text(size: i32) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&BLACK)
 }
 
-/// Number of decimals of tick labels: at most two, since there is little room.
+/// Returns the number of decimals of tick labels: at most two, since there is little room.
 fn decimals(range: [f64; 2]) -> usize {
     digits(range).min(2)
 }

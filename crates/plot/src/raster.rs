@@ -17,8 +17,8 @@ pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, PlotError> {
     raster(svg, scale)?.encode_png().map_err(PlotError::new)
 }
 
-/// Codes `[row][col][rgb]` of an opaque SVG whose size is [width, height] units, at one pixel per
-/// unit.
+/// Rasterizes an opaque SVG of [width, height] units at one pixel per unit. Returns the codes
+/// `[row][col][rgb]`.
 ///
 /// # Errors
 /// If the text is not an SVG, or has another size.

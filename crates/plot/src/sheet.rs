@@ -64,7 +64,7 @@ pub struct Map {
     pub rows: Vec<String>,
     /// `[row][column]`; NaN for missing values.
     pub values: Vec<Vec<f64>>,
-    /// Values of at least this have a frame.
+    /// Cells with at least this value have a frame.
     pub mark_from: Option<f64>,
     /// Values at the ends of the colour scale.
     pub range: [f64; 2],
@@ -257,7 +257,7 @@ fn framed(
             .build_cartesian_2d(x[0]..x[1], y[0]..y[1])?;
         let (x_digits, y_digits) = (digits(x), digits(y));
         let number = |value: f64, digits: usize| {
-            // print −0 as 0
+            // Print −0 as 0.
             let value = if value.abs() < 0.5 * 0.1f64.powi(digits as i32) { 0.0 } else { value };
             format!("{value:.digits$}").replace('-', "−")
         };
@@ -320,7 +320,7 @@ fn colour(place: usize) -> RGBColor {
     COLOURS.get(place).map_or(BLACK, |&[r, g, b]| RGBColor(r, g, b))
 }
 
-/// Colour scale from dark blue through green to yellow, with increasing lightness.
+/// Returns a colour of a scale from dark blue through green to yellow, with increasing lightness.
 fn heat(share: f64) -> RGBColor {
     const STOPS: [[f64; 3]; 5] =
         [[49.0, 38.0, 96.0], [52.0, 84.0, 140.0], [32.0, 138.0, 134.0], [98.0, 190.0, 92.0], [246.0, 226.0, 60.0]];
@@ -341,7 +341,7 @@ fn inside(points: &[[f64; 2]], [low, high]: [f64; 2]) -> Vec<Vec<(f64, f64)>> {
     }
     for pair in points.windows(2) {
         let ([x0, y0], [x1, y1]) = (pair[0], pair[1]);
-        // position of height y on the segment, 0 at its start and 1 at its end
+        // Returns the position of the height y on the segment: 0 at its start, 1 at its end.
         let at = |y: f64| if y1 == y0 { f64::NAN } else { (y - y0) / (y1 - y0) };
         let (a, b) = (at(low).min(at(high)), at(low).max(at(high)));
         let (from, to) = if y1 == y0 {
@@ -366,7 +366,7 @@ fn inside(points: &[[f64; 2]], [low, high]: [f64; 2]) -> Vec<Vec<(f64, f64)>> {
     parts
 }
 
-/// Lines of at most `most` characters, broken at spaces.
+/// Breaks a text at spaces into lines of at most `most` characters.
 fn wrapped(text: &str, most: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split(' ') {
@@ -381,7 +381,7 @@ fn wrapped(text: &str, most: usize) -> Vec<String> {
     lines
 }
 
-/// Twice the area of a polygon.
+/// Returns twice the area of a polygon.
 fn surface(corners: &[[f64; 2]]) -> f64 {
     let next = corners.iter().cycle().skip(1);
     corners.iter().zip(next).map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum::<f64>().abs()

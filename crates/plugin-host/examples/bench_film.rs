@@ -1,8 +1,8 @@
-//! Makes a film for a printed display; the film's data exceed the memory.
+//! Makes a film for a printed display whose data exceed the memory.
 //!
-//! Patterns are written tile by tile, and `transparencies` makes a PDF of them. Each step is a
-//! process whose memory, cached pages of files included, is limited to a gigabyte if the system
-//! permits it.
+//! One process writes the patterns tile by tile, and another makes a PDF of them with the plugin
+//! `transparencies`. The memory of each process is limited to less than a gigabyte, cached pages of
+//! files included, if the system permits it.
 //!
 //! `bench_film [COLUMNS ROWS] [FOLDER]`
 
@@ -50,8 +50,8 @@ fn display(size: &[&str]) -> Result<Display, Box<dyn Error>> {
     Ok(display)
 }
 
-/// Returns a pixel's value: stripes with noise, whose slope changes slowly from row to row. Such
-/// content compresses badly, and no tile equals another.
+/// Returns a pixel's value: stripes with noise. The direction of the stripes changes slowly from
+/// row to row, so that no two tiles are equal. Such content compresses badly.
 fn value(row: usize, col: usize, channel: usize) -> f32 {
     let noise = lumistack_core::seed::unit_f32(lumistack_core::seed::mix((row * 131_071 + col * 3 + channel) as u64));
     let stripe = ((row * row / 9973 + 7 * col) % 512) as f32 / 512.0;
@@ -124,8 +124,8 @@ fn bench(size: [&str; 2], folder: &Path) -> Outcome {
     Ok(())
 }
 
-/// Waits for a process. Returns true if it succeeded, and its peak of anonymous memory in bytes,
-/// which excludes pages of files.
+/// Waits for a process. Returns true if the process succeeded, and its peak of anonymous memory in
+/// bytes. This memory excludes pages of files.
 fn watch(child: &mut Child) -> Result<(bool, u64), Box<dyn Error>> {
     let path = format!("/proc/{}/status", child.id());
     let mut most = 0;
@@ -147,7 +147,8 @@ struct Group(PathBuf);
 impl Group {
     fn new() -> Option<Self> {
         let name = format!("lumistack-film-{}", std::process::id());
-        // root folder and file of the limit, for version 2 of control groups and for version 1
+        // Version 2 and version 1 of control groups differ in the root folder and in the file of
+        // the limit.
         let kinds = [("/sys/fs/cgroup", "memory.max"), ("/sys/fs/cgroup/memory", "memory.limit_in_bytes")];
         kinds.into_iter().find_map(|(root, limit)| {
             let group = Self(Path::new(root).join(&name));

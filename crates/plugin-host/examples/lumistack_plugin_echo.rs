@@ -1,4 +1,4 @@
-//! A presenter that echoes its input as events. The tests of the host compile it in, and also load
+//! A presenter that echoes its input as events. The host's tests use it compiled in, and also load
 //! it as a library.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};

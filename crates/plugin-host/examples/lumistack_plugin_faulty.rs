@@ -1,5 +1,5 @@
-//! A plugin with selectable faults. The tests of the host compile it in, and also load it as a
-//! library.
+//! An output plugin with selectable faults. The host's tests use it compiled in, and also load it
+//! as a library.
 
 use std::thread;
 use std::time::Duration;
@@ -13,7 +13,7 @@ pub struct Faulty {
     params: Params,
 }
 
-/// Parameters: the fault to commit.
+/// The parameters, with the fault that the plugin has.
 #[derive(Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct Params {
@@ -22,7 +22,7 @@ pub struct Params {
     path: String,
 }
 
-/// Panics when it is dropped.
+/// A panic's payload that panics again when it is dropped.
 struct Grenade;
 
 impl Drop for Grenade {
@@ -32,15 +32,15 @@ impl Drop for Grenade {
 }
 
 impl OutputPlugin for Faulty {
-    const DOC: &'static str = "Fails as its parameter demands.";
+    const DOC: &'static str = "Fails in the way that its parameter selects.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     type Params = Params;
 
     fn schema() -> Schema {
         Schema::new([
             Param::text("fault", "", "Fault to commit."),
-            Param::int("files", 3, 0..=9, "How many files to write.").unit("files"),
-            Param::text("path", "", "One more file, with this name."),
+            Param::int("files", 3, 0..=9, "Number of files to write.").unit("files"),
+            Param::text("path", "", "Name of one more file to write."),
         ])
     }
 
@@ -63,7 +63,8 @@ impl OutputPlugin for Faulty {
                     while !self.host.is_cancelled() {
                         thread::sleep(Duration::from_millis(1));
                     }
-                    // the fault: the plugin commits the file although it was cancelled
+                    // The fault is that the plugin commits the file although the user has
+                    // cancelled.
                     file.commit()?;
                 }
                 _ => file.commit()?,
@@ -72,7 +73,7 @@ impl OutputPlugin for Faulty {
         }
         if self.params.fault == "warn" {
             self.host.warn("low on ink");
-            self.host.info("nobody needs to know");
+            self.host.info("all is well");
         }
         if self.params.fault == "panic in a thread" {
             let thread = thread::spawn(|| panic!("nobody joins"));

@@ -1,4 +1,4 @@
-//! A process that runs a plugin for the tests.
+//! A program that runs a plugin in a child process of the tests.
 
 use std::ffi::OsString;
 use std::process::ExitCode;

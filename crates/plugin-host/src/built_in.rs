@@ -4,7 +4,8 @@ use std::sync::LazyLock;
 
 use lumistack_plugin::Export;
 
-/// Hash of the sources of `lumistack-plugin`, the plugins' side of the interface, for cache keys.
+/// Hash of the sources of `lumistack-plugin`, the plugins' side of the interface. It is part of
+/// cache keys.
 pub const PLUGIN_FINGERPRINT: &str = lumistack_plugin::FINGERPRINT;
 
 /// Builds the list of compiled-in plugins and the hashes of their crates' sources. Each line of the
@@ -37,14 +38,14 @@ plugins! {
     "web-simulator": lumistack_plugin_web_simulator;
 }
 
-/// Compares two ids; hyphens and underscores are equal.
+/// Returns true if two ids are equal, except that hyphens count as underscores.
 pub(crate) fn same_id(a: &str, b: &str) -> bool {
     let plain = |byte: u8| if byte == b'-' { b'_' } else { byte };
     a.len() == b.len() && a.bytes().zip(b.bytes()).all(|(a, b)| plain(a) == plain(b))
 }
 
-/// Hash of the sources of the compiled-in plugin `id`, for cache keys; `None` for other plugins.
-/// The plugin's version is not enough for a key, since it stays the same during development.
+/// Returns the hash of the sources of the compiled-in plugin `id`; `None` for other plugins. Cache
+/// keys need the hash, since a plugin's version stays the same during development.
 pub fn fingerprint_of(id: &str) -> Option<&'static str> {
     BUILT_IN.iter().find(|(export, _)| same_id(export.id(), id)).map(|(_, fingerprint)| *fingerprint)
 }

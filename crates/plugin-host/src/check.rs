@@ -9,7 +9,7 @@ use serde_json::Value;
 use crate::{HostError, Registry};
 
 /// Opens the output plugin `id` for a display and data of `port`, and closes the output unused.
-/// Warnings are dropped here, since [`run_output`](crate::run_output) repeats them.
+/// Warnings are dropped, since [`run_output`](crate::run_output) reports them again.
 ///
 /// # Errors
 /// If no output has this id, or the output is a presenter or refuses the parameters or the display.
@@ -86,8 +86,8 @@ mod tests {
         assert!(error.contains("`view_row`"), "{error}");
         let error = check("quilt", json!({"columns": 4}), &display).unwrap_err();
         assert!(error.contains("both or neither"), "{error}");
-        // A layer stack can be simulated at every tile's viewpoint. A light field has only its own
-        // views.
+        // The views of a quilt can be simulated from a layer stack. A light field has only its own
+        // views, so it lacks some of the quilt's views.
         let views = json!({"columns": 7, "rows": 1, "missing_views": "refuse"});
         assert_eq!(check("quilt", views.clone(), &display), Ok(()));
         let error = check_output(&registry, "quilt", &views, &display, Port::LightField, task).unwrap_err();

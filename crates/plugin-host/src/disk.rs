@@ -1,5 +1,5 @@
-//! Host of an output plugin. Files are written to the staging folder; warnings, progress and
-//! cancellation belong to the task.
+//! The host of an output plugin. It writes the plugin's files to the staging folder, and passes
+//! warnings and progress to the task. The task's cancellation stops the plugin.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
@@ -24,14 +24,15 @@ struct Files {
     opened: u64,
     open: BTreeMap<u64, OpenFile>,
     committed: BTreeSet<String>,
-    /// Lower-case names of all files, since some file systems treat `A.png` and `a.png` as equal.
+    /// Names of all files in lower case, since `A.png` and `a.png` are one file on some file
+    /// systems.
     taken: BTreeSet<String>,
 }
 
 struct OpenFile {
     name: String,
-    /// Path of the open file, in the folder of the committed files. The file's name starts with a
-    /// dot, so no file that a plugin names can have it.
+    /// Path of the file until it is committed, in the folder of the committed files. Its name
+    /// starts with a dot, which plugins may not use.
     path: PathBuf,
     writer: BufWriter<File>,
 }
@@ -41,7 +42,7 @@ impl<'a> DiskHost<'a> {
         Self { folder: folder.into(), plugin, task, files: Mutex::default() }
     }
 
-    /// The committed files, sorted.
+    /// Returns the names of the committed files, sorted.
     ///
     /// # Errors
     /// The names of the files that are still open, if there are any.
@@ -77,7 +78,7 @@ impl Services for DiskHost<'_> {
     }
 
     fn file_open(&self, path: &str) -> Result<u64, PluginError> {
-        // this check also stops plugins that never check for cancellation themselves
+        // This check stops plugins that never check for cancellation.
         self.task.cancel.check()?;
         path_parts(path)?;
         let mut files = self.files();
@@ -101,8 +102,7 @@ impl Services for DiskHost<'_> {
 
     fn file_commit(&self, file: u64) -> Result<(), PluginError> {
         let OpenFile { name, path, writer } = self.files().open.remove(&file).ok_or_else(|| not_open(file))?;
-        // the file is synced before the rename, so that a final name never belongs to a partial
-        // file
+        // The file is synced before the rename, so that no partial file ever has its final name.
         let written = writer.into_inner().map_err(io::IntoInnerError::into_error).and_then(|file| file.sync_all());
         written.map_err(cannot("write", &name))?;
         let target = path_parts(&name)?.iter().fold(self.folder.clone(), |path, part| path.join(part));
@@ -118,7 +118,7 @@ impl Services for DiskHost<'_> {
         let mut files = self.files();
         let OpenFile { name, path, writer } = files.open.remove(&file).ok_or_else(|| not_open(file))?;
         files.taken.remove(&name.to_lowercase());
-        // drops the buffered bytes, which are not written
+        // `into_parts` returns the buffered bytes without writing them.
         drop(writer.into_parts());
         fs::remove_file(&path).map_err(cannot("remove", &name))
     }

@@ -1,10 +1,11 @@
 //! Plugins in shared libraries.
 //!
 //! A library file is named `lumistack_plugin_<name>`, with the system's prefix and suffix. It
-//! exports a function `lumistack_plugin_entry_<id>` per plugin. Name, file kind, machine and
-//! exports are read without running the library's code. The first use of a plugin loads its library
-//! in a child process (see [`crate::child`]). There the library is never unloaded: threads,
-//! thread-local destructors and borrowed texts may outlive any use.
+//! exports a function `lumistack_plugin_entry_<id>` per plugin. The host reads the name, the file
+//! kind, the machine and the exports without running the library's code. The first use of a plugin
+//! loads its library in a child process (see [`crate::child`]). The child never unloads the
+//! library, since threads, thread-local destructors and borrowed texts of the library may outlive
+//! every call.
 
 use std::env::consts::{ARCH, DLL_PREFIX, DLL_SUFFIX};
 use std::env::{split_paths, var_os};
@@ -27,8 +28,8 @@ const VARIABLE: &str = "LUMISTACK_PLUGIN_PATH";
 /// Part of a plugin library's file name between the system's prefix and the plugin's name.
 const STEM: &str = "lumistack_plugin_";
 
-/// Search paths for plugins, in the order of these fields. If several plugins have one id, the
-/// first is kept.
+/// Search paths for plugins: first `named`, then `user`. If several plugins have one id, the first
+/// is kept.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct PluginPaths {
     /// Files and folders named explicitly, which must exist.
@@ -60,7 +61,7 @@ impl PluginPaths {
     }
 }
 
-/// The system's folder for user data of programs.
+/// Returns the system's folder for user data of programs; `None` if the environment names none.
 fn user_data() -> Option<PathBuf> {
     let folder = |name: &str| var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     if cfg!(windows) {
@@ -73,8 +74,8 @@ fn user_data() -> Option<PathBuf> {
 }
 
 impl Registry {
-    /// Adds all plugins of these paths. Files that are no plugin library are listed in
-    /// [`Registry::failed`], one entry each.
+    /// Adds all plugins in these paths. [`Registry::failed`] lists every file that is no plugin
+    /// library.
     ///
     /// This runs no library code: the first use of a plugin loads it, in a child process.
     pub fn load(&mut self, paths: &PluginPaths) {
@@ -94,7 +95,7 @@ impl Registry {
                 }
             };
             for file in files {
-                // a path that is named twice is loaded once
+                // add a file once, even if two paths lead to it
                 let real = fs::canonicalize(&file).unwrap_or_else(|_| file.clone());
                 if !seen.contains(&real) {
                     seen.push(real);
@@ -136,7 +137,7 @@ fn libraries(place: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// The part of a library's file name after the stem.
+/// Returns the plugin's name from the name of its library's file `lumistack_plugin_<name>`.
 fn name_of(path: &Path) -> Result<String, LoadError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let own = name
@@ -155,7 +156,7 @@ pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
     // preconditions.
     let library = unsafe { Shared::new(path) }
         .map_err(|error| LoadError::Open { path: path.into(), reason: loader_message(&error) })?;
-    // the library is never unloaded, also after an error
+    // The library is never unloaded, not even after an error.
     let library: &'static Shared = Box::leak(Box::new(library));
     let symbol = format!("{ENTRY_PREFIX}{id}");
     // SAFETY: a function of this name is a plugin's entry, by the convention of the interface.
@@ -173,14 +174,14 @@ pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
     }
 }
 
-/// The system's message, without the text that libloading adds.
+/// Returns the system's error message, without the text that libloading adds.
 fn loader_message(error: &libloading::Error) -> String {
     std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string)
 }
 
-/// Returns the ids of the plugins that a file exports, if it is a shared library for this machine.
-/// The file's kind is checked here, since system loaders report "no such file" for some files of
-/// other kinds.
+/// Returns the ids of the plugins that a file exports. Fails if the file is no shared library for
+/// this machine. System loaders report "no such file" for some of these files, so this function
+/// checks the kind first.
 fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     let read = |source| LoadError::Read { path: path.into(), source };
     let other = |found: String| LoadError::NotALibrary { path: path.into(), found };
@@ -190,8 +191,8 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     }
     let data = ReadCache::new(file);
     match FileKind::parse(&data) {
-        // The file contains one library per machine, and the loader selects one of them. It counts
-        // as one plugin, whose id is the file's name.
+        // The file contains one library per machine, and the loader selects one of them. The
+        // exports are not read: the file counts as one plugin, whose id is the file's name.
         Ok(FileKind::MachOFat32 | FileKind::MachOFat64) => return Ok(vec![name]),
         Ok(_) => {}
         Err(_) => return Err(other("a file of another kind".into())),
@@ -222,7 +223,8 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     Ok(ids)
 }
 
-/// This machine's architecture in object files; `None` for machines without an entry here.
+/// Returns this machine's architecture in object files; `None` for a machine that this function
+/// does not list.
 fn native() -> Option<Architecture> {
     Some(match ARCH {
         "x86_64" => Architecture::X86_64,

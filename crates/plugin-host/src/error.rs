@@ -13,11 +13,11 @@ pub enum HostError {
     /// No plugin has this id.
     #[error("unknown plugin `{id}`{}", nearest.as_ref().map_or_else(|| format!("; expected one of {}", known.join(", ")), |n| format!("; did you mean `{n}`?")))]
     UnknownPlugin {
-        /// The requested id.
+        /// The requested id, which no plugin has.
         id: String,
-        /// The most similar id.
+        /// The id of a plugin that is most similar to the requested id.
         nearest: Option<String>,
-        /// All ids.
+        /// The ids of all plugins.
         known: Vec<String>,
     },
     /// The plugin is of another kind.
@@ -25,9 +25,9 @@ pub enum HostError {
     OtherKind {
         /// The plugin's id.
         id: String,
-        /// The required kind.
+        /// The kind of plugin that the caller needs.
         expected: PluginKind,
-        /// The plugin's kind.
+        /// The kind of the plugin with this id.
         found: PluginKind,
     },
     /// The plugin cannot be used.
@@ -61,7 +61,7 @@ pub enum HostError {
         kind: PluginKind,
         /// The plugin's id.
         plugin: String,
-        /// The plugin's message.
+        /// The error message of the plugin.
         reason: String,
     },
     /// The plugin panicked.
@@ -71,7 +71,7 @@ pub enum HostError {
         kind: PluginKind,
         /// The plugin's id.
         plugin: String,
-        /// The panic's message.
+        /// The message of the panic.
         reason: String,
     },
     /// The plugin finished while files were incomplete.
@@ -88,9 +88,9 @@ pub enum HostError {
     /// The output's path cannot be a folder.
     #[error("{}: expected a folder or a free name for one, found {found}", path.display())]
     NotAFolder {
-        /// The path.
+        /// The path where the output's folder should be.
         path: PathBuf,
-        /// The kind of file found.
+        /// The kind of file that exists at this path.
         found: &'static str,
     },
     /// The file system returned an error.
@@ -98,14 +98,14 @@ pub enum HostError {
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// The operation.
+        /// The operation that failed, for example `replace`.
         doing: &'static str,
-        /// The system's error.
+        /// The error of the operating system.
         source: io::Error,
     },
 }
 
-/// A library yields no plugin. The program continues without it.
+/// A library whose plugin cannot be used. The program continues without it.
 #[derive(Debug, Error)]
 pub enum LoadError {
     /// There is no such file or folder, or it cannot be read.
@@ -113,13 +113,13 @@ pub enum LoadError {
     Read {
         /// The file or folder.
         path: PathBuf,
-        /// The system's error.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file does not have the name of a plugin library.
     #[error("{}: expected a file named `{expected}`", path.display())]
     Name {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
         /// The expected file name.
         expected: String,
@@ -127,41 +127,41 @@ pub enum LoadError {
     /// The file is of another kind.
     #[error("{}: expected a shared library, found {found}", path.display())]
     NotALibrary {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// The kind found.
+        /// A description of the file that was found.
         found: String,
     },
     /// The library is for another machine.
     #[error("{}: expected a library for {expected}, found one for {found}", path.display())]
     Machine {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// This machine.
+        /// The machine on which the program runs.
         expected: String,
-        /// The library's machine.
+        /// The machine for which the library was built.
         found: String,
     },
     /// The system's loader refuses the library.
     #[error("{}: cannot be loaded: {reason}", path.display())]
     Open {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// The loader's message.
+        /// The message of the system's loader.
         reason: String,
     },
     /// The entry function is missing.
     #[error("{}: expected the function `{symbol}`, found none of that name", path.display())]
     NoEntry {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// The function's name.
+        /// The name of the missing function.
         symbol: String,
     },
     /// The descriptor is of another version, or invalid.
     #[error("{}: {reason}", path.display())]
     Descriptor {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
         /// The mismatch or the invalid part.
         reason: PluginError,
@@ -169,7 +169,7 @@ pub enum LoadError {
     /// The name of the entry function and the descriptor differ.
     #[error("{}: expected a plugin `{expected}` by the name of its entry function, found `{found}`", path.display())]
     OtherId {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
         /// The id in the entry function's name.
         expected: String,
@@ -179,7 +179,7 @@ pub enum LoadError {
     /// The process that loads the library ended, or was ended.
     #[error("{}: {cause}", path.display())]
     Ended {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
         /// The cause, and the operation that ran.
         cause: String,
@@ -187,23 +187,23 @@ pub enum LoadError {
     /// The program has set no launcher of plugin processes.
     #[error("{}: the process for it cannot be started: no launcher is set", path.display())]
     NoLauncher {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
     },
     /// A limit in the environment is invalid.
     #[error("{variable}: expected a number of seconds, 0 for no limit, found `{found}`")]
     Setting {
-        /// The variable.
+        /// The name of the environment variable.
         variable: &'static str,
-        /// The variable's value.
+        /// The value of the environment variable.
         found: String,
     },
     /// The id is in use; the first plugin is kept.
     #[error("{}: another plugin has the id `{id}` already: {first}", path.display())]
     Duplicate {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// The id.
+        /// The id that both plugins have.
         id: String,
         /// Origin of the first plugin.
         first: crate::Origin,

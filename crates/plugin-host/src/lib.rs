@@ -15,8 +15,8 @@
 //! run in a child process; see [`Launcher`].
 //!
 //! If a plugin fails, panics, is cancelled or names a file outside its folder, the output's folder
-//! stays unchanged and the program continues. The same holds if a plugin in a library crashes or
-//! hangs.
+//! stays unchanged and the program continues. A plugin in a library may even crash or hang, with
+//! the same result.
 
 mod built_in;
 mod check;

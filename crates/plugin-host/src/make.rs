@@ -9,8 +9,8 @@ use serde_json::Value;
 use crate::serve::{self, Made, NodeData, Plugin, PluginKind, ReadAsset, Services};
 use crate::{HostError, Registry};
 
-/// Runs the importer `id`: converts `file` into a glTF document, not yet validated. `read` reads
-/// that file and other files in its folder.
+/// Runs the importer `id`, which converts `file` into a glTF document. The document is not yet
+/// validated. `read` reads `file` and other files in its folder.
 ///
 /// # Errors
 /// If no importer has this id, or the importer refuses the parameters or fails.
@@ -48,8 +48,8 @@ pub fn make_field(
 /// Runs the node `id` for one time step and returns its layer stack.
 ///
 /// # Errors
-/// If no node has this id, or the node refuses the parameters or the display, or fails. If the
-/// layer stack does not match the display.
+/// If no node has this id, if the node refuses the parameters or the display, or if it fails. Also
+/// if the layer stack does not match the display.
 pub fn make_stack(
     registry: &Registry,
     id: &str,

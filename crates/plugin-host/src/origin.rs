@@ -6,9 +6,9 @@ use std::path::PathBuf;
 /// The origin of a plugin.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// Compiled into the program.
+    /// The plugin is compiled into the program.
     CompiledIn,
-    /// Loaded from this shared library.
+    /// The plugin is in this shared library.
     Library(PathBuf),
 }
 

@@ -1,4 +1,4 @@
-//! Presenters, which a program controls while they run.
+//! Runs presenters, which a program controls while they run.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -17,36 +17,35 @@ use crate::{HostError, Registry};
 pub enum PresenterInput {
     /// A new layer stack, which replaces the previous one.
     Stack(LayerStack),
-    /// A command, in the plugin's JSON.
+    /// A command, as JSON that the plugin defines.
     Command(Value),
 }
 
-/// Output of a presenter, from any thread.
+/// Output of a presenter. It may arrive on any thread.
 #[derive(Clone, Copy, Debug)]
 pub enum PresenterOutput<'a> {
     /// A warning for the user.
     Warning(&'a str),
-    /// An event, in the plugin's JSON.
+    /// An event, as JSON that the plugin defines.
     Event(&'a Value),
 }
 
 /// Inputs and callbacks of a presentation.
 pub struct PresentContext<'a> {
-    /// The display.
+    /// The display that the presenter drives.
     pub display: &'a Display,
-    /// The layer stack that is submitted before the presenter runs; `None` if the parameters set
-    /// the content.
+    /// The layer stack that is submitted before the presenter runs. `None` if the parameters select
+    /// the content, such as a test pattern.
     pub first: Option<&'a LayerStack>,
     /// Receives input while the presenter runs.
     pub input: Receiver<PresenterInput>,
-    /// Called with the presenter's output. Input that the presenter refuses is reported as a
-    /// warning.
+    /// Receives the presenter's output. Input that the presenter refuses is reported as a warning.
     pub on_output: &'a (dyn Fn(PresenterOutput<'_>) + Sync),
     /// Progress and cancellation.
     pub task: Task<'a>,
 }
 
-/// Interval at which the end of the presentation is checked.
+/// Interval of the checks whether the presentation has ended.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Runs the presenter `id` until it is closed. Call it on the main thread, which windows require. A
@@ -75,7 +74,7 @@ pub fn present(registry: &Registry, id: &str, params: &Value, context: PresentCo
     ran.and_then(|()| output.finish()).map_err(of_plugin)
 }
 
-/// Forwards input until the presentation has ended.
+/// Forwards input to the presenter until the presentation has ended.
 fn forward_input(
     output: &Output<'_>,
     input: Receiver<PresenterInput>,

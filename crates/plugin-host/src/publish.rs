@@ -1,8 +1,8 @@
 //! Moves finished files from the staging folder into the output's folder.
 //!
-//! A new folder appears by a single rename. In an existing folder each file is renamed into place.
-//! Replaced files are kept until all new files are in place, so that the renames can be undone
-//! after an error.
+//! A new folder appears by a single rename. If the folder already has files, each new file is
+//! renamed into it. Replaced files are kept until all new files are in place, so that the renames
+//! can be undone after an error.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -42,7 +42,7 @@ impl Staging {
         let not_a_folder = |path: &Path, found| Err(HostError::NotAFolder { path: path.into(), found });
         let out_dir = match fs::metadata(out_dir) {
             Ok(found) if !found.is_dir() => return not_a_folder(out_dir, "a file"),
-            // resolves `.` and links
+            // `canonicalize` resolves `.` and links
             Ok(_) => fs::canonicalize(out_dir).map_err(HostError::io(out_dir, "read"))?,
             Err(_) => std::path::absolute(out_dir).map_err(HostError::io(out_dir, "read"))?,
         };
@@ -55,7 +55,7 @@ impl Staging {
             return not_a_folder(first_there, "a file");
         }
         let path = parent.join(format!(".{}.partial", name.to_string_lossy()));
-        // from here on, dropping `staging` removes the created folders
+        // From here on, a drop of `staging` removes the folders that are created.
         let staging = Self { path, made: made.into_iter().rev().collect(), out_dir: out_dir.clone() };
         fs::create_dir_all(parent).map_err(HostError::io(parent, "make the folder"))?;
         match fs::remove_dir_all(&staging.path) {
@@ -74,8 +74,8 @@ impl Staging {
 
 impl Drop for Staging {
     fn drop(&mut self) {
-        // A failure here cannot be handled; the next output into the folder tries again. Created
-        // folders that are in use are not empty, so they stay.
+        // Errors are ignored, since the next output into the folder removes the staging folder
+        // again. Created folders that are in use are not empty, so they stay.
         let _ = fs::remove_dir_all(&self.path);
         for folder in self.made.iter().rev() {
             let _ = fs::remove_dir(folder);
@@ -102,7 +102,8 @@ pub(crate) fn publish(staging: Staging, plugin: &str, files: &[String]) -> Resul
     }
 }
 
-/// Moves files one by one into a folder with other files.
+/// Moves the staged files one by one into the output's folder, which has other files. Removes files
+/// of an earlier output that the new output does not write. After an error everything is undone.
 fn merge(staging: &Staging, files: &[String]) -> Result<(), HostError> {
     let out_dir = &staging.out_dir;
     for file in files {
@@ -143,7 +144,8 @@ fn merge(staging: &Staging, files: &[String]) -> Result<(), HostError> {
     Ok(())
 }
 
-/// Files listed by an earlier output; names that an output cannot write are skipped.
+/// Returns the files that an earlier output has listed. Names that an output cannot write are
+/// skipped, since the listing may have been changed.
 fn earlier_files(out_dir: &Path) -> Vec<String> {
     let listing = fs::read(out_dir.join(LISTING)).ok().and_then(|text| serde_json::from_slice::<Listing>(&text).ok());
     let mut files = listing.map_or_else(Vec::new, |listing| listing.files);
@@ -172,8 +174,8 @@ impl Moves {
 
     fn undo(self) {
         for (from, to) in self.done.into_iter().rev() {
-            // The opposite rename has just succeeded. If this rename fails, the other files are
-            // still restored.
+            // This rename rarely fails, since the opposite rename has succeeded. If it does fail,
+            // the other files are still restored.
             let _ = fs::rename(to, from);
         }
         for folder in self.made.into_iter().rev() {

@@ -12,7 +12,7 @@ use crate::built_in::{BUILT_IN, same_id};
 use crate::{HostError, LoadError};
 
 /// Plugins by id: compiled-in plugins, and plugins in libraries. A library is loaded at the first
-/// use of its plugin.
+/// use of one of its plugins.
 #[derive(Debug, Default)]
 pub struct Registry {
     plugins: Vec<Plugin>,
@@ -20,7 +20,7 @@ pub struct Registry {
     pub(crate) failed: Vec<LoadError>,
 }
 
-/// A library, loaded at the first use of its plugin.
+/// One plugin of a library. The library is loaded at the first use of the plugin.
 #[derive(Debug)]
 pub(crate) struct Library {
     id: String,
@@ -38,7 +38,7 @@ impl Library {
         Self { id, origin, launcher, limits, loaded: OnceLock::new() }
     }
 
-    /// The plugin; the first call loads it in a child process.
+    /// Returns the plugin. The first call loads the library in a child process.
     fn plugin(&self) -> Result<&Plugin, &LoadError> {
         self.loaded.get_or_init(|| self.load()).as_ref()
     }
@@ -57,7 +57,7 @@ impl Library {
 }
 
 impl Registry {
-    /// The compiled-in plugins.
+    /// Makes a registry of the compiled-in plugins.
     ///
     /// # Errors
     /// If a plugin's description is invalid, which is an error of the plugin.
@@ -83,11 +83,12 @@ impl Registry {
         }
     }
 
-    /// The plugin with this id; hyphens and underscores are equal. The first call loads its
-    /// library, if it has one, in a child process.
+    /// Returns the plugin with this id, in which hyphens count as underscores. For a plugin in a
+    /// library, the first call loads the library in a child process.
     ///
     /// # Errors
-    /// If there is none (the message names the most similar id), or its library cannot be used.
+    /// If no plugin has this id (the message names the most similar id), or if its library cannot
+    /// be used.
     pub fn get(&self, id: &str) -> Result<&Plugin, HostError> {
         if let Some(plugin) = self.plugins.iter().find(|plugin| same_id(&plugin.info().id, id)) {
             return Ok(plugin);
@@ -108,7 +109,7 @@ impl Registry {
     /// The plugin with this id and kind.
     ///
     /// # Errors
-    /// If there is none, or it is of another kind.
+    /// If no plugin has this id, or if it is of another kind.
     pub fn get_kind(&self, id: &str, kind: PluginKind) -> Result<&Plugin, HostError> {
         let plugin = self.get(id)?;
         let found = plugin.info().kind;
@@ -118,8 +119,8 @@ impl Registry {
         Ok(plugin)
     }
 
-    /// The output with this id. It must be a presenter if `presents`, otherwise it must write
-    /// files.
+    /// Returns the output with this id. If `presents`, the output must be a presenter; otherwise it
+    /// must write files.
     pub(crate) fn output(&self, id: &str, presents: bool) -> Result<&Plugin, HostError> {
         let plugin = self.get_kind(id, PluginKind::Output)?;
         if plugin.info().presents != presents {
@@ -130,7 +131,7 @@ impl Registry {
         Ok(plugin)
     }
 
-    /// The origin of a plugin. Loads no library.
+    /// Returns the origin of a plugin, without loading a library.
     pub fn origin(&self, id: &str) -> Option<&Origin> {
         if self.plugins.iter().any(|plugin| same_id(&plugin.info().id, id)) {
             return Some(&Origin::CompiledIn);
@@ -138,9 +139,9 @@ impl Registry {
         self.libraries.iter().find(|library| same_id(&library.id, id)).map(|library| &library.origin)
     }
 
-    /// The importer of files with this extension, without the dot: a compiled-in importer if there
-    /// is one. Otherwise all libraries are loaded and searched. If several match, the first by id
-    /// is returned.
+    /// Returns the importer of files with this extension, without the dot. Compiled-in importers
+    /// come first. If none of them reads the extension, all libraries are loaded and searched. If
+    /// several importers match, the first by id is returned.
     pub fn importer_of(&self, extension: &str) -> Option<&PluginInfo> {
         let takes = |info: &&PluginInfo| {
             info.kind == PluginKind::Importer && info.extensions.iter().any(|taken| taken == extension)
@@ -162,8 +163,8 @@ impl Registry {
         entries.into_iter()
     }
 
-    /// Errors of the libraries and folders that yield no plugin. The program continues without
-    /// these. A library that was not loaded yet is not listed.
+    /// Returns the errors of libraries and folders whose plugins cannot be used. The program
+    /// continues without these plugins. A library is listed only after an attempt to load it.
     pub fn failed(&self) -> Vec<&LoadError> {
         let loaded = self.libraries.iter().filter_map(|library| library.loaded.get()?.as_ref().err());
         self.failed.iter().chain(loaded).collect()

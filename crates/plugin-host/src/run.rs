@@ -1,4 +1,4 @@
-//! Runs one output, from open until its files are in place.
+//! Runs an output plugin, from its opening until its files are in the output's folder.
 
 use std::path::{Path, PathBuf};
 
@@ -15,13 +15,13 @@ use crate::{HostError, Registry};
 /// Inputs and target of an output.
 #[derive(Clone, Copy)]
 pub struct OutputContext<'a> {
-    /// The display.
+    /// The display of the data.
     pub display: &'a Display,
     /// A layer stack or a light field.
     pub data: OutputData<'a>,
     /// Time step; the default for a still.
     pub time: Time,
-    /// The output's folder; created if missing.
+    /// The output's folder. It is created if it does not exist.
     pub out_dir: &'a Path,
     /// Progress, warnings and cancellation.
     pub task: Task<'a>,
@@ -62,7 +62,8 @@ impl OpenOutput<'_> {
     }
 }
 
-/// As [`run_output`], for sequences: `submit_all` submits all time steps, one by one.
+/// Writes a sequence with the output plugin `id`, as [`run_output`] writes one time step.
+/// `submit_all` submits all time steps.
 ///
 /// # Errors
 /// Those of [`run_output`] and of `submit_all`.

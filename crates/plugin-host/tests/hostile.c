@@ -80,7 +80,7 @@ static void misbehave(const char *what) {
         for (int fd = 3; fd < 64; fd++) close(fd);
         for (;;) pause();
     }
-    /* a further process keeps the pipes open */
+    /* the forked process keeps the pipes open after the abort */
     if (!strcmp(what, "fork and abort")) {
         if (fork() == 0) {
             sleep(20);
@@ -155,7 +155,7 @@ static LumistackStatus submit(void *instance, const LumistackTime *time, const L
     char line[128] = "written";
     int length = 7;
     if (!strcmp(fault, "fetch")) length = fetch(data, line, sizeof line);
-    /* long, but with signs of life */
+    /* takes longer than the limit of silence, but calls the host all the time */
     if (!strcmp(fault, "slow"))
         for (int i = 0; i < 15; i++) {
             usleep(200000);
@@ -229,9 +229,9 @@ static LumistackDescriptor descriptor = {
                                              : LUMISTACK_PORT_LAYER_STACK,
     .id = TEXT(STRING(NAME)),
     .version = TEXT("1.0.0"),
-    .doc = TEXT("Ends its process as told."),
+    .doc = TEXT("Ends its process in the way that its parameter selects."),
     .schema_json =
-        TEXT("{\"params\": [{\"name\": \"fault\", \"kind\": \"text\", \"default\": \"\", \"help\": \"When and what.\"}]}"),
+        TEXT("{\"params\": [{\"name\": \"fault\", \"kind\": \"text\", \"default\": \"\", \"help\": \"The time and the kind of the end.\"}]}"),
 };
 
 __attribute__((visibility("default"))) const LumistackDescriptor *JOIN(lumistack_plugin_entry_, NAME)(void) {

@@ -1,4 +1,5 @@
-//! Memory of the outputs: a 4K stack of three layers needs no more for twelve frames than for four.
+//! Tests the memory of outputs: for a 4K stack of three layers, twelve frames need no more memory
+//! than four.
 //!
 //! Each output and number of frames is measured in its own process, by two numbers. `alive` is the
 //! peak of allocated bytes, counted by the allocator; it is exact and reproducible. `resident` is
@@ -21,13 +22,15 @@ use serde_json::{Value, json};
 const FRAMES: &str = "LUMISTACK_TEST_FRAMES";
 const OUTPUT: &str = "LUMISTACK_TEST_OUTPUT";
 const SIZE: [usize; 2] = [3840, 2160];
-/// One plane of floats, mebibytes.
+/// Size of one plane of floats, mebibytes.
 const PLANE_MIB: f64 = (SIZE[0] * SIZE[1] * 3 * 4) as f64 / MIB;
 const MIB: f64 = (1 << 20) as f64;
-/// Allowance for eight more frames: file names and list entries, mebibytes.
+/// Allowed growth of memory by eight more frames, mebibytes. Names of files and entries of lists
+/// need this memory.
 const LISTS_MIB: f64 = 0.25;
 
-/// Every output that writes frames, and all of them together: name, plugin, parameters.
+/// The outputs that are measured: name, plugin and parameters. They are every kind of output that
+/// writes frames, and all kinds together.
 fn outputs() -> [(&'static str, &'static str, Value); 7] {
     let images = |wanted: &[&str]| {
         let chosen = |name: &str| wanted.contains(&name);
@@ -69,7 +72,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        // the old and the new block exist together while bytes are copied
+        // While the bytes are copied, the old and the new block exist together.
         took(size);
         // SAFETY: guaranteed by the caller.
         let moved = unsafe { System.realloc(block, layout, size) };
@@ -116,7 +119,7 @@ fn writes_a_4k_stack() {
     println!("peak {} {alive}", line.split_whitespace().nth(1).unwrap());
 }
 
-/// [resident, alive] of an output, mebibytes.
+/// Runs one output in its own process, and returns its peaks [resident, alive] in mebibytes.
 fn peaks_mib(output: &str, frames: usize) -> [f64; 2] {
     let run = Command::new(std::env::current_exe().unwrap())
         .args(["--ignored", "--exact", "writes_a_4k_stack", "--nocapture"])

@@ -1,4 +1,4 @@
-//! Checks of the plugin interface's rules.
+//! Checks whether a plugin keeps the rules of the plugin interface.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
@@ -22,23 +22,24 @@ pub fn conformance(export: &'static LazyLock<Export>) -> Result<(), Broken> {
     conformance_but_for(export, &[])
 }
 
-/// As [`conformance`], but keeps the parameters of `at_default` at their defaults: their other
-/// values need too much time or memory for a test.
+/// Checks a compiled-in plugin as [`conformance`] does, but keeps the parameters named in
+/// `at_default` at their defaults. Use this for parameters whose other values need too much time or
+/// memory in a test.
 ///
 /// # Errors
-/// As [`conformance`].
+/// The first violated rule.
 pub fn conformance_but_for(export: &'static LazyLock<Export>, at_default: &[&str]) -> Result<(), Broken> {
     conformance_of(&rule("describes itself", Plugin::compiled_in(export))?, at_default)
 }
 
-/// Checks a plugin against all rules of the plugin interface that can be observed from outside,
-/// through its C functions.
+/// Checks a plugin against all rules of the plugin interface that can be observed through the
+/// plugin's C functions.
 ///
 /// An output describes itself, declares all its parameters with units and ranges, and refuses other
 /// parameters. It accepts all its ports, and produces identical files in a second run and from any
 /// thread. It stops on cancellation, reports a full disk, leaves no file open, and writes through
-/// the host only. Most rules are checked with default parameters, and again with all switches on
-/// except the parameters of `at_default`.
+/// the host only. Most rules are checked with default parameters, and again with all switches on.
+/// Parameters in `at_default` keep their defaults.
 ///
 /// A node or a source produces identical results in a second run, stops on cancellation, and
 /// accepts every display or refuses it with a reason. An importer fails without a panic on invalid
@@ -64,7 +65,7 @@ pub fn conformance_of(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
 fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken> {
     let mut samples: Vec<Sample> =
         samples().into_iter().filter(|sample| plugin.info().ports.contains(&sample.port())).collect();
-    // unsupported displays are refused with a reason; at least one is supported
+    // The plugin may refuse a sample's display with a reason, but must accept at least one sample.
     let mut reasons = Vec::new();
     samples.retain(|sample| match write(plugin, &MemoryHost::new(), &json!({}), sample) {
         Err(PluginError::Refused(reason)) => {
@@ -87,10 +88,10 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
     can_be_abandoned(plugin, samples.first())
 }
 
-/// Checks that two builds of one plugin have equal descriptions and produce equal bytes. It
-/// compares all samples with default parameters and with all switches on, and one sample at the
-/// ends of every parameter's range. Returns the number of compared files, stacks, light fields or
-/// documents.
+/// Checks that two builds of one plugin have equal descriptions and produce equal bytes. All
+/// samples are compared with default parameters and with all switches on. One sample is also
+/// compared at the ends of every parameter's range. Returns the number of compared files, stacks,
+/// light fields or documents.
 ///
 /// # Errors
 /// The first difference.
@@ -152,8 +153,9 @@ fn described(plugin: &Plugin) -> Result<(), Broken> {
     Ok(())
 }
 
-/// Returns all switches that the plugin accepts together, with choices at their last option. Each
-/// parameter in turn is changed if the plugin accepts it with the earlier changes.
+/// Returns parameters with as many switches on as the plugin accepts together, and with choices at
+/// their last option. Each parameter in turn is changed, and the change is kept if the plugin
+/// accepts it.
 fn everything(plugin: &Plugin, sample: &Sample, at_default: &[&str]) -> Option<Value> {
     let mut on = Map::new();
     for param in varied(plugin, at_default) {
@@ -247,7 +249,8 @@ fn parameters_in_range_work(plugin: &Plugin, sample: &Sample, at_default: &[&str
         let params = Value::Object(Map::from_iter([(name.clone(), value.clone())]));
         let host = MemoryHost::new();
         match write(plugin, &host, &params, sample) {
-            // a combination may be refused, with a reason
+            // A plugin may refuse a value with a reason, since the value may contradict other
+            // parameters.
             Ok(()) | Err(PluginError::Refused(_)) => closed(&host, &name)?,
             Err(error) => {
                 return Err(Broken {
@@ -293,7 +296,7 @@ fn write(plugin: &Plugin, host: &MemoryHost, params: &Value, sample: &Sample) ->
 
 fn appends(plugin: &Plugin, sample: &Sample, params: &Value) -> usize {
     let host = MemoryHost::new();
-    // failures are detected by other checks, so the result is ignored
+    // Other checks detect failures, so the result is ignored.
     let _ = write(plugin, &host, params, sample);
     host.appends()
 }

@@ -1,4 +1,4 @@
-//! The rules for importers, sources and nodes.
+//! Checks of the rules for importers, sources and nodes.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +16,7 @@ use crate::rules::{Broken, bad_parameters_are_refused, closed, defaults_and_ends
 
 type Made<T> = Result<T, PluginError>;
 
-/// Displays of all kinds that a node may support.
+/// Returns displays of all kinds that a node may support.
 fn displays() -> Vec<Display> {
     let of = |layers: &[f64], frames: usize| Display::uniform([8, 6], 1.0, [3, 2], [20.0, 14.0], layers, frames);
     let mut directional = of(&[0.0], 1);
@@ -25,7 +25,7 @@ fn displays() -> Vec<Display> {
     vec![of(&[-3.0, 3.0], 4), of(&[0.0], 2), of(&[-4.0, 0.0, 4.0], 3), directional]
 }
 
-/// A reproducible light field of random values in a display's geometry.
+/// Returns a light field of random values in a display's geometry. It is the same at every call.
 ///
 /// # Errors
 /// If the display's geometry is invalid.
@@ -37,7 +37,8 @@ pub fn random_field(display: &Display) -> Made<LightField> {
     Ok(field)
 }
 
-/// The layer stack of a compiled-in node for a light field, with parameters as JSON.
+/// Returns the layer stack that a compiled-in node makes for a light field. `params` is the node's
+/// parameters as JSON.
 ///
 /// # Errors
 /// The node's error.
@@ -46,7 +47,8 @@ pub fn made_by(node: &'static Export, params: &str, display: &Display, field: &L
     Ok(made.stack)
 }
 
-/// A node's layer stack and its reports, without the times.
+/// A node's layer stack, and its reports as text. The times of the reports are left out, since they
+/// differ from run to run.
 type Reported = (LayerStack, String);
 
 fn reported(made: MadeStack) -> Reported {
@@ -58,7 +60,8 @@ fn stack_of(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display)
     make_stack(plugin, host, params, &NodeData::new(display, &random_field(display)?)).map(reported)
 }
 
-/// As [`stack_of`], with weights per ray, a start and another seed, which a node may ignore.
+/// Makes a stack as [`stack_of`] does, but gives the node all optional input: weights per ray, a
+/// start and a seed.
 fn stack_from_all(plugin: &Plugin, host: &MemoryHost, params: &str, display: &Display) -> Made<Reported> {
     let field = random_field(display)?;
     let [views_y, views_x, rows, cols, _] = field.radiance().shape();
@@ -96,7 +99,7 @@ fn maker_conformance<T: PartialEq>(
 ) -> Result<(), Broken> {
     let defaults = rule("has default parameters", resolved(plugin, &json!({})))?;
     let mut served = Vec::new();
-    // Each display is supported or refused with a reason; at least one is supported.
+    // The plugin may refuse a display with a reason, but must support at least one display.
     for display in displays() {
         let host = MemoryHost::new();
         match make(plugin, &host, &defaults, &display) {
@@ -136,7 +139,7 @@ fn maker_conformance<T: PartialEq>(
     bad_parameters_are_refused(plugin, |params| make(plugin, &MemoryHost::new(), params, display).err())
 }
 
-/// Bytes that are no file of any format.
+/// Returns the contents of files that have no known format.
 fn garbage() -> [Vec<u8>; 4] {
     let mut stream = Stream::new(9);
     let noise = (0..4096).map(|_| (stream.next_f32() * 256.0) as u8).collect();
@@ -200,7 +203,8 @@ pub fn import_conformance(plugin: &Plugin, file: &str, files: &[(&str, &[u8])]) 
     Ok(())
 }
 
-/// Compares the results of two builds for these parameters; returns the number of compared results.
+/// Compares the results of two builds of a plugin for these parameters. Returns the number of
+/// compared results.
 pub(crate) fn same(plugin: &Plugin, other: &Plugin, params: &Value) -> Result<usize, Broken> {
     let params = rule("takes its own parameters", resolved(plugin, params))?;
     let mut count = 0;

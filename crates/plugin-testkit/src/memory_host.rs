@@ -7,14 +7,14 @@ use lumistack_core::{Cancel, Progress, Task, Warning, Warnings};
 use lumistack_plugin::PluginError;
 use lumistack_plugin_host::serve::{LogLevel, Services, path_parts};
 
-/// A host in memory.
+/// A host that keeps files and messages in memory.
 #[derive(Debug, Default)]
 pub struct MemoryHost {
     state: Mutex<State>,
     cancel: Cancel,
-    /// The index of the append that fails.
+    /// The number of the append that fails, counted from 0 over all files.
     fail_at_append: Option<usize>,
-    /// The index of the append after which the user cancels.
+    /// The number of the append during which the user cancels, counted from 0 over all files.
     cancel_at_append: Option<usize>,
 }
 
@@ -31,17 +31,17 @@ struct State {
 }
 
 impl MemoryHost {
-    /// A host without failures.
+    /// Makes a host that never fails.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// A host whose disk is full at append `append`, counted from 0.
+    /// Makes a host whose disk is full at append number `append`, counted from 0.
     pub fn failing_at(append: usize) -> Self {
         Self { fail_at_append: Some(append), ..Self::default() }
     }
 
-    /// A host whose user cancels during append `append`, counted from 0.
+    /// Makes a host whose user cancels during append number `append`, counted from 0.
     pub fn cancelled_at(append: usize) -> Self {
         Self { cancel_at_append: Some(append), ..Self::default() }
     }
@@ -51,32 +51,33 @@ impl MemoryHost {
         self.cancel.cancel();
     }
 
-    /// Committed files: path to bytes.
+    /// The bytes of the committed files, by path.
     pub fn files(&self) -> BTreeMap<String, Vec<u8>> {
         self.state().committed.clone()
     }
 
-    /// Paths of files that are neither committed nor aborted.
+    /// Returns the paths of files that are neither committed nor aborted.
     pub fn open_files(&self) -> Vec<String> {
         self.state().open.values().map(|(path, _)| path.clone()).collect()
     }
 
-    /// Number of appends so far.
+    /// Returns the number of appends so far.
     pub fn appends(&self) -> usize {
         self.state().appends
     }
 
-    /// Number of files opened after cancellation.
+    /// Returns the number of files that were opened after cancellation.
     pub fn opened_after_cancel(&self) -> usize {
         self.state().opened_after_cancel
     }
 
-    /// Messages so far.
+    /// Returns all messages that the plugin has reported so far.
     pub fn messages(&self) -> Vec<(LogLevel, String)> {
         self.state().messages.clone()
     }
 
-    /// Names of the stages begun, and the number of stages still open.
+    /// Returns the names of all stages that have begun, and the number of stages that have not
+    /// ended.
     pub fn stages(&self) -> (Vec<String>, i64) {
         let state = self.state();
         (state.stages.clone(), state.depth)

@@ -1,4 +1,4 @@
-//! Rules shared by all kinds of plugins.
+//! Rules that apply to plugins of every kind.
 
 use lumistack_plugin::{Kind, Param, PluginError};
 use lumistack_plugin_host::serve::Plugin;
@@ -7,24 +7,25 @@ use thiserror::Error;
 
 use crate::memory_host::MemoryHost;
 
-/// A violated rule.
+/// A rule of the plugin interface that a plugin violates.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{rule}: {found}")]
 pub struct Broken {
-    /// The rule.
+    /// The violated rule.
     pub rule: &'static str,
-    /// The observed behaviour.
+    /// The plugin's behaviour that violates the rule.
     pub found: String,
 }
 
-/// Default parameters, then both ends of every parameter's range, one parameter at a time.
+/// Iterates over the default parameters, and then over both ends of every parameter's range. Only
+/// one parameter at a time differs from its default.
 pub(crate) fn defaults_and_ends<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Iterator<Item = Value> + 'a {
     let ends = varied(plugin, at_default).flat_map(allowed);
     std::iter::once(json!({})).chain(ends.map(|(name, value)| Value::Object(Map::from_iter([(name, value)]))))
 }
 
 /// Checks that the plugin itself refuses values outside its schema, since a host in another
-/// language may not check them.
+/// language may pass them unchecked.
 pub(crate) fn bad_parameters_are_refused(
     plugin: &Plugin,
     refusal: impl Fn(&str) -> Option<PluginError>,
@@ -44,7 +45,7 @@ pub(crate) fn varied<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Ite
     plugin.info().schema.params.iter().filter(|param| !at_default.contains(&param.name.as_str()))
 }
 
-/// The extreme values of a parameter, or all its choices, without its default value.
+/// Returns both ends of a parameter's range, or all its options, without the default value.
 pub(crate) fn allowed(param: &Param) -> Vec<(String, Value)> {
     let values = match &param.kind {
         Kind::Bool { .. } => vec![json!(false), json!(true)],
@@ -58,7 +59,7 @@ pub(crate) fn allowed(param: &Param) -> Vec<(String, Value)> {
     others.map(|value| (param.name.clone(), value)).collect()
 }
 
-/// Values of the wrong type or outside a parameter's range.
+/// Returns values that a parameter does not allow: values of the wrong type or outside the range.
 fn forbidden(param: &Param) -> Vec<(String, Value)> {
     let values = match &param.kind {
         Kind::Bool { .. } => vec![json!("yes"), json!(1)],

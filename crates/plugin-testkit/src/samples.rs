@@ -1,5 +1,5 @@
-//! Small displays with distinct values everywhere, so that swapped layers, frames, views or
-//! channels are detected.
+//! Small displays with random data. All values differ, so tests detect swapped layers, frames,
+//! views and channels.
 
 use lumistack_core::seed::{Stream, derive};
 use lumistack_display::{
@@ -14,7 +14,7 @@ use lumistack_plugin_host::serve::OutputData;
 pub struct Sample {
     /// The property by which the sample differs from the others.
     pub name: &'static str,
-    /// The display.
+    /// The display for which the data are made.
     pub display: Display,
     kind: Kind,
 }
@@ -26,7 +26,7 @@ enum Kind {
 }
 
 impl Sample {
-    /// The data.
+    /// Returns the data of the sample.
     pub fn data(&self) -> OutputData<'_> {
         match &self.kind {
             Kind::Stack(stack) => OutputData::LayerStack(stack, None),
@@ -34,12 +34,12 @@ impl Sample {
         }
     }
 
-    /// The data's port.
+    /// Returns the port that accepts the data.
     pub fn port(&self) -> Port {
         self.data().port()
     }
 
-    /// The layer stack, if it is one.
+    /// The layer stack; `None` if the sample has a light field.
     pub fn stack(&self) -> Option<&LayerStack> {
         match &self.kind {
             Kind::Stack(stack) => Some(stack),
@@ -47,7 +47,7 @@ impl Sample {
         }
     }
 
-    /// The light field, if it is one.
+    /// The light field; `None` if the sample has a layer stack.
     pub fn field(&self) -> Option<&LightField> {
         match &self.kind {
             Kind::Field(field) => Some(field),
@@ -114,7 +114,7 @@ fn one_directional_layer() -> Display {
     Display { name: "directional".into(), backlight: Backlight::Lenslets(lenslets), ..plain }
 }
 
-/// A stack of uniformly distributed values.
+/// Returns a stack of uniformly distributed random values.
 fn random_stack(display: &Display, seed: u64) -> LayerStack {
     let mut stack = LayerStack::filled(display, 0.0);
     for (n, layer) in stack.layers.iter_mut().enumerate() {

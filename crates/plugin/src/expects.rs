@@ -1,11 +1,11 @@
-//! Requirements of nodes on a display. Each check names the display, the expected and the found
-//! property.
+//! Checks with which nodes refuse displays that they do not support. Each error names the display,
+//! the expected and the found property.
 
 use lumistack_display::{Backlight, Display, Formation, LensletBacklight};
 
 use crate::PluginError;
 
-/// Requires this number of layers.
+/// Requires `count` layers.
 ///
 /// # Errors
 /// On any other number.

@@ -1,4 +1,4 @@
-//! A plugin's exports: its descriptor and its entry symbol.
+//! The descriptor and the entry symbol that a plugin exports.
 
 use std::panic::catch_unwind;
 use std::sync::LazyLock;
@@ -18,26 +18,26 @@ pub struct Export {
 }
 
 impl Export {
-    /// Describes an output plugin. [`export_plugin!`](crate::export_plugin) calls it once per
-    /// plugin; the texts are never freed.
+    /// Describes an output plugin. [`export_plugin!`](crate::export_plugin) calls this function
+    /// once per plugin. The descriptor's texts are never freed.
     pub fn output<P: OutputPlugin>(id: &'static str, version: &'static str) -> Self {
         let ports = P::PORTS.iter().fold(0, |set, port| set | port.bit());
         Self::describe(kind::OUTPUT, ports, id, version, P::DOC, P::schema(), vtable_of::<P>())
     }
 
-    /// Describes an importer; see [`output`](Self::output).
+    /// Describes an importer. [`export_plugin!`](crate::export_plugin) calls this function.
     pub fn importer<P: ImporterPlugin>(id: &'static str, version: &'static str) -> Self {
         let vtable = Box::leak(Box::new(importer_vtable::<P>()));
         Self::describe(kind::IMPORTER, port::FILE, id, version, P::DOC, P::schema(), vtable)
     }
 
-    /// Describes a source; see [`output`](Self::output).
+    /// Describes a source. [`export_plugin!`](crate::export_plugin) calls this function.
     pub fn source<P: SourcePlugin>(id: &'static str, version: &'static str) -> Self {
         let vtable = Box::leak(Box::new(source_vtable::<P>()));
         Self::describe(kind::SOURCE, 0, id, version, P::DOC, P::schema(), vtable)
     }
 
-    /// Describes a node; see [`output`](Self::output).
+    /// Describes a node. [`export_plugin!`](crate::export_plugin) calls this function.
     pub fn node<P: NodePlugin>(id: &'static str, version: &'static str) -> Self {
         let vtable = Box::leak(Box::new(node_vtable::<P>()));
         Self::describe(kind::NODE, port::LIGHT_FIELD, id, version, P::DOC, P::schema(), vtable)
@@ -79,13 +79,14 @@ impl Export {
     }
 }
 
-/// The entry function of a plugin: returns the descriptor, or null if its construction panics.
+/// The entry function of a plugin. Returns the descriptor, or null if the construction of the
+/// descriptor panics.
 pub fn entry_of(plugin: &'static LazyLock<Export>) -> *const Descriptor {
     catch_unwind(|| &raw const *plugin.descriptor()).unwrap_or(std::ptr::null())
 }
 
-/// Checks a plugin id, with which the entry symbol ends. It has lower-case letters, digits and
-/// underscores, and begins with a letter.
+/// Returns true if a text can be a plugin's id, with which its entry symbol ends. An id has
+/// lower-case letters, digits and underscores, and begins with a letter.
 pub const fn is_plugin_id(id: &str) -> bool {
     let id = id.as_bytes();
     let mut i = 0;
@@ -100,8 +101,9 @@ pub const fn is_plugin_id(id: &str) -> bool {
 
 /// `export_plugin!("id", Type)` belongs at the end of a plugin's module. It defines the static
 /// `PLUGIN`, for hosts with the plugin compiled in, and the symbol `lumistack_plugin_entry_<id>`
-/// for hosts that load libraries. The plugin has its crate's version. Plugins other than outputs
-/// name their kind: `export_plugin!("id", Type as importer)`, `as source`, `as node`.
+/// for hosts that load libraries. The plugin's version is the version of its crate. Without a kind
+/// the plugin is an output. Other plugins state their kind: `export_plugin!("id", Type as
+/// importer)`, `as source`, `as node`.
 #[macro_export]
 macro_rules! export_plugin {
     ($id:literal, $type:ty) => {

@@ -1,4 +1,4 @@
-//! The parameters that a host passes to a plugin.
+//! Reads the parameters that a host passes to a plugin.
 
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -8,7 +8,7 @@ use lumistack_plugin_abi::Str;
 use crate::wire::lent_text;
 use crate::{PluginError, Schema};
 
-/// Parses and checks the parameters, and fills in defaults.
+/// Parses and checks the parameters, and fills in the schema's defaults.
 ///
 /// # Safety
 /// The text is lent for the call.

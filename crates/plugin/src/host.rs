@@ -13,8 +13,8 @@ use serde_json::Value;
 use crate::wire::{call, needs};
 use crate::{PlaneView, PluginError, Port, ViewPoint};
 
-/// The host's services. Clones use the same services, which end when the output is closed: later
-/// calls return errors.
+/// The host's services. A clone uses the same services. They end when the output is closed: after
+/// that, calls return errors.
 #[derive(Clone)]
 pub struct Host(Arc<RwLock<Option<Table>>>);
 
@@ -34,13 +34,13 @@ impl Host {
         Self(Arc::new(RwLock::new(Some(Table(table)))))
     }
 
-    /// Ends the services, after running calls have returned.
+    /// Waits until running calls of services have returned, and ends the services.
     pub(crate) fn close(&self) {
         *self.0.write().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
-    /// Calls a service. The lock keeps the table valid meanwhile. Services never call back into the
-    /// plugin, so the lock is not taken twice.
+    /// Calls a service; `None` if the services have ended. The lock keeps the table valid during
+    /// the call. Services never call back into the plugin, so no thread takes the lock twice.
     fn with<T>(&self, function: impl FnOnce(&HostServices) -> T) -> Option<T> {
         let guard = self.0.read().unwrap_or_else(PoisonError::into_inner);
         // SAFETY: valid until `close`, which waits for the lock.
@@ -70,7 +70,7 @@ impl Host {
         self.log(level::INFO, message);
     }
 
-    /// For presenters: sends an event, in the plugin's JSON, to the program that runs the
+    /// Sends an event of a presenter, as JSON that the plugin defines, to the program that runs the
     /// presentation.
     pub fn tell(&self, event: &Value) {
         let json = event.to_string();
@@ -91,8 +91,8 @@ impl Host {
         Stage(self.clone())
     }
 
-    /// The port of the data that an output will receive, if the host knows it at `open`; otherwise
-    /// `None`.
+    /// Returns the port of the data that an output will receive; `None` if the host does not know
+    /// it at `open`.
     pub fn port(&self) -> Option<Port> {
         let bit = self.with(|table| table.port)?;
         Port::ALL.into_iter().find(|port| port.bit() == bit)
@@ -110,8 +110,8 @@ impl Host {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 
-    /// Runs work of this project's libraries. Their progress and warnings are passed to the host,
-    /// and the host's cancellation is passed to them.
+    /// Runs `work`, which calls libraries of this project with a [`Task`]. The task passes progress
+    /// and warnings to the host, and the host's cancellation to the libraries.
     pub fn run<T>(&self, work: impl FnOnce(Task<'_>) -> T) -> T {
         let forward = Forward { host: self, stages: Mutex::default() };
         let (cancel, done) = (Cancel::default(), AtomicBool::new(false));
@@ -128,15 +128,16 @@ impl Host {
                     ask();
                 }
             });
-            // `_done` is dropped after a panic too; otherwise the scope would wait for ever
+            // `_done` ends the checking thread when it is dropped, also after a panic. Otherwise
+            // the scope would wait for that thread for ever.
             let _done = Done { done: &done, checker: checker.thread().clone() };
             work(Task { progress: &forward, warnings: &forward, cancel: &cancel })
         })
     }
 
     /// Creates a file. `path` is relative to the output's folder, with `/` between names. The file
-    /// is written through [`io::Write`]. A committed file appears when the output has finished;
-    /// dropping a file before the commit discards it.
+    /// is written through [`io::Write`]. A committed file appears when the output has finished. A
+    /// file that is dropped without a commit is discarded.
     ///
     /// # Errors
     /// If the path is absolute or leaves the folder, or the host cannot write.
@@ -174,7 +175,7 @@ impl Host {
 /// Interval at which [`Host::run`] checks for cancellation.
 const CANCEL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Ends the thread that checks for cancellation.
+/// Ends, when dropped, the thread that checks for cancellation.
 struct Done<'a> {
     done: &'a AtomicBool,
     checker: Thread,
@@ -228,8 +229,8 @@ impl std::fmt::Debug for Host {
     }
 }
 
-/// Closes a host's services on drop, unless [`keep`](Self::keep) took them. So a panic in `open`
-/// closes them, too.
+/// Closes a host's services on drop, also after a panic in `open`. [`keep`](Self::keep) takes the
+/// services, which then stay open.
 pub(crate) struct CloseHost(Option<Host>);
 
 impl CloseHost {
@@ -264,7 +265,8 @@ impl Drop for CloseHost {
 pub struct Stage(Host);
 
 impl Stage {
-    /// Completes steps; `note` is a short value to show next to the progress bar, or empty.
+    /// Reports that `steps` more steps are complete. `note` is a short text next to the progress
+    /// bar, or empty.
     pub fn advance(&self, steps: u64, note: &str) {
         // SAFETY: the table's own context; the text is lent for the call.
         self.0.with(|table| unsafe { (table.progress_advance)(table.context, steps, Str::new(note)) });
@@ -278,8 +280,8 @@ impl Drop for Stage {
     }
 }
 
-/// A file in progress; see [`Host::create`]. Errors of its [`io::Write`] contain a [`PluginError`],
-/// which [`PluginError::from_io`] extracts.
+/// A file that is being written; see [`Host::create`]. Errors of its [`io::Write`] contain a
+/// [`PluginError`], which [`PluginError::from_io`] extracts.
 #[derive(Debug)]
 pub struct OutputFile {
     host: Host,
@@ -299,7 +301,7 @@ impl OutputFile {
         self.host.call(|table, error| unsafe { (table.file_append)(table.context, file, Bytes::new(bytes), error) })
     }
 
-    /// Completes the file.
+    /// Completes the file, which appears when the output has finished.
     ///
     /// # Errors
     /// If the host cannot complete it.

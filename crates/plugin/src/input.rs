@@ -1,4 +1,4 @@
-//! Submitted data, from the plugin's side.
+//! The data of a `submit`, as a plugin reads them.
 
 use std::marker::PhantomData;
 
@@ -20,7 +20,7 @@ pub enum Input<'a> {
     LightField(FieldInput<'a>),
 }
 
-/// Borrowed functions and pointers of one `submit`.
+/// The data of one `submit`, borrowed from the host.
 #[derive(Debug)]
 struct Lent<'a> {
     data: *const Data,
@@ -46,7 +46,7 @@ pub struct StackInput<'a> {
     depth: Option<SeenDepth>,
 }
 
-/// Linear radiance of many views, 0..1 after exposure (highlights may exceed 1).
+/// A light field: linear radiance of many views, 0..1 after exposure. Highlights may exceed 1.
 #[derive(Debug)]
 pub struct FieldInput<'a> {
     lent: Lent<'a>,
@@ -172,7 +172,7 @@ impl StackInput<'_> {
         })
     }
 
-    /// A copy of the whole layer stack. `display` is the display of the output.
+    /// Copies the whole layer stack. `display` is the display of the output.
     ///
     /// # Errors
     /// If the host cannot lend a plane, or the stack does not match the display.
@@ -180,9 +180,9 @@ impl StackInput<'_> {
         self.lent.patterns(display, self.brightness)
     }
 
-    /// The simulated view from a viewpoint: emitted linear radiance `[row][col][rgb]`, the mean
-    /// over the area of each of the target's pixels. Divide by [`brightness`](Self::brightness) for
-    /// the view of an adapted viewer.
+    /// Returns the simulated view from a viewpoint: emitted linear radiance `[row][col][rgb]`. Each
+    /// value is the mean over the area of a pixel of the target. An adapted viewer sees this
+    /// radiance divided by [`brightness`](Self::brightness).
     ///
     /// # Errors
     /// If the viewpoint is invalid, or the host cannot compute the view.
@@ -193,7 +193,7 @@ impl StackInput<'_> {
 }
 
 impl FieldInput<'_> {
-    /// Numbers of pixels and views, with the views' slopes.
+    /// Returns the numbers of pixels and views, and the views' slopes.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
     }
@@ -212,7 +212,7 @@ impl FieldInput<'_> {
         self.lent.plane(|data, plane, error| unsafe { (data.view_plane)(data.context, view[0], view[1], plane, error) })
     }
 
-    /// A copy of all views.
+    /// Copies all views.
     ///
     /// # Errors
     /// If the host cannot lend a view, or lends one of another shape.
@@ -226,12 +226,12 @@ impl FieldInput<'_> {
         Ok(whole.with_depth(self.depth.clone()))
     }
 
-    /// Random seed; 1 if the host sets none.
+    /// Returns the seed for random numbers. It is 1 if the host sets none.
     pub(crate) fn seed(&self) -> u64 {
         self.seed.unwrap_or(1)
     }
 
-    /// Weights of the rays.
+    /// Returns the weights of the light field's rays.
     pub(crate) fn weights(&self) -> Result<Weights, PluginError> {
         let wrong = |error: &dyn std::fmt::Display| PluginError::Failed(format!("data from the host: {error}"));
         let FieldGeometry { rows, cols, grid, .. } = &self.geometry;
@@ -260,13 +260,13 @@ impl FieldInput<'_> {
         Ok(weights)
     }
 
-    /// Layer stack to start from.
+    /// Returns the layer stack that the node may start from; `None` if the host gives none.
     pub(crate) fn start(&self, display: &Display) -> Result<Option<LayerStack>, PluginError> {
         self.start.map(|Start { brightness }| self.lent.patterns(display, brightness)).transpose()
     }
 }
 
-/// Every (frame, bin_y, bin_x) of a directional backlight.
+/// Iterates over every (frame, bin_y, bin_x) of a directional backlight.
 pub(crate) fn bins(frames: usize, [bins_y, bins_x]: [usize; 2]) -> impl Iterator<Item = (usize, usize, usize)> {
     (0..frames).flat_map(move |frame| (0..bins_y).flat_map(move |y| (0..bins_x).map(move |x| (frame, y, x))))
 }
@@ -296,7 +296,7 @@ impl Lent<'_> {
         unsafe { PlaneView::new(plane) }
     }
 
-    /// Copies the borrowed layer stack.
+    /// Copies the layer stack that the host lends: an output's data, or a node's start.
     fn patterns(&self, display: &Display, brightness: f64) -> Result<LayerStack, PluginError> {
         let mut stack = LayerStack::filled(display, 0.0);
         stack.brightness = brightness;
@@ -325,7 +325,7 @@ impl Lent<'_> {
 }
 
 impl ViewPoint {
-    /// The viewpoint of `view` = [view_y, view_x] of a geometry.
+    /// Returns the viewpoint of the view `view` = [view_y, view_x] of a geometry.
     ///
     /// # Panics
     /// If there is no such view.

@@ -1,5 +1,5 @@
 //! Computes the picture of the panel behind a lens array from the emission that the array must
-//! show: PAPER sections 3.3 and 5.1.2.
+//! show. Source: sections 3.3 and 5.1.2 of the paper.
 //!
 //! The panel is in the lenses' focal plane. Light of a point at offset u from a lens's axis leaves
 //! that lens as a parallel beam of slope
@@ -8,17 +8,17 @@
 //! s = −u / f
 //! ```
 //!
-//! at any point of the lens: a ray at height h arrives with slope (h − u)/f and is refracted by
-//! −h/f. In the display model lens (i, j) emits, at slope s, the value of bin
-//! floor(A/2 · (1 + s / tan(α/2))) per axis.
+//! at every point of the lens. At height h above the axis, a ray arrives with slope (h − u)/f, and
+//! the lens adds −h/f. Let an axis have A bins over the full angle α. Then in the display model a
+//! lens emits at slope s the value of bin floor(A/2 · (1 + s / tan(α/2))).
 //!
-//! Lens pitch and pixel pitch are not commensurate (2.54 mm are 8.98 pixels of 0.2827 mm).
-//! Therefore lens and offset are computed for every pixel. Coordinates are display millimetres, x
+//! A lens is not a whole number of pixels wide (2.54 mm are 8.98 pixels of 0.2827 mm). Therefore
+//! the lens and the offset u are computed for every pixel. Coordinates are display millimetres, x
 //! right, y up, seen from the front.
 
 use lumistack_display::LensletBacklight;
 
-/// A panel behind a lens array, as built: all lengths are calibrated values.
+/// A panel behind a lens array. All lengths are those of the built device, after calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LensletPanel {
     /// [columns, rows] of the panel.
@@ -69,12 +69,13 @@ impl LensletPanel {
         }
     }
 
-    /// Lens and bin of the panel's point (x, y), millimetres; `None` outside the array, or if the
-    /// slope is outside the bins.
+    /// Returns the lens and the bin of the panel's point (x, y), millimetres. Returns `None`
+    /// outside the array, and if the slope of the point's light is outside the bins.
     pub fn spot(&self, [x_mm, y_mm]: [f64; 2]) -> Option<Spot> {
         let (sin, cos) = self.rotation_deg.to_radians().sin_cos();
         let [dx, dy] = [x_mm - self.offset_mm[0], y_mm - self.offset_mm[1]];
-        // coordinates along the array's axes; y points down, as the numbers of its rows do
+        // Compute the coordinates along the array's axes. The coordinate y points down, since rows
+        // are numbered from the top.
         let own = [cos * dx + sin * dy, sin * dx - cos * dy];
         let mut lens = [0usize; 2];
         let mut u = [0.0; 2];
@@ -88,7 +89,7 @@ impl LensletPanel {
             lens[axis] = index as usize;
             u[axis] = (position - index - 0.5) * self.lens_pitch_mm;
         }
-        // offset from the lens's axis in the display's directions, y down
+        // Turn the offset from the lens's axis back to the display's axes, with y down.
         let u = [cos * u[0] + sin * u[1], cos * u[1] - sin * u[0]];
         let mut bin = [0usize; 2];
         for axis in 0..2 {
@@ -142,7 +143,7 @@ mod tests {
 
     use super::*;
 
-    /// The paper's array: 10 lenses per inch, 48°, 5 × 5 bins.
+    /// Returns a display with the paper's lens array: 10 lenses per inch, 48°, 5 × 5 bins.
     fn display() -> Display {
         let mut display = Display::uniform([84, 52], 0.5655, [5, 5], [48.0, 48.0], &[0.0], 1);
         display.backlight = Backlight::Lenslets(LensletBacklight::new(-8.5, [18, 11], 2.54, [5, 5], [48.0, 48.0]));
@@ -158,7 +159,7 @@ mod tests {
         LensletPanel::new(backlight(display), [168, 105], 0.2827)
     }
 
-    /// A distinct colour for every lens and bin.
+    /// Returns random emission, so that every lens and bin has another colour.
     fn planes(panel: &LensletPanel) -> Vec<Vec<f32>> {
         let mut random = Stream::new(3);
         let count = 3 * panel.lenslets[0] * panel.lenslets[1];
@@ -172,9 +173,9 @@ mod tests {
         assert!((panel.focal_mm - 2.85).abs() < 0.005);
     }
 
-    /// Oracle by ray optics: traces a ray from a point of the array, with a slope, back through the
-    /// thin lens to the panel. The pixel there must show the display model's value of that ray. The
-    /// lens array is an explicit list of rotated axes.
+    /// Compares the picture with an oracle by ray optics. The oracle traces random rays, which
+    /// leave the lens array, back through a thin lens to the panel. The pixel that a ray hits must
+    /// have the ray's value in the display model.
     #[test]
     fn traced_rays_agree_with_the_display_model() {
         let display = display();
@@ -183,7 +184,8 @@ mod tests {
         {
             let nominal = panel(&display);
             let built = LensletPanel {
-                // fine pixels: the trace is exact, and only pixels on bin borders may differ
+                // The pixels are fine, since pixels on the borders of bins may differ from the
+                // exact trace.
                 resolution: [168 * 4, 105 * 4],
                 pitch_mm: 0.2827 / 4.0,
                 rotation_deg,
@@ -206,8 +208,8 @@ mod tests {
                 let centre = turned(axis(lens[0], 18), -axis(lens[1], 11));
                 let height = [0, 1].map(|_| (f64::from(random.next_f32()) - 0.5) * built.lens_pitch_mm);
                 let slope = [0, 1].map(|_| (2.0 * f64::from(random.next_f32()) - 1.0) * 24f64.to_radians().tan());
-                // thin lens: slope before = slope after + height / f; then from the lens plane to
-                // the panel
+                // A thin lens changes slopes: slope before = slope after + height / f. Follow the
+                // ray from the lens to the panel.
                 let on_panel = [0, 1].map(|i| {
                     let before = slope[i] + height[i] / built.focal_mm;
                     centre[i] + height[i] - before * built.focal_mm
@@ -217,8 +219,8 @@ mod tests {
                 if !(col >= 0.0 && row >= 0.0 && col < built.resolution[0] as f64 && row < built.resolution[1] as f64) {
                     continue;
                 }
-                // A point behind a neighbouring lens belongs to the neighbour's picture, so the
-                // ray is skipped.
+                // Skip a ray that hits the panel behind a neighbouring lens, since the pixel there
+                // belongs to that lens.
                 let u = [0, 1].map(|i| on_panel[i] - centre[i]);
                 let own = [u[0] * angle.cos() + u[1] * angle.sin(), u[1] * angle.cos() - u[0] * angle.sin()];
                 if own.iter().any(|u| u.abs() > 0.5 * built.lens_pitch_mm) {
@@ -232,14 +234,14 @@ mod tests {
             }
             let share = same as f64 / all as f64;
             println!("{rotation_deg}°, {offset_mm:?}: {share:.4} of the rays");
-            // Bins are 7.2 fine pixels wide on both axes. Rounding the position to a pixel
-            // changes the bin of some rays near a border.
+            // Bins are 7.2 fine pixels wide on both axes. A ray near the border of a bin may hit a
+            // pixel whose centre is in the next bin, so not all rays agree.
             assert!(share > 0.85, "{share}");
         }
     }
 
-    /// Exact test at pixel centres: the ray from a pixel's centre through its lens's centre has the
-    /// same value in the display model's tables.
+    /// The ray from a pixel's centre through the centre of its lens must have the pixel's value in
+    /// the display model's tables.
     #[test]
     fn the_display_s_tables_agree_at_every_pixel() {
         let display = display();

@@ -56,14 +56,14 @@
 //! # fn main() {}
 //! ```
 //!
-//! Importers, sources and nodes implement [`ImporterPlugin`], [`SourcePlugin`] or [`NodePlugin`],
-//! one function each, and end with `export_plugin!("id", Type as importer)` (`as source`,
-//! `as node`).
+//! An importer, a source or a node implements [`ImporterPlugin`], [`SourcePlugin`] or
+//! [`NodePlugin`]. Each of these traits has one function that does the work. The plugin's file ends
+//! with `export_plugin!("id", Type as importer)` (`as source`, `as node`).
 //!
-//! A crate of plugins is a plain library, with one module per plugin if it has several. If it is
-//! compiled in, the host lists the modules' `PLUGIN`s. If it is loaded, the host finds the symbols
-//! `lumistack_plugin_entry_<id>` in `lumistack_plugin_<name>`. Both ways use the same C functions,
-//! and a panic of the plugin becomes an error.
+//! A crate of plugins is a plain library. It has one module per plugin if it has several plugins. A
+//! host with the plugins compiled in lists the `PLUGIN` of each module. A host that loads the
+//! library finds the symbols `lumistack_plugin_entry_<id>` in `lumistack_plugin_<name>`. Both hosts
+//! call the same C functions, and a panic of the plugin becomes an error.
 //!
 //! The host's side is `lumistack-plugin-host`; tests of a plugin use it through
 //! `lumistack-plugin-testkit`. [`wire`] contains the code shared by both sides.

@@ -1,5 +1,5 @@
-//! Importers, sources and nodes. Each trait has one function, whose result is sent to the host
-//! piece by piece.
+//! The traits of importers, sources and nodes. Each trait has one function that does the work. Its
+//! result is sent to the host piece by piece.
 
 use lumistack_display::{Display, LayerStack, LightField};
 use lumistack_plugin_abi::{
@@ -52,7 +52,7 @@ pub trait SourcePlugin: 'static {
     fn schema() -> Schema;
 
     /// Makes the light field of one time step: linear radiance, finite and at least 0. Its geometry
-    /// should be the display's ([`Display::geometry`]); another geometry is accepted.
+    /// should be the display's ([`Display::geometry`]), but the host accepts another geometry too.
     ///
     /// # Errors
     /// If the light field cannot be made; [`PluginError::Cancelled`] if the user cancelled.

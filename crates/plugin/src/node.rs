@@ -9,7 +9,7 @@ use crate::time::Time;
 use crate::wire::call;
 use crate::{Host, PluginError};
 
-/// A light field and the display to solve for.
+/// The input of a node: a light field, and the display for which the node solves.
 #[derive(Debug)]
 pub struct NodeInput<'a> {
     pub(crate) host: Host,
@@ -22,7 +22,7 @@ pub struct NodeInput<'a> {
 /// State of an iterative solver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// Iterations completed; 0 at the start.
+    /// Number of completed iterations; 0 for the start.
     pub iteration: u32,
     /// The objective that the solver minimizes.
     pub objective: f64,
@@ -37,38 +37,39 @@ pub struct Solution {
     pub solver: String,
     /// Name of the start.
     pub start: String,
-    /// Number of coarser resolutions, each half the next finer one, that were solved first.
+    /// Number of coarser resolutions that were solved first. Each is half the next finer
+    /// resolution.
     pub coarse_levels: u32,
-    /// KKT residual: root mean square, over all values, of the emission's change by a further exact
-    /// update of that value.
+    /// KKT residual: root mean square, over all values of the factors, of the change in emission by
+    /// one more exact update of the value.
     pub kkt_residual: f64,
-    /// PSNR in dB for panels of few bits: with continuous, rounded and re-optimized masks. `None`
-    /// for panels of many bits.
+    /// For panels of few bits, the PSNR in dB with continuous masks, with rounded masks, and with
+    /// masks that are optimized again after the rounding. `None` for panels of many bits.
     pub levels: Option<[f64; 3]>,
 }
 
 impl NodeInput<'_> {
-    /// Messages, progress and cancellation.
+    /// The host's services: messages, progress and cancellation.
     pub fn host(&self) -> &Host {
         &self.host
     }
 
-    /// The display.
+    /// Returns the display that will show the layer stack.
     pub fn display(&self) -> &Display {
         &self.display
     }
 
-    /// The time step.
+    /// Returns the time step for which the layer stack is made.
     pub fn time(&self) -> Time {
         self.time
     }
 
-    /// The light field, in the display's geometry.
+    /// Returns the light field, which has the display's geometry.
     pub fn field(&self) -> &FieldInput<'_> {
         &self.field
     }
 
-    /// Random seed.
+    /// Returns the seed for random numbers.
     pub fn seed(&self) -> u64 {
         self.field.seed()
     }

@@ -16,9 +16,10 @@ use crate::time::Time;
 use crate::wire::{answer, display_from_json, lent_text, needs, panic_text};
 use crate::{Host, PluginError, Port, Schema};
 
-/// A plugin that writes or shows results. Calls in order: [`open`](Self::open),
-/// [`submit`](Self::submit) for every time step, [`run`](Self::run) for presenters,
-/// [`finish`](Self::finish). If the output is abandoned, it is dropped without `finish`.
+/// A plugin that writes or shows results. A host calls [`open`](Self::open), then
+/// [`submit`](Self::submit) for every time step, then [`run`](Self::run) for presenters, then
+/// [`finish`](Self::finish). If the host abandons the output, the output is dropped without
+/// `finish`.
 pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
@@ -43,16 +44,17 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// supported.
     fn open(host: Host, params: Self::Params, display: Display) -> Result<Self, PluginError>;
 
-    /// Submits one time step. Called from any thread, also concurrently, and in any order.
+    /// Submits one time step. The host calls this function from any thread, also concurrently, and
+    /// in any order of time steps.
     ///
     /// # Errors
     /// If the data are refused, or cannot be written or shown; [`PluginError::Cancelled`] if the
     /// user cancelled.
     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError>;
 
-    /// For presenters: runs on the main thread until the user closes the presentation or cancels.
-    /// Every [`submit`](Self::submit) meanwhile replaces the presented data. [`Host::tell`] sends
-    /// events.
+    /// Runs a presenter on the main thread until the user closes the presentation or cancels. While
+    /// it runs, every [`submit`](Self::submit) replaces the presented data. [`Host::tell`] sends
+    /// events to the program.
     ///
     /// # Errors
     /// If the presentation fails.
@@ -60,8 +62,8 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
         Ok(())
     }
 
-    /// For presenters: executes a command, in the plugin's JSON, while [`run`](Self::run) runs.
-    /// Called from any thread.
+    /// Executes a command for a presenter while [`run`](Self::run) runs. The command is JSON that
+    /// the plugin defines. The host calls this function from any thread.
     ///
     /// # Errors
     /// [`PluginError::Refused`] if it is no command of the plugin.
@@ -83,10 +85,10 @@ pub(crate) const fn vtable_of<P: OutputPlugin>() -> &'static OutputVtable {
 
 /// The object to which the C handle points.
 struct Instance<P> {
-    /// `None` once finished. Submits hold the read lock.
+    /// `None` after the plugin has finished. A running `submit` holds the read lock.
     plugin: RwLock<Option<P>>,
     host: Host,
-    /// A plugin that panicked may be inconsistent and is not called again.
+    /// True after a panic. The plugin may then be inconsistent, so it is not called again.
     panicked: AtomicBool,
 }
 
@@ -101,7 +103,7 @@ impl<P: OutputPlugin> Instance<P> {
         command: if P::PRESENTS { Some(command::<P>) } else { None },
     };
 
-    /// Runs a call of the plugin and records panics.
+    /// Runs a call of the plugin and records a panic. Refuses the call after an earlier panic.
     fn guarded(&self, error: *const ErrorSink, function: impl FnOnce() -> Result<(), PluginError>) -> Status {
         // SAFETY: the host passes null or a valid sink to every function.
         let status = unsafe {
@@ -205,7 +207,8 @@ unsafe extern "C" fn close<P: OutputPlugin>(instance: *mut c_void) {
     // SAFETY: the handle of `open`, released once.
     let this = unsafe { Box::from_raw(instance.cast::<Instance<P>>()) };
     let host = this.host.clone();
-    // a panicking destructor must not unwind into the host, and only the log can report it
+    // A panic of the plugin's destructor must not unwind into the host. `close` returns no error,
+    // so the log reports the panic.
     if let Err(payload) = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| drop(this))) {
         host.warn(&format!("panicked while closing: {}", panic_text(payload)));
     }

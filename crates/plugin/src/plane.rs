@@ -1,4 +1,4 @@
-//! Borrowed planes of values.
+//! Planes of values that the other side of the interface lends.
 
 use std::borrow::Cow;
 use std::marker::PhantomData;
@@ -7,7 +7,8 @@ use lumistack_plugin_abi::{Plane, dtype};
 
 use crate::PluginError;
 
-/// A borrowed plane `[row][col][channel]` of `f32`; released on drop.
+/// A borrowed plane `[row][col][channel]` of `f32`. The plane is released when this value is
+/// dropped.
 #[derive(Debug)]
 pub struct PlaneView<'a> {
     plane: Plane,
@@ -44,7 +45,7 @@ impl PlaneView<'_> {
         self.plane.shape[0]
     }
 
-    /// Number of columns.
+    /// Returns the number of columns.
     pub fn cols(&self) -> usize {
         self.plane.shape[1]
     }
@@ -54,7 +55,7 @@ impl PlaneView<'_> {
         self.plane.shape[2]
     }
 
-    /// One value, for any strides.
+    /// Returns one value, for planes of any strides.
     ///
     /// # Panics
     /// If an index is out of range.
@@ -71,7 +72,8 @@ impl PlaneView<'_> {
         unsafe { self.plane.data.cast::<u8>().offset(offset).cast::<f32>().read_unaligned() }
     }
 
-    /// All values as one slice `[row][col][channel]`, if they are contiguous in memory.
+    /// Returns all values as one slice `[row][col][channel]`; `None` if they are not contiguous in
+    /// memory.
     pub fn as_slice(&self) -> Option<&[f32]> {
         let element = size_of::<f32>() as isize;
         let [rows, cols, channels, _] = self.plane.shape;
@@ -86,7 +88,7 @@ impl PlaneView<'_> {
         Some(unsafe { std::slice::from_raw_parts(data, rows * cols * channels) })
     }
 
-    /// The rows from top to bottom, each `[col][channel]`.
+    /// Iterates over the rows from top to bottom, each `[col][channel]`.
     pub fn iter_rows(&self) -> impl Iterator<Item = Vec<f32>> {
         (0..self.rows()).map(|row| {
             let width = self.cols() * self.channels();
@@ -97,12 +99,13 @@ impl PlaneView<'_> {
         })
     }
 
-    /// All values `[row][col][channel]`.
+    /// Copies all values `[row][col][channel]`.
     pub fn to_vec(&self) -> Vec<f32> {
         self.values().into_owned()
     }
 
-    /// All values `[row][col][channel]`; copied only if they are not contiguous in memory.
+    /// Returns all values `[row][col][channel]`. They are copied only if they are not contiguous in
+    /// memory.
     pub fn values(&self) -> Cow<'_, [f32]> {
         self.as_slice().map_or_else(|| self.iter_rows().flatten().collect(), Cow::Borrowed)
     }
@@ -139,7 +142,8 @@ mod tests {
 
     #[test]
     fn strides_are_honoured() {
-        // channel-planar storage of 2 × 2 × 3, rows bottom up: value = 100·row + 10·col + channel
+        // a plane of 2 × 2 × 3 values, stored channel by channel with the bottom row first: value =
+        // 100·row + 10·col + channel
         let value = |row: usize, col: usize, k: usize| (100 * row + 10 * col + k) as f32;
         let mut stored = [0.0f32; 12];
         for (row, col, k) in (0..12).map(|i| (i / 6, i / 3 % 2, i % 3)) {

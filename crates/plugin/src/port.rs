@@ -3,11 +3,11 @@
 use lumistack_plugin_abi::port;
 use serde::{Deserialize, Serialize};
 
-/// The kind of data that a plugin accepts.
+/// A kind of data that a plugin accepts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Port {
-    /// A validated scene.
+    /// A scene that the host has validated.
     Scene,
     /// Linear radiance of many views.
     LightField,

@@ -1,5 +1,5 @@
-//! Parameters of a plugin: one description, from which help, defaults, validation and forms are
-//! derived.
+//! The description of a plugin's parameters. Help texts, defaults, checks and forms are derived
+//! from it.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -16,7 +16,7 @@ pub struct Schema {
     pub params: Vec<Param>,
 }
 
-/// One parameter.
+/// Describes one parameter of a plugin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Param {
     /// Key in job files: lower-case letters, digits and underscores.
@@ -35,72 +35,72 @@ pub struct Param {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Kind {
-    /// True or false.
+    /// The value is true or false.
     Bool {
-        /// Value when none is given.
+        /// Value of the parameter if the job does not set it.
         default: bool,
     },
-    /// A whole number.
+    /// The value is a whole number.
     Int {
-        /// Value when none is given.
+        /// Value of the parameter if the job does not set it.
         default: i64,
-        /// Smallest value.
+        /// Smallest allowed value.
         min: i64,
-        /// Largest value.
+        /// Largest allowed value.
         max: i64,
     },
-    /// A number.
+    /// The value is a finite number.
     Float {
-        /// Value when none is given.
+        /// Value of the parameter if the job does not set it.
         default: f64,
-        /// Smallest value.
+        /// Smallest allowed value.
         min: f64,
-        /// Largest value.
+        /// Largest allowed value.
         max: f64,
     },
-    /// One of several words.
+    /// The value is one of several words.
     Choice {
-        /// Value when none is given.
+        /// Value of the parameter if the job does not set it.
         default: String,
-        /// The words.
+        /// The allowed words.
         options: Vec<Choice>,
     },
-    /// Any text.
+    /// The value is any text.
     Text {
-        /// Value when none is given.
+        /// Value of the parameter if the job does not set it.
         default: String,
     },
     /// The path of a file that the plugin reads; empty for none. Hosts make the path absolute. A
-    /// value that begins with `{` is the file's content instead of a path.
+    /// value that begins with `{` is not a path but the file's content.
     File,
 }
 
 /// One word of a [`Kind::Choice`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Choice {
-    /// The word.
+    /// The word that users write.
     pub value: String,
-    /// The word's meaning.
+    /// The meaning of the word.
     pub help: String,
 }
 
 impl Param {
-    /// True or false.
+    /// Makes a parameter that is true or false.
     pub fn bool(name: &str, default: bool, help: &str) -> Self {
         Self::new(name, Kind::Bool { default }, help)
     }
 
-    /// A whole number in a range.
+    /// Makes a parameter that is a whole number in a range.
     pub fn int(name: &str, default: i64, range: RangeInclusive<i64>, help: &str) -> Self {
         Self::new(name, Kind::Int { default, min: *range.start(), max: *range.end() }, help)
     }
 
-    /// A number in a range.
+    /// Makes a parameter that is a number in a range.
     pub fn float(name: &str, default: f64, range: RangeInclusive<f64>, help: &str) -> Self {
         Self::new(name, Kind::Float { default, min: *range.start(), max: *range.end() }, help)
     }
 
-    /// One of several words, each with its meaning.
+    /// Makes a parameter that is one of several words. `options` has each word with its meaning.
     pub fn choice<'a>(
         name: &str,
         default: &str,
@@ -112,12 +112,12 @@ impl Param {
         Self::new(name, Kind::Choice { default: default.into(), options }, help)
     }
 
-    /// Any text.
+    /// Makes a parameter that is any text.
     pub fn text(name: &str, default: &str, help: &str) -> Self {
         Self::new(name, Kind::Text { default: default.into() }, help)
     }
 
-    /// A file that the plugin reads; see [`Kind::File`].
+    /// Makes a parameter that is a file which the plugin reads; see [`Kind::File`].
     pub fn file(name: &str, help: &str) -> Self {
         Self::new(name, Kind::File, help)
     }
@@ -133,7 +133,7 @@ impl Param {
         Self { name: name.into(), kind, unit: None, help: help.into() }
     }
 
-    /// The default value.
+    /// Returns the default value of the parameter.
     pub fn default_value(&self) -> Value {
         match &self.kind {
             Kind::Bool { default } => Value::from(*default),
@@ -144,7 +144,8 @@ impl Param {
         }
     }
 
-    /// The allowed values, for messages: `0 to 1 mm`, `one of panel, srgb, linear`.
+    /// Describes the allowed values for messages, such as `a number from 0 to 1 mm` or `one of
+    /// panel, srgb, linear`.
     pub fn expected(&self) -> String {
         let unit = self.unit.as_ref().filter(|unit| *unit != "1").map_or(String::new(), |unit| format!(" {unit}"));
         match &self.kind {
@@ -159,8 +160,8 @@ impl Param {
         }
     }
 
-    /// The value in the form passed to plugins, if it is of the right type and in range. A whole
-    /// number becomes a float for a float parameter.
+    /// Returns the value in the form passed to plugins; `None` if it is of the wrong type or out of
+    /// range. For a float parameter, a whole number becomes a float.
     fn accept(&self, value: &Value) -> Option<Value> {
         match &self.kind {
             Kind::Bool { .. } => value.is_boolean().then(|| value.clone()),
@@ -183,7 +184,7 @@ impl fmt::Display for Param {
 }
 
 impl Schema {
-    /// A schema of these parameters.
+    /// Makes a schema of `params`.
     pub fn new(params: impl IntoIterator<Item = Param>) -> Self {
         Self { params: params.into_iter().collect() }
     }
@@ -229,7 +230,8 @@ impl Schema {
         serde_json::to_string(self).expect("a schema holds only texts, booleans and numbers")
     }
 
-    /// Checks the schema itself: unique names, help, defaults in range.
+    /// Checks the schema itself: names must be unique, each parameter needs help, and defaults must
+    /// be in range.
     ///
     /// # Errors
     /// A message for the plugin's author.
@@ -260,27 +262,27 @@ pub enum ParamError {
     /// There is no such parameter.
     #[error("unknown parameter `{name}`{}", hint(nearest.as_deref(), known))]
     Unknown {
-        /// The given name.
+        /// The given name, which no parameter has.
         name: String,
-        /// The most similar parameter.
+        /// The name of the most similar parameter.
         nearest: Option<String>,
-        /// All parameters.
+        /// The names of all parameters of the plugin.
         known: Vec<String>,
     },
     /// The value is of the wrong type or out of range.
     #[error("parameter `{name}`: expected {expected}, found {found}")]
     Value {
-        /// The parameter.
+        /// The name of the parameter.
         name: String,
-        /// Type and range.
+        /// The parameter's type and range.
         expected: String,
-        /// The given value.
+        /// The value that was given.
         found: String,
     },
     /// The parameters are no JSON object.
     #[error("parameters: expected an object of names and values, found {found}")]
     NotAnObject {
-        /// The given value.
+        /// The value that was given.
         found: String,
     },
 }

@@ -5,7 +5,7 @@ use lumistack_plugin_abi as abi;
 use crate::PluginError;
 use crate::wire::needs;
 
-/// One time step.
+/// One time step of a sequence.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Time {
     /// Number of the time step in this output, from 0; a still has only 0.
@@ -15,7 +15,7 @@ pub struct Time {
 }
 
 impl Time {
-    /// The C struct.
+    /// Returns the time step as the C struct.
     pub fn to_abi(self) -> abi::Time {
         abi::Time { size: size_of::<abi::Time>(), index: self.index, seconds: self.seconds }
     }

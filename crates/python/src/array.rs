@@ -31,7 +31,7 @@ enum Data {
 }
 
 impl Values {
-    /// Reads the values of `object`; error messages name it `what`.
+    /// Reads the values of a Python object. Error messages name the object by `what`.
     pub(crate) fn read(object: &Bound<'_, PyAny>, what: &str) -> PyResult<Self> {
         let py = object.py();
         let mut object = object.clone();
@@ -106,7 +106,7 @@ impl AsRef<[f32]> for Borrowed {
     }
 }
 
-/// Type of the values, and whether their byte order is the reverse of this machine's.
+/// Type of the values, and a flag for a byte order that is the reverse of this machine's.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Scalar {
     kind: Kind,
@@ -216,7 +216,7 @@ fn half(bits: u16) -> f32 {
     }
 }
 
-/// Exported values, by the object that owns them.
+/// Values to export: an object that owns them, and the part of the object that contains them.
 #[derive(Clone)]
 pub(crate) enum Part {
     Field(Arc<LightField>),
@@ -256,7 +256,8 @@ impl Part {
 #[pyclass(frozen, module = "lumistack")]
 pub(crate) struct Array {
     part: Part,
-    /// Shape in the protocol's type. Buffers refer to this vector and to the strides.
+    /// Lengths of the axes, in the type of the buffer protocol. Exported buffers point to this
+    /// vector and to `strides`.
     shape: Vec<isize>,
     strides: Vec<isize>,
 }

@@ -1,4 +1,4 @@
-//! Displays.
+//! The class of displays.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -20,8 +20,8 @@ use crate::json::{map_of, parsed, table, to_python};
 ///   with the keys of such a file, or another Display; by default "paper-three-layer"
 /// * resolution: (columns, rows) of the light field; the layers' resolutions change by the same
 ///   factor, and sizes in millimetres stay
-/// * views: (horizontal, vertical) number of views; "auto": enough that directions between the
-///   views are correct too; {"step": (x, y)}: views at multiples of these slopes
+/// * views: (horizontal, vertical) number of views; "auto": so many that the display is also right
+///   in directions between the views; {"step": (x, y)}: views at multiples of these slopes
 /// * fov_deg: (horizontal, vertical) field of view, full angles in degrees, 0 to less than 180
 /// * frames: time-multiplexed frames M, 1 to 1000
 /// * brightness: brightness scale β, above 0 and at most 1: the display emits β times the target
@@ -144,20 +144,19 @@ impl Display {
         self.0.depth_of_field(self.0.field.pitch_mm).map(Into::into)
     }
 
-    /// Returns this display, adapted to a light field. Views, angles and size become those of the
-    /// light field, and the masks' resolutions follow. The lenslets and bins of a directional
-    /// backlight follow too. Raises SettingError if the backlight cannot separate the views.
+    /// Returns this display, adapted to a light field. Its views, angles and size become those of
+    /// the light field. The resolutions of the masks, the lenslets and the angular bins change
+    /// accordingly. Raises SettingError if a directional backlight cannot separate the views.
     fn adapted_to(&self, py: Python<'_>, light_field: &LightField) -> PyResult<Self> {
         adapted(py, &self.0, &light_field.field).map(Self)
     }
 
-    /// Returns every key of a display file as plain objects, from which Display() makes the display
-    /// again.
+    /// Returns every key of the display's file as plain objects. Display() accepts the result.
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &serde_json::to_value(&*self.0).expect("displays serialize"))
     }
 
-    /// Returns the text of a display file with every default.
+    /// Returns the text of the display's file, with the values of all defaults.
     fn to_toml(&self) -> String {
         self.0.to_toml()
     }
@@ -187,7 +186,7 @@ impl Display {
     }
 }
 
-/// Returns the display that an argument names.
+/// Returns the display that an argument selects; without an argument the default display.
 pub(crate) fn display_of(py: Python<'_>, what: Option<&Bound<'_, PyAny>>) -> PyResult<Arc<Description>> {
     let Some(what) = what.filter(|what| !what.is_none()) else { return preset(py, lumistack_cli::DEFAULT_DISPLAY) };
     if let Ok(display) = what.cast::<Display>() {

@@ -53,7 +53,7 @@ fn class_of(error: &PipelineError) -> &'static str {
     }
 }
 
-/// Flags of the command as messages contain them, and Python's arguments for the same settings.
+/// Pairs of a flag in messages of the command, and Python's argument for the setting.
 const FLAGS: [(&str, &str); 23] = [
     ("--fit-depth=compress", "fit_depth=\"compress\""),
     ("--fit-depth", "fit_depth=\"move\""),
@@ -80,7 +80,7 @@ const FLAGS: [(&str, &str); 23] = [
     ("`lumistack displays` lists the presets", "lumistack.displays() lists the presets"),
 ];
 
-/// Replaces flags of the command in a message by the names of arguments.
+/// Replaces flags of the command in a message by Python's arguments.
 pub(crate) fn in_python(message: &str) -> String {
     FLAGS.iter().fold(message.into(), |text, (flag, name)| text.replace(flag, name))
 }

@@ -32,7 +32,7 @@ impl LightField {
         slope_y: Option<&Bound<'_, PyAny>>,
         distance_mm: Option<f64>,
     ) -> PyResult<Self> {
-        // Read the arguments.
+        // Read the values, and check their shape.
         let radiance = Values::read(radiance, "radiance")?.tensor("radiance", Field::AXES)?;
         let [view_rows, view_cols, rows, cols, channels] = radiance.shape();
         if channels != 3 {
@@ -96,14 +96,14 @@ impl LightField {
     /// * grid: "oblique" or "perspective"
     /// * fov_deg, pitch_mm, distance_mm: as for LightField
     /// * views: (columns, rows), number of views to keep
-    /// * quilt and tiles: (columns, rows) of views in a quilt or in a picture of tiles
+    /// * quilt, tiles: (columns, rows) of views in a quilt, or in another picture of tiles
     /// * resolution: (columns, rows) to which every view is reduced
     /// * focus_px: pixels by which content that appears on the display plane moves to the left from
     ///   one view to the next view on the right
     /// * mirror: (x, y), True reverses the order of views on that axis
     ///
-    /// Without any of these, size and angles come from `display`. If `views` leaves out views of
-    /// the file, psnr_zone() and report() use some of them as references.
+    /// Without any of these arguments, size and angles come from `display`. If `views` leaves out
+    /// views of the file, psnr_zone() and report() use some of the omitted views as references.
     /// `callback(stage, fraction)` receives progress.
     #[classmethod]
     #[pyo3(signature = (path, *, display=None, callback=None, **geometry))]
@@ -128,13 +128,13 @@ impl LightField {
     /// then mapped by a tone curve.
     ///
     /// tone: "linear" clips to 0..1; "khronos-neutral" and "agx" compress bright values. All
-    /// views have the same curve. Use this method for light fields with values that no display can
-    /// show; factorize() and report() warn of such values.
+    /// views have the same curve. Use this method for light fields with values outside 0..1, which
+    /// no display can show; factorize() and report() warn of such values.
     #[pyo3(signature = (exposure_ev=0.0, *, tone="linear"))]
     fn exposed(&self, py: Python<'_>, exposure_ev: f64, tone: &str) -> PyResult<Self> {
         let field = py.detach(|| expose_field(&self.field, exposure_ev, tone)).map_err(|error| raised(py, &error))?;
         let (field, display, info) = (Arc::new(field), self.display.clone(), self.info.clone());
-        // The references have the old exposure, so they are dropped.
+        // The reference pictures of the zone score have the old exposure, so they are dropped.
         Ok(Self { field, display, info, references: None })
     }
 
@@ -273,9 +273,9 @@ impl LightField {
         in_package(slf.py(), "_arrays", "to_xarray", (slf,), None)
     }
 
-    /// Draws a view with matplotlib, sRGB encoded, with axes in millimetres on the display. view =
-    /// (view_y, view_x); the default is the middle view. Returns the axes, which are new unless
-    /// `ax` is given.
+    /// Draws a view with matplotlib, encoded as sRGB, with axes in millimetres on the display.
+    /// `view` is (view_y, view_x), by default the middle view. Draws into the axes `ax`, or into
+    /// new axes, and returns them.
     #[pyo3(signature = (view=None, *, ax=None))]
     fn plot<'py>(
         slf: &Bound<'py, Self>,
@@ -319,7 +319,8 @@ impl LightField {
     }
 }
 
-/// The result of `__array__`.
+/// Returns the result of `__array__`: the array itself, or a copy if the caller requests a copy or
+/// another dtype.
 pub(crate) fn as_array<'py>(
     array: Bound<'py, PyAny>,
     dtype: Option<&Bound<'py, PyAny>>,

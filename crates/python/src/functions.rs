@@ -26,17 +26,18 @@ use crate::scene::Scene;
 use crate::stack::{LayerStack, Solved};
 use crate::work::{command, long};
 
-/// Path-traces the views that a display needs of a scene.
+/// Renders, with the path tracer, the views of a scene that a display needs.
 ///
 /// scene: a Scene, or a scene's path; display: a Display, or an argument for Display(); the default
 /// is "paper-three-layer". All other arguments are optional and have the meaning of a job file's
 /// keys (docs/JOB.md); defaults() returns the defaults:
 ///
 /// * samples: paths per pixel of each view, 1 to 65536
-/// * zone_samples: instead of samples, paths per pixel, summed over all views; "auto": about as
-///   many as still improve the display's picture
-/// * max_bounces: bounces of a path, the one at the first hit included, 0 to 1024
-/// * clamp: largest value of a single path
+/// * zone_samples: instead of samples, paths per pixel, summed over all views; "auto": so many that
+///   more paths would hardly improve the display's picture
+/// * max_bounces: largest number of bounces (scattering events) of a path, the bounce at the first
+///   hit included, 0 to 1024
+/// * clamp: largest value of a single path; brighter paths are dimmed to it
 /// * denoise: "auto", "off", "shared", "guided" or "oidn"
 /// * angular_filter: "point", "bin" or "display"
 /// * lens_deg: aperture of a lens that is focused on the display plane, as the full angle seen from
@@ -50,8 +51,9 @@ use crate::work::{command, long};
 /// * tone: "auto", "linear", "khronos-neutral" or "agx"
 /// * light: a mapping with the other keys of [light]
 /// * seed: seed of all random numbers; the same seed gives the same values on any number of threads
-/// * zone_directions: number of directions all over the viewing zone, 32 to 4096, from which
-///   references are rendered; psnr_zone() and report() score displays with them; 0 for none
+/// * zone_directions: number of directions all over the viewing zone, 32 to 4096, for reference
+///   pictures; psnr_zone() and report() compare displays with these pictures;
+///   0 for none
 /// * cache: a folder for traced views, so that a later call continues a call that was stopped;
 ///   without a folder, traced views are discarded
 /// * callback: callback(stage, fraction) receives progress
@@ -121,7 +123,7 @@ pub(crate) fn render(
     let display = display_of(py, display)?;
     let mut job = Job::new(Default::default());
     (job.render, job.window, job.light) = (render, window, parsed(py, "light", lit)?);
-    // The lights belong to the Scene, so different settings of them here are an error.
+    // The lights belong to the Scene, so other settings of lights in this call are an error.
     for (key, differs) in [
         ("environment", job.light.environment != scene.light.environment),
         ("environment_strength", job.light.environment_strength != scene.light.environment_strength),
@@ -169,12 +171,13 @@ pub(crate) fn render(
 ///
 /// * brightness: β, above 0 and at most 1, instead of the display's brightness
 /// * frames: M, 1 to 1000, instead of the display's number of frames
-/// * solver: "auto", "multiplicative" (the paper's), "block-exact" or "extrapolated"
+/// * solver: "auto", "multiplicative" (the paper's rule), "block-exact" or "extrapolated"
 /// * iterations: number of iterations; each updates every factor once
 /// * start: "auto", "random", "smooth" or "content"
 /// * coarse_levels, coarse_iterations: number of coarser levels, each at half the resolution of the
 ///   next finer level, and iterations at each coarser level
-/// * levels: True re-optimizes masks of layers with few bits on the values that the panel can show
+/// * levels: with True, masks of layers with few bits are optimized once more, on the values that
+///   the panel can show
 /// * weights: an array ≥ 0, [view_y, view_x] or [view_y, view_x, row, col]
 /// * eyes: expected eyes, a list of {"eye_mm": (x, y, z), "sigma_mm": s, "weight": w}, instead of
 ///   weights
@@ -237,7 +240,8 @@ pub(crate) fn factorize(
         let path = PathBuf::from(&display.name);
         return Err(raised(py, &PipelineError::Display { path, text: String::new(), source }));
     }
-    // Run the solver in another thread, and record the time of every evaluation of the objective.
+    // Run the solver in another thread. Record the time of every evaluation of the objective, for
+    // the report.
     let weights = weights.map(|weights| Values::read(weights, "weights")).transpose()?.map(Values::into_parts);
     let seed = seed.unwrap_or(Job::new(Default::default()).seed);
     let warm = warm_start.map(|warm| &*warm.stack);
@@ -350,9 +354,9 @@ pub(crate) fn write(
     })
 }
 
-/// Compares patterns with the light field that they should show, and over the viewing zone if the
-/// light field has references. Writes report.html and report.json into a folder, and returns the
-/// content of report.json.
+/// Compares patterns with the light field that they should show. If the light field has reference
+/// pictures of the viewing zone, the comparison covers these, too. Writes report.html and
+/// report.json into a folder, and returns the content of report.json.
 #[pyfunction]
 #[pyo3(signature = (stack, light_field, folder, *, title=None, weights=None, callback=None))]
 pub(crate) fn report<'py>(
@@ -433,9 +437,9 @@ pub(crate) fn info<'py>(
     to_python(py, &value)
 }
 
-/// All plugins: dictionaries with id, kind, version, doc, ports, origin and params.
+/// Returns all plugins: dictionaries with id, kind, version, doc, ports, origin and params.
 ///
-/// Each of params has a name, help, kind, default, range and unit.
+/// params is a list of parameters. Each has a name, help, kind, default, range and unit.
 #[pyfunction]
 pub(crate) fn plugins(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     let registry = registry(py)?;
@@ -444,13 +448,13 @@ pub(crate) fn plugins(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &list["plugins"])
 }
 
-/// Names of the presets; Display(name) reads one.
+/// Returns the names of the built-in displays; Display(name) makes a display from a name.
 #[pyfunction]
 pub(crate) fn displays() -> Vec<&'static str> {
     presets::PRESETS.iter().map(|(name, _)| *name).collect()
 }
 
-/// The defaults of all settings of a job.
+/// Returns the defaults of all settings of a job.
 ///
 /// >>> defaults()["render"]["max_bounces"]
 /// 6

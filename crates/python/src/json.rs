@@ -12,7 +12,7 @@ use serde_json::{Map, Number, Value};
 
 use crate::error::setting;
 
-/// Named arguments; `None` keeps the default.
+/// Arguments of a Python function by name; `None` means that the setting keeps its default.
 pub(crate) type Arguments<'a, 'py> = &'a [(&'a str, Option<&'a Bound<'py, PyAny>>)];
 
 pub(crate) fn table<T: DeserializeOwned>(py: Python<'_>, place: &str, arguments: Arguments<'_, '_>) -> PyResult<T> {
@@ -43,8 +43,8 @@ pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<
         Ok(table) => return Ok(table),
         Err(error) => error.to_string(),
     };
-    // Most tables have defaults for all keys. So a table with only the wrong value gives the same
-    // error, and this key is named.
+    // Find the key of the wrong value: parse a table with one key after another. Most tables have
+    // defaults for all keys, so only the table with the wrong value gives the same error.
     let alone = |(key, value): (String, Value)| {
         let found = serde_json::from_value::<T>(Value::Object(Map::from_iter([(key.clone(), value)]))).err()?;
         (found.to_string() == error && !error.contains(&format!("`{key}`"))).then_some(key)
@@ -103,7 +103,7 @@ pub(crate) fn value_of(place: &str, value: &Bound<'_, PyAny>) -> PyResult<Value>
     if value.hasattr("__fspath__")? {
         return Ok(value.extract::<PathBuf>()?.to_string_lossy().into_owned().into());
     }
-    // NumPy's numbers and arrays
+    // convert NumPy's numbers and arrays by their method `tolist`
     if value.hasattr("tolist")? {
         let plain = value.call_method0("tolist")?;
         if !plain.hasattr("tolist")? {

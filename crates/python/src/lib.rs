@@ -1,5 +1,5 @@
-//! The Python package: scenes, displays, light fields and patterns as objects, arrays in and out,
-//! and the command `lumistack`.
+//! The Python package: scenes, displays, light fields and patterns as objects that read and return
+//! arrays, and the command `lumistack`.
 //!
 //! ```text
 //! Python arrays ──array──▶ LightField ─┐                     ┌──▶ arrays (buffer protocol)

@@ -1,4 +1,5 @@
-//! Plugins in libraries: each runs in a child process, whose program is this Python.
+//! Plugins in libraries: each runs in a child process, which the running Python interpreter
+//! executes.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -10,8 +11,8 @@ use pyo3::prelude::*;
 
 use crate::error::raised;
 
-/// Program of a child process. The first argument is the folder that contains this package, which
-/// may be missing in the child's `sys.path`.
+/// Python program of a child process. Its first argument is the folder that contains this package:
+/// this folder may be missing in the child's `sys.path`.
 const BOOT: &str = "import sys; sys.path.insert(0, sys.argv[1]); from lumistack._lumistack import _plugin_child; \
                     sys.exit(_plugin_child(sys.argv[2:]))";
 
@@ -26,8 +27,8 @@ pub(crate) fn registry(py: Python<'_>) -> PyResult<&'static Registry> {
     Ok(REGISTRY.get_or_init(|| found))
 }
 
-/// Sets the command that starts a plugin's process. Without this command, plugins that need a
-/// process report an error.
+/// Sets the command that starts a plugin's process. Without this call, plugins in libraries report
+/// an error, since they run in processes of their own.
 pub(crate) fn set_launcher(py: Python<'_>) {
     if let Ok(launcher) = launcher(py) {
         launcher.set_for_process();
@@ -44,7 +45,7 @@ fn launcher(py: Python<'_>) -> PyResult<Launcher> {
     Ok(Launcher { program, args: vec!["-c".into(), BOOT.into(), folder] })
 }
 
-/// Runs a plugin for another process; returns the exit code.
+/// Runs a plugin in this child process for its parent process; returns the exit code.
 #[pyfunction]
 pub(crate) fn _plugin_child(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
     // the plugin runs in the main thread

@@ -1,4 +1,4 @@
-//! Scenes.
+//! The class of scenes.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -21,15 +21,16 @@ use crate::work::long;
 /// * time: time at which animations are sampled, seconds; without it nodes have the poses of the
 ///   file
 /// * animation, variant: for glTF, name or number of the animation and of the material variant
-/// * variants: for USD, a list of "set=variant" for every prim or "/prim{set=variant}" for one
+/// * variants: for USD, a list of "set=variant", for every prim that has the set, or
+///   "/prim{set=variant}", for one prim
 /// * light: a mapping with the keys of a job's [light]
 /// * importer: a mapping {"plugin": ..., "allow_outside": ..., "picture_mib": ..., "params": {...}}
 /// * callback: callback(stage, fraction) receives progress
 ///
 /// These keys of light belong to the scene: environment (a Radiance HDR or OpenEXR file),
 /// environment_strength, environment_rotation_deg, from_splats, visible and automatic. The key
-/// automatic adds a studio light to a scene without light. The other keys are defaults for
-/// render().
+/// automatic adds a studio light to a scene without light. All other keys of light are defaults
+/// for render().
 ///
 /// The file is read once, and its acceleration structures are kept: render() may be called many
 /// times.
@@ -119,7 +120,7 @@ impl Scene {
         importer: Option<&Bound<'_, PyAny>>,
         callback: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
-        // animation and variant may be a name or a number
+        // `animation` and `variant` may be names or numbers; the job's table reads texts
         let [animation, variant] = [animation, variant].map(|choice| choice.map(|choice| choice.str()).transpose());
         let (animation, variant) = (animation?.map(Bound::into_any), variant?.map(Bound::into_any));
         let pose = [
@@ -177,10 +178,10 @@ impl Scene {
         Ok(Self { path: name.into(), light, ingested, animations, variants, duration })
     }
 
-    /// The splats: a dict of arrays for every placed cloud, as `from_splats` reads it.
+    /// The splats: a dictionary of arrays for every placed cloud, which `from_splats` accepts.
     ///
-    /// Invalid splats are omitted, and the order of the splats in large clouds differs from the
-    /// file.
+    /// Invalid splats are omitted. In large clouds the order of the splats differs from the order
+    /// in the file.
     #[getter]
     fn splats<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         splats::to_python(py, &self.ingested.scene)

@@ -8,8 +8,8 @@ use pyo3::types::{PyDict, PyList};
 use crate::array::{Array, Part, Values};
 use crate::error::setting;
 
-/// Returns a dict of arrays for every placed cloud of a scene; a cloud that is placed twice has
-/// two.
+/// Returns a dictionary of arrays for every placed cloud of a scene. A cloud that is placed twice
+/// gives two dictionaries.
 pub(crate) fn to_python<'py>(py: Python<'py>, scene: &Scene) -> PyResult<Bound<'py, PyList>> {
     let list = PyList::empty(py);
     for placed in &scene.placed_clouds {
@@ -129,7 +129,8 @@ fn cloud(py: Python<'_>, place: &str, one: &Bound<'_, PyAny>) -> PyResult<(Cloud
     Ok((cloud, scene_from_cloud))
 }
 
-/// Returns all values of the clouds, for the scene's key.
+/// Returns the bytes of all values of the clouds. Their hash is part of the scene's key, which
+/// distinguishes cached results.
 pub(crate) fn content(parts: &SceneParts) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut put = |values: &mut dyn Iterator<Item = f32>| values.for_each(|value| bytes.extend(value.to_le_bytes()));

@@ -1,4 +1,4 @@
-//! Layer stacks.
+//! The class of layer stacks.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -47,7 +47,8 @@ pub(crate) struct Solved {
 }
 
 impl Solved {
-    /// `seconds` are the times at which the objective was evaluated, from the start of the solve.
+    /// Returns settings and history of a factorization. `seconds` are the times of the evaluations
+    /// of the objective, measured from the start of the solve.
     pub(crate) fn of(made: &Factorization, seconds: &[f64], warm: bool) -> Self {
         let settings = &made.settings;
         let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };
@@ -166,17 +167,17 @@ impl LayerStack {
         self.stack.brightness
     }
 
-    /// For factorized patterns: (iterations done, Σ w (βL − L̃)², PSNR in dB) from the start on.
-    /// Otherwise empty.
+    /// For factorized patterns: a list of (number of iterations, Σ w (βL − L̃)², PSNR in dB), from
+    /// 0 iterations on. For all other patterns the list is empty.
     #[getter]
     fn history(&self) -> Vec<(u32, f64, f64)> {
         let steps = self.solved.iter().flat_map(|solved| &solved.steps);
         steps.map(|step| (step.iteration, step.objective, step.psnr_view)).collect()
     }
 
-    /// For factorized patterns: the effective solver, start and coarse_levels, and `kkt_residual`
-    /// (rms). For layers with few bits also the PSNRs of continuous, rounded and re-optimized
-    /// masks. Otherwise None.
+    /// For factorized patterns: a dictionary with the solver, start and coarse_levels that were
+    /// used, and `kkt_residual` (rms). For layers with few bits it also has the PSNRs of
+    /// continuous, rounded and re-optimized masks. For all other patterns None.
     #[getter]
     fn solution<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let Some(Solved { solution, .. }) = &self.solved else { return Ok(None) };
@@ -189,8 +190,8 @@ impl LayerStack {
         Ok(Some(dict))
     }
 
-    /// PSNR in dB, with peak 1, of the emitted light field against the target light field. All rays
-    /// with a weight above 0 count; weights: as for factorize().
+    /// Returns the PSNR in dB, with peak 1, of the emitted light field against the target light
+    /// field. All rays with a weight above 0 count equally; weights: as for factorize().
     ///
     /// It compares L̃/β, which an adapted viewer sees, with L. With raw=True it compares L̃ with
     /// βL, which gives a PSNR that is higher by −20 log10 β.
@@ -214,11 +215,11 @@ impl LayerStack {
     /// Returns the zone score: PSNR of seen pictures in directions that the solver did not use, dB.
     /// A seen picture is the mean over every pixel's area.
     ///
-    /// references: a LightField that render() made with zone_directions; its references are
-    /// compared with the seen pictures. For any other light field its views are compared, so it
-    /// should not be the target of the patterns. Returns a dictionary with psnr_zone,
-    /// psnr_zone_worst_tenth (over the worst tenth of the directions) and directions, a list of
-    /// (slope, psnr).
+    /// references: a LightField that render() made with zone_directions; its reference pictures are
+    /// compared with the seen pictures. If the light field has no reference pictures, its views are
+    /// compared. Then it should not be the target of the patterns. Returns a dictionary with
+    /// psnr_zone, psnr_zone_worst_tenth (over the worst tenth of the directions) and directions, a
+    /// list of (slope, psnr).
     #[pyo3(signature = (references, *, callback=None))]
     fn psnr_zone<'py>(
         &self,
@@ -318,8 +319,8 @@ impl LayerStack {
         in_package(slf.py(), "_show", "plot_patterns", (slf, frame), None)
     }
 
-    /// Draws PSNR over iterations with matplotlib. Returns the axes, which are new unless `ax` is
-    /// given.
+    /// Draws PSNR over iterations with matplotlib, into the axes `ax` or into new axes. Returns the
+    /// axes.
     #[pyo3(signature = (*, ax=None))]
     fn plot_history<'py>(slf: &Bound<'py, Self>, ax: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
         in_package(slf.py(), "_show", "plot_history", (slf, ax), None)

@@ -1,5 +1,5 @@
-//! USD in the caller's own Python: runs the walker of `lumistack-usd` (the code that traverses a
-//! stage), and reads its arrays without a copy.
+//! Reads USD in the caller's own Python. It runs the walker of `lumistack-usd`, Python code that
+//! traverses a stage, and reads the walker's arrays without a copy.
 
 use std::ffi::CString;
 use std::path::Path;
@@ -25,7 +25,8 @@ impl Walked {
         Package { header: self.header.clone(), buffers: self.buffers.iter().map(bytes).collect() }
     }
 
-    /// Returns all content, for the scene's key.
+    /// Returns all bytes that the walker made. Their hash is part of the scene's key, which
+    /// distinguishes cached results.
     pub(crate) fn content(&self) -> Vec<&[u8]> {
         std::iter::once(&*self.text).chain(self.buffers.iter().map(bytes)).collect()
     }
@@ -56,7 +57,7 @@ pub(crate) fn is_stage(object: &Bound<'_, PyAny>) -> bool {
 
 /// Traverses a stage of the caller, or a file.
 pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path, pose: &PoseJob) -> PyResult<Walked> {
-    // Refuse settings that have no effect here.
+    // Refuse settings that have no effect on USD.
     if stage.is_some() && !pose.variants.is_empty() {
         let message = "variants: expected none with a stage, since its own selections are used, found some";
         return Err(setting(py, message));
@@ -73,8 +74,8 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
         let source = std::io::Error::from(std::io::ErrorKind::NotFound);
         return Err(raised(py, &PipelineError::Read { path: path.into(), source }));
     }
-    // Run the walker. Its refusals become errors of the file; other exceptions are raised as they
-    // are.
+    // Run the walker. If it refuses the file, this is an error of the scene; all other exceptions
+    // are raised unchanged.
     let modules = modules(py)?;
     let request = PyDict::new(py);
     request.set_item("path", path.to_string_lossy())?;
@@ -116,7 +117,7 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
     Ok(Walked { header, text, buffers })
 }
 
-/// Imports the walker from memory, as a package `lumistack_usd`.
+/// Imports the walker, whose sources this module contains, as a package `lumistack_usd`.
 fn modules(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     const PACKAGE: &str = "lumistack_usd";
     let known = py.import("sys")?.getattr("modules")?;

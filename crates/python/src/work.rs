@@ -66,8 +66,8 @@ fn watched<T: Send>(
     }
 }
 
-/// Runs a command line as the program does: the first Ctrl-C stops the command cleanly, the second
-/// ends the process immediately.
+/// Runs a command line as the program `lumistack` does: the first Ctrl-C stops the command cleanly,
+/// the second ends the process immediately.
 pub(crate) fn command(py: Python<'_>, words: &[OsString]) -> PyResult<u8> {
     let cancel = Cancel::default();
     let (result, _) = beside(
@@ -87,8 +87,8 @@ pub(crate) fn command(py: Python<'_>, words: &[OsString]) -> PyResult<u8> {
     result.map_err(|panic| panicked(py, &*panic))
 }
 
-/// Runs `work` in another thread. Until the work is done, calls `poll` in this thread repeatedly,
-/// but not after `poll` has failed.
+/// Runs `work` in another thread. Meanwhile it calls `poll` repeatedly in this thread, until the
+/// work is done or `poll` has returned an error.
 fn beside<T: Send>(
     py: Python<'_>,
     sink: &Sink,
@@ -122,7 +122,7 @@ fn panicked(py: Python<'_>, panic: &(dyn Any + Send)) -> PyErr {
     exception(py, "InternalError", &format!("internal error, a bug in Lumistack: {text}; please report this message"))
 }
 
-/// Progress and warnings since the last check.
+/// Progress and warnings of the work since the last check by the calling thread.
 #[derive(Default)]
 struct Sink {
     state: Mutex<State>,
@@ -134,7 +134,8 @@ struct State {
     stage: String,
     total: u64,
     done: u64,
-    /// Stages and fractions for the callback: the newest fraction of each stage, and its end.
+    /// Stages and fractions for the callback: the newest fraction of the current stage, and the end
+    /// of each finished stage.
     news: Vec<(String, f64)>,
     warnings: Vec<Warning>,
     seen: Vec<Warning>,

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Adds skipped tests to the list of `cargo xtask`, which are failures in CI."""
+    """Adds skipped tests to the list of skipped checks of `cargo xtask ci`. In CI they are failures."""
     skips = os.environ.get("LUMISTACK_SKIPPED")
     for report in terminalreporter.stats.get("skipped", []) if skips else []:
         reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
@@ -25,7 +25,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def waves(display: lumistack.Display) -> NDArray[numpy.float32]:
-    """Radiance of a plane of waves 6 mm in front of the display: content at z moves by -z·s."""
+    """Returns views of a plane of waves 6 mm in front of the display. In the view of slope s, content
+    at depth z is shifted by -z·s."""
     slope_x, slope_y = display.slopes
     _, _, rows, cols, _ = display.light_field_shape
     x = (numpy.arange(cols) - (cols - 1) / 2) * display.pitch_mm
@@ -67,6 +68,6 @@ def scene() -> Path:
 
 @pytest.fixture
 def slow() -> tuple[lumistack.LightField, lumistack.Display]:
-    """A factorization that takes minutes unless it is stopped."""
+    """The light field and display of a factorization that takes minutes unless it is stopped."""
     display = lumistack.Display("paper-three-layer", resolution=(320, 200))
     return lumistack.LightField(waves(display), display=display), display

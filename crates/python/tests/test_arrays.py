@@ -1,5 +1,5 @@
-"""Arrays from and to Python: layouts that are used without a copy, copied or refused. All accepted
-layouts give the same values."""
+"""Arrays from and to Python. Some layouts are used without a copy, some are copied, some are
+refused. All accepted layouts give the same values."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Code that the Blender extension and the export of .blend files share, without Blender: cameras,
-kept views, outlines, forms, .glb files."""
+"""Tests, without Blender, the code that the Blender extension and the export of .blend files share:
+cameras, cached views, outlines, forms of parameters, .glb files."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def random_window(chance: random.Random) -> Window:
 
 @pytest.mark.parametrize("distance_mm", [None, 600.0, 200.0])
 def test_a_view_sees_what_lies_on_its_rays(distance_mm: float | None) -> None:
-    """Compares with the rays of the design, computed independently: (x, y, 0) + z (s, 1), and rays
-    through an eye."""
+    """A camera shows each point where the ray of its view hits the window. The expected rays are
+    computed independently: (x, y, 0) + z (s, 1), or rays through an eye."""
     chance = random.Random(1)
     for _ in range(200):
         window = random_window(chance)
@@ -57,7 +57,7 @@ def test_a_view_sees_what_lies_on_its_rays(distance_mm: float | None) -> None:
         assert seen_at_mm(camera, window, window.point(place)) == pytest.approx(expected, abs=1e-6)
         back = window.place_mm(window.point(place))
         assert back == pytest.approx(place, abs=1e-9)
-        # Nothing between the camera and the scene is clipped.
+        # The point lies between the camera's clipping planes.
         columns = numpy.array(camera.matrix)
         inner = numpy.linalg.solve(columns[:3, :3], numpy.array(window.point(place)) - columns[:3, 3])
         assert -camera.clip_end < inner[2] < -camera.clip_start
@@ -97,7 +97,8 @@ def test_a_window_is_scaled_and_moved_in_its_plane() -> None:
         size, shift = chance.uniform(0.2, 3.0), (chance.uniform(-1, 1), chance.uniform(-1, 1))
         moved = window.resized(size, shift)
         width = window.size_mm[0]
-        # The expected position of one corner is computed in the original window.
+        # Scale and shift, applied to the upper right corner of the original window, give that
+        # corner of the new window.
         x, y = 0.5 * size * width + shift[0] * width, 0.5 * size * window.size_mm[1] + shift[1] * width
         assert moved.point((width / 2, window.size_mm[1] / 2, 0.0)) == pytest.approx(window.point((x, y, 0.0)))
         cage = numpy.array(outline.cage(size, shift, 7.0)).reshape(4, 4).T
@@ -156,7 +157,7 @@ def test_outlines() -> None:
     assert len(outline.frame(size)) == 4
     box = outline.depth_box(size, (-60.0, 60.0), eye)
     assert len(box) == 12
-    # In front of an eye the box follows the lines of sight.
+    # For an eye at a distance, the edges of the box lie on lines through the eye.
     for (x, y, z) in (end for line in box for end in line):
         assert abs(x) == pytest.approx(200.0 * (eye - z) / eye) and abs(y) == pytest.approx(125.0 * (eye - z) / eye)
     assert outline.depth_box(size, None, None) == []
@@ -182,9 +183,10 @@ def test_fitted_depths_lie_in_the_range(distance_mm: float | None) -> None:
     shown = [depth.shown_at(z, fit, distance_mm) for z in depths]
     assert 0.01 < fit.depth_scale < 0.4
     assert depth.outside(shown, (-20.0, 20.0)) <= 0.05
-    # The fit moves no farther than necessary: some content reaches an end of the range.
+    # The fit does not compress depth more than necessary: some content reaches nearly an end of the
+    # range of ±20 mm.
     assert max(map(abs, shown)) > 19.0
-    # The drawn box contains the depths that are sharp after the fit.
+    # The drawn box of sharp depths ends at the depths that appear at -20 and 20 mm after the fit.
     low, high = depth.in_scene((-20.0, 20.0), fit.depth_scale, distance_mm) or (0.0, 0.0)
     unmoved = depth.Fit(0.0, fit.depth_scale)
     assert depth.shown_at(high, unmoved, distance_mm) == pytest.approx(20.0)
@@ -294,7 +296,7 @@ def test_only_the_last_files_of_a_scene_stay(tmp_path: Path) -> None:
         for number in range(KEPT + 3):
             made.append(files.next())
             made[-1].write_text(str(number))
-            # The number of a file that is taken back is used again.
+            # After `back` the next file gets the number of the removed file.
             files.next().write_text("the same")
             files.back()
         assert len(set(made)) == KEPT + 3
@@ -329,7 +331,7 @@ def test_a_live_display_follows_changes_and_ends_with_its_folder(tmp_path: Path)
     live.change({"display.bright": 0.3}, time.monotonic())
     refused = until(live, lambda state: state.problem != "")
     assert "did you mean `brightness`?" in refused.problem and live.is_shown and refused.content == 2
-    # The next change clears the message.
+    # The next change clears the message about the refused change.
     live.change({"display.brightness": 0.4}, time.monotonic())
     assert until(live, lambda state: state.content == 3).problem == ""
     assert until(live, lambda state: state.address != "").address.startswith("http://localhost:")
@@ -355,7 +357,8 @@ def test_a_live_display_ends_with_the_program_that_started_it(tmp_path: Path) ->
     )
     done = subprocess.run([sys.executable, "-c", text, *live_words(tmp_path)], capture_output=True, text=True)
     assert done.returncode == -signal.SIGKILL, done
-    # The run folder becomes free when the program ends; until then other displays refuse it.
+    # The live display of the killed caller locks the run folder. New displays can start only after
+    # it has ended, so try for a while.
     for _ in range(60):
         live = Live(live_words(tmp_path), os.environ)
         if until(live, lambda state: state.states > 0 or state.code is not None).code is None:

@@ -1,4 +1,4 @@
-"""Displays: sources, changes and properties."""
+"""Displays: made from presets, files and mappings, changed by arguments, and their properties."""
 
 from __future__ import annotations
 

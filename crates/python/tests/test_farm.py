@@ -52,7 +52,8 @@ def command(*words: str | Path) -> str:
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    """Files of a run, without caches and reports, which contain times."""
+    """Returns the files of a run and their bytes. Caches and reports are omitted, since they contain
+    times."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_file() and "cache" not in path.relative_to(folder).parts)
     kept = (path for path in files if not path.name.startswith("report.") and path.name != "job.toml")
     return {str(path.relative_to(folder)): path.read_bytes() for path in kept}
@@ -83,7 +84,7 @@ def expected(place: Path, job: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    """Two workers that all tests share, except those that kill workers."""
+    """A cluster of two workers. All tests share it, except the tests that kill workers."""
     with lumistack.farm._engine.connected(None, None, 2, None) as client:
         yield client
 
@@ -97,7 +98,7 @@ def test_two_workers_give_the_bytes_of_one_machine(place: Path, job: Path, expec
     order = [event["id"] for event in events if event["event"] == "done_unit"]
     for unit in units:
         assert all(order.index(taken) < order.index(unit["id"]) for taken in unit["inputs"])
-    # A second run only checks all results.
+    # A second run executes only the last unit, which checks all results.
     again = lumistack.farm.run(job, place / "two", options=BLOCKS, client=cluster, threads=1)
     assert (again.done, again.before) == (["finish"], len(units) - 1)
 
@@ -130,7 +131,7 @@ def test_workers_and_client_that_are_killed_cost_nothing_but_time(place: Path, j
 def test_a_unit_ends_with_its_worker(place: Path, job: Path) -> None:
     folder = place / "attached"
     lumistack.farm.plan(job, folder, options=BLOCKS)
-    # This unit waits for units that are never executed, until standard input ends.
+    # The unit waits for inputs that no unit makes, so it runs until its standard input closes.
     words = [*PROGRAM, "farm", "unit", "--attached", str(folder), "t0001/expose"]
     child = subprocess.Popen(words, stdin=subprocess.PIPE)
     time.sleep(0.5)
@@ -153,7 +154,7 @@ def test_a_worker_that_does_not_see_the_folder_is_refused(place: Path, job: Path
 
 
 def test_paths_are_mapped(place: Path, job: Path, cluster: Any, expected: dict[str, bytes]) -> None:
-    # The folder has another name, as on another machine.
+    # The workers see the run folder under another path, as on another machine.
     other = place.with_name(place.name + "-there")
     other.symlink_to(place)
     try:
@@ -182,7 +183,7 @@ def test_a_poisoned_unit_ends_with_one_message_and_all_else_done(place: Path, cl
     assert "units that depend on it were not started" in message
     done = {unit["id"] for unit in lumistack.farm.plan(job, place / "poisoned")["units"] if unit["done"]}
     assert {"t0001/read", "t0001/factorize", "t0003/read"} <= done and "t0003/factorize" not in done
-    # The same command continues.
+    # After the damaged file is corrected, the same command continues.
     numpy.save(times / "t2.npy", values)
     outcome = lumistack.farm.run(job, place / "poisoned", client=cluster, threads=1)
     assert outcome.before == len(done) and "finish" in outcome.done
@@ -205,7 +206,7 @@ def test_ctrl_c_stops_units_and_keeps_what_is_done(place: Path, cluster: Any) ->
     job = place / "long.toml"
     scene = json.dumps(str(ROOT / "scenes" / "letters" / "letters.gltf"))
     job.write_text(f"scene = {scene}\n[display]\npreset = \"paper-three-layer\"\nresolution = [420, 262]\n[render]\nsamples = 64\n")
-    # Interrupts may be ignored if this suite runs in the background.
+    # Restore Python's handler of Ctrl-C: a test suite in the background may ignore interrupts.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Timer(4.0, signal.raise_signal, [signal.SIGINT]).start()
     with pytest.raises(KeyboardInterrupt):

@@ -39,7 +39,7 @@ def test_a_light_field_is_indexed_as_its_array(light_field: lumistack.LightField
 
 
 class Tensor:
-    """A tensor with DLPack's methods only."""
+    """A tensor that has DLPack's methods, and no other protocol for arrays."""
 
     def __init__(self, array: NDArray[Any]) -> None:
         self.array = array
@@ -71,7 +71,7 @@ def test_dlpack_goes_out(light_field: lumistack.LightField) -> None:
     assert numpy.array_equal(taken, light_field.radiance)
     if tuple(map(int, numpy.__version__.split(".")[:2])) >= (2, 1):
         assert numpy.shares_memory(taken, light_field.radiance) and not taken.flags.writeable
-    # A library with only the older protocol gets a copy, to which it may write.
+    # A library of the older protocol, which has no read-only memory, gets a copy.
     capsule = light_field.__dlpack__()
     assert "dltensor" in repr(capsule)
 
@@ -82,7 +82,7 @@ def test_xarray_has_the_axes_with_their_places(light_field: lumistack.LightField
     assert data.dims == ("view_y", "view_x", "row", "col", "rgb")
     assert numpy.shares_memory(data.values, light_field.radiance)
     assert data.slope_x.values.tolist() == light_field.slope_x
-    # 24 × 16 pixels of 1 mm, y up.
+    # The display has 24 × 16 pixels of 1 mm, and y points up.
     assert data.x_mm.values[[0, -1]].tolist() == [-11.5, 11.5] and data.y_mm.values[[0, -1]].tolist() == [7.5, -7.5]
     red = data.sel(rgb="r").isel(view_y=1, view_x=1)
     assert numpy.array_equal(red.values, light_field.radiance[1, 1, :, :, 0])
@@ -147,9 +147,9 @@ def test_a_notebook_shows_patterns(light_field: lumistack.LightField) -> None:
     stack = light_field.factorize(iterations=3)
     html = stack._repr_html_()
     assert html is not None and "-12, 0, 12 mm" in html and f"{stack.history[-1][2]:.2f} dB" in html
-    # The seen picture at three slopes, and three layers.
+    # The notebook shows the seen picture at three slopes, and the masks of three layers.
     assert len(pictures(html)) == 6
-    # Every name is text, never HTML.
+    # A name with HTML tags is shown as text.
     display = lumistack.Display({**stack.display.to_dict(), "name": "<script>alert(1)</script>"})
     named = lumistack.LayerStack(stack.layers, display)._repr_html_()
     assert named is not None and "<script" not in named

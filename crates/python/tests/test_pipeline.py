@@ -1,4 +1,5 @@
-"""Scene to light field to patterns to pictures in memory, and the written files."""
+"""Tests the way from a scene to a light field, to patterns and to pictures in memory, and the
+written files."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ SMALL = {"resolution": (42, 26), "views": (3, 3), "frames": 2}
 
 
 def emitted(stack: LayerStack, light_field: LightField) -> Any:
-    """The naive forward model: nearest pixels at equal pitch, the mean of the frames' products."""
+    """Returns the emitted light field by a naive forward model. Each ray reads the nearest pixel of
+    every layer; its light is the mean over the frames of the product of these values."""
     view_rows, view_cols, rows, cols, _ = light_field.shape
     shown = numpy.zeros(light_field.shape)
     counts = numpy.ones(light_field.shape[:4], bool)
@@ -57,8 +59,8 @@ def test_patterns_show_what_the_forward_model_says(light_field: LightField, disp
 def test_a_picture_is_a_seen_view(light_field: LightField) -> None:
     stack = lumistack.factorize(light_field, iterations=3)
     views = stack.views(light_field).radiance
-    # At slope 0 the layers' pixels are aligned, so a pixel's central ray has the pixel's mean
-    # value.
+    # At slope 0 the layers' pixels are aligned, so all rays of a pixel have the same value. So the
+    # seen picture equals the view of central rays.
     assert numpy.allclose(lumistack.simulate(stack), views[1, 1], atol=1e-6)
     slope = (light_field.slope_x[2], light_field.slope_y[0])
     seen = lumistack.simulate(stack, slope)
@@ -68,8 +70,8 @@ def test_a_picture_is_a_seen_view(light_field: LightField) -> None:
     assert numpy.allclose(far, seen, atol=1e-5)
     raw = lumistack.simulate(stack, slope, raw=True)
     assert numpy.allclose(raw / stack.brightness, seen, atol=1e-6) and raw.dtype == numpy.float32
-    # 9 × 9 rays per pixel; pixels at the border are excluded, since some of their rays miss a
-    # layer.
+    # The expected picture is the mean of 9 × 9 rays per pixel. Pixels at the border are excluded,
+    # since some of their rays miss a layer.
     rows, cols, _ = seen.shape
     fine = numpy.zeros((1, 1, 9 * rows, 9 * cols, 3), numpy.float32)
     like = LightField(fine, pitch_mm=light_field.pitch_mm / 9, slope_x=[slope[0]], slope_y=[slope[1]])
@@ -205,7 +207,7 @@ def test_a_job_runs_as_it_does_from_a_file(scene: Path, tmp_path: Path) -> None:
     stack = LayerStack.open(tmp_path / "a")
     target = LightField.open(tmp_path / "a")
     assert stack.psnr(target) == pytest.approx(summary["psnr_view"], abs=1e-6)
-    # The same steps are done by single calls.
+    # Calls of render, factorize and so on give the results of the run.
     rendered = lumistack.render(scene, Display(stack.display), samples=1, max_bounces=1)
     assert numpy.array_equal(rendered.radiance, target.radiance)
     made = lumistack.factorize(rendered, iterations=2)

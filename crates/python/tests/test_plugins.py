@@ -1,4 +1,4 @@
-"""Plugins in libraries run in child processes, whose program is this Python."""
+"""Plugins in libraries run in child processes, which the running Python interpreter executes."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ JOB, DISPLAY = checker("job"), checker("display")
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_files_of_the_repository_fit(path: Path) -> None:
     file = tomllib.loads(path.read_text())
-    # Only displays have layers.
+    # A file with layers is a display; all other files are jobs.
     schema = DISPLAY if "layers" in file else JOB
     errors = [f"{error.json_path}: {error.message}" for error in schema.iter_errors(file)]
     assert not errors

@@ -27,8 +27,8 @@ def cloud(count: int = 300, coefficients: int = 4) -> dict[str, Any]:
 
 
 def write_ply(path: Path, splats: dict[str, Any]) -> None:
-    """Writes a file as trainers do: logarithms of scales, logits of opacities, harmonics by
-    channel."""
+    """Writes a .ply file in the form of training programs: it has logarithms of scales, logits of
+    opacities, and harmonics grouped by colour channel."""
     rest = splats["harmonics"].shape[1] - 1
     names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(3 * rest))]
     names += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]

@@ -74,7 +74,8 @@ def test_workers_without_a_shared_folder_give_the_bytes_of_one_machine(tmp_path:
 
         def tell(event: dict[str, Any]) -> None:
             if event["event"] == "done_unit" and not away.exists():
-                # From here on workers can read the sent files, and no other files of this machine.
+                # Workers must use the files that were sent to the store, since the scene's folder
+                # is renamed.
                 scene.rename(away)
             if event["event"] == "done_unit" and event["done"] == 6:
                 # The worker's run folder and the fetched files are lost with the worker.
@@ -84,7 +85,8 @@ def test_workers_without_a_shared_folder_give_the_bytes_of_one_machine(tmp_path:
         lumistack.farm.run(job, tmp_path / "run", options=BLOCKS, client=client, threads=1, store=s3, send=[scene], tell=tell)
         assert kills and results(tmp_path / "run") == expected
         away.rename(scene)
-        # Another client continues from the store, and executes the last unit alone.
+        # Another client finds the results of all other units in the store, and executes only the
+        # last unit.
         again = lumistack.farm.run(job, tmp_path / "other", options=BLOCKS, client=client, threads=1, store=s3, send=[scene])
         assert again.done == ["finish"]
     assert results(tmp_path / "other") == expected

@@ -1,4 +1,4 @@
-"""Long work: interrupts, callbacks, threads, the lock."""
+"""Long work: interrupts, callbacks, threads, and the release of Python's lock."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ import pytest
 
 import lumistack
 
-#: Time limit for an interrupt on a busy machine, seconds; on an idle machine it takes less than
-#: 0.2.
+#: Longest time from an interrupt to the end of the work on a busy machine, seconds. On an idle
+#: machine it is less than 0.2.
 PATIENCE = 1.0
 
 
 def interruptible() -> None:
-    """Enables interrupts: a suite that runs in the background may ignore them, and child processes
-    inherit this."""
+    """Enables interrupts in a child process. A test suite in the background may ignore interrupts, and
+    its child processes would inherit this."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
@@ -89,8 +89,7 @@ def test_the_lock_is_released(slow: tuple[lumistack.LightField, lumistack.Displa
     counts: list[int] = []
 
     def count() -> None:
-        # The call need not wait for the 5 ms of sys.setswitchinterval, since no other thread holds
-        # the lock.
+        # Every step of this loop needs Python's lock.
         end, n = time.perf_counter() + 0.3, 0
         while time.perf_counter() < end:
             n += 1

@@ -5,16 +5,17 @@ use crate::Iteration;
 /// The last iteration that was complete at a number of seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Reached {
-    /// 1, 2 or 5 times a power of ten. In the last entry, the time at which the solver ended.
+    /// Time in seconds: 1, 2 or 5 times a power of ten. The last entry has the time at which the
+    /// solver ended.
     pub(crate) seconds: f64,
     pub(crate) iteration: u32,
     pub(crate) psnr_view: f64,
 }
 
-/// Largest number of lines. If there are more, the latest are kept.
+/// Largest number of lines in the table of PSNR over time. If there are more, the latest are kept.
 const LINES: usize = 12;
 
-/// PSNR at round numbers of seconds, and at the end of the solver.
+/// Returns the PSNR at round numbers of seconds, and at the end of the solver.
 pub(crate) fn reached(history: &[Iteration]) -> Vec<Reached> {
     let Some(end) = history.last().filter(|last| last.seconds.is_finite()) else { return Vec::new() };
     let round = (-3..9).flat_map(|power| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(power)));
@@ -25,7 +26,7 @@ pub(crate) fn reached(history: &[Iteration]) -> Vec<Reached> {
             Some(Reached { seconds, iteration: it.iteration, psnr_view: it.psnr_view })
         })
         .collect();
-    // if several round times have the same last iteration, keep only the first of these times
+    // If several round times have the same last iteration, keep only the first of these times.
     lines.dedup_by(|later, earlier| later.iteration == earlier.iteration && later.seconds != end.seconds);
     lines.drain(..lines.len().saturating_sub(LINES));
     lines

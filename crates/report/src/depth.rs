@@ -13,8 +13,8 @@ const BARS: usize = 60;
 const CURVE_POINTS: usize = 241;
 /// Fraction of the depths that histograms omit at either end.
 const STRAY: f64 = 0.005;
-/// If a smaller fraction of hits is in the depth of field, the report gives advice. The display
-/// does not suit the scene, or the window is misplaced.
+/// The report gives advice if a smaller fraction of hits than this is in the depth of field. Then
+/// the display does not suit the scene, or the window is misplaced.
 const FEW: f64 = 0.75;
 
 /// Depth statistics of a scene on a display. Fractions are fractions of the rays with a hit.
@@ -67,7 +67,8 @@ impl DepthBudget {
             z_mm.iter().filter(|z| which(f64::from(**z))).count() as f64 / z_mm.len() as f64
         };
         let inside = |z: f64| depth_of_field_mm.is_some_and(|[low, high]| (low..=high).contains(&z));
-        // Collect the hits, and their disparities between views of the widest spacing.
+        // Collect the hits, and their disparities between neighbouring views. The axis with the
+        // wider spacing of views counts.
         let (mut all, middle) = (seen(z_mm), seen(middle));
         let step = geometry.grid.bin_width().into_iter().fold(0.0, f64::max);
         let moves = |z: f64| geometry.disparity_px(z, step).abs();
@@ -114,7 +115,7 @@ impl DepthBudget {
         !self.inside.is_nan()
     }
 
-    /// The budget as a sentence.
+    /// Returns the budget as a sentence.
     pub fn sentence(&self) -> String {
         if !self.is_seen() {
             return "no surface is seen".into();
@@ -150,7 +151,7 @@ impl DepthBudget {
         format!("; to fit the scene, {} (`fit_depth = \"off\"` prevents this)", done.join(" and "))
     }
 
-    /// Advice if the scene does not fit; `None` if it fits.
+    /// Returns advice if the scene does not fit; `None` if it fits.
     pub fn advice(&self) -> Option<String> {
         if !self.is_seen() || self.inside >= FEW {
             return None;
@@ -162,7 +163,7 @@ impl DepthBudget {
         ))
     }
 
-    /// JSON for report.json.
+    /// Returns the budget as JSON for report.json.
     pub fn to_json(&self) -> Value {
         let [p2, p25, p50, p75, p98] = self.depth_mm.map(figure);
         let [median, most, largest] = self.disparity_px.map(figure);
@@ -201,7 +202,8 @@ impl Histogram {
 mod tests {
     use super::*;
 
-    /// Three layers, 40 mm apart. The slopes of the 5 views over 20° are 0.0705 apart.
+    /// Returns a display of three layers, 40 mm apart. The slopes of the 5 views over 20° are
+    /// 0.0705 apart.
     fn display() -> Display {
         Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2)
     }
@@ -210,7 +212,7 @@ mod tests {
     fn shares_and_displacements_are_counted() {
         let display = display();
         let geometry = display.geometry().unwrap();
-        // a quarter of the hits at each of −100, −10, 10 and 79 mm, and rays without a hit
+        // The hits are at −100, −10, 10 and 79 mm, a quarter at each depth. Other rays have no hit.
         let mut z_mm = vec![f32::NAN; 50];
         [-100.0, -10.0, 10.0, 79.0].into_iter().for_each(|z| z_mm.extend([z; 25]));
         let budget = DepthBudget::measure(&display, &geometry, &z_mm, &[10.0, f32::NAN]);

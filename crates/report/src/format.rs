@@ -3,17 +3,17 @@
 
 use serde_json::Value;
 
-/// A number, or for infinite values `"Infinity"` or `"-Infinity"`, or null for NaN.
+/// Converts a number to JSON: `"Infinity"` or `"-Infinity"` for infinite values, null for NaN.
 pub(crate) fn figure(value: f64) -> Value {
     match value {
         f64::INFINITY => "Infinity".into(),
         f64::NEG_INFINITY => "-Infinity".into(),
-        // serde_json writes NaN as null
+        // For NaN this gives null, as serde_json does for every NaN.
         finite => finite.into(),
     }
 }
 
-/// Decibels with one decimal; "∞" for equal pictures, "–" if no rays were compared.
+/// Formats decibels with one decimal; "∞" for equal pictures, "–" if no rays were compared.
 pub(crate) fn decibels(value: f64) -> String {
     match value {
         v if v.is_nan() => "–".into(),
@@ -22,7 +22,7 @@ pub(crate) fn decibels(value: f64) -> String {
     }
 }
 
-/// Small differences in decibels: two decimals below 1 dB.
+/// Formats small differences in decibels: two decimals below 1 dB.
 pub(crate) fn decibels_fine(value: f64) -> String {
     match value.abs() {
         v if v < 0.005 => "0.00".into(),
@@ -31,7 +31,7 @@ pub(crate) fn decibels_fine(value: f64) -> String {
     }
 }
 
-/// A fraction or a count in two or three digits.
+/// Formats a fraction or a count in two or three digits.
 pub(crate) fn number_short(value: f64) -> String {
     match value.abs() {
         v if v >= 99.5 => format!("{value:.0}"),
@@ -40,12 +40,12 @@ pub(crate) fn number_short(value: f64) -> String {
     }
 }
 
-/// SSIM or FLIP with three decimals; "–" if no rays were compared.
+/// Formats SSIM or FLIP with three decimals; "–" if no rays were compared.
 pub(crate) fn similarity(value: f64) -> String {
     if value.is_nan() { "–".into() } else { minus(format!("{value:.3}")) }
 }
 
-/// Seconds with a unit: "0.42 s", "12.3 s", "3 min 05 s".
+/// Formats seconds with a unit: "0.42 s", "12.3 s", "3 min 05 s".
 pub(crate) fn duration(seconds: f64) -> String {
     match seconds {
         s if !s.is_finite() => "–".into(),
@@ -61,8 +61,8 @@ pub(crate) fn duration(seconds: f64) -> String {
     }
 }
 
-/// Round numbers of seconds without unnecessary digits: "20 ms", "0.5 s", "50 s". Longer times have
-/// the format of [`duration`].
+/// Formats round numbers of seconds without unnecessary digits: "20 ms", "0.5 s", "50 s". Longer
+/// times have the format of [`duration`].
 pub(crate) fn duration_short(seconds: f64) -> String {
     match seconds {
         s if s < 0.0995 => format!("{} ms", number_short_round(1e3 * s)),
@@ -71,31 +71,31 @@ pub(crate) fn duration_short(seconds: f64) -> String {
     }
 }
 
-/// A number with at most two decimals, without trailing zeros.
+/// Formats a number with at most two decimals, without trailing zeros.
 fn number_short_round(value: f64) -> String {
     format!("{value:.2}").trim_end_matches('0').trim_end_matches('.').into()
 }
 
-/// A slope (tangent) as a signed angle with its unit: "+8.0°".
+/// Formats a slope (tangent) as a signed angle with its unit: "+8.0°".
 pub(crate) fn angle(slope: f64) -> String {
     let degrees = slope.atan().to_degrees();
-    // avoid "−0.0°"
+    // Avoid "−0.0°".
     if degrees.abs() < 0.05 { "0.0°".into() } else { minus(format!("{degrees:+.1}°")) }
 }
 
-/// A number without unnecessary digits.
+/// Formats a number without unnecessary digits.
 pub(crate) fn number(value: f64) -> String {
     let text = format!("{value:.4}");
     let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
     minus(if text == "-0" { "0".into() } else { text.into() })
 }
 
-/// A fraction as a percentage. Only a fraction of exactly 1 gives 100 %.
+/// Formats a fraction as a percentage. Only a fraction of exactly 1 gives 100 %.
 pub(crate) fn percent(share: f64) -> String {
     if share < 1.0 { format!("{:.1} %", (share * 100.0).min(99.9)) } else { "100 %".into() }
 }
 
-/// A count with its noun: "1 frame", "3 frames".
+/// Formats a count with its noun: "1 frame", "3 frames".
 pub(crate) fn counted(count: usize, noun: &str) -> String {
     if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
 }

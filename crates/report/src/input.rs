@@ -30,8 +30,8 @@ pub struct Solution {
     pub start: String,
     /// Number of coarser levels before the full resolution, each of half the resolution.
     pub coarse_levels: u32,
-    /// KKT residual. One more exact coordinate step of a single value changes the emission. The
-    /// residual is the root mean square of this change over all values of the patterns.
+    /// KKT residual. For each value of the patterns, one more exact step of this value alone would
+    /// change the emission. The residual is the root mean square of these changes.
     pub kkt_residual: f64,
     /// For layers of few bits, `psnr_view` (dB) of three stacks: continuous, rounded to the panels'
     /// levels, and optimized again on these levels. The last stack is the result.
@@ -83,8 +83,8 @@ pub struct Denoising<'a> {
 pub struct ZoneFigures {
     /// Errors of seen pictures, for each direction.
     pub score: ZoneScore,
-    /// True if the references are views of a given light field that the solver did not use. False
-    /// if they are renders.
+    /// True if the reference pictures are views of a given light field that the solver did not use.
+    /// False if they are renders.
     pub left_out: bool,
     /// Directions whose references have enough samples for SSIM, FLIP and pictures on the page.
     pub views: Vec<ZoneView>,

@@ -16,7 +16,7 @@ use crate::{ReportInput, format};
 pub(crate) struct Light {
     /// Mean of L̃.
     pub(crate) emitted: f64,
-    /// Mean of L, before β.
+    /// Mean luminance of the target L, without the factor β.
     pub(crate) wanted: f64,
     /// Mean luminance if all pixels are at their brightest; NaN if no ray hits the display.
     pub(crate) open: f64,
@@ -30,10 +30,11 @@ pub(crate) fn light(input: &ReportInput, target: &FieldScore) -> Light {
     }
 }
 
-/// Mean luminance, seen from straight ahead, of a display with all pixels at their brightest.
+/// Returns the mean luminance, seen from straight ahead, of a display with all pixels at their
+/// brightest.
 fn open(display: &Display, geometry: &FieldGeometry) -> f64 {
     let mut display = Display { frames: 1, ..display.clone() };
-    // a total rotation of 90° is the brightest; a larger rotation would darken the pixel again
+    // A total rotation of 90° is the brightest; a larger rotation would darken the pixel again.
     let rotation: f64 = display.layers.iter().map(|layer| layer.peak).sum();
     let share = if display.formation == Formation::Polarization { (1.0 / rotation).min(1.0) } else { 1.0 };
     display.layers.iter_mut().for_each(|layer| layer.peak *= share);
@@ -49,7 +50,7 @@ fn open(display: &Display, geometry: &FieldGeometry) -> f64 {
 }
 
 impl Light {
-    /// The brightness in a few sentences.
+    /// Describes the brightness in a few sentences.
     pub(crate) fn sentence(&self, input: &ReportInput) -> String {
         let display = input.display;
         if self.emitted.is_nan() {

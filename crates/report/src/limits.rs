@@ -19,12 +19,12 @@ use crate::{ReportError, ReportInput};
 pub(crate) use limit::Limit;
 use variants::{Tone, Variant, simulated_error, variants};
 
-/// Number of progress steps of [`find`].
+/// Returns the number of progress steps of [`find`].
 pub(crate) fn count(input: &ReportInput) -> usize {
     outstanding_views(&input.target.geometry().grid).len() * variants(input).len()
 }
 
-/// The limits of a result, the largest first.
+/// Returns the limits of a result, the largest first.
 pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Result<Vec<Limit>, ReportError> {
     let mut errors = Vec::new();
     let mut tone = Tone::default();
@@ -41,7 +41,7 @@ pub(crate) fn find(input: &ReportInput, target: &FieldScore, task: Task) -> Resu
         return Ok(Vec::new());
     }
     if base.sum == 0.0 {
-        // an exact result has no other limits
+        // An exact result is limited by nothing but its number of frames.
         return Ok(vec![solver::frames(input, target, None)]);
     }
     let error = |variant| errors.iter().find(|(other, _)| *other == variant).map(|(_, error)| *error);

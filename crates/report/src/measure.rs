@@ -26,7 +26,8 @@ pub(crate) struct Measured {
     pub(crate) zone: Option<ZoneLooks>,
     pub(crate) held_out: Option<FieldScore>,
     pub(crate) outside: Option<FieldScore>,
-    /// The central view, large.
+    /// The large comparison: the median direction of the zone or, without a zone score, the central
+    /// view.
     pub(crate) headline: Comparison,
     /// The central view and the corner views, the worst view, and views between and outside of the
     /// target's views.
@@ -47,7 +48,7 @@ pub(crate) struct ZoneLooks {
     pub(crate) flip: Mean,
 }
 
-/// Maximum number of pixels in the four pictures of the headline.
+/// Maximum number of pixels in the four pictures of the large comparison.
 const HEADLINE_BUDGET: usize = 2_000_000;
 /// Maximum number of pixels in all other comparisons.
 const ROWS_BUDGET: usize = 4_000_000;
@@ -58,7 +59,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let mut sheets = SheetPair::new(input.target.geometry());
     let keep = outstanding_views(grid);
     let geometry = input.target.geometry();
-    // the explorer of views shows seen pictures instead of the emission along rays
+    // The explorer of views shows seen pictures instead of the emission along rays.
     let mut place = |view, _: &EmittedView| sheets.place(view, input, &judge.simulator.seen(geometry, view));
     let (target, mut shown) = field(&judge, input.target, input.weights, &keep, task, &mut place)?;
     if let Some(worst) = target.worst_view().filter(|worst| !keep.contains(worst)) {
@@ -88,8 +89,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let held_out = others(input.held_out, between)?;
     let outside = others(input.outside, grid.outside(1))?;
     let errors = |views: &[Shown]| picture::amplification(views.iter().flat_map(|view| view.errors.iter().flatten()));
-    // held-out views are often far worse than target views, so a common scale would hide
-    // differences of target views
+    // Held-out views are often far worse than target views. They have a scale of their own, since a
+    // common scale would hide differences of target views.
     let (amplification, other_amplification) = (errors(&shown[..targets]), errors(&shown[targets..]));
     let sizes: Vec<_> = shown.iter().flat_map(|view| [(view.simulated.rows, view.simulated.cols); 4]).collect();
     let (headline_shrunk, rows_shrunk) =

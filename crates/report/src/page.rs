@@ -65,7 +65,7 @@ pub(crate) fn render(
     Ok(document(input.title, input.version, &header, &main))
 }
 
-/// A standalone page: style, script and the dialog for pictures at full size.
+/// Makes a standalone page, with style, script and the dialog for pictures at full size.
 pub(crate) fn document(title: &str, version: &str, header: &Markup, main: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
@@ -98,7 +98,7 @@ pub(crate) fn document(title: &str, version: &str, header: &Markup, main: &Marku
     page.into_string()
 }
 
-/// A picture that fills its container and opens at full size.
+/// Makes a picture that fills its container and opens at full size.
 fn picture(embedded: &Embedded, description: &str) -> Markup {
     let class = if embedded.cols < SHARP_COLS { "zoom sharp" } else { "zoom" };
     html! {
@@ -106,12 +106,12 @@ fn picture(embedded: &Embedded, description: &str) -> Markup {
     }
 }
 
-/// A picture with a caption.
+/// Makes a picture with a caption.
 fn figure(embedded: &Embedded, description: &str, caption: &str) -> Markup {
     html! { figure { (picture(embedded, description)) figcaption { (caption) } } }
 }
 
-/// A colour bar with labels at its ends.
+/// Makes a colour bar with labels at its ends.
 fn legend(anchors: &[[u8; 3]], labels: &[String]) -> Markup {
     let stops: Vec<String> = anchors.iter().map(|[r, g, b]| format!("rgb({r} {g} {b})")).collect();
     html! {
@@ -122,7 +122,7 @@ fn legend(anchors: &[[u8; 3]], labels: &[String]) -> Markup {
     }
 }
 
-/// A note such as "Shown at 1/2 size", or nothing.
+/// Makes a note such as "Shown at 1/2 size", or nothing.
 fn shrunk_note(factor: usize) -> String {
     if factor > 1 { format!(" Shown at 1/{factor} size, averaged over areas.") } else { String::new() }
 }

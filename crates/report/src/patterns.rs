@@ -42,7 +42,7 @@ pub(crate) struct Sheet {
 #[derive(Clone, Debug)]
 pub(crate) struct CloseUp {
     pub(crate) window: Window,
-    /// Values shown as black and as white.
+    /// Values of the layer that are shown as black and as white.
     pub(crate) stretch: [f32; 2],
     /// Mean over the frames, if there are several.
     pub(crate) mean: Option<Embedded>,
@@ -90,7 +90,7 @@ impl Size {
     }
 }
 
-/// Number of progress steps of [`encode`].
+/// Returns the number of progress steps of [`encode`].
 pub(crate) fn count(stack: &LayerStack) -> usize {
     (stack.layers.len() + usize::from(stack.emission.is_some())) * stack.frames()
 }
@@ -162,8 +162,8 @@ fn encode_sheet(
 fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp, ReportError> {
     /// Fraction of the values that may be clipped at each end.
     const CLIPPED: f64 = 0.01;
-    /// If the contrast could be stretched only by less than this, the difference would be
-    /// invisible.
+    /// The contrast is stretched only if the section's darkest or brightest value is farther than
+    /// this from the end of the range. Otherwise the stretch would be invisible.
     const LITTLE: f32 = 0.02;
     let [frames, rows, cols, _] = layer.shape();
     let part = |whole: &Linear| whole.cropped(window.row, window.col, window.rows, window.cols).green();
@@ -171,7 +171,7 @@ fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp,
         (0..frames).map(|frame| part(&Linear::new(rows, cols, layer.block([frame]), 1.0))).collect();
     let mut values: Vec<f32> = parts.iter().flat_map(|part| part.data.iter().copied()).collect();
     let [low, high] = [CLIPPED, 1.0 - CLIPPED].map(|share| percentile(&mut values, share));
-    // do not stretch a section that is constant, or that already fills the range
+    // Do not stretch a section that is constant, or that already fills the range.
     let worth_it = high - low > 1e-3 && (low > LITTLE || high < 1.0 - LITTLE);
     let stretch = if worth_it { [low, high] } else { [0.0, 1.0] };
     let embed = |part: &Linear| part.stretched(stretch).encoded().embedded(Encoding::Png);
@@ -192,7 +192,7 @@ fn encode_emission(
 ) -> Result<Emission, ReportError> {
     let [frames, bins_y, bins_x, rows, cols, _] = emission.shape();
     let bin = [bins_y / 2, bins_x / 2];
-    // if there is only one bin, the panel shows this picture already
+    // If there is only one bin, the picture of the panel is the same, so this picture is omitted.
     let central = (0..frames).filter(|_| bins_y * bins_x > 1).map(|frame| {
         Ok(Linear::new(rows, cols, emission.block([frame, bin[0], bin[1]]), 1.0).encoded().embedded(Encoding::Png)?)
     });

@@ -56,7 +56,7 @@ impl Encoding {
 }
 
 impl Linear {
-    /// A picture of the given shape, whose values are `data` times `scale`.
+    /// Makes a picture of the given shape, whose values are `data` times `scale`.
     pub(crate) fn new(rows: usize, cols: usize, data: &[f32], scale: f32) -> Self {
         Self { rows, cols, data: data.iter().map(|value| value * scale).collect() }
     }
@@ -94,7 +94,7 @@ impl Linear {
         Self { rows, cols, data: lines.copied().collect() }
     }
 
-    /// The green channel as grey.
+    /// Returns the green channel as grey.
     pub(crate) fn green(&self) -> Self {
         Self { data: self.data.chunks_exact(3).flat_map(|rgb| [rgb[1]; 3]).collect(), ..*self }
     }
@@ -104,7 +104,7 @@ impl Linear {
         Self { data: self.data.iter().map(|value| (value - low) / (high - low)).collect(), ..*self }
     }
 
-    /// The picture clamped to 0..1 and sRGB-encoded.
+    /// Clamps the picture to 0..1 and encodes it as sRGB.
     pub(crate) fn encoded(&self) -> Picture {
         Picture { rows: self.rows, cols: self.cols, rgb: self.data.iter().map(|value| srgb_code(*value)).collect() }
     }
@@ -215,7 +215,7 @@ impl Picture {
     /// If the encoder refuses the size.
     pub(crate) fn embedded(&self, encoding: Encoding) -> ImageResult<Embedded> {
         let (width, height, mut bytes) = (self.cols as u32, self.rows as u32, Vec::new());
-        // JPEG stores width and height in 16 bits
+        // JPEG stores width and height in 16 bits, so a larger picture is a PNG.
         let encoding = if width.max(height) > 65_500 { Encoding::Png } else { encoding };
         let mime =
             match encoding {

@@ -43,7 +43,7 @@ pub(crate) fn line(points: &[(f64, f64)], label: &str, value_label: &str) -> Res
     Ok(page::line(points, [label, value_label])?)
 }
 
-/// Fractions of hits by depth, with the depth of field and the layers.
+/// Draws the fractions of hits by depth, with the depth of field and the layers.
 ///
 /// # Errors
 /// If the plot cannot be drawn.
@@ -52,7 +52,7 @@ pub(crate) fn depths(budget: &DepthBudget) -> Result<String, ReportError> {
     shares(&budget.by_depth, label, budget.depth_of_field_mm, &budget.layers_mm)
 }
 
-/// Fractions of hits by disparity between neighbouring views.
+/// Draws the fractions of hits by disparity between neighbouring views.
 ///
 /// # Errors
 /// If the plot cannot be drawn.
@@ -61,15 +61,15 @@ pub(crate) fn disparities(budget: &DepthBudget) -> Result<String, ReportError> {
     shares(&budget.by_disparity, label, Some([0.0, 1.0]), &[])
 }
 
-/// The highest spatial frequency over depth, relative to the highest frequency of the light field's
-/// pixels. A horizontal line marks the value 1.
+/// Draws the highest spatial frequency over depth, relative to the highest frequency of the light
+/// field's pixels. A horizontal line marks the value 1.
 ///
 /// # Errors
 /// If the plot cannot be drawn.
 pub(crate) fn bound(budget: &DepthBudget) -> Result<String, ReportError> {
-    // near the depth of a single layer the bound is infinite
+    // Near the depth of a single layer the bound is infinite, so clamp it to the plotted range.
     let points: Vec<(f64, f64)> = budget.bound.iter().map(|(z, bound)| (*z, bound.min(MOST_DETAIL))).collect();
-    Ok(page::against(&points, 1.0, ["depth, mm towards the viewer", "finest detail / that of the pixels"])?)
+    Ok(page::against(&points, 1.0, ["depth, mm towards the viewer", "finest detail / finest detail of the pixels"])?)
 }
 
 fn shares(histogram: &Histogram, label: &str, band: Option<[f64; 2]>, lines: &[f64]) -> Result<String, ReportError> {

@@ -90,7 +90,7 @@ impl SequenceTime {
         self.still.map_or(f64::NAN, SquaredError::psnr)
     }
 
-    /// Fraction of rays with a constant target, 0..1; NaN at the first time step.
+    /// Returns the fraction of rays with a constant target, 0..1; NaN at the first time step.
     pub(crate) fn still_share(&self) -> f64 {
         self.change.map_or(f64::NAN, |all| self.still.map_or(0, |still| still.count) as f64 / all.count as f64)
     }

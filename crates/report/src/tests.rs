@@ -12,11 +12,11 @@ mod figures;
 
 use crate::{DenoisedView, Denoising, Iteration, Output, Report, ReportError, ReportInput, Solution, Stage, build};
 
-/// Tolerance of a PSNR in report.json against the PSNR of the display crate, dB. Both sum in f64,
-/// in the same order.
+/// Tolerance of a PSNR in report.json against the PSNR of the display crate, dB. Both computations
+/// sum in f64, in the same order.
 const SAME_DB: f64 = 1e-9;
 
-/// A display of `layers` layers, `frames` frames and [horizontal, vertical] views.
+/// Returns a display of `layers` layers, `frames` frames and [horizontal, vertical] views.
 fn display(layers: usize, frames: usize, views: [usize; 2], resolution: [usize; 2], extra: &str) -> Display {
     let [cols, rows] = resolution;
     let mut text = format!(
@@ -277,7 +277,7 @@ fn a_foreign_grid_is_laid_out_as_the_eye_moves() {
     let target = noisy_field(&display, Some(grid));
     let stack = noisy_stack(&display);
     let report = built(&plain(&display, &stack, &target)).unwrap();
-    // the top left cell of the table is the last view of the file
+    // The top left cell of the table is the last view of the file.
     let cells = report.html.split("class=\"heat\"").nth(1).unwrap();
     let first = cells.split("<td").nth(1).unwrap().split(['>', '<']).nth(1).unwrap();
     let last_view = json_psnr(&report.json["views"]["psnr_view"][1][1]);
@@ -304,8 +304,8 @@ fn unusable_input_is_an_error() {
 fn large_displays_stay_small_files() {
     /// Browsers and mail attachments support at least this size, bytes.
     const LARGEST: usize = 15_000_000;
-    // the paper's prototype with masks of full size; they are noise, which is the worst case for
-    // every encoder
+    // The display is the paper's prototype with masks of full size. The masks are noise, which is
+    // the worst case for every encoder.
     let display = display(3, 12, [2, 2], [840, 525], "");
     let (stack, target) = (noisy_stack(&display), noisy_field(&display, None));
     let report = built(&plain(&display, &stack, &target)).unwrap();
@@ -315,7 +315,7 @@ fn large_displays_stay_small_files() {
 
 #[test]
 fn the_simulated_view_is_divided_by_the_brightness() {
-    // a clear pixel at β = 0.2 with a target of 1 must be shown as white, not as 0.2
+    // A clear pixel at β = 0.2 with a target of 1 must be shown as white, not as 0.2.
     let display = display(1, 1, [1, 1], [1, 1], "");
     let mut target = LightField::black(display.geometry().unwrap()).unwrap();
     target.radiance_mut().data_mut().fill(1.0);

@@ -4,7 +4,7 @@
 use lumistack_core::Tensor;
 use lumistack_display::{FieldGeometry, LightField, ViewGrid, Weights, spread};
 
-/// Largest number of views per axis.
+/// Largest number of views per axis that the report measures and shows.
 const MOST: usize = 7;
 
 /// Returns evenly spread views of a light field, including the central and the outermost views,

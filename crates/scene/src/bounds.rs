@@ -5,14 +5,14 @@ use glam::Vec3;
 /// Axis-aligned box; empty if `min > max` on any axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
-    /// Smallest corner.
+    /// Corner with the smallest x, y and z.
     pub min: Vec3,
-    /// Largest corner.
+    /// Corner with the largest x, y and z.
     pub max: Vec3,
 }
 
 impl Bounds {
-    /// The empty box.
+    /// The box that holds no point. Including a point makes it a box of that point.
     pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
 
     /// Grows the box to hold a point.
@@ -37,17 +37,17 @@ impl Bounds {
         point.cmpge(self.min).all() && point.cmple(self.max).all()
     }
 
-    /// Centre; meaningless for an empty box.
+    /// Centre of the box; meaningless for an empty box.
     pub fn centre(&self) -> Vec3 {
         0.5 * (self.min + self.max)
     }
 
-    /// Edge lengths.
+    /// Lengths of the edges along x, y and z.
     pub fn size(&self) -> Vec3 {
         self.max - self.min
     }
 
-    /// The eight corners.
+    /// The eight corners of the box.
     pub fn corners(&self) -> [Vec3; 8] {
         std::array::from_fn(|i| {
             Vec3::new(

@@ -27,7 +27,7 @@ pub struct Material {
     pub emission: Vec3,
     /// Texture of the emission: RGB is sRGB-encoded.
     pub emission_texture: Option<TextureUse>,
-    /// Meaning of alpha.
+    /// Effect of the base colour's alpha on the surface.
     pub alpha_mode: AlphaMode,
     /// True if back faces are shaded; otherwise they are invisible.
     pub double_sided: bool,
@@ -66,13 +66,13 @@ pub struct Material {
     /// 20 / Abbe number of a solid (`KHR_materials_dispersion`), ≥ 0; a solid with 0 does not
     /// disperse.
     pub dispersion: f32,
-    /// A clear layer on top.
+    /// A clear dielectric layer on top of the surface.
     pub clearcoat: Option<Clearcoat>,
-    /// Fibres on top, as on cloth.
+    /// Fibres on top of the surface, as on cloth.
     pub sheen: Option<Sheen>,
-    /// A thin film on the base.
+    /// A thin film on the base, whose interference changes the colour of reflections.
     pub iridescence: Option<Iridescence>,
-    /// Stretch of the base's reflection.
+    /// Stretches reflections of the base along one direction, as on brushed metal.
     pub anisotropy: Option<Anisotropy>,
 }
 
@@ -81,11 +81,11 @@ pub struct Material {
 pub struct Clearcoat {
     /// Fraction of the surface that is coated, 0..1.
     pub factor: f32,
-    /// Texture of the factor, in the red channel; linear.
+    /// Texture of `factor`, in the red channel; linear.
     pub texture: Option<TextureUse>,
-    /// Perceptual roughness 0..1.
+    /// Perceptual roughness of the coat, 0..1.
     pub roughness: f32,
-    /// Texture of the roughness, in the green channel; linear.
+    /// Texture of `roughness`, in the green channel; linear.
     pub roughness_texture: Option<TextureUse>,
     /// Normals of the coat, as [`Material::normal_texture`]; without this texture the coat has the
     /// geometry's normals.
@@ -99,11 +99,11 @@ pub struct Clearcoat {
 pub struct Sheen {
     /// Colour of the fibres, linear RGB, 0..1.
     pub color: Vec3,
-    /// Texture of the colour: RGB is sRGB-encoded.
+    /// Texture of `color`: RGB is sRGB-encoded.
     pub color_texture: Option<TextureUse>,
-    /// Perceptual roughness 0..1.
+    /// Perceptual roughness of the fibres' reflection, 0..1.
     pub roughness: f32,
-    /// Texture of the roughness, in the alpha channel; linear.
+    /// Texture of `roughness`, in the alpha channel; linear.
     pub roughness_texture: Option<TextureUse>,
 }
 
@@ -112,14 +112,14 @@ pub struct Sheen {
 pub struct Iridescence {
     /// Fraction of the surface that has the film, 0..1.
     pub factor: f32,
-    /// Texture of the factor, in the red channel; linear.
+    /// Texture of `factor`, in the red channel; linear.
     pub texture: Option<TextureUse>,
     /// Index of refraction of the film, ≥ 1.
     pub ior: f32,
-    /// Thickness where the texture is 0 and where it is 1, in nanometres. Without a texture the
-    /// second thickness holds.
+    /// Thickness of the film in nanometres, where its texture is 0 and where it is 1. Without a
+    /// texture the film has the second thickness.
     pub thickness_nm: [f32; 2],
-    /// Texture of the thickness, in the green channel; linear.
+    /// Texture that mixes the two values of `thickness_nm`, in the green channel; linear.
     pub thickness_texture: Option<TextureUse>,
 }
 
@@ -143,11 +143,11 @@ pub struct Anisotropy {
     pub texture: Option<TextureUse>,
 }
 
-/// Marks a surface that represents a light source of the file. Glowing objects are not lamps but
-/// geometry.
+/// Marks a surface that represents a light source of the file. A glowing object of the scene is an
+/// ordinary surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Lamp {
-    /// An ordinary surface.
+    /// An ordinary surface, which represents no light source.
     #[default]
     No,
     /// A light source that the viewer does not see: camera rays pass through it. It is still seen
@@ -244,7 +244,7 @@ pub enum AlphaMode {
     Opaque,
     /// The surface exists where alpha reaches the cutoff, and is absent elsewhere.
     Mask {
-        /// Threshold, 0..1.
+        /// Smallest alpha at which the surface exists, 0..1.
         cutoff: f32,
     },
     /// The surface covers the fraction alpha of its area.
@@ -256,7 +256,7 @@ pub enum AlphaMode {
 pub struct TextureUse {
     /// Index into [`SceneParts::textures`](crate::SceneParts::textures).
     pub texture: usize,
-    /// Texture coordinate set, 0 or 1.
+    /// Texture coordinate set of the mesh, 0 or 1.
     pub uv_set: usize,
     /// Transform of the mesh's texture coordinates (`KHR_texture_transform`).
     pub texture_from_mesh: Affine2,
@@ -265,13 +265,13 @@ pub struct TextureUse {
 /// An image with rules for sampling it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Texture {
-    /// Index into [`SceneParts::images`](crate::SceneParts::images).
+    /// Index of the image in [`SceneParts::images`](crate::SceneParts::images).
     pub image: usize,
     /// Rule for texture coordinates u outside 0..1.
     pub wrap_u: Wrap,
     /// Rule for texture coordinates v outside 0..1.
     pub wrap_v: Wrap,
-    /// Interpolation between texels.
+    /// Interpolation between texels where the texture is magnified.
     pub filter: Filter,
 }
 
@@ -283,17 +283,17 @@ pub enum Wrap {
     Repeat,
     /// The texture repeats, and every other copy is flipped.
     MirroredRepeat,
-    /// The texels of the edge continue.
+    /// The texels of the edge continue outside.
     ClampToEdge,
 }
 
 /// Interpolation of a magnified texture; minification always uses the image pyramid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Filter {
-    /// Bilinear.
+    /// The four nearest texels are interpolated.
     #[default]
     Linear,
-    /// Nearest texel.
+    /// The nearest texel is shown.
     Nearest,
 }
 
@@ -301,13 +301,13 @@ pub enum Filter {
 /// (glTF).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
-    /// Name or path, for messages.
+    /// Name or path of the image, for messages.
     pub name: String,
-    /// Number of columns, ≥ 1.
+    /// Number of columns of the image, ≥ 1.
     pub width: usize,
-    /// Number of rows, ≥ 1.
+    /// Number of rows of the image, ≥ 1.
     pub height: usize,
-    /// Row-major texels.
+    /// Texels of the image, row by row.
     pub pixels: Pixels,
 }
 
@@ -315,9 +315,9 @@ pub struct Image {
 /// linear.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Pixels {
-    /// 8-bit codes.
+    /// 8-bit codes of red, green, blue and alpha.
     Rgba8(Vec<[u8; 4]>),
-    /// 16-bit codes.
+    /// 16-bit codes of red, green, blue and alpha.
     Rgba16(Vec<[u16; 4]>),
     /// Linear radiance, for environment maps.
     RgbF32(Vec<[f32; 3]>),

@@ -7,15 +7,15 @@ use crate::{Cloud, Image, Material, PlacedCloud, Texture};
 /// A scene that is not checked yet; see [`SceneParts::validate`].
 #[derive(Clone, Debug, Default)]
 pub struct SceneParts {
-    /// Name or path, for messages.
+    /// Name or path of the scene, for messages.
     pub name: String,
     /// Triangle meshes, each with one material.
     pub meshes: Vec<Mesh>,
-    /// Placed meshes.
+    /// Meshes that are placed in the scene.
     pub instances: Vec<Instance>,
     /// Clouds of Gaussian splats.
     pub clouds: Vec<Cloud>,
-    /// Placed clouds.
+    /// Clouds that are placed in the scene.
     pub placed_clouds: Vec<PlacedCloud>,
     /// Materials, to which meshes refer by index.
     pub materials: Vec<Material>,
@@ -50,9 +50,9 @@ pub struct Mesh {
     pub uvs: [Vec<Vec2>; 2],
     /// Linear RGBA per vertex, which multiplies the base colour; may be empty.
     pub colors: Vec<Vec4>,
-    /// Vertex indices.
+    /// Vertex indices of the corners of each triangle.
     pub triangles: Vec<[u32; 3]>,
-    /// Index into [`SceneParts::materials`].
+    /// Index of the mesh's material in [`SceneParts::materials`].
     pub material: usize,
 }
 
@@ -61,7 +61,8 @@ pub struct Mesh {
 pub struct Instance {
     /// Index into [`SceneParts::meshes`].
     pub mesh: usize,
-    /// Any invertible affine map. A negative determinant reverses the winding.
+    /// Placement of the mesh: any invertible affine map. A negative determinant reverses the
+    /// winding of its triangles.
     pub scene_from_mesh: Affine3A,
 }
 
@@ -75,29 +76,29 @@ pub struct Light {
     /// Linear RGB. For points and spots it is the radiant intensity (scale of candela), for
     /// directional lights the irradiance (scale of lux).
     pub intensity: Vec3,
-    /// Shape of the emission.
+    /// Kind of the light, which decides how it spreads.
     pub kind: LightKind,
 }
 
 /// Shape of a punctual light's emission.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LightKind {
-    /// Equal in all directions.
+    /// The light emits equally in all directions.
     Point,
-    /// A cone.
+    /// The light emits into a cone.
     Spot {
-        /// Half angle within which the intensity is full.
+        /// Half angle of the cone within which the intensity is full.
         inner_cone_rad: f32,
-        /// Half angle at which the intensity reaches zero.
+        /// Half angle of the cone at which the intensity reaches zero.
         outer_cone_rad: f32,
     },
-    /// Parallel light.
+    /// The light's rays are parallel.
     Directional,
     /// Light from a disc of the sky with one radiance, such as the sun. `intensity` is the
     /// irradiance of a surface that faces the disc's centre. It lights surfaces, but cameras and
     /// mirrors do not show it.
     Distant {
-        /// Angle from the centre to the edge, 0..=π/2.
+        /// Angle from the disc's centre to its edge, 0..=π/2.
         half_angle_rad: f32,
     },
 }
@@ -105,11 +106,11 @@ pub enum LightKind {
 /// A camera that looks along −z of its space, with y up (glTF's convention).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
-    /// Name in the file, or its number.
+    /// Name of the camera in the file, or its number.
     pub name: String,
-    /// Placement. The validator removes its scale.
+    /// Placement of the camera. The validator removes its scale.
     pub scene_from_camera: Affine3A,
-    /// Kind of projection.
+    /// Perspective or parallel projection.
     pub projection: Projection,
     /// Distance of the plane of focus, in scene units, if the file gives one.
     pub focus_distance: Option<f32>,
@@ -121,14 +122,14 @@ pub struct Camera {
 /// Projection of a [`Camera`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {
-    /// Projection through a point.
+    /// All rays pass through the camera's position.
     Perspective {
-        /// Full vertical angle of view.
+        /// Full vertical angle of view of the camera.
         vertical_fov_rad: f32,
-        /// Width over height; with `None` the view is as wide as the display's.
+        /// Width of the view over its height. With `None` the view has the display's aspect.
         aspect: Option<f32>,
     },
-    /// Parallel projection.
+    /// All rays are parallel to the camera's axis.
     Orthographic {
         /// Half width of the view, scene units.
         half_width: f32,
@@ -143,8 +144,8 @@ pub enum Projection {
 pub struct Environment {
     /// Index into [`SceneParts::images`], of an `RgbF32` image with linear radiance.
     pub image: usize,
-    /// Factor on the map.
+    /// Linear RGB factor on the radiance of the map.
     pub strength: Vec3,
-    /// Rotation of the map.
+    /// Rotation from the axes of the map to the axes of the scene.
     pub scene_from_environment: Quat,
 }

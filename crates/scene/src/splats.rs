@@ -23,20 +23,20 @@ pub const MAX_DEGREE: usize = 3;
 pub struct Cloud {
     /// Place in the file ("/meshes/3/primitives/0"), for messages.
     pub place: String,
-    /// Centres μ.
+    /// Centres μ of the splats.
     pub positions: Vec<Vec3>,
     /// Rotations from a splat's axes to the cloud's; the validator makes them unit quaternions.
     pub rotations: Vec<Quat>,
-    /// Standard deviations along a splat's axes, ≥ 0.
+    /// Standard deviations of each splat along its own axes, ≥ 0.
     pub scales: Vec<Vec3>,
-    /// Opacity at the centre, 0..1.
+    /// Opacity of each splat at its centre, 0..1.
     pub opacities: Vec<f32>,
     /// Degree of the harmonics, 0..=[`MAX_DEGREE`].
     pub degree: usize,
     /// Coefficients c_lm, `[splat][coefficient][rgb]`, in the cloud's axes. There are (degree + 1)²
     /// coefficients, in the order of degree l, then of order m.
     pub harmonics: Vec<f32>,
-    /// Space of the colours, in which they are also blended.
+    /// Colour space of the harmonics, in which splats are also blended.
     pub encoding: Encoding,
 }
 
@@ -56,17 +56,19 @@ pub enum Encoding {
 pub struct PlacedCloud {
     /// Index into [`SceneParts::clouds`](crate::SceneParts::clouds).
     pub cloud: usize,
-    /// Any invertible affine map.
+    /// Placement of the cloud: any invertible affine map.
     pub scene_from_cloud: Affine3A,
 }
 
-/// Clouds of more splats are sorted by position, since renderers read neighbouring splats together.
+/// A cloud of more splats than this is sorted by position, since renderers read neighbouring splats
+/// together.
 const UNSORTED: usize = 1 << 13;
-/// Weighted quantiles that bound the bulk of a cloud on each axis.
+/// Quantiles of the positions on each axis, between which the bulk of a cloud lies.
 const BULK: [f64; 2] = [0.02, 0.98];
 /// A splat is a floater if its distance from the bulk exceeds this fraction of the bulk's size.
+/// Floaters do not extend the bounds.
 const REACH: f32 = 0.5;
-/// Splats of smaller opacity do not extend the bounds.
+/// A splat of smaller opacity than this does not extend the bounds.
 const LEAST_OPACITY: f32 = 0.1;
 
 impl Cloud {
@@ -138,7 +140,7 @@ impl Cloud {
             let expected = format!("a degree of harmonics up to {MAX_DEGREE}");
             return Err(SceneError::new(&self.place, expected, self.degree.to_string()));
         }
-        // every list has an entry per splat
+        // check that every list has an entry per splat
         let count = self.len();
         let lengths = [
             ("rotations", self.rotations.len(), count),
@@ -168,7 +170,7 @@ impl Cloud {
             task.warn(&self.place, message);
         }
         self.rotations.iter_mut().for_each(|rotation| *rotation = rotation.normalize());
-        // splats that are close in space become close in memory
+        // sort the splats of a large cloud, so that splats close in space are close in memory
         if self.len() > UNSORTED {
             self.sort_by_place();
         }
@@ -181,7 +183,7 @@ impl Cloud {
         let mut bounds = Bounds::EMPTY;
         self.positions.iter().for_each(|at| bounds.include(*at));
         let steps = (1u32 << 21) as f32 / bounds.size().max_element().max(f32::MIN_POSITIVE);
-        // the bits of a number, with two zeros between neighbouring bits
+        // insert two zeros between neighbouring bits of a number
         let spread = |value: f32| {
             let mut bits = u64::from((value * steps) as u32).min((1 << 21) - 1);
             for (shift, mask) in [
@@ -195,7 +197,7 @@ impl Cloud {
             }
             bits
         };
-        // Morton code of a position
+        // compute the Morton code of a position
         let key = |at: Vec3| {
             let [x, y, z] = (at - bounds.min).to_array();
             spread(x) | spread(y) << 1 | spread(z) << 2
@@ -218,8 +220,8 @@ impl Cloud {
     /// axis, and the splats near the bulk. To find the bulk, splats are weighted by opacity × area.
     pub(crate) fn seen_bounds(&self, scene_from_cloud: Affine3A) -> Bounds {
         let points: Vec<Vec3> = self.positions.iter().map(|p| scene_from_cloud.transform_point3(*p)).collect();
-        // The area that a splat covers. The largest tenth of the splats are sky and haze, so their
-        // areas count only as much as the largest of the other areas.
+        // Compute the area that each splat covers. The largest tenth of the splats are sky and
+        // haze, so their areas count only as much as the largest of the other areas.
         let mut areas: Vec<f32> = self.scales.iter().map(|s| (s.x * s.y).max(s.y * s.z).max(s.z * s.x)).collect();
         let mut sorted = areas.clone();
         sorted.sort_by(f32::total_cmp);
@@ -251,7 +253,7 @@ impl Cloud {
             }
         }
         if bounds.is_empty() {
-            // if all splats near the bulk are faint, use them in spite of their opacity
+            // all splats near the bulk are faint, so use them in spite of their opacity
             points.iter().filter(|point| fence.contains(**point)).for_each(|point| bounds.include(*point));
         }
         bounds
@@ -278,7 +280,7 @@ mod tests {
         }
     }
 
-    /// Validates a scene of a cloud that is placed by these maps; returns the scene and its
+    /// Validates a scene with a cloud that each of `maps` places once. Returns the scene and its
     /// warnings.
     fn validated(cloud: Cloud, maps: &[Affine3A]) -> (Result<Scene, SceneError>, Vec<String>) {
         let placed_clouds = maps.iter().map(|map| PlacedCloud { cloud: 0, scene_from_cloud: *map }).collect();

@@ -69,7 +69,7 @@ impl Scene {
     /// emits more than white (radiance 1). A dimmer surface, such as a label or a display in the
     /// scene, is visible but does not light other objects.
     pub fn is_lit(&self) -> bool {
-        // a floating-point picture may exceed 1; codes reach 1 at most
+        // values of a floating-point picture may exceed 1, but codes are at most 1
         let brightest = |texture: &TextureUse| match &self.images[self.textures[texture.texture].image].pixels {
             Pixels::RgbF32(texels) => texels.iter().flatten().copied().fold(0.0, f32::max),
             _ => 1.0,
@@ -78,13 +78,13 @@ impl Scene {
             let factor = material.emission.max_element();
             factor > 0.0 && factor * material.emission_texture.as_ref().map_or(1.0, brightest) > 1.0
         };
-        // per material, since there may be millions of instances
+        // test every material once, since there may be millions of instances
         let lamps: Vec<bool> = self.materials.iter().map(is_lamp).collect();
         let shows_lamp = |instance: &Instance| lamps[self.meshes[instance.mesh].material];
         self.environment.is_some() || !self.lights.is_empty() || self.instances.iter().any(shows_lamp)
     }
 
-    /// Returns the parts, for changes and another validation.
+    /// Returns the parts of the scene, so that they can be changed and validated again.
     pub fn into_parts(self) -> SceneParts {
         self.parts
     }
@@ -134,7 +134,7 @@ impl SceneParts {
         }
         self.check_instances(task)?;
         self.check_lights_and_cameras()?;
-        // bounds of all instances and clouds, and of the objects that the viewer sees
+        // find the bounds of all instances and clouds, and of those that the viewer sees
         let (mut bounds, mut seen_bounds) = (Bounds::EMPTY, Bounds::EMPTY);
         for instance in &self.instances {
             let mesh = &self.meshes[instance.mesh];
@@ -434,7 +434,8 @@ fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<
 
 /// Unit normal of a triangle; `None` for a triangle without area.
 fn face_normal(positions: &[Vec3], triangle: [u32; 3]) -> Option<Vec3> {
-    // in f64 and scaled to the longest edge, so that tiny and huge triangles keep their normals
+    // compute in f64, scaled to the longest edge, so that tiny and huge triangles keep their
+    // normals
     let [a, b, c] = triangle.map(|i| positions[i as usize].as_dvec3());
     let (u, v) = (b - a, c - a);
     let scale = u.abs().max_element().max(v.abs().max_element());
@@ -515,7 +516,8 @@ fn generate_tangents(mesh: &mut Mesh, uv_set: usize) {
             }
         }
     }
-    // make tangents perpendicular to the normal; without texture coordinates any direction serves
+    // make tangents perpendicular to the normal; a vertex without texture coordinates gets any
+    // direction
     mesh.tangents = sums
         .iter()
         .zip(&mesh.normals)
@@ -644,8 +646,8 @@ mod tests {
             filter: crate::Filter::Linear,
         });
         parts.images.push(crate::Image { name: "n".into(), width: 1, height: 1, pixels: Pixels::Rgba8(vec![[0; 4]]) });
-        // u is along x and v along −y, as in a picture that is not mirrored: up in the texture is
-        // +y = normal × tangent
+        // u is along x and v along −y, as in a picture that is not mirrored. So up in the texture
+        // is +y, which is normal × tangent.
         parts.meshes[0].uvs[0] = vec![Vec2::new(0.0, 1.0), Vec2::new(1.0, 1.0), Vec2::new(0.0, 0.0)];
         let scene = validate(parts).0.unwrap();
         assert_eq!(scene.meshes[0].tangents[0], Vec3::X.extend(1.0));

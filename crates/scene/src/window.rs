@@ -11,11 +11,11 @@ use crate::{Bounds, Camera, Projection};
 /// A map x ↦ translation + scale · rotation · x without reflection: scale > 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Similarity {
-    /// Unit quaternion.
+    /// Rotation as a unit quaternion.
     pub rotation: DQuat,
     /// Scale factor, > 0.
     pub scale: f64,
-    /// The point to which the origin is mapped.
+    /// The point to which the map moves the origin.
     pub translation: DVec3,
 }
 
@@ -193,7 +193,7 @@ impl Window {
     pub fn framing(bounds: Bounds, size_mm: [f64; 2]) -> Result<Self, WindowError> {
         let size = if bounds.is_empty() { Vec3::ZERO } else { bounds.size() }.as_dvec3();
         let fit = (size.x / size_mm[0]).max(size.y / size_mm[1]) * (1.0 + FRAMING_MARGIN);
-        // a scene that is a line towards the viewer gets a window too
+        // a scene without width and height, such as a line towards the viewer, gets a window too
         let scale = if fit > 0.0 { fit } else { size.z / size_mm[0] };
         Self::given(bounds.centre().as_dvec3(), DVec3::NEG_Z, DVec3::Y, scale * size_mm[0], size_mm)
     }
@@ -220,8 +220,8 @@ mod tests {
         };
         let window = Window::from_camera(&camera, Bounds::EMPTY, SIZE_MM).unwrap();
         let map = window.scene_from_display;
-        // the camera at (3, 1, 0) looks along −x; half the width of its frustum at distance 2 is
-        // 3.2
+        // the camera at (3, 1, 0) looks along −x, and half the width of its frustum at distance 2
+        // is 3.2
         assert!((map.point(DVec3::ZERO) - DVec3::new(1.0, 1.0, 0.0)).length() < 1e-6);
         assert!((map.point(DVec3::new(200.0, 0.0, 0.0)) - DVec3::new(1.0, 1.0, -3.2)).length() < 1e-6);
         assert!((map.point(DVec3::new(0.0, 0.0, 1.0)) - DVec3::new(1.016, 1.0, 0.0)).length() < 1e-6);
@@ -243,7 +243,7 @@ mod tests {
         let perspective = window.moved_back(30.0, Some(600.0)).scene_from_display;
         let eye = DVec3::new(0.0, 0.0, 600.0);
         assert!((perspective.point(eye) - map.point(eye)).length() < 1e-12, "the eye stays");
-        // a corner moves along its line of sight
+        // a corner of the window moves along its line of sight
         let along = (map.point(corner) - map.point(eye)).normalize();
         assert!((perspective.point(corner) - map.point(eye)).normalize().distance(along) < 1e-12);
         assert!((perspective.inverse_point(map.point(-30.0 * DVec3::Z))).length() < 1e-9);
@@ -269,7 +269,7 @@ mod tests {
         let framed = Window::framing_points(corners(), DVec3::NEG_Z, DVec3::Y, SIZE_MM).unwrap();
         assert!((framed.scene_from_display.scale / window.scene_from_display.scale - 1.0).abs() < 1e-6);
         assert!((framed.scene_from_display.translation - window.scene_from_display.translation).length() < 1e-6);
-        // seen from above, the depth of 10 units becomes the height
+        // seen from above, the scene's depth of 10 units becomes its height
         let above = Window::framing_points(corners(), DVec3::NEG_Y, DVec3::NEG_Z, SIZE_MM).unwrap();
         let edge = above.scene_from_display.inverse_point(DVec3::new(1.0, 4.0, -5.0));
         assert!((edge.y - 125.0 / 1.02).abs() < 1e-6 && edge.x > 0.0 && edge.z > 0.0, "{edge}");

@@ -8,15 +8,17 @@ use crate::error::ShotError;
 use crate::place::{Placement, probe};
 use crate::renderer::SceneRenderer;
 
-/// Largest number of columns of the kept depths; fractions and percentiles need no more.
+/// Largest number of columns at which depths are kept. Fractions and percentiles of depths need no
+/// more.
 const MOST_COLS: usize = 240;
 
 /// z of the first surface along rays of all views, in display space.
 #[derive(Clone, Debug)]
 pub struct Depths {
-    /// Grid and pixels at which the views are traced.
+    /// Grid and coarse pixels at which the views are traced.
     pub geometry: FieldGeometry,
-    /// `[view_y][view_x][row][col]`, mm towards the viewer, NaN where a ray misses.
+    /// z of the first surface in display space, `[view_y][view_x][row][col]`, mm. NaN where a ray
+    /// misses.
     pub z_mm: Vec<f32>,
 }
 
@@ -44,7 +46,7 @@ impl Depths {
         traced.map(|()| Self { geometry, z_mm })
     }
 
-    /// The coarser pixels at which the depths of a geometry are kept.
+    /// Returns the geometry, with coarser pixels, at which the depths of a light field are kept.
     pub fn coarse(geometry: &FieldGeometry) -> FieldGeometry {
         probe(geometry, geometry.grid.clone(), MOST_COLS)
     }
@@ -70,7 +72,7 @@ impl Depths {
         SeenDepth { rows: self.geometry.rows, cols: self.geometry.cols, z_mm }
     }
 
-    /// Returns true if the ray through a pixel of a finer geometry of the same size hits a surface.
+    /// Returns true if the ray through a pixel of the finer geometry `of` hits a surface.
     pub fn is_surface(&self, view: [usize; 2], row: usize, col: usize, of: &FieldGeometry) -> bool {
         let place = |i: usize, from: usize, to: usize| ((2 * i + 1) * to / (2 * from)).min(to - 1);
         let (row, col) = (place(row, of.rows, self.geometry.rows), place(col, of.cols, self.geometry.cols));

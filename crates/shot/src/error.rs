@@ -19,17 +19,17 @@ pub enum ShotError {
     /// The scene cannot be rendered.
     #[error("{name}: {source}")]
     Scene {
-        /// The scene's file.
+        /// Name of the scene's file.
         name: String,
-        /// The error of the scene.
+        /// The reason why the scene cannot be rendered.
         source: SceneError,
     },
     /// The window cannot be placed.
     #[error("{name}: {source}")]
     Window {
-        /// The scene's file.
+        /// Name of the scene's file.
         name: String,
-        /// The error of the window.
+        /// The reason why the window cannot be placed.
         source: WindowError,
     },
     /// Rendering failed.
@@ -64,32 +64,32 @@ impl From<RenderError> for ShotError {
     }
 }
 
-/// A wrong value: its place, the expected and the found value.
+/// An error about a value: its place and key, the expected and the found value.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{place}: {key}: expected {expected}, found {found}")]
 pub struct BadValue {
     /// File, option or object that holds the value.
     pub place: Place,
-    /// Key of the value in that place.
+    /// Key of the value in the file, or its name in the object.
     pub key: String,
-    /// Description of the values that are allowed.
+    /// Description of the values that are allowed for the key.
     pub expected: String,
-    /// The value as found.
+    /// The value that was found, as text.
     pub found: String,
 }
 
 /// File, option or object that holds a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// A job; the caller knows its file.
+    /// The value is in a job; the caller knows its file.
     Job,
-    /// Several options together.
+    /// The value results from several options together.
     CommandLine,
-    /// An option, or an environment variable.
+    /// The value is in an option, or in an environment variable.
     Option(&'static str),
-    /// A named object in memory: a scene, a light field.
+    /// The value is in a named object in memory: a scene, a light field.
     Named(String),
-    /// A file or a folder.
+    /// The value is in a file or a folder.
     File(PathBuf),
 }
 

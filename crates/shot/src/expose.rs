@@ -60,7 +60,8 @@ pub fn brightest<'a, E>(
     let every = all.div_ceil(MOST_RAYS).max(1);
     let mut rays = Vec::with_capacity(all / every + 1);
     for (number, &view) in views.iter().enumerate() {
-        // continue the even spread of rays from view to view
+        // rays are spread evenly over all views, so the first ray of a view depends on the views
+        // before it
         let first = (every - number * size % every) % every;
         rays.extend(picture(view)?.chunks_exact(3).enumerate().skip(first).step_by(every).map(|(i, rgb)| {
             let surface = depths.is_surface(view, i / geometry.cols, i % geometry.cols, geometry);
@@ -79,7 +80,8 @@ mod tests {
     #[test]
     fn edges_mix_what_is_shown_of_both() {
         let tone_mapping = ToneMapping { exposure: 2.0, curve: ToneCurve::Linear };
-        // a surface of radiance 0.3 that covers all, a quarter and nothing of a pixel
+        // a surface of radiance 0.3 covers all of the first pixel, a quarter of the second and
+        // nothing of the third
         let mut rgb: Vec<f32> = [0.3, 0.25 * 0.3, 0.0].iter().flat_map(|value| [*value; 3]).collect();
         expose_over(tone_mapping, [1.0, 0.5, 0.0], None, &[0.0, 0.75, 1.0], &mut rgb);
         let expected = [0.6, 0.6, 0.6, 0.15 + 0.75, 0.15 + 0.375, 0.15, 1.0, 0.5, 0.0];

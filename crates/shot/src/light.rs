@@ -20,12 +20,13 @@ use crate::tone_mapping::automatic_tone_mapping;
 const STUDIO: [usize; 2] = [128, 64];
 /// Numbers of columns and rows of the picture that measures whether lamps light a scene.
 const PROBE: [usize; 2] = [96, 60];
-/// Number of paths per pixel of that picture.
+/// Number of paths per pixel of the picture that measures whether lamps light a scene.
 const PROBE_SAMPLES: u32 = 16;
-/// Surfaces darker than this after exposure are taken as unlit.
+/// Surfaces whose exposed radiance is below this value count as unlit.
 const DARK: f64 = 0.02;
-/// Smallest fractions of the visible surfaces that glowing objects and light sources must light.
-/// Light sources need less: their author may want a spot in a dark room.
+/// Smallest fraction of the visible surfaces that the scene's own light must light: if only glowing
+/// objects give light, and if there are light sources. The author of light sources may want a spot
+/// in a dark room.
 const LIT_BY_GLOW: f64 = 0.5;
 const LIT_BY_LAMPS: f64 = 0.05;
 /// Radiance of the background behind a scene in studio light: a dark neutral ground.
@@ -41,13 +42,13 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
     if scene.environment.is_some() {
         return Ok(None);
     }
-    // Replace materials by clay. The answer then depends on light alone, so scenes that differ in
+    // Replace materials by clay, so that the answer depends on light alone. Scenes that differ in
     // materials get the same answer.
     let scene = &Arc::new(edited::<ShotError>((**scene).clone(), task, |parts| {
         parts.materials.iter_mut().for_each(to_clay);
         Ok(())
     })?);
-    // Render a small picture of the scene, from the first camera or framed from the best side.
+    // Render a small picture of the scene, from its first camera or else from the best side.
     let [cols, rows] = PROBE;
     let grid = ViewGrid::single(Projection::Oblique, [0.0; 2]);
     let geometry = FieldGeometry { rows, cols, pitch_mm: 1.0, grid };
@@ -120,7 +121,7 @@ pub fn add_studio_light(parts: &mut SceneParts) {
     for row in 0..height {
         let elevation = std::f32::consts::FRAC_PI_2 - (row as f32 + 0.5) / height as f32 * std::f32::consts::PI;
         for col in 0..width {
-            // the centre column is −z; columns to the right turn towards +x
+            // the centre column shows −z, and columns to the right of it turn towards +x
             let azimuth = ((col as f32 + 0.5) / width as f32 - 0.5) * std::f32::consts::TAU;
             let direction =
                 Vec3::new(elevation.cos() * azimuth.sin(), elevation.sin(), -elevation.cos() * azimuth.cos());
@@ -154,7 +155,7 @@ pub fn lit(
     job: &LightJob,
     task: Task<'_>,
 ) -> Result<(Arc<Scene>, bool), ShotError> {
-    // Apply the job's factor to the environment of the scene's own file.
+    // If the environment comes from the scene's own file, apply the job's factor to it.
     if !environment
         && let Some(strength) = scene.environment.map(|environment| environment.strength)
         && job.environment_strength != 1.0

@@ -1,8 +1,8 @@
 //! Places the display in the scene and fits the scene into its depth of field. The window moves
 //! along its normal. If that does not suffice, depth is compressed.
 //!
-//! The view from straight ahead stays the same. The window moves back by t and slopes are scaled by
-//! k. Then content at depth z appears at
+//! The view from straight ahead stays the same. The window moves back by t, slopes are scaled by k,
+//! and the viewing distance is D. Then content at depth z appears at
 //!
 //! ```text
 //! oblique:       z' = k (z + t)
@@ -12,8 +12,8 @@
 //! In perspective the eye stays in place, and the window grows by (D + t)/D to fill the eye's
 //! frustum. So the eye's distance in display space remains D.
 //!
-//! By default this happens only if the scene does not fit. A window that the user placed stays in
-//! place, and depth is compressed about it: content in the display plane remains there.
+//! By default, fitting has an effect only if the scene does not fit. A window that the user placed
+//! stays in place, and depth is compressed about it: content in the display plane remains there.
 //!
 //! Scaling the slopes is the same as moving all viewpoints closer together: every displacement
 //! between views shrinks by k. In oblique views it is an affine compression along the window's
@@ -36,30 +36,32 @@ use crate::subject::Subject;
 const PROBE_COLS: usize = 210;
 /// Quantiles of the visible depths that must fit, so that a few stray surfaces are ignored.
 const ENDS: [f64; 2] = [0.02, 0.98];
-/// Fractions of the scene that differ by less are taken as equal.
+/// Two positions of the window are equally good if the fractions of the scene that fit differ by
+/// less than this.
 const AS_GOOD: f64 = 0.01;
-/// Tolerance at the ends of the depth of field, mm.
+/// Depths may exceed the depth of field by this rounding error, mm.
 const ROUNDED: f64 = 1e-6;
 /// Number of window positions to compare.
 const TRIED: usize = 2001;
 /// Smallest fraction of a pixel's detail that the display must still show in front of a window that
 /// is given by numbers. Content so near to the viewer that less is shown is cut off.
 const LEAST_DETAIL: f64 = 0.125;
-/// Smallest factor on depth.
+/// Smallest factor to which fitting compresses depth.
 const LEAST_SCALE: f64 = 0.01;
 
 /// A window in the scene, and the depth scale with which the scene fits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
-    /// The window after the movement.
+    /// The window, after fitting has moved it.
     pub window: Window,
-    /// Distance by which the window moved back, in display space before the movement, mm.
+    /// Distance by which fitting moved the window back, in mm of the display space before the move.
     pub moved_back_mm: f64,
     /// Factor on the slopes at which views are traced.
     pub depth_scale: f64,
     /// True if fitting changed the window or the scale.
     pub fitted: bool,
-    /// Azimuth and elevation of the viewer for whom the scene was framed, degrees.
+    /// Azimuth and elevation in degrees of the viewer for whom the scene was framed. `None` if the
+    /// window was not framed.
     pub looked_from_deg: Option<[f64; 2]>,
 }
 
@@ -83,7 +85,8 @@ impl Means {
             FitDepth::Off => None,
             FitDepth::Move => Some(Self { moves: true, compresses: false, at_need: false }),
             FitDepth::Compress => Some(Self { moves: true, compresses: true, at_need: false }),
-            // the user's position of the window and the user's scale of depth stay
+            // fitting changes neither a window that the user placed nor a depth scale that the user
+            // set
             FitDepth::Auto if chosen && scaled => None,
             FitDepth::Auto => Some(Self { moves: !chosen, compresses: !scaled, at_need: true }),
         }
@@ -157,7 +160,8 @@ fn farthest_shown(display: &Display, pitch_mm: f64) -> Option<f64> {
     (far > 0.0 && far.is_finite()).then_some(far)
 }
 
-/// Returns the same rectangle with at most `most_cols` columns and with other views.
+/// Returns a geometry of the same rectangle with at most `most_cols` columns, and with the views of
+/// `grid`.
 pub fn probe(geometry: &FieldGeometry, grid: ViewGrid, most_cols: usize) -> FieldGeometry {
     let [width_mm, height_mm] = geometry.size_mm();
     let cols = geometry.cols.min(most_cols);
@@ -183,7 +187,7 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         Projection::Oblique => z + by,
         Projection::Perspective { distance_mm } => (z + by) * distance_mm / (distance_mm + by),
     };
-    // the window must stay in front of the eye
+    // the window must stay in front of the eye, which limits how far it moves forward
     let least = match projection {
         Projection::Oblique => f64::NEG_INFINITY,
         Projection::Perspective { distance_mm } => -0.9 * distance_mm,
@@ -217,14 +221,14 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         let scale = scale_at(by);
         (ends.map(|end| shown(end, by, scale)).into_iter().sum::<f64>() - (low + high)).abs()
     };
-    // the moves go from the whole scene in front of the depth of field to the whole scene behind it
+    // try moves from the whole scene in front of the depth of field to the whole scene behind it
     let (first, last) = ((low - nearest).min(0.0).max(least), (high - farthest).max(0.0).max(least));
     let at = |i: usize| first + (last - first) * i as f64 / (TRIED - 1) as f64;
     let moves = if means.moves { TRIED } else { 0 };
     let tried: Vec<(f64, f64, f64)> = (0..moves).map(at).chain([0.0]).map(|by| (by, share(by), scale_at(by))).collect();
     let most = tried.iter().fold(0.0, |most: f64, (_, share, _)| most.max(*share));
     let good = tried.iter().filter(|(_, share, _)| *share >= most - AS_GOOD);
-    // choose the least compression first, then the most even position
+    // choose the moves with the least compression, and among them the most even position
     let largest = good.clone().fold(0.0, |largest: f64, (_, _, scale)| largest.max(*scale));
     let good = good.filter(|(_, _, scale)| *scale >= largest * (1.0 - AS_GOOD));
     let best = good.min_by(|a, b| uneven(a.0).total_cmp(&uneven(b.0)));
@@ -266,7 +270,7 @@ mod tests {
 
     #[test]
     fn a_deep_scene_is_placed_where_most_of_it_is_shown() {
-        // nine tenths between −310 and −210 mm, the rest far behind
+        // nine tenths of the depths are between −310 and −210 mm, and the rest is far behind
         let mut depths = evenly(-310.0, -210.0);
         depths.extend(evenly(-2000.0, -1500.0).iter().step_by(10));
         depths.sort_by(f64::total_cmp);
@@ -300,7 +304,7 @@ mod tests {
     fn unasked_nothing_changes_where_the_scene_fits() {
         let stay = Fit { moved_back_mm: 0.0, depth_scale: 1.0 };
         for means in [AUTO, IN_PLACE] {
-            // a fiftieth of the depths at either end may be outside
+            // a fiftieth of the depths at either end may be outside, so nothing changes
             assert_eq!(best_fit(&evenly(-81.0, 81.0), RANGE, Projection::Oblique, 1.0, means), stay);
             assert_eq!(best_fit(&evenly(10.0, 60.0), RANGE, PERSPECTIVE, 1.0, means), stay);
             assert_ne!(best_fit(&evenly(-120.0, 81.0), RANGE, Projection::Oblique, 1.0, means), stay);
@@ -326,8 +330,8 @@ mod tests {
         assert_eq!(Means::of(&job(FitDepth::Compress, 0.5), true), Some(COMPRESS));
     }
 
-    /// Three layers 40 mm apart show their pixels up to 80 mm away. The bound falls as 1/z, so they
-    /// show an eighth of the detail up to 640 mm.
+    /// Three layers 40 mm apart show the full detail of their pixels up to 80 mm away. The detail
+    /// that they show falls as 1/z, so an eighth of it remains at 640 mm.
     #[test]
     fn before_a_given_window_is_seen_what_can_be_shown() {
         let display = Display::uniform([84, 52], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 2);

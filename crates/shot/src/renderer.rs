@@ -20,12 +20,12 @@ use rayon::prelude::*;
 
 use crate::error::ShotError;
 
-/// Number of rays per pixel and axis that find the surface at which splats end.
+/// Number of rays per pixel and axis that find the surface that hides splats behind it.
 const CUTS: usize = 2;
 
 /// A scene prepared for rendering.
 pub struct SceneRenderer {
-    /// Renders triangles and light.
+    /// Renders the triangles and the light of the scene.
     pub tracer: Renderer,
     /// Renders splats, if the scene has any.
     pub splats: Option<Splats>,
@@ -35,8 +35,7 @@ pub struct SceneRenderer {
 impl SceneRenderer {
     /// Prepares a scene.
     ///
-    /// # Errors
-    /// When it cannot be rendered, or when cancelled.
+    /// # Errors If the scene cannot be rendered, or the task was cancelled.
     pub fn new(scene: Arc<Scene>, task: Task<'_>) -> Result<Self, ShotError> {
         let has_surfaces = !scene.instances.is_empty();
         // splats bring their own light, so warnings about missing light do not apply
@@ -85,8 +84,8 @@ impl SceneRenderer {
             });
         };
         let slopes = slopes(geometry, views);
-        // Take the depth of the splats. Where a ray goes through all splats, take the surface
-        // behind.
+        // Take the depth of the splats. Where a ray goes through all splats, take the depth of the
+        // surface behind them.
         let surfaces = |number: usize| self.surfaces(window, geometry, slopes[number], 1, task).map_err(E::from);
         splats.render(window, geometry, &slopes, &surfaces, Wanted::Depth, task, |number, view| {
             let mut z_mm = view.z_mm;
@@ -137,8 +136,8 @@ impl SceneRenderer {
         splats.render(window, geometry, slopes, &surfaces, Wanted::Light, task, done)
     }
 
-    /// Traces depths of the first surfaces on `per_axis`² rays of every pixel; `None` where there
-    /// are no surfaces.
+    /// Traces depths of the first surfaces on `per_axis`² rays of every pixel. `None` if the scene
+    /// has no surfaces.
     fn surfaces(
         &self,
         window: &Window,
@@ -171,8 +170,8 @@ pub fn slopes(geometry: &FieldGeometry, views: &[[usize; 2]]) -> Vec<[f64; 2]> {
     views.iter().map(|[y, x]| [grid.slope_x[*x], grid.slope_y[*y]]).collect()
 }
 
-/// Blends the splats of a view over radiance `[..][rgb]` in place. Splats are `[..][r, g, b, T]`
-/// with T, the fraction of the light behind them that they transmit.
+/// Blends the splats of a view over radiance `[..][rgb]` in place. Splats are `[..][r, g, b, T]`,
+/// where T is the fraction of the light behind a splat that passes through it.
 pub fn put_before(space: Space, splats: &[f32], radiance: &mut [f32]) {
     let put = |(radiance, splats): (&mut [f32], &[f32])| {
         for (behind, pixel) in radiance.as_chunks_mut::<3>().0.iter_mut().zip(splats.as_chunks::<4>().0) {

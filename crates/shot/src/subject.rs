@@ -13,13 +13,12 @@ pub trait Subject {
     /// Errors of the implementation, in addition to those of a shot.
     type Error: From<ShotError> + From<Cancelled>;
 
-    /// The scene.
+    /// The lit scene in front of which a display is placed.
     fn scene(&self) -> &Scene;
 
     /// The scene prepared for rendering; prepared at the first call.
     ///
-    /// # Errors
-    /// When it cannot be rendered, or when cancelled.
+    /// # Errors If the scene cannot be rendered, or the task was cancelled.
     fn renderer(&self, task: Task<'_>) -> Result<&SceneRenderer, Self::Error>;
 
     /// Returns the cached result of `kind` with the key `of`, or computes it by `make` and caches

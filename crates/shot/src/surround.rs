@@ -8,7 +8,7 @@ use crate::edit::edited;
 use crate::error::ShotError;
 use crate::job::LightJob;
 
-/// Warns where a key about the environment has no effect, since the scene has none.
+/// Warns of keys about the environment that have no effect, since the scene has no environment.
 pub(crate) fn warn_of_unused(scene: &Scene, job: &LightJob, task: Task<'_>) {
     let changed = [
         ("light.environment_strength", job.environment_strength != 1.0),

@@ -17,10 +17,9 @@ use rayon::prelude::*;
 
 use crate::job::{LightJob, Tone};
 
-/// Smallest shown value of the brightest hundredth of the surfaces.
+/// The brightest hundredth of the surfaces is shown at this value or above it.
 const WHITE: f32 = 0.95;
-/// If a few lamps would leave everything else dark, half of the surfaces are shown above this
-/// value.
+/// If a few lamps would leave most surfaces dark, half of the surfaces are shown above this value.
 const MIDDLE: f32 = 0.22;
 /// If more than this fraction of rays is brighter than white, `auto` compresses highlights instead
 /// of clipping them.
@@ -60,7 +59,7 @@ impl ToneMapping {
             Tone::Auto => {
                 let linear = fixed(ToneCurve::Linear);
                 if !scene.placed_clouds.is_empty() {
-                    // a capture was already exposed by its camera
+                    // a capture was already exposed by its camera, so it gets no other curve
                     return linear;
                 }
                 let clipped = brightest.iter().filter(|(value, _)| f64::from(*value) * linear.exposure > 1.0).count();
@@ -78,7 +77,7 @@ impl ToneMapping {
     pub fn of_given(job: &LightJob) -> Option<Self> {
         let curve = match job.tone {
             Tone::Auto if job.exposure_ev == 0.0 => return None,
-            // no curve: values above 1 are clipped
+            // no curve is set, so values above 1 are clipped
             Tone::Auto | Tone::Linear => ToneCurve::Linear,
             Tone::KhronosNeutral => ToneCurve::KhronosNeutral,
             Tone::Agx => ToneCurve::Agx,
@@ -100,7 +99,7 @@ impl ToneMapping {
                 rgb.copy_from_slice(&shown);
             }
         };
-        // every pixel is computed separately, so the number of threads changes nothing
+        // each pixel is computed alone, so the number of threads does not change the result
         #[cfg(feature = "parallel")]
         rgb.par_chunks_mut(3 * 4096).for_each(apply);
         #[cfg(not(feature = "parallel"))]
@@ -139,7 +138,7 @@ fn exposure_of(brightest: &[(f32, bool)], on_ground: bool, curve: ToneCurve) -> 
     let mut values: Vec<f32> = chosen.map(|(value, _)| *value).filter(|value| value.is_finite()).collect();
     let [p50, p95, p99] = [0.50, 0.95, 0.99].map(|share| f64::from(percentile(&mut values, share)));
     let to = |value: f64, level: f32| if value > 0.0 { f64::from(level) / value } else { 0.0 };
-    // radiance after exposure that the curve maps to white and to middle
+    // these exposed radiances are shown as WHITE and as MIDDLE
     let (white, middle) = (curve.grey_shown_as(WHITE), curve.grey_shown_as(MIDDLE));
     let factor = to(p99, WHITE).max(to(p50, middle).min(to(p95, white)));
     if factor.is_finite() && factor > 0.0 { factor } else { 1.0 }
@@ -197,8 +196,8 @@ mod tests {
         assert!((exposure_of(&with, false, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
         with.extend(vec![(50.0, false); 40_000]);
         assert!((exposure_of(&with, false, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
-        // A speck in front of the sky does not decide the exposure alone. A speck in front of the
-        // studio's ground does.
+        // A speck in front of the sky does not decide the exposure, and the sky is measured too. A
+        // speck in front of the studio's ground decides it.
         let mut speck = surfaces(&[0.01; 10]);
         speck.extend(vec![(2.0, false); 10_000]);
         assert!((exposure_of(&speck, false, ToneCurve::Linear) * 2.0 - 0.95).abs() < 1e-3);
@@ -236,7 +235,7 @@ mod tests {
         assert!(ToneMapping::choose(&LightJob::default(), &scene(false), &dark).exposure > 2.0);
     }
 
-    /// A diffuse point must look alike in every view, and independent of the rest of the view.
+    /// A diffuse point must look alike in every view, independent of the pixels around it.
     #[test]
     fn equal_radiance_looks_the_same_in_every_view() {
         let grid = ViewGrid::uniform(Projection::Oblique, [4, 1], [20.0, 1.0]).unwrap();
@@ -244,7 +243,7 @@ mod tests {
         for (_, curve) in ToneCurve::ALL {
             let mut field = LightField::black(geometry.clone()).unwrap();
             for (number, view) in geometry.grid.iter().enumerate() {
-                // the surroundings of the point differ in brightness from view to view
+                // the pixels around the point differ in brightness from view to view
                 field.view_mut(view).fill(4f32.powi(number as i32));
                 field.view_mut(view)[3 * 10..][..3].copy_from_slice(&[0.7, 0.3, 0.1]);
             }

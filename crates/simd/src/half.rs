@@ -9,12 +9,13 @@ pub fn float_from_half(half: u16) -> f32 {
     f32::from_bits(magnitude.to_bits() | (bits & 0x8000) << 16)
 }
 
-/// The half float nearest to a value with |value| < 65520; of two equally near ones, the even one.
+/// The half float nearest to a value with |value| < 65520. If two half floats are equally near, the
+/// result is the half float whose last bit is 0.
 #[inline(always)]
 pub fn nearest_half(value: f32) -> u16 {
     let magnitude = value.to_bits() & 0x7fff_ffff;
-    // The last bit of a subnormal half float is worth 2⁻²⁴, like that of a float in 0.5..1. So
-    // adding 0.5 rounds the value to a multiple of it.
+    // The last bit of a subnormal half float is worth 2⁻²⁴, and so is the last bit of a float in
+    // 0.5..1. So adding 0.5 rounds the value to a multiple of 2⁻²⁴.
     let subnormal = (f32::from_bits(magnitude) + 0.5).to_bits() & 0x7f_ffff;
     let normal = (magnitude.wrapping_sub(112 << 23) + 0xfff + (magnitude >> 13 & 1)) >> 13;
     let half = if magnitude < 113 << 23 { subnormal } else { normal };

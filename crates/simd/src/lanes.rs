@@ -40,8 +40,8 @@ pub trait Lanes: Copy {
     unsafe fn mul_add(self, factor: Self, addend: Self) -> Self;
     /// addend − self · factor, rounded as [`mul_add`](Self::mul_add).
     unsafe fn neg_mul_add(self, factor: Self, addend: Self) -> Self;
-    /// self · factor + addend, rounded once on every machine except WebAssembly. All these machines
-    /// give the same bits, at the price of a library call per lane where there is no instruction.
+    /// self · factor + addend. All machines except WebAssembly round it once, so they give the same
+    /// bits. Those without an instruction for it call a library function for each lane.
     unsafe fn fused_mul_add(self, factor: Self, addend: Self) -> Self;
     /// addend − self · factor, rounded as [`fused_mul_add`](Self::fused_mul_add).
     unsafe fn fused_neg_mul_add(self, factor: Self, addend: Self) -> Self;

@@ -94,7 +94,8 @@ impl Lanes for Portable {
 
     #[inline(always)]
     unsafe fn mul_add(self, factor: Self, addend: Self) -> Self {
-        // without an FMA instruction f32::mul_add would be a library call
+        // Product and sum are separate, since without an FMA instruction `f32::mul_add` is a
+        // library call.
         Self(from_fn(|i| self.0[i] * factor.0[i] + addend.0[i]))
     }
 

@@ -14,7 +14,7 @@ pub fn prefetch<T>(from: *const T) {
     let _ = from;
 }
 
-/// Requests that a cache line be loaded into the second-level cache and larger ones, but not into
+/// Requests that a cache line be loaded into the second-level cache and larger caches, but not into
 /// the first-level cache.
 #[inline(always)]
 pub fn prefetch_far<T>(from: *const T) {

@@ -7,7 +7,7 @@ const LEN: usize = 2 * MAX_LANES;
 
 /// Three operands.
 type Operands = [[f32; LEN]; 3];
-/// Results of all operations by name.
+/// Name and result of every operation.
 type Results = Vec<(&'static str, [f32; LEN])>;
 
 /// Runs every operation on all operands.
@@ -124,8 +124,8 @@ impl Kernel for Eight {
     }
 }
 
-/// Numbers of many magnitudes and signs, by a fixed sequence. Every fifth value of `b` equals that
-/// of `a`.
+/// Operands of many magnitudes and signs, by a fixed sequence of numbers. Every fifth value of `b`
+/// equals the value of `a` at the same index.
 fn operands(seed: u32) -> Operands {
     let mut state = seed.wrapping_mul(0x9e37_79b9) | 1;
     let mut next = || {
@@ -149,7 +149,7 @@ fn operands(seed: u32) -> Operands {
     [a, b, c]
 }
 
-/// The expected results, computed on plain numbers.
+/// The expected results, computed value by value in scalar code.
 fn expected([a, b, c]: &Operands, rounds_once: bool) -> Results {
     let each = |f: &dyn Fn(f32, f32, f32) -> f32| std::array::from_fn(|i| f(a[i], b[i], c[i]));
     let fused = |x: f32, y: f32, z: f32, once: bool| if once { x.mul_add(y, z) } else { x * y + z };
@@ -188,7 +188,7 @@ fn assert_same(got: &Results, expected: &Results, of: &str) {
 fn every_operation_of_every_backend_is_that_of_plain_numbers() {
     assert_eq!(Backend::available()[0].to_string(), "portable");
     for (index, backend) in Backend::available().iter().enumerate() {
-        // only instruction sets fuse a product and a sum; portable code rounds twice
+        // Only instruction sets round a product and a sum once; portable code rounds twice.
         let rounds_once = index > 0 && !cfg!(target_arch = "wasm32");
         for seed in 0..100 {
             let operands = operands(seed);

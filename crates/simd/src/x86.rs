@@ -4,7 +4,7 @@ use std::arch::x86_64::*;
 
 use crate::lanes::{Kernel, Lanes};
 
-/// A backend of this file exists only if all features that its functions enable were detected.
+/// The caller has detected all enabled features: a backend of this file exists only after that.
 #[target_feature(enable = "avx2,fma,f16c")]
 pub(crate) unsafe fn avx2<K: Kernel>(args: K::Args<'_>) -> K::Output {
     // SAFETY: passed on from the caller
@@ -174,7 +174,7 @@ lanes!(
     |mask, then, otherwise| _mm256_blendv_ps(otherwise, then, mask),
     |mask| _mm256_movemask_ps(mask) as u32,
     |lanes, before| {
-        // the upper half of `before` and the lower half of `lanes`
+        // join the upper half of `before` and the lower half of `lanes`
         let between = _mm256_castps_si256(_mm256_permute2f128_ps::<0x21>(before, lanes));
         _mm256_castsi256_ps(_mm256_alignr_epi8::<12>(_mm256_castps_si256(lanes), between))
     }

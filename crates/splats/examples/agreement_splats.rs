@@ -53,7 +53,7 @@ fn write(folder: &Path, name: &str, cloud: &Cloud, projection: Projection) -> Va
         std::fs::write(folder.join(&name), bytes).expect("a file");
         name
     };
-    // Attributes of each splat in one row, as the script reads them.
+    // Put the attributes of each splat into one row, as the script reads them.
     let cloud = &scene.clouds[0];
     let mut rows = Vec::new();
     for i in 0..cloud.len() {

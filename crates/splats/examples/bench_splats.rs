@@ -50,8 +50,8 @@ fn main() {
         renderer.render(&window, &geometry, slopes, &none, wanted, task, done).expect("views");
         (start.elapsed().as_secs_f64(), processor_s() - used, sum)
     };
-    // Render once to warm up, then all views together, then some of them one by one, and those with
-    // the naive renderer.
+    // Render once to warm up, then all views together. Then render some views one by one, and the
+    // same views with the naive renderer.
     render(&slopes[..1], Wanted::Light);
     let (together, of_together, _) = render(&slopes, Wanted::Light);
     let (depth, of_depth, _) = render(&slopes, Wanted::Depth);
@@ -144,7 +144,7 @@ fn naive(scene: &Scene, window: &Window, geometry: &FieldGeometry, slope: [f64; 
     let pixel = (map.scale * geometry.pitch_mm) as f32;
     let [sx, sy] = [slope[0] as f32, -slope[1] as f32];
     let direction = Vec3::new(-sx, sy, -1.0).normalize();
-    // Project and shade every splat.
+    // Project every splat onto the window, and compute its colour.
     let mut flat: Vec<Flat> = (0..cloud.len())
         .into_par_iter()
         .map(|i| {
@@ -173,7 +173,7 @@ fn naive(scene: &Scene, window: &Window, geometry: &FieldGeometry, slope: [f64; 
             }
         })
         .collect();
-    // Sort, list the splats per tile, blend each tile.
+    // Sort the splats by distance, list the splats of each tile, and blend each tile.
     flat.par_sort_unstable_by(|a, b| a.distance.total_cmp(&b.distance));
     let tiles = [geometry.cols.div_ceil(TILE), geometry.rows.div_ceil(TILE)];
     let mut lists = vec![Vec::new(); tiles[0] * tiles[1]];
@@ -257,7 +257,7 @@ fn basis(d: Vec3) -> [f32; 16] {
 fn processor_s() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit(')').next().unwrap_or("").split_whitespace().skip(11).take(2);
-    // the unit is 1/100 of a second
+    // the numbers are in hundredths of a second
     fields.flat_map(str::parse::<f64>).sum::<f64>() / 100.0
 }
 

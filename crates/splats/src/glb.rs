@@ -68,7 +68,7 @@ pub fn glb(cloud: &Cloud, rotation: [f32; 4], scale: f64) -> Option<Vec<u8>> {
         "bufferViews": views,
         "buffers": [{"byteLength": bytes.len()}],
     });
-    // A GLB container: header, JSON padded to four bytes, then the binary chunk.
+    // Write the GLB container: header, JSON padded to four bytes, then the binary chunk.
     let mut text = root.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
     let mut file = Vec::with_capacity(28 + text.len() + bytes.len());

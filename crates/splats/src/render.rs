@@ -12,10 +12,10 @@
 //! d       from the splat's projected centre to the pixel's
 //! ```
 //!
-//! A naive renderer projects, shades and sorts all splats for every view. This one transforms and
-//! sorts them by depth once per window. Blocks of views share lists of splats per tile. For each
-//! view a list is corrected to the view's order, by an insertion sort of nearly sorted keys. A
-//! splat is projected and shaded only if nearer splats do not hide it.
+//! A naive renderer projects, shades and sorts all splats for every view. This renderer transforms
+//! and sorts them by depth once per window. Blocks of views share lists of splats per tile. Each
+//! view sorts the splats of a list again by its own distances, a part at a time. A splat is
+//! projected and shaded only if nearer splats do not hide it.
 //!
 //! The filter P with its lowered peak is the 2D filter of mip-splatting (Yu et al., CVPR 2024).
 
@@ -51,8 +51,8 @@ pub struct SplatView {
     /// `[row][col][r, g, b, T]`: the colour, blended in the scene's [`Space`] over black, and the
     /// transmittance T of all splats, 0..1.
     pub light: Tensor<3>,
-    /// `[row][col]`: z in display space, in millimetres, of the splat at which T falls below one
-    /// half; NaN if T does not.
+    /// `[row][col]`: z in display space, in millimetres, of the splat at which the transmittance
+    /// falls below one half. NaN if it stays above.
     pub z_mm: Tensor<2>,
 }
 
@@ -80,7 +80,7 @@ impl Renderer {
         Some(Self { scene, space })
     }
 
-    /// Memory that the splats of a window need during a render, in bytes.
+    /// Returns the memory in bytes that the prepared splats take while views are rendered.
     pub fn bytes(&self) -> usize {
         self.scene.splat_count() * size_of::<Splat>()
     }
@@ -111,7 +111,7 @@ impl Renderer {
             let first = number * VIEWS;
             let surfaces: Vec<Option<Surfaces>> =
                 (0..block.len()).map(|i| surfaces(first + i)).collect::<Result<_, E>>()?;
-            // Depths in pixels; a miss is farther than all splats.
+            // Convert depths to pixels; a miss becomes farther than all splats.
             let cuts: Vec<Option<Vec<f32>>> = surfaces
                 .iter()
                 .map(|surfaces| {
@@ -135,7 +135,7 @@ impl Renderer {
     }
 }
 
-/// Renders the views of a block, tile by tile.
+/// Renders a block of views, tile by tile.
 fn block_of(
     shared: &Shared<'_>,
     prepared: &Prepared,
@@ -210,8 +210,8 @@ fn bin(prepared: &Prepared, ends: &[Eye], tiles: [usize; 2]) -> (Vec<usize>, Vec
             row + usize::from(left)..row + usize::from(end)
         })
     };
-    // A counting sort: count the splats per tile, sum the counts to starts, then fill the lists in
-    // order of depth.
+    // Sort by counting: count the splats of each tile, sum the counts to starts, then fill the
+    // lists in order of depth.
     let mut starts = vec![0usize; count + 1];
     for reach in &reaches {
         for range in each_row(*reach) {
@@ -241,7 +241,7 @@ fn tiles_of(splat: &Splat, ends: &[Eye], tiles: [usize; 2]) -> [u16; 4] {
     for eye in ends {
         let Some(seen) = eye.project(splat) else { return [0; 4] };
         for (axis, variance) in [seen.covariance[0], seen.covariance[2]].into_iter().enumerate() {
-            // slightly more than the cutoff, since rounding differs between views
+            // take slightly more than the cutoff, since rounding differs between views
             let reach = 1.001 * CUTOFF * (variance.max(0.0) + PIXEL_VARIANCE).sqrt() + 0.01;
             low[axis] = low[axis].min(seen.at[axis] - reach);
             high[axis] = high[axis].max(seen.at[axis] + reach);

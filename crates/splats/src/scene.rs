@@ -15,7 +15,7 @@ pub enum LoadError {
     Read {
         /// The file as the caller named it.
         name: String,
-        /// Place in the file, and reason.
+        /// Place in the file, and the reason why it cannot be read.
         source: ReadError,
     },
     /// The file has no splats, or none that can be rendered.
@@ -23,7 +23,7 @@ pub enum LoadError {
     Scene {
         /// The file as the caller named it.
         name: String,
-        /// Place in the file, and reason.
+        /// Place in the file, and the reason why nothing can be rendered.
         source: SceneError,
     },
 }

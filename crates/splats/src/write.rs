@@ -55,7 +55,8 @@ pub fn spz(cloud: &Cloud) -> std::io::Result<Vec<u8>> {
     file.write_all(&3u32.to_le_bytes())?;
     file.write_all(&(cloud.len() as u32).to_le_bytes())?;
     file.write_all(&[cloud.degree as u8, FRACTION as u8, 0, 0])?;
-    // Attributes follow one another, each for all splats. `read/spz.rs` lists their quantization.
+    // Write each attribute for all splats, then the next one. `read/spz.rs` lists their
+    // quantization.
     let byte = |value: f32| value.round().clamp(0.0, 255.0) as u8;
     for value in cloud.positions.iter().flat_map(|at| at.to_array()) {
         let most = (1 << 23) as f32 - 1.0;

@@ -27,8 +27,8 @@ fn cloud(count: usize, degree: usize) -> Cloud {
     cloud
 }
 
-/// Largest differences between two clouds, of positions, logarithms of scales, directions of axes,
-/// opacities, constant harmonics and higher harmonics.
+/// Returns the largest differences between two clouds. They are of positions, logarithms of scales,
+/// directions of axes, opacities, constant harmonics and higher harmonics.
 fn differences(a: &Cloud, b: &Cloud) -> [f32; 6] {
     assert_eq!((a.len(), a.degree), (b.len(), b.degree));
     let most = |values: &mut dyn Iterator<Item = f32>| values.fold(0.0, f32::max);
@@ -84,7 +84,7 @@ fn spz_of_every_version_is_read() {
         // version 4 has the same data in separate streams
         let again = read(&version_4(&packed, original.len(), degree), NONE).unwrap();
         assert_eq!(again.cloud, found.cloud);
-        // versions 1 and 2: rotations of three bytes, and positions as half floats
+        // version 2 has rotations of three bytes, and version 1 also has positions as half floats
         let mut most = most;
         most[2] = 0.2;
         assert_close(&read(&older(&original, 2), NONE).unwrap(), &original, Axes::RightUpBack, most);

@@ -124,12 +124,12 @@ fn harmonics(d: DVec3) -> [f64; 16] {
     ]
 }
 
-/// A splat in one view: distance, centre and covariance on z = 0 in millimetres, opacity, colour,
-/// depth in millimetres.
+/// A splat in one view: distance from the eye, centre and covariance on the plane z = 0 in
+/// millimetres, opacity, colour, depth in millimetres.
 type Projected = (f64, DVec2, DMat2, f64, DVec3, f64);
 
-/// All splats of a view, nearest first, projected onto z = 0 by the Jacobian of the projection
-/// along the view's rays.
+/// Projects all splats onto the plane z = 0 along the rays of one view, and sorts them, nearest
+/// first. The projection is linear near each centre (its Jacobian).
 fn project(scene: &Scene, window: &Window, projection: Projection, slope: [f64; 2]) -> Vec<Projected> {
     let map = window.scene_from_display;
     let mut all = Vec::new();
@@ -155,7 +155,7 @@ fn project(scene: &Scene, window: &Window, projection: Projection, slope: [f64; 
                     (to, to.length(), -to.truncate() / (distance_mm - at.z), distance_mm / (distance_mm - at.z))
                 }
             };
-            // columns of J
+            // columns of J, the Jacobian of the projection onto z = 0
             let j = [DVec2::X * m, DVec2::Y * m, -slope * m];
             let mut flat = DMat2::ZERO;
             for (a, u) in j.iter().enumerate() {
@@ -222,7 +222,7 @@ fn views_are_those_of_the_equations() {
             let quality = psnr(&view.light, |row, col| {
                 pixel(&splats, DVec2::new(geometry.x_mm(col), geometry.y_mm(row)), 3.0, f64::NEG_INFINITY)
             });
-            // measured values are 90 dB and more
+            // the views reached 90 dB and more when this limit was set
             assert!(quality > LEAST_PSNR + 20.0, "{projection:?} {slope:?}: {quality} dB");
         }
     }
@@ -292,7 +292,7 @@ fn surfaces_hide_the_splats_behind_them() {
     let scene = two_clouds();
     let geometry = geometry(PERSPECTIVE, 1);
     let (rows, cols) = (geometry.rows, geometry.cols);
-    // a surface that tilts from left to right, and no surface at the right
+    // the surface tilts from left to right, and the right part of the picture has no surface
     let z = |col: usize| if col < 40 { col as f32 * 2.0 - 40.0 } else { f32::NAN };
     let values = (0..rows * cols).flat_map(|i| [z(i % cols); 2]).collect();
     let surfaces = Surfaces { z_mm: Tensor::from_vec(["row", "col", "sample"], [rows, cols, 2], values).unwrap() };
@@ -325,14 +325,15 @@ fn the_same_bytes_come_out_of_any_block_of_views_and_any_number_of_threads() {
                 all.iter().zip(&again).for_each(|(a, b)| same(a, b));
             });
         }
-        // one view per call, from the last to the first
+        // rendering one view per call, from the last to the first, gives the same views
         for (slope, view) in slopes.iter().zip(&all).rev().step_by(5) {
             same(view, &render(&scene, &geometry, &[*slope], None)[0]);
         }
     }
 }
 
-/// The depth is that of the splat at which the transmittance falls below one half.
+/// The depth of a pixel is the depth of the splat at which the pixel's transmittance falls below
+/// one half.
 #[test]
 fn depth_is_where_half_of_the_light_is_gone() {
     let mut wall = Cloud::default();
@@ -362,9 +363,9 @@ fn depth_is_where_half_of_the_light_is_gone() {
         renderer.render(window, &geometry, &[[0.0; 2]], &none, Wanted::Depth, task, done).unwrap();
         z
     };
-    // the first two splats transmit 0.7 · 0.6 = 0.42
+    // the first two splats transmit 0.7 · 0.6 = 0.42, so the depth is the second splat's
     assert_eq!(z_of(&window), 5.0);
-    // a near plane that removes the first splat, then one that removes all
+    // a near plane at 7 mm removes the first splat, and one at −7 mm removes all splats
     assert_eq!(z_of(&Window { near_mm: Some(7.0), ..window }), -5.0);
     assert!(z_of(&Window { near_mm: Some(-7.0), ..window }).is_nan());
 }

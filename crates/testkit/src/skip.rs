@@ -31,14 +31,14 @@ pub fn runs_in(step: &str) {
     println!("not here: `cargo xtask {step}` runs this test");
 }
 
-/// As [`skipped`], for the test `test`. `is_ci` and `list` come from the environment. Returns an
-/// error on CI.
+/// Reports a skip of the test `test`, as [`skipped`] does. The environment provides `is_ci` and
+/// `list`. Returns an error on CI.
 fn account(why: &str, test: Option<&str>, is_ci: bool, list: Option<&Path>) -> Result<(), String> {
     println!("skipped: {why}");
     if let Some(list) = list {
         let line = format!("test {}: {}\n", test.unwrap_or("?"), why.replace('\n', " "));
         let file = std::fs::OpenOptions::new().create(true).append(true).open(list);
-        // a single write, since tests run in parallel
+        // write the line at once, since tests run in parallel
         if let Err(error) = file.and_then(|mut file| file.write_all(line.as_bytes())) {
             println!("{}: {error}", list.display());
         }
@@ -46,8 +46,9 @@ fn account(why: &str, test: Option<&str>, is_ci: bool, list: Option<&Path>) -> R
     if is_ci { Err(format!("skipped on CI, where every test must run: {why}")) } else { Ok(()) }
 }
 
-/// A folder of third-party files: the one that the environment variable `variable` names, or else
-/// `default`, a path relative to the workspace (`../shared/...`). Skips the test if it is missing.
+/// Returns a folder of third-party files. The environment variable `variable` names the folder.
+/// Without it the folder is `default`, a path relative to the workspace (`../shared/...`). If the
+/// folder does not exist, reports the test as skipped and returns `None`.
 #[track_caller]
 pub fn folder(variable: &str, default: &str) -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
@@ -59,8 +60,9 @@ pub fn folder(variable: &str, default: &str) -> Option<PathBuf> {
     None
 }
 
-/// The Python that `LUMISTACK_PYTHON` names, or `python3`, if it has these modules ("numpy, PIL");
-/// skips the test if neither Python has them.
+/// Returns a Python that has all of `modules` (for example "numpy, PIL"). The candidates are the
+/// Python that `LUMISTACK_PYTHON` names, and `python3`. If neither has them, reports the test as
+/// skipped and returns `None`.
 #[track_caller]
 pub fn python_with(modules: &str) -> Option<PathBuf> {
     let candidates = [std::env::var_os("LUMISTACK_PYTHON").map(PathBuf::from), Some("python3".into())];

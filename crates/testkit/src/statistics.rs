@@ -18,16 +18,16 @@ const LEAST_EXPECTED: f64 = 8.0;
 /// Mean and standard error of independent samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mean {
-    /// x̄.
+    /// Mean x̄ of the samples.
     pub value: f64,
-    /// s/√n; 0 for a single sample.
+    /// Standard error s/√n of the mean; 0 for a single sample.
     pub standard_error: f64,
 }
 
 impl Mean {
     /// Mean of independent samples.
     pub fn of(samples: impl IntoIterator<Item = f64>) -> Self {
-        // Welford's recurrence
+        // Welford's recurrence sums the squares without loss of precision
         let (mut count, mut mean, mut squares) = (0.0, 0.0, 0.0);
         for sample in samples {
             count += 1.0;
@@ -49,8 +49,8 @@ impl Mean {
     /// Asserts that the mean is `expected`.
     ///
     /// # Panics
-    /// If it differs by more than the systematic error and chance at this false-alarm rate, or is
-    /// not a number.
+    /// If the mean differs from `expected` by more than the systematic error and chance at this
+    /// false-alarm rate, or is not a number.
     #[track_caller]
     pub fn assert_is(self, expected: f64, systematic_error: f64, false_alarm_rate: f64) {
         let (z, limit) = (self.z(expected, systematic_error), z_limit(false_alarm_rate));
@@ -74,13 +74,13 @@ impl Mean {
     }
 }
 
-/// |z| that chance exceeds with this probability.
+/// Returns the |z| that chance alone exceeds with the probability `false_alarm_rate`.
 pub fn z_limit(false_alarm_rate: f64) -> f64 {
     Normal::standard().inverse_cdf(1.0 - 0.5 * false_alarm_rate)
 }
 
-/// Probability that chance gives counts at least as far from the expected counts. Both lists should
-/// have the same sum; cells with small expected counts are pooled.
+/// Returns the probability that chance alone moves counts at least this far from their expectation.
+/// Both lists should have the same sum. Cells with small expected counts are pooled.
 ///
 /// # Panics
 /// If the lengths differ or fewer than two cells are left after pooling.

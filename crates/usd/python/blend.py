@@ -54,11 +54,11 @@ def main():
 
 
 class Unfit(Exception):
-    """This Blender cannot read the file, but another one may."""
+    """The error that this Blender cannot read the file; another one may be able to."""
 
 
 class Refused(Exception):
-    """The file or the request is invalid."""
+    """The error that the file or the request is invalid."""
 
 
 def work(bpy, request, folder, answer):
@@ -134,7 +134,7 @@ def render(bpy, scene, modules, asked, folder):
 
 
 def package(sources):
-    """The modules of the request, as a package."""
+    """Makes a Python package of the modules in the request, and returns it."""
     name = "_lumistack_handover"
     parent = types.ModuleType(name)
     parent.__path__ = []

@@ -21,7 +21,7 @@ def value(attribute, time, writer):
 
 
 def mesh(prim, writer, time, pose=None):
-    """The entry of a `UsdGeomMesh`; `pose` is None, or new (points, normals)."""
+    """Returns the entry of a `UsdGeomMesh`. `pose` is None, or new (points, normals)."""
     points, normals = pose or (None, None)
     source = UsdGeom.Mesh(prim)
     entry = {
@@ -72,7 +72,7 @@ def one_sided(gprim, time):
 
 
 def primvars(prim, writer, time):
-    """The primvars that affect the shading of surfaces; inherited primvars are included."""
+    """Returns the primvars that affect the shading of surfaces, including inherited ones."""
     found = []
     for primvar in UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
         name, kind = str(primvar.GetPrimvarName()), str(primvar.GetTypeName())

@@ -31,7 +31,7 @@ SHAPING = {"shaping:cone:angle": 90.0, "shaping:cone:softness": 0.0, "shaping:fo
 
 
 def light(prim, writer, time):
-    """The entry of a light, or None if the prim is not a light."""
+    """Returns the entry of a light, or None if the prim is not a light."""
     if not prim.HasAPI(UsdLux.LightAPI):
         return None
     name = str(prim.GetTypeName())
@@ -63,7 +63,7 @@ def light(prim, writer, time):
 
 
 def emission(prim, writer, time):
-    """The values of an entry that all kinds of lights have."""
+    """Returns the part of an entry that all kinds of lights have."""
     for collection in ("lightLink", "shadowLink"):
         roots = prim.GetRelationship("collection:%s:includes" % collection), prim.GetRelationship("collection:%s:excludes" % collection)
         if any(targets and targets.GetTargets() for targets in roots):
@@ -79,7 +79,7 @@ def emission(prim, writer, time):
 
 
 def mesh_light(prim, writer, time):
-    """The emission of a mesh or volume that is a light (`MeshLightAPI`), or None."""
+    """Returns the emission of a mesh or volume that is a light (`MeshLightAPI`), or None."""
     if not prim.HasAPI(UsdLux.LightAPI):
         return None
     entry = emission(prim, writer, time)
@@ -124,7 +124,7 @@ def asset(prim, name, time):
 
 
 def picture(prim, writer, time):
-    """Index of the image of a light's texture, or None."""
+    """Returns the index of the image of a light's texture, or None if it has no texture."""
     found = asset(prim, "texture:file", time)
     if found is None:
         return None

@@ -89,7 +89,7 @@ def needs_materialx(prim):
 
 
 def numbers(value):
-    """A value as a list of floats, or None if it is not numeric."""
+    """Returns a value as a list of floats, or None if it is not numeric."""
     if isinstance(value, (bool, int, float)):
         return [float(value)]
     if isinstance(value, (Gf.Vec2f, Gf.Vec3f, Gf.Vec4f, Gf.Vec2d, Gf.Vec3d, Gf.Vec4d, Gf.Vec2h, Gf.Vec3h, Gf.Vec4h)):
@@ -111,7 +111,7 @@ def constant(values):
 
 
 def widened(values, count):
-    """Returns `count` numbers: repeats a single number; pads or cuts a longer list."""
+    """Returns `count` numbers: repeats a single number; pads any other list with 0, or cuts it."""
     return (list(values) * count)[:count] if len(values) == 1 else (list(values) + [0.0] * count)[:count]
 
 
@@ -143,7 +143,7 @@ class Graph:
         return attribute, None, None
 
     def input(self, given):
-        """The value of an input; None if it has neither value nor connection."""
+        """Returns the value of an input; None if it has neither value nor connection."""
         attribute, shader, output = self.producer(given)
         if attribute:
             values = numbers(attribute.Get(self.time))
@@ -167,11 +167,11 @@ class Graph:
         return found
 
     def get(self, shader, name):
-        """The value of a shader's input."""
+        """Returns the value of a shader's input."""
         return self.input(shader.GetInput(name))
 
     def value(self, shader, name, default):
-        """The value of a constant input; a texture instead of a constant causes a warning."""
+        """Returns the value of a constant input. A texture instead causes a warning."""
         found = self.get(shader, name)
         if found is None:
             return default
@@ -188,7 +188,7 @@ class Graph:
     # Nodes
 
     def node(self, shader, output):
-        """The value of a node's output."""
+        """Returns the value of a node's output."""
         kind = str(shader.GetIdAttr().Get() or "")
         if kind.startswith(("UsdUVTexture", "ND_UsdUVTexture")):
             return self.preview_texture(shader, output)
@@ -237,7 +237,7 @@ class Graph:
         return {"texture": texture}
 
     def image(self, shader, kind):
-        """The texture of a MaterialX node image or tiledimage."""
+        """Returns the texture of a MaterialX node `image` or `tiledimage`."""
         count = SIZES.get(kind.split("_")[2], 3)
         back = self.value(shader, "default", [0.0] * count)
         image = self.picture(shader)
@@ -266,7 +266,7 @@ class Graph:
         return (attribute.GetColorSpace() if attribute and attribute.HasColorSpace() else None) or default
 
     def normal_map(self, shader):
-        """A tangent-space normal, decoded."""
+        """Returns a normal map in tangent space, with the codes 0..1 mapped to −1..1."""
         found = self.get(shader, "in")
         if found is None or "texture" not in found:
             return None
@@ -316,7 +316,7 @@ class Graph:
         return found
 
     def both(self, shader, count):
-        """The values of two operands."""
+        """Returns the values of a node's two inputs, `in1` and `in2`."""
         first, second = self.get(shader, "in1"), self.get(shader, "in2")
         return first, second
 
@@ -413,7 +413,7 @@ class Graph:
         return None
 
     def do_remap(self, shader, count, output):
-        """Maps inlow .. inhigh to outlow .. outhigh."""
+        """Maps the range from inlow to inhigh to the range from outlow to outhigh."""
         found = self.get(shader, "in")
         ends = {"inlow": 0.0, "inhigh": 1.0, "outlow": 0.0, "outhigh": 1.0}
         ends = {name: widened(self.value(shader, name, [default]), count) for name, default in ends.items()}
@@ -470,7 +470,7 @@ class Graph:
     # Textures
 
     def picture(self, shader):
-        """Index of a texture's image, or None after a warning."""
+        """Returns the index of a texture's image, or None after a warning."""
         attribute = self.producer(shader.GetInput("file"))[0]
         asset = attribute.Get(self.time) if attribute else None
         path = getattr(asset, "path", "")
@@ -556,7 +556,7 @@ class Graph:
 
 
 def image_entry(writer, place, path, resolved):
-    """The entry of a picture: a path on disk, or the bytes of a file in a package."""
+    """Returns the entry of a picture: a path on disk, or the bytes of a file in a package."""
     entry = {"place": str(place), "name": path, "path": resolved}
     if "[" in resolved and resolved.endswith("]"):
         entry["path"] = None
@@ -568,7 +568,7 @@ def image_entry(writer, place, path, resolved):
 
 
 def packaged(path):
-    """Bytes of `package.usdz[file]`; packages may be nested."""
+    """Returns the bytes of a file in a package, `package.usdz[file]`; packages may be nested."""
     outer, inner = path[:-1].split("[", 1)
     file = outer
     while True:
@@ -583,14 +583,14 @@ def packaged(path):
 
 
 def composed(after, before):
-    """The composition of two affine maps: `after` applied to the result of `before`."""
+    """Returns the composition of two affine maps: first `before`, then `after`."""
     a, b, c, d, x, y = after
     e, f, g, h, u, v = before
     return [a * e + c * f, b * e + d * f, a * g + c * h, b * g + d * h, a * u + c * v + x, b * u + d * v + y]
 
 
 def rescaled(texture, scale, bias):
-    """The texture scale · texture + bias, component by component."""
+    """Returns the texture whose components are scale · component + bias."""
     found = dict(texture)
     count = max(len(texture["channels"]), len(scale))
     for key in ("channels", "scale", "bias", "fallback"):
@@ -605,7 +605,7 @@ def rescaled(texture, scale, bias):
 
 
 def picked(found, order):
-    """Selected components of an input's value."""
+    """Returns the components `order` of an input's value, or None if it lacks one of them."""
     if found is None or not order:
         return None
     if "value" in found:

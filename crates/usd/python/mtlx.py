@@ -58,7 +58,7 @@ COMPONENTS = {"color3": 3, "vector2": 2, "vector3": 3, "vector4": 4}
 
 
 def document():
-    """The definitions as a MaterialX file."""
+    """Returns the definitions as the text of a MaterialX file."""
     lines = ['<?xml version="1.0"?>', '<materialx version="1.39">']
     for (name, node), text in SHADERS.items():
         lines.append('<nodedef name="%s" node="%s">' % (name, node))

@@ -29,7 +29,7 @@ def is_shape(prim, writer):
 
 
 def shape(prim, writer, time):
-    """The entry of a shape."""
+    """Returns the entry of a shape."""
     entry = {"place": str(prim.GetPath()), "primvars": geometry.primvars(prim, writer, time), "subsets": []}
     name = str(prim.GetTypeName())
     if name in SOLIDS:

@@ -6,12 +6,12 @@ EVERYWHERE = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
 
 
 def source(prim):
-    """The prim itself, or its counterpart in the prototype of an instance."""
+    """Returns the prim itself, or its counterpart in the prototype of an instance."""
     return prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
 
 
 class Skeletons:
-    """All skeletons of the roots that were added."""
+    """The skeletons of all `UsdSkelRoot` prims that were added, and the shapes they pose."""
 
     def __init__(self, time):
         self.time = time
@@ -33,7 +33,7 @@ class Skeletons:
             writer.warn(root.GetPath(), "the root's skeletons cannot be read, so its shapes keep their rest pose: %s" % said(error))
 
     def key(self, prim):
-        """A key of a shape's pose: two poses have different keys. None without a pose."""
+        """Returns a key of a shape's pose: two poses have different keys. None without a pose."""
         found = self.skinned.get(prim.GetPath())
         if found is None:
             return None
@@ -117,7 +117,7 @@ class Skeletons:
             shapes.ComputeDeformedPoints(*parts, indices, offsets, points)
 
     def normals(self, mesh, target, joints, point_count):
-        """The file's normals, rotated with the points."""
+        """Returns the file's normals, rotated with the points."""
         normals, interpolation = mesh.GetNormalsAttr().Get(self.time), mesh.GetNormalsInterpolation()
         primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
         if primvar and primvar.HasValue():
@@ -142,13 +142,13 @@ class Skeletons:
 
 
 def said(error):
-    """The reason that an exception states, on one line."""
+    """Returns the message of an exception on one line."""
     texts = [str(error)] if not isinstance(error, Tf.ErrorException) else [getattr(part, "commentary", None) or str(part) for part in error.args]
     text = " ".join(" ".join(texts).split())
     return (text if len(text) <= 300 else text[:300] + " ...") or type(error).__name__
 
 
 def inverse_transpose(matrix):
-    """The transform of normals under a matrix."""
+    """Returns the matrix that transforms normals if `matrix` transforms points."""
     linear = matrix.ExtractRotationMatrix()
     return linear.GetInverse().GetTranspose() if abs(linear.GetDeterminant()) > 1e-30 else Gf.Matrix3d(1)

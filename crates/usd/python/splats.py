@@ -19,7 +19,7 @@ def is_field(prim):
 
 
 def known_bases(prim):
-    """The base types of the prim's type; empty if this OpenUSD does not know the type."""
+    """Returns the base types of the prim's type; none if this OpenUSD does not know the type."""
     kind = prim.GetPrimTypeInfo().GetSchemaType()
     return [Usd.SchemaRegistry.GetSchemaTypeName(base) for base in kind.GetAllAncestorTypes()] if kind else []
 
@@ -41,13 +41,13 @@ def is_shown(prim, writer):
 
 
 def schemas(prim):
-    """Names of the applied schemas, also of schemas that this OpenUSD does not know."""
+    """Returns the names of the applied schemas, also those that this OpenUSD does not know."""
     authored = prim.GetMetadata("apiSchemas")
     return list(prim.GetAppliedSchemas()) + (list(authored.GetAppliedItems()) if authored else [])
 
 
 def field(prim, writer, time):
-    """The entry of a field of splats."""
+    """Returns the entry of a field of splats."""
     kernels = schemas(prim)
     degree = prim.GetAttribute("radiance:sphericalHarmonicsDegree")
     degree = degree.Get(time) if degree else None

@@ -37,7 +37,7 @@ def open_stage(path):
 
 
 def errors(error):
-    """The messages of an exception of pxr, without positions in the source code of pxr."""
+    """Returns the messages of a pxr exception, without positions in pxr's source code."""
     texts = [getattr(part, "commentary", None) or str(part) for part in error.args] or [str(error)]
     # OpenUSD adds "Failed to open layer", which repeats the first message.
     texts = [text for text in texts if not text.startswith("Failed to open layer")] or texts
@@ -71,7 +71,7 @@ def meters_per_unit(stage):
 
 
 def composition_errors(stage):
-    """Layers and references that OpenUSD could not compose, as (place, message)."""
+    """Yields layers and references that OpenUSD could not compose, as (place, message)."""
     # OpenUSD 24.08 and newer list them per stage, older versions per prim and layer.
     if hasattr(stage, "GetCompositionErrors"):
         for error in stage.GetCompositionErrors():
@@ -105,7 +105,7 @@ def warn_of_composition(stage, writer):
 
 
 def time_code(stage, time_s):
-    """The time code at `time_s` seconds after the stage's start."""
+    """Returns the time code at `time_s` seconds after the stage's start."""
     start = stage.GetStartTimeCode() if stage.HasAuthoredTimeCodeRange() else None
     if time_s is not None:
         return Usd.TimeCode((start or 0.0) + time_s * stage.GetTimeCodesPerSecond())
@@ -156,7 +156,7 @@ def choose_variants(stage, wanted, writer):
 
 
 def contents(stage):
-    """The choices that the file offers, and the size of its content."""
+    """Returns the choices that the file offers, and the size of its content."""
     sets = [
         {"place": "%s{%s}" % (prim.GetPath(), name), "choices": list(choices), "selected": selection}
         for prim, name, choices, selection in variant_sets(stage)
@@ -289,7 +289,7 @@ class Walker:
         return local * above
 
     def item(self, prim):
-        """(kind, payload) of a shape, a light or a camera; None for other prims."""
+        """Returns (kind, payload) of a shape, a light or a camera; None for other prims."""
         if splats.is_field(prim):
             # Splats have their own colours, so a bound material has no effect.
             return ("geometry", (self.geometry(prim)[0], (None,))) if splats.is_shown(prim, self.writer) else None
@@ -324,14 +324,14 @@ class Walker:
         return index, [prim.GetChild(name) for name in names]
 
     def inherited_primvars(self, prim):
-        """The primvars that a prim inherits, as a key for its shape."""
+        """Returns the primvars that a prim inherits, as part of the key of its shape."""
         found = UsdGeom.PrimvarsAPI(prim.GetParent()).FindInheritablePrimvars()
         return tuple(
             (primvar.GetName(), str(primvar.Get(self.time))) for primvar in found if primvar.GetName() in INHERITED_PRIMVARS
         )
 
     def bound(self, prim):
-        """The material bound to a prim, and the relationship that binds it."""
+        """Returns the material bound to a prim, and the relationship that binds it."""
         api = UsdShade.MaterialBindingAPI(prim)
         for purpose in (UsdShade.Tokens.full, UsdShade.Tokens.preview):
             material, relationship = api.ComputeBoundMaterial(purpose)
@@ -340,7 +340,7 @@ class Walker:
         return None, None
 
     def material(self, prim):
-        """Index of the material of a prim, or None."""
+        """Returns the index of a prim's material, or None if it has none."""
         material, _ = self.bound(prim)
         if material is None:
             return None
@@ -354,7 +354,7 @@ class Walker:
     # Instances
 
     def prototype(self, prim, purpose):
-        """The content of an instance, relative to the instance's space."""
+        """Returns the content of an instance, in the instance's own space."""
         material, relationship = self.bound(prim)
         key = (
             prim.GetPrototype().GetPath(),
@@ -431,14 +431,14 @@ class Walker:
 
 
 def extended(links, matrix):
-    """A chain, followed by one more matrix."""
+    """Returns a chain that also applies `matrix`, after its last link."""
     if isinstance(links[-1], dict):
         return links + (matrix,)
     return links[:-1] + (links[-1] * matrix,)
 
 
 def camera(prim, time):
-    """The entry of a camera; apertures and focal length are in tenths of the scene's unit."""
+    """Returns a camera's entry. Apertures and focal length are in tenths of the scene's unit."""
     source = UsdGeom.Camera(prim)
     values = source.GetCamera(time)
     return {

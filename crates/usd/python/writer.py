@@ -28,7 +28,7 @@ def finite(value):
 
 
 class Refused(Exception):
-    """The scene cannot be read, for a reason that the user can act on."""
+    """The error that the scene cannot be read; the message tells the user why."""
 
 
 class Writer:
@@ -47,7 +47,7 @@ class Writer:
         self._images = {}
 
     def array(self, values):
-        """A reference to an array that supports the buffer protocol. The array is kept, not copied."""
+        """Adds an array (buffer protocol) without copying it, and returns a reference to it."""
         view = memoryview(values)
         code = view.format
         if code in ("l", "L", "q", "Q"):
@@ -65,7 +65,7 @@ class Writer:
             self.warnings.append({"place": entry[0], "message": entry[1]})
 
     def file(self, path):
-        """Adds a file on disk on which the scene depends."""
+        """Records that the scene depends on a file on disk."""
         if path and os.path.isfile(path):
             self._files[os.path.abspath(path)] = True
 
@@ -77,12 +77,12 @@ class Writer:
         return self._images[key]
 
     def finished_header(self):
-        """The header, complete except for the offsets of its buffers."""
+        """Returns the header, complete except for the offsets of its buffers."""
         lists = ("warnings", "geometries", "instances", "materials", "images", "lights", "cameras")
         return dict(self.header, files=list(self._files), **{name: getattr(self, name) for name in lists})
 
     def header_text(self, **places):
-        """The header as JSON in UTF-8; in a file it contains the offsets of its buffers."""
+        """Returns the header as JSON in UTF-8; in a file it contains the offsets of its buffers."""
         header = dict(self.finished_header(), **places)
         try:
             return json.dumps(header, allow_nan=False).encode("utf-8")

@@ -25,8 +25,8 @@ pub const EXTENSION: &str = "blend";
 /// the module bpy.
 pub const VARIABLE: &str = "LUMISTACK_BLENDER";
 
-/// Modules that run in Blender, in the order of their imports. In the Python package they are
-/// `lumistack.blender`.
+/// Python modules that run in Blender, in the order of their imports. The Python package has them
+/// as `lumistack.blender`.
 const MODULES: [(&str, &str); 5] = [
     ("cameras", include_str!("../../python/python/lumistack/blender/cameras.py")),
     ("glb", include_str!("../../python/python/lumistack/blender/glb.py")),
@@ -45,9 +45,9 @@ pub struct BlendContents {
     pub scenes: Vec<String>,
     /// First and last frame of the active scene.
     pub frames: [i32; 2],
-    /// Frames per second.
+    /// Frames per second of the active scene.
     pub frames_per_second: f64,
-    /// The render engine that the scene uses.
+    /// Name of the render engine that the active scene uses.
     pub engine: String,
     /// Messages for the user about content that renders show but the export drops. There is one
     /// message per kind of content, with the names of the objects.
@@ -69,7 +69,7 @@ impl BlendContents {
 pub struct HandedOver {
     /// A binary glTF file that refers to no other file.
     pub glb: Vec<u8>,
-    /// Blender's report on the export.
+    /// Blender's report on the export of this scene.
     pub account: BlendAccount,
 }
 
@@ -77,9 +77,9 @@ pub struct HandedOver {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct BlendAccount {
-    /// Blender's version.
+    /// Version of the Blender that exported the scene.
     pub blender: String,
-    /// The Blender program, or the file of the module bpy.
+    /// Path of the Blender program, or of the module bpy.
     pub program: PathBuf,
     /// Files other than the `.blend` on which the scene depends: libraries, pictures.
     pub files: Vec<PathBuf>,
@@ -136,37 +136,37 @@ pub fn blend_contents(path: &Path, task: Task<'_>) -> Result<BlendContents, UsdE
     Ok(ask(&Request::new(path, None, true)?, folder.path(), task.cancel)?.contents)
 }
 
-/// Views that Blender is to render.
+/// The views that Blender renders, as they are passed to it.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlendViews {
     /// The window in the scene, in glTF's axes.
     pub window: BlendWindow,
     /// Width and height of the window, in millimetres.
     pub size_mm: [f64; 2],
-    /// Number of columns and of rows.
+    /// Number of columns and number of rows of a view, in pixels.
     pub resolution: [usize; 2],
     /// Distance of the eyes from the window, in millimetres; `None` for oblique views.
     pub distance_mm: Option<f64>,
-    /// Slope of every view, right and up.
+    /// Slope of every view: x to the right, y up.
     pub slopes: Vec<[f64; 2]>,
 }
 
 /// A window in the scene, with the arguments of `Window::given`.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlendWindow {
-    /// The window's centre.
+    /// Centre of the window, in the scene.
     pub centre: [f64; 3],
     /// Direction in which the window's viewer looks.
     pub forward: [f64; 3],
-    /// Upward direction.
+    /// Direction that is up for the window's viewer.
     pub up: [f64; 3],
-    /// Width in scene units.
+    /// Width of the window in scene units.
     pub width: f64,
 }
 
-/// Renders views at a time, with the file's own engine and settings. When the linear OpenEXR file
-/// of a view is complete, calls `finished` with the view's number and the file. Removes the file
-/// after the call.
+/// Renders views at a time, with the file's own engine and settings. When a view is complete, calls
+/// `finished` with the view's number and its file (OpenEXR, linear). Removes the file after the
+/// call.
 ///
 /// # Errors
 /// The errors of [`hand_over`].
@@ -179,7 +179,7 @@ pub fn render_views(
 ) -> Result<(), UsdError> {
     let folder = temporary()?;
     let mut next = 0;
-    // Blender finishes the views in order.
+    // Take every finished view in order, since Blender finishes the views in order.
     let mut collect = || {
         while next < views.slopes.len() {
             let picture = folder.path().join(format!("done_{next:05}.exr"));
@@ -233,9 +233,9 @@ struct Failure {
     message: String,
 }
 
-/// The failure of one program.
+/// The failure of one Blender, or of one Python with bpy.
 enum Failed {
-    /// This program cannot read the file, but another one may.
+    /// This program cannot read the file, so the next one is tried, if there is one.
     Unfit(String),
     Final(UsdError),
 }

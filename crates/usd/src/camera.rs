@@ -20,7 +20,7 @@ pub(crate) fn camera(entry: &CameraEntry, all: &[CameraEntry], scene_from_stage:
     };
     let [width, height] = [positive(entry.aperture[0], "the aperture")?, positive(entry.aperture[1], "the aperture")?];
     let projection = if entry.projection == "orthographic" {
-        // apertures are in tenths of the scene's unit
+        // an aperture is in tenths of the scene's unit, so the factor for its half is 0.05
         Projection::Orthographic { half_width: 0.05 * width, half_height: 0.05 * height }
     } else {
         let focal_length = positive(entry.focal_length, "the focal length")?;

@@ -19,7 +19,7 @@ use crate::UsdError;
 use crate::package::Package;
 use crate::python::{Candidate, Surroundings};
 
-/// The walker's modules, in the order of their imports.
+/// The walker: Python modules that read a stage, in the order of their imports.
 pub const MODULES: [(&str, &str); 9] = [
     ("writer", include_str!("../python/writer.py")),
     ("geometry", include_str!("../python/geometry.py")),
@@ -31,14 +31,14 @@ pub const MODULES: [(&str, &str); 9] = [
     ("skel", include_str!("../python/skel.py")),
     ("walk", include_str!("../python/walk.py")),
 ];
-/// The script that starts [`MODULES`] in a child.
+/// The script that imports [`MODULES`] in a Python process and starts the walker.
 const BOOT: &str = include_str!("../python/boot.py");
-/// Interval at which the state of a child is checked.
+/// Time between two checks of a running child process.
 const POLL: Duration = Duration::from_millis(5);
-/// Number of bytes of the end of standard error that are kept.
+/// Number of bytes that are kept of a child's standard error. They are the last ones.
 const SAID: usize = 16 << 10;
 
-/// Input of the walker.
+/// The task of the walker, which it reads as JSON.
 #[derive(Debug, Serialize)]
 pub(crate) struct Request<'a> {
     pub(crate) path: &'a str,
@@ -47,7 +47,7 @@ pub(crate) struct Request<'a> {
     pub(crate) contents_only: bool,
 }
 
-/// A package in a file, with its origin.
+/// The package that the walker wrote to a file, and the Python that ran the walker.
 pub(crate) struct Answer {
     file: Option<Mmap>,
     /// The Python that wrote the file.
@@ -55,7 +55,7 @@ pub(crate) struct Answer {
 }
 
 impl Answer {
-    /// Parses the file.
+    /// Parses the file that the walker wrote.
     ///
     /// # Errors
     /// If the file is not a package.
@@ -65,9 +65,9 @@ impl Answer {
     }
 }
 
-/// The failure of one candidate.
+/// The failure of one Python.
 enum Failed {
-    /// This Python cannot read USD, but another one may.
+    /// This Python cannot read USD files, so the next one is tried, if there is one.
     Unfit(String),
     Final(UsdError),
 }
@@ -103,8 +103,8 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     let python = program.display().to_string();
     let io = |source| Failed::Final(UsdError::Io { place: "a temporary file".into(), source });
     let file = tempfile::tempfile().map_err(io)?;
-    // Start the child. Modules in the working folder do not shadow Python's own, and file names are
-    // UTF-8.
+    // Start the child. With these variables, modules in the working folder do not shadow Python's
+    // own, and file names are UTF-8.
     let mut command = Command::new(program);
     command.args(["-c", BOOT]).env("PYTHONSAFEPATH", "1").env("PYTHONUTF8", "1");
     command.stdin(Stdio::piped()).stdout(file.try_clone().map_err(io)?).stderr(Stdio::piped());
@@ -131,7 +131,7 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
     let failed = |found| Failed::Final(UsdError::Child { file: request.path.into(), python: python.clone(), found });
     let answer = Answer { file: map(&file).map_err(io)?, python: python.clone() };
     if answer.file.is_none() && status.code().is_some_and(|code| code != 0) {
-        // The boot script did not run, or this Python could not parse it.
+        // Without output, the boot script did not run, or this Python could not parse it.
         return Err(Failed::Unfit(ended(status, &said)));
     }
     if !status.success() {
@@ -205,7 +205,7 @@ fn map(file: &File) -> std::io::Result<Option<Mmap>> {
     unsafe { Mmap::map(file) }.map(Some)
 }
 
-/// The status of a process, and its last line of output, for messages.
+/// Describes for a message how a process ended: its status, and its last line of output.
 fn ended(status: ExitStatus, said: &str) -> String {
     #[cfg(unix)]
     if let Some(signal) = std::os::unix::process::ExitStatusExt::signal(&status) {
@@ -290,7 +290,8 @@ mod tests {
             ("silent", "cat >/dev/null", "nothing"),
         ] {
             let text = error(&[fake(folder.path(), name, script), sound.clone()]);
-            let start = format!("scene.usda: expected a scene from {}, found ", folder.path().join(name).display());
+            let start =
+                format!("scene.usda: expected {} to return a scene, found ", folder.path().join(name).display());
             assert!(text.starts_with(&start) && text.contains(expected), "{name}: {text}");
         }
     }
@@ -330,7 +331,8 @@ mod tests {
         assert!(!alive.success(), "process {pid} is still there");
     }
 
-    /// The boot script reports that OpenUSD is missing.
+    /// A Python without OpenUSD is reported by the boot script. With OpenUSD, the file that does
+    /// not exist is refused.
     #[test]
     fn a_real_python_answers() {
         let python = Candidate { program: "python3".into(), from: "PATH", given: false };

@@ -17,14 +17,14 @@ use crate::geometry::Geometry;
 /// Basis by which control points define a curve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Basis {
-    /// Straight lines.
+    /// Segments are straight lines.
     Linear,
-    /// Cubic, with four points per segment; neighbouring segments share a point.
+    /// Segments are cubic, with four points each; neighbouring segments share a point.
     #[default]
     Bezier,
-    /// Cubic; in general the curve does not pass through its points.
+    /// Segments are cubic; in general the curve does not pass through its points.
     BSpline,
-    /// Cubic; the curve passes through its points.
+    /// Segments are cubic; the curve passes through its points.
     CatmullRom,
 }
 
@@ -40,20 +40,20 @@ pub(crate) enum Wrap {
     Pinned,
 }
 
-/// The number of values that an attribute has on curves.
+/// States for which elements of the curves an attribute has values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Interpolation {
-    /// One value for all curves.
+    /// All curves together have one value.
     Constant,
-    /// One value per curve.
+    /// Every curve has one value.
     Uniform,
-    /// One value per end of a segment.
+    /// Every end of a segment has one value.
     Varying,
-    /// One value per point.
+    /// Every point has one value.
     Vertex,
 }
 
-/// Data on curves: `width` numbers per value. Missing values are 0.
+/// An attribute of curves. Each value has `width` numbers; missing values are 0.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Data<'a> {
     pub(crate) values: &'a [f32],
@@ -61,18 +61,18 @@ pub(crate) struct Data<'a> {
     pub(crate) interpolation: Interpolation,
 }
 
-/// Curves of one prim.
+/// All curves of one prim, with their attributes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Curves<'a> {
     pub(crate) points: &'a [Vec3],
     pub(crate) vertex_counts: &'a [i32],
     pub(crate) basis: Basis,
     pub(crate) wrap: Wrap,
-    /// Diameters of tubes, or widths of ribbons.
+    /// Diameters of the tubes, or widths of the ribbons.
     pub(crate) widths: Data<'a>,
     /// If present, the curves are ribbons with these normals, visible from both sides.
     pub(crate) normals: Option<Data<'a>>,
-    /// RGB or RGBA values.
+    /// RGB or RGBA values of the curves.
     pub(crate) colors: Option<Data<'a>>,
     /// Texture coordinates as in USD, where v points up.
     pub(crate) uvs: [Option<Data<'a>>; 2],
@@ -81,24 +81,24 @@ pub(crate) struct Curves<'a> {
 /// If the triangles exceed this number, tubes get fewer sides and samples.
 const MOST_TRIANGLES: usize = 2_000_000;
 
-/// Samples per segment and sides per tube, the finest first.
+/// Samples per segment, and sides per tube, from the finest choice to the coarsest.
 const DETAIL: [(usize, usize); 4] = [(8, 12), (6, 8), (4, 5), (2, 3)];
 
 /// A curve that is shorter than this fraction of its largest coordinate is treated as a single
 /// point, since its samples differ only by rounding.
 const ROUNDING: f32 = 1e-5;
 
-/// The weighted control points whose sum is one sample.
+/// A sample of a curve: its value is a weighted sum of values at control points.
 #[derive(Clone, Debug, Default)]
 struct Sample {
-    /// Indices of points within the curve, with their weights.
+    /// Indices of control points within the curve, with the weights of their values.
     points: Vec<(usize, f32)>,
-    /// Indices of the ends of segments, with their weights.
+    /// Indices of ends of segments within the curve, with the weights of their values.
     ends: Vec<(usize, f32)>,
 }
 
-/// Triangles of all curves; `face_of_triangle` is the index of the curve. Curves with too few
-/// points are left out.
+/// Converts curves to triangles. In `face_of_triangle`, each triangle has the index of its curve.
+/// Curves with too few points are left out.
 pub(crate) fn tessellate(curves: &Curves<'_>) -> Geometry {
     let segments: usize =
         curves.vertex_counts.iter().map(|&count| segment_count(curves, usize::try_from(count).unwrap_or(0))).sum();
@@ -149,7 +149,7 @@ fn segment_count(curves: &Curves<'_>, points: usize) -> usize {
     }
 }
 
-/// Weights of the four points of a segment.
+/// Returns the weights of the four control points of a segment at `t`, which is 0..1.
 fn weights(basis: Basis, t: f32) -> [f32; 4] {
     let s = 1.0 - t;
     match basis {
@@ -170,7 +170,7 @@ fn weights(basis: Basis, t: f32) -> [f32; 4] {
 fn samples(curves: &Curves<'_>, count: usize, segments: usize, steps: usize) -> Vec<Sample> {
     let periodic = curves.wrap == Wrap::Periodic;
     let stride = if curves.basis == Basis::Bezier { 3 } else { 1 };
-    // offset from the start of a segment to the first of its four points
+    // number of points from the start of a segment to the first of its four points
     let shift = match (curves.basis, curves.wrap) {
         (Basis::BSpline | Basis::CatmullRom, Wrap::Pinned) => -1,
         _ => 0,
@@ -202,7 +202,7 @@ fn samples(curves: &Curves<'_>, count: usize, segments: usize, steps: usize) -> 
     samples
 }
 
-/// Offsets into the data of a curve, and the geometry that receives its triangles.
+/// A curve's offsets into the data of its prim, and the geometry that receives its triangles.
 struct Place<'g> {
     curve: usize,
     first_point: usize,
@@ -230,16 +230,16 @@ impl Place<'_> {
     }
 }
 
-/// Cross-section of a tube, or rib of a ribbon, at one sample.
+/// A rib: the cross-section of a tube, or the line across a ribbon, at one sample.
 struct Rib {
     position: Vec3,
     tangent: Vec3,
-    /// Unit vector perpendicular to the tangent.
+    /// Unit vector perpendicular to the tangent, carried along the curve without twist.
     across: Vec3,
     radius: f32,
     /// Derivative of the radius along the curve.
     slope: f32,
-    /// Arc length from the start, as a fraction of the curve's length.
+    /// Arc length from the curve's start, as a fraction of the curve's length.
     along: f32,
 }
 
@@ -264,8 +264,8 @@ fn sweep(curves: &Curves<'_>, mut place: Place<'_>, samples: &[Sample], sides: u
             sides + 1
         }
     };
-    // Data are constant around a rib. The vertices of the caps come after the vertices of the ribs,
-    // and have the data of the curve's ends.
+    // All vertices of a rib have the data of its sample. The vertices of the caps follow, and have
+    // the data of the curve's ends.
     let added = place.geometry.positions.len() - first;
     let sample_of = |vertex: usize| match vertex / count {
         rib if rib < samples.len() => &samples[rib],
@@ -288,7 +288,7 @@ fn sweep(curves: &Curves<'_>, mut place: Place<'_>, samples: &[Sample], sides: u
     }
 }
 
-/// Ribs of a curve; `None` for curves without length.
+/// Returns the ribs of a curve, or `None` if the curve has no length.
 fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     let last = positions.len() - 1;
     let mut lengths = vec![0.0; positions.len()];
@@ -300,7 +300,8 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     if !(total > ROUNDING * largest && total.is_finite()) {
         return None;
     }
-    // if two points coincide, the point has the tangent of a neighbour
+    // a point that coincides with its neighbours has no tangent, and takes the tangent of the rib
+    // before it
     let tangent = |i: usize| -> Option<Vec3> {
         let before = if i == 0 && closed {
             positions[last] - positions[last - 1]
@@ -337,7 +338,8 @@ fn ribs(positions: &[Vec3], radii: &[f32], closed: bool) -> Option<Vec<Rib>> {
     Some(ribs)
 }
 
-/// Rotates the perpendicular vector of one rib to the next rib, by two reflections.
+/// Carries the perpendicular vector of a rib along the curve to the next rib, by two reflections.
+/// Twist is thus avoided.
 fn carried(rib: &Rib, position: Vec3, tangent: Vec3) -> Vec3 {
     let reflect = |v: Vec3, mirror: Vec3| match mirror.length_squared() {
         0.0 => v,
@@ -359,7 +361,7 @@ fn tube(place: &mut Place<'_>, ribs: &[Rib], sides: usize, closed: bool) {
         let (sine, cosine) = (TAU * (side % sides) as f32 / sides as f32).sin_cos();
         cosine * rib.across + sine * rib.tangent.cross(rib.across)
     };
-    // Add the side: one ring of vertices per rib, which is joined to the next ring.
+    // Add the side of the tube: one ring of vertices per rib, which is joined to the next ring.
     for rib in ribs {
         for side in 0..=sides {
             let out = around(rib, side);
@@ -412,11 +414,11 @@ fn ribbon(place: &mut Place<'_>, normals: &Data<'_>, samples: &[Sample], ribs: &
     }
 }
 
-/// Number of segments into which each edge of the octahedron is cut, for a ball at a point.
+/// Number of parts into which each edge of the octahedron is cut, for the ball at a point.
 const BALL_PARTS: u32 = 4;
 
-/// A ball of diameter 1: an octahedron whose edges are cut into `parts` segments, with 8 parts²
-/// triangles.
+/// Returns a ball of diameter 1. It is an octahedron whose edges are cut into `parts` segments, so
+/// it has 8 parts² triangles.
 pub(crate) fn ball(parts: u32) -> Geometry {
     let mut geometry = Geometry::default();
     for octant in 0..8 {
@@ -444,8 +446,8 @@ pub(crate) fn ball(parts: u32) -> Geometry {
     geometry
 }
 
-/// Balls at points, each with its own colour; `face_of_triangle` is the index of the point. If all
-/// points have the same colour, instances of [`ball`] take less memory.
+/// Returns balls at points, each with its own colour. In `face_of_triangle`, each triangle has the
+/// index of its point. If all points have the same colour, instances of [`ball`] take less memory.
 pub(crate) fn colored_balls(
     points: &[Vec3],
     diameter: impl Fn(usize) -> f32,
@@ -479,7 +481,7 @@ mod tests {
         Curves { points, vertex_counts: counts, basis, wrap, widths: ONE, normals: None, colors: None, uvs: [None; 2] }
     }
 
-    /// Positions on the spine: means of the rings.
+    /// Returns the centres of a tube's rings.
     fn spine(geometry: &Geometry, rings: usize, sides: usize) -> Vec<Vec3> {
         (0..rings)
             .map(|ring| geometry.positions[ring * (sides + 1)..][..sides].iter().sum::<Vec3>() / sides as f32)
@@ -509,13 +511,13 @@ mod tests {
             spine(&geometry, 8 * segments + 1, 12)
         };
         let close = |a: Vec3, b: Vec3| assert!(a.distance(b) < 1e-5, "{a} {b}");
-        // Bézier: passes through every third point; at t = ½ it is (p0 + 3 p1 + 3 p2 + p3)/8
+        // a Bézier curve passes through every third point; at t = ½ it is (p0 + 3 p1 + 3 p2 + p3)/8
         let bezier = run(Basis::Bezier, Wrap::Nonperiodic);
         assert_eq!(bezier.len(), 17);
         close(bezier[8], points[3]);
         close(bezier[4], Vec3::new(2.0, 1.5, 0.0));
         close(bezier[16], points[6]);
-        // B-spline: (p0 + 4 p1 + p2)/6 where segments join
+        // a B-spline is (p0 + 4 p1 + p2)/6 where segments join
         let spline = run(Basis::BSpline, Wrap::Nonperiodic);
         assert_eq!(spline.len(), 33);
         close(spline[0], (points[0] + 4.0 * points[1] + points[2]) / 6.0);
@@ -523,7 +525,7 @@ mod tests {
         let pinned = run(Basis::BSpline, Wrap::Pinned);
         close(pinned[0], points[0]);
         close(pinned[48], points[6]);
-        // Catmull–Rom: passes through the points
+        // a Catmull–Rom curve passes through its points
         let catmull = run(Basis::CatmullRom, Wrap::Nonperiodic);
         close(catmull[0], points[1]);
         close(catmull[16], points[3]);
@@ -538,7 +540,7 @@ mod tests {
 
     #[test]
     fn a_closed_tube_is_a_torus() {
-        // control points of a B-spline close to a circle of radius 2
+        // the control points are close to a circle of radius 2
         let points: Vec<Vec3> = (0..24)
             .map(|i| TAU * i as f32 / 24.0)
             .map(|a| 2.0 * Vec3::new(a.cos(), a.sin(), 0.3 * (2.0 * a).sin()))
@@ -550,7 +552,7 @@ mod tests {
         }
         let flat: Vec<Vec3> = points.iter().map(|p| Vec3::new(p.x, p.y, 0.0)).collect();
         let torus = tessellate(&curves(&flat, &[24], Basis::CatmullRom, Wrap::Periodic));
-        // by Pappus's theorem, the volume is 2π·2 times the area of the cross-section
+        // by Pappus's theorem, the volume is the area of the cross-section times 2π·2
         assert!((torus.volume() / (4.0 * PI * 0.75) - 1.0).abs() < 0.01, "{}", torus.volume());
     }
 

@@ -23,9 +23,9 @@ pub enum UsdError {
         "LUMISTACK_PYTHON: expected a Python with the package usd-core, found {found}. Type `{python} -m pip install usd-core`, or unset the variable and type `lumistack setup usd`"
     )]
     GivenPython {
-        /// The value of the variable.
+        /// The program that `LUMISTACK_PYTHON` names.
         python: String,
-        /// The failure of this Python.
+        /// The reason why this Python cannot read USD files.
         found: String,
     },
     /// No Blender was found.
@@ -39,11 +39,13 @@ pub enum UsdError {
     /// The program in `LUMISTACK_BLENDER` cannot read `.blend` files.
     #[error("LUMISTACK_BLENDER: expected Blender 4.2 or newer, or a Python with the package bpy, found {found}")]
     GivenBlender {
-        /// The program's name, and its failure.
+        /// Name of the program, and the reason why it cannot read `.blend` files.
         found: String,
     },
     /// Python or Blender ended without a scene.
-    #[error("{file}: expected a scene from {python}, found {found}")]
+    #[error(
+        "{file}: expected {python} to return a scene, found {found}. Test the file in a USD viewer or in Blender, or name another program in LUMISTACK_PYTHON (USD) or LUMISTACK_BLENDER (.blend)"
+    )]
     Child {
         /// The file as the caller named it.
         file: String,
@@ -57,7 +59,7 @@ pub enum UsdError {
     Refused {
         /// The file as the caller named it.
         file: String,
-        /// The reason.
+        /// The reason why the file is refused.
         message: String,
     },
     /// A value in the scene cannot be rendered.
@@ -65,7 +67,7 @@ pub enum UsdError {
     Malformed {
         /// The file as the caller named it.
         file: String,
-        /// Path of the prim, and the attribute.
+        /// Path of the prim, and name of the attribute.
         place: String,
         /// The expected value.
         expected: String,
@@ -75,7 +77,7 @@ pub enum UsdError {
     /// A file cannot be read or written.
     #[error("{place}: {source}")]
     Io {
-        /// Path of the file or folder, or its purpose.
+        /// Path of the file or folder, or its purpose if the user does not know its path.
         place: String,
         /// The operating system's error.
         source: std::io::Error,
@@ -83,9 +85,9 @@ pub enum UsdError {
     /// Setting up a Python failed.
     #[error("setup: expected {expected}, found {found}")]
     Setup {
-        /// The result of a successful step.
+        /// Description of the step that should have succeeded.
         expected: String,
-        /// The failure.
+        /// The reason why the step failed.
         found: String,
     },
     /// The task was cancelled.

@@ -6,13 +6,13 @@ use glam::{Vec2, Vec3, Vec4};
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Geometry {
     pub(crate) positions: Vec<Vec3>,
-    /// Unit vectors, on the side from which triangles are counter-clockwise.
+    /// Unit normals of the vertices, on the side from which triangles are counter-clockwise.
     pub(crate) normals: Vec<Vec3>,
     /// Texture coordinates as in the scene: v points down (in USD v points up).
     pub(crate) uvs: [Vec<Vec2>; 2],
-    /// Linear RGBA values.
+    /// Linear RGBA values of the vertices.
     pub(crate) colors: Vec<Vec4>,
-    /// Vertex indices.
+    /// Vertex indices of the corners of each triangle.
     pub(crate) triangles: Vec<[u32; 3]>,
     /// The face of the source (a polygon or a curve) that contains each triangle.
     pub(crate) face_of_triangle: Vec<u32>,
@@ -45,12 +45,12 @@ impl Geometry {
 }
 
 impl Geometry {
-    /// Surface area.
+    /// Returns the area of all triangles together.
     pub(crate) fn area(&self) -> f64 {
         self.corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a).length()).sum()
     }
 
-    /// Positions of the corners of every triangle.
+    /// Returns the positions of the three corners of every triangle.
     pub(crate) fn corners(&self) -> impl Iterator<Item = [glam::DVec3; 3]> + Clone {
         self.triangles.iter().map(|triangle| triangle.map(|i| self.positions[i as usize].as_dvec3()))
     }

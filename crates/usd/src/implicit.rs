@@ -16,7 +16,7 @@ use crate::geometry::Geometry;
 /// − cos(π/96) = 0.05 % of its radius.
 const TURN_PARTS: usize = 96;
 
-/// The direction of a shape's spine.
+/// The direction of the axis about which a shape is round.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Axis {
     /// +x
@@ -29,7 +29,7 @@ pub(crate) enum Axis {
 }
 
 impl Axis {
-    /// Converts a vector of a shape with spine +z to this spine.
+    /// Rotates a vector of a shape whose axis is +z to the shape's own axis.
     fn turn(self, v: Vec3) -> Vec3 {
         match self {
             Self::X => Vec3::new(v.z, v.x, v.y),
@@ -44,8 +44,8 @@ impl Axis {
     }
 }
 
-/// A point of a profile: (distance from the spine, height); the normal, also as (outward, up); and
-/// the texture coordinate v.
+/// A point of a profile that is rotated about the axis: (distance from the axis, height); normal
+/// (outward, up); texture coordinate v.
 type Knot = (Vec2, Vec2, f32);
 
 /// Adds the surface of revolution of a profile. The profile runs from the top down.
@@ -99,14 +99,15 @@ fn cap(geometry: &mut Geometry, radius: f32, z: f32, up: bool) {
     }
 }
 
-/// Knots of an arc about (0, `z`) from polar angle `from` to `to`; v runs from `from_v` to `to_v`.
+/// Returns the points of an arc about (0, `z`), from polar angle `from` to polar angle `to`. The
+/// texture coordinate runs from `from_v` to `to_v`.
 fn arc(radius: f32, z: f32, [from, to]: [f32; 2], [from_v, to_v]: [f32; 2]) -> Vec<Knot> {
     let parts = ((to - from) / TAU * TURN_PARTS as f32).round().max(1.0) as usize;
     (0..=parts)
         .map(|i| {
             let share = i as f32 / parts as f32;
             let angle = from + (to - from) * share;
-            // poles are exactly on the spine, but the sine of π is not exactly 0 in f32
+            // poles are exactly on the axis, but the sine of π is not exactly 0 in f32
             let sine = if angle == 0.0 || angle == 2.0 * FRAC_PI_2 { 0.0 } else { angle.sin() };
             let normal = Vec2::new(sine, angle.cos());
             (radius * normal + Vec2::new(0.0, z), normal, from_v + (to_v - from_v) * share)
@@ -114,7 +115,7 @@ fn arc(radius: f32, z: f32, [from, to]: [f32; 2], [from_v, to_v]: [f32; 2]) -> V
         .collect()
 }
 
-/// `UsdGeomSphere`.
+/// Makes the triangles of a `UsdGeomSphere`.
 pub(crate) fn sphere(radius: f32) -> Geometry {
     let mut geometry = Geometry::default();
     revolve(&mut geometry, &arc(radius, 0.0, [0.0, 2.0 * FRAC_PI_2], [0.0, 1.0]));
@@ -233,7 +234,7 @@ mod tests {
         check(&cube(3.0), 54.0, 27.0);
         for axis in [Axis::X, Axis::Y, Axis::Z] {
             check(&cylinder(0.5, 0.5, 3.0, axis), PI * (3.0 + 0.5), PI * 0.75);
-            // a frustum: area π(R + r)·slant + π(R² + r²), volume πh/3·(R² + Rr + r²)
+            // a frustum has the area π(R + r)·slant + π(R² + r²) and the volume πh/3·(R² + Rr + r²)
             let slant = (1.0f64 + 9.0).sqrt();
             check(&cylinder(0.5, 1.5, 3.0, axis), PI * (2.0 * slant + 2.5), PI * (0.25 + 0.75 + 2.25));
             check(&cone(2.0, 3.0, axis), PI * 2.0 * (2.0 + 13.0f64.sqrt()), PI * 4.0);
@@ -247,12 +248,13 @@ mod tests {
         let geometry = capsule(top, bottom, height, Axis::Z);
         geometry.assert_sound();
         geometry.assert_closed();
-        // along its normal, every vertex is as far out as the outermost point of both balls
+        // along its normal, every vertex is as far out as the outermost point of the capsule's two
+        // balls
         for (&position, &normal) in geometry.positions.iter().zip(&geometry.normals) {
             let support = (top + normal.z * 0.5 * height).max(bottom - normal.z * 0.5 * height);
             assert!((position.dot(normal) - support).abs() < 1e-5, "{position} {normal}");
         }
-        // a capsule in which one ball contains the other
+        // if one ball of a capsule contains the other, the result is the larger ball
         let ball = capsule(0.5, 3.0, 2.0, Axis::Z);
         assert!((ball.volume() / (4.0 / 3.0 * PI * 27.0) - 1.0).abs() < TESSELLATION);
         ball.assert_closed();

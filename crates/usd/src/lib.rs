@@ -60,7 +60,7 @@ pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 /// Extensions of USD files.
 pub const EXTENSIONS: [&str; 4] = ["usd", "usda", "usdc", "usdz"];
 
-/// Choices among the contents of a file.
+/// The part of a file to load: a time, and variants.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LoadOptions {
     /// Time in seconds after the stage's first time code. `None`: the first time code; in a stage
@@ -80,7 +80,7 @@ pub struct Loaded {
     pub files: Vec<PathBuf>,
 }
 
-/// The Pythons that are tried, in this order, each with its origin.
+/// Returns the Pythons that are tried, in this order, and where each was found.
 pub fn pythons() -> Vec<(PathBuf, &'static str)> {
     let candidates = python::Surroundings::of_system().candidates().into_iter();
     candidates.map(|candidate| (candidate.program, candidate.from)).collect()
@@ -89,8 +89,8 @@ pub fn pythons() -> Vec<(PathBuf, &'static str)> {
 /// Loads a USD file.
 ///
 /// # Errors
-/// [`UsdError`] if no Python with OpenUSD is found, if the file is refused, if nothing in it can be
-/// rendered, or if the task is cancelled.
+/// [`UsdError`] if no Python has OpenUSD, if the file is refused, if nothing in it can be rendered,
+/// or if the task is cancelled.
 pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded, UsdError> {
     let name = file_name(path)?;
     let LoadOptions { time_s, variants } = options;
@@ -112,7 +112,7 @@ pub fn contents(path: &Path, task: Task<'_>) -> Result<Contents, UsdError> {
     Ok(answer.package(name)?.header.contents)
 }
 
-/// The file's name as text, after a check that the file exists.
+/// Checks that the file exists, and returns its path as text.
 fn file_name(path: &Path) -> Result<&str, UsdError> {
     lumistack_files::open(path).map_err(|source| UsdError::Io { place: path.display().to_string(), source })?;
     path.to_str().ok_or_else(|| {

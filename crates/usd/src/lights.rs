@@ -29,7 +29,7 @@ const SIDES: usize = 48;
 /// Number of segments of each edge of the octahedron that represents a sphere: 288 triangles.
 const SPHERE_PARTS: u32 = 6;
 
-/// A light as the walker describes it.
+/// A light of a package, as the walker writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Entry {
@@ -37,7 +37,7 @@ struct Entry {
     kind: String,
     radiance: [f32; 3],
     normalize: bool,
-    /// Full angle, in degrees.
+    /// Full angle of a distant light's disc in the sky, degrees.
     angle: f32,
     radius: f32,
     width: f32,
@@ -49,7 +49,7 @@ struct Entry {
     image: Option<usize>,
     format: String,
     pole_z: bool,
-    /// Matrix for row vectors, as in USD.
+    /// Matrix from the light's space to the stage, for row vectors as in USD.
     matrix: Option<[f64; 16]>,
 }
 
@@ -60,13 +60,13 @@ struct Shaping {
     /// Half angle of the cone, in degrees.
     #[serde(rename = "cone:angle")]
     angle: f32,
-    /// Fraction of the angle over which the light decreases to 0.
+    /// Fraction of the cone's angle over which the light decreases to 0.
     #[serde(rename = "cone:softness")]
     softness: f32,
     focus: f32,
 }
 
-/// A light with a surface.
+/// A light that is shown as a mesh with emission.
 #[derive(Clone, Debug)]
 pub(crate) struct LightMesh {
     pub(crate) place: String,
@@ -75,7 +75,7 @@ pub(crate) struct LightMesh {
     pub(crate) scene_from_mesh: Affine3A,
 }
 
-/// All lights of a scene.
+/// The converted lights of a scene.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Lights {
     pub(crate) surfaces: Vec<LightMesh>,
@@ -166,7 +166,8 @@ impl Lights {
         });
     }
 
-    /// Adds a light with a surface: a mesh, or a point or spot if it is small or has a cone.
+    /// Adds a light that has a surface. It becomes a mesh, or a point or spot light if it is small
+    /// or has a cone.
     fn surface(&mut self, entry: &Entry, scene_from_light: &DAffine3, textures: &mut Textures<'_>, task: Task<'_>) {
         // Build the mesh, and compensate for its area, which is a little smaller than the area of
         // the exact shape.
@@ -193,7 +194,7 @@ impl Lights {
             if entry.kind == "cylinder" {
                 return task.warn(&entry.place, "a cylinder with a cone is not supported and is left out");
             }
-            // seen from any side, a sphere's disc has a quarter of the sphere's surface area
+            // a sphere's disc, as seen from any side, has a quarter of the sphere's surface area
             let seen = if is_sphere { 0.25 } else { 1.0 };
             let intensity = if entry.normalize { seen * given } else { seen * scene_area * given };
             if entry.image.is_some() {
@@ -274,7 +275,7 @@ pub(crate) fn emissive(entry: &serde_json::Value, material: &Material, area: f32
     Some(emissive)
 }
 
-/// A mesh light as the walker describes it.
+/// The emission of a mesh that is a light, as the walker writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct MeshEntry {
@@ -283,7 +284,7 @@ struct MeshEntry {
     sync: String,
 }
 
-/// The rotation of a matrix, without its scale, shear and reflection.
+/// Returns the rotation in a matrix. Scale, shear and reflection are left out.
 fn rotation(matrix: &DAffine3) -> DQuat {
     let y = matrix.matrix3.y_axis.normalize_or(DVec3::Y);
     let z = matrix.matrix3.z_axis;
@@ -291,7 +292,7 @@ fn rotation(matrix: &DAffine3) -> DQuat {
     DQuat::from_mat3(&DMat3::from_cols(y.cross(z), y, z))
 }
 
-/// Surface area of a geometry after an affine map.
+/// Returns the area of a geometry after the affine map `matrix`.
 fn area(geometry: &Geometry, matrix: &DAffine3) -> f64 {
     let at = |i: u32| matrix.transform_point3(geometry.positions[i as usize].as_dvec3());
     geometry.triangles.iter().map(|&[a, b, c]| 0.5 * (at(b) - at(a)).cross(at(c) - at(a)).length()).sum()

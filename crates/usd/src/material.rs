@@ -22,13 +22,13 @@ use crate::{preview, uber};
 #[derive(Clone, Debug)]
 pub(crate) struct Loaded {
     pub(crate) material: Material,
-    /// Primvars that become texture coordinate sets 0 and 1.
+    /// Names of the primvars that become texture coordinate sets 0 and 1.
     pub(crate) uv_names: [Option<String>; 2],
     /// True if vertex colours (displayColor) multiply the base colour.
     pub(crate) reads_colors: bool,
 }
 
-/// A material as the walker describes it.
+/// A material of a package, as the walker writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Entry {

@@ -9,7 +9,7 @@ use glam::{DVec2, DVec3, Vec2, Vec3, Vec4};
 use crate::geometry::Geometry;
 use crate::polygons::{Attribute, Corner, Polygons};
 
-/// Triangles of a mesh. Holes, and faces with fewer than three corners, are left out.
+/// Cuts a mesh into triangles. Holes, and faces with fewer than three corners, are left out.
 pub(crate) fn triangulate(polygons: &Polygons) -> Geometry {
     let mut vertices = Vertices::new(polygons);
     let mut hole = vec![false; polygons.counts.len()];
@@ -41,22 +41,24 @@ pub(crate) fn triangulate(polygons: &Polygons) -> Geometry {
     vertices.geometry
 }
 
-/// A polygon's normal, whose length is twice the polygon's area.
+/// Returns a polygon's normal (Newell's method). Its length is twice the polygon's area.
 fn newell(ring: impl Iterator<Item = DVec3> + Clone) -> DVec3 {
     let Some(origin) = ring.clone().next() else { return DVec3::ZERO };
     let next = ring.clone().skip(1).chain([origin]);
     ring.zip(next).map(|(a, b)| (a - origin).cross(b - origin)).sum()
 }
 
-/// The vertices that were added so far. The vertices at one point form a linked list.
+/// The vertices of the triangles that were made so far. Vertices at the same point form a linked
+/// list.
 struct Vertices<'a> {
     polygons: &'a Polygons,
     geometry: Geometry,
-    /// First vertex at every point.
+    /// For every point, the first vertex of its linked list.
     first: Vec<u32>,
-    /// Next vertex at the same point, for every vertex.
+    /// For every vertex, the next vertex of the linked list of its point.
     next: Vec<u32>,
-    /// True if all corners at a point have equal attributes. Then one vertex per point is enough.
+    /// True if all corners at any point have equal attributes, so that one vertex per point is
+    /// enough.
     single: bool,
 }
 
@@ -114,7 +116,7 @@ impl<'a> Vertices<'a> {
     }
 }
 
-/// Cuts polygons into triangles; keeps its buffers between calls.
+/// Cuts polygons into triangles. It keeps its buffers, so that they are allocated once.
 #[derive(Default)]
 struct Cutter {
     earcut: earcut::Earcut<f64>,
@@ -141,7 +143,7 @@ impl Cutter {
         };
         let convex = (0..count).all(|i| turn(i) >= 0.0);
         if count == 4 && !convex {
-            // the diagonal begins at the concave corner, so both triangles contain this corner
+            // start the diagonal at a concave corner, so that it is inside the polygon
             let hub = if turn(1) < 0.0 || turn(3) < 0.0 { 1 } else { 0 };
             self.triangles.extend([[hub, hub + 1, hub + 2], [hub, hub + 2, (hub + 3) % 4]]);
             return &self.triangles;
@@ -175,7 +177,7 @@ mod tests {
     use super::*;
     use crate::polygons::Interpolation;
 
-    /// One face in the plane z = 0.
+    /// A mesh with a single face, which is in the plane z = 0.
     fn face(points: &[[f32; 2]]) -> Polygons {
         Polygons {
             points: points.iter().map(|&[x, y]| [x, y, 0.0]).collect(),
@@ -260,7 +262,7 @@ mod tests {
         for (interpolation, count) in all {
             for indexed in [false, true] {
                 let values: Vec<[f32; 2]> = (0..count).map(|i| [i as f32, 0.5]).collect();
-                // the indices are in reverse order, so that an index differs from the number of its
+                // reverse the order of the indices, so that an index differs from the number of its
                 // element
                 let indices: Vec<u32> = (0..count as u32).rev().collect();
                 let attribute = Attribute { values, interpolation, indices: indexed.then_some(indices) };
@@ -301,7 +303,8 @@ mod tests {
             triangulate(&Polygons { opacities: Some(opacities), ..pair() }).positions.len()
         };
         assert_eq!(agree([0.5; 8]), 6);
-        // the faces have different values along their common edge
+        // the two faces have different values along their common edge, so its points get two
+        // vertices each
         assert_eq!(agree([0., 0., 0., 0., 1., 1., 1., 1.]), 8);
     }
 

@@ -11,16 +11,16 @@ use serde::Deserialize;
 
 use crate::error::Fault;
 
-/// First bytes of a file.
+/// The first bytes of every package.
 const MAGIC: &[u8; 8] = b"LUMIPKG1";
 /// Arrays start at multiples of this number of bytes.
 const ALIGNMENT: usize = 64;
-/// Value of `schema` in the header.
+/// The value that `schema` must have in a package's header.
 const SCHEMA: &str = "lumistack.scene-package";
 
-/// A scene as the walker describes it.
+/// A scene as the walker writes it. The walker is the Python program that reads a stage.
 pub struct Package<'a> {
-    /// The content.
+    /// The scene, without its arrays.
     pub header: Header,
     /// Raw little-endian arrays; the header refers to them by index.
     pub buffers: Vec<&'a [u8]>,
@@ -34,17 +34,17 @@ pub struct Header {
     pub schema: String,
     /// Always 1.
     pub version: u32,
-    /// The reason why there is no scene.
+    /// The reason why the walker has no scene; `None` if it has one.
     pub error: Option<Failure>,
-    /// Name of the stage.
+    /// Name of the stage, for messages.
     pub name: String,
     /// "Y" or "Z": the axis that points up.
     pub up_axis: String,
-    /// Metres per unit of length.
+    /// Metres per unit of length of the stage.
     pub meters_per_unit: f64,
-    /// Every layer and texture on disk that was read.
+    /// Path of every layer and texture on disk that was read.
     pub files: Vec<String>,
-    /// Warnings for the user.
+    /// Warnings of the walker for the user.
     pub warnings: Vec<Note>,
     /// The choices that the file offers.
     pub contents: Contents,
@@ -65,14 +65,14 @@ pub struct Failure {
     /// `python` (too old), `pxr` (no OpenUSD), `scene` (the file is refused), or `walker` (an error
     /// in the walker).
     pub kind: String,
-    /// The reason, for the user.
+    /// The reason in one sentence, for the user.
     pub message: String,
 }
 
-/// A warning of the walker.
+/// A warning that the walker wrote into the package.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Note {
-    /// Prim path.
+    /// Path of the prim to which the warning applies.
     pub place: String,
     /// The warning, as one sentence.
     pub message: String,
@@ -88,7 +88,7 @@ pub struct Contents {
     pub cameras: Vec<String>,
     /// First and last time code, if the file has them.
     pub time_range: Option<TimeRange>,
-    /// Number of prims of the default traversal.
+    /// Number of prims that OpenUSD's default traversal visits.
     pub prims: usize,
     /// Number of meshes among these prims.
     pub meshes: usize,
@@ -99,20 +99,20 @@ pub struct Contents {
 /// A set of variants of a prim.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct VariantSet {
-    /// Place of the set, `/prim{set}`.
+    /// Place of the set in the stage, `/prim{set}`.
     pub place: String,
-    /// Names of the variants.
+    /// Names of the variants in the set.
     pub choices: Vec<String>,
-    /// The selected variant; may be empty.
+    /// Name of the selected variant; empty if none is selected.
     pub selected: String,
 }
 
 /// The time codes of a stage's animation.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct TimeRange {
-    /// First and last time code.
+    /// First and last time code of the animation.
     pub time_codes: [f64; 2],
-    /// Time codes per second.
+    /// Number of time codes per second.
     pub time_codes_per_second: f64,
 }
 
@@ -123,7 +123,7 @@ impl TimeRange {
     }
 }
 
-/// A shape in its own space.
+/// A shape, in its own coordinates.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[expect(clippy::large_enum_variant, reason = "nearly all of them are meshes")]
@@ -153,28 +153,28 @@ pub(crate) struct MeshEntry {
     pub(crate) place: String,
     pub(crate) points: Option<Array>,
     pub(crate) counts: Option<Array>,
-    /// Point index of every corner.
+    /// For every corner of a face, the index of its point.
     pub(crate) indices: Option<Array>,
     #[serde(default)]
     pub(crate) left_handed: bool,
-    /// True if the file declares that only the front side is visible.
+    /// True if the file declares that only the front of the mesh is visible.
     #[serde(default)]
     pub(crate) one_sided: bool,
-    /// Indices of faces that are holes.
+    /// Indices of faces that are holes in the mesh.
     pub(crate) holes: Option<Array>,
     #[serde(default)]
     pub(crate) primvars: Vec<Primvar>,
     #[serde(default)]
     pub(crate) subsets: Vec<Subset>,
-    /// Emission, if the mesh is a light.
+    /// Emission of the mesh, if the mesh is a light.
     #[serde(default)]
     pub(crate) light: Option<serde_json::Value>,
-    /// Rules of subdivision; absent for a plain polygon mesh.
+    /// Rules of subdivision; `None` for a plain polygon mesh.
     #[serde(default)]
     pub(crate) subdivision: Option<Subdivision>,
 }
 
-/// Values over a surface (a primvar).
+/// A primvar: values of an attribute over a surface.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Primvar {
     pub(crate) name: String,
@@ -184,7 +184,7 @@ pub(crate) struct Primvar {
     pub(crate) indices: Option<Array>,
 }
 
-/// Faces that have another material than the rest of the mesh.
+/// A subset of a mesh's faces that has its own material.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Subset {
     pub(crate) place: String,
@@ -213,13 +213,14 @@ pub(crate) struct Subdivision {
     pub(crate) corner_sharpnesses: Option<Array>,
 }
 
-/// An implicit shape.
+/// A shape that a formula describes, for example a sphere (`UsdGeomSphere`).
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct SolidEntry {
     pub(crate) place: String,
     /// Name of the shape: `sphere`, `cube`, `cylinder`, `cone`, `capsule` or `plane`.
     pub(crate) solid: String,
-    /// Sizes in the order of the schema's attributes; shapes with two radii list the radii first.
+    /// Sizes of the shape, in the order of the schema's attributes. A shape with two radii lists
+    /// the radii first.
     pub(crate) sizes: Vec<f32>,
     /// Axis of the shape: `x`, `y` or `z`.
     #[serde(default)]
@@ -264,48 +265,50 @@ pub(crate) struct SplatsEntry {
     pub(crate) place: String,
     #[serde(default)]
     pub(crate) positions: Option<Array>,
-    /// Quaternions `[n][4]`: i, j, k, real.
+    /// Rotations of the splats as quaternions `[n][4]`: i, j, k, real.
     #[serde(default)]
     pub(crate) orientations: Option<Array>,
     #[serde(default)]
     pub(crate) scales: Option<Array>,
     #[serde(default)]
     pub(crate) opacities: Option<Array>,
-    /// Coefficients `[n · (degree + 1)²][3]`.
+    /// Coefficients of the spherical harmonics, `[n · (degree + 1)²][3]`.
     #[serde(default)]
     pub(crate) harmonics: Option<Array>,
     pub(crate) degree: i64,
-    /// True if the kernel is flat: a disc in its xy plane.
+    /// True if splats are flat: discs in their own xy plane.
     #[serde(default)]
     pub(crate) flat: bool,
-    /// USD's name of the colour space; empty if the file has none.
+    /// USD's name of the colours' space; empty if the file has none.
     #[serde(default)]
     pub(crate) colour_space: String,
 }
 
-/// Copies of a shape.
+/// Copies of one shape, all of which have the same chain of transforms.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Placement {
     pub(crate) geometry: usize,
-    /// Index of the material of the shape, then the index of each subset's material; `None` without
-    /// a material.
+    /// Index of the shape's material, then the index of the material of each subset. `None` stands
+    /// for no material.
     pub(crate) materials: Vec<Option<usize>>,
-    /// Links of matrices, the innermost first.
+    /// Links from the shape's space to the stage, the innermost first.
     pub(crate) chain: Vec<Link>,
 }
 
-/// Matrices. For each matrix, there is one copy of everything that comes earlier in the chain.
+/// A step in the chain of transforms from a shape to the stage. Everything earlier in the chain is
+/// copied once per matrix.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Link {
     /// Matrices `[n][4][4]` for row vectors, as in USD: the translation is the last row.
     pub(crate) matrices: Array,
-    /// Prototype of each matrix, `[n]`. Only the matrices of [`prototype`](Self::prototype) apply.
+    /// Index of the prototype that each matrix places, `[n]`. Only matrices of
+    /// [`prototype`](Self::prototype) apply to this chain.
     #[serde(default)]
     pub(crate) prototypes: Option<Array>,
     /// Index of the prototype that this chain places.
     #[serde(default)]
     pub(crate) prototype: i64,
-    /// Visibility, `[n]`: 0 for hidden copies.
+    /// Visibility of each copy, `[n]`: 0 for a hidden copy.
     #[serde(default)]
     pub(crate) mask: Option<Array>,
 }
@@ -316,31 +319,32 @@ pub(crate) struct CameraEntry {
     pub(crate) place: String,
     pub(crate) projection: String,
     pub(crate) focal_length: f64,
-    /// Width and height of the aperture, in the unit of the focal length.
+    /// Width and height of the camera's aperture, in the unit of the focal length.
     pub(crate) aperture: [f64; 2],
     pub(crate) aperture_offset: [f64; 2],
     pub(crate) focus_distance: f64,
-    /// Distance of the near plane, if the file sets it.
+    /// Distance of the camera's near plane, if the file sets it.
     #[serde(default)]
     pub(crate) near: Option<f64>,
-    /// Matrix for row vectors, as in USD.
+    /// Matrix from the camera's space to the stage, for row vectors as in USD.
     pub(crate) matrix: [f64; 16],
 }
 
-/// A reference to an array.
+/// A reference to an array of numbers in the package.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Array {
-    /// Index into [`Package::buffers`].
+    /// Index of the array in [`Package::buffers`].
     pub buffer: usize,
-    /// Type of the numbers: `f16`, `f32`, `f64`, or an integer, `i8` to `i64` or `u8` to `u64`.
+    /// Type of the numbers: `f16`, `f32`, `f64`, or an integer type, `i8` to `i64` or `u8` to
+    /// `u64`.
     #[serde(rename = "type")]
     pub kind: String,
-    /// Length of every axis.
+    /// Length of every axis of the array.
     pub shape: Vec<usize>,
 }
 
 impl Header {
-    /// Reads a header.
+    /// Parses the JSON header of a package.
     ///
     /// # Errors
     /// The reason, as a phrase after "found".
@@ -355,7 +359,7 @@ impl Header {
 }
 
 impl<'a> Package<'a> {
-    /// Reads a file.
+    /// Parses a package: its header, and the range of bytes of every array.
     ///
     /// # Errors
     /// The reason, as a phrase after "found".
@@ -420,7 +424,7 @@ impl<'a> Package<'a> {
         Ok(chunks)
     }
 
-    /// The numbers of an array of integers.
+    /// Returns the numbers of an array of integers.
     pub(crate) fn integers(&self, array: &Array, place: &str) -> Result<Vec<i64>, Fault> {
         let (bytes, _) = self.bytes(array, 1, place)?;
         Ok(match array.kind.as_str() {
@@ -433,7 +437,7 @@ impl<'a> Package<'a> {
         })
     }
 
-    /// The 4 × 4 matrices of an array.
+    /// Returns the 4 × 4 matrices of an array, each as 16 numbers, row by row.
     pub(crate) fn matrices(&self, array: &Array, place: &str) -> Result<Vec<[f64; 16]>, Fault> {
         let (bytes, _) = self.bytes(array, 16, place)?;
         let values: Vec<f64> = match array.kind.as_str() {
@@ -467,7 +471,7 @@ fn from_half(bits: u16) -> f32 {
 mod tests {
     use super::*;
 
-    /// A package with one array.
+    /// Makes a package with one array, for these tests.
     fn file(header: &str, data: &[u8]) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
         bytes.extend((header.len() as u64).to_le_bytes());

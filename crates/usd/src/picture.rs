@@ -17,7 +17,7 @@ const MOST_BYTES: u64 = 2 << 30;
 /// Smallest size of a block of compressed pixels, bytes. If the header declares more blocks than
 /// fit into the file, the file is refused.
 const LEAST_BYTES_PER_BLOCK: usize = 8;
-/// Signature of OpenEXR.
+/// The first bytes of every OpenEXR file.
 const EXR: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 
 /// A decoded picture; row 0 is the top row.
@@ -32,9 +32,9 @@ pub(crate) struct Picture {
 /// alpha is 1.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Texels {
-    /// Codes 0..=255.
+    /// 8-bit codes 0..=255 of red, green, blue and alpha.
     Codes8(Vec<[u8; 4]>),
-    /// Codes 0..=65535.
+    /// 16-bit codes 0..=65535 of red, green, blue and alpha.
     Codes16(Vec<[u16; 4]>),
     /// Linear, finite values, from HDR and OpenEXR.
     Float(Vec<[f32; 4]>),
@@ -51,7 +51,7 @@ impl Picture {
             .unwrap_or_else(|_| Err("damaged in a way that its decoder cannot handle".into()))
     }
 
-    /// RGBA of a texel; codes are scaled to 0..1.
+    /// Returns red, green, blue and alpha of a texel. Integer codes are scaled to 0..1.
     pub(crate) fn texel(&self, index: usize) -> [f32; 4] {
         match &self.texels {
             Texels::Codes8(texels) => texels[index].map(|code| f32::from(code) / 255.0),
@@ -86,7 +86,7 @@ fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
     let broken = |error: image::ImageError| format!("no readable {format:?} picture ({error})");
     let decoder = reader.into_decoder().map_err(broken)?;
     let (width, height) = decoder.dimensions();
-    // four channels of at most four bytes
+    // a texel takes at most 16 bytes: four channels of at most four bytes
     if u64::from(width) * u64::from(height) * 16 > MOST_BYTES || width.max(height) > MOST_TEXELS_A_SIDE {
         return Err(format!("{width} × {height} texels, more than fit into {} MiB", MOST_BYTES >> 20));
     }
@@ -169,7 +169,7 @@ mod tests {
         picture.write_to(&mut Cursor::new(&mut png), ImageFormat::Png).unwrap();
         let decoded = Picture::decode("anything.jpg", &png).unwrap();
         assert_eq!(decoded.texels, Texels::Codes16(vec![[0, 0, 0, 65535], [65535; 4]]));
-        // an uncompressed TGA with one blue texel, stored from the top left
+        // this TGA is uncompressed and has one blue texel, stored from the top left
         let mut tga = vec![0, 0, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 1, 0, 24, 0x20];
         tga.extend([255, 0, 0]);
         assert_eq!(Picture::decode("a.TGA", &tga).unwrap().texels, Texels::Codes8(vec![[0, 0, 255, 255]]));

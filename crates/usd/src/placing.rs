@@ -2,8 +2,8 @@
 
 use glam::{DAffine3, DMat4};
 
-/// Calls `found` with every product that takes one matrix from each link. `outer` is the leftmost
-/// factor of all products.
+/// Takes one matrix from each link, in every combination, and calls `found` with the product.
+/// `outer` is the leftmost factor of every product. In `links`, the last link is the outermost.
 pub(crate) fn expand(outer: &DAffine3, links: &[Vec<DAffine3>], found: &mut dyn FnMut(DAffine3)) {
     let Some((last, inner)) = links.split_last() else { return found(*outer) };
     for matrix in last {
@@ -11,7 +11,8 @@ pub(crate) fn expand(outer: &DAffine3, links: &[Vec<DAffine3>], found: &mut dyn 
     }
 }
 
-/// Converts a matrix for row vectors. Its last column is (0, 0, 0, 1) in every transform of USD.
+/// Converts a USD matrix, which multiplies row vectors. Its last column is (0, 0, 0, 1) in every
+/// transform of USD.
 pub(crate) fn affine(matrix: &[f64; 16]) -> DAffine3 {
     DAffine3::from_mat4(DMat4::from_cols_array(matrix))
 }
@@ -24,7 +25,7 @@ mod tests {
     fn chains_multiply_from_the_inside() {
         let translate = |x: f64| DAffine3::from_translation(glam::DVec3::new(x, 0.0, 0.0));
         let scale = |s: f64| DAffine3::from_scale(glam::DVec3::splat(s));
-        // two copies, which are then scaled about the origin by three factors
+        // each of two copies is scaled about the origin by three factors, which gives six copies
         let links = vec![vec![translate(1.0), translate(2.0)], vec![scale(10.0), scale(100.0), scale(1000.0)]];
         let mut found = Vec::new();
         expand(&translate(0.5), &links, &mut |matrix| found.push(matrix.translation.x));
@@ -41,7 +42,7 @@ mod tests {
             *value = if i % 5 == 0 { 1.0 } else { 0.0 };
         }
         matrix[12..15].copy_from_slice(&[7.0, 8.0, 9.0]);
-        // maps x to y
+        // the matrix maps the x axis to the y axis
         (matrix[0], matrix[1]) = (0.0, 1.0);
         let affine = affine(&matrix);
         assert_eq!(affine.transform_point3(glam::DVec3::X), glam::DVec3::new(7.0, 9.0, 9.0));

@@ -4,16 +4,16 @@
 use crate::error::Fault;
 use crate::package::{MeshEntry, Package, Primvar};
 
-/// Faces, points and primvars.
+/// A polygon mesh: its points, faces, and attributes over them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Polygons {
     pub(crate) points: Vec<[f32; 3]>,
     /// Number of corners per face, ≥ 0. Their sum is the length of [`corners`](Self::corners).
     pub(crate) counts: Vec<i32>,
-    /// Index of the point of every corner.
+    /// For every corner of a face, the index of its point.
     pub(crate) corners: Vec<i32>,
     pub(crate) left_handed: bool,
-    /// Indices of faces that are holes; may be out of range.
+    /// Indices of faces that are holes; an index may be out of range.
     pub(crate) holes: Vec<i32>,
     pub(crate) normals: Option<Attribute<3>>,
     pub(crate) uvs: [Option<Attribute<2>>; 2],
@@ -21,16 +21,17 @@ pub(crate) struct Polygons {
     pub(crate) opacities: Option<Attribute<1>>,
 }
 
-/// A primvar: values and their interpolation.
+/// A primvar of the mesh: its values, and the elements to which they belong.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Attribute<const N: usize> {
     pub(crate) values: Vec<[f32; N]>,
     pub(crate) interpolation: Interpolation,
-    /// Index of the value of each element. Without indices, element i has value i.
+    /// For each element that has a value, the index of the value. Without this list, element i has
+    /// value i.
     pub(crate) indices: Option<Vec<u32>>,
 }
 
-/// The elements of a mesh that have values.
+/// States which elements of a mesh have values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Interpolation {
     /// The whole mesh has one value.
@@ -45,7 +46,7 @@ pub(crate) enum Interpolation {
     FaceVarying,
 }
 
-/// Indices of a corner, its face and its point.
+/// A corner of a face: the index of the face, of the point, and of the corner among all corners.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Corner {
     pub(crate) face: usize,
@@ -54,7 +55,7 @@ pub(crate) struct Corner {
 }
 
 impl<const N: usize> Attribute<N> {
-    /// Index of the value at a corner.
+    /// Returns the index of the value that applies at a corner.
     pub(crate) fn index(&self, at: Corner) -> usize {
         let element = match self.interpolation {
             Interpolation::Constant => 0,
@@ -75,7 +76,7 @@ impl<const N: usize> Attribute<N> {
     }
 }
 
-/// Primvars that become texture coordinate sets 0 and 1.
+/// Names of the primvars that become the texture coordinate sets 0 and 1.
 pub(crate) type UvNames<'a> = [Option<&'a str>; 2];
 
 /// Reads a mesh; `warn` receives a message for each primvar that is left out.
@@ -135,7 +136,7 @@ pub(crate) fn read(
     Ok(polygons)
 }
 
-/// Number of elements of each kind.
+/// Number of faces, points and corners of a mesh.
 struct Sizes {
     faces: usize,
     points: usize,
@@ -190,7 +191,7 @@ impl Reader<'_, '_> {
             }
         };
         let found = indices.as_ref().map_or(values.len(), Vec::len);
-        // a constant may be the first value of a list with more values
+        // a list for a constant may have more values, of which the first is used
         if found < elements || (found > elements && interpolation != Interpolation::Constant) {
             return Err(format!("a list of length {found}, but {} needs {elements}", primvar.interpolation));
         }

@@ -10,7 +10,7 @@ use glam::Vec3;
 
 use crate::slots::{Builder, Inputs, Value};
 
-/// Inputs without a counterpart, with their defaults.
+/// Inputs that have no effect here, with their defaults. A warning names those with other values.
 const WITHOUT: [(&str, f32); 1] = [("displacement", 0.0)];
 
 pub(crate) fn build(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> &'static [(&'static str, f32)] {
@@ -36,7 +36,7 @@ pub(crate) fn build(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> &'static 
     builder.coat(&weight, &coat_roughness, &normal);
     builder.material.normal_texture = builder.normal(&normal);
     // Read these inputs, so that no warning lists them. The path tracer itself computes occlusion,
-    // and the mode has no effect.
+    // and the opacity mode has no effect.
     inputs.number("occlusion", 1.0);
     inputs.text("opacityMode");
     &WITHOUT

@@ -10,19 +10,19 @@ pub(crate) const VARIABLE: &str = "LUMISTACK_PYTHON";
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Candidate {
     pub(crate) program: PathBuf,
-    /// Origin of the Python, for messages.
+    /// Source of the Python's path, such as a variable or `PATH`, for messages.
     pub(crate) from: &'static str,
     /// True if the user named this Python.
     pub(crate) given: bool,
 }
 
-/// The values of the environment that determine the candidates.
+/// The environment variables and folders in which a Python is searched.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Surroundings {
     pub(crate) given: Option<PathBuf>,
     /// Folders of the active virtual and conda environments.
     pub(crate) active: [Option<PathBuf>; 2],
-    /// The environment that `lumistack setup usd` makes.
+    /// Folder of the environment that `lumistack setup usd` makes.
     pub(crate) own: Option<PathBuf>,
 }
 
@@ -36,7 +36,7 @@ impl Surroundings {
         }
     }
 
-    /// Pythons that are tried, in this order.
+    /// Returns the Pythons that are tried, in this order.
     pub(crate) fn candidates(&self) -> Vec<Candidate> {
         if let Some(program) = &self.given {
             return vec![Candidate { program: program.clone(), from: VARIABLE, given: true }];
@@ -63,7 +63,7 @@ pub(crate) fn on_path(program: &Path) -> Option<PathBuf> {
     std::env::split_paths(&var_os("PATH")?).map(|folder| folder.join(&file)).find(|place| place.is_file())
 }
 
-/// The interpreter of a virtual environment.
+/// Returns the path of the interpreter in a virtual environment.
 pub(crate) fn interpreter(environment: &Path) -> PathBuf {
     if cfg!(windows) { environment.join("Scripts/python.exe") } else { environment.join("bin/python") }
 }
@@ -72,7 +72,8 @@ fn conda_interpreter(environment: &Path) -> PathBuf {
     if cfg!(windows) { environment.join("python.exe") } else { environment.join("bin/python") }
 }
 
-/// The environment that `lumistack setup usd` makes: `lumistack/python` in the user's data folder.
+/// Returns the environment that `lumistack setup usd` makes: `lumistack/python` in the user's data
+/// folder.
 pub(crate) fn own_environment() -> Option<PathBuf> {
     let folder = |name: &str| var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let data = if cfg!(windows) {

@@ -103,7 +103,7 @@ struct Carrier<'r> {
 }
 
 impl Carrier<'_> {
-    /// Interpolates an attribute of the control mesh on the refined mesh.
+    /// Interpolates an attribute of the control mesh at the elements of the refined mesh.
     fn carried<const N: usize>(&self, attribute: &Attribute<N>) -> Option<Attribute<N>> {
         let interpolation = attribute.interpolation;
         let number = |element: usize| attribute.indices.as_ref().map_or(element as u32, |indices| indices[element]);

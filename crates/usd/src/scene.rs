@@ -42,7 +42,7 @@ pub fn scene_from_package(name: &str, package: &Package<'_>, task: Task<'_>) -> 
     assemble(name, package, task).map_err(|fault| fault.in_file(name))
 }
 
-/// Adds the file's name in front of the place of every warning.
+/// A receiver of warnings that adds the file's name in front of each warning's place.
 struct InFile<'a> {
     name: &'a str,
     inner: &'a dyn Warnings,
@@ -84,7 +84,7 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
     }
     assembly.light(&mut textures, &scene_from_stage);
     (assembly.parts.images, assembly.parts.textures) = (textures.images, textures.textures);
-    // Cameras that show nothing are left out.
+    // Convert the cameras, and leave out cameras that show nothing.
     for entry in &header.cameras {
         if entry.aperture_offset != [0.0, 0.0] {
             task.warn(&entry.place, "the offset of the camera's aperture is not supported; the aperture is centred");
@@ -106,13 +106,13 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
     })
 }
 
-/// A material of the package, with its index in the scene.
+/// A material that was converted, with its index in the scene.
 struct Bound {
-    /// Index in the scene's materials.
+    /// Index of the material in the scene.
     material: usize,
-    /// Primvars that its textures read as texture coordinates.
+    /// Names of the primvars that the material's textures read as coordinate sets 0 and 1.
     uv_names: [Option<String>; 2],
-    /// True if vertex colours multiply its base colour.
+    /// True if vertex colours multiply the material's base colour.
     reads_colors: bool,
 }
 
@@ -123,11 +123,12 @@ struct Assembly<'a> {
     /// Materials by their index in the package; `None` if the shader is unknown, so that the
     /// display colour applies.
     materials: Vec<Option<Bound>>,
-    /// Materials for display colours, by the bits of the colour and true if it is transparent.
+    /// Indices of materials for display colours. The key is the bits of the colour, and true if the
+    /// material is transparent.
     plain: HashMap<([u32; 4], bool), usize>,
-    /// One-sided copies of materials, by the index of the original.
+    /// Indices of one-sided copies of materials; the key is the index of the original.
     one_sided: HashMap<usize, usize>,
-    /// Indices of the meshes or of the cloud of a shape, by the shape and its materials.
+    /// Indices of the meshes or of the cloud of a shape. The key is the shape and its materials.
     shown: HashMap<(usize, Vec<Option<usize>>), Vec<usize>>,
 }
 
@@ -144,7 +145,8 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    /// Adds the lights: emitting meshes, point lights, the environment.
+    /// Adds the lights of the package to the scene: meshes with emission, point lights and the
+    /// environment.
     fn light(&mut self, textures: &mut Textures<'_>, scene_from_stage: &DAffine3) {
         let mut lights = Lights::default();
         for entry in &self.package.header.lights {
@@ -165,7 +167,7 @@ impl<'a> Assembly<'a> {
         Mesh { place, positions, normals, tangents: Vec::new(), uvs, colors, triangles, material }
     }
 
-    /// Meshes of shapes other than polygon meshes; such a shape has one material.
+    /// Makes the meshes of a shape that is not a polygon mesh. Such a shape has one material.
     fn other(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
         let bound = materials.first().copied().flatten().and_then(|index| self.materials[index].as_ref());
         let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
@@ -179,7 +181,8 @@ impl<'a> Assembly<'a> {
             }
             Shape::Points(entry) => (shapes::balls(self.package, entry, self.task)?, &entry.primvars),
         };
-        // If the vertices have no colours, a constant display colour of the whole shape applies.
+        // Read a constant display colour of the whole shape, which applies if the vertices have no
+        // colours.
         let constant = primvars.iter().filter(|primvar| primvar.interpolation == "constant").cloned().collect();
         let whole = MeshEntry { place: shape.place().to_owned(), primvars: constant, ..MeshEntry::default() };
         let whole = polygons::read(self.package, &whole, [None, None], &mut |_| {})?;
@@ -246,7 +249,7 @@ impl<'a> Assembly<'a> {
             let found = format!("more (levels of nested copies: {}); use fewer or less nested instancers", links.len());
             return Err(Fault::new(place, format!("at most {MOST_INSTANCES} instances and splat clouds"), found));
         }
-        // Add an instance for every product that takes one matrix from each link.
+        // Add an instance for every combination of one matrix from each link.
         let is_cloud = matches!(shape, Shape::Splats(_));
         let mut left_out = 0;
         expand(scene_from_stage, &links, &mut |scene_from_shape| {
@@ -266,8 +269,8 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    /// The cloud of a field of splats. `None` if it has no splats, or after a warning if its arrays
-    /// are inconsistent.
+    /// Converts a field of splats to a cloud. `None` if it has no splats, or after a warning if its
+    /// arrays are inconsistent.
     fn cloud(&mut self, entry: &SplatsEntry) -> Result<Option<Cloud>, Fault> {
         match splats::cloud(self.package, entry, self.task) {
             Ok(cloud) => Ok((!cloud.is_empty()).then_some(cloud)),
@@ -279,7 +282,7 @@ impl<'a> Assembly<'a> {
         }
     }
 
-    /// Matrices of the visible copies of a link.
+    /// Returns the matrices of a link, without those of hidden copies and of other prototypes.
     fn link(&self, link: &Link, place: &str) -> Result<Vec<DAffine3>, Fault> {
         let matrices = self.package.matrices(&link.matrices, place)?;
         let column = |array: &Option<crate::package::Array>| -> Result<Option<Vec<i64>>, Fault> {
@@ -298,7 +301,7 @@ impl<'a> Assembly<'a> {
         Ok((0..matrices.len()).filter(|&i| is_shown(i)).map(|i| affine(&matrices[i])).collect())
     }
 
-    /// The meshes of a shape: one per material.
+    /// Makes the meshes of a shape, one for each of its materials.
     fn meshes(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
         let Shape::Mesh(entry) = shape else {
             return match self.other(shape, materials) {
@@ -347,7 +350,7 @@ impl<'a> Assembly<'a> {
                 let task = self.task;
                 let mut warn = |message: String| task.warn(&entry.place, message);
                 let polygons = polygons::read(self.package, entry, names, &mut warn)?;
-                // a bilinear surface consists of the polygons themselves, so it is not refined
+                // a bilinear surface consists of the polygons themselves, so do not refine it
                 let smooth = entry.subdivision.as_ref().filter(|subdivision| subdivision.scheme != "bilinear");
                 let (polygons, parents) = match smooth {
                     Some(subdivision) => {
@@ -388,7 +391,7 @@ impl<'a> Assembly<'a> {
         Ok(meshes)
     }
 
-    /// A copy of a material that is visible only from the front.
+    /// Returns the index of a copy of a material that is visible only from the front.
     fn one_sided(&mut self, material: usize) -> usize {
         let materials = &mut self.parts.materials;
         *self.one_sided.entry(material).or_insert_with(|| {
@@ -417,7 +420,8 @@ impl<'a> Assembly<'a> {
         Ok(Some(slots))
     }
 
-    /// The material of a mesh without a binding, and true if vertex colours multiply it.
+    /// Returns the index of the material for a mesh to which the file binds none. The `bool` is
+    /// true if vertex colours multiply it.
     fn plain(&mut self, polygons: &Polygons) -> (usize, bool) {
         let constant = |interpolation| interpolation == Interpolation::Constant;
         let color = polygons.colors.as_ref();
@@ -444,7 +448,7 @@ impl<'a> Assembly<'a> {
     }
 }
 
-/// A surface with the defaults of UsdPreviewSurface, and this base colour.
+/// Makes a material with this base colour. Its other values are the defaults of UsdPreviewSurface.
 fn plain(base_color: Vec4, blends: bool) -> Material {
     Material {
         name: "displayColor".into(),
@@ -457,7 +461,7 @@ fn plain(base_color: Vec4, blends: bool) -> Material {
     }
 }
 
-/// The triangles of the selected faces, with the vertices that they use.
+/// Returns the triangles of the faces for which `takes` is true, with the vertices that they use.
 fn part(geometry: &Geometry, takes: impl Fn(u32) -> bool) -> Geometry {
     const NONE: u32 = u32::MAX;
     let mut new = vec![NONE; geometry.positions.len()];

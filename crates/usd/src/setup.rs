@@ -51,7 +51,7 @@ impl Setup {
         made
     }
 
-    /// The Python that creates the environment, and its version.
+    /// Finds the Python that creates the environment. Returns its path and its version.
     fn base(&self, cancel: &Cancel) -> Result<(PathBuf, String), UsdError> {
         let on_path = Surroundings::default().candidates().into_iter().map(|candidate| candidate.program);
         let programs: Vec<PathBuf> = match &self.python {

@@ -11,16 +11,17 @@ use crate::package::{Array, CurvesEntry, Package, PointsEntry, Primvar, SolidEnt
 use crate::polygons::UvNames;
 use crate::spacing::{self, Rule};
 
-/// Width of curves without widths. With this rule, some ground stays visible between hairs.
+/// Rule for the width of curves without widths. Some ground stays visible between hairs.
 const CURVES: Rule = Rule { of_spacing: 0.25, largest: 0.005, smallest: 0.0001 };
-/// Width of points without widths. With this rule, neighbouring points nearly touch.
+/// Rule for the width of points without widths. Neighbouring points nearly touch.
 const POINTS: Rule = Rule { of_spacing: 0.75, largest: 0.02, smallest: 0.0001 };
-/// Width of curves and points that have neither neighbours nor an extent, scene units.
+/// Width in scene units of a curve or point without a width, if no rule applies: it has neither
+/// neighbours nor an extent.
 const WIDTH: f32 = 1.0;
 /// Largest number of points of a prim that are shown: each becomes a ball of 128 triangles.
 const MOST_POINTS: usize = 1 << 18;
 
-/// Triangles of an implicit shape.
+/// Makes the triangles of a shape that a formula describes.
 pub(crate) fn solid(entry: &SolidEntry) -> Result<Geometry, Fault> {
     let axis = match entry.axis.as_str() {
         "x" => Axis::X,
@@ -76,7 +77,7 @@ fn interpolation(name: &str) -> Interpolation {
     }
 }
 
-/// Owns the list that a [`Data`] refers to.
+/// The values of an attribute of curves or points, to which a [`Data`] refers.
 struct Owned {
     values: Vec<f32>,
     width: usize,
@@ -101,7 +102,7 @@ impl Owned {
     }
 }
 
-/// Triangles of curves.
+/// Reads the curves of a prim and makes their triangles.
 pub(crate) fn curves(
     package: &Package<'_>,
     entry: &CurvesEntry,
@@ -128,7 +129,7 @@ pub(crate) fn curves(
         "pinned" => Wrap::Pinned,
         _ => Wrap::Nonperiodic,
     };
-    // Read the attributes; missing widths follow from the spacing of the curves.
+    // Read the attributes. If widths are missing, they follow from the spacing of the curves.
     let list = |array: &Option<Array>, name: &str| -> Result<Option<Owned>, Fault> {
         let Some(array) = array else { return Ok(None) };
         let (values, width) = reals(package, array, place)?;
@@ -171,7 +172,7 @@ fn middles(points: &[Vec3], counts: &[i32]) -> Vec<Vec3> {
     counts.iter().filter_map(middle).collect()
 }
 
-/// Triangles of points.
+/// Reads the points of a prim and makes a ball for each.
 pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) -> Result<Geometry, Fault> {
     let place = entry.place.as_str();
     let mut points = points(package, &entry.points, place)?;
@@ -179,7 +180,7 @@ pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) 
         task.warn(place, format!("of {} points the first {MOST_POINTS} are shown", points.len()));
         points.truncate(MOST_POINTS);
     }
-    // Missing widths follow from the spacing of the points.
+    // If widths are missing, they follow from the spacing of the points.
     let widths = match &entry.widths {
         Some(array) => reals(package, array, place)?.0,
         None => Vec::new(),

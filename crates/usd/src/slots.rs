@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 use crate::texture::{Channel, Kind, Source, Textures};
 
-/// An input, of which exactly one field is set.
+/// An input of a shader. Exactly one field is set.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 pub(crate) struct Input {
@@ -25,16 +25,16 @@ pub(crate) struct Input {
 #[derive(Clone, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "a material has about twenty values, and only while it is read")]
 pub(crate) enum Value<const N: usize> {
-    /// A constant value.
+    /// The value is constant.
     Constant([f32; N]),
-    /// A texture.
+    /// The value comes from a texture.
     Texture(Source),
-    /// Vertex colours.
+    /// The value is the vertex colour.
     Colors,
 }
 
 impl Value<1> {
-    /// The value, if it is a constant number.
+    /// Returns the number, or `None` if it comes from a texture or from the vertex colour.
     pub(crate) fn number(&self) -> Option<f32> {
         match self {
             Self::Constant([value]) => Some(*value),
@@ -51,10 +51,10 @@ impl Value<1> {
     }
 }
 
-/// Index of refraction of every clearcoat.
+/// Index of refraction that every clearcoat has in this renderer.
 const COAT_INDEX: f32 = 1.5;
 
-/// The inputs of a shader, and a record of which of them were read.
+/// The inputs of a shader. A record of those that were read shows which inputs have no effect.
 pub(crate) struct Inputs {
     inputs: BTreeMap<String, Input>,
     read: RefCell<BTreeSet<&'static str>>,
@@ -65,7 +65,7 @@ impl Inputs {
         Self { inputs, read: RefCell::default() }
     }
 
-    /// An input of `N` components; a single number is used for all components.
+    /// Reads an input of `N` components. A single number is used for all components.
     pub(crate) fn get<const N: usize>(&self, name: &'static str, default: [f32; N]) -> Value<N> {
         self.read.borrow_mut().insert(name);
         let Some(input) = self.inputs.get(name) else { return Value::Constant(default) };
@@ -127,7 +127,7 @@ impl Inputs {
     }
 }
 
-/// Fills the slots of a material.
+/// A material that is being built from a shader: its methods fill the material's slots.
 pub(crate) struct Builder<'b, 'a> {
     pub(crate) place: String,
     pub(crate) textures: &'b mut Textures<'a>,
@@ -142,7 +142,7 @@ impl<'a> Builder<'_, 'a> {
         self.task.warn(&self.place, message);
     }
 
-    /// Index of the texture coordinate set for a primvar.
+    /// Returns the index of the texture coordinate set that holds a primvar.
     fn uv_set(&mut self, name: &str) -> usize {
         for set in 0..2 {
             match &self.uv_names[set] {
@@ -222,7 +222,7 @@ impl<'a> Builder<'_, 'a> {
         };
         let textured = |channel: &Channel<'_>| matches!(channel, Channel::Component(..));
         if !channels.iter().any(textured) {
-            // The texture contains only the opacity, so its colour is white.
+            // The colour is constant. If opacity needs a texture, the texture's colour is white.
             let constant = |channel: &Channel<'_>| if let Channel::Constant(value) = channel { *value } else { 1.0 };
             factor = Vec3::new(constant(&channels[0]), constant(&channels[1]), constant(&channels[2]));
             channels = [Channel::Constant(1.0); 3];
@@ -243,7 +243,7 @@ impl<'a> Builder<'_, 'a> {
             (false, true) => AlphaMode::Mask { cutoff: threshold },
             (false, false) => AlphaMode::Blend,
         };
-        // an alpha mask with a constant above the threshold hides nothing
+        // an alpha mask with a constant opacity above the threshold hides nothing
         if alpha_channel_is_unused(&alpha_channel) && !opaque && threshold > 0.0 && alpha >= threshold {
             self.material.alpha_mode = AlphaMode::Opaque;
         }
@@ -262,7 +262,7 @@ impl<'a> Builder<'_, 'a> {
         material.roughness = part(&rough).unwrap_or(material.roughness);
         material.metallic = part(&metal).unwrap_or(material.metallic);
         fn place(found: &Option<(Vec3, Source)>) -> Channel<'_> {
-            // a constant is in the factor, so the texture's channel is 1
+            // the constant is in the material's factor, so the texture's channel is 1
             found.as_ref().map_or(Channel::Constant(1.0), |(_, source)| Channel::Component(source, 0))
         }
         if rough.is_some() || metal.is_some() {
@@ -280,12 +280,12 @@ impl<'a> Builder<'_, 'a> {
         self.slot([channels[0], channels[1], channels[2], Channel::Unused], Kind::Normal)
     }
 
-    /// Sets the emission, which is a colour times a weight. At most one of the two may be a
-    /// texture.
+    /// Sets the emission, which is a colour times a weight. Either the colour or the weight may be
+    /// a texture, but not both.
     pub(crate) fn emission(&mut self, color: &Value<3>, weight: &Value<1>) {
         let (color, factor) = match (color, weight) {
             (color, Value::Constant([factor])) => (color.clone(), *factor),
-            // the weight's texture is multiplied by the constant colour
+            // multiply the texture of the weight by the constant colour
             (Value::Constant(color), Value::Texture(source)) => (Value::Texture(tinted(source, *color)), 1.0),
             (color, Value::Texture(source)) => {
                 self.warn("an emission whose colour and weight are both pictures is not supported; the weight's fallback is used");
@@ -303,7 +303,7 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Sets the clearcoat.
+    /// Sets the clearcoat's weight, roughness and normal map. A constant weight of 0 sets none.
     pub(crate) fn coat(&mut self, weight: &Value<1>, roughness: &Value<1>, normal: &Value<3>) {
         if weight.number().is_some_and(|weight| weight <= 0.0) {
             return;
@@ -322,7 +322,7 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Sets the sheen.
+    /// Sets the sheen's colour and roughness. A weight of 0 sets none.
     pub(crate) fn sheen(&mut self, weight: f32, color: &Value<3>, roughness: &Value<1>) {
         if weight <= 0.0 {
             return;
@@ -363,8 +363,8 @@ impl<'a> Builder<'_, 'a> {
             (material.attenuation_color, material.attenuation_distance) = (color, depth);
             tint = Vec3::ONE;
         }
-        // The base colour tints both diffuse and transmitted light, so it becomes a mix of their
-        // two tints.
+        // The base colour of the scene tints diffuse and transmitted light alike. So it becomes a
+        // mix of the shader's diffuse colour and of its transmission colour.
         let base = material.base_color.truncate().lerp(tint, factor.clamp(0.0, 1.0));
         material.base_color = base.extend(material.base_color.w);
         if factor >= 1.0 {
@@ -373,7 +373,7 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Sets the dielectric reflection.
+    /// Sets the weight and colour of the dielectric reflection, and the index of refraction.
     pub(crate) fn specular(&mut self, weight: &Value<1>, color: &Value<3>, ior: f32) {
         (self.material.specular, self.material.specular_texture) = self.data(weight, 3);
         (self.material.specular_color, self.material.specular_color_texture) = self.color(color, Kind::Color);
@@ -411,7 +411,8 @@ fn factored(source: &Source, kind: Kind) -> (Vec3, Source) {
     (factor, Source { scale: vec![1.0; source.scale.len()], ..source.clone() })
 }
 
-/// The luminance of a colour, for opacity.
+/// Converts a colour to one number, for opacity: a constant to its luminance, a texture to its
+/// first component.
 pub(crate) fn grey(value: &Value<3>) -> Value<1> {
     match value {
         Value::Constant(color) => Value::Constant([luminance(*color)]),

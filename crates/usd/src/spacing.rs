@@ -2,18 +2,20 @@
 
 use glam::Vec3;
 
-/// Largest number of positions for which the nearest neighbour is searched.
+/// Largest number of positions whose nearest neighbour is searched. The median of so many is
+/// enough.
 const ASKED: usize = 256;
 
-/// A width as a fraction of the spacing. Its bounds are fractions of the diagonal of the bounding
-/// box.
+/// A rule for a width: a fraction of the distance between neighbours, within bounds. The bounds are
+/// fractions of the diagonal of the bounding box.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rule {
-    /// Fraction of the median distance between neighbours.
+    /// Width as a fraction of the median distance between neighbours.
     pub(crate) of_spacing: f32,
-    /// The largest width. It also applies if there are no neighbours.
+    /// Largest width, as a fraction of the diagonal of the bounding box. It also applies if there
+    /// are no neighbours.
     pub(crate) largest: f32,
-    /// The smallest width.
+    /// Smallest width, as a fraction of the diagonal of the bounding box.
     pub(crate) smallest: f32,
 }
 
@@ -32,10 +34,10 @@ pub(crate) fn width(places: &[Vec3], points: &[Vec3], rule: Rule) -> Option<f32>
     Some((rule.of_spacing * spacing).clamp(rule.smallest * diagonal, largest))
 }
 
-/// Median distance to the nearest other position, without coincident positions. `None` if no
-/// position has a neighbour.
+/// Returns the median distance of the positions to their nearest neighbours. Coincident positions
+/// do not count as neighbours. `None` if no position has a neighbour.
 fn median_spacing(places: &[Vec3]) -> Option<f32> {
-    // an evenly spread sample of the positions is compared with all positions
+    // compare an evenly spread sample of the positions with all positions
     let asked = places.len().min(ASKED);
     let mut distances: Vec<f32> = (0..asked)
         .map(|i| places[i * places.len() / asked])
@@ -68,12 +70,12 @@ mod tests {
             let found = width(places, &long, RULE).unwrap();
             assert!((found / expected - 1.0).abs() < 1e-5, "{found}, not {expected}");
         };
-        // a place alone, or far from its neighbour, gets the largest width
+        // a single position, or one far from its neighbour, gets the largest width
         is_about(&long[..1], 0.1);
         is_about(&long, 0.1);
-        // nearly coincident places get the smallest width
+        // nearly coincident positions get the smallest width
         is_about(&[Vec3::ZERO, Vec3::new(1e-9, 0.0, 0.0)], 0.001);
-        // coincident places have no spacing, so they get the largest width
+        // coincident positions have no spacing, so they get the largest width
         is_about(&[Vec3::ONE; 9], 0.1);
         assert_eq!(width(&[Vec3::ONE; 9], &[Vec3::ONE; 9], RULE), None);
         assert_eq!(width(&[], &[Vec3::NAN], RULE), None);

@@ -28,7 +28,7 @@ pub(crate) fn cloud(package: &Package<'_>, entry: &SplatsEntry, task: Task<'_>) 
     let harmonics = rows::<3>(package, &entry.harmonics, count * stride, "harmonics", place, task)?;
     let (degree, harmonics) = match harmonics {
         Some(all) => (degree, all.chunks_exact(stride).flat_map(|own| own[..kept].as_flattened()).copied().collect()),
-        // without harmonics, the colour is ½ in every direction
+        // without harmonics the coefficients are 0, so the colour is ½ in every direction
         None => (0, vec![0.0; 3 * count]),
     };
     let flat = if entry.flat { Vec3::new(1.0, 1.0, 0.0) } else { Vec3::ONE };
@@ -66,8 +66,8 @@ fn rows<const N: usize>(
     Ok(Some(rows))
 }
 
-/// The encoding of a named colour space. Captures contain sRGB even if their files do not declare
-/// it.
+/// Returns the encoding of colours in the space `name`. Captures contain sRGB even if their files
+/// do not declare it.
 fn encoding(name: &str, place: &str, task: Task<'_>) -> Encoding {
     match name {
         "" | "auto" | "sRGB" | "srgb_texture" | "srgb_rec709_scene" | "srgb_rec709_display" => Encoding::Srgb,

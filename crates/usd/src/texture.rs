@@ -21,21 +21,22 @@ use serde::Deserialize;
 use crate::package::{Array, Package};
 use crate::picture::{Picture, Texels};
 
-/// A shader's read of a picture: component k is scale\[k\] · texel\[channels\[k\]\] + bias\[k\].
+/// A shader's use of a picture. Component k is scale\[k\] · texel\[channels\[k\]\] + bias\[k\].
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 pub(crate) struct Source {
     pub(crate) image: usize,
     pub(crate) channels: Vec<usize>,
     pub(crate) scale: Vec<f32>,
     pub(crate) bias: Vec<f32>,
-    /// Value that is used if the picture cannot be read.
+    /// Value of each component if the picture cannot be read.
     pub(crate) fallback: Vec<f32>,
-    /// Rules for u and v outside 0..1: `repeat`, `clamp`, `mirror` or `black`.
+    /// Rules for coordinates outside 0..1, for u and for v: `repeat`, `clamp`, `mirror` or `black`.
     pub(crate) wrap: [String; 2],
     pub(crate) color_space: String,
     /// Name of the primvar with the texture coordinates.
     pub(crate) primvar: String,
-    /// u' = t₀ u + t₂ v + t₄, v' = t₁ u + t₃ v + t₅; v points up.
+    /// Affine map of the texture coordinates: u' = t₀ u + t₂ v + t₄, v' = t₁ u + t₃ v + t₅, where v
+    /// points up.
     pub(crate) transform: [f32; 6],
 }
 
@@ -50,7 +51,7 @@ impl Source {
             && finite(&self.transform)
     }
 
-    /// A read of the unchanged colours of a picture.
+    /// Returns a source with the unchanged colours of a picture.
     pub(crate) fn plain(image: usize) -> Self {
         Self {
             image,
@@ -73,23 +74,23 @@ impl Source {
     }
 }
 
-/// One channel of a slot.
+/// The values of one channel of a texture that a material reads.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Channel<'s> {
-    /// No shader reads the channel.
+    /// The scene does not read this channel, so its value does not matter.
     Unused,
-    /// A constant value.
+    /// The channel has the same value at all texels.
     Constant(f32),
-    /// A component of the texture that a shader reads.
+    /// The channel is the component with this index of a shader's texture.
     Component(&'s Source, usize),
 }
 
-/// Meaning of a slot's codes.
+/// The meaning of the values of a texture that a material reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Kind {
     /// Reflectance 0..1: RGB is sRGB-encoded, alpha is linear.
     Color,
-    /// As `Color`, but values above 1 are kept.
+    /// Radiance: as `Color`, but values above 1 are kept.
     Light,
     /// Linear values, 0..1.
     Data,
@@ -97,7 +98,7 @@ pub(crate) enum Kind {
     Normal,
 }
 
-/// An entry of the package's images.
+/// An image of a package, as the walker writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Entry {
@@ -107,7 +108,7 @@ struct Entry {
     bytes: Option<Array>,
 }
 
-/// The textures that have been made.
+/// The textures of the scene that were made so far, and the pictures that they use.
 pub(crate) struct Textures<'a> {
     package: &'a Package<'a>,
     task: Task<'a>,
@@ -186,7 +187,7 @@ impl<'a> Textures<'a> {
             }
         }
         let image = self.image(channels, kind)?;
-        // Add the sampler's settings.
+        // Set the rules for coordinates outside 0..1, and the filter.
         let [wrap_u, wrap_v] = first.wrap.each_ref().map(|mode| match mode.as_str() {
             "clamp" => Wrap::ClampToEdge,
             "mirror" => Wrap::MirroredRepeat,
@@ -204,7 +205,7 @@ impl<'a> Textures<'a> {
         Some(TextureUse { texture: index, uv_set, texture_from_mesh: first.texture_from_mesh() })
     }
 
-    /// Index of the image of a slot; slots with equal channels share it.
+    /// Returns the index of the image with these channels. Equal requests share an image.
     fn image(&mut self, channels: [Channel<'_>; 4], kind: Kind) -> Option<usize> {
         let key = format!(
             "{kind:?} {:?}",
@@ -290,7 +291,7 @@ enum Space {
 }
 
 impl Space {
-    /// The space of a name; `None` for unknown names.
+    /// Finds the colour space with this name. `None` if the name is unknown.
     fn of(name: &str, kind: Kind, picture: &Picture) -> Option<Self> {
         let data = matches!(kind, Kind::Data | Kind::Normal);
         match name {
@@ -311,7 +312,7 @@ impl Space {
 const REC709_FROM_ACESCG: [[f32; 3]; 3] =
     [[1.70505, -0.62179, -0.08326], [-0.13026, 1.14080, -0.01055], [-0.02400, -0.12897, 1.15297]];
 
-/// Reads one channel for a slot.
+/// Reads the values of one channel of a texture.
 struct Reader<'p> {
     picture: Option<(&'p Picture, Space)>,
     channel: usize,
@@ -341,7 +342,8 @@ impl<'p> Reader<'p> {
         }
     }
 
-    /// Linear value at a texel of a grid that covers the picture and may have another size.
+    /// Returns the linear value at a texel of a grid that covers the picture. The grid may have
+    /// another size than the picture.
     fn at(&self, x: usize, y: usize, width: usize, height: usize) -> f32 {
         let Some((picture, space)) = self.picture else { return self.bias };
         let texel = if (picture.width, picture.height) == (width, height) {
@@ -404,7 +406,7 @@ fn direct(channels: &[Channel<'_>; 4], kind: Kind, pictures: &[Option<Rc<Picture
     }
 }
 
-/// Computes a slot's picture, with the size of its largest source.
+/// Computes the image of a texture from its channels. Its size is that of its largest picture.
 fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
     let sizes = readers.iter().filter_map(|reader| reader.picture);
     let (width, height) =
@@ -419,7 +421,7 @@ fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
     let is_deep = all.iter().any(|texels| !matches!(texels, Texels::Codes8(_)));
     let scaled = readers.iter().any(|reader| reader.picture.is_some() && (reader.scale > 1.0 || reader.bias != 0.0));
     let pixels = match kind {
-        // without alpha, which lights do not read
+        // lights do not read alpha, so leave it out
         Kind::Light if is_float || scaled => {
             Pixels::RgbF32(values.map(|[r, g, b, _]| [r, g, b].map(|value| value.max(0.0))).collect())
         }
@@ -435,7 +437,7 @@ fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
             values
                 .map(|[x, y, z, _]| {
                     let n = glam::Vec3::new(x, y, z);
-                    // scaled vectors may be longer than 1; only the direction matters
+                    // a scaled vector may be longer than 1, but only its direction matters
                     let n = if n.length() > 1.0 { n.normalize() } else { n };
                     [code16(0.5 + 0.5 * n.x), code16(0.5 + 0.5 * n.y), code16(0.5 + 0.5 * n.z), u16::MAX]
                 })

@@ -16,7 +16,7 @@ const BPY: &str = "import sys\ntry: import bpy\nexcept ImportError as error: sys
 /// tried, each with its failure.
 pub type There = Result<(String, String), Vec<String>>;
 
-/// The Python that reads USD files.
+/// Finds the Python that reads USD files.
 ///
 /// # Errors
 /// If cancelled.
@@ -32,7 +32,7 @@ pub fn openusd(cancel: &Cancel) -> Result<There, UsdError> {
     )
 }
 
-/// The Blender that reads `.blend` files.
+/// Finds the Blender that reads `.blend` files.
 ///
 /// # Errors
 /// If cancelled.

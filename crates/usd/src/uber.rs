@@ -37,7 +37,7 @@ fn with_subsurface(
     }
 }
 
-/// Autodesk Standard Surface.
+/// Converts the inputs of Autodesk Standard Surface.
 pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     let (color, weight) = with_subsurface(
         inputs,
@@ -86,7 +86,7 @@ pub(crate) fn standard_surface(builder: &mut Builder<'_, '_>, inputs: &Inputs) -
     ]
 }
 
-/// OpenPBR Surface.
+/// Converts the inputs of OpenPBR Surface.
 pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     let (color, weight) = with_subsurface(
         inputs,
@@ -112,7 +112,7 @@ pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     builder.coat_index(inputs.number("coat_ior", 1.5));
     let fuzz = inputs.number("fuzz_weight", 0.0);
     builder.sheen(fuzz, &inputs.get("fuzz_color", WHITE), &inputs.get("fuzz_roughness", [0.5]));
-    // converted from micrometres
+    // the shader states the thickness in micrometres
     let thickness_nm = 1000.0 * inputs.number("thin_film_thickness", 0.5);
     builder.film(inputs.number("thin_film_weight", 0.0), thickness_nm, inputs.number("thin_film_ior", 1.4));
     builder.emission(&inputs.get("emission_color", WHITE), &inputs.get("emission_luminance", [0.0]));
@@ -136,9 +136,9 @@ pub(crate) fn open_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     ]
 }
 
-/// The material model of glTF as a MaterialX shader.
+/// Converts the inputs of the MaterialX shader that has the material model of glTF.
 pub(crate) fn gltf_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
-    // 0 opaque, 1 mask, 2 blend
+    // the modes are 0 for opaque, 1 for an alpha mask and 2 for blending
     let mode = inputs.number("alpha_mode", 0.0);
     let cutoff = inputs.number("alpha_cutoff", 0.5);
     let opacity = if mode == 0.0 { Value::Constant([1.0]) } else { inputs.get("alpha", [1.0]) };
@@ -170,7 +170,7 @@ pub(crate) fn gltf_pbr(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignore
     &[("anisotropy_strength", 0.0), ("dispersion", 0.0)]
 }
 
-/// A surface with emission and no reflection.
+/// Converts a shader that has emission and no reflection.
 pub(crate) fn unlit(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> Ignored {
     builder.base(&Value::Constant([0.0; 3]), 1.0, &inputs.get("opacity", [1.0]), 0.0);
     builder.roughness(&Value::Constant([1.0]), &Value::Constant([0.0]));

@@ -1,9 +1,9 @@
-//! Decoders of pictures, packed meshes and captures, readers of light fields, and the writer of the
-//! zip. The page that solves needs them rarely, or once.
+//! Decoders of pictures, packed meshes and captures, readers of light fields, and the writer of zip
+//! files. The page that solves needs them rarely.
 //!
 //! In the page this crate is a WebAssembly module of its own, which is loaded at its first use. If
-//! a decoder stops on damaged content, only this module stops. Natively, `lumistack-web-solver`
-//! calls this crate directly.
+//! a decoder stops on damaged content, only this module stops. Outside of the browser,
+//! `lumistack-web-solver` calls this crate directly.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -18,21 +18,22 @@ use zip::write::SimpleFileOptions;
 #[cfg(target_arch = "wasm32")]
 mod shell;
 
-/// Values for a light field whose files do not state them, and the largest width of its views.
+/// Geometry for a light field whose files do not state it, and the largest width of its views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wanted {
     /// Width of the light field's rectangle on the display plane, mm.
     pub width_mm: f64,
     /// [horizontal, vertical] full angle that the views cover, degrees.
     pub fov_deg: [f64; 2],
-    /// Largest number of pixel columns of a view; larger views are reduced to it.
+    /// Largest number of pixel columns of a view; views with more columns are reduced to this
+    /// number.
     pub cols: usize,
 }
 
 /// Reads a light field of any kind that the command reads.
 ///
 /// # Errors
-/// Those of the command.
+/// The command's errors for damaged or missing files.
 pub fn field(path: &str, wanted: &Wanted, task: Task<'_>) -> Result<LightField, FieldError> {
     let path = Path::new(path);
     let defaults = GeometryDefaults { width_mm: Some(wanted.width_mm), fov_deg: Some(wanted.fov_deg) };
@@ -47,7 +48,7 @@ pub fn field(path: &str, wanted: &Wanted, task: Task<'_>) -> Result<LightField, 
 /// Packs `display.toml` and files, in this order, as a zip. `display` is the display as JSON.
 ///
 /// # Errors
-/// If the JSON is no display, or the zip becomes too large.
+/// If the JSON does not describe a display, or the zip becomes too large.
 pub fn pack<'a>(display: &str, files: impl IntoIterator<Item = (&'a str, &'a [u8])>) -> Result<Vec<u8>, String> {
     let display: Display = serde_json::from_str(display).map_err(|error| format!("display: {error}"))?;
     let toml = display.to_toml();

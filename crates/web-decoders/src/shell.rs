@@ -17,13 +17,14 @@ pub fn hold(names: Vec<String>, contents: Vec<Uint8Array>) {
 #[wasm_bindgen]
 pub struct Field {
     field: LightField,
-    /// Warnings: the place and the message of each in turn.
+    /// Texts of the warnings: the place of the first warning, its message, the place of the second
+    /// warning, and so on.
     warnings: Vec<String>,
 }
 
 /// Reads a light field from the files that [`hold`] received. `width_mm`, `fov_x_deg` and
-/// `fov_y_deg` apply if its files do not state them; views with more than `cols` columns are
-/// reduced.
+/// `fov_y_deg` are used if its files do not state the geometry. Views with more than `cols` columns
+/// are reduced to `cols` columns.
 #[wasm_bindgen]
 pub fn field(path: &str, width_mm: f64, fov_x_deg: f64, fov_y_deg: f64, cols: usize) -> Result<Field, JsError> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
@@ -80,7 +81,8 @@ impl Field {
         self.field.radiance().data().to_vec()
     }
 
-    /// Warnings of the reader: the place and the message of each in turn.
+    /// Texts of the reader's warnings: the place of the first warning, its message, the place of
+    /// the second warning, and so on.
     #[wasm_bindgen(getter)]
     pub fn warnings(&self) -> Vec<String> {
         self.warnings.clone()

@@ -1,6 +1,6 @@
-//! Access to the decoders of packed content, the readers of light fields and the writer of the zip.
-//! In a page they are another WebAssembly module; natively they are the crate
-//! `lumistack-web-decoders`.
+//! Access to the decoders of packed content, the readers of light fields and the writer of zip
+//! files. In a page they are in another WebAssembly module. Outside of the browser this crate calls
+//! the crate `lumistack-web-decoders` directly.
 
 #[cfg(target_arch = "wasm32")]
 pub(crate) use page::{field, pack, unpack};
@@ -8,14 +8,15 @@ pub(crate) use page::{field, pack, unpack};
 #[cfg(not(target_arch = "wasm32"))]
 pub(crate) use beside::{field, pack, unpack};
 
-/// Values for a light field whose files do not state them, and the largest width of its views.
+/// Geometry for a light field whose files do not state it, and the largest width of its views.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Wanted {
     /// Width of the light field's rectangle on the display plane, mm.
     pub(crate) width_mm: f64,
     /// [horizontal, vertical] full angle that the views cover, degrees.
     pub(crate) fov_deg: [f64; 2],
-    /// Largest number of pixel columns of a view; larger views are reduced to it.
+    /// Largest number of pixel columns of a view; views with more columns are reduced to this
+    /// number.
     pub(crate) cols: usize,
 }
 
@@ -95,7 +96,7 @@ mod page {
             expected: "the decoders of this page, lumistack_web_decoders_bg.wasm".into(),
             found: message(&error),
         };
-        // if there is no answer, the module stopped on damaged content
+        // without an answer the module of decoders has stopped on damaged content
         let found = answer(&packed.to_bytes()).map_err(unreachable)?;
         found.as_deref().and_then(answered).unwrap_or_else(|| Err(packed.stopped()))
     }

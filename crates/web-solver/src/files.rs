@@ -10,8 +10,8 @@ use lumistack_scene::Scene;
 use crate::decoders;
 use crate::error::Error;
 
-/// Largest decoded size of a scene, and of its pictures, bytes. A WebAssembly module has at most
-/// 4 GiB of memory.
+/// Largest decoded size of a scene without its pictures (`MOST_DECODED`), and of its pictures,
+/// bytes. A WebAssembly module has at most 4 GiB of memory.
 const MOST_DECODED: u64 = 1 << 30;
 const MOST_PICTURES: u64 = 512 << 20;
 
@@ -19,7 +19,7 @@ const MOST_PICTURES: u64 = 512 << 20;
 #[derive(Clone, Debug, Default)]
 pub struct Files(BTreeMap<String, Vec<u8>>);
 
-/// Resolves names relative to the folder of one of the files.
+/// Finds files by names that a file in `folder` contains, relative to this folder.
 struct Beside<'a> {
     files: &'a Files,
     folder: &'a str,
@@ -31,11 +31,11 @@ impl Files {
         self.0.insert(path.into(), bytes);
     }
 
-    /// Reads the scene from the file `path`. It is a capture of splats if the file's extension is
-    /// one of theirs, else glTF.
+    /// Reads the scene from the file `path`. The file is a capture of splats if it has the
+    /// extension of such files, otherwise glTF.
     ///
     /// # Errors
-    /// The same errors as the command's: the place in the file, the expected and the found value.
+    /// The command's errors: they state the place in the file, the expected and the found value.
     pub fn scene(&self, path: &str, task: Task<'_>) -> Result<Scene, Error> {
         let bytes = self.0.get(path).ok_or_else(|| Error::value(path, "a readable file", "none"))?;
         let (folder, name) = path.rsplit_once('/').map_or(("", path), |(folder, name)| (folder, name));
@@ -47,7 +47,8 @@ impl Files {
             return Ok(lumistack_gltf::load_with(name, bytes, &beside, &options, task)?);
         }
         let failed = |error: String| Error(format!("{name}: {error}"));
-        // the JSON file of a capture refers to pictures beside it; other captures are single files
+        // a capture whose file is JSON also consists of pictures beside this file; all other
+        // captures are single files
         let near = self.0.iter().filter_map(|(path, bytes)| Some((beside.name(path)?, bytes.as_slice())));
         let near = if extension == "json" { near.collect() } else { Vec::new() };
         let found = match decoders::unpack(&Packed::Capture(bytes, near)) {

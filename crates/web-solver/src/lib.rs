@@ -1,15 +1,15 @@
-//! Computes patterns from a dropped file in small pieces, between which the page stays responsive.
-//! The final patterns are those of the command.
+//! Computes patterns from a dropped file in small pieces of work. Between two pieces the page can
+//! respond to the user. The final patterns equal those of the command.
 //!
 //! ```text
 //! Files ──scene──▶ Scene ──subject──▶ Subject ──views──▶ light field ──work──▶ patterns
 //! ```
 //!
-//! [`Work::advance`] computes one piece: a view, or an iteration of the solver. First it computes
-//! noisy views of a few directions, and patterns for them. Then it renders all views with all their
-//! samples; three times meanwhile it solves for the views that exist. The last views and patterns
-//! are those that the command computes for the same job. [`patterns`] encodes patterns for the
-//! viewer, and as a zip for the command.
+//! Each call of [`Work::advance`] computes one piece, such as a view or an iteration of the solver.
+//! The first pieces compute noisy views of a few directions, and patterns for these views. Later
+//! pieces render all views with all their samples; three times meanwhile they solve for the views
+//! that exist. The last views and patterns are those that the command computes for the same job.
+//! [`patterns`] encodes patterns for the viewer, and as a zip for the command.
 
 mod decoders;
 mod error;

@@ -28,8 +28,8 @@ pub fn codes(display: &Display, stack: &LayerStack) -> Vec<u8> {
     codes
 }
 
-/// Writes the viewer's `preview.json` for patterns of a display. The page passes the pictures in
-/// memory, so the files that it names do not exist.
+/// Returns the viewer's `preview.json` for patterns of a display. The page passes the pictures to
+/// the viewer in memory, so the files that `preview.json` names do not exist.
 ///
 /// # Errors
 /// If the views of the display are invalid.
@@ -79,8 +79,9 @@ pub fn preview(display: &Display, title: &str) -> Result<String, Error> {
     Ok(preview.to_string())
 }
 
-/// Packs a run folder of the patterns as a zip. The command reads `display.toml` and `layers/`, and
-/// computes the same patterns again from `job`, the content of `job.toml`.
+/// Packs a run folder of the patterns as a zip: `display.toml`, `layers/` and `job.toml`, whose
+/// content is `job`. The command can show this folder, or compute the same patterns again from the
+/// job.
 ///
 /// # Errors
 /// If the zip becomes too large.
@@ -114,7 +115,7 @@ fn npy(shape: &[usize], data: &[f32]) -> std::io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Values of a display as JSON, to which the page sets its sliders.
+/// Values of a display as JSON; the page sets its sliders to these values.
 pub fn about(display: &Display) -> Value {
     let gaps = display.layers.windows(2).map(|pair| pair[1].d_mm - pair[0].d_mm);
     let count = display.layers.len().saturating_sub(1).max(1);

@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 use crate::decoders::Wanted;
 use crate::error::Error;
 
-/// Largest memory of a light field's views, MiB. Together with all data that is computed from them
-/// it is well below the memory of a WebAssembly module, 4 GiB.
+/// Largest memory of a light field's views, MiB. The views and all data that is computed from them
+/// need much less than 4 GiB, the largest memory of a WebAssembly module.
 const FIELD_MIB: u64 = 256;
 /// Largest memory of a solve in addition to its views, bytes.
 const MOST_SOLVING: u64 = 700 << 20;
-/// Default for the paths per pixel of all views together: the command's value if it does not
-/// measure noise.
+/// Default for the paths per pixel, summed over all views. The command uses this number if it does
+/// not choose the number by measuring the noise.
 const ZONE_SAMPLES: u32 = 800;
 /// Allowed columns of a light field.
 const COLS: std::ops::RangeInclusive<usize> = 16..=640;
@@ -28,11 +28,12 @@ pub struct Preset {
     pub display: Display,
 }
 
-/// The displays that come with the program. Here they are JSON, since a reader of TOML would be a
-/// tenth of the module.
+/// The displays that come with the program. The module contains them as JSON, since a reader of
+/// TOML would be a tenth of the module.
 ///
 /// # Errors
-/// None occur: a test compares the presets with the display files of the command.
+/// No error can occur, since a test reads the presets and compares them with the display files of
+/// the command.
 pub fn presets() -> Result<Vec<Preset>, Error> {
     serde_json::from_str(include_str!("presets.json")).map_err(|error| Error(format!("presets: {error}")))
 }
@@ -43,8 +44,8 @@ pub fn presets() -> Result<Vec<Preset>, Error> {
 pub struct Settings {
     /// Name of a preset.
     pub preset: String,
-    /// Pixel columns of the light field, 16 to 640. The masks' resolution scales with it; the width
-    /// in millimetres stays the same.
+    /// Pixel columns of the light field, 16 to 640. The masks' resolution changes by the same
+    /// factor; the width in millimetres stays the same.
     pub cols: usize,
     /// Number of layers.
     pub layers: Option<usize>,
@@ -79,13 +80,13 @@ impl Settings {
     /// Reads settings from JSON.
     ///
     /// # Errors
-    /// On malformed text and unknown keys.
+    /// If the text is malformed or a key is unknown.
     pub fn from_json(text: &str) -> Result<Self, Error> {
         serde_json::from_str(text).map_err(|error| Error(format!("settings: {error}")))
     }
 
-    /// Makes the chosen display. If the preset leaves the choice of views to the program, this also
-    /// chooses the views.
+    /// Makes the chosen display. If the preset leaves the choice of views to the program, this
+    /// function also chooses the views.
     ///
     /// # Errors
     /// If there is no such preset, a value is out of range, or the display needs more memory than a
@@ -119,15 +120,15 @@ impl Settings {
         Ok(display)
     }
 
-    /// Values for a light field whose files do not state them: the display's, as in the command.
-    /// The largest width of its views is the chosen number of columns.
+    /// Geometry for a light field whose files do not state it: the display's geometry, as in the
+    /// command. The largest width of its views is the chosen number of columns.
     pub(crate) fn wanted(&self, display: &Display) -> Wanted {
         Wanted { width_mm: display.field_pixels().size_mm()[0], fov_deg: display.field.fov_deg, cols: self.cols }
     }
 
-    /// Writes the job file by which the command computes the same patterns. The command expects
-    /// `display.toml` and the input `path` beside it. A light field has a `resolution`, [columns,
-    /// rows].
+    /// Returns the job file by which the command computes the same patterns. The command expects
+    /// `display.toml` and the input `path` beside it. `resolution` is [columns, rows] if the input
+    /// is a light field, and `None` if it is a scene.
     pub fn job(&self, path: &str, resolution: Option<[usize; 2]>) -> String {
         let input = if resolution.is_some() { "light_field" } else { "scene" };
         let mut text = format!("{input} = {path:?}\n\n[display]\nfile = \"display.toml\"\n");
@@ -146,7 +147,7 @@ impl Settings {
         RenderJob { zone_samples: ZoneSamples::Count(self.zone_samples), field_mib: FIELD_MIB, ..RenderJob::default() }
     }
 
-    /// The noise filter for the views of a display, as the command chooses it.
+    /// The noise filter for the views of a display; it is the command's choice.
     pub(crate) fn denoise(display: &Display) -> Denoise {
         if matches!(display.field.views, Views::Fixed(_)) { Denoise::Off } else { Denoise::Shared }
     }

@@ -1,5 +1,5 @@
 //! The functions and classes that JavaScript can call. They only call the other modules of this
-//! crate, which are tested natively.
+//! crate, which are tested without a browser.
 
 use js_sys::Uint8Array;
 use serde_json::json;
@@ -16,21 +16,21 @@ impl From<Error> for JsValue {
 
 type Thrown<T> = Result<T, JsValue>;
 
-/// The presets as JSON: the name, the title, and the values for the sliders of each.
+/// The presets as JSON: each has its name, its title, and the values for the page's sliders.
 #[wasm_bindgen]
 pub fn presets() -> String {
     let about = |Preset { name, display }: Preset| json!({"name": name, "title": display.name, "about": patterns::about(&display)});
     json!(presets_of_the_program().unwrap_or_default().into_iter().map(about).collect::<Vec<_>>()).to_string()
 }
 
-/// Dropped files to solve.
+/// The dropped files of a scene.
 #[wasm_bindgen]
 #[derive(Default)]
 pub struct Dropped(Files);
 
 #[wasm_bindgen]
 impl Dropped {
-    /// No files.
+    /// Makes an empty collection; `add` adds files.
     #[wasm_bindgen(constructor)]
     pub fn new() -> Dropped {
         Self::default()
@@ -56,8 +56,8 @@ impl Solver {
         Ok(Self { work: Work::new(files.0, path, Settings::from_json(settings)?)? })
     }
 
-    /// Prepares to solve the light field `path` among the files in the module of decoders.
-    /// `settings` is JSON.
+    /// Prepares to solve a light field. `path` names it among the files in the memory of the module
+    /// of decoders. `settings` is JSON.
     pub fn of_field(path: &str, settings: &str) -> Thrown<Solver> {
         Ok(Self { work: Work::of_field(path, Settings::from_json(settings)?)? })
     }
@@ -67,7 +67,7 @@ impl Solver {
         Ok(self.work.change(Settings::from_json(settings)?)?)
     }
 
-    /// `scene`, `views`, `patterns` or `done`.
+    /// Name of the current stage: `scene`, `views`, `patterns` or `done`.
     pub fn stage(&self) -> String {
         match self.work.stage() {
             Stage::Scene => "scene",
@@ -120,20 +120,20 @@ impl Solver {
 #[cfg(not(feature = "gpu"))]
 #[wasm_bindgen]
 impl Solver {
-    /// Computes the next piece.
+    /// Computes the next piece of work.
     pub fn advance(&mut self) -> Thrown<()> {
         Ok(self.work.advance()?)
     }
 }
 
-/// The functions that wait for a graphics processor return promises. Until one settles, other calls
-/// of the same solver throw.
+/// The functions that wait for a graphics processor return promises. While such a promise is
+/// pending, all calls of the solver throw.
 #[cfg(feature = "gpu")]
-// the deprecation of `jspi` only states that it is experimental
+// wasm-bindgen marks `jspi` as deprecated only because it is experimental
 #[allow(deprecated)]
 #[wasm_bindgen]
 impl Solver {
-    /// Computes the next piece.
+    /// Computes the next piece of work.
     #[wasm_bindgen(jspi)]
     pub fn advance(&mut self) -> Thrown<()> {
         Ok(self.work.advance()?)

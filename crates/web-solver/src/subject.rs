@@ -10,7 +10,8 @@ use serde::de::DeserializeOwned;
 
 use crate::error::Error;
 
-/// A lit scene and its renderer. Results are not cached, since the page needs each only once.
+/// A lit scene and its renderer. Rendered views are not cached, since the page needs each view only
+/// once.
 pub(crate) struct Held {
     pub(crate) scene: Arc<Scene>,
     pub(crate) renderer: SceneRenderer,

@@ -1,4 +1,4 @@
-//! Renders the views that a display needs one by one, and makes a light field of rendered views.
+//! Renders, one by one, the views that a display needs, and makes a light field of rendered views.
 
 use std::borrow::Cow;
 
@@ -28,13 +28,14 @@ pub(crate) struct Picked {
     pub(crate) cols: Vec<usize>,
 }
 
-/// Views of a placed scene.
+/// The views of a scene in front of a display.
 pub(crate) struct Views {
     held: Held,
     placement: Placement,
     /// Geometry of the display's light field.
     geometry: FieldGeometry,
-    /// `geometry` with the slopes at which the scene is traced, which differ by the depth scale.
+    /// `geometry` with the slopes at which the scene is traced: the display's slopes times the
+    /// depth scale.
     traced: FieldGeometry,
     paths: Paths,
     denoise: Denoise,
@@ -134,7 +135,7 @@ impl Views {
         self.held.renderer.splats.is_some()
     }
 
-    /// Traces a view with `samples` paths per pixel. The result replaces an earlier one of the
+    /// Traces a view with `samples` paths per pixel. The result replaces an earlier result for this
     /// view.
     ///
     /// # Errors
@@ -151,7 +152,7 @@ impl Views {
     /// Renders the splats of some views.
     ///
     /// # Errors
-    /// If they cannot be rendered.
+    /// If the splats cannot be rendered.
     pub(crate) fn render_splats(&mut self, views: &[[usize; 2]], task: Task<'_>) -> Result<(), Error> {
         let slopes = slopes(&self.traced, views);
         let (held, window, traced) = (&self.held, &self.placement.window, &self.traced);
@@ -168,11 +169,11 @@ impl Views {
         y * self.geometry.grid.views()[1] + x
     }
 
-    /// Makes a light field of the picked views, as the command does. The steps are: average the
-    /// shared light, add splats, apply exposure and tone curve, round.
+    /// Makes a light field of the picked views, as the command does. It averages the light that all
+    /// views share, adds splats, applies exposure and tone curve, and rounds.
     ///
     /// # Errors
-    /// If depths cannot be traced.
+    /// If depths, which the average needs, cannot be traced.
     pub(crate) fn field(&mut self, picked: &Picked, task: Task<'_>) -> Result<LightField, Error> {
         let (shown, traced) = (picked.of(&self.geometry), picked.of(&self.traced));
         let depths = self.depths_of(picked, &traced, task)?;
@@ -180,8 +181,8 @@ impl Views {
         let mut field = LightField::black(shown)?;
         let places: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
         let splits: Vec<&SplitView> = numbers.iter().filter_map(|&number| self.splits[number].as_ref()).collect();
-        // Write the radiance of surfaces. With the filter `shared`, the diffuse light is averaged
-        // over the views.
+        // Write the radiance of surfaces. With the filter `Denoise::Shared`, the diffuse light is
+        // averaged over the views.
         if splits.len() == numbers.len() {
             let shared = if self.denoise == Denoise::Shared {
                 let mut light = SharedLight::new(&traced);
@@ -198,7 +199,7 @@ impl Views {
                 field.view_mut(place).copy_from_slice(radiance.data());
             }
         }
-        // Draw splats in front of the surfaces; their views have no noise.
+        // Draw splats in front of the surfaces. Splats have no noise, so they were not averaged.
         if let Some(space) = Space::of(&self.held.scene) {
             for (&place, &number) in places.iter().zip(&numbers) {
                 if let Some(splats) = &self.splats[number] {
@@ -211,7 +212,8 @@ impl Views {
         let rays = brightest(field.geometry(), &places, &depths, picture)?;
         let tone_mapping = ToneMapping::choose(&self.light, &self.held.scene, &rays);
         tone_mapping.apply(&mut field);
-        // round to half floats as the command does; after the tone curve values cannot overflow
+        // Round to half floats as the command does. After the tone curve values are at most 1, so
+        // they cannot overflow.
         field.radiance_mut().data_mut().iter_mut().for_each(|value| *value = float_from_half(nearest_half(*value)));
         Ok(field)
     }

@@ -16,22 +16,23 @@ use crate::settings::Settings;
 use crate::subject::Held;
 use crate::views::{Picked, Views};
 
-/// Largest number of rows, and of columns, of the views for the first patterns.
+/// The first patterns are solved for at most this number of rows, and of columns, of views.
 const FIRST: usize = 3;
-/// Iterations of a solve for unfinished views. Few suffice, since it starts from the last patterns.
+/// Iterations of a solve for unfinished views. Few suffice, since the solve starts from the current
+/// patterns.
 const WARM: u32 = 3;
-/// For a light field, patterns are shown after each of the first iterations, then after every so
-/// many.
+/// For a light field, patterns are shown after each of the first [`WARM`] iterations. Later they
+/// are shown after every iteration whose number is a multiple of this number.
 const FIELD_SHOWS: u32 = 4;
-/// Views of splats per piece. One sort of the splats serves them all.
+/// Number of views whose splats one piece renders. The splats are sorted once for all these views.
 const SPLAT_VIEWS: usize = 5;
-/// Number of parts into which the final rendering of views is divided. After every part but the
+/// Number of parts into which the final rendering of views is divided. After every part except the
 /// last, the patterns are solved again.
 const REFRESHES: usize = 4;
 /// Seed of the solver, as in the command.
 const SEED: u64 = 1;
 
-/// False in the module without WebGPU. Its size has a limit, so it omits the code for devices.
+/// False in the module without WebGPU, which omits the code for devices, so that it is small.
 const HAS_DEVICES: bool = cfg!(any(feature = "gpu", not(target_arch = "wasm32")));
 
 /// Progress of the work.
@@ -39,7 +40,7 @@ const HAS_DEVICES: bool = cfg!(any(feature = "gpu", not(target_arch = "wasm32"))
 pub enum Stage {
     /// Reads the files, lights the scene, and places the display.
     Scene,
-    /// Renders views, and meanwhile solves for the views that are rendered already.
+    /// Renders views. Between them it solves for the views that are already rendered.
     Views,
     /// Solves for the finished views.
     Patterns,
@@ -70,7 +71,7 @@ enum Piece {
     /// Starts the current solve again, after its device failed.
     BeginAgain,
     Step,
-    /// Updates the patterns to show.
+    /// Copies the patterns of the current solve to `stack`, which the page shows.
     Show,
     Finish,
 }
@@ -93,15 +94,15 @@ pub struct Work {
     begun: Begun,
     target: Option<LightField>,
     stack: Option<LayerStack>,
-    /// Number of times that `stack` was set.
+    /// Number of times that `stack`, the patterns to show, was replaced.
     shown: u32,
     psnr: f64,
     warnings: Collector,
     cancel: Cancel,
 }
 
-/// The current solve: its planned iterations, the finished ones, and whether it started from the
-/// current patterns.
+/// The current solve: the number of planned iterations, the number of finished iterations, and a
+/// flag for a start from the patterns of an earlier solve.
 #[derive(Clone, Copy, Default)]
 struct Begun {
     iterations: u32,
@@ -154,8 +155,8 @@ impl Work {
         })
     }
 
-    /// Solves on a device. If it cannot solve a display, or fails, the processor solves from then
-    /// on, and a warning reports it.
+    /// Solves on a device. If the device cannot solve a display, or fails, the processor solves
+    /// from then on, and a warning reports this.
     pub fn solve_on(&mut self, device: Box<dyn Executor>) {
         self.device = Some(device);
     }
@@ -186,13 +187,13 @@ impl Work {
         Ok(())
     }
 
-    /// The chosen display. Once a light field is read, it is adapted to the light field.
+    /// The chosen display. After a light field is read, the display is adapted to it.
     pub fn display(&self) -> &Display {
         &self.display
     }
 
-    /// Writes the job file by which the command computes the same patterns. The command expects
-    /// `display.toml` and the input's files beside it.
+    /// Returns the job file by which the command computes the same patterns. The command expects
+    /// `display.toml` and the input's files beside the job.
     pub fn job(&self) -> String {
         let resolution = self.files.is_none().then_some(self.display.field.resolution);
         self.settings.job(&self.path, resolution)
@@ -214,7 +215,7 @@ impl Work {
         self.psnr
     }
 
-    /// Warnings for the user since the last call, each text once.
+    /// Warnings for the user since the last call. Equal texts are returned only once.
     pub fn warnings(&self) -> Vec<String> {
         self.warnings.take().iter().map(ToString::to_string).collect()
     }
@@ -298,7 +299,8 @@ impl Work {
             Piece::Step | Piece::Show | Piece::Finish => match self.solve(&piece) {
                 Err(error @ FactorizeError::Device { .. }) if self.is_on_device() => {
                     self.leave_device(&error);
-                    // repeat the iterations that the device has lost
+                    // The device's results are lost. So plan to start the solve again on the
+                    // processor, and to repeat its finished iterations before this piece.
                     let lost = (0..self.begun.steps).map(|_| Piece::Step);
                     let again: Vec<_> = std::iter::once(Piece::BeginAgain).chain(lost).chain([piece]).collect();
                     self.planned += again.len();
@@ -374,7 +376,7 @@ fn views(views: &mut Option<Views>) -> Result<&mut Views, Error> {
 }
 
 /// Plans the pieces after a light field is read: a single solve. Its patterns are shown after each
-/// of the first iterations, in which they change most, and more rarely later.
+/// of the first iterations, in which they change most, and later only after every few iterations.
 fn plan_field(iterations: u32) -> VecDeque<Piece> {
     let mut pieces = VecDeque::from([Piece::BeginField]);
     for iteration in 1..=iterations {
@@ -416,9 +418,9 @@ fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
         render(&mut pieces, &others, 1, true);
         refresh(&mut pieces, &all);
     }
-    // Then all views get all their samples, in parts.
+    // Then render all views with all their samples, in parts.
     if traced && views.samples() > 1 {
-        // each part takes every REFRESHES-th view, so that its views are spread over the zone
+        // a part contains every REFRESHES-th view, so that its views are spread over the zone
         let every: Vec<[usize; 2]> = all.views().collect();
         let parts = (0..REFRESHES).map(|part| every.iter().copied().skip(part).step_by(REFRESHES).collect::<Vec<_>>());
         for (number, part) in parts.enumerate() {
@@ -428,7 +430,8 @@ fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
             }
         }
     }
-    // The last solve starts anew, so that it ends with the command's patterns.
+    // The last solve has a fresh start, as in the command, so that it ends with the command's
+    // patterns.
     pieces.push_back(Piece::BeginAnew);
     pieces.extend((0..iterations).map(|_| Piece::Step));
     pieces.push_back(Piece::Finish);

@@ -22,7 +22,7 @@ fn files(folder: &Path) -> Files {
     files
 }
 
-/// Computes all pieces. Returns how often new patterns were ready to show.
+/// Computes all pieces. Returns the number of times that new patterns were ready to show.
 fn finish(work: &mut Work) -> u32 {
     let mut last = work.share();
     while work.stage() != Stage::Done {
@@ -45,8 +45,8 @@ fn unpacked(zip: Vec<u8>, folder: &Path) {
     }
 }
 
-/// Finishes `work`, and runs the command on its job with the files of `folder` beside it. Returns
-/// the root mean square difference of the two patterns.
+/// Finishes `work`, and runs the command on the job of `work`, with the files of `folder` beside
+/// it. Returns the root mean square difference between the patterns of the page and of the command.
 fn difference(folder: &Path, mut work: Work) -> f64 {
     let shown = finish(&mut work);
     assert!(shown > 1, "new patterns were ready only {shown} times");
@@ -81,7 +81,7 @@ fn difference(folder: &Path, mut work: Work) -> f64 {
 
 #[test]
 fn patterns_are_those_of_the_command() {
-    // the command's cache rounds views, so a small difference remains
+    // the command rounds views when it caches them, so a small difference remains
     for (folder, file) in [("letters", "letters.gltf"), ("dandelion", "dandelion.spz")] {
         let settings = Settings::from_json(CHOICE).unwrap();
         let work = Work::new(files(&scene(folder)), file, settings).unwrap();
@@ -109,7 +109,8 @@ fn a_light_field_is_solved_as_the_command_solves_it() {
     let path = folder.path().join("stripes_qs4x2a1.5.png");
     quilt(&path);
     let settings = |more: &str| Settings::from_json(&format!(r#"{{"iterations": 5, "frames": 2, {more}}}"#)).unwrap();
-    // the views of 60 columns stay as they are, or are reduced to 48 columns
+    // The views have 60 columns. If the settings allow 160 columns, the views stay as they are;
+    // with 48 they are reduced to 48 columns.
     for (cols, expected) in [(160, [60, 40]), (48, [48, 32])] {
         let settings = settings(&format!(r#""cols": {cols}"#));
         let work = Work::of_field(path.to_str().unwrap(), settings).unwrap();
@@ -120,7 +121,7 @@ fn a_light_field_is_solved_as_the_command_solves_it() {
         assert_eq!(finish(&mut work), 2);
         assert_eq!(work.display().field.resolution, expected);
     }
-    // errors of light fields are those of the command
+    // a missing light field gives the error of the command
     let work = Work::of_field(folder.path().join("none.npy").to_str().unwrap(), settings(r#""cols": 48"#));
     let error = work.unwrap().advance().unwrap_err().to_string();
     assert!(error.ends_with("none.npy: cannot read: No such file or directory (os error 2)"), "{error}");
@@ -139,7 +140,7 @@ fn another_display_takes_the_same_scene() {
     assert!(work.stack().is_none() && work.stage() == Stage::Scene);
     finish(&mut work);
     assert_eq!((work.stack().unwrap().layers.len(), work.stack().unwrap().frames()), (2, 2));
-    // the result is that of a new solve with the changed settings
+    // after the change, the result equals that of a new solve with the changed settings
     let mut fresh =
         Work::new(files(&scene("letters")), "letters.gltf", quick(r#", "layers": 2, "frames": 2"#).unwrap()).unwrap();
     finish(&mut fresh);

@@ -1,5 +1,5 @@
-//! The page's work on a device: the processor's patterns up to rounding, and a change to the
-//! processor when the device fails. Without an adapter the tests are skipped.
+//! Solves of the page on a device. Their patterns equal the processor's up to rounding, and the
+//! processor continues when the device fails. Without an adapter the tests are skipped.
 
 use lumistack_display::LayerStack;
 use lumistack_factorizer_gpu::Device;
@@ -51,7 +51,8 @@ fn apart(a: &LayerStack, b: &LayerStack) -> f32 {
 fn patterns_of_the_device_are_those_of_the_processor() {
     let Some(device) = device() else { return };
     let folder = tempfile::tempdir().unwrap();
-    // rounding grows with iterations in values that hardly change the emission
+    // Compare after one iteration: in values that hardly change the emission, rounding errors grow
+    // with every iteration.
     let (on_processor, _) = finish(work(folder.path(), None, 1));
     let (on_device, work) = finish(work(folder.path(), Some(&device), 1));
     assert!(work.is_on_device());
@@ -65,7 +66,7 @@ fn the_processor_continues_a_solve_whose_device_fails() {
     let Some(device) = device() else { return };
     let folder = tempfile::tempdir().unwrap();
     let (expected, _) = finish(work(folder.path(), None, 6));
-    // a device that is lost after some patterns were shown
+    // the device is lost after some patterns were shown
     let mut lost = work(folder.path(), Some(&device), 6);
     while lost.shown() < 2 {
         lost.advance().unwrap();
@@ -77,7 +78,7 @@ fn the_processor_continues_a_solve_whose_device_fails() {
     assert_eq!(warnings.len(), 1);
     assert!(warnings[0].contains("lost") && warnings[0].ends_with("; the processor solves instead"), "{warnings:?}");
     assert_eq!(found, expected);
-    // a device that is too small from the beginning
+    // the device's limits are too small from the beginning
     let small = self::device().unwrap().with_binding_bytes(16).unwrap();
     let (found, refused) = finish(work(folder.path(), Some(&small), 6));
     assert!(!refused.is_on_device());

@@ -5,8 +5,8 @@ use std::sync::LazyLock;
 
 use lumistack_core::colour::{srgb_code, srgb_decode};
 
-/// Number of equal bins of the range 0..1. The search for a value's code starts with the code of
-/// the lower end of the value's bin.
+/// Number of equal bins into which the range 0..1 is divided. The search for a value's code starts
+/// with the code of the lower end of the value's bin.
 const BINS: usize = 4096;
 
 /// Converts linear values to sRGB codes; the codes are those of [`srgb_code`].
@@ -19,8 +19,8 @@ pub(crate) struct Encoder {
 
 pub(crate) static ENCODER: LazyLock<Encoder> = LazyLock::new(|| {
     let least = std::array::from_fn(|code| {
-        // find the smallest value with this code by bisection over the bits of positive floats,
-        // which rise with their values; the code also rises with the value
+        // Find the smallest value with this code by bisection over the bits of floats. For positive
+        // floats the bits rise with the value, and the code also rises with the value.
         let (mut low, mut high) = (0u32, 1f32.to_bits());
         while low < high {
             let middle = low + (high - low) / 2;
@@ -38,7 +38,8 @@ impl Encoder {
         if linear >= 1.0 {
             return 255;
         }
-        // a cast from float to integer saturates, and NaN becomes 0
+        // Start at the lower end of the bin. A cast from float to integer turns negative values and
+        // NaN into 0.
         let mut code = self.start[((linear * BINS as f32) as usize).min(BINS - 1)];
         while code < 255 && linear >= self.least[usize::from(code) + 1] {
             code += 1;
@@ -57,11 +58,11 @@ pub(crate) fn to_rgba(linear: &[f32]) -> Vec<u8> {
     linear.chunks_exact(3).flat_map(|p| [encoder.code(p[0]), encoder.code(p[1]), encoder.code(p[2]), 255]).collect()
 }
 
-/// The error that has the last colour of the error map. Larger errors have the same colour.
+/// The error that the last colour of the error map shows. Larger errors have the last colour, too.
 pub(crate) const HEAT_TOP: f32 = 0.25;
 
-/// Colours of the error map, as sRGB codes, for evenly spaced errors from 0 to [`HEAT_TOP`]. Their
-/// lightness rises.
+/// Colours of the error map, as sRGB codes, for evenly spaced errors from 0 to [`HEAT_TOP`]. A
+/// larger error has a lighter colour.
 const HEAT: [[f32; 3]; 6] = [
     [0.0, 0.0, 8.0],
     [66.0, 10.0, 104.0],

@@ -1,9 +1,9 @@
 //! Decodes the PNG pictures of previews, which have 8 bits each for red, green and blue.
 //!
 //! The crate `png` reads every kind of PNG, but it would be a sixth of the module that every
-//! visitor loads. This decoder reads only one kind; the tests compare it with that crate. It skips
-//! optional chunks. It does not check the checksums of the chunks, since the checksum of the
-//! compressed stream covers every pixel.
+//! visitor loads. This decoder reads only the kind that previews contain; the tests compare it with
+//! the crate `png`. It skips optional chunks. It does not check the checksums of the chunks, since
+//! the checksum of the compressed stream covers every pixel.
 
 use miniz_oxide::inflate::decompress_to_vec_zlib_with_limit;
 
@@ -40,8 +40,8 @@ pub(crate) fn decode(file: &File, bytes: &[u8]) -> Result<Vec<u8>, Error> {
     if (rows, cols) != (file.rows, file.cols) {
         return Err(error(&format!("{} × {} pixels", file.cols, file.rows), format!("{cols} × {rows}")));
     }
-    // 8 bits; red, green and blue; the only compression of PNG; its only set of filters; no
-    // interlacing
+    // These five values follow the size: bits per channel (8), kind of colours (2: red, green,
+    // blue), compression (0), set of filters (0), interlacing (0: none).
     if header[8..] != [8, 2, 0, 0, 0] {
         return Err(error("red, green and blue of 8 bits, not interlaced", format!("PNG of kind {:?}", &header[8..])));
     }
@@ -74,9 +74,9 @@ fn chunk(bytes: &[u8]) -> Option<(&[u8; 4], &[u8], &[u8])> {
     Some((kind, data, rest))
 }
 
-/// Undoes the filter of a row (PNG, section 9). It adds to every byte the value that the filter
-/// predicts from the bytes on the left, above, and above on the left. Returns false if the filter
-/// does not exist.
+/// Undoes the filter of a row (PNG, section 9). The filter predicts every byte from three bytes of
+/// neighbouring pixels: left, above, and above left. The prediction is added to the coded byte.
+/// Returns false if no filter has this number.
 fn unfilter(filter: u8, coded: &[u8], above: &[u8], line: &mut [u8]) -> bool {
     let predict: fn(u8, u8, u8) -> u8 = match filter {
         0 => |_, _, _| 0,
@@ -93,7 +93,7 @@ fn unfilter(filter: u8, coded: &[u8], above: &[u8], line: &mut [u8]) -> bool {
     true
 }
 
-/// Returns the one of the three values that is nearest to left + above − corner.
+/// Returns the value among `left`, `above` and `corner` that is nearest to left + above − corner.
 fn paeth(left: u8, above: u8, corner: u8) -> u8 {
     let [l, a, c] = [left, above, corner].map(i16::from);
     let (to_left, to_above, to_corner) = ((a - c).abs(), (l - c).abs(), (l + a - 2 * c).abs());
@@ -113,7 +113,8 @@ mod tests {
     use super::*;
     use crate::preview::Part;
 
-    /// Decodes files that the crate `png` wrote with each of its filters: noise, slopes, constants.
+    /// Pictures of noise, slopes and constants, which the crate `png` wrote with each of its
+    /// filters, are decoded to their original pixels.
     #[test]
     fn every_filter_gives_the_pixels_back() {
         let mut random = Stream::new(6);
@@ -154,8 +155,8 @@ mod tests {
         }
     }
 
-    /// A changed byte is an error, unless it is in a chunk's checksum or an optional chunk. Then it
-    /// has no effect.
+    /// A changed byte is an error, unless it is in a chunk's checksum or in an optional chunk. Then
+    /// the decoded pixels stay the same.
     #[test]
     fn changed_bytes_never_give_another_picture() {
         let codes: Vec<u8> = (0..3 * 40).map(|i| (i * 37 % 256) as u8).collect();

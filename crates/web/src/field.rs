@@ -18,7 +18,7 @@ pub struct Field {
 }
 
 impl Field {
-    /// A light field without views, to which [`Self::put`] adds them. `size` is [rows, cols] of a
+    /// Makes a light field without views; [`Self::put`] adds views. `size` is [rows, cols] of a
     /// view, `views` is [rows, cols] of views.
     ///
     /// # Errors
@@ -92,7 +92,7 @@ impl Field {
 
     /// Returns the indices and bilinear weights of the views around the position (u, v). u is 0..1
     /// from left to right, v is 0..1 from top to bottom. Views that have not arrived are omitted,
-    /// and the other weights are scaled so that their sum is 1.
+    /// and the remaining weights are scaled so that their sum is 1.
     pub fn blend(&self, u: f64, v: f64) -> Vec<(usize, f32)> {
         let around = |t: f64, count: usize| {
             let place = t.clamp(0.0, 1.0) * (count - 1) as f64;

@@ -1,5 +1,5 @@
-//! Parses JSON. In the browser this is the browser's own parser, since one in Rust would be a fifth
-//! of the module.
+//! Parses JSON. In the browser the module calls the browser's own parser, since a parser in Rust
+//! would be a fifth of the module.
 
 use serde::de::DeserializeOwned;
 

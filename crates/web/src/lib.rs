@@ -7,8 +7,8 @@
 //! ```
 //!
 //! The CPU draws in tests and on machines without WebGL2. The shaders compute no geometry: tables
-//! that [`lumistack_display::AreaMap`] gives state where a ray hits a layer. All code that does not
-//! use the browser's objects compiles for any machine, where its tests run.
+//! of [`lumistack_display::AreaMap`] state where a ray hits a layer. All code that does not use the
+//! browser's objects also compiles outside of the browser, where its tests run.
 
 mod colour;
 mod decode;

@@ -29,14 +29,16 @@ pub struct Model {
     built: OnceLock<Built>,
 }
 
-/// The display with its construction errors, and the layers' values after the hardware's response.
+/// The simulated display, with the construction errors that the options set, and the layers' values
+/// after the hardware's response.
 #[derive(Debug)]
 struct Built {
     display: Display,
     stack: LayerStack,
 }
 
-/// The drawn slices of the texture arrays. Slice i contains the i-th frame that was completed.
+/// A range of slices of the texture arrays, whose mean the shader draws. Slice i contains the i-th
+/// frame that was completed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Slots {
     /// The first drawn slice.
@@ -46,10 +48,10 @@ pub struct Slots {
 }
 
 impl Model {
-    /// A preview without pictures, to which [`Self::put`] adds them.
+    /// Makes a preview without pictures; [`Self::put`] adds pictures.
     ///
     /// # Errors
-    /// If the text is no preview; see [`Preview::from_json`].
+    /// If the text is no valid preview; see [`Preview::from_json`].
     pub fn new(preview_json: &str) -> Result<Self, Error> {
         let preview = Preview::from_json(preview_json)?;
         let geometry = preview.geometry()?;
@@ -73,8 +75,8 @@ impl Model {
         &self.options
     }
 
-    /// Adds the bytes of file `index`. Returns the file's part, and the slice of its frame if all
-    /// files of that frame are present.
+    /// Adds the bytes of file `index`. Returns the part of the preview that the file contains. If
+    /// all files of the part's frame are present, it also returns the frame's slice.
     ///
     /// # Errors
     /// If there is no such file or it is damaged; the model stays unchanged.
@@ -89,7 +91,7 @@ impl Model {
             Part::Target { .. } => return Ok((part, None)),
         };
         self.built.take();
-        // the file replaces one of a frame that was complete already
+        // the frame was complete before this call, so the new file replaces an earlier file
         if let Some(slot) = self.complete.iter().position(|complete| *complete == frame) {
             return Ok((part, Some(slot)));
         }
@@ -108,7 +110,7 @@ impl Model {
     /// preview's order.
     ///
     /// # Errors
-    /// If their total length is wrong; the model stays unchanged.
+    /// If the length of `codes` is wrong; the model stays unchanged.
     pub fn exchange(&mut self, codes: &[u8]) -> Result<(), Error> {
         let length = |file: &File| 3 * file.rows * file.cols;
         let expected: usize = self.preview.files.iter().map(length).sum();
@@ -145,7 +147,8 @@ impl Model {
     /// Changes the options; omitted keys return to their defaults.
     ///
     /// # Errors
-    /// On malformed text, unknown keys and values out of range; the options stay unchanged.
+    /// If the text is malformed, a key is unknown or a value is out of range; the options stay
+    /// unchanged.
     pub fn set_options(&mut self, text: &str) -> Result<(), Error> {
         let options = Options::from_json(text, self.preview.frames)?;
         if options != self.options {
@@ -160,8 +163,8 @@ impl Model {
         self.options.gain.unwrap_or(1.0 / self.preview.brightness) as f32
     }
 
-    /// The slices whose mean is the picture: the slice of the selected frame if that is complete,
-    /// else the slices of all complete frames.
+    /// The slices whose mean is the picture: the slice of the selected frame if this frame is
+    /// complete, otherwise the slices of all complete frames.
     pub fn slots(&self) -> Slots {
         let chosen = self.options.frame.and_then(|frame| self.complete.iter().position(|&of| of == frame));
         match chosen {
@@ -181,7 +184,8 @@ impl Model {
         self.preview.display.layers[n].response().filter(|response| !response.is_identity())
     }
 
-    /// Returns true if layer `n` has no response: its stored values are those that rays hit.
+    /// Returns true if the hardware of layer `n` does not change its stored values, so that rays
+    /// hit exactly these values.
     pub fn is_plain(&self, n: usize) -> bool {
         self.response(n).is_none()
     }
@@ -240,8 +244,8 @@ impl Model {
         let mut values = Tensor::zeros(LayerStack::EMISSION_AXES, shape);
         for (i, &frame) in frames.iter().enumerate() {
             let codes = self.codes(Part::Emission { frame }).unwrap_or_default();
-            // the picture is `[bin_y][lenslet_row][bin_x][lenslet_col]`: a line contains one row of
-            // lenslets for one bin_y and all bin_x
+            // the picture has the layout `[bin_y][lenslet_row][bin_x][lenslet_col]`: a line
+            // contains one row of lenslets, for one bin_y and all bin_x
             for (line, codes) in codes.chunks_exact(3 * bins_x * cols).enumerate() {
                 let (bin_y, row) = (line / rows, line % rows);
                 for (bin_x, codes) in codes.chunks_exact(3 * cols).enumerate() {
@@ -254,8 +258,8 @@ impl Model {
         Some(values)
     }
 
-    /// The seen picture from a slope with the current options. With a pupil it is the mean over the
-    /// pupil's points, with one ray per pixel and point.
+    /// The seen picture from a slope with the current options. If the options set a pupil, each
+    /// pixel is the mean over points of the pupil, with one ray for each point.
     fn emitted(&self, slope: [f64; 2], projection: Projection) -> EmittedView {
         let built = self.built();
         if built.stack.frames() == 0 {
@@ -322,7 +326,7 @@ impl Model {
     /// encoded as sRGB bytes `[row][col][rgba]`.
     ///
     /// # Errors
-    /// If there is no such layer or frame or it has not arrived.
+    /// If there is no such layer or frame, or the mask's file has not arrived.
     pub fn render_layer(&self, layer: usize, frame: usize) -> Result<Vec<u8>, Error> {
         let codes = self.codes(Part::Layer { layer, frame });
         Ok(on_light_table(codes.ok_or_else(|| err(format!("layer {layer}, frame {frame}: missing, or not yet here")))?))
@@ -332,15 +336,15 @@ impl Model {
     /// values, encoded as sRGB bytes `[row][col][rgba]`.
     ///
     /// # Errors
-    /// If the backlight is uniform, there is no such frame, or it has not arrived.
+    /// If the backlight is uniform, there is no such frame, or the emission's file has not arrived.
     pub fn render_backlight(&self, frame: usize) -> Result<Vec<u8>, Error> {
         let codes = self.codes(Part::Emission { frame });
         Ok(on_light_table(codes.ok_or_else(|| err(format!("backlight, frame {frame}: missing, or not yet here")))?))
     }
 
-    /// The error map for the target's view L nearest to a slope. The error of a pixel is the
-    /// largest channel of |gain · L̃ − L|. A pixel is black if less than half of its area has valid
-    /// rays.
+    /// The error map at a slope, compared with the target's view L nearest to the slope. The error
+    /// of a pixel is the largest channel of |gain · L̃ − L|. A pixel is black if the display drops
+    /// the rays of at least half of its area, since they miss a layer.
     ///
     /// # Errors
     /// If the view has not arrived.
@@ -358,8 +362,8 @@ impl Model {
             .collect())
     }
 
-    /// PSNR of L̃/β against the target's view nearest to a slope, dB. `None` if that view has not
-    /// arrived, no frame is complete, or no ray is valid.
+    /// PSNR of L̃/β against the target's view nearest to a slope, dB. `None` if this view has not
+    /// arrived, no frame is complete, or the display drops all rays, since they miss a layer.
     pub fn psnr(&self, slope: [f64; 2]) -> Option<f64> {
         let view = self.nearest_view(slope);
         let target: Vec<f32> = self.target(view).ok()?.iter().map(|code| DECODED[usize::from(*code)]).collect();
@@ -367,7 +371,7 @@ impl Model {
         (error.count > 0).then(|| error.psnr())
     }
 
-    /// The display's emission towards a view of the target.
+    /// The picture that the display emits towards a view of the target.
     fn emitted_at(&self, view: [usize; 2]) -> EmittedView {
         self.emitted(self.slope_of(view), self.geometry.grid.projection)
     }

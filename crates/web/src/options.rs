@@ -1,12 +1,13 @@
-//! Options of the viewer's controls: the adaptation of the eye, and errors of the display's
-//! construction.
+//! Options that the controls of the viewer set: the eye's adaptation and pupil, and errors of the
+//! display's construction.
 
 use lumistack_display::{Backlight, Display, Projection};
 use serde::Deserialize;
 
 use crate::{Error, err, json};
 
-/// Distance of a pupil if the viewer's distance is unknown, millimetres.
+/// Distance between the pupil and the display plane if views are parallel projections, which have
+/// no viewing distance, millimetres.
 const ARM_LENGTH_MM: f64 = 600.0;
 /// Largest number of points of a pupil along each axis.
 const PUPIL_LIMIT: usize = 9;
@@ -52,7 +53,7 @@ impl Options {
     /// Reads and checks options for a display of `frames` frames.
     ///
     /// # Errors
-    /// On malformed text, unknown keys and values out of range.
+    /// If the text is malformed, a key is unknown or a value is out of range.
     pub fn from_json(text: &str, frames: usize) -> Result<Self, Error> {
         let options: Self = json::parse(text).map_err(|error| err(format!("options: {error}")))?;
         let expect = |ok: bool, key: &str, expected: &str, found: String| {
@@ -75,7 +76,7 @@ impl Options {
         Ok(options)
     }
 
-    /// The display with its construction errors.
+    /// The display with the construction errors that these options set.
     pub fn built(&self, display: &Display) -> Display {
         let mut built = display.clone();
         let middle = (built.layers.len() as f64 - 1.0) / 2.0;
@@ -92,14 +93,15 @@ impl Options {
         built
     }
 
-    /// Projection of the drawn views: perspective if the options set the eye's distance, else
+    /// Projection of the drawn views: perspective if the options set the eye's distance, otherwise
     /// `target`, the projection of the target's views.
     pub fn projection(&self, target: Projection) -> Projection {
         self.eye_distance_mm.map_or(target, |distance_mm| Projection::Perspective { distance_mm })
     }
 
-    /// The points of the pupil whose views are averaged. They are a square grid of slopes relative
-    /// to the pupil's centre; only points on the pupil's disc count. A pinhole has one point.
+    /// The points of the pupil whose views are averaged. They are a square grid of slopes, relative
+    /// to the slope of the pupil's centre. Only points on the pupil's disc count. A pinhole has one
+    /// point.
     pub fn pupil(&self, display: &Display, target: Projection) -> Pupil {
         let distance_mm = match self.projection(target) {
             Projection::Perspective { distance_mm } => distance_mm,
@@ -109,8 +111,8 @@ impl Options {
             return Pupil { offsets: vec![0.0], on_disc: vec![true] };
         }
         let radius = 0.5 * self.pupil_mm / distance_mm;
-        // choose the number of points so that a layer moves by at most half a pixel between
-        // neighbouring points, unless that number exceeds the limit
+        // Seen from neighbouring points, a layer should be shifted by at most half a pixel. This
+        // determines the number of points, up to the limit.
         let blur_px = display.layers.iter().map(|layer| layer.d_mm.abs() * 2.0 * radius / layer.pitch_mm);
         let count = (blur_px.fold(0.0, f64::max).ceil() as usize * 2 + 1).clamp(3, PUPIL_LIMIT);
         let offsets: Vec<f64> =

@@ -5,14 +5,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Error, err, json};
 
-/// `preview.json`.
+/// Content of `preview.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Preview {
-    /// [`Preview::SCHEMA`].
+    /// Name of the format, [`Preview::SCHEMA`].
     pub schema: String,
-    /// [`Preview::VERSION`].
+    /// Version of the format, [`Preview::VERSION`].
     pub version: u32,
-    /// Name for users.
+    /// Title that the viewer shows.
     #[serde(default)]
     pub title: String,
     /// The display.
@@ -25,8 +25,8 @@ pub struct Preview {
     pub target: Target,
     /// The files, in the order in which they are loaded.
     pub files: Vec<File>,
-    /// PSNR of views of the rounded patterns in the files (8 bits) against views of the unrounded
-    /// patterns, dB.
+    /// PSNR of views of the patterns in the files, which are rounded to 8 bits, against views of
+    /// the unrounded patterns, dB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rounding_db: Option<f64>,
 }
@@ -56,11 +56,11 @@ pub struct Target {
     pub distance_mm: Option<f64>,
     /// Slope of each view column.
     pub slope_x: Vec<f64>,
-    /// Slope of each view row; y points up.
+    /// Slope of each view row, from top to bottom; a slope above 0 points up.
     pub slope_y: Vec<f64>,
 }
 
-/// One picture.
+/// The entry of one picture file.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(into = "Entry", try_from = "Entry")]
 pub struct File {
@@ -76,8 +76,9 @@ pub struct File {
     pub bytes: u64,
 }
 
-/// The form of a [`File`] in preview.json: a flat table whose key `kind` names the part. For a
-/// flattened enum serde would make ten times as much code, which every visitor loads.
+/// The form of a [`File`] in preview.json: a flat table whose key `kind` names the variant of
+/// [`Part`]. If `Part` were a flattened enum, serde would make ten times as much code, which every
+/// visitor loads.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default)]
 struct Entry {
@@ -162,11 +163,11 @@ impl Preview {
     /// Reads and checks a preview.
     ///
     /// # Errors
-    /// On malformed text, another schema or version, values out of range, and files that do not fit
-    /// the display.
+    /// If the text is malformed, has another schema or version or values out of range, or if files
+    /// do not fit the display.
     pub fn from_json(text: &str) -> Result<Self, Error> {
         let malformed = |error: String| err(format!("preview.json: expected a preview, found {error}"));
-        // Another version may have other keys, so it is checked first.
+        // Another version may have other keys, so check the version before the other keys.
         let Head { schema, version } = json::parse(text).map_err(malformed)?;
         if schema != Self::SCHEMA {
             return Err(err(format!("preview.json: schema: expected {:?}, found {schema:?}", Self::SCHEMA)));
@@ -196,7 +197,7 @@ impl Preview {
         let frames = self.display.frames;
         expect(self.frames == frames, "frames", format!("the display's {frames}"), self.frames.to_string())?;
         let [views_y, views_x] = self.geometry()?.grid.views();
-        // Check every file: its part exists, and has the display's size.
+        // Check every file: the display has the file's part, and the picture has the part's size.
         for (i, file) in self.files.iter().enumerate() {
             let place = format!("files[{i}]");
             let limit = file.rows.checked_mul(file.cols).is_some_and(|n| (1..=Self::PIXEL_LIMIT).contains(&n));

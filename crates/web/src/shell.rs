@@ -32,13 +32,14 @@ pub fn version() -> String {
     env!("CARGO_PKG_VERSION").into()
 }
 
-/// The error map's colours for evenly spaced errors, as a list for a gradient of a style sheet.
+/// The error map's colours for evenly spaced errors, separated by commas, for a gradient in a style
+/// sheet.
 #[wasm_bindgen]
 pub fn heat() -> String {
     heat_stops().join(",")
 }
 
-/// The error that has the last colour of the error map.
+/// The error that the last colour of the error map shows.
 #[wasm_bindgen]
 pub fn heat_top() -> f32 {
     HEAT_TOP
@@ -109,25 +110,27 @@ impl Viewer {
         Ok(clamped(&self.model.render_error([sx, sy])?))
     }
 
-    /// PSNR against the target's view nearest to a slope, dB; undefined until that view has
+    /// PSNR against the target's view nearest to a slope, dB; undefined until this view has
     /// arrived.
     pub fn psnr(&self, sx: f64, sy: f64) -> Option<f64> {
         self.model.psnr([sx, sy])
     }
 
-    /// Sets the context for [`Self::draw`]; throws if it is lost or too small for the preview.
+    /// Sets the context for [`Self::draw`]; throws if the context is lost, or its limits are too
+    /// small for the preview.
     pub fn attach(&mut self, context: WebGl2RenderingContext) -> Thrown<()> {
         self.gpu = None;
         self.gpu = Some(Gpu::new(context, &self.model)?);
         Ok(())
     }
 
-    /// Releases the context, whether it is lost or not.
+    /// Releases the context, also if it is lost.
     pub fn detach(&mut self) {
         self.gpu = None;
     }
 
-    /// Draws the view from a slope to the context, whose canvas has the field's size.
+    /// Draws the view from a slope with the context of [`Self::attach`]. Its canvas has one pixel
+    /// for each pixel of the light field.
     pub fn draw(&self, sx: f64, sy: f64) -> Thrown<()> {
         Ok(self.gpu.as_ref().ok_or_else(detached)?.draw(&self.model, [sx, sy])?)
     }
@@ -139,7 +142,7 @@ pub struct LightField(Field);
 
 #[wasm_bindgen]
 impl LightField {
-    /// A light field without views, to which `put` adds them. A view has rows × cols pixels.
+    /// Makes a light field without views; `put` adds views. A view has rows × cols pixels.
     #[wasm_bindgen(constructor)]
     pub fn new(rows: usize, cols: usize, view_rows: usize, view_cols: usize) -> Thrown<LightField> {
         Ok(Self(Field::new([rows, cols], [view_rows, view_cols])?))

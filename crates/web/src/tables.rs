@@ -1,14 +1,14 @@
 //! Tables for the shader that state where rays hit the layers. The shader reads them as textures
 //! and computes no geometry.
 //!
-//! With a pinhole the picture is the mean over every pixel's area. For that, [`AreaMap`] splits
-//! each pixel into parts, so that all rays of a part read the same pixels of the layers. With a
-//! pupil the picture is a mean over the pupil's points, with one ray per pixel and point. Then
-//! every pixel is a single part.
+//! If the eye's pupil is a pinhole, a pixel of the picture is the mean over the pixel's area. For
+//! this, [`AreaMap`] splits each pixel into parts, so that all rays of a part read the same pixels
+//! of the layers. With a larger pupil, a pixel is a mean over the pupil's points, with one ray for
+//! each point. Then every pixel is a single part.
 //!
-//! Table `x` has a row for every combination of a point along x, a part, and a layer or the
-//! backlight. A row has one texel per column of the field. With `place`, the number of the point,
-//! and N layers:
+//! Table `x` has a row for every combination of a point of the pupil along x, a part, and a layer
+//! or the backlight. A row has one texel per column of the light field. Let `place` be the number
+//! of the point, and N the number of layers:
 //!
 //! ```text
 //! row = (place · parts + part) · rows_per_part
@@ -16,10 +16,11 @@
 //! x[row + N][col] = lenslet, bin, 0, share    backlight; lenslet = −1: dark, −2: the ray misses it
 //! ```
 //!
-//! Table `y` is the same for the rows of the field. A ray hits a layer between the columns `first`
-//! and `second`, and reads their values with the weights 1 − t and t. `share` is the part's
-//! fraction of the pixel's width. It is 0 for the unused parts of pixels that have fewer parts than
-//! others. Indices below 2²⁴ are exact in single precision.
+//! Table `y` has the same form, for the rows of the light field. A ray hits a layer between the
+//! columns (or rows) `first` and `second`, and reads their values with the weights 1 − t and t.
+//! `share` is the part's fraction of the pixel's width (or height). Every pixel has room for the
+//! largest number of parts; `share` is 0 for the parts that a pixel does not use. Indices below 2²⁴
+//! are exact in single precision.
 
 use lumistack_display::{AreaMap, BacklightTap, Display, FieldGeometry, Part, Projection, RayMap, Tap, ViewGrid};
 
@@ -36,9 +37,11 @@ pub struct Tables {
     pub parts: [usize; 2],
     /// Number of layers, plus one for a directional backlight.
     pub rows_per_part: usize,
-    /// Table `x`: four numbers for every point, part, layer or backlight, and column of the field.
+    /// Table `x`: four numbers for every point, part, layer (or backlight), and column of the light
+    /// field.
     pub x: Vec<f32>,
-    /// Table `y`: four numbers for every point, part, layer or backlight, and row of the field.
+    /// Table `y`: four numbers for every point, part, layer (or backlight), and row of the light
+    /// field.
     pub y: Vec<f32>,
 }
 
@@ -51,7 +54,7 @@ impl Tables {
         slope: [f64; 2],
         projection: Projection,
     ) -> Self {
-        // Trace one view per point of the pupil.
+        // Compute the rays of one view per point of the pupil.
         let places = pupil.offsets.len();
         let slopes = |centre: f64| pupil.offsets.iter().map(|offset| centre + offset).collect();
         let grid = ViewGrid { projection, slope_x: slopes(slope[0]), slope_y: slopes(slope[1]) };
@@ -62,7 +65,8 @@ impl Tables {
             let whole = |count: usize| (0..count as u32).map(|pixel| Part { pixel, share: 1.0 }).collect();
             AreaMap { map: RayMap::new(display, &geometry), x: whole(geometry.cols), y: whole(geometry.rows) }
         };
-        // Write the lookups of every layer and of the backlight.
+        // Write a texel for every layer and one for the backlight. A texel states the values that
+        // a ray reads.
         let rows_per_part = map.map.layers.len() + usize::from(map.map.backlight.is_some());
         let axes = [(&map.x, geometry.cols), (&map.y, geometry.rows)].map(|(list, width)| Cut::new(list, width));
         let (mut x, mut y) = (Vec::new(), Vec::new());
@@ -109,8 +113,8 @@ impl<'a> Cut<'a> {
         Self { list, numbers, width, parts: counts.into_iter().max().unwrap_or(0) }
     }
 
-    /// Writes row `row`, a layer or the backlight, of the `rows` rows of every part. `rays` returns
-    /// the first three numbers of the texel for part i of the list.
+    /// Writes one row of every part: row number `row` of `rows`, which stands for a layer or the
+    /// backlight. `rays(i)` returns the first three numbers of the texel for part i of the list.
     fn fill(&self, table: &mut [f32], [rows, row]: [usize; 2], rays: impl Fn(usize) -> [f32; 3]) {
         for (i, (part, number)) in self.list.iter().zip(&self.numbers).enumerate() {
             let at = 4 * ((number * rows + row) * self.width + part.pixel as usize);

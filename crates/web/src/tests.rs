@@ -27,7 +27,7 @@ pub(crate) fn png(rows: usize, cols: usize, codes: &[u8]) -> Vec<u8> {
 }
 
 /// A preview of random patterns with a random target, and the bytes of its files. The patterns are
-/// the rounded ones that the files contain.
+/// already rounded to the codes in the files.
 pub(crate) struct Sample {
     pub(crate) json: Value,
     pub(crate) files: Vec<Vec<u8>>,
@@ -57,7 +57,7 @@ impl Sample {
             if let Some(emission) = &mut stack.emission {
                 let [_, bins_y, bins_x, rows, cols, _] = emission.shape();
                 let codes = codes(3 * bins_y * bins_x * rows * cols);
-                // write every pixel as the format defines it
+                // write the pixels of the emission at the places that the format defines
                 for y in 0..bins_y * rows {
                     for x in 0..bins_x * cols {
                         for c in 0..3 {
@@ -121,7 +121,7 @@ fn plain() -> Display {
     Display { brightness: 0.25, ..plain }
 }
 
-/// One display for every variant of the shader.
+/// Displays that together cover every variant of the shader.
 pub(crate) fn displays() -> Vec<Display> {
     let mut directional = plain();
     directional.backlight = Backlight::Lenslets(LensletBacklight::new(-20.0, [4, 3], 4.0, [3, 2], [20.0, 20.0]));
@@ -199,8 +199,8 @@ fn options_change_the_display() {
     check(json!({}), display, stack, oblique, 4.0);
 }
 
-/// An eye with a pupil is focused on z = 0. It sees a dark point behind that plane blurred, and a
-/// dark point on the plane sharp.
+/// An eye with a pupil is focused on z = 0. It sees a dark point behind this plane blurred, and a
+/// dark point on this plane sharp.
 #[test]
 fn a_pupil_blurs_what_is_off_the_plane() {
     let display = Display::uniform([61, 41], 1.0, [1, 1], [20.0, 20.0], &[-40.0, 0.0], 1);
@@ -229,7 +229,9 @@ fn frames_count_once_all_their_parts_are_there() {
     let mut model = sample.model();
     assert!(model.view_linear([0.0; 2]).iter().all(|v| *v == 0.0));
     assert_eq!((model.psnr([0.0; 2]), model.frames_ready(), model.targets_ready()), (None, 0, 0));
-    // the files of the second frame arrive first: three layers and the emission
+    // The files of the second frame, three layers and the emission, arrive first. The last file
+    // arrives twice. The pairs are the number of a file, and the number of complete frames after
+    // it.
     for (i, ready) in [(4, 0), (5, 0), (6, 0), (7, 1), (7, 1)] {
         model.put(i, &sample.files[i]).unwrap();
         assert_eq!(model.frames_ready(), ready);
@@ -271,7 +273,7 @@ fn targets_errors_and_scores_belong_to_the_nearest_view() {
     assert_eq!(map[4 * missed..][..4], [0, 0, 0, 255]);
     let worst = (0..linear.len() / 3).find(|i| emitted.valid[*i] && at(*i) > 0.25).unwrap();
     assert_eq!(map[4 * worst..][..4], [252, 255, 214, 255]);
-    // the view has another PSNR if only one of the frames is shown
+    // a single frame has another PSNR than the mean of all frames; the target does not change
     model.set_options(r#"{"frame": 0}"#).unwrap();
     assert!((model.psnr(slope).unwrap() - error.psnr()).abs() > 1e-3);
     assert_eq!(model.render_target([0, 2]).unwrap()[..3], target[..3]);
@@ -348,7 +350,8 @@ fn a_backlight_is_shown_bin_by_bin() {
     assert_eq!((backlight.len(), backlight[0]), (4 * 72, srgb_code(directional.stack.emission.unwrap().data()[0])));
 }
 
-/// An oracle that reads the tables as the shader does computes the same picture as the simulator.
+/// A function in f64 reads the tables as the shader does. It computes the same picture as the
+/// simulator, so the tables contain all geometry that the shader needs.
 #[test]
 fn tables_hold_the_whole_geometry() {
     for (i, display) in displays().into_iter().enumerate() {
@@ -439,7 +442,7 @@ fn as_the_shader_does(model: &Model, slope: [f64; 2]) -> Vec<f32> {
                     (light, area) = (light + share * view, area + share);
                 }
             }
-            // the mean over a pixel's area is taken for each point of the pupil on its own
+            // compute the mean over the pixel's area separately for each point of the pupil
             sum += if area > 0.0 { light / area } else { 0.0 };
         }
         *value = (f64::from(model.gain()) * sum / count) as f32;

@@ -2,22 +2,23 @@
 //! the simplest method for a layer in front of a directional backlight.
 //!
 //! In every frame the backlight emits into a subset of its directions, and the layer shows the
-//! target as seen from these directions. With A directions and M frames
+//! target as seen from these directions. With A directions and M frames, the schedule and the
+//! brightness are
 //!
 //! ```text
 //! direction k is lit in frame ⌊k·M/A⌋        β = 1/M · Π peak of the layers
 //! ```
 //!
-//! If every direction has its own frame, all views are exact, and β is 1/A of its largest value.
-//! With fewer frames, neighbouring directions share a frame, and the layer shows the mean of their
-//! views.
+//! If every direction has its own frame (M = A), all views are exact. With fewer frames the display
+//! is brighter, but neighbouring directions share a frame, in which the layer shows the mean of
+//! their views.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{NodeInput, NodePlugin, PluginError, Schema, expects, export_plugin};
 
-/// The plugin.
+/// The plugin `directional_sequence`.
 pub struct DirectionalSequence;
 
 /// The plugin has no parameters.
@@ -26,8 +27,8 @@ pub struct DirectionalSequence;
 pub struct SequenceParams {}
 
 impl NodePlugin for DirectionalSequence {
-    const DOC: &'static str = "A time-sequential directional backlight: each frame lights some directions only, and the layer shows the view from these directions. \
-        The direct mode of displays with a directional backlight.";
+    const DOC: &'static str = "Lights the directions of a directional backlight one after another: each frame lights some directions only, and the layer shows the view from these directions. \
+        This is the simplest method for displays with a directional backlight.";
     type Params = SequenceParams;
 
     fn schema() -> Schema {
@@ -49,14 +50,14 @@ impl NodePlugin for DirectionalSequence {
                 "expected {directions} frames, one per direction, found {frames}: several directions show the same picture; set display.frames to {directions}"
             ));
         }
-        // Light each direction in its frame, and open all layers.
+        // Light each direction in its frame, and open all layers to their brightest state.
         let frame_of = |bin_y: usize, bin_x: usize| (bin_y * bins_x + bin_x) * frames / directions;
         let geometry = field.geometry();
         let map = RayMap::new(display, geometry);
         let Some(backlight) = &map.backlight else {
             return Err(PluginError::display(display, "a directional backlight", "none"));
         };
-        // the layer nearest to the display plane shows the views; the other layers are clear
+        // The layer nearest to the display plane shows the views. The other layers stay open.
         let nearest = (0..display.layers.len())
             .min_by(|&a, &b| display.layers[a].d_mm.abs().total_cmp(&display.layers[b].d_mm.abs()));
         let shown = nearest.unwrap_or(0);
@@ -73,8 +74,8 @@ impl NodePlugin for DirectionalSequence {
             }
         }
 
-        // In every frame, a pixel of that layer shows the mean of the target over the lit rays
-        // through it.
+        // In every frame, a pixel of the layer `shown` gets the mean of the target over all lit
+        // rays through the pixel.
         let layer = &map.layers[shown];
         let shape = [frames, layer.rows, layer.cols, 3];
         let count = Tensor::<4>::element_count(shape)

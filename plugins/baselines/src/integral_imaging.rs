@@ -1,14 +1,14 @@
-//! Node plugin `integral_imaging`: only the lens array shows the light field (Lippmann 1908). It is
-//! the baseline of displays with a directional backlight.
+//! Node plugin `integral_imaging`: the lens array alone shows the light field, behind open layers
+//! (Lippmann 1908). This is the baseline of displays with a directional backlight.
 //!
-//! All layers are clear. The emission of a lenslet into an angular bin is the mean of the target
-//! over the rays from that lenslet into that bin,
+//! All layers are in their brightest state. The emission of a lenslet into an angular bin is the
+//! mean of the target over the rays from the lenslet into the bin:
 //!
 //! ```text
 //! b[bin, lenslet] = mean of L(r) over the rays r of that lenslet and bin
 //! ```
 //!
-//! which is the least-squares optimum. All frames are equal, since different frames would not
+//! This mean is the least-squares optimum. All frames are equal, since different frames would not
 //! improve the result. No light is lost by multiplexing: β = Π peak of the layers. Each lenslet is
 //! one pixel of the seen picture.
 
@@ -17,7 +17,7 @@ use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{NodeInput, NodePlugin, PluginError, Schema, expects, export_plugin};
 
-/// The plugin.
+/// The plugin `integral_imaging`.
 pub struct IntegralImaging;
 
 /// The plugin has no parameters.
@@ -26,7 +26,7 @@ pub struct IntegralImaging;
 pub struct IntegralParams {}
 
 impl NodePlugin for IntegralImaging {
-    const DOC: &'static str = "Integral imaging: the lenslets of a directional backlight alone, behind layers that stay open. The baseline of displays \
+    const DOC: &'static str = "Shows the light field by the lenslets of a directional backlight alone, behind layers that stay open (integral imaging). This is the baseline of displays \
         with a directional backlight.";
     type Params = IntegralParams;
 
@@ -43,7 +43,7 @@ impl NodePlugin for IntegralImaging {
         let (Some(backlight), Some(shape)) = (&map.backlight, LayerStack::emission_shape(display)) else {
             return Err(PluginError::display(display, "a directional backlight", "none"));
         };
-        // Open all layers; β is then the product of their peaks.
+        // Open all layers, so that β is the product of their peaks.
         let [dark, bright] = lenslets.range();
         let mut stack = LayerStack::filled(display, dark);
         for (values, layer) in stack.layers.iter_mut().zip(&display.layers) {

@@ -1,9 +1,9 @@
-//! Node plugin `log_tomography`: a static stack of layers by tomography (Wetzstein et al. 2011),
-//! the baseline without time multiplexing.
+//! Node plugin `log_tomography`: computes static masks by tomography (Wetzstein et al. 2011). This
+//! is the baseline without time multiplexing.
 //!
-//! The logarithm of the product of the layers' values along a ray is a sum. So the logarithms of a
-//! light field are projections of a volume that consists of the layers. Tomography finds the
-//! layers:
+//! A ray's light is the product of the layers' values along the ray, so its logarithm is a sum over
+//! the layers. Thus the logarithms of a light field are projections of a volume, whose slices are
+//! the layers. Tomography finds this volume:
 //!
 //! ```text
 //! minimize Σ_r (Σ_n x_n[j_n(r)] − a_r)²
@@ -20,7 +20,7 @@ use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Display, NodeInput, NodePlugin, Param, PluginError, Schema, expects, export_plugin};
 
-/// The plugin.
+/// The plugin `log_tomography`.
 pub struct LogTomography;
 
 /// Parameters; see [`LogTomography::schema`](NodePlugin::schema) for their meaning.
@@ -32,8 +32,8 @@ pub struct TomographyParams {
 }
 
 impl NodePlugin for LogTomography {
-    const DOC: &'static str = "A static stack of layers by tomography of logarithms, for any number of layers in front of a uniform backlight. Every frame is the \
-        same: the baseline without time multiplexing.";
+    const DOC: &'static str = "Computes static masks by tomography of logarithms, for any number of layers in front of a uniform backlight. All frames are \
+        equal: this is the baseline without time multiplexing.";
     type Params = TomographyParams;
 
     fn schema() -> Schema {
@@ -43,7 +43,7 @@ impl NodePlugin for LogTomography {
                 "darkest",
                 0.01,
                 1e-6..=0.5,
-                "Smaller values of the target are raised to this, since their logarithms would dominate the objective.",
+                "Target values below this are raised to it, since their logarithms would dominate the objective.",
             )
             .unit("1"),
         ])
@@ -58,7 +58,7 @@ impl NodePlugin for LogTomography {
         let mut volume = Volume::new(display, &map)?;
         let [rows, cols] = [geometry.rows, geometry.cols];
         let views: Vec<[usize; 2]> = geometry.grid.iter().collect();
-        // the wanted attenuation a_r of each ray, [view][row][col][rgb]
+        // Collect the attenuation a_r that each ray r should have, [view][row][col][rgb].
         let mut wanted = Vec::new();
         for &view in &views {
             let lent = field.view(view)?;
@@ -119,9 +119,11 @@ impl Volume {
             let count = Tensor::<3>::element_count(shape)
                 .ok_or_else(|| PluginError::Refused(format!("a layer of shape {shape:?} is too large")))?;
             let [darkest, brightest] = layer.range();
-            // limit black to 6·10⁻⁶ ≈ e⁻¹²; differences below that are invisible
+            // Limit black to 6·10⁻⁶ ≈ e⁻¹², since x = −log f is infinite at 0. Smaller values are
+            // invisible.
             let range = [-brightest.ln(), -darkest.max(6e-6).ln()];
-            // start from the attenuation −ln β, divided evenly among the layers
+            // Start with equal layers that attenuate by β together: each has x = −ln β / N for N
+            // layers.
             let start = (-display.brightness.ln() as f32 / display.layers.len() as f32).clamp(range[0], range[1]);
             volume.values.push(vec![start; count]);
             volume.gradient.push(vec![0.0; count]);
@@ -131,8 +133,8 @@ impl Volume {
         Ok(volume)
     }
 
-    /// Computes the gradient: for every pixel the sum of (Σ_n x_n − a_r) over the rays r through
-    /// it, and the number of these rays.
+    /// Computes the gradient: for every pixel, the sum of (Σ_n x_n − a_r) over the rays r through
+    /// the pixel. Also counts these rays.
     fn back_project(
         &mut self,
         map: &RayMap,
@@ -148,7 +150,7 @@ impl Volume {
         let mut pixels = vec![0usize; map.layers.len()];
         for (number, &view) in views.iter().enumerate() {
             for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
-                // only rays that hit a pixel of every layer are included
+                // Skip a ray that misses a layer.
                 let hits_all =
                     map.layers.iter().zip(&mut pixels).all(|(layer, pixel)| match hit_pixel(layer, view, row, col) {
                         Some(found) => {
@@ -160,7 +162,8 @@ impl Volume {
                 if !hits_all {
                     continue;
                 }
-                // the error of a ray is Σ_n x_n − a_r
+                // The error of the ray r is Σ_n x_n − a_r: the sum over the layers n minus the
+                // wanted attenuation.
                 let ray = 3 * ((number * rows + row) * cols + col);
                 let mut error = [0, 1, 2].map(|c| -wanted[ray + c]);
                 for (values, &pixel) in at.iter().zip(&pixels) {
@@ -174,8 +177,8 @@ impl Volume {
         }
     }
 
-    /// Takes a gradient step from `at`. A pixel's gradient is divided by its number of rays and by
-    /// the number of layers, since a ray is a sum over all layers.
+    /// Takes a gradient step from the extrapolated point `at`. A pixel's gradient is divided by the
+    /// number of rays through the pixel and by the number of layers. This is the step size of SIRT.
     fn step(&mut self, at: &[Vec<f32>]) {
         let layers = at.len() as f32;
         for n in 0..at.len() {
@@ -191,8 +194,7 @@ impl Volume {
     }
 }
 
-/// Index of the pixel of a layer that is nearest to a ray's hit; `None` if the ray misses the
-/// layer.
+/// Returns the index of the layer's pixel that a ray hits; `None` if the ray misses the layer.
 fn hit_pixel(layer: &LayerMap, view: [usize; 2], row: usize, col: usize) -> Option<usize> {
     let (y, x) = (layer.y.of_view(view[0])[row], layer.x.of_view(view[1])[col]);
     let nearest = |tap: lumistack_plugin::display::Tap| if tap.t < 0.5 { tap.first } else { tap.second } as usize;

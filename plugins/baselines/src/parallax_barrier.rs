@@ -1,29 +1,29 @@
-//! Node plugin `parallax_barrier`: a time-multiplexed parallax barrier (Ives 1903), the baseline of
-//! tensor displays with two layers. With pinholes instead of slits it has parallax in both
-//! directions.
+//! Node plugin `parallax_barrier`: a time-multiplexed parallax barrier (Ives 1903). This is the
+//! baseline of tensor displays with two layers. A barrier of slits has horizontal parallax, and one
+//! of pinholes also has vertical parallax.
 //!
 //! The front layer is a mask of slits (or pinholes), one pixel wide, with a period of P_x × P_y
 //! mask pixels. The slits move from frame to frame. The rear layer shows the picture behind the
-//! slits. In frame m the mask is open at the pixels (col, row) with
+//! slits. In frame m of M, the mask is open at the pixels (col, row) with
 //!
 //! ```text
 //! (col, row) ≡ (k mod P_x, k div P_x)  (mod P_x, P_y),   k = ⌊m·P/M⌋,  P = P_x·P_y
 //! ```
 //!
-//! The value of a rear pixel is the mean of the target over all rays that pass through it and
-//! through an open mask pixel. That is the least-squares optimum for a mask of zeros and ones. If
-//! the period is at least the number of views, rays of different views through one slit hit
-//! different rear pixels. Then every unblocked ray is exact. With M = P frames every mask pixel is
-//! open in exactly one frame, so the display emits β = 1/P times the target along every ray. With
-//! fewer frames some mask pixels are never open. The display then emits β times the target only in
-//! the mean over a period.
+//! The value of a rear pixel is the mean of the target over all rays through the rear pixel and an
+//! open mask pixel. This mean is the least-squares optimum for a mask of zeros and ones. If the
+//! period is at least the number of views, rays of different views through one slit hit different
+//! rear pixels. Then every ray through an open mask pixel is exact. With M = P frames every mask
+//! pixel is open in exactly one frame, so the display emits β = 1/P times the target along every
+//! ray. With fewer frames some mask pixels are never open. The display then emits β times the
+//! target only in the mean over a period.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{NodeInput, NodePlugin, Param, PluginError, Schema, expects, export_plugin};
 
-/// The plugin.
+/// The plugin `parallax_barrier`.
 pub struct ParallaxBarrier;
 
 /// Parameters; see [`ParallaxBarrier::schema`](NodePlugin::schema) for their meaning.
@@ -35,8 +35,8 @@ pub struct BarrierParams {
 }
 
 impl NodePlugin for ParallaxBarrier {
-    const DOC: &'static str = "A time-multiplexed parallax barrier for displays of two layers: the front layer shows slits that move from \
-        frame to frame, the rear layer shows the picture behind them. The baseline of tensor displays.";
+    const DOC: &'static str = "Shows a time-multiplexed parallax barrier on displays of two layers: the front layer shows slits that move from \
+        frame to frame, and the rear layer shows the picture behind the slits. This is the baseline of tensor displays.";
     type Params = BarrierParams;
 
     fn schema() -> Schema {
@@ -55,7 +55,7 @@ impl NodePlugin for ParallaxBarrier {
 
     fn make(params: BarrierParams, input: &NodeInput<'_>) -> Result<LayerStack, PluginError> {
         let (host, display, field) = (input.host(), input.display(), input.field());
-        // the method needs a layer for the picture and a layer for the mask
+        // The method needs one layer for the picture and one for the mask.
         expects::layers(display, 2)?;
         expects::attenuating(display)?;
         expects::uniform_backlight(display)?;
@@ -86,7 +86,8 @@ impl NodePlugin for ParallaxBarrier {
         let shape = [display.frames, rear.rows, rear.cols, 3];
         let count = Tensor::<4>::element_count(shape)
             .ok_or_else(|| PluginError::Refused(format!("a rear layer of shape {shape:?} is too large")))?;
-        // for each rear pixel: the sum of the target over its unblocked rays, and their number
+        // For each rear pixel, sum the target over the rays that also pass through an open mask
+        // pixel, and count these rays.
         let (mut sums, mut rays) = (vec![0.0f32; count], vec![0u32; count / 3]);
         let stage = host.stage("parallax barrier", (views_y * views_x) as u64, "views");
         for [view_y, view_x] in geometry.grid.iter() {
@@ -124,14 +125,15 @@ impl NodePlugin for ParallaxBarrier {
     }
 }
 
-/// Returns true if the mask is open at a front pixel [row, col].
+/// Returns true if the mask is open at the front pixel `pixel` = [row, col] in a frame. `period` is
+/// [rows, columns].
 fn is_open(pixel: [usize; 2], frame: usize, frames: usize, period: [usize; 2]) -> bool {
     let k = frame * period[0] * period[1] / frames;
     pixel[1] % period[1] == k % period[1] && pixel[0] % period[0] == k / period[1] % period[0]
 }
 
-/// Rows (`along_y`) or columns of the rear and front pixels that a ray hits; `None` if the ray
-/// misses a layer.
+/// Returns the rows (if `along_y`) or columns of the rear pixel and the front pixel that a ray
+/// hits. `None` if the ray misses a layer.
 fn taps(rear: &LayerMap, front: &LayerMap, view: usize, ray: usize, along_y: bool) -> Option<[usize; 2]> {
     let axis = |layer: &LayerMap| {
         let tap = if along_y { layer.y.of_view(view)[ray] } else { layer.x.of_view(view)[ray] };

@@ -2,11 +2,11 @@
 //! nonnegative matrix factorization computes the masks of two layers in several frames.
 //!
 //! The light field of two layers is a matrix L. It has a row for each rear pixel and a column for
-//! each front pixel. An entry is known if a ray hits both pixels. A display with M frames emits the
-//! matrix F Gᵀ of rank M. Each frame adds a column to F, its rear mask, and one to G, its front
-//! mask. F and G start from random values. The weighted multiplicative rule (Blondel et al. 2008)
-//! updates them in turn. W is 1 for known entries and 0 for other entries, and ⊛ multiplies element
-//! by element:
+//! each front pixel. An entry of L is known if a ray hits its rear pixel and its front pixel. A
+//! display with M frames emits the matrix F Gᵀ of rank M. Column m of F is the rear mask of frame
+//! m, and column m of G is the front mask. F and G start from random values. The weighted
+//! multiplicative rule (Blondel et al. 2008) updates F and G in turn. W is 1 for known entries and
+//! 0 for all others, and ⊛ multiplies element by element:
 //!
 //! ```text
 //! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ F Gᵀ) G], G likewise, clamped to 0..1
@@ -21,7 +21,7 @@ use lumistack_plugin::display::{LayerStack, Weights};
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{NodeInput, NodePlugin, Param, PluginError, Schema, expects, export_plugin};
 
-/// The plugin.
+/// The plugin `two_layer_nmf`.
 pub struct TwoLayerNmf;
 
 /// Parameters; see [`TwoLayerNmf::schema`](NodePlugin::schema) for their meaning.
@@ -33,8 +33,8 @@ pub struct NmfParams {
 }
 
 impl NodePlugin for TwoLayerNmf {
-    const DOC: &'static str = "Content-adaptive parallax barriers: two layers and several frames by nonnegative matrix factorization with the multiplicative \
-        rule, from random patterns.";
+    const DOC: &'static str = "Computes content-adaptive parallax barriers: the masks of two layers in several frames, by nonnegative matrix factorization with the multiplicative \
+        rule. It starts from random patterns.";
     type Params = NmfParams;
 
     fn schema() -> Schema {

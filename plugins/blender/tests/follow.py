@@ -76,7 +76,8 @@ def case_live(folder, zip_path):
 
     scene = scenes.diffuse()
     scene.view_settings.view_transform = "Standard"
-    out = configure(scene, folder, look="SCENE")
+    # Few samples per view, since the case waits until all of them are rendered.
+    out = configure(scene, folder, look="SCENE", samples=4)
     scene.lumistack.file = str(live_display(folder))
     objects, materials = bpy.data.objects, bpy.data.materials
 

@@ -1,8 +1,9 @@
-//! An animated PNG, seen from a viewpoint that swings through the viewing zone.
+//! Writes an animated PNG, seen from a viewpoint that swings through the viewing zone.
 //!
-//! The grid has A_x × A_y views; positions (x, y) are relative to its centre, in units of views. At
-//! the time t, with φ = 2πt/T and the period T, x = (A_x − 1)/2 · sin φ. On an ellipse,
-//! y = (A_y − 1)/2 · cos φ; else y = 0. So the animation loops without a jump.
+//! The grid has A_x × A_y views. The viewpoint's position (x, y) is relative to the grid's centre,
+//! in units of views. At time t of the period T, with φ = 2πt/T, x = (A_x − 1)/2 · sin φ. On an
+//! ellipse y = (A_y − 1)/2 · cos φ; from side to side y = 0. After the period the viewpoint is at
+//! its start, so the animation loops without a jump.
 
 use std::f64::consts::TAU;
 use std::io::BufWriter;
@@ -28,7 +29,8 @@ pub(crate) struct Swing {
 }
 
 impl Swing {
-    /// Positions [view_y, view_x] of all pictures, in units of views from the first view.
+    /// Returns the viewpoint of every picture, [view_y, view_x] in units of views from the first
+    /// view.
     pub(crate) fn path(&self, views: [usize; 2]) -> Vec<[f64; 2]> {
         let half = views.map(|count| (count as f64 - 1.0) / 2.0);
         let place = |i: u32| {
@@ -39,7 +41,7 @@ impl Swing {
         (0..self.pictures).map(place).collect()
     }
 
-    /// [columns, rows] of the animation.
+    /// Returns the animation's size [columns, rows] for views of [rows, cols] pixels.
     pub(crate) fn size(&self, [rows, cols]: [usize; 2]) -> [usize; 2] {
         if self.width == 0 || self.width >= cols {
             return [cols, rows];
@@ -47,7 +49,7 @@ impl Swing {
         [self.width, ((rows * self.width) as f64 / cols as f64).round().max(1.0) as usize]
     }
 
-    /// Writes the animation; one picture at a time is in memory.
+    /// Writes the animation with only one picture in memory at a time.
     pub(crate) fn write(&self, host: &Host, path: &str, source: &ViewSource<'_>) -> Result<(), PluginError> {
         let geometry = source.geometry();
         let [rows, cols] = [geometry.rows, geometry.cols];

@@ -60,8 +60,7 @@ pub(crate) fn write_views(host: &Host, path: &str, source: &ViewSource<'_>) -> R
 
 type Archive<'a> = NpzWriter<&'a mut BufWriter<lumistack_plugin::OutputFile>>;
 
-/// An error while an archive is written: one of the plugin or the host, or one of the archive's
-/// writer.
+/// An error while an archive is written: from the plugin or the host, or from the archive's writer.
 enum Failure {
     Plugin(PluginError),
     Io(io::Error),

@@ -1,9 +1,9 @@
-//! Writes a single sheet with the masks of all layers and frames, for engines that load a single
+//! Writes one picture with the masks of all layers and frames, for engines that load a single
 //! texture.
 //!
 //! Each mask is a tile. There is one row of tiles per frame, with the rear layer on the left and
 //! the front layer on the right, without gaps. `atlas.json` lists the positions of the tiles. The
-//! sheet is written row by row, so memory does not grow with the number of frames.
+//! picture is written row by row, so memory does not grow with the number of frames.
 
 use std::io::{BufWriter, Write};
 
@@ -19,14 +19,14 @@ use crate::encode::{png_error, say_encoding};
 struct Index<'a> {
     schema: &'static str,
     version: u32,
-    /// Name of the sheet, which is in the same folder.
+    /// File name of the picture, which is in the folder of this index.
     file: &'a str,
     width: usize,
     height: usize,
     tiles: Vec<Tile>,
 }
 
-/// The place of one mask on the sheet: columns x..x + width, and rows y..y + height from the top.
+/// The place of one mask in the picture: columns x..x + width, and rows y..y + height from the top.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Tile {
@@ -38,9 +38,9 @@ struct Tile {
     height: usize,
 }
 
-/// Writes the sheet and its index; returns [columns, rows] of the sheet. `transfer` is the transfer
-/// function of all masks if they have the same, else `None`. `samples(layer, frame)` returns a
-/// mask's 8-bit samples `[row][col][rgb]`.
+/// Writes the picture and its index; returns [columns, rows] of the picture. `transfer` is the
+/// transfer function that all masks share; `None` if they have different ones. `samples(layer,
+/// frame)` returns a mask's 8-bit samples `[row][col][rgb]`.
 pub(crate) fn write(
     host: &Host,
     folder: &str,
@@ -48,7 +48,7 @@ pub(crate) fn write(
     transfer: Option<&Transfer>,
     mut samples: impl FnMut(usize, usize) -> Result<Vec<u8>, PluginError>,
 ) -> Result<[usize; 2], PluginError> {
-    // Compute the positions of all tiles: a band per frame, layers side by side.
+    // Compute the positions of all tiles: one band of rows per frame, with the layers side by side.
     let sizes: Vec<[usize; 2]> = (0..stack.layer_count()).filter_map(|layer| stack.layer_size(layer)).collect();
     let width: usize = sizes.iter().map(|size| size[1]).sum();
     let band = sizes.iter().map(|size| size[0]).max().unwrap_or(0);
@@ -68,7 +68,7 @@ pub(crate) fn write(
     let index =
         Index { schema: "lumistack/atlas", version: 1, file: "atlas.png", width, height, tiles: tiles.collect() };
     let side = |n: usize| u32::try_from(n).map_err(|error| PluginError::failed("atlas", error));
-    // Stream the sheet row by row, with one frame's masks in memory.
+    // Write the picture row by row, with one frame's masks in memory.
     let mut file = host.create(&format!("{folder}atlas.png"))?;
     let mut writer = BufWriter::new(&mut file);
     let mut encoder = png::Encoder::new(&mut writer, side(width)?, side(height)?);
@@ -105,7 +105,7 @@ pub(crate) fn write(
     let flushed = writer.into_inner().map(drop).map_err(|error| error.into_error());
     flushed.map_err(|error| PluginError::from_io("atlas", error))?;
     file.commit()?;
-    // Write the index after the sheet is complete.
+    // Write the index after the picture is complete.
     let text = serde_json::to_string_pretty(&index).expect("JSON can express an index");
     host.write(&format!("{folder}atlas.json"), format!("{text}\n").as_bytes())?;
     Ok([width, height])

@@ -10,12 +10,12 @@ pub(crate) struct PanelCodes {
     /// Bits per channel of the panel, if they are fewer than the file's.
     pub(crate) bits: Option<u32>,
     pub(crate) dither: Dither,
-    /// Number that differs between layers and frames. It shifts the threshold map, so that the dots
-    /// of different layers and frames are uncorrelated.
+    /// A number that is different for every layer and frame. It shifts the threshold map, so that
+    /// the dots of different layers and frames are uncorrelated.
     pub(crate) pattern: usize,
 }
 
-/// 8-bit samples of a PNG, `[row][col][rgb]`: codes of values in 0..1.
+/// Returns the 8-bit samples of a PNG, `[row][col][rgb]`, for linear values in 0..1.
 pub(crate) fn samples8(transfer: &Transfer, panel: Option<PanelCodes>, size: [usize; 2], rgb: &[f32]) -> Vec<u8> {
     match panel {
         None => codes8(transfer, rgb),
@@ -27,7 +27,7 @@ pub(crate) fn samples8(transfer: &Transfer, panel: Option<PanelCodes>, size: [us
     }
 }
 
-/// 16-bit samples of a PNG.
+/// Returns the 16-bit samples of a PNG, `[row][col][rgb]`, for linear values in 0..1.
 pub(crate) fn samples16(transfer: &Transfer, panel: Option<PanelCodes>, size: [usize; 2], rgb: &[f32]) -> Vec<u16> {
     match panel {
         None => codes16(transfer, rgb),
@@ -46,12 +46,14 @@ fn spread(code: u16, bits: u32, top: u32) -> u32 {
     ((u64::from(code) * u64::from(top) + u64::from(own / 2)) / u64::from(own)) as u32
 }
 
-/// Encodes samples of 8 bits per channel as PNG, whose header states `transfer` if it can.
+/// Encodes samples of 8 bits per channel as PNG. The PNG states `transfer` if the format can; see
+/// [`say_encoding`].
 pub(crate) fn png8(samples: &[u8], size: [usize; 2], transfer: &Transfer) -> Result<Vec<u8>, PluginError> {
     png_bytes(samples, size, png::BitDepth::Eight, transfer)
 }
 
-/// Encodes samples of 16 bits per channel as PNG, whose header states `transfer` if it can.
+/// Encodes samples of 16 bits per channel as PNG. The PNG states `transfer` if the format can; see
+/// [`say_encoding`].
 pub(crate) fn png16(samples: &[u16], size: [usize; 2], transfer: &Transfer) -> Result<Vec<u8>, PluginError> {
     let bytes: Vec<u8> = samples.iter().flat_map(|sample| sample.to_be_bytes()).collect();
     png_bytes(&bytes, size, png::BitDepth::Sixteen, transfer)
@@ -76,8 +78,8 @@ fn png_bytes(
     Ok(bytes)
 }
 
-/// States the transfer function of the codes in the chunk sRGB or gAMA. PNG cannot state measured
-/// curves, nor a different curve for each channel; then there is no chunk.
+/// States the transfer function of the codes in the PNG's chunk sRGB or gAMA. PNG cannot state a
+/// measured curve, or different curves for the channels. For such functions no chunk is written.
 pub(crate) fn say_encoding<W: std::io::Write>(encoder: &mut png::Encoder<'_, W>, transfer: &Transfer) {
     match transfer {
         Transfer::Srgb => encoder.set_source_srgb(png::SrgbRenderingIntent::RelativeColorimetric),

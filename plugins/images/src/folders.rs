@@ -1,18 +1,18 @@
-//! Light fields as the folders of two public archives.
+//! Writes light fields as folders in the formats of two public archives.
 //!
 //! * `hci/`: `input_Cam%03d.png`, numbered row by row from the top left, `parameters.cfg` and
 //!   `gt_disp_lowres.pfm`. Cameras with shifted sensors are on a plane at the distance D from the
 //!   display plane. Neighbouring cameras are b = D·Δs apart, where Δs is the step of slope between
-//!   views. Between neighbouring cameras, content at the distance Z from the cameras has a
-//!   disparity of b·f·(1/Z − 1/D) pixels, with f = D / pixel pitch. With Z = D − z, that is
-//!   Δs·D·z/((D − z)·pitch); for parallel projections it is Δs·z/pitch. The disparity map is that
-//!   of the central view, if the host knows the depth of this view. Otherwise the map contains NaN,
-//!   and the stated range of disparities is that of the display's depth of field.
-//! * `stanford/`: `out_RR_CC_<Y>_<X>.png`, with the camera's centre in millimetres, X right, Y
-//!   down.
+//!   views. Let f = D / pixel pitch. Content at distance Z from the cameras has a disparity of
+//!   b·f·(1/Z − 1/D) pixels between neighbouring cameras. With Z = D − z, that is Δs·D·z/((D −
+//!   z)·pitch); for parallel projections it is Δs·z/pitch. The disparity map belongs to the central
+//!   view, if the host knows the depth of this view. Otherwise the map contains NaN, and the range
+//!   of disparities is computed from the display's depth of field.
+//! * `stanford/`: `out_RR_CC_<Y>_<X>.png`, with view row RR, view column CC and the camera's centre
+//!   in millimetres, X right, Y down.
 //!
 //! A light field of parallel projections has no cameras. Its pictures have the same names and
-//! order; the distances in its files are those of cameras at a nominal distance D.
+//! order. The distances in its files are computed for cameras at a nominal distance D.
 
 use lumistack_plugin::display::{FieldGeometry, Projection, SeenDepth, Transfer};
 use lumistack_plugin::{Host, PluginError};
@@ -23,7 +23,8 @@ use crate::views::ViewSource;
 /// Stated length of the longer side of the cameras' sensors, millimetres. The value is arbitrary,
 /// since only its ratio to the focal length matters.
 const SENSOR_MM: f64 = 36.0;
-/// Steps of slope count as equal if they differ by at most this fraction of the largest step.
+/// Largest difference between steps of slope that count as equal, as a fraction of the largest
+/// step.
 const SAME_STEP: f64 = 1e-3;
 
 /// The format of a public archive.
@@ -40,7 +41,7 @@ pub(crate) struct Cameras<'a> {
     pub(crate) nominal_mm: f64,
 }
 
-/// Settings of a folder.
+/// Settings of an archive's folder.
 pub(crate) struct Settings<'a> {
     /// Camera distance for a light field of parallel projections, millimetres.
     pub(crate) nominal_mm: f64,
@@ -64,20 +65,20 @@ impl Cameras<'_> {
         self.geometry.grid.projection == Projection::Oblique
     }
 
-    /// Path of a view's picture inside the output.
+    /// Returns the path of a view's picture in the output's folder.
     pub(crate) fn file(&self, archive: Archive, [y, x]: [usize; 2]) -> String {
         let grid = &self.geometry.grid;
         match archive {
             Archive::Hci => format!("hci/input_Cam{:03}.png", y * grid.slope_x.len() + x),
             Archive::Stanford => {
                 let (down, right) = (-grid.slope_y[y] * self.distance_mm(), grid.slope_x[x] * self.distance_mm());
-                // adding 0.0 removes the sign of a negative zero
+                // The sum with 0.0 removes the sign of a negative zero.
                 format!("stanford/out_{y:02}_{x:02}_{:.6}_{:.6}.png", down + 0.0, right + 0.0)
             }
         }
     }
 
-    /// The step of slope between neighbouring views.
+    /// Returns the step of slope between neighbouring views.
     ///
     /// # Errors
     /// If the steps differ, since the HCI format states a single distance between cameras.
@@ -95,8 +96,8 @@ impl Cameras<'_> {
         Ok(if all.is_empty() { 0.0 } else { all.iter().sum::<f64>() / all.len() as f64 })
     }
 
-    /// Disparity of content at `z_mm`, pixels: its shift to the left from a view to the view on its
-    /// right. `z_mm` = −∞ stands for the horizon.
+    /// Returns the disparity of content at `z_mm`, in pixels: the shift to the left between a view
+    /// and its right neighbour. `z_mm` = −∞ stands for content at infinite distance.
     fn disparity(&self, step: f64, z_mm: f64) -> f64 {
         let moved_mm = match self.geometry.grid.projection {
             Projection::Oblique => z_mm,
@@ -107,8 +108,9 @@ impl Cameras<'_> {
         step * moved_mm / self.geometry.pitch_mm
     }
 
-    /// The disparities of the central view, `[row][col]`. They are NaN if the depth is unknown, and
-    /// at pixels without a hit if the views are parallel projections.
+    /// Returns the disparities of the central view, `[row][col]`. All are NaN if the depth is
+    /// unknown. A pixel without a hit is NaN in parallel projections, since content at infinite
+    /// distance has an infinite disparity there.
     fn disparities(&self, step: f64, depth: Option<&SeenDepth>) -> Vec<f32> {
         let [rows, cols] = [self.geometry.rows, self.geometry.cols];
         let horizon = self.disparity(step, f64::NEG_INFINITY);
@@ -123,12 +125,12 @@ impl Cameras<'_> {
         (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))).map(|(row, col)| at(row, col) as f32).collect()
     }
 
-    /// The text of `parameters.cfg`.
+    /// Returns the text of `parameters.cfg`.
     fn parameters(&self, step: f64, disparities: &[f32], settings: &Settings<'_>) -> String {
         let grid = &self.geometry.grid;
         let distance_mm = self.distance_mm();
-        // the depth of field may reach to infinity or to the cameras, where disparities are
-        // infinite; limit them to the longer side of a picture
+        // The depth of field may reach to infinity or to the cameras, where disparities are
+        // infinite. So limit disparities to the length of a picture's longer side.
         let most = self.geometry.rows.max(self.geometry.cols) as f64;
         let shown = settings.shown_mm.map(|[low, high]| {
             let disparity = |z_mm: f64| {
@@ -142,7 +144,8 @@ impl Cameras<'_> {
                 let value = f64::from(*value);
                 Some(range.map_or([value; 2], |[low, high]| [low.min(value), high.max(value)]))
             });
-        // readers of the format require numbers, so an unknown range is written as 0 to 0
+        // Readers of the format require numbers, so an unknown range of disparities is written as 0
+        // to 0.
         let [least, largest] = known.or(shown).unwrap_or([0.0; 2]);
         let [shown_least, shown_largest] = shown.unwrap_or([least, largest]);
         let disparity_note = if known.is_some() {
@@ -171,7 +174,7 @@ impl Cameras<'_> {
             step * distance_mm,
             distance_mm / 1000.0,
             distance_mm / 1000.0,
-            // `offset`: shift of a sensor against its neighbour's, pixels
+            // `offset` is the shift between the sensors of neighbouring cameras, pixels.
             step * distance_mm / self.geometry.pitch_mm,
         )
     }
@@ -187,7 +190,8 @@ pub(crate) fn write(
 ) -> Result<Vec<(String, [usize; 2])>, PluginError> {
     let geometry = source.geometry();
     let cameras = Cameras { geometry, nominal_mm: settings.nominal_mm };
-    // The HCI format requires equal distances of cameras, so check them before anything is written.
+    // The HCI format requires equal distances between cameras, so check these before any file is
+    // written.
     let step = match archive {
         Archive::Hci => Some(cameras.step()?),
         Archive::Stanford => None,

@@ -1,4 +1,4 @@
-//! Output plugin `images`: layer patterns, backlight patterns and views as pictures, arrays,
+//! Output plugin `images`: writes layer patterns, backlight patterns and views as pictures, arrays,
 //! animations and light-field folders.
 //!
 //! Files of a layer stack (`L` layer, 0 = rearmost; `MM` frame; `YY`, `XX` view row and column):
@@ -14,9 +14,10 @@
 //! | `stack.npz` | the values of all masks |
 //! | `images.json` | content and encoding of every file |
 //!
-//! Files of a light field: `view_YY_XX.png` for every view. Files of both kinds of data:
-//! `swing.png`, an animation; `views.exr`, all views as one multi-view OpenEXR file; `views.npz`;
-//! the folders `hci/` and `stanford/`. Views of a layer stack are simulated for an adapted viewer.
+//! Files of a light field: `view_YY_XX.png` for every view. Files of a layer stack or a light
+//! field: `swing.png`, an animation; `views.exr`, all views as one multi-view OpenEXR file;
+//! `views.npz`; the folders `hci/` and `stanford/`. Views of a layer stack are simulated for an
+//! adapted viewer.
 //!
 //! Names of 16-bit PNGs end in `_16bit.png`. EXR and NPZ files contain the values themselves,
 //! linear. On request, PNGs have codes proportional to light; their names end in `_linear.png`. The
@@ -49,7 +50,7 @@ pub use params::ImagesParams;
 /// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin `images`.
 #[derive(Debug)]
 pub struct Images {
     host: Host,

@@ -50,9 +50,9 @@ pub(crate) enum Content {
     Layer { layer: usize, frame: usize, d_mm: f64 },
     /// The backlight's emission in a frame: one cell of angular bins per lenslet.
     Backlight { frame: usize, bins: [usize; 2], lenslets: [usize; 2] },
-    /// A simulated view: emitted radiance divided by β (`divided_by`).
+    /// A simulated view: the emitted radiance divided by the brightness β (`divided_by`).
     SimulatedView { view: [usize; 2], slope: [f64; 2], divided_by: f64 },
-    /// A view of the light field: radiance.
+    /// The radiance of a view of the light field.
     View { view: [usize; 2], slope: [f64; 2] },
     /// The picture for the panel behind the lenslets, in the panel's own pixels.
     LensletPanel {
@@ -66,12 +66,13 @@ pub(crate) enum Content {
     },
     /// All views of the grid in one file.
     Views { views: Vec<NamedView>, divided_by: f64 },
-    /// An animation with the slope of every picture. `nearest` is true if each picture is the view
-    /// of a light field that is nearest to the slope.
+    /// An animation with the slope of every picture. `nearest` is true for a light field, where
+    /// each picture is the view nearest to the slope. Pictures of a layer stack are simulated at
+    /// the slope itself.
     Animation { slopes: Vec<[f64; 2]>, nearest: bool, pictures_per_second: u16, divided_by: f64 },
     /// All masks on one sheet; the file `index` lists their positions.
     Atlas { index: String },
-    /// The contact sheet: reduced masks and views with captions.
+    /// The contact sheet, with reduced masks and views and their captions.
     Sheet,
     /// An archive with arrays of all masks, or of all views.
     Arrays { names: Vec<String> },
@@ -111,7 +112,7 @@ pub(crate) enum Format {
     Exr { precision: &'static str },
 }
 
-/// The text of `images.json` for these files, sorted by path.
+/// Returns the text of `images.json`, which describes `entries`, sorted by path.
 pub(crate) fn to_json(mut entries: Vec<Entry>) -> String {
     entries.sort_by(|a, b| a.file.cmp(&b.file));
     let manifest = Manifest { schema: "lumistack/images", version: 1, files: entries };

@@ -6,8 +6,8 @@ use lumistack_plugin::{Host, PluginError, StackInput};
 
 use crate::ImagesParams;
 
-/// The panel and the lenses: the values of the display file, except where the parameters state
-/// measured values.
+/// Returns the backlight and its panel behind lenses. Measured values in the parameters replace the
+/// values of the display file.
 ///
 /// # Errors
 /// If the backlight has no lenslets.
@@ -37,7 +37,7 @@ pub(crate) fn lenslet_panel<'a>(
     Ok((backlight, panel))
 }
 
-/// The panel's picture in one frame, `[row][col][rgb]`.
+/// Computes the panel's picture in one frame, `[row][col][rgb]`.
 pub(crate) fn picture(
     host: &Host,
     panel: &LensletPanel,

@@ -170,7 +170,7 @@ pub(crate) fn schema() -> Schema {
             "camera_distance_mm",
             1000.0,
             1.0..=1e6,
-            "Camera distance in hci/ and stanford/ for parallel projections, which have none. Perspective views have their own distance.",
+            "Camera distance in hci/ and stanford/ for views that are parallel projections, which have no cameras. Perspective views keep their own distance.",
         )
         .unit("mm"),
         Param::bool(
@@ -186,7 +186,7 @@ pub(crate) fn schema() -> Schema {
             "lens_focal_mm",
             0.0,
             0.0..=1000.0,
-            "Measured focal length of the lenses in air; 0 for the focal length with which a lens fills the horizontal angle of the bins.",
+            "Measured focal length of the lenses in air; 0 for the length at which the horizontal bins fill the width of the panel behind one lens.",
         )
         .unit("mm"),
         Param::float(
@@ -204,7 +204,7 @@ pub(crate) fn schema() -> Schema {
             "lens_samples",
             4,
             1..=16,
-            "Sample points per pixel and axis, averaged for pixels across borders of bins or lenses; 1 uses the pixel's centre.",
+            "Number of sample points per pixel and axis. A pixel across a border of bins or lenses is the mean of its points. 1 uses the pixel's centre.",
         )
         .unit("points"),
     ])
@@ -214,7 +214,8 @@ static SRGB: Transfer = Transfer::Srgb;
 static LINEAR: Transfer = Transfer::Linear;
 
 impl Encode {
-    /// The transfer function of pictures for a panel. `panel` is the panel's own.
+    /// Returns the transfer function of pictures for a panel whose own transfer function is
+    /// `panel`.
     pub(crate) fn of_panel(self, panel: &Transfer) -> &Transfer {
         match self {
             Self::Panel => panel,
@@ -223,7 +224,7 @@ impl Encode {
         }
     }
 
-    /// The transfer function for pictures that drive no panel, such as views.
+    /// Returns the transfer function of pictures that drive no panel, such as views.
     pub(crate) fn of_other(self) -> &'static Transfer {
         match self {
             Self::Panel | Self::Srgb => &SRGB,
@@ -258,8 +259,8 @@ impl ImagesParams {
         Err(PluginError::Refused(text.into()))
     }
 
-    /// Returns true if any requested output can be made from a light field. The atlas cannot, since
-    /// it consists of masks.
+    /// Returns true if a requested output can be made from a light field. The atlas is no such
+    /// output, since it consists of masks.
     fn writes_views(&self) -> bool {
         let others = self.exr_multi_view || self.npz || self.sheet || self.hci || self.stanford;
         self.writes_pictures() || others || self.animation != Animation::None

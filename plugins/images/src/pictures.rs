@@ -1,17 +1,17 @@
 //! The approximate picture of a directional backlight, and the choice of views to simulate.
 
-/// Approximate picture of the panel behind the lenslets: each lenslet is a cell of bins_y × bins_x
-/// pixels.
+/// Returns an approximate picture of the panel behind the lenslets, in which each lenslet is a cell
+/// of bins_y × bins_x pixels.
 ///
-/// A lenslet of focal length f sends the light of a point at the distance u from its axis to the
-/// opposite side: the slope is s = −u/f. So, seen from the viewer's side, the leftmost slope
-/// (bin_x = 0) is the rightmost pixel of the cell, and the topmost slope (bin_y = 0) is the lowest
-/// pixel. The picture has lenslet_rows · bins_y rows and lenslet_cols · bins_x columns. It is
-/// approximate, since the pixels of a real panel do not divide the lenslet pitch evenly. Programs
-/// that drive the panel must resample it.
+/// Let a panel point be at offset u from the axis of its lenslet, of focal length f. The lenslet
+/// sends the point's light to the slope s = −u/f, on the opposite side. So the leftmost slope
+/// (bin_x = 0) is the rightmost pixel of the cell, seen from the front. The topmost slope (bin_y =
+/// 0) is the lowest pixel. The picture has lenslet_rows · bins_y rows and lenslet_cols · bins_x
+/// columns. It is approximate, since the pixels of a real panel do not divide the lenslet pitch
+/// evenly. Programs that drive the panel must resample this picture.
 ///
-/// `bins` = [bins_y, bins_x], `lenslets` = [rows, cols], `bin(bin_y, bin_x)` = emission
-/// `[lenslet_row][lenslet_col][rgb]`; returns `[row][col][rgb]`.
+/// `bins` is [bins_y, bins_x] and `lenslets` is [rows, cols]. `bin(bin_y, bin_x)` returns the
+/// emission `[lenslet_row][lenslet_col][rgb]`. The picture is `[row][col][rgb]`.
 ///
 /// # Errors
 /// Those of `bin`.

@@ -1,4 +1,5 @@
-//! A contact sheet: reduced pictures of all masks and of the selected views, each with a caption.
+//! Writes a contact sheet: reduced pictures of all masks and of the selected views, each with a
+//! caption.
 //!
 //! Each frame is a row of cells, with the rear layer on the left and the front layer on the right.
 //! The views are below. The sheet is written row by row, so memory does not grow with the number of
@@ -15,10 +16,10 @@ use crate::animation::reduced;
 use crate::encode::png_error;
 use crate::views::ViewSource;
 
-/// Smallest and largest width of a cell, pixels. A picture that is smaller than its cell keeps its
-/// size.
+/// Smallest and largest width of a cell, pixels. A picture that is smaller than its cell is not
+/// enlarged.
 const CELL: [usize; 2] = [224, 384];
-/// Pixels between cells and around the sheet.
+/// Width of the space between cells and around the sheet, pixels.
 const GAP: usize = 12;
 /// Height of a line of text, pixels.
 const LINE: usize = 20;
@@ -27,17 +28,17 @@ const PAPER: u8 = 24;
 /// 8-bit code of the text.
 const INK: u8 = 232;
 
-/// A picture with a caption. Its values are computed when the sheet's row is written.
+/// A picture with a caption. Its values are computed only when its row of the sheet is written.
 pub(crate) struct Cell<'a> {
     pub(crate) caption: String,
-    /// [rows, cols] before the reduction.
+    /// [rows, cols] of the picture before the reduction.
     pub(crate) size: [usize; 2],
     /// Computes the linear values `[row][col][rgb]`.
     pub(crate) rgb: Box<dyn Fn() -> Result<Vec<f32>, PluginError> + 'a>,
 }
 
 impl Cell<'_> {
-    /// [rows, cols] of the picture on the sheet.
+    /// Returns [rows, cols] of the picture on the sheet.
     fn shown(&self) -> [usize; 2] {
         let [rows, cols] = self.size;
         if cols <= CELL[1] {
@@ -47,7 +48,7 @@ impl Cell<'_> {
     }
 }
 
-/// The cells of one frame: a mask of every layer.
+/// Returns the cells of one frame: the mask of every layer.
 pub(crate) fn patterns<'a>(display: &'a Display, stack: &'a StackInput<'_>, frame: usize) -> Vec<Cell<'a>> {
     let count = stack.layer_count();
     let cell = |layer: usize| {
@@ -67,7 +68,7 @@ pub(crate) fn patterns<'a>(display: &'a Display, stack: &'a StackInput<'_>, fram
     (0..count).map(cell).collect()
 }
 
-/// The cell of one view.
+/// Returns the cell of one view.
 pub(crate) fn view<'a>(source: &'a ViewSource<'_>, view: [usize; 2]) -> Cell<'a> {
     let geometry = source.geometry();
     let degrees = |slope: f64, [low, high]: [&str; 2]| match slope.atan().to_degrees() {
@@ -84,9 +85,9 @@ pub(crate) fn view<'a>(source: &'a ViewSource<'_>, view: [usize; 2]) -> Cell<'a>
     }
 }
 
-/// Writes the sheet; returns its [columns, rows]. Each of `bands` is a row of cells.
+/// Writes the sheet; returns its [columns, rows]. Each entry of `bands` is a row of cells.
 pub(crate) fn write(host: &Host, path: &str, legend: &str, bands: &[Vec<Cell<'_>>]) -> Result<[usize; 2], PluginError> {
-    // Lay out cells, captions and bands.
+    // Compute the sizes of cells, captions and rows of cells.
     let cells = || bands.iter().flatten();
     let cell = cells().map(|cell| cell.shown()[1]).max().unwrap_or(0).max(CELL[0]);
     let across = bands.iter().map(Vec::len).max().unwrap_or(1).max(2);
@@ -105,7 +106,7 @@ pub(crate) fn write(host: &Host, path: &str, legend: &str, bands: &[Vec<Cell<'_>
     let top = GAP + head.len() * LINE + GAP;
     let height = top + heights.iter().map(|[_, all]| all).sum::<usize>();
 
-    // Stream the sheet band by band.
+    // Write the sheet one row of cells after another.
     let side = |n: usize| u32::try_from(n).map_err(|error| PluginError::failed("sheet", error));
     let mut file = host.create(path)?;
     let mut writer = BufWriter::new(&mut file);
@@ -141,7 +142,7 @@ pub(crate) fn write(host: &Host, path: &str, legend: &str, bands: &[Vec<Cell<'_>
     Ok([width, height])
 }
 
-/// The pixels of a band: some rows of the sheet over its full width.
+/// The pixels of one row of cells, over the full width of the sheet.
 struct Paper {
     width: usize,
     rgb: Vec<u8>,
@@ -175,7 +176,7 @@ impl Paper {
     }
 }
 
-/// Width of a letter, pixels.
+/// Returns the width of a letter, pixels. All letters are equally wide.
 fn advance() -> usize {
     get_raster_width(FontWeight::Regular, RasterHeight::Size16)
 }

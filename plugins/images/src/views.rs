@@ -1,4 +1,5 @@
-//! Views of the data that the host submits: simulated views of a stack, or views of a light field.
+//! Computes views of the data that the host submits: simulated views of a stack, or the views of a
+//! light field.
 
 use lumistack_plugin::display::{FieldGeometry, Projection, SeenDepth};
 use lumistack_plugin::{FieldInput, PluginError, StackInput, ViewPoint};
@@ -20,7 +21,7 @@ impl ViewSource<'_> {
         }
     }
 
-    /// Depth of the central view, if the host knows it.
+    /// Returns the depth of the central view; `None` if the host does not know it.
     pub(crate) fn depth(&self) -> Option<&SeenDepth> {
         match self {
             Self::Stack(stack) => stack.target_depth(),
@@ -28,7 +29,7 @@ impl ViewSource<'_> {
         }
     }
 
-    /// The values `[row][col][rgb]` of the view [view_y, view_x] of the grid.
+    /// Returns the values `[row][col][rgb]` of the grid's view `view` = [view_y, view_x].
     pub(crate) fn view(&self, view: [usize; 2]) -> Result<Vec<f32>, PluginError> {
         match self {
             Self::Stack(stack) => adapted(stack, ViewPoint::of_view(stack.target(), view)),
@@ -36,8 +37,9 @@ impl ViewSource<'_> {
         }
     }
 
-    /// The view at the position `at` = [view_y, view_x], in units of views, which may lie between
-    /// views of the grid. A light field returns its nearest view.
+    /// Returns the view at the position `at` = [view_y, view_x], in units of views. The position
+    /// may lie between views of the grid. A stack is simulated there, and a light field has its
+    /// nearest view.
     pub(crate) fn between(&self, at: [f64; 2]) -> Result<Vec<f32>, PluginError> {
         match self {
             Self::Stack(stack) => {
@@ -55,7 +57,8 @@ impl ViewSource<'_> {
         }
     }
 
-    /// The number by which radiance was divided: the brightness β of a stack, 1 for a light field.
+    /// Returns the number by which the views' radiance was divided: the brightness β of a stack, 1
+    /// for a light field.
     pub(crate) fn divided_by(&self) -> f64 {
         match self {
             Self::Stack(stack) => stack.brightness(),
@@ -77,7 +80,8 @@ fn adapted(stack: &StackInput<'_>, from: ViewPoint) -> Result<Vec<f32>, PluginEr
     Ok(values)
 }
 
-/// Interpolates the slope at the position `at`, from 0 to the index of the last view.
+/// Interpolates between the slopes of neighbouring views. `at` is the position in units of views,
+/// from 0 to the index of the last view.
 pub(crate) fn slope_at(slopes: &[f64], at: f64) -> f64 {
     let first = (at.floor() as usize).min(slopes.len() - 1);
     let second = (first + 1).min(slopes.len() - 1);

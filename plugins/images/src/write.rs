@@ -19,19 +19,20 @@ use crate::{Images, arrays, atlas, panel, sheet};
 
 /// Linear values that are written in every requested format.
 struct Picture<'a> {
-    /// Path without the suffixes that state the format.
+    /// Path of the file without the suffixes that state the format.
     stem: String,
     content: Content,
-    /// [rows, cols].
+    /// [rows, cols] of the picture.
     size: [usize; 2],
-    /// `[row][col][rgb]`.
+    /// The linear values, `[row][col][rgb]`.
     rgb: Cow<'a, [f32]>,
     transfer: &'a Transfer,
     /// The panel that the codes drive; `None` if the codes encode the values themselves.
     panel: Option<Panel<'a>>,
 }
 
-/// The panel that codes drive, from its darkest state to its brightest.
+/// The panel that a picture's codes drive. Codes span the range from the panel's darkest state to
+/// its brightest.
 #[derive(Clone, Copy)]
 struct Panel<'a> {
     kind: PanelKind<'a>,
@@ -68,7 +69,8 @@ impl Images {
             let first = transfers.next().filter(|first| transfers.all(|other| other == *first));
             let [width, height] = atlas::write(&self.host, &folder, stack, first, samples)?;
             let content = Content::Atlas { index: format!("{folder}atlas.json") };
-            // each tile has the transfer function of its own panel; the entry states layer 0's
+            // Each tile is encoded by the transfer function of its own panel. The entry states the
+            // function of layer 0.
             let format = self.png_format(8, self.params.encode.of_panel(&self.display.layers[0].transfer), None);
             let linear = self.params.encode == Encode::Linear;
             entries.push(entry(format!("{folder}atlas.png"), content, format, linear, Some([height, width]), time));
@@ -110,7 +112,7 @@ impl Images {
                 self.write_picture(time, &picture, &stage, &mut entries)?;
             }
         }
-        // Write the outputs that consist of all views.
+        // Write the files that each contain all views.
         let source = ViewSource::Field(field);
         if self.params.sheet {
             entries.push(self.write_sheet(time, &source)?);
@@ -149,7 +151,8 @@ impl Images {
             };
             self.write_picture(time, &picture, &stage, entries)?;
         }
-        // Write the emission as it was solved: a cell of angular bins per lenslet.
+        // Write the emission as the solver computed it: each lenslet is a cell with one pixel per
+        // angular bin.
         if let Some([bins_y, bins_x, rows, cols]) = stack.emission_shape() {
             let (bins, lenslets) = ([bins_y, bins_x], [rows, cols]);
             for frame in 0..frames {
@@ -166,8 +169,9 @@ impl Images {
                 self.write_picture(time, &picture, &stage, entries)?;
             }
         }
-        // Write the picture for the panel behind the lenslets. Each of its pixels has the emission
-        // into the direction in which its lens sends its light.
+        // Write the picture for the panel behind the lenslets. The lens in front of a pixel sends
+        // the pixel's light into one direction. The pixel gets the lens's emission into this
+        // direction.
         let Some((backlight, lenses)) = lenses else { return Ok(()) };
         for frame in 0..frames {
             self.host.check_cancelled()?;
@@ -251,7 +255,7 @@ impl Images {
         Ok(entry(path, Content::Sheet, format, false, Some([height, width]), time))
     }
 
-    /// Writes the outputs that consist of all views, from a stack or a light field.
+    /// Writes the files that each contain all views, for a stack or a light field.
     fn write_from_views(
         &self,
         time: Time,
@@ -262,7 +266,8 @@ impl Images {
         let grid = &geometry.grid;
         let size = [geometry.rows, geometry.cols];
         let divided_by = source.divided_by();
-        // Readers show the first view of an OpenEXR file by default, so the central view is first.
+        // Write the multi-view OpenEXR file. The central view is first, since readers show the
+        // first view by default.
         if params.exr_multi_view {
             let (precision, name) = params.exr_depth.precision();
             let centre = grid.views().map(|count| (count - 1) / 2);
@@ -282,8 +287,8 @@ impl Images {
             let content = Content::Views { views, divided_by };
             entries.push(entry(path, content, Format::Exr { precision: name }, true, Some(size), time));
         }
-        // Write the animation, whose viewpoint moves through the views. Light fields show the
-        // nearest view.
+        // Write the animation, whose viewpoint moves through the views. A light field shows the
+        // view nearest to the viewpoint.
         if params.animation != Animation::None {
             let swing = Swing {
                 pictures: params.animation_pictures,
@@ -348,7 +353,8 @@ impl Images {
         let linear = if params.encode == Encode::Linear { "_linear" } else { "" };
         let proportional = *transfer == Transfer::Linear;
         let codes = picture.panel.map(|panel| panel.codes);
-        // Write PNGs, whose codes drive the panel. OpenEXR files contain the linear mask values.
+        // Write PNGs, whose codes drive the panel, and OpenEXR files, which contain the linear mask
+        // values.
         if params.png8 || params.png16 {
             let driven: Cow<'_, [f32]> = match picture.panel {
                 Some(panel) => panel.driven(&picture.rgb).into(),
@@ -373,7 +379,7 @@ impl Images {
         Ok(())
     }
 
-    /// 8-bit samples of a mask, for the atlas.
+    /// Returns the 8-bit samples of a mask for the atlas, `[row][col][rgb]`.
     fn layer_samples(&self, stack: &StackInput<'_>, layer: usize, frame: usize) -> Result<Vec<u8>, PluginError> {
         let own = self.layer_of(layer)?;
         let plane = stack.layer(layer, frame)?;
@@ -427,7 +433,8 @@ fn entry(file: String, content: Content, format: Format, linear: bool, size: Opt
     Entry { file, content, format, linear, size, time: time.index, time_seconds: time.seconds }
 }
 
-/// Folder of a time step. The first time step, or a still, is written beside `images.json`.
+/// Returns the folder of a time step, empty for the first one, whose files are next to
+/// `images.json`.
 fn folder(time: Time) -> String {
     if time.index == 0 { String::new() } else { format!("t{:04}/", time.index) }
 }
@@ -436,8 +443,8 @@ fn view_name([y, x]: [usize; 2], [rows, cols]: [usize; 2]) -> String {
     format!("{y:0y_digits$}_{x:0x_digits$}", y_digits = digits(rows, 2), x_digits = digits(cols, 2))
 }
 
-/// Number of digits, at least `least`, that the numbers of `count` items need. With equally many
-/// digits, names sort in the order of their numbers.
+/// Returns the number of digits, at least `least`, that the numbers of `count` items need. Names
+/// whose numbers have equally many digits sort in the order of the numbers.
 fn digits(count: usize, least: usize) -> usize {
     count.saturating_sub(1).to_string().len().max(least)
 }

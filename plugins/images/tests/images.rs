@@ -20,9 +20,9 @@ use lumistack_plugin_testkit::{MemoryHost, Sample, conformance, samples};
 
 /// Tolerance in codes: half a code for rounding, and 0.02 of a 16-bit code for f32 arithmetic.
 const HALF_CODE: f32 = 0.5 + 0.02;
-/// Relative tolerance of rounding to half floats, which have 11 significant bits.
+/// Relative tolerance for the rounding to half floats, which have 11 significant bits.
 const HALF_FLOAT: f32 = 1.0 / 2048.0;
-/// Step of half floats near 0.
+/// Distance of neighbouring half floats near 0, the absolute tolerance there.
 const HALF_FLOAT_STEP: f32 = 1.0 / (1 << 24) as f32;
 
 type Files = BTreeMap<String, Vec<u8>>;
@@ -35,7 +35,7 @@ fn write(sample: &Sample, params: Value) -> Result<Files, PluginError> {
     Ok(host.files())
 }
 
-/// Reads a PNG: [rows, cols], code values, bits per channel.
+/// Reads a PNG, and returns [rows, cols], the code values and the bits per channel.
 fn png(files: &Files, name: &str) -> ([usize; 2], Vec<u16>, u32) {
     let decoded = image::load_from_memory(files.get(name).unwrap_or_else(|| panic!("no {name}"))).unwrap();
     let size = [decoded.height() as usize, decoded.width() as usize];
@@ -46,7 +46,7 @@ fn png(files: &Files, name: &str) -> ([usize; 2], Vec<u16>, u32) {
     }
 }
 
-/// Asserts that all codes are within half a code of the encoded values.
+/// Asserts that all codes of a PNG are within half a code of the exact codes of `values`.
 fn assert_png(files: &Files, name: &str, size: [usize; 2], values: &[f32], transfer: &Transfer) {
     let (found_size, codes, bits) = png(files, name);
     assert_eq!(found_size, size, "{name}");
@@ -56,7 +56,8 @@ fn assert_png(files: &Files, name: &str, size: [usize; 2], values: &[f32], trans
         let channel = i % 3;
         let exact = encode(transfer, channel, value) * top;
         assert!((f32::from(code) - exact).abs() <= HALF_CODE, "{name}[{i}]: code {code}, value {value} = {exact}");
-        // the decoded value lies between the values half a code below and half a code above `exact`
+        // The decoded code must lie between the decoded values half a code below and half a code
+        // above `exact`.
         let around =
             [exact - HALF_CODE, exact + HALF_CODE].map(|code| decode(transfer, channel, (code / top).clamp(0.0, 1.0)));
         let shown = decode(transfer, channel, f32::from(code) / top);
@@ -261,7 +262,8 @@ fn a_measured_panel_of_few_bits_shows_the_right_mean_light() {
         assert_eq!(entry["dither"], if dither == "none" { Value::Null } else { json!(dither) });
         assert_eq!((rows, cols), (6, 8));
     }
-    // without the parameter `bits`, the bits are those of the display file
+    // Without the parameter `bits`, the panel has the two bits of the display file, so all codes
+    // are multiples of 85.
     (sample.display.layers[0].transfer, sample.display.layers[0].bits) = (Transfer::gamma(2.2), Some(2));
     let files = write(&sample, json!({})).unwrap();
     assert!(png(&files, "layer_0_frame_00.png").1.iter().all(|code| code % 85 == 0));
@@ -279,7 +281,8 @@ fn the_panel_behind_the_lenses_agrees_with_the_optics() {
     let (size, values) = exr(&files, "panel_frame_00.exr");
     assert_eq!(size, [61, 90]);
     assert_png(&files, "panel_frame_00.png", size, &values, &Transfer::Srgb);
-    // 4 × 3 lenses of 2 mm with 3 × 2 bins over 40°; the oracle searches the lens of each pixel
+    // The oracle searches the lens in front of each pixel: there are 4 × 3 lenses of 2 mm, with 3 ×
+    // 2 bins over 40°.
     let (angle, half) = (2f64.to_radians(), 20f64.to_radians().tan());
     for (row, col) in (0..61).flat_map(|row| (0..90).map(move |col| (row, col))) {
         let point = [(col as f64 - 44.5) * 0.1, (30.0 - row as f64) * 0.1];
@@ -301,8 +304,8 @@ fn the_panel_behind_the_lenses_agrees_with_the_optics() {
     assert!(matches!(&uniform, PluginError::Refused(text) if text.contains("`lenslet_panel`")), "{uniform:?}");
 }
 
-/// Reads files by NumPy, Pillow and OpenEXR's own bindings; returns the values as JSON. `None` if
-/// these packages are not installed.
+/// Reads files with NumPy, Pillow and OpenEXR's own bindings, and returns the values as JSON.
+/// `None` if these packages are not installed.
 fn read_by_others(files: &Files) -> Option<Value> {
     let python = lumistack_testkit::skip::python_with("numpy, PIL, OpenEXR")?;
     let folder = tempfile::tempdir().unwrap();
@@ -342,8 +345,8 @@ fn others_read_arrays_atlas_animation_and_multi_view_pictures() {
         assert_eq!(floats(&array["values"]), layer.data());
     }
     assert_eq!(floats(&read["stack.npz"]["d_mm"]["values"]), [-4.0, 0.0, 4.0]);
-    // check the atlas: layers of 8 × 6, 10 × 7 and 4 × 3 pixels side by side, frames one below
-    // another
+    // Check the atlas: the layers of 8 × 6, 10 × 7 and 4 × 3 pixels are side by side, and the
+    // frames are one below another.
     let sheet = &read["atlas.png"];
     assert_eq!((&sheet["size"], &sheet["mode"]), (&json!([22, 14]), &json!("RGB")));
     let pixels = floats(&sheet["pixels"]);
@@ -360,8 +363,8 @@ fn others_read_arrays_atlas_animation_and_multi_view_pictures() {
             assert_eq!(pixels[3 * (row * 22 + col) + i % 3], f32::from(*code), "{name}");
         }
     }
-    // check the animation of twelve pictures: the first is seen from the top centre, the fourth
-    // from the right
+    // Check the animation of twelve pictures: the first picture is seen from the top centre, the
+    // fourth from the right.
     let swing = &read["swing.png"];
     assert_eq!((&swing["size"], &swing["frames"], &swing["loop"]), (&json!([8, 6]), &json!(12), &json!(0)));
     assert!((swing["duration_ms"].as_f64().unwrap() - 40.0).abs() < 1e-9);
@@ -374,7 +377,7 @@ fn others_read_arrays_atlas_animation_and_multi_view_pictures() {
             assert!((code - exact).abs() <= HALF_CODE, "picture {picture}: {code} for {exact}");
         }
     }
-    // check the multi-view file, whose first view is the central one
+    // Check the multi-view file, whose first view must be the central one.
     let views = &read["views.exr"];
     let names: Vec<&str> = views["multiView"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
     assert_eq!(names[..3], ["view_01_01", "view_00_00", "view_00_01"]);
@@ -406,7 +409,7 @@ fn folders_are_read_back_as_the_light_field_they_were() {
     same_within_codes(&back, field);
     let fov = [field.geometry().grid.slope_x.len(), field.geometry().grid.slope_y.len()];
     assert_eq!(fov, [3, 2]);
-    // the folder's reader places the views in proportion to the cameras' centres
+    // The folder states only the cameras' centres, so slopes must agree up to a common factor.
     let ratio = |slopes: &[f64]| (slopes[1] - slopes[0]) / (slopes[2] - slopes[0]);
     assert!((ratio(&back.geometry().grid.slope_x) - ratio(&grid.slope_x)).abs() < 1e-6);
     if let Some(read) = read_by_others(&files) {
@@ -452,15 +455,15 @@ fn an_hci_folder_keeps_its_geometry() {
     assert!((distance_mm - 600.0).abs() < 1e-9);
 }
 
-/// Depth of a slanted plane on the left half, and no hit on the right half. It has half as many
-/// columns as the views.
+/// Returns a depth map with half as many columns as the views have. It has a slanted plane on the
+/// left half, and no hit on the right half.
 fn slanted(geometry: &FieldGeometry) -> SeenDepth {
     let (rows, cols) = (geometry.rows, geometry.cols.div_ceil(2));
     let z = |i: usize| (i % cols < cols / 2).then(|| -40.0 + 10.0 * (i % cols) as f32 + 5.0 * (i / cols) as f32);
     SeenDepth { rows, cols, z_mm: (0..rows * cols).map(z).collect() }
 }
 
-/// Reads a folder in the HCI format by `hci.py`, which shares no code with this project. `None`
+/// Reads a folder in the HCI format with `hci.py`, which shares no code with this project. `None`
 /// without Python.
 fn read_as_the_benchmark(files: &Files) -> Option<Value> {
     let folder = tempfile::tempdir().unwrap();
@@ -498,7 +501,8 @@ fn the_benchmark_s_reader_finds_all_that_it_demands() {
             assert_eq!((&parameters["contact"], &parameters["date"]), (&json!("a@example.org"), &json!("unknown")));
             assert_eq!((&parameters["width"], &parameters["height"]), (&json!(8), &json!(5)));
             assert_eq!(parameters["depth_map_scale"], json!(1.0));
-            // the benchmark defines the offset as b f / D in pixels
+            // The benchmark defines the offset as b f / D in pixels, for cameras b apart at
+            // distance D with focal length f.
             let number = |key: &str| parameters[key].as_f64().unwrap_or_else(|| panic!("{key}: {parameters}"));
             let focal_px = number("focal_length_mm") / number("sensor_size_mm") * 8.0;
             let offset = number("baseline_mm") * focal_px / (1000.0 * number("focus_distance_m"));
@@ -521,8 +525,8 @@ fn the_benchmark_s_reader_finds_all_that_it_demands() {
             };
             assert!(!note.contains("is not known"), "{note}");
             for (i, found) in disparities.iter().enumerate() {
-                // the disparity is f b (1/Z − 1/D), where Z is the distance from the cameras; for
-                // parallel views it is the limit of this for large D
+                // The disparity is f b (1/Z − 1/D), where Z is the content's distance from the
+                // cameras. For parallel views it is the limit of this expression for large D.
                 let z = depth.z_mm[i / 8 * 4 + i % 8 / 2].map(f64::from);
                 let expected = match (projection, z) {
                     (Projection::Oblique, Some(z)) => Some(0.1 * z / 0.5),
@@ -542,7 +546,7 @@ fn the_benchmark_s_reader_finds_all_that_it_demands() {
     }
 }
 
-/// Names of the chunks of a PNG before its pixels.
+/// Returns the names of the chunks of a PNG before its pixels.
 fn png_chunks(bytes: &[u8]) -> Vec<String> {
     let (mut at, mut names) = (8, Vec::new());
     loop {
@@ -561,7 +565,8 @@ fn pngs_say_how_their_codes_stand_for_light() {
     let sample = layered();
     let has = |files: &Files, name: &str, chunk: &str| png_chunks(&files[name]).iter().any(|found| found == chunk);
     let files = write(&sample, json!({"png16": true, "sheet": true, "animation": "side"})).unwrap();
-    // the three layers of the sample have the transfer functions sRGB, linear and gamma 2.2
+    // The sample's three layers have the transfer functions sRGB, linear and gamma 2.2. Only sRGB
+    // has its own chunk.
     for suffix in [".png", "_16bit.png"] {
         for (layer, srgb) in [(0, true), (1, false), (2, false)] {
             let name = format!("layer_{layer}_frame_00{suffix}");
@@ -579,7 +584,7 @@ fn pngs_say_how_their_codes_stand_for_light() {
     assert!(has(&files, stanford, "sRGB"));
 }
 
-/// Opens a light field by the program's own reader, without defaults for its geometry.
+/// Opens a light field with the program's own reader, without defaults for its geometry.
 fn open(path: &Path, flags: &GeometryFlags) -> LightField {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let defaults = GeometryDefaults { width_mm: None, fov_deg: None };
@@ -587,8 +592,8 @@ fn open(path: &Path, flags: &GeometryFlags) -> LightField {
     lumistack_plugin::field_io::open(path, &flags, &defaults, Task::quiet(&warnings, &cancel)).unwrap()
 }
 
-/// The field of view that must be given for a folder: a Stanford folder states no angles, an HCI
-/// folder does.
+/// Returns the field of view that a reader of the folder needs from the user. A Stanford folder
+/// states no angles, but an HCI folder does.
 fn stanford_fov(path: &Path) -> Option<[f64; 2]> {
     (!path.join("parameters.cfg").exists()).then_some([20.0, 10.0])
 }

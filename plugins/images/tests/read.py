@@ -1,4 +1,4 @@
-"""Reads the files of a folder by NumPy, Pillow and OpenEXR's own bindings; prints their content as
+"""Reads the files of a folder with NumPy, Pillow and OpenEXR's own bindings; prints their content as
 JSON.
 """
 

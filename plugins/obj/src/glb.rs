@@ -1,4 +1,4 @@
-//! A binary glTF document of triangle meshes.
+//! Makes a binary glTF document of triangle meshes.
 
 use std::path::Path;
 
@@ -49,7 +49,8 @@ impl Arrays {
     }
 }
 
-/// Makes the document: all meshes below one node, which rotates and scales them.
+/// Makes the glTF document. All meshes are below one node, which rotates them from the file's
+/// upward axis and scales them.
 pub(crate) fn document(
     models: &[Model],
     materials: &[MtlMaterial],
@@ -62,7 +63,7 @@ pub(crate) fn document(
         .map(|model| json!({"name": model.name, "primitives": [primitive(&mut arrays, &model.mesh, materials.len())]}))
         .collect();
     let mut nodes: Vec<Value> = models.iter().enumerate().map(|(i, m)| json!({"name": m.name, "mesh": i})).collect();
-    // with z up, a quarter turn about x turns z to glTF's upward axis y
+    // If z is up, a quarter turn about x turns z to y, the upward axis of glTF.
     let half = std::f64::consts::FRAC_1_SQRT_2;
     let rotation = if up == Up::Z { [-half, 0.0, 0.0, half] } else { [0.0, 0.0, 0.0, 1.0] };
     let children: Vec<usize> = (0..nodes.len()).collect();
@@ -120,7 +121,7 @@ fn add_materials(root: &mut Value, materials: &[MtlMaterial]) {
     let list: Vec<Value> = materials
         .iter()
         .map(|material| {
-            // without `Pr` the roughness follows from the Phong exponent `Ns`
+            // Without `Pr`, the roughness is computed from the Phong exponent `Ns`.
             let shiny = material.shininess.map(|ns| 1.0 - (ns / 1000.0).clamp(0.0, 1.0).sqrt());
             let [r, g, b] = material.diffuse.unwrap_or([0.8; 3]).map(|value| value.clamp(0.0, 1.0));
             let alpha = material.alpha.unwrap_or(1.0).clamp(0.0, 1.0);
@@ -157,7 +158,7 @@ fn add_materials(root: &mut Value, materials: &[MtlMaterial]) {
     }
 }
 
-/// The document's pictures, samplers and textures, each of them once.
+/// The document's pictures, samplers and textures, without duplicates.
 #[derive(Default)]
 struct Pictures {
     images: Vec<Value>,
@@ -180,7 +181,8 @@ impl Pictures {
         let ([s_u, s_v], [o_u, o_v]) = (map.scale, map.offset);
         if (map.scale, map.offset) != ([1.0; 2], [0.0; 2]) {
             self.transformed = true;
-            // glTF's v points downwards, the map's upwards: 1 − (s (1 − v) + o) = s v + (1 − s − o)
+            // v points downwards in glTF but upwards in the map. With the map's scale s and offset
+            // o, v becomes 1 − (s (1 − v) + o) = s v + (1 − s − o).
             let transform = json!({"scale": [s_u, s_v], "offset": [o_u, 1.0 - s_v - o_v]});
             reference["extensions"] = json!({TEXTURE_TRANSFORM: transform});
         }
@@ -189,13 +191,13 @@ impl Pictures {
 }
 
 const TEXTURE_TRANSFORM: &str = "KHR_texture_transform";
-/// glTF's number for the wrapping mode that repeats the edge.
+/// glTF's number for the wrapping mode that repeats the picture's edge pixels.
 const CLAMP_TO_EDGE: u32 = 33071;
 
 const EMISSIVE_STRENGTH: &str = "KHR_materials_emissive_strength";
 
-/// Sets the emission of a material. glTF limits its factors to 0..1, so larger emission needs an
-/// extension with a strength.
+/// Sets the emission of a material. glTF limits emission factors to 0..1. Larger emission needs the
+/// extension [`EMISSIVE_STRENGTH`].
 fn emit(material: &mut Value, emission: [f32; 3]) {
     let most = emission.iter().fold(1.0f32, |most, value| most.max(*value));
     material["emissiveFactor"] = json!(emission.map(|value| (value / most).clamp(0.0, 1.0)));

@@ -1,5 +1,5 @@
-//! Importer plugin `obj`: Wavefront OBJ with the materials of its MTL files, as a glTF 2.0 document
-//! (`.glb`).
+//! Importer plugin `obj`: converts a Wavefront OBJ file with the materials of its MTL files into a
+//! glTF 2.0 document (`.glb`).
 //!
 //! | OBJ, MTL | glTF |
 //! |---|---|
@@ -36,7 +36,7 @@ use crate::up::Up;
 /// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin `obj`.
 pub struct Obj;
 
 /// Parameters; see [`Obj::schema`](ImporterPlugin::schema) for their meaning.
@@ -74,7 +74,7 @@ impl ImporterPlugin for Obj {
         let collected = RefCell::new(Vec::new());
         let library = |path: &Path| {
             let found = materials(host, assets, file, &forward(path));
-            // the parser of shapes needs only the names of materials and their indices
+            // The parser of shapes needs only the names and the indices of materials.
             let known =
                 found.iter().enumerate().map(|(i, material)| (material.name.clone(), i)).collect::<HashMap<_, _>>();
             let nameless = vec![Material::default(); found.len()];
@@ -82,7 +82,8 @@ impl ImporterPlugin for Obj {
             Ok((nameless, known))
         };
         let (models, _) = tobj::load_obj_buf(&mut shapes, &options, library).map_err(|error| {
-            // the parser reports an error of a face at the end of the face's object
+            // The parser reports an error of a face only at the end of the face's object, so the
+            // line may be later than the face.
             PluginError::Failed(format!("{file}: at or before line {}: {error}", line.get()))
         })?;
         host.check_cancelled()?;
@@ -95,8 +96,8 @@ impl ImporterPlugin for Obj {
     }
 }
 
-/// Reads the materials of the libraries that one line names. `names` is the name of one file, or of
-/// several files, separated by spaces. A missing file causes a warning.
+/// Reads the materials of the MTL files that a line `mtllib` names. `names` is the name of one
+/// file, or the names of several files, separated by spaces. A missing file causes a warning.
 fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<MtlMaterial> {
     let read = |name: &str| {
         let bytes = assets.read(name)?;
@@ -108,7 +109,7 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<M
         Ok(found) => return found,
         Err(error) => error,
     };
-    // No file has the whole text as its name, so read it as several names.
+    // No file has the whole text as its name, so the text may be several names.
     if !names.contains(char::is_whitespace) {
         warn(error);
         return Vec::new();

@@ -1,10 +1,10 @@
 //! Parses MTL files, which define materials.
 //!
-//! A colour has one value or three. A map has options before the name of its file; the name may
-//! contain spaces. `-s` and `-o` scale and shift the texture coordinates: (u, v) ↦ s · (u, v) + o,
-//! where v points upwards. `-clamp on` repeats the picture's edge. Other options that would change
-//! the appearance cause a warning. An invalid line causes a warning too; the rest of the file is
-//! used.
+//! A colour has one value or three. A map is a line with options and the name of a picture's file,
+//! which may contain spaces. `-s` and `-o` scale and shift the texture coordinates: (u, v) ↦ s ·
+//! (u, v) + o, where v points upwards. `-clamp on` repeats the picture's edge. Other options that
+//! would change the appearance cause a warning. An invalid line causes a warning too; the rest of
+//! the file is used.
 //!
 //! Source: Alias|Wavefront, *Object files*, version 4.2, appendix B1, "MTL material format".
 
@@ -14,19 +14,19 @@ use crate::text::joined;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct MtlMaterial {
     pub(crate) name: String,
-    /// `Kd`, linear.
+    /// Diffuse colour, the key `Kd`, linear.
     pub(crate) diffuse: Option<[f32; 3]>,
-    /// `Ke`, linear.
+    /// Emission, the key `Ke`, linear.
     pub(crate) emission: Option<[f32; 3]>,
-    /// `d`.
+    /// Opacity, the key `d`.
     pub(crate) alpha: Option<f32>,
-    /// `Ns`.
+    /// Exponent of the Phong highlight, the key `Ns`.
     pub(crate) shininess: Option<f32>,
-    /// `Pr`.
+    /// Roughness, the key `Pr`.
     pub(crate) roughness: Option<f32>,
-    /// `Pm`.
+    /// Metallic fraction, the key `Pm`.
     pub(crate) metallic: Option<f32>,
-    /// `map_Kd`.
+    /// Picture of the diffuse colour, the key `map_Kd`.
     pub(crate) diffuse_map: Option<Map>,
 }
 
@@ -53,7 +53,8 @@ pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<MtlM
         let line = line.trim();
         let (key, rest) = line.split_once(|c: char| c.is_whitespace()).unwrap_or((line, ""));
         let rest = rest.trim();
-        // Keys apply to the last `newmtl`; keys before the first are ignored.
+        // Keys belong to the material of the last line `newmtl`. Keys before the first such line
+        // are ignored.
         if key == "newmtl" {
             materials.push(MtlMaterial { name: rest.to_owned(), ..MtlMaterial::default() });
             continue;
@@ -98,8 +99,8 @@ pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<MtlM
     materials
 }
 
-/// Parses a colour: one value for all three channels, or three values. After the prefix `xyz` they
-/// are CIE tristimulus values, which are converted to linear sRGB.
+/// Parses a colour: one value for all three channels, or three values. After the prefix `xyz` the
+/// values are CIE XYZ, which is converted to linear sRGB.
 fn color(text: &str) -> Option<[f32; 3]> {
     let (text, is_xyz) = match text.strip_prefix("xyz") {
         Some(rest) => (rest, true),
@@ -126,13 +127,14 @@ fn finite(text: &str) -> Option<f32> {
     text.parse().ok().filter(|value: &f32| value.is_finite())
 }
 
-/// Parses a map: options, then the file's name, which may contain spaces. `unused` receives options
-/// without effect.
+/// Parses the value of a map's key: options, and then the name of a picture's file, which may
+/// contain spaces. `unused` receives options that have no effect.
 fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
     let mut map = Map { file: String::new(), scale: [1.0; 2], offset: [0.0; 2], clamp: false };
     let mut rest = text.trim();
     while let Some((option, after)) = option(rest) {
-        // the largest number of arguments of the option; some may be absent
+        // `most` is the largest number of the option's arguments, since some of them may be
+        // omitted.
         let most = match option {
             "-blendu" | "-blendv" | "-bm" | "-boost" | "-cc" | "-clamp" | "-imfchan" | "-texres" | "-type" => 1,
             "-mm" => 2,
@@ -153,7 +155,7 @@ fn map(text: &str, unused: &mut dyn FnMut(&str)) -> Option<Map> {
             "-s" => map.scale = pair(1.0),
             "-o" => map.offset = pair(0.0),
             "-clamp" => map.clamp = words.first().is_some_and(|word| word.eq_ignore_ascii_case("on")),
-            // the renderer decides on the filtering of textures, so no warning is needed
+            // These options only control the filtering of textures, so they need no warning.
             "-blendu" | "-blendv" | "-texres" => {}
             _ => unused(option),
         }

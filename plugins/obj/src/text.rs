@@ -4,7 +4,8 @@
 //! A backslash at the end of a line continues the line, and `#` begins a comment. Names and
 //! comments may have any encoding, and `vt` may have a single coordinate. Faces may refer to
 //! vertices that do not exist. The parser refuses such faces, but for some indices its arithmetic
-//! would overflow. So this module replaces indices that are out of range.
+//! would overflow. So this module replaces each index that is out of range by one that the parser
+//! refuses safely.
 
 use std::borrow::Cow;
 use std::cell::Cell;
@@ -25,7 +26,8 @@ pub(crate) fn decode(bytes: &[u8]) -> Cow<'_, str> {
     Cow::Owned(bytes.split_inclusive(|&byte| byte == b'\n').map(line).collect())
 }
 
-/// Joins every line with the lines that continue it. Each item has the number of its first line.
+/// Joins every line with the lines that continue it. Each item is the number of the first line and
+/// the joined text.
 pub(crate) fn joined(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> {
     let mut lines = text.lines().enumerate();
     std::iter::from_fn(move || {
@@ -40,7 +42,7 @@ pub(crate) fn joined(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> 
 }
 
 /// A reader of an OBJ file's normalized lines, for the parser of shapes. [`line`](Self::line)
-/// returns the number of the current line for errors.
+/// returns the number of the current line, for error messages.
 pub(crate) struct Shapes<'a> {
     lines: Box<dyn Iterator<Item = (usize, Cow<'a, str>)> + 'a>,
     current: Vec<u8>,
@@ -49,14 +51,14 @@ pub(crate) struct Shapes<'a> {
     counts: Counts,
 }
 
-/// Counts of the positions, texture coordinates and normals that were read so far. Negative indices
-/// count back from them.
+/// Counts of the positions, texture coordinates and normals that were read so far. A negative index
+/// counts back from the last element read.
 type Counts = [i64; 3];
 
 /// The keys of the lines that [`Counts`] counts, in the order of the indices of a face's corner.
 const COUNTED: [&str; 3] = ["v", "vt", "vn"];
 
-/// An index that is out of range in every file. The parser reports an error for it.
+/// An index that is out of range in every file, so that the parser reports an error.
 const NOWHERE: i64 = u32::MAX as i64;
 
 impl<'a> Shapes<'a> {
@@ -102,7 +104,8 @@ fn write_shape(line: &str, counts: &mut Counts, out: &mut Vec<u8>) {
     let (key, rest) = line.split_once(|c: char| c.is_whitespace()).unwrap_or((line, ""));
     match key {
         "v" | "vt" | "vn" | "f" | "l" | "p" => {
-            // `#` begins a comment after numbers, but may be part of a name
+            // In a line of numbers `#` begins a comment. In a line with a name it may be part of
+            // the name.
             let numbers = rest.split('#').next().unwrap_or_default().trim();
             out.extend(key.bytes());
             out.push(b' ');
@@ -125,7 +128,8 @@ fn write_shape(line: &str, counts: &mut Counts, out: &mut Vec<u8>) {
     }
 }
 
-/// Writes the indices `v/vt/vn` of a face's corner; those out of range become [`NOWHERE`].
+/// Writes the indices `v/vt/vn` of a face's corner. An index that is out of range becomes
+/// [`NOWHERE`].
 fn write_corner(corner: &str, counts: &Counts, out: &mut Vec<u8>) {
     for (place, index) in corner.split('/').enumerate() {
         if place > 0 {

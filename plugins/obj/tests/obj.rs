@@ -1,4 +1,4 @@
-//! Imports OBJ files through the plugin's C function, and reads the result by this project's glTF
+//! Imports OBJ files through the plugin's C function, and reads the result with this project's glTF
 //! reader.
 
 use std::collections::BTreeMap;
@@ -66,7 +66,7 @@ fn meshes_and_materials_arrive() {
 #[test]
 fn the_axis_and_the_unit_are_the_user_s() {
     let bounds = scene(&json!({"up": "z", "scale": 10.0})).bounds();
-    // with z up, (x, y, z) becomes (x, z, −y)
+    // If z is up, the point (x, y, z) becomes (x, z, −y).
     let (min, max) = (bounds.min.to_array(), bounds.max.to_array());
     for (found, expected) in min.iter().chain(&max).zip([0.0, -30.0, -10.0, 20.0, 0.0, 0.0]) {
         assert!((found - expected).abs() < 1e-4, "{min:?} to {max:?}");
@@ -88,7 +88,7 @@ fn files_that_make_no_sense_are_named() {
         ("", "expected faces, found none"),
         ("v 1 2\nf 1 2 3\n", "a.obj: at or before line 1: "),
         ("f 1 2 3\n", "a.obj: at or before line 1: "),
-        // for these indices the arithmetic of the parser would overflow
+        // The parser's arithmetic would overflow for these indices, so they must not reach it.
         (
             "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//-2 2//1 3//1\n",
             "a.obj: at or before line 5: face normal index out of bounds",
@@ -137,8 +137,8 @@ fn legal_files_of_other_programs_load() {
     assert!(warnings.take().is_empty());
     assert_eq!(scene.triangle_count(), 2);
     assert_eq!(scene.materials[0].base_color.to_array(), [0.5, 0.5, 0.5, 1.0]);
-    // the corner at (u, v) = (0.5, 0): u' = 2 · 0.5 + 0.25 and v' = 3 · 0 + 0.5 upwards, which is
-    // 1 − 0.5 downwards
+    // The map's scale and offset must move the corner (0.5, 0) to (2 · 0.5 + 0.25, 3 · 0 + 0.5).
+    // Since v points downwards in glTF, it becomes 1 − 0.5.
     let texture = scene.materials[1].base_color_texture.expect("a picture");
     let mesh = scene.meshes.iter().find(|mesh| mesh.material == 1).unwrap();
     let corner = mesh.positions.iter().position(|position| position.to_array() == [0.0; 3]).unwrap();

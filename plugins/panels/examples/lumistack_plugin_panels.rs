@@ -1,3 +1,3 @@
-//! The plugin as a library of its own, as the loader requires.
+//! The plugin as a shared library, which the host's loader opens.
 
 extern crate lumistack_plugin_panels;

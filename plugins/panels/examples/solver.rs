@@ -1,5 +1,5 @@
-//! A solver in parallel with running panels: a thread that submits new stacks, and stalls for a
-//! while. The panels continue meanwhile.
+//! Runs panels in parallel with a thread that submits new stacks, as a solver does. The thread
+//! stalls for a while, and the panels must continue.
 //!
 //! `cargo run -p lumistack-plugin-panels --features window --example solver -- 8` shows three
 //! layers on the first three outputs for eight seconds. The thread submits a stack every 0.3 s and
@@ -16,7 +16,7 @@ use lumistack_plugin::serde_json::{from_value, json};
 use lumistack_plugin_host::{HostError, PresentContext, PresenterInput, PresenterOutput, Registry, present};
 use lumistack_plugin_panels::presentation::Event;
 
-/// Makes the stack of a number. Each layer is uniform, and each frame has another shade.
+/// Makes stack `number`. Each layer is uniform, and its shade differs from frame to frame.
 fn stack(display: &Display, number: usize) -> LayerStack {
     let mut stack = LayerStack::filled(display, 1.0);
     for layer in &mut stack.layers {
@@ -40,7 +40,7 @@ fn main() -> Result<(), HostError> {
                 std::thread::sleep(Duration::from_millis(300));
                 let stalls = !steady && (3.0..3.3).contains(&begun.elapsed().as_secs_f64());
                 if stalls {
-                    // stand-in for any delay of a solver
+                    // Stall for two seconds, as a slow solver would.
                     std::thread::sleep(Duration::from_secs(2));
                 }
                 if send.send(PresenterInput::Stack(stack(&display, number))).is_err() {

@@ -5,14 +5,14 @@ use thiserror::Error;
 
 use crate::Shows;
 
-/// An output of the computer: a monitor or a panel behind an adapter.
+/// An output of the computer, which drives a monitor or a panel behind an adapter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Output {
-    /// The output's name, stable across sessions.
+    /// The output's name, which is the same in every session.
     pub name: String,
-    /// [x, y] of its upper left corner in the layout of all outputs, pixels.
+    /// [x, y] of the output's upper left corner in the layout of all outputs, pixels.
     pub position: [i32; 2],
-    /// [columns, rows].
+    /// [columns, rows] of the output's pixels.
     pub size: [usize; 2],
     /// Refresh rate reported by the platform, hertz.
     pub refresh_hz: Option<f64>,
@@ -38,7 +38,7 @@ pub enum AssignError {
         needed: usize,
         /// The panels to show.
         wanted: String,
-        /// The outputs present.
+        /// The names of the outputs that are present.
         found: String,
     },
     /// The display file names an output that is not present.
@@ -46,9 +46,9 @@ pub enum AssignError {
     Unknown {
         /// The key of the display file.
         key: String,
-        /// The key's value.
+        /// The name of an output, which is the value of the key.
         name: String,
-        /// The outputs present.
+        /// The names of the outputs that are present.
         found: String,
     },
     /// The display file names an output twice.
@@ -56,12 +56,12 @@ pub enum AssignError {
     Twice {
         /// The key of the display file.
         key: String,
-        /// The key's value.
+        /// The name of an output, which is the value of the key.
         name: String,
     },
 }
 
-/// The key of the display file that names a panel's output.
+/// Returns the key of the display file that names a panel's output.
 pub fn key(shows: Shows) -> String {
     match shows {
         Shows::Backlight => "backlight.panel.output".into(),
@@ -69,7 +69,7 @@ pub fn key(shows: Shows) -> String {
     }
 }
 
-/// The output that the display file names for a panel.
+/// Returns the output that the display file names for a panel.
 pub fn named(display: &Display, shows: Shows) -> Option<&str> {
     let panel = match (shows, &display.backlight) {
         (Shows::Layer(n), _) => display.layers[n].panel.as_ref(),
@@ -122,24 +122,26 @@ pub fn assign(display: &Display, outputs: &[Output]) -> Result<Vec<(Shows, Outpu
     Ok(chosen.collect())
 }
 
-/// A change of an assigned output.
+/// A change of an output to which a panel is assigned.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
     /// The output is no longer present.
     Gone,
-    /// The output's size changed, or its position if positions are compared.
+    /// The output in its new state: its size has changed, or its position if positions are
+    /// compared.
     Other(Output),
 }
 
-/// Compares an output with the output of the same name in `now`; `None` if it is unchanged.
-/// Positions are compared only if `placed`.
+/// Compares the output `was` with the output of the same name in `now`. Returns `None` if it is
+/// unchanged. Positions are compared only if `placed` is true.
 pub fn change(was: &Output, now: &[Output], placed: bool) -> Option<Change> {
     let Some(is) = now.iter().find(|output| output.name == was.name) else { return Some(Change::Gone) };
     let same = is.size == was.size && (!placed || is.position == was.position);
     (!same).then(|| Change::Other(is.clone()))
 }
 
-/// Upper left corner [x, y] and size [columns, rows] of the bounding rectangle of outputs.
+/// Returns the upper left corner [x, y] and the size [columns, rows] of the bounding rectangle of
+/// outputs.
 ///
 /// # Panics
 /// If there are no outputs.

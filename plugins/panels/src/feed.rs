@@ -1,9 +1,9 @@
-//! A mailbox: passes the newest value to a thread that must not block.
+//! Passes the newest value to a thread that must not block.
 
 use std::sync::{Mutex, PoisonError, TryLockError};
 
-/// Holds at most one value: the newest. [`take`](Self::take) never blocks, not even on the lock; a
-/// value that is locked now is returned by a later call.
+/// Holds the newest value, or none. [`take`](Self::take) never blocks, not even on the lock: while
+/// another thread holds the lock, it returns `None`.
 #[derive(Debug)]
 pub struct Feed<T>(Mutex<Option<T>>);
 
@@ -38,7 +38,8 @@ mod tests {
         let feed = Feed::default();
         assert_eq!(feed.take(), None);
         assert_eq!((feed.put(1), feed.put(2), feed.take(), feed.take()), (None, Some(1), Some(2), None));
-        // a held lock delays the value and blocks no reader
+        // While the lock is held, `take` returns `None` instead of blocking. The value is returned
+        // later.
         feed.put(3);
         let held = feed.0.lock().unwrap();
         assert_eq!(feed.take(), None);

@@ -1,22 +1,23 @@
 //! Compares mask sizes with panel sizes, and scales masks to panels of other sizes.
 //!
-//! A mask has W pixels of pitch p; a panel's upright picture has w pixels of pitch s. The mask
-//! covers W·p / s panel pixels. So that all masks fit, all panels get one pitch
+//! A mask has W pixels of pitch p. The upright picture of its panel has w pixels of pitch s. So the
+//! mask covers W·p / s panel pixels. All masks fit if all panels are assumed to have the pitch
 //!
 //! ```text
 //! s = max over panels and axes of W·p / w
 //! ```
 //!
 //! Then s is raised until a pixel of the finest mask covers a whole number of panel pixels, if it
-//! covers at least one. This pitch differs from the panels' own pitches, so the scene is scaled.
-//! The distances between the panels would have to be scaled by the same ratio.
+//! covers at least one. The pitch s differs from the panels' real pitches, so the scene appears
+//! scaled. The distances between the panels would have to be scaled by the same ratio.
 
 use lumistack_plugin::display::{Backlight, Display};
 
 use crate::assign::Output;
 use crate::{Place, Shows};
 
-/// [columns, rows] of panel pixels that the mask covers, and [columns, rows] of the panel.
+/// Returns [columns, rows] of panel pixels that the mask covers, and [columns, rows] of the panel's
+/// upright picture.
 pub fn cover(display: &Display, shows: Shows, output: [usize; 2]) -> ([f64; 2], [f64; 2]) {
     let place = Place::new(display, shows, output);
     let ([cols, rows], pitch_mm) = match (shows, &display.backlight) {
@@ -28,7 +29,7 @@ pub fn cover(display: &Display, shows: Shows, output: [usize; 2]) -> ([f64; 2], 
     ([cols, rows].map(|count| count as f64 * pitch_mm / place.pitch_mm), there.map(|count| count as f64))
 }
 
-/// One message for every mismatch between a display and the outputs assigned to it.
+/// Returns one message for every mismatch between a display and the outputs assigned to its panels.
 pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
     let mut found = Vec::new();
     for (shows, Output { name, size, .. }) in assigned {
@@ -76,15 +77,15 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
     found
 }
 
-/// The display with one panel pitch for all panels, so that every mask fits; and that pitch,
-/// millimetres.
+/// Returns the display with one panel pitch for all panels, so that every mask fits. Also returns
+/// this pitch, millimetres.
 pub fn fitted(display: &Display, assigned: &[(Shows, Output)]) -> (Display, f64) {
     let wanted = assigned.iter().map(|(shows, output)| {
         let (covers, there) = cover(display, *shows, output.size);
         let pitch_mm = Place::new(display, *shows, output.size).pitch_mm;
         pitch_mm * (covers[0] / there[0]).max(covers[1] / there[1])
     });
-    // The smallest pitch with which every mask fits its panel.
+    // Compute the smallest pitch with which every mask fits its panel.
     let mut pitch_mm = wanted.fold(0.0, f64::max);
     // Raise the pitch until a pixel of the finest mask covers a whole number of panel pixels.
     let finest = display.layers.iter().map(|layer| layer.pitch_mm).fold(f64::INFINITY, f64::min);
@@ -93,7 +94,7 @@ pub fn fitted(display: &Display, assigned: &[(Shows, Output)]) -> (Display, f64)
         pitch_mm = finest / whole;
     }
     let mut display = display.clone();
-    // homographies were measured in millimetres of the real panels and no longer apply
+    // Remove the homographies, since they hold for the real pitches of the panels.
     for layer in &mut display.layers {
         layer.panel_pitch_mm = Some(pitch_mm);
         layer.panel.iter_mut().for_each(|panel| panel.homography = None);
@@ -124,7 +125,8 @@ mod tests {
     fn masks_fill_the_smallest_panel_by_whole_pixels() {
         let display = Display::uniform([10, 6], 4.0, [1, 1], [10.0, 10.0], &[0.0, 5.0], 1);
         let outputs = outputs(&[[64, 48], [55, 30]]);
-        // the panels have room for 55 / 10 and for 30 / 6 panel pixels per mask pixel, so for five
+        // The panels have room for 55 / 10 and for 30 / 6 panel pixels per mask pixel. The smaller
+        // number is five.
         let (display, pitch_mm) = fitted(&display, &outputs);
         assert_eq!(pitch_mm, 4.0 / 5.0);
         for (shows, output) in &outputs {
@@ -179,7 +181,8 @@ mod tests {
         let mut outputs = outputs(&[[100, 90], [100, 90]]);
         (outputs[0].0, outputs[1].0) = (Shows::Backlight, Shows::Layer(0));
         let (display, pitch_mm) = fitted(&display, &outputs);
-        // 42 mm on 100 pixels are a pitch of 0.42 mm, raised to two panel pixels per mask pixel
+        // 42 mm on 100 pixels need a pitch of 0.42 mm. The pitch is raised to 0.5 mm, which gives
+        // two panel pixels per mask pixel.
         assert_eq!(pitch_mm, 0.5);
         let Backlight::Lenslets(backlight) = &display.backlight else { unreachable!() };
         assert_eq!(

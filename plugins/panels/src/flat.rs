@@ -1,9 +1,9 @@
-//! 2D mode at full resolution (PAPER section 5.1.2): one panel shows a picture with all its pixels;
-//! the other panels are clear.
+//! The 2D mode at full resolution: one panel shows a picture with all its pixels, and the other
+//! panels are clear. Source: section 5.1.2 of the paper.
 //!
-//! The picture keeps its aspect ratio and fills the field's width or height: the tighter of the
-//! two. A panel pixel takes the mean linear light of the picture pixels that it covers. If picture
-//! pixels are larger than panel pixels, a panel pixel interpolates between four picture pixels.
+//! The picture keeps its aspect ratio. It is as large as fits into the field. A panel pixel takes
+//! the mean linear light of the picture pixels that it covers. If picture pixels are larger than
+//! panel pixels, a panel pixel interpolates between four picture pixels.
 
 use image::Rgb32FImage;
 use image::imageops::{FilterType, resize};
@@ -12,9 +12,9 @@ use lumistack_plugin::display::{Display, Formation, LayerStack};
 
 use crate::{Picture, Place, Shows};
 
-/// Codes `[row][col][red, green, blue, 255]` of one panel in the 2D mode. `picture` (sRGB codes) is
-/// given for the panel that shows it; without a picture the panel is clear. A panel behind lenslets
-/// is lit evenly.
+/// Returns the codes `[row][col][red, green, blue, 255]` of one panel in the 2D mode. The panel
+/// shows `picture`, which has sRGB codes; without a picture the panel is clear. A panel behind
+/// lenslets is lit evenly.
 pub fn flat_codes(display: &Display, shows: Shows, output: [usize; 2], picture: Option<&image::RgbImage>) -> Vec<u8> {
     let (neutral, field) = (display.formation.neutral(), &display.field);
     let Some(picture) = picture else {
@@ -24,7 +24,8 @@ pub fn flat_codes(display: &Display, shows: Shows, output: [usize; 2], picture: 
         return Picture::new(&one, shows, output).codes(&stack, 0, None);
     };
     let Shows::Layer(n) = shows else { return flat_codes(display, shows, output, None) };
-    // Build a mask of panel pixels over the field's area, so that `Picture` handles the rest.
+    // Make a mask with one pixel per panel pixel over the field's area. `Picture` then computes the
+    // codes.
     let place = Place::new(display, shows, output);
     let [cols, rows] =
         field.resolution.map(|count| ((count as f64 * field.pitch_mm / place.pitch_mm).round() as usize).max(1));
@@ -53,7 +54,7 @@ pub fn flat_codes(display: &Display, shows: Shows, output: [usize; 2], picture: 
             let light = light.clamp(0.0, 1.0);
             // crossed polarizers transmit sin² of the rotation
             let shown = if crossed { light.sqrt().asin() * std::f32::consts::FRAC_2_PI } else { light };
-            // use the panel's whole range, black to white
+            // map 0..1 to the panel's range, from black to white
             *value = low + shown * (high - low);
         }
     }
@@ -68,7 +69,7 @@ mod tests {
 
     #[test]
     fn one_panel_shows_every_pixel_of_a_picture_and_the_others_are_clear() {
-        // masks of half the panel's resolution
+        // The masks have half the panel's resolution, which the 2D mode must not use.
         let mut display = Display::uniform([8, 6], 1.0, [1, 1], [10.0, 10.0], &[-4.0, 0.0], 3);
         for layer in &mut display.layers {
             (layer.panel_pitch_mm, layer.panel_resolution) = (Some(0.5), Some([16, 12]));
@@ -79,7 +80,7 @@ mod tests {
         let expected: Vec<u8> = picture.pixels().flat_map(|p| [p.0[0], p.0[1], p.0[2], 255]).collect();
         assert_eq!(shown, expected, "the panel has the picture's transfer function, so codes stay as they are");
         assert!(flat_codes(&display, Shows::Layer(0), [16, 12], None).iter().all(|code| *code == 255));
-        // a picture of another aspect ratio is centred
+        // A picture with another aspect ratio is centred, between dark rows.
         let wide = image::RgbImage::from_pixel(16, 4, image::Rgb([200; 3]));
         let shown = flat_codes(&display, Shows::Layer(1), [16, 12], Some(&wide));
         let rows: Vec<u8> = shown.chunks_exact(4 * 16).map(|row| row[4 * 5]).collect();

@@ -1,11 +1,11 @@
-//! Writes calibration into the display file. Comments and layout of the text stay; only values
-//! change.
+//! Writes calibration into the text of a display file. Comments and layout of the text stay, and
+//! only values change.
 
 use lumistack_plugin::display::{Backlight, Display, Panel};
 use thiserror::Error;
 use toml_edit::{Array, DocumentMut, Item, Table, TableLike, value};
 
-/// The text is not the file of this display.
+/// The text cannot be updated, since it is not the file of this display.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{key}: expected {expected}, found {found}")]
 pub struct KeepError {
@@ -14,8 +14,8 @@ pub struct KeepError {
     found: String,
 }
 
-/// The text of a display file, updated with the nudges, homographies and outputs of the display's
-/// panels. All else stays unchanged.
+/// Returns the text of a display file, updated with the nudges, homographies and outputs of the
+/// display's panels. All else stays unchanged.
 ///
 /// # Errors
 /// If the text is not TOML, or its layers do not match the display.
@@ -44,7 +44,7 @@ pub fn keep_panels(text: &str, display: &Display) -> Result<String, KeepError> {
         keep(table, backlight.panel.as_ref());
     }
     let text = document.to_string();
-    // verify by reading the result back
+    // Read the new text as a display, to verify it.
     match Display::from_toml(&text) {
         Ok(_) => Ok(text),
         Err(error) => Err(wrong("display file", "a display", error.to_string())),

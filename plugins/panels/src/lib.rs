@@ -1,4 +1,5 @@
-//! Drives a real layer stack: every layer is shown on its own output, one frame per refresh.
+//! Drives the panels of a real display: every layer is shown on its own output, one frame per
+//! refresh.
 //!
 //! ```text
 //! LayerStack ─Picture::codes─▶ codes per output and refresh ─▶ Feed ─▶ present loop ─▶ outputs
@@ -6,13 +7,14 @@
 //!                                                                        frame per refresh)
 //! ```
 //!
-//! [`Picture`] is a pure function of display, stack and output. Windows and the GPU need the
-//! feature `window`, which alone depends on winit and wgpu (`window::present`).
+//! The codes of [`Picture`] depend only on the display, the stack and the output. Windows and the
+//! GPU (`window::present`) need the feature `window`; without it this crate does not depend on
+//! winit and wgpu.
 //!
-//! The output plugin `panels` is a presenter; `lumistack show` drives it. Layer stacks can be
-//! submitted while it runs. Commands and events are the JSON of [`presentation`]. A build without
-//! windows lists the plugin, and its `run` returns an error. Calibration from photographs needs no
-//! windows; it is a part of this library that the plugin does not use.
+//! The output plugin `panels` is a presenter, which `lumistack show` runs. Layer stacks can be
+//! submitted while it runs. Commands and events are the JSON of [`presentation`]. In a build
+//! without the feature `window`, the plugin's `run` returns an error. Calibration from photographs
+//! ([`calibrate`]) needs no windows, and the plugin does not use it.
 
 pub mod assign;
 pub mod calibrate;

@@ -1,15 +1,16 @@
-//! Test patterns.
+//! Test patterns for panels.
 //!
-//! The crosshair array (PAPER section 5.1) is a grid of crosses on the display plane. Every layer
-//! draws it in perspective for an eye e at the viewing distance D. If the layers are aligned, the
-//! crosses of all layers coincide for that eye. A point P of the plane z = 0 projects onto the
-//! layer at d at
+//! The crosshair array (section 5.1 of the paper) is a grid of crosses on the display plane. Every
+//! layer draws the array in perspective for an eye e at the viewing distance D. If the layers are
+//! aligned, the crosses of all layers coincide for this eye. On the layer at distance d, the point
+//! P of the plane z = 0 is drawn at q:
 //!
 //! ```text
 //! q = e + (P − e) · (D − d) / D        so        P = e + (q − e) · D / (D − d)
 //! ```
 //!
-//! Crosses of different layers absorb different colours; where they coincide they are black.
+//! Crosses of different layers absorb different colours, so crosses of three layers that coincide
+//! are black.
 
 use std::str::FromStr;
 
@@ -20,22 +21,23 @@ use thiserror::Error;
 use crate::picture::pixels;
 use crate::{Picture, Place, Shows};
 
-/// A test pattern.
+/// A test pattern for the panels of a display.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pattern {
-    /// Crosses that coincide for one eye position.
+    /// Crosses on every layer, which coincide for one eye position.
     Crosshairs,
     /// Equal steps of linear light in grey, red, green and blue, by the declared transfer function.
     Ramp,
-    /// One code value in all pixels, sent unchanged, to measure transfer functions.
+    /// One code value in all pixels, which is sent unchanged. It serves to measure transfer
+    /// functions.
     Code([u8; 3]),
-    /// All bins of one lenslet, [column, row].
+    /// Light from all bins of one lenslet, [column, row].
     Lenslet([usize; 2]),
-    /// One angular bin, [x, y], of all lenslets.
+    /// Light from one angular bin, [x, y], of all lenslets.
     View([usize; 2]),
     /// All layers are clear.
     Clear,
-    /// The name of each panel, as text.
+    /// Each panel shows its own name as text.
     Identify,
 }
 
@@ -43,13 +45,13 @@ pub enum Pattern {
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("pattern: expected {expected}, found {found}")]
 pub struct PatternError {
-    /// The expected value.
+    /// The expected text or range.
     pub expected: String,
-    /// The value found.
+    /// The invalid text or value.
     pub found: String,
 }
 
-/// All patterns, as they are written, for messages.
+/// The texts of all patterns, for messages.
 pub const PATTERNS: &str = "crosshairs, ramp, code=V, code=R,G,B, lenslet=COLUMN,ROW, view=X,Y, clear or identify";
 
 impl FromStr for Pattern {
@@ -84,20 +86,21 @@ const SPACING: f64 = 0.125;
 const ARM: f64 = 0.3;
 /// Half the width of a cross's lines, panel pixels.
 const HALF_LINE_PX: f64 = 1.5;
-/// The mark of the central cross is a disc above and right of the cross. Position and radius of the
-/// disc, in units of the distance between crosses.
+/// Offset of the disc that marks the central cross, to the right and upwards from the cross. The
+/// unit is the distance between crosses.
 const MARK: f64 = 0.22;
+/// Radius of the disc at [`MARK`], in units of the distance between crosses.
 const MARK_RADIUS: f64 = 0.07;
 /// Number of steps of a ramp.
 const STEPS: usize = 33;
 
-/// Distance between crosses on the display plane, millimetres.
+/// Returns the distance between crosses on the display plane, millimetres.
 pub fn spacing_mm(display: &Display) -> f64 {
     display.field.resolution[0] as f64 * display.field.pitch_mm * SPACING
 }
 
-/// [columns, rows] of crosses on each side of the central cross, such that their arms end within
-/// the field.
+/// Returns [columns, rows] of crosses on each side of the central cross, as many as fit into the
+/// field with their arms.
 pub fn crosses(display: &Display) -> [usize; 2] {
     let spacing = spacing_mm(display);
     display.field.resolution.map(|count| {
@@ -107,9 +110,10 @@ pub fn crosses(display: &Display) -> [usize; 2] {
 }
 
 impl Pattern {
-    /// Codes `[row][col][red, green, blue, 255]` of the output that shows the panel `shows`. With
-    /// `only`, all panels except `only` are clear, and its crosses are black. `eye_mm` is the eye
-    /// position for which the crosses coincide, display space, millimetres.
+    /// Returns the codes `[row][col][red, green, blue, 255]` of the output that shows the panel
+    /// `shows`. With `only`, all panels except `only` are clear, and the crosses on `only` are
+    /// black. `eye_mm` is the eye position for which the crosses coincide, in display space,
+    /// millimetres.
     ///
     /// # Errors
     /// If the display has no such lenslet or bin.
@@ -132,7 +136,7 @@ impl Pattern {
         Ok(match self {
             Self::Clear | Self::Lenslet(_) | Self::View(_) => plain,
             _ if apart => plain,
-            // layers that draw a pattern need light from behind, so the backlight draws none
+            // If the layers draw a pattern, the backlight must be lit evenly behind them.
             Self::Crosshairs => {
                 if is_backlight {
                     plain
@@ -175,7 +179,7 @@ impl Pattern {
         Ok(())
     }
 
-    /// Draws a pattern with the panel's own pixels.
+    /// Draws a pattern that is defined for the pixels of the panel, not for mask pixels.
     fn draw(
         self,
         display: &Display,
@@ -208,7 +212,8 @@ impl Pattern {
                 Self::Identify => picture.encode([mixed(label.at(u, v)); 3]),
                 _ => {
                     let share = place.mm(at).map_or(0.0, |mm| crosses.share(mm));
-                    // with `only` crosses are black; otherwise each layer leaves one channel clear
+                    // A cross of the panel `only` is black. Otherwise the crosses of each layer
+                    // absorb two of the three channels.
                     let kept = if only.is_some() { 3 } else { layer % 3 };
                     picture.encode([0, 1, 2].map(|c| if c == kept { neutral } else { mixed(share) }))
                 }
@@ -223,14 +228,14 @@ impl Pattern {
     }
 }
 
-/// The crosshair array, projected onto one layer.
+/// The crosshair array as it is drawn on one layer.
 struct Crosses {
     eye_mm: [f64; 3],
-    /// Ratio of a distance on the display plane to its projection on the layer.
+    /// Ratio of a distance on the display plane to the drawn distance on the layer.
     spread: f64,
     spacing_mm: f64,
     counts: [usize; 2],
-    /// Size of a panel pixel projected onto the display plane, millimetres.
+    /// Size of a panel pixel as it appears on the display plane from the eye, millimetres.
     pixel_mm: f64,
 }
 
@@ -242,7 +247,8 @@ impl Crosses {
         Self { eye_mm, spread, spacing_mm, counts: crosses(display), pixel_mm: pitch_mm * spread }
     }
 
-    /// Coverage of a pixel by crosses, 0 to 1; `mm` is its position on the layer.
+    /// Returns the fraction of a pixel that crosses cover, 0 to 1. `mm` is the pixel's position on
+    /// the layer.
     fn share(&self, mm: [f64; 2]) -> f32 {
         let on_plane = [0, 1].map(|axis| self.eye_mm[axis] + (mm[axis] - self.eye_mm[axis]) * self.spread);
         let nearest = on_plane.map(|at| (at / self.spacing_mm).round());
@@ -281,7 +287,7 @@ impl Label {
         Self { letters: text.chars().filter_map(letter).collect(), size }
     }
 
-    /// Coverage of the upright pixel (u, v) by letters, 0 to 1.
+    /// Returns the fraction of pixel (u, v) of the upright picture that letters cover, 0 to 1.
     fn at(&self, u: f64, v: f64) -> f32 {
         let (width, height) = (get_raster_width(FontWeight::Bold, LETTER), LETTER.val());
         let total = width * self.letters.len().max(1);
@@ -316,7 +322,8 @@ mod tests {
     const OUTPUT: [usize; 2] = [400, 260];
     const EYE: [f64; 3] = [0.0, 0.0, 600.0];
 
-    /// Centre of mass of dark pixels in a window around a position of the layer.
+    /// Returns the centre of mass of the dark pixels in a window around a position on the layer,
+    /// relative to this position, in pixels.
     fn centre(codes: &[u8], pitch_mm: f64, mm: [f64; 2], half: usize, channel: usize) -> [f64; 2] {
         let col = mm[0] / pitch_mm + (OUTPUT[0] as f64 - 1.0) / 2.0;
         let row = (OUTPUT[1] as f64 - 1.0) / 2.0 - mm[1] / pitch_mm;
@@ -342,11 +349,13 @@ mod tests {
                     Pattern::Crosshairs.codes(&display, Shows::Layer(n), OUTPUT, Some(Shows::Layer(n)), eye).unwrap();
                 for (i, j) in [(-3.0, 2.0), (1.0, -1.0), (3.0, -2.0)] {
                     let target = [i * spacing, j * spacing, 0.0];
-                    // intersect the ray from the eye through the cross with the layer
+                    // intersect the layer with the ray from the eye through the cross's point of
+                    // the display plane
                     let t = (display.layers[n].d_mm - eye[2]) / (target[2] - eye[2]);
                     let mm = [0, 1].map(|axis| eye[axis] + t * (target[axis] - eye[axis]));
-                    // Arms are 12 pixels long, so a window of 8 contains lines only. Their centre
-                    // of mass is the window's centre, up to rounding.
+                    // Arms are 12 pixels long, so a window that reaches 8 pixels contains only
+                    // lines, not their ends. The centre of mass of these lines must be the window's
+                    // centre, up to rounding.
                     let found = centre(&codes, 0.25, mm, 8, 1);
                     assert!(found[0].abs() < 0.35 && found[1].abs() < 0.35, "layer {n}, {i} {j}: {found:?}");
                 }
@@ -364,7 +373,8 @@ mod tests {
         let only = Some(Shows::Layer(1));
         let alone =
             |n: usize| middle(&Pattern::Crosshairs.codes(&display, Shows::Layer(n), OUTPUT, only, EYE).unwrap());
-        // with `only`, layer 1 draws its central cross in black, and layers 0 and 2 are clear
+        // With `only` = layer 1, this layer draws its central cross in black, and layers 0 and 2
+        // are clear.
         assert_eq!([alone(0), alone(1), alone(2)], [[255; 3], [0; 3], [255; 3]]);
     }
 
@@ -374,14 +384,14 @@ mod tests {
         display.layers[0].transfer = Transfer::gamma(2.2);
         display.layers[0].panel = Some(Panel { rotate_deg: 180, ..Panel::default() });
         let codes = Pattern::Ramp.codes(&display, Shows::Layer(0), OUTPUT, None, EYE).unwrap();
-        // the panel is upside down: the last row's steps rise to the left
+        // The panel is upside down, so the steps of the grey ramp in the last row rise to the left.
         let line: Vec<f64> =
             codes[4 * 259 * 400..].chunks_exact(4).map(|rgba| (f64::from(rgba[0]) / 255.0).powf(2.2)).collect();
         for step in 0..STEPS {
             let col = 399 - (400.0 * (step as f64 + 0.5) / STEPS as f64) as usize;
             assert!((line[col] - step as f64 / 32.0).abs() < 0.006, "{step}: {}", line[col]);
         }
-        // upside down, grey is the lowest band and blue the topmost
+        // Upside down, the blue ramp is at the top, and its brightest step is on the left.
         assert_eq!(codes[..4], [0, 0, 255, 255]);
     }
 

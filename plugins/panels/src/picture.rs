@@ -1,14 +1,14 @@
-//! Encodes layer values into the code values of every pixel of one output.
+//! Converts the values of a layer or a backlight into the codes of every pixel of one output.
 //!
 //! ```text
 //! mask value f ─(crosstalk)⁻¹─▶ f' ─drive─▶ 0..1 of the panel's range ─transfer─▶ code
 //! code = round(value · (2^bits − 1))
 //! ```
 //!
-//! The crosstalk comes from the panel's calibration; the solver did not model it. Masks are linear
-//! light, and are resampled before values become codes. Outside the mask a panel is dark, or clear
-//! if the display has `missing = "clear"`. In a colour sequence all three channels show one colour:
-//! such panels have no colour filters.
+//! The crosstalk is that of the panel's calibration, which the solver did not model. Masks are
+//! linear light, and are resampled before values become codes. Outside the mask a panel is dark, or
+//! clear if the display has `missing = "clear"`. In a colour sequence panels have no colour
+//! filters, so all three channels get the value of one colour.
 
 use lumistack_plugin::display::{
     Backlight, Display, Homography, LayerStack, LensletBacklight, Missing, Sampling, Transfer,
@@ -17,15 +17,15 @@ use lumistack_plugin::lenslets::LensletPanel;
 
 use crate::{Place, Shows};
 
-/// Sample points per pixel and axis over which a pixel behind lenslets is averaged.
+/// Number of sample points per axis whose mean is the value of a pixel behind lenslets.
 const LENS_SAMPLES: usize = 4;
 /// Bits per channel of an output.
 const OUTPUT_BITS: u32 = 8;
-/// Offset for rounding: a position half-way between two pixels belongs to the right or lower pixel,
-/// despite rounding errors.
+/// Offset before positions are rounded down. It is a little more than half a pixel. So a position
+/// half-way between two pixels belongs to the right or lower pixel, despite rounding errors.
 const HALF: f64 = 0.5 + 1e-9;
 
-/// Encodes layer stacks for one output. It precomputes everything that is equal in all frames.
+/// Encodes layer stacks for one output. All data that are equal in all frames are computed once.
 #[derive(Clone, Debug)]
 pub struct Picture {
     shows: Shows,
@@ -34,14 +34,15 @@ pub struct Picture {
     encoder: Encoder,
 }
 
-/// The source values of every output pixel.
+/// The mask pixels or emission values that every output pixel shows.
 #[derive(Clone, Debug)]
 enum Lookup {
     /// Index of a mask pixel, or [`OUTSIDE`].
     Nearest(Vec<u32>),
     /// Indices of four mask pixels, and the interpolation weights.
     Bilinear(Vec<Option<([u32; 4], [f32; 2])>>),
-    /// `LENS_SAMPLES`² emission values per pixel: bin · lenslets + lenslet, or [`OUTSIDE`].
+    /// Indices of `LENS_SAMPLES`² emission values per output pixel, or [`OUTSIDE`]. An index is bin
+    /// · (number of lenslets) + lenslet.
     Lenses(Vec<u32>),
 }
 
@@ -59,11 +60,12 @@ struct Encoder {
 }
 
 impl Encoder {
-    /// Codes of one linear RGB value.
+    /// Returns the codes of one linear RGB value.
     fn codes(&self, rgb: [f32; 3]) -> [u8; 3] {
         let wanted = match &self.unmix {
             None => rgb,
-            // This matrix is no homography, in spite of its type: there is no perspective division.
+            // The matrix has the type of a homography, but is applied as a linear map, without
+            // perspective division.
             Some(unmix) => unmix.0.map(|row| (0..3).map(|c| row[c] * f64::from(rgb[c])).sum::<f64>() as f32),
         };
         let top = (1u32 << self.bits) - 1;
@@ -82,7 +84,8 @@ impl Encoder {
 impl Picture {
     /// Precomputes the lookup for an output of [columns, rows] pixels that shows `shows`.
     pub fn new(display: &Display, shows: Shows, output: [usize; 2]) -> Self {
-        // The lookup maps panel pixels to mask pixels, the encoder maps values to codes.
+        // Make the lookup, which maps panel pixels to mask pixels, and the encoder, which maps
+        // values to codes.
         let place = Place::new(display, shows, output);
         let (lookup, mut encoder) = match (shows, &display.backlight) {
             (Shows::Backlight, Backlight::Lenslets(backlight)) => {
@@ -112,7 +115,7 @@ impl Picture {
                 (mask_lookup(&place, layer.resolution, layer.pitch_mm, panel.resample), encoder)
             }
         };
-        // Outside a mask a panel is neutral with `missing = "clear"`, otherwise dark.
+        // Choose the codes outside a mask: clear with `missing = "clear"`, otherwise dark.
         if shows != Shows::Backlight {
             let outside = if display.missing == Missing::Clear { display.formation.neutral() } else { 0.0 };
             encoder.outside = encoder.codes([outside; 3]);
@@ -134,7 +137,7 @@ impl Picture {
         }
     }
 
-    /// The codes of one linear value.
+    /// Returns the codes of one linear RGB value.
     pub(crate) fn encode(&self, rgb: [f32; 3]) -> [u8; 3] {
         self.encoder.codes(rgb)
     }
@@ -144,8 +147,8 @@ impl Picture {
         self.shows
     }
 
-    /// Codes `[row][col][red, green, blue, 255]` of one frame of a stack. `colour` selects one
-    /// channel of a colour sequence.
+    /// Returns the codes `[row][col][red, green, blue, 255]` of one frame of a stack. In a colour
+    /// sequence, `colour` selects the channel that all three channels show.
     ///
     /// # Panics
     /// If the stack does not match the display of [`Self::new`].
@@ -160,8 +163,8 @@ impl Picture {
         };
         let rgb = |i: u32| -> [f32; 3] { values[3 * i as usize..][..3].try_into().expect("three channels") };
         let outside = self.encoder.outside;
-        // Nearest pixels are encoded once per mask pixel; interpolation mixes light before the
-        // encoding.
+        // Without interpolation, encode every mask pixel once. With interpolation, mix the light of
+        // mask pixels before the encoding.
         match &self.lookup {
             Lookup::Nearest(lookup) => {
                 let mask: Vec<[u8; 3]> = values.chunks_exact(3).map(|v| code([v[0], v[1], v[2]])).collect();
@@ -200,7 +203,7 @@ fn fill<T>(lookup: impl IntoIterator<Item = T>, code: impl Fn(T) -> [u8; 3]) -> 
 }
 
 fn mask_lookup(place: &Place, [cols, rows]: [usize; 2], pitch_mm: f64, resample: Sampling) -> Lookup {
-    // mask pixel at an output position, fractional
+    // `at` converts a position on the output to a position on the mask, in mask pixels.
     let at = |output: [f64; 2]| {
         let [x, y] = place.mm(output)?;
         Some([x / pitch_mm + (cols as f64 - 1.0) / 2.0, (rows as f64 - 1.0) / 2.0 - y / pitch_mm])
@@ -220,7 +223,8 @@ fn mask_lookup(place: &Place, [cols, rows]: [usize; 2], pitch_mm: f64, resample:
             let read = |pixel: [f64; 2]| {
                 let place = at(pixel)?;
                 inside(place)?;
-                // positions between the outermost centres and the edge use the border pixels
+                // Positions outside the outermost pixel centres have the values of the border
+                // pixels.
                 let [x, y] = [place[0].clamp(0.0, cols as f64 - 1.0), place[1].clamp(0.0, rows as f64 - 1.0)];
                 let (left, top) = (x.floor() as usize, y.floor() as usize);
                 let (right, bottom) = ((left + 1).min(cols - 1), (top + 1).min(rows - 1));
@@ -250,7 +254,7 @@ fn lens_lookup(place: &Place, backlight: &LensletBacklight) -> Lookup {
     Lookup::Lenses(lookup)
 }
 
-/// All pixels (column, row) in row-major order.
+/// Iterates over all pixels [column, row], row by row.
 pub(crate) fn pixels([cols, rows]: [usize; 2]) -> impl Iterator<Item = [f64; 2]> {
     (0..rows).flat_map(move |row| (0..cols).map(move |col| [col as f64, row as f64]))
 }

@@ -1,4 +1,4 @@
-//! Geometry of a panel: from output pixels to millimetres on the layer. The documentation of
+//! The geometry of a panel, which maps output pixels to millimetres on the layer. The file of
 //! `lumistack_display::Panel` has the equations.
 
 use lumistack_plugin::display::{Backlight, Display, Flip, Homography, Panel};
@@ -17,8 +17,7 @@ pub struct Place {
 }
 
 impl Place {
-    /// The geometry of an output of [columns, rows] pixels that shows a layer or the backlight's
-    /// panel.
+    /// Returns the geometry of an output of [columns, rows] pixels that drives the panel `shows`.
     pub fn new(display: &Display, shows: Shows, output: [usize; 2]) -> Self {
         let (panel, pitch_mm) = match (shows, &display.backlight) {
             (Shows::Layer(n), _) => {
@@ -37,19 +36,20 @@ impl Place {
         Self { output, pitch_mm, panel, homography }
     }
 
-    /// [columns, rows] of the upright picture.
+    /// Returns [columns, rows] of the panel's upright picture.
     pub fn upright_size(&self) -> [usize; 2] {
         let [cols, rows] = self.output;
         if self.panel.rotate_deg.is_multiple_of(180) { [cols, rows] } else { [rows, cols] }
     }
 
-    /// `[left, top, columns, rows]` of the used part of the upright picture; `None` if all is used.
+    /// Returns `[left, top, columns, rows]` of the region of the upright picture that is used.
+    /// `None` if all of it is used.
     pub(crate) fn crop(&self) -> Option<[usize; 4]> {
         self.panel.crop
     }
 
-    /// Pixel (column, row) of the upright picture at the output's pixel (column, row). Integers are
-    /// pixel centres; fractions lie between them.
+    /// Returns the position (column, row) in the upright picture of a position (column, row) on the
+    /// output. Whole numbers are pixel centres.
     pub fn upright(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [cols, rows] = self.upright_size().map(|count| count as f64 - 1.0);
         let [u, v] = match self.panel.rotate_deg {
@@ -65,8 +65,9 @@ impl Place {
         }
     }
 
-    /// Position of the output's pixel (column, row) before the homography: millimetres from the
-    /// layer's centre, x right and y up. `None` outside the crop.
+    /// Returns the nominal position, before the homography, of a position (column, row) on the
+    /// output. It is in millimetres from the layer's centre, x right and y up. `None` outside the
+    /// crop.
     pub fn nominal_mm(&self, output: [f64; 2]) -> Option<[f64; 2]> {
         let [u, v] = self.upright(output);
         let [left, top, cols, rows] = self.panel.crop.map_or_else(
@@ -76,7 +77,7 @@ impl Place {
             },
             |crop| crop.map(|count| count as f64),
         );
-        // a pixel reaches half a pixel from its centre
+        // the region's edge is half a pixel outside its outermost pixel centres
         if u < left - 0.5 || v < top - 0.5 || u >= left + cols - 0.5 || v >= top + rows - 0.5 {
             return None;
         }
@@ -86,8 +87,8 @@ impl Place {
         Some([x * self.pitch_mm, -y * self.pitch_mm])
     }
 
-    /// Position of the output's pixel (column, row) with the homography applied, millimetres.
-    /// `None` outside the crop.
+    /// Returns the real position, after the homography, of a position (column, row) on the output,
+    /// millimetres from the layer's centre. `None` outside the crop.
     pub fn mm(&self, output: [f64; 2]) -> Option<[f64; 2]> {
         self.nominal_mm(output).map(|nominal| self.homography.apply(nominal))
     }
@@ -103,7 +104,8 @@ mod tests {
         Place::new(&display, Shows::Layer(0), output)
     }
 
-    /// Oracle: mirrors and rotates a picture as an image editor does.
+    /// Compares positions with an oracle, which mirrors and rotates an array of pixels as an image
+    /// editor does.
     #[test]
     fn orientation_equals_mirroring_and_rotating_a_picture() {
         for (rotate_deg, flip) in [0, 90, 180, 270]
@@ -119,7 +121,8 @@ mod tests {
                 Flip::Vertical => picture.reverse(),
             }
             for _ in 0..rotate_deg / 90 {
-                // a quarter turn clockwise: the left column, read upwards, becomes the top row
+                // Turn the picture clockwise by a quarter: the left column, read upwards, becomes
+                // the top row.
                 let turned =
                     (0..picture[0].len()).map(|c| picture.iter().rev().map(|row| row[c]).collect()).collect::<Vec<_>>();
                 picture = turned;
@@ -139,7 +142,8 @@ mod tests {
         let plain = place(Panel::default(), [6, 4]);
         assert_eq!(plain.mm([0.0, 0.0]), Some([-2.5, 1.5]));
         assert_eq!(plain.mm([5.0, 3.0]), Some([2.5, -1.5]));
-        // the picture moves right and down, so a pixel shows content from the left and above
+        // The nudge moves the picture right and down. So a pixel shows content from further left
+        // and further up.
         let nudged = place(Panel { nudge_px: [1.0, 0.5], ..Panel::default() }, [6, 4]);
         assert_eq!(nudged.mm([0.0, 0.0]), Some([-3.5, 2.0]));
         let cropped = place(Panel { crop: Some([10, 20, 6, 4]), ..Panel::default() }, [40, 40]);

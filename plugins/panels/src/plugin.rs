@@ -1,4 +1,5 @@
-//! Output plugin `panels`: every layer on its output, or a preview in a window, until it is closed.
+//! Output plugin `panels`: shows every layer on its output, or a preview in a window, until the
+//! user closes it.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -14,17 +15,17 @@ use crate::presentation::{Command, Content, Event, Mode, Settings};
 use crate::shows::Shows;
 use crate::window;
 
-/// Viewing distance if the display has none, millimetres: the camera distance of the paper's
-/// photographs.
+/// Viewing distance for displays that state none, millimetres. It is the camera distance of the
+/// paper's photographs.
 const DISTANCE_MM: f64 = 2000.0;
 
-/// The plugin.
+/// The plugin `panels`.
 #[derive(Debug)]
 pub struct Panels {
     host: Host,
     params: PanelsParams,
     display: Display,
-    /// The inputs so far; taken when the presentation begins.
+    /// The inputs before the presentation, which takes them when it begins.
     pending: Mutex<Option<Pending>>,
     send: Sender<Command>,
 }
@@ -32,7 +33,8 @@ pub struct Panels {
 /// Inputs of a presentation that has not begun.
 #[derive(Debug)]
 struct Pending {
-    /// A test pattern, a 2D picture, or the last submitted layer stack.
+    /// A test pattern, a 2D picture, or the last submitted layer stack; `None` before the first
+    /// submit.
     content: Option<Content>,
     commands: Receiver<Command>,
 }
@@ -58,8 +60,8 @@ pub struct PanelsParams {
 }
 
 impl OutputPlugin for Panels {
-    const DOC: &'static str = "Shows every layer on its monitor, one frame per refresh, or a preview of the display in a window, until it is closed. \
-        `lumistack show` drives it, in builds with windows.";
+    const DOC: &'static str = "Shows every layer on its own panel, one frame per refresh, or a preview of the display in a window, until the user closes it. \
+        `lumistack show` runs it, in builds with windows.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     const PRESENTS: bool = true;
     type Params = PanelsParams;
@@ -88,7 +90,7 @@ impl OutputPlugin for Panels {
             Param::float("duration_s", 0.0, 0.0..=1e9, "Duration of the presentation; 0 shows until it is closed.").unit("s"),
             Param::float("from_x_deg", 0.0, -80.0..=80.0, "Initial angle between the viewer's direction and the display's axis in the window, positive to the right.")
                 .unit("degrees"),
-            Param::float("from_y_deg", 0.0, -80.0..=80.0, "The same angle in the vertical direction, positive upwards.").unit("degrees"),
+            Param::float("from_y_deg", 0.0, -80.0..=80.0, "Initial angle between the viewer's direction and the display's axis in the window, positive upwards.").unit("degrees"),
             Param::text("pattern", "", &format!("Test pattern shown in place of the layer stack: {PATTERNS}.")),
             Param::text(
                 "only",
@@ -141,7 +143,8 @@ impl OutputPlugin for Panels {
         let Input::LayerStack(stack) = data else { return Err(PluginError::unexpected(data)) };
         let stack = stack.to_layer_stack(&self.display)?;
         match &mut *self.pending() {
-            // test patterns and 2D pictures are not replaced
+            // Test patterns and 2D pictures come from the parameters, so a submitted stack does not
+            // replace them.
             Some(Pending { content: Some(Content::Pattern { .. } | Content::Flat { .. }), .. }) => {}
             Some(pending) => {
                 let from_deg = [self.params.from_x_deg, self.params.from_y_deg];
@@ -150,7 +153,7 @@ impl OutputPlugin for Panels {
                     Mode::Outputs | Mode::Span => Content::Stack(stack),
                 });
             }
-            // the receiver is gone after the presentation ended; nothing to do
+            // After the end of the presentation there is no receiver, and the stack is not needed.
             None => drop(self.send.send(Command::Stack(stack))),
         }
         Ok(())
@@ -185,7 +188,7 @@ impl OutputPlugin for Panels {
     fn command(&self, command: &Value) -> Result<(), PluginError> {
         let command = Command::deserialize(command)
             .map_err(|error| PluginError::Refused(format!("command {command}: {error}")))?;
-        // a command after the end has no receiver and no effect
+        // After the end of the presentation there is no receiver, and the command has no effect.
         let _ = self.send.send(command);
         Ok(())
     }
@@ -205,11 +208,13 @@ fn refused(name: &str, expected: impl std::fmt::Display, found: impl std::fmt::D
     PluginError::Refused(format!("`{name}`: expected {expected}, found {found}"))
 }
 
-/// Content set by the parameters, which submitted stacks do not replace.
+/// Returns the content that the parameters select: a test pattern or a picture. Submitted stacks do
+/// not replace it. `None` if the parameters select none.
 fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, PluginError> {
     if !params.pattern.is_empty() {
         let pattern = params.pattern.parse::<Pattern>().map_err(|error| PluginError::Refused(error.to_string()))?;
-        // A pattern on one panel, or on all, drawn for an eye in front of the layers.
+        // Read the test pattern, the panel that alone shows it, and the eye for which it is drawn.
+        // The eye must be in front of the layers.
         let all = Shows::all(display);
         let only = Some(&params.only).filter(|text| !text.is_empty()).map(|text| {
             let shows = text.parse().ok().filter(|shows| all.contains(shows));
@@ -226,7 +231,7 @@ fn fixed(params: &PanelsParams, display: &Display) -> Result<Option<Content>, Pl
         return Ok(Some(Content::Pattern { pattern, only: only.transpose()?, eye_mm }));
     }
     if !params.picture.is_empty() {
-        // By default the layer nearest to the display plane shows the picture.
+        // Read the picture and choose its layer, by default the one nearest to the display plane.
         let nearest = (0..display.layers.len())
             .min_by(|a, b| display.layers[*a].d_mm.abs().total_cmp(&display.layers[*b].d_mm.abs()))
             .unwrap_or(0);

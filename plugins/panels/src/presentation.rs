@@ -15,17 +15,18 @@ use crate::tally::Tally;
 pub struct Settings {
     /// The display, with its panels' calibration.
     pub display: Display,
-    /// The first content.
+    /// The content that is shown first.
     pub content: Content,
     /// The surfaces to open.
     pub mode: Mode,
-    /// Scale masks to fill the panels ([`crate::fit`]).
+    /// True if masks are scaled to fill the panels ([`crate::fit`]).
     pub fit: bool,
-    /// The frame that is held until a command changes it; `None` shows all frames in turn.
+    /// The frame that all refreshes show until a command changes it; `None` shows all frames in
+    /// turn.
     pub hold: Option<usize>,
-    /// Duration of the presentation; `None` shows until it is closed.
+    /// Duration of the presentation; `None` for a presentation that runs until the user closes it.
     pub duration: Option<Duration>,
-    /// Record the time of every submission in [`Report::log`].
+    /// True if [`Report::log`] records the time of every submission.
     pub log: bool,
 }
 
@@ -38,21 +39,21 @@ pub enum Content {
     Pattern {
         /// The pattern.
         pattern: Pattern,
-        /// The panel that alone shows it; `None` for all panels.
+        /// The panel that alone shows the pattern; `None` for all panels.
         only: Option<Shows>,
-        /// Eye position for which the crosses coincide, display space, millimetres.
+        /// Eye position for which the crosses coincide, in display space, millimetres.
         eye_mm: [f64; 3],
     },
     /// A picture on one panel, at the panel's full resolution; the other panels are clear.
     Flat {
         /// The picture, sRGB codes.
         picture: image::RgbImage,
-        /// The layer that shows it.
+        /// The layer that shows the picture.
         layer: usize,
     },
     /// A preview of the display from one angle, in an ordinary window.
     Preview {
-        /// The layer stack.
+        /// The layer stack that the preview simulates.
         stack: LayerStack,
         /// Direction of the viewer, degrees to the right and up from the display's axis.
         from_deg: [f64; 2],
@@ -67,7 +68,7 @@ pub enum Mode {
     Outputs,
     /// One surface across all outputs, so that all outputs flip together.
     Span,
-    /// An ordinary window.
+    /// One ordinary window.
     Window,
 }
 
@@ -80,19 +81,19 @@ pub enum Command {
     /// data, so it has no JSON.
     #[serde(skip)]
     Stack(LayerStack),
-    /// Hold this frame.
+    /// Show only this frame.
     Hold(usize),
     /// Show all frames in turn.
     Run,
-    /// Hold a later (positive) or earlier (negative) frame, relative to the held one.
+    /// Show a later (positive) or earlier (negative) frame, relative to the frame that is held.
     Step(i64),
     /// Shift a panel's picture by [right, down] panel pixels.
     Nudge(Shows, [f64; 2]),
-    /// Save the nudges: see [`Event::Save`].
+    /// Emit [`Event::Save`], with which the program saves the nudges.
     Save,
     /// Set the direction of the preview's viewer, degrees to the right and up.
     Look([f64; 2]),
-    /// Report the statistics so far.
+    /// Emit [`Event::Report`] with the statistics so far.
     Report,
     /// End the presentation.
     Quit,
@@ -103,11 +104,11 @@ pub enum Command {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde", tag = "event", rename_all = "snake_case")]
 pub enum Event {
-    /// A panel is shown on an output.
+    /// An output drives a panel.
     Shows {
-        /// The panel.
+        /// The panel, named by its layer or the backlight.
         panel: Shows,
-        /// The output's name.
+        /// The name of the output.
         output: String,
         /// The output's upper left corner in the layout of all outputs, pixels.
         position: [i32; 2],
@@ -122,20 +123,20 @@ pub enum Event {
     Swapped {
         /// Number of swaps so far.
         times: u64,
-        /// Number of the first refresh that shows it.
+        /// Number of the first refresh that shows the new stack.
         refresh: u64,
     },
     /// A warning for the user. Plugin hosts log it, so it has no JSON.
     #[serde(skip)]
     Warning(String),
-    /// The shift of a panel changed, or another panel was selected for shifting.
+    /// The user has shifted a panel, or has selected another panel for shifts.
     Nudged {
-        /// The panel.
+        /// The panel, named by its layer or the backlight.
         panel: Shows,
         /// The panel's shift to the right and down, panel pixels.
         nudge_px: [f64; 2],
     },
-    /// The preview is seen from other angles.
+    /// The direction of the preview's viewer has changed.
     Looked {
         /// Viewing angles to the right and up, degrees.
         from_deg: [f64; 2],
@@ -159,13 +160,13 @@ pub struct Report {
     pub seconds: f64,
     /// Refreshes per second.
     pub rate_hz: f64,
-    /// The expected interval, seconds, against which late refreshes are counted.
+    /// The expected interval between refreshes, seconds, by which late refreshes are recognized.
     pub interval_s: f64,
     /// The source of `interval_s`.
     pub interval_from: String,
-    /// Number of new layer stacks taken from the feed.
+    /// Number of times that a new layer stack replaced the shown one.
     pub swaps: u64,
-    /// Number of surface images that could not be acquired, of all surfaces together.
+    /// Number of surface images that could not be acquired, summed over all surfaces.
     pub missed: u64,
     /// Statistics from the times of submission; `None` before the first submission.
     pub submitted: Option<Tally>,
@@ -175,7 +176,8 @@ pub struct Report {
     /// Mean time between the first and the last output of a refresh, seconds, from the platform's
     /// presentation times. `None` if there are no such times, or only one surface.
     pub skew_mean_s: Option<f64>,
-    /// The largest time between the first and the last output of a refresh, seconds.
+    /// Largest time between the first and the last output of a refresh, seconds. `None` in the same
+    /// cases as for the mean.
     pub skew_largest_s: Option<f64>,
     /// (refresh number, position in the period, number of the layer stack, seconds) of every
     /// submission, if requested.

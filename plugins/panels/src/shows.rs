@@ -1,4 +1,4 @@
-//! Identifies the panel that an output shows: a layer or the backlight.
+//! Identifies the panel that an output drives: a layer or the backlight's panel.
 
 use std::str::FromStr;
 
@@ -6,7 +6,7 @@ use lumistack_plugin::display::{Backlight, Display};
 use lumistack_plugin::serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// The panel that an output shows. JSON: its text, as `"layer 2"` or `"backlight"`.
+/// The panel that an output drives. In JSON it is a text such as `"layer 2"` or `"backlight"`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde", into = "String", try_from = "String")]
 pub enum Shows {
@@ -58,7 +58,7 @@ impl TryFrom<String> for Shows {
 }
 
 impl Shows {
-    /// All panels of a display that need an output, rear to front.
+    /// Returns all panels of a display that need an output, rear to front.
     pub fn all(display: &Display) -> Vec<Self> {
         let backlight = matches!(display.backlight, Backlight::Lenslets(_)).then_some(Self::Backlight);
         backlight.into_iter().chain((0..display.layers.len()).map(Self::Layer)).collect()

@@ -1,7 +1,7 @@
 //! Counts late refreshes and measures the skew between outputs.
 //!
-//! A refresh is late when it comes more than 1.5 intervals after the previous one. The panel then
-//! repeated the previous frame in all intervals between the two refreshes.
+//! A refresh is late if it comes more than 1.5 intervals after the previous refresh. In the
+//! intervals between these two refreshes, the panel has repeated the previous frame.
 
 use std::collections::BTreeMap;
 
@@ -15,20 +15,21 @@ pub struct Tally {
     interval_s: f64,
     #[serde(skip)]
     last: Option<(u64, f64)>,
-    /// Number of refreshes presented.
+    /// Number of refreshes that were presented.
     pub shown: u64,
-    /// Number of refreshes presented late.
+    /// Number of refreshes that were presented late.
     pub late: u64,
-    /// Number of repetitions of a frame because the next refresh was late.
+    /// Number of intervals in which a panel repeated a frame, since the next refresh was late.
     pub repeated: u64,
-    /// Number of refreshes submitted and never presented.
+    /// Number of refreshes that were submitted but never presented.
     pub dropped: u64,
-    /// Number of refreshes presented after a refresh that was submitted later.
+    /// Number of refreshes that were presented after a refresh with a larger number.
     pub out_of_order: u64,
 }
 
 impl Tally {
-    /// No refreshes yet; `interval_s` is the expected interval, seconds.
+    /// Makes a tally without refreshes. `interval_s` is the expected interval between refreshes,
+    /// seconds.
     pub fn new(interval_s: f64) -> Self {
         Self { interval_s, last: None, shown: 0, late: 0, repeated: 0, dropped: 0, out_of_order: 0 }
     }
@@ -52,7 +53,7 @@ impl Tally {
     }
 }
 
-/// Time between the first and the last output that present the same refresh.
+/// Statistics of the skew: the time between the first and the last output that present one refresh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Skew {
     outputs: usize,
@@ -64,11 +65,12 @@ pub struct Skew {
     pub largest_s: f64,
 }
 
-/// Largest number of incomplete refreshes that are kept, since an output may never report its time.
+/// Largest number of refreshes that wait for the times of further outputs. An output may never
+/// report its time, so older ones are dropped.
 const OPEN: usize = 64;
 
 impl Skew {
-    /// No refreshes yet, for this number of outputs.
+    /// Makes statistics without refreshes, for this number of outputs.
     pub fn new(outputs: usize) -> Self {
         Self { outputs, ..Self::default() }
     }
@@ -90,7 +92,7 @@ impl Skew {
         }
     }
 
-    /// Mean skew, seconds; `None` before the first complete refresh.
+    /// Returns the mean skew, seconds; `None` before all outputs have presented one refresh.
     pub fn mean_s(&self) -> Option<f64> {
         (self.refreshes > 0).then(|| self.sum_s / self.refreshes as f64)
     }
@@ -123,7 +125,7 @@ mod tests {
         }
         assert_eq!(skew.refreshes, 2);
         assert!((skew.mean_s().unwrap() - 0.004).abs() < 1e-12 && (skew.largest_s - 0.006).abs() < 1e-12);
-        // one output never reports
+        // One output never reports, so all refreshes stay incomplete.
         (0..1000).for_each(|index| skew.came(index, 0.0));
         assert!(skew.open.len() <= OPEN);
     }

@@ -1,5 +1,5 @@
-//! The presenter through the plugin interface, without windows: accepted commands, and inputs
-//! refused before the presentation.
+//! Tests the plugin `panels` through the plugin interface, without windows: the commands that it
+//! accepts, and the inputs that it refuses before the presentation.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::Display;

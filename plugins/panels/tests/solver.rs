@@ -1,4 +1,4 @@
-//! A solver that stalls costs no frame.
+//! Tests that panels lose no frame while a solver stalls.
 
 #![cfg(feature = "window")]
 
@@ -7,11 +7,11 @@ mod session;
 
 use session::{SWAY, Session};
 
-/// Time without a new stack, seconds. A run with a stall, which lasts 2 s, has a longer one. A run
-/// without a stall, in which a stack arrives every 0.3 s, has only shorter ones.
+/// Limit on the time between new stacks, by which a stall is recognized, seconds. A run with a
+/// stall has a gap of at least 2 s. In a run without a stall, a stack arrives every 0.3 s.
 const STALL_S: f64 = 1.5;
-/// Number of refreshes by which a run with a stall may be worse than a run without one, since the
-/// machine may be busy. A present loop that waited for the solver would lose 120 refreshes in 2 s.
+/// Allowed number of additional lost refreshes in a run with a stall, since the machine may be
+/// busy. A present loop that waited for the solver would lose 120 refreshes in 2 s.
 const NOISE: usize = 20;
 /// Rows of the log: refresh number, position in the period, number of the stack, seconds.
 type Log = Vec<[f64; 4]>;
@@ -25,8 +25,8 @@ fn run(session: &Session, words: &[&str]) -> Log {
     assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
     let numbers = |line: &str| line.split(',').map(|number| number.parse().unwrap()).collect::<Vec<f64>>();
     let log: Log = text.lines().map(|line| numbers(line).try_into().unwrap()).collect();
-    // Frames are in order: each refresh shows the next frame of the period. A new stack begins only
-    // with a new period.
+    // Frames must be in order: each refresh shows the next frame of the period, and a new stack
+    // begins only with a new period.
     for pair in log.windows(2) {
         assert_eq!(pair[1][0], pair[0][0] + 1.0);
         assert_eq!(pair[1][1] as usize, (pair[0][1] as usize + 1) % 3, "{pair:?}");
@@ -36,7 +36,7 @@ fn run(session: &Session, words: &[&str]) -> Log {
     log
 }
 
-/// The longest time without a new stack, [from, to], seconds.
+/// Returns the longest time span without a new stack, [from, to] in seconds.
 fn longest_without(log: &Log) -> [f64; 2] {
     let mut starts = vec![log[0]];
     starts.extend(log.windows(2).filter(|pair| pair[1][2] != pair[0][2]).map(|pair| pair[1]));
@@ -44,7 +44,8 @@ fn longest_without(log: &Log) -> [f64; 2] {
     spans.max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0]))).unwrap_or([0.0; 2])
 }
 
-/// Number of refreshes in a time span, number of late refreshes, and the longest gap, intervals.
+/// Returns the number of refreshes in a time span, the number of late refreshes, and the longest
+/// time between two refreshes in refresh intervals.
 fn within(log: &Log, [from, to]: [f64; 2]) -> (usize, usize, f64) {
     let interval = 1.0 / 60.0;
     let rows: Vec<_> = log.iter().filter(|row| row[3] >= from && row[3] <= to).collect();
@@ -53,8 +54,8 @@ fn within(log: &Log, [from, to]: [f64; 2]) -> (usize, usize, f64) {
     (rows.len(), late, gaps.iter().copied().fold(0.0, f64::max))
 }
 
-/// Runs with and without a stall, alternately; the difference in lost refreshes is the effect of a
-/// stall. `LUMISTACK_PANELS_TURNS` sets the number of runs.
+/// Compares runs with and without a stall: a stall must not cost more refreshes than [`NOISE`].
+/// `LUMISTACK_PANELS_TURNS` sets the number of runs of each kind.
 #[test]
 fn panels_go_on_while_the_solver_stalls() {
     let Some(session) = Session::sway(&SWAY) else { return };

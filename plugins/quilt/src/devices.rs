@@ -9,15 +9,15 @@ use lumistack_plugin::serde_json;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 pub struct Device {
-    /// Value of the parameter `device`.
+    /// Value of the parameter `device` that selects this device.
     pub id: String,
-    /// Name for users.
+    /// Name of the device, for users.
     pub name: String,
     /// [columns, rows] of the quilt's pixels.
     pub quilt: [usize; 2],
-    /// Columns of views.
+    /// Number of columns of views in the quilt.
     pub columns: usize,
-    /// Rows of views.
+    /// Number of rows of views in the quilt.
     pub rows: usize,
     /// Width over height of one view.
     pub aspect: f64,

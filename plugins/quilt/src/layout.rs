@@ -1,10 +1,11 @@
-//! Layout and name of a quilt.
+//! The layout of a quilt, and the suffix of its name.
 //!
-//! View 0, the leftmost view, is the tile at the bottom left; the views continue to the right, then
-//! upwards. Tiles have ⌊width / columns⌋ × ⌊height / rows⌋ pixels and start at the bottom left. If
-//! these sizes do not divide evenly, the remaining pixels at the top and right are black. The name
-//! ends in `_qs<columns>x<rows>a<aspect>`. The aspect is the width over the height of a view as it
-//! is seen; its tile may be squeezed.
+//! A quilt is one picture with a tile for each view. View 0, the leftmost view, is the tile at the
+//! bottom left. The next views are right of it, then in the rows above. Tiles have ⌊width /
+//! columns⌋ × ⌊height / rows⌋ pixels and start at the bottom left. If the quilt's sizes do not
+//! divide evenly, the remaining pixels at the top and right are black. The name ends in
+//! `_qs<columns>x<rows>a<aspect>`. The aspect is the width over the height of a view as a viewer
+//! sees it, which may differ from its tile's.
 
 use lumistack_plugin::PluginError;
 
@@ -13,17 +14,17 @@ use crate::devices::Device;
 /// The layout of a quilt.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
-    /// [columns, rows] of pixels.
+    /// [columns, rows] of the quilt's pixels.
     pub size: [usize; 2],
-    /// Columns of views.
+    /// Number of columns of views in the quilt.
     pub columns: usize,
-    /// Rows of views.
+    /// Number of rows of views in the quilt.
     pub rows: usize,
     /// Width over height of one view.
     pub aspect: f64,
 }
 
-/// The values for a quilt that the job sets; 0 stands for a value that it does not set.
+/// The values of a quilt's layout that the job sets; 0 stands for a value that it does not set.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Given {
     /// Columns and rows of views.
@@ -35,8 +36,9 @@ pub struct Given {
 }
 
 impl Layout {
-    /// The quilt of a device. Without a device, the quilt of `views` views of `view_size` =
-    /// [columns, rows] pixels. Values of `given` other than 0 override both.
+    /// Returns the layout of a device's quilt. Without a device it is the layout for `views` views
+    /// of `view_size` = [columns, rows] pixels. Values of `given` other than 0 replace the values
+    /// of the device or of the views.
     ///
     /// # Errors
     /// If only one of columns and rows is given, or a tile has no pixel.
@@ -70,7 +72,7 @@ impl Layout {
         Ok(Self { size, columns, rows, aspect })
     }
 
-    /// Number of views.
+    /// Returns the number of views in the quilt.
     pub fn views(&self) -> usize {
         self.columns * self.rows
     }
@@ -86,15 +88,15 @@ impl Layout {
         [view % self.columns * tile[0], self.size[1] - (view / self.columns + 1) * tile[1]]
     }
 
-    /// The suffix of the file's name. It has enough digits of the aspect to distinguish the aspects
-    /// of views whose sizes differ by one pixel.
+    /// Returns the suffix of the file's name. It states the aspect with five decimals, which
+    /// distinguish views whose sizes differ by one pixel.
     pub fn suffix(&self) -> String {
         let rounded = (self.aspect * 1e5).round() / 1e5;
         format!("_qs{}x{}a{rounded}", self.columns, self.rows)
     }
 }
 
-/// Columns and rows of tiles for which the quilt of `views` views is nearest to a square.
+/// Returns the columns and rows of tiles for which a quilt of `views` views is nearest to a square.
 fn squarest(views: usize, view_size: [usize; 2]) -> [usize; 2] {
     let skew = |columns: usize| {
         let [width, height] = [columns * view_size[0], views / columns * view_size[1]];

@@ -1,4 +1,4 @@
-//! Output plugin `quilt`: pictures for lenticular displays.
+//! Output plugin `quilt`: writes pictures for lenticular displays.
 //!
 //! | file | content |
 //! |---|---|
@@ -7,8 +7,8 @@
 //! | `quilt.json` | sizes, the slope of every view, and the way in which each view was made |
 //!
 //! Pictures are 8-bit sRGB without alpha. Time steps of a sequence are `NAME_f0000_qs…`,
-//! `NAME_f0001_qs…`, …, the numbering that video encoders read. At most one quilt, one view and
-//! the native picture are in memory.
+//! `NAME_f0001_qs…`, …, the numbering that video encoders read. Memory holds at most one quilt, one
+//! view and one native picture.
 
 pub mod devices;
 pub mod layout;
@@ -41,7 +41,7 @@ const H264_SIDE: usize = 6000;
 /// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin `quilt`.
 #[derive(Debug)]
 pub struct Quilt {
     host: Host,
@@ -70,7 +70,7 @@ pub struct QuiltParams {
     write_quilt: bool,
 }
 
-/// `quilt.json`.
+/// The content of `quilt.json`.
 #[derive(Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Manifest {
@@ -79,7 +79,7 @@ struct Manifest {
     files: Vec<Entry>,
 }
 
-/// One time step.
+/// The entry of one time step in `quilt.json`.
 #[derive(Clone, Debug, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Entry {
@@ -124,28 +124,28 @@ impl OutputPlugin for Quilt {
                 [(CUSTOM, "No device: tiles have the views' own pixels.")].into_iter().chain(known),
                 "Device whose default quilt is written; the parameters below override it.",
             ),
-            Param::int("columns", 0, 0..=100, "Columns of views; 0 for the device's, or without a device those of the quilt nearest to a square.")
+            Param::int("columns", 0, 0..=100, "Number of columns of views. 0 uses the device's number, or without a device the number with which the quilt is nearest to a square.")
                 .unit("views"),
-            Param::int("rows", 0, 0..=100, "Rows of views; 0 as for columns.").unit("views"),
+            Param::int("rows", 0, 0..=100, "Number of rows of views; 0 has the same meaning as for columns.").unit("views"),
             Param::int(
                 "width",
                 0,
                 0..=16384,
-                "Width of the quilt; 0 for the device's, or without a device that of the views side by side.",
+                "Width of the quilt. 0 uses the device's width, or without a device the sum of the views' widths.",
             )
             .unit("px"),
             Param::int(
                 "height",
                 0,
                 0..=16384,
-                "Height of the quilt; 0 for the device's, or without a device that of the views above one another.",
+                "Height of the quilt. 0 uses the device's height, or without a device the sum of the views' heights.",
             )
             .unit("px"),
             Param::float(
                 "aspect",
                 0.0,
                 0.0..=10.0,
-                "Width over height of one view on the screen, independent of its tile. 0 for that of the calibration's screen, the device or the views, in this order.",
+                "Width over height of one view on the screen, independent of its tile. 0 uses the aspect of the calibration's screen. Without a calibration it uses the device's, and without a device the views'.",
             )
             .unit("1"),
             Param::choice(
@@ -162,7 +162,7 @@ impl OutputPlugin for Quilt {
                 "view_row",
                 -1,
                 -1..=9999,
-                "Row of views to use: 0 is the topmost, -1 the central one (the upper of two).",
+                "Row of views to use. 0 is the topmost row and -1 the central one; of two central rows the upper one.",
             )
             .unit("rows"),
             Param::choice(
@@ -178,11 +178,11 @@ impl OutputPlugin for Quilt {
             Param::bool(
                 "sequence",
                 false,
-                "Number the files of the first time step, too (NAME_f0000_qs...); those of later time steps always have numbers.",
+                "Also number the files of the first time step (NAME_f0000_qs...). The files of later time steps always have numbers.",
             ),
             Param::file(
                 "calibration",
-                "The display's calibration (visual.json), or its text; the native picture is then written, too.",
+                "The display's calibration (visual.json), or its text. With a calibration, the native picture is written too.",
             ),
             Param::bool("write_quilt", true, "Write the quilt itself."),
         ])
@@ -203,8 +203,8 @@ impl OutputPlugin for Quilt {
         }
         let device = devices().iter().find(|device| device.id == params.device);
         let output = Self { host, params, device, calibration, written: Mutex::default() };
-        // the submitted data will have the views and pixels of the display, so that layout and row
-        // can be checked before the work
+        // The submitted data will have the views and pixels of the display. So check the layout and
+        // the row of views here, before the data are made.
         let geometry = display.geometry().map_err(|error| PluginError::failed("display", error))?;
         let layout = output.layout(&geometry)?;
         views::row_of(geometry.grid.slope_y.len(), output.params.view_row)?;
@@ -246,7 +246,7 @@ impl Quilt {
         {
             self.host.warn(&advice);
         }
-        // Before the work, warn of black bars and of sizes that video encoders refuse.
+        // Warn of black bars, and of sizes that video encoders refuse.
         let black = black_share(size, layout.aspect, params.fit);
         if black >= LEAST_BLACK {
             self.host.warn(&format!(
@@ -263,7 +263,7 @@ impl Quilt {
             let [width, height] = layout.size;
             self.host.warn(&format!("video encoders require even sizes, but the quilt has {width} × {height} pixels"));
         }
-        // Make the quilt. The native picture is made from it, so it is needed in any case.
+        // Make the quilt, even if it is not written, since the native picture is made from it.
         let (quilt, views) = self.fill(source, &layout, size, row)?;
         let frame = if params.sequence || time.index > 0 { format!("_f{:04}", time.index) } else { String::new() };
         let name = format!("{}{frame}", params.name);
@@ -292,15 +292,16 @@ impl Quilt {
         })
     }
 
-    /// The layout of the quilt for data of this geometry.
+    /// Returns the layout of the quilt for data of this geometry.
     fn layout(&self, geometry: &FieldGeometry) -> Result<Layout, PluginError> {
         let QuiltParams { columns, rows, width, height, .. } = self.params;
         let given = Given { views: [columns, rows], size: [width, height], aspect: self.aspect() };
         Layout::new(self.device, given, geometry.grid.slope_x.len(), [geometry.cols, geometry.rows])
     }
 
-    /// The aspect of a view, 0 if it is not set. A calibrated screen shows every view over its
-    /// whole area, so the aspect is then the screen's unless the parameter sets it.
+    /// Returns the aspect of a view, or 0 if neither the parameter nor a calibration sets it. A
+    /// calibrated screen shows every view over its whole area, so by default the aspect is the
+    /// screen's.
     fn aspect(&self) -> f64 {
         match &self.calibration {
             Some(calibration) if self.params.aspect == 0.0 => {

@@ -7,8 +7,8 @@
 //! a_i = (i + ½) / N · A − ½
 //! ```
 //!
-//! among them. For N = A this is the data's own view i. A layer stack is simulated at this
-//! position. A light field has views only at whole numbers.
+//! among the views of the data. For N = A this is view i of the data. A layer stack is simulated at
+//! position a_i. A light field has views only at whole numbers.
 
 use std::borrow::Cow;
 
@@ -32,13 +32,13 @@ pub enum Missing {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde", rename_all = "lowercase")]
 pub enum Made {
-    /// Simulated from a layer stack, at its position.
+    /// The view was simulated from a layer stack, at the view's position.
     Simulated,
-    /// A view of the light field, at its position.
+    /// The view was copied from the light field, which has a view at this position.
     Exact,
-    /// The nearest view of the light field.
+    /// The nearest view of the light field was copied.
     Nearest,
-    /// A blend of two views.
+    /// The two neighbouring views of the light field were blended.
     Blend,
 }
 
@@ -51,16 +51,18 @@ pub enum Source<'a> {
     Field(&'a FieldInput<'a>),
 }
 
-/// A position equals the position of a view if they differ by at most this number of views.
+/// Largest distance from a view of the data, in units of views, at which a position counts as the
+/// view's.
 const SAME_PLACE: f64 = 1e-6;
 
-/// Positions a_i of `count` views of a quilt, if the data have `available` views per row.
+/// Returns the positions a_i of `count` views of a quilt, among the `available` views per row of
+/// the data.
 pub fn places(count: usize, available: usize) -> Vec<f64> {
     (0..count).map(|i| (i as f64 + 0.5) / count as f64 * available as f64 - 0.5).collect()
 }
 
-/// Returns the number of the row of views to use, of `rows` rows. It is `given`, or if that is
-/// negative the central row (the upper one of two).
+/// Returns which of `rows` rows of views is used. It is row `given`. If `given` is negative, it is
+/// the central row, or the upper one of two central rows.
 ///
 /// # Errors
 /// If there is no such row.
@@ -84,7 +86,7 @@ impl Source<'_> {
         }
     }
 
-    /// The number of the row of views to use; see [`row_of`].
+    /// Returns which row of views is used; see [`row_of`].
     ///
     /// # Errors
     /// If there is no such row.
@@ -114,7 +116,7 @@ impl Source<'_> {
                 Ok((values, Made::Simulated, slope))
             }
             Self::Field(field) => {
-                // a light field has no view between whole numbers
+                // A light field has views only at whole positions.
                 let last = grid.slope_x.len() - 1;
                 let nearest = (place.round().max(0.0) as usize).min(last);
                 let own = (field.view([row, nearest])?, [grid.slope_x[nearest], slope_y]);
@@ -159,16 +161,16 @@ pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option
     }
 }
 
-/// Slope at a position, which may be up to half a view outside the outermost views. The slope is
-/// interpolated or extrapolated linearly.
+/// Returns the slope at a position, linearly interpolated between views. Positions up to half a
+/// view outside the outermost views are extrapolated.
 fn slope_at(slopes: &[f64], place: f64) -> f64 {
     let [_, .., _] = slopes else { return slopes[0] };
     let first = (place.floor().max(0.0) as usize).min(slopes.len() - 2);
     slopes[first] + (place - first as f64) * (slopes[first + 1] - slopes[first])
 }
 
-/// Black fraction of a tile, 0..1, if its view of `size` pixels has another aspect than `aspect`;
-/// see [`fitted`].
+/// Returns the fraction of a tile, 0..1, that stays black. The view has `size` pixels, and the
+/// screen shows the tile with the aspect `aspect`; see [`fitted`].
 pub fn black_share(size: [usize; 2], aspect: f64, fit: Fit) -> f64 {
     let own = size[0] as f64 / size[1] as f64;
     match fit {
@@ -189,16 +191,17 @@ pub enum Fit {
     Stretch,
 }
 
-/// Fits a view of `size` = [columns, rows] to a tile of `tile` = [columns, rows] pixels, which is
-/// seen with the aspect `aspect`. A view of the tile's size and aspect is returned unchanged.
+/// Fits a view of `size` = [columns, rows] pixels to a tile of `tile` = [columns, rows] pixels. The
+/// screen shows the tile with the aspect `aspect`. A view of the tile's size and aspect is returned
+/// unchanged.
 pub fn fitted(rgb: &[f32], size: [usize; 2], tile: [usize; 2], aspect: f64, fit: Fit) -> Cow<'_, [f32]> {
     let own = size[0] as f64 / size[1] as f64;
     let same = (own / aspect - 1.0).abs() < 0.5 / size[0].max(size[1]) as f64;
     if size == tile && (same || fit == Fit::Stretch) {
         return Cow::Borrowed(rgb);
     }
-    // [horizontal, vertical] fractions of the tile that the view fills, and of the view that is
-    // seen
+    // [horizontal, vertical] fraction of the tile that the view fills, and fraction of the view
+    // that the tile shows
     let (mut filled, mut shown) = ([1.0, 1.0], [1.0, 1.0]);
     if !same {
         match fit {
@@ -264,7 +267,7 @@ mod tests {
         assert_eq!(slope_at(&[0.1], -0.4), 0.1);
     }
 
-    /// A view whose left half is 0 and whose right half is 1.
+    /// Returns a view whose left half is 0 and whose right half is 1.
     fn halves(size: [usize; 2]) -> Vec<f32> {
         (0..3 * size[0] * size[1]).map(|i| f32::from(u8::from(i / 3 % size[0] >= size[0] / 2))).collect()
     }
@@ -281,7 +284,7 @@ mod tests {
         assert_eq!(covered, [0.0, 0.0, 1.0, 1.0].repeat(4));
         let stretched = red(&fitted(&view, [8, 4], [4, 4], 1.0, Fit::Stretch));
         assert!(stretched[0] < 0.1 && stretched[3] > 0.9 && stretched[12] < 0.1 && stretched[15] > 0.9);
-        // a squeezed tile that is seen with the view's own aspect is filled without bars
+        // A tile with fewer columns, which the screen shows with the view's aspect, has no bars.
         let squeezed = fitted(&view, [8, 4], [4, 4], 2.0, Fit::Contain);
         assert_eq!(red(&squeezed), stretched);
         assert!(matches!(fitted(&view, [8, 4], [8, 4], 2.0, Fit::Contain), Cow::Borrowed(_)));

@@ -11,10 +11,10 @@
 //! view = min(⌊a · N⌋, N − 1)
 //! ```
 //!
-//! The minimum in the last line matters only with invView, if a was 0. Displays of the third
-//! generation arrange subpixels in cells. There the channel's offset in its cell, (dx / W, dy / H),
-//! is added to (u, v), and c·s is not added. `CellPatternMode` selects the number of the cell for
-//! the pixel (x, y), which counts from the bottom left:
+//! The minimum in the last line matters only with invView, which turns a = 0 into 1. Displays of
+//! the third generation arrange subpixels in cells. For these, the channel's offset in its cell,
+//! (dx / W, dy / H), is added to (u, v) instead of c·s. `CellPatternMode` selects the number of the
+//! cell for the pixel (x, y), counted from the bottom left:
 //!
 //! * 0: always cell 0
 //! * 1: (x + y) mod 2, a checkerboard
@@ -29,16 +29,16 @@ use lumistack_plugin::serde_json::Value;
 
 use crate::layout::Layout;
 
-/// A display's `visual.json`.
+/// The calibration of a display, from its file `visual.json`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
     /// Number of lenses per inch, measured across the slanted lenses.
     pub pitch: f64,
-    /// Slant of the lenses: `slope` in the equations of this module.
+    /// Slant of the lenses: `slope` in the equations of this file.
     pub slope: f64,
-    /// Phase that is subtracted; the phase at the bottom left is −`center`.
+    /// Phase that is subtracted: `center` in the equations of this file.
     pub center: f64,
-    /// Pixels per inch.
+    /// Number of panel pixels per inch.
     pub dpi: f64,
     /// [columns, rows] of the screen.
     pub screen: [usize; 2],
@@ -51,7 +51,7 @@ pub struct Calibration {
     /// Offsets [x, y] of red, green and blue in every cell, pixels. The list is empty if subpixels
     /// are stripes.
     pub cells: Vec<[[f64; 2]; 3]>,
-    /// `CellPatternMode`.
+    /// Value of the key `CellPatternMode`, which selects the cell of a pixel.
     pub mode: usize,
 }
 
@@ -126,7 +126,7 @@ impl Calibration {
         })
     }
 
-    /// Returns [P, T, the sign of s] of the module's equations.
+    /// Returns [P, T, the sign of s] of the equations of this file.
     fn lenses(&self) -> [f64; 3] {
         let [width, height] = self.screen.map(|side| side as f64);
         let sign = if self.flip_x { -1.0 } else { 1.0 };
@@ -134,8 +134,7 @@ impl Calibration {
         [periods, sign * height / (width * self.slope), sign]
     }
 
-    /// Returns the number of the view, of `views`, that a subpixel shows. `pixel` is [x, y] from
-    /// the bottom left.
+    /// Returns which of `views` views a subpixel shows. `pixel` is [x, y] from the bottom left.
     pub fn view(&self, pixel: [usize; 2], channel: usize, views: usize) -> usize {
         self.view_through(self.lenses(), pixel, channel, views)
     }
@@ -226,8 +225,8 @@ mod tests {
 
     #[test]
     fn a_phase_of_zero_counts_as_the_last_view_when_inverted() {
-        // one lens per pixel column and nearly no slant: at every pixel's centre u·P is a whole
-        // number plus a half, and `center` subtracts the half
+        // There is one lens per pixel column, and nearly no slant. So at every pixel's centre u·P
+        // is a whole number plus a half, and `center` subtracts the half.
         let calibration = Calibration {
             pitch: 100.0,
             slope: 1e300,

@@ -1,5 +1,5 @@
-//! Writes quilts and native pictures through the plugin's C functions, and reads them back by this
-//! project's reader and by other readers.
+//! Writes quilts and native pictures through the plugin's C functions. Reads them back with this
+//! project's reader and with other readers.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ use lumistack_plugin_testkit::{MemoryHost, conformance_but_for, samples};
 
 type Files = BTreeMap<String, Vec<u8>>;
 
-/// Tolerance of rounding to the nearest code: half a code, and the error of f32 arithmetic.
+/// Tolerance for the rounding to the nearest code: half a code, and the error of f32 arithmetic.
 const HALF_CODE: f32 = 0.5 + 1e-3;
 
 fn write(display: &Display, data: OutputData<'_>, params: Value) -> Result<(Files, Vec<String>), PluginError> {
@@ -29,7 +29,7 @@ fn write(display: &Display, data: OutputData<'_>, params: Value) -> Result<(File
     Ok((host.files(), warnings.collect()))
 }
 
-/// A light field of random values. `views` is [columns, rows] of views.
+/// Returns a light field of random values. `views` is [columns, rows] of views.
 fn random_field(views: [usize; 2], [cols, rows]: [usize; 2]) -> LightField {
     let grid = ViewGrid::uniform(Projection::Oblique, views, [30.0, 10.0]).unwrap();
     let mut field = LightField::black(FieldGeometry { rows, cols, pitch_mm: 0.5, grid }).unwrap();
@@ -58,8 +58,8 @@ fn succeed(command: &mut Command) -> Vec<u8> {
 
 #[test]
 fn conforms() {
-    // the quilts of devices have up to 67 megapixels, so only one of them is written, in another
-    // test
+    // The quilts of devices have up to 67 megapixels. So this test writes none of them, and another
+    // test writes one.
     conformance_but_for(&PLUGIN, &["device"]).unwrap();
 }
 
@@ -73,20 +73,21 @@ fn a_quilt_gives_back_every_view() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("test_qs3x2a1.42857.png");
     std::fs::write(&path, &files["test_qs3x2a1.42857.png"]).unwrap();
-    // read by this project's reader; flags state the geometry, since a quilt has no angles
+    // Read the quilt with this project's reader. Flags state the geometry, since a quilt has no
+    // angles.
     let flags = GeometryFlags { fov_deg: Some([30.0, 0.1]), pitch_mm: Some(0.5), ..GeometryFlags::default() };
     let (collector, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&collector, &cancel);
     let back = open(&path, &flags, &GeometryDefaults::default(), task).unwrap();
     assert_eq!(back.radiance().shape(), [1, 6, 7, 10, 3]);
     for view in 0..6 {
-        // the quilt consists of the central one of three rows
+        // The quilt's views are those of the central one of three rows.
         let codes = codes8(&Transfer::Srgb, field.view([1, view]));
         assert_eq!(codes8(&Transfer::Srgb, back.view([0, view])), codes, "view {view}");
     }
     let near = |(a, b): (&f64, &f64)| (a - b).abs() < 1e-12;
     assert!(back.geometry().grid.slope_x.iter().zip(&field.geometry().grid.slope_x).all(near));
-    // read by Pillow
+    // Read the quilt with Pillow.
     let Some(python) = python() else { return };
     let read: Value = from_slice(&succeed(Command::new(python).arg(tests("read.py")).arg(&path))).unwrap();
     assert_eq!((&read["mode"], &read["size"], &read["tile"]), (&json!("RGB"), &json!([30, 14]), &json!([10, 7])));
@@ -112,7 +113,8 @@ fn views_that_a_light_field_lacks_are_named() {
         let part = image::imageops::crop_imm(picture, view % 2 * 6, picture.height() - 4 * (view / 2 + 1), 6, 4);
         part.to_image().into_raw()
     };
-    // the positions −0.25, 0.25, 0.75, ... are nearest to the views 0, 0, 1, 1, 2, 2
+    // The positions −0.25, 0.25, 0.75, ... are nearest to the views 0, 0, 1, 1, 2, 2 of the light
+    // field.
     let (files, warnings) = write(&display(), data, params("nearest")).unwrap();
     assert!(warnings[0].contains("nearest views are taken"), "{warnings:?}");
     for view in 0..6 {
@@ -127,7 +129,7 @@ fn views_that_a_light_field_lacks_are_named() {
     let (a, b) = (field.view([1, 0]), field.view([1, 1]));
     let mixed: Vec<f32> = a.iter().zip(b).map(|(a, b)| a + 0.25 * (b - a)).collect();
     assert_eq!(tile(&codes(&files), 1), codes8(&Transfer::Srgb, &mixed));
-    assert_eq!(tile(&codes(&files), 0), codes8(&Transfer::Srgb, a), "outside the views the outermost view is used");
+    assert_eq!(tile(&codes(&files), 0), codes8(&Transfer::Srgb, a), "position −0.25 has the outermost view");
     let no_row = write(&display(), data, json!({"view_row": 2})).unwrap_err().to_string();
     assert!(no_row.contains("`view_row`: expected a row of views from -1 to 1"), "{no_row}");
 }
@@ -168,8 +170,8 @@ fn a_device_s_quilt_has_its_size_and_name() {
     assert_eq!((picture.width(), picture.height(), picture.color()), (3360, 3360, image::ColorType::Rgb8));
 }
 
-/// NumPy computes the same native pictures for both arrangements of subpixels, stripes and cells.
-/// The calibrations are published ones of real displays.
+/// Native pictures equal those that NumPy computes, for subpixels in stripes and in cells. The
+/// calibrations are published ones of real displays.
 #[test]
 fn native_pictures_equal_numpy_s() {
     let Some(python) = python() else { return };
@@ -190,10 +192,11 @@ fn native_pictures_equal_numpy_s() {
         let figures: Vec<usize> = text.split_whitespace().map(|word| word.parse().unwrap()).collect();
         println!("{name}: {} of {} samples differ", figures[0], figures[1]);
         assert_eq!(figures[1..], [3840 * 2160 * 3, 3840, 2160]);
-        // both compute in f64, and rounding may put a phase between two views into either
+        // Both programs compute in f64. Rounding may assign a phase at the border between two views
+        // to either view.
         assert!(figures[0] <= 2, "{figures:?}");
     }
-    // the parameter may be the text of the calibration, and the quilt may be omitted
+    // The parameter may also be the text of the calibration, and the quilt need not be written.
     let text =
         std::fs::read_to_string(tests("cells.json")).unwrap().replace("3840.0", "40.0").replace("2160.0", "20.0");
     let params = json!({"calibration": text, "write_quilt": false});
@@ -225,7 +228,8 @@ fn how_much_of_a_quilt_is_black_is_said() {
     let warnings = |params: Value| write(&display(), OutputData::LightField(&field), params).unwrap().1;
     let portrait = json!({"columns": 6, "rows": 1, "aspect": 0.75});
     let said = warnings(portrait.clone());
-    // a view of aspect 1.6 fills 0.75 / 1.6 = 47 % of a tile of aspect 0.75
+    // A view of aspect 1.6 fills 0.75 / 1.6 = 47 % of a tile of aspect 0.75. The other 53 % are
+    // black.
     assert!(said.iter().any(|text| text.starts_with("53 % of the quilt is black")), "{said:?}");
     assert!(said[0].contains("16 × 21") && said[0].contains("cover"), "{said:?}");
     let mut cover = portrait;

@@ -1,4 +1,4 @@
-"""Prints as JSON the pixels of every view of a quilt, and the layout that the quilt's name
+"""Prints as JSON the pixels of every view of a quilt, and the layout that its name
 declares."""
 
 import json

@@ -35,7 +35,7 @@ for channel in range(3):
         du, dv = offset("X") / width, offset("Y") / height
     phase = ((u + du + (v + dv) * tilt) * periods - value("center")) % 1.0
     view = numpy.minimum((1 - phase if value("invView") else phase) * count, count - 1).astype(int)
-    # tiles count from the bottom left, rows of the picture from the top
+    # Tiles are counted from the bottom left, but rows of the picture from the top.
     column = view % columns * tile_w + (u * tile_w).astype(int)
     row = quilt.shape[0] - 1 - (view // columns * tile_h + (v * tile_h).astype(int))
     woven[:, :, channel] = quilt[row, column, channel]

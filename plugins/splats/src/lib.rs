@@ -8,7 +8,7 @@
 //! | `.sog`, `meta.json` | SOG versions 1 and 2, as one packed file or as a folder |
 //!
 //! Spherical harmonics are read up to degree 3. Every format has its own default for the upward
-//! axis; the parameter `up` replaces it.
+//! axis, which the parameter `up` can replace.
 
 use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Assets, Host, ImporterPlugin, Param, PluginError, Schema, export_plugin};
@@ -18,7 +18,7 @@ use lumistack_splats::read::{Axes, Found, read};
 /// that depends on this code.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin `splats`.
 pub struct Splats;
 
 /// Parameters; see [`Splats::schema`](ImporterPlugin::schema) for their meaning.
@@ -46,7 +46,8 @@ enum Up {
 }
 
 impl Up {
-    /// The rotation that turns the axis upwards. `axes` are the format's axes, which `auto` uses.
+    /// Returns the rotation that turns this axis upwards. For `auto` it is the rotation of the
+    /// format's axes `axes`.
     fn rotation(self, axes: Axes) -> glam::Quat {
         use std::f32::consts::FRAC_PI_2;
         match self {

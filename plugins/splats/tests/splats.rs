@@ -1,4 +1,4 @@
-//! Imports captures of Gaussian splats through the plugin's C function, reads the result by the
+//! Imports captures of Gaussian splats through the plugin's C function, reads the result with the
 //! glTF reader, and compares renders.
 
 use std::sync::Arc;
@@ -23,7 +23,7 @@ impl AssetResolver for NoFiles {
     }
 }
 
-/// A bumpy ball of flat splats whose colours depend on the viewing direction; y is up.
+/// Returns a bumpy ball of flat splats, whose colours depend on the viewing direction. y is up.
 fn ball() -> Cloud {
     let mut cloud = Cloud { degree: 1, ..Cloud::default() };
     for i in 0..2000 {
@@ -41,15 +41,15 @@ fn ball() -> Cloud {
 }
 
 /// Converts a cloud to the axes of training programs, where y points down and z away from the
-/// viewer. That is half a turn about x for positions, rotations and harmonics.
+/// viewer. Positions, rotations and harmonics are turned by half a turn about x.
 fn as_trained(cloud: &Cloud) -> Cloud {
     let mut turned = cloud.clone();
     let turn = Quat::from_xyzw(1.0, 0.0, 0.0, 0.0);
     turned.positions.iter_mut().for_each(|at| *at = turn * *at);
     turned.rotations.iter_mut().for_each(|rotation| *rotation = turn * *rotation);
     for splat in turned.harmonics.chunks_exact_mut(12) {
-        // the harmonics of degree 1 and order −1 and 0 are proportional to y and z, so their
-        // coefficients change sign
+        // The harmonics of degree 1 and orders −1 and 0 are proportional to y and z. So their
+        // coefficients change sign.
         splat[3..9].iter_mut().for_each(|value| *value = -*value);
     }
     turned
@@ -116,11 +116,11 @@ fn one_cloud_looks_the_same_from_every_file() {
     let from_ply = pictures(&scene("a.ply", &write::ply(&as_trained(&ball)), &json!({})));
     let quality = psnr(&original, &from_ply);
     assert!(quality > 70.0, "{quality} dB");
-    // .spz stores colours and logarithms of scales with eight bits, so pictures differ a little
+    // .spz stores colours and logarithms of scales in eight bits, so its pictures differ a little.
     let from_spz = pictures(&scene("a.spz", &write::spz(&ball).unwrap(), &json!({})));
     let quality = psnr(&original, &from_spz);
     assert!(quality > 42.0, "{quality} dB");
-    // with another upward axis the pictures differ much
+    // With the wrong upward axis the pictures must differ much.
     let other = pictures(&scene("a.spz", &write::spz(&ball).unwrap(), &json!({"up": "-y"})));
     assert!(psnr(&original, &other) < 25.0);
 }
@@ -131,7 +131,7 @@ fn up_and_scale_place_the_splats() {
     let bounds = |params: Value| scene("a.ply", &ply, &params).bounds();
     let upright = bounds(json!({"up": "y"}));
     assert!(upright.max.y > 1.2 && upright.min.y > -0.95, "{upright:?}");
-    assert!(bounds(json!({})).min.y < -1.2, "training programs have y downwards");
+    assert!(bounds(json!({})).min.y < -1.2, "y points down in training programs, so the import must turn it");
     let on_its_back = bounds(json!({"up": "z", "scale": 10.0}));
     assert!(on_its_back.min.z < -12.0, "{on_its_back:?}");
     assert!(bounds(json!({"up": "-z"})).max.z > 1.2);

@@ -1,6 +1,6 @@
-//! Node plugin `tensor_display`: makes the factorizer a plugin. Its parameters are the factorizer's
-//! settings, with the same names and values. The host gives weights, a warm start and the seed
-//! together with the light field.
+//! Node plugin `tensor_display`: runs the factorizer as a plugin. Its parameters are the
+//! factorizer's settings, with the same names and values. The host passes weights, a warm start and
+//! the seed together with the light field.
 
 use lumistack_factorizer::{AUTO, Factorization, FactorizeError, LevelsLoss, Problem, Settings, StartKind, solvers};
 use lumistack_plugin::display::LayerStack;
@@ -11,7 +11,7 @@ use lumistack_plugin::{NodeInput, NodePlugin, Param, PluginError, Schema, Soluti
 /// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin `tensor_display`.
 pub struct TensorDisplay;
 
 /// Parameters; see [`TensorDisplay::schema`](NodePlugin::schema) for their meaning.
@@ -32,7 +32,7 @@ impl TensorParams {
             solver: self.solver.clone(),
             iterations: self.iterations,
             seed,
-            // `auto` is no name of a start, so it gives `None`, the default
+            // `auto` is no name of a start, so the result is `None`, which selects the default
             start: StartKind::from_name(&self.start),
             coarse_levels: u32::try_from(self.coarse_levels).ok(),
             coarse_iterations: self.coarse_iterations,
@@ -43,8 +43,8 @@ impl TensorParams {
 }
 
 impl NodePlugin for TensorDisplay {
-    const DOC: &'static str = "The factorizer: layer stacks of any display by weighted nonnegative tensor factorization of the light field (Wetzstein et al. 2012). \
-        The default node of a job.";
+    const DOC: &'static str = "Computes the layer stacks of any display by weighted nonnegative tensor factorization of the light field (Wetzstein et al. 2012). \
+        This is the default node of a job.";
     type Params = TensorParams;
 
     fn schema() -> Schema {
@@ -56,7 +56,7 @@ impl NodePlugin for TensorDisplay {
                 "solver",
                 &defaults.solver,
                 auto("The best solver known.").chain(solvers().iter().map(|solver| (solver.name(), solver.doc()))),
-                "Update rule of the layers.",
+                "Algorithm that finds the masks.",
             ),
             Param::int("iterations", defaults.iterations.into(), 0..=most, "Iterations; each updates all layers.").unit("1"),
             Param::choice(
@@ -105,7 +105,8 @@ impl NodePlugin for TensorDisplay {
     }
 }
 
-/// Describes the result of the factorization for reports.
+/// Returns the summary of a factorization, for the report to the host. `warm` is true if it began
+/// with a warm start.
 fn solution(made: &Factorization, warm: bool) -> Solution {
     let settings = &made.settings;
     let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };

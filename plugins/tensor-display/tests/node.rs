@@ -15,7 +15,8 @@ fn display() -> Display {
 
 #[test]
 fn conforms() {
-    // the largest values, four billion iterations, would take too long
+    // These parameters keep their defaults, since their largest value, four billion iterations,
+    // would take too long.
     conformance_but_for(&PLUGIN, &["iterations", "coarse_iterations"]).unwrap();
 }
 

@@ -6,7 +6,7 @@
 //! | `numbers` | the view's column and row (0,0 at the left and top) on a coloured ground: red at the left, blue at the right, more green upwards | shows the order of views, mirroring and crosstalk |
 //! | `cards` | three chequered cards side by side, at z = −depth, 0 and +depth | shows the sign and size of parallax |
 //!
-//! A ray of slope s through the point p on z = 0 hits the plane of the card at z in p + z·s.
+//! A ray of slope s through the point p on z = 0 hits the plane of a card at depth z in p + z·s.
 //! Positions are in millimetres, y points up, and z points to the viewer. A pixel is the mean over
 //! 4 × 4 points.
 
@@ -15,7 +15,7 @@ use lumistack_plugin::serde::Deserialize;
 use lumistack_plugin::{Display, Host, Param, PluginError, Schema, SourcePlugin, Time, export_plugin};
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
-/// Sample points per pixel and axis.
+/// Number of sample points per pixel and axis.
 const POINTS: usize = 4;
 /// Radiance of the wall behind the cards.
 const WALL: f32 = 0.05;
@@ -27,7 +27,7 @@ const GAP: f64 = 0.08;
 /// that this code affects.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
-/// The plugin.
+/// The plugin `test_views`.
 pub struct TestViews;
 
 /// Parameters; see [`TestViews::schema`](SourcePlugin::schema) for their meaning.
@@ -92,7 +92,8 @@ fn number(geometry: &FieldGeometry, view: [usize; 2], rgb: &mut [f32]) {
     let text: Vec<char> = format!("{},{}", view[1], view[0]).chars().collect();
     let letter = get_raster_width(FontWeight::Bold, RasterHeight::Size32);
     let [width, height] = [text.len() * letter, RasterHeight::Size32.val()].map(|side| side as f64);
-    // the text is half as high as the field, or smaller if it would be wider than 0.8 of the field
+    // The text is half as high as the field. It is smaller if it would be wider than 0.8 of the
+    // field.
     let scale = (0.5 * geometry.rows as f64 / height).min(0.8 * geometry.cols as f64 / width);
     let ink = |x: f64, y: f64| -> f32 {
         if !(0.0..width).contains(&x) || !(0.0..height).contains(&y) {
@@ -121,7 +122,8 @@ fn cards(geometry: &FieldGeometry, view: [usize; 2], params: &TestViewsParams, r
     let (side, gap) = ((1.0 - 4.0 * GAP) / 3.0 * width, GAP * width);
     let half_height = (0.5 - GAP) * height;
     let square = side / params.squares as f64;
-    // (x of the centre, z, colour) of each card, from front to back
+    // (x of the centre, z, colour) of each card, from front to back, since a front card hides the
+    // cards behind it
     let cards = [1.0, 0.0, -1.0].map(|place| {
         let colour = [[1.0, 0.75, 0.5], [1.0, 1.0, 1.0], [0.5, 0.75, 1.0]][(1.0 - place) as usize];
         (place * (side + gap), place * params.depth_mm, colour)
@@ -148,7 +150,8 @@ fn cards(geometry: &FieldGeometry, view: [usize; 2], params: &TestViewsParams, r
     }
 }
 
-/// Returns the mean of `value` over the sample points of a pixel, whose coordinates are 0..1.
+/// Returns the mean of `value` over the sample points of a pixel. `value` receives a point's
+/// coordinates in the pixel, 0..1.
 fn mean(value: impl Fn(f64, f64) -> f32) -> f32 {
     let at = |i: usize| (i as f64 + 0.5) / POINTS as f64;
     let sum: f32 = (0..POINTS * POINTS).map(|i| value(at(i % POINTS), at(i / POINTS))).sum();

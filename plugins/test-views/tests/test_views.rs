@@ -24,24 +24,26 @@ fn every_view_has_its_own_number_and_colour() {
     for (i, a) in views.iter().enumerate() {
         assert!(views[..i].iter().all(|b| field.view(*a) != field.view(*b)), "{a:?} looks like another");
     }
-    // the corners of a view show only the ground, whose colour states the view's position
+    // The corners of a view show only the ground, whose colour depends on the view's position in
+    // the grid.
     let corner = |view| [0, 1, 2].map(|channel: usize| field.view(view)[channel]);
     assert_eq!([corner([0, 0]), corner([0, 11]), corner([2, 0])], [[0.6, 0.4, 0.0], [0.0, 0.4, 0.6], [0.6, 0.0, 0.0]]);
-    // digits are in the middle of the view; its first rows show only the ground
+    // The digits are in the middle of the view, and its first row shows only the ground.
     assert!(field.view([1, 5]).iter().any(|value| *value > 0.8));
     let edge = &field.view([1, 5])[..3 * 48];
     assert!(edge.chunks_exact(3).all(|pixel| pixel == &edge[..3]));
 }
 
-/// From the view of slope s' to the view of slope s, a card at z moves by −z·(s − s'). Edges are
-/// found to whole pixels, so the tolerance is one pixel.
+/// Between the views of slopes s' and s, a card at depth z must move by −z·(s − s'). The edges of
+/// cards are found to whole pixels, so the tolerance is one pixel.
 #[test]
 fn cards_move_as_their_depth_says() {
     let (pitch, depth) = (0.5, 12.0);
     let display = Display::uniform([300, 60], pitch, [3, 1], [30.0, 10.0], &[-5.0, 5.0], 1);
     let field = made(&display, r#"{"pattern": "cards", "depth_mm": 12.0, "squares": 1}"#);
     let geometry = field.geometry();
-    // left and right edge of the card in a third of the picture, along a row through light squares
+    // Returns the left and the right edge of the card in a third of the picture, along a row
+    // through light squares.
     let edges = |view: usize, third: usize| -> [f64; 2] {
         let row = &field.view([0, view])[3 * 300 * 30..3 * 300 * 31];
         let level = |col: usize| f64::from(row[3 * col..3 * col + 3].iter().sum::<f32>());

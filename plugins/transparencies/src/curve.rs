@@ -2,10 +2,11 @@
 //!
 //! A measured curve is a list of pairs `code transmittance`, for example `0 0.02, 64 0.09, 128 0.3,
 //! 255 0.88`. Three lists, separated by `;`, are for red, green and blue. Codes are 0 to 255 and
-//! transmittances 0 to 1. Both rise, and the last pair is that of clear film.
+//! transmittances 0 to 1. Codes and transmittances rise, and the last pair is that of clear film.
 //!
-//! A mask value f is printed relative to clear film. For the value f the film transmits the
-//! fraction f / peak of clear film's transmittance, but never less than its darkest state:
+//! A mask value f is printed relative to clear film, of transmittance T_clear. Let `peak` be the
+//! layer's largest value, and T_dark the transmittance of the film's darkest state. At f the film
+//! has the fraction f / peak of T_clear, but at least T_dark:
 //!
 //! ```text
 //! T(code) / T_clear = max(f / peak, T_dark / T_clear)
@@ -17,7 +18,7 @@
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Channels, Layer, Transfer};
 
-/// The curve of a film that a certain printer prints on.
+/// The curve of a film and the printer that prints on it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Film {
     /// Maps values from 0 (the darkest state) to 1 (clear film) to codes.
@@ -29,8 +30,8 @@ pub struct Film {
 }
 
 impl Film {
-    /// A film with the measured curve in the text `curve`. If the text is empty, codes are sRGB,
-    /// and `dark` is the darkest state relative to clear film.
+    /// Makes a film with the measured curve in the text `curve`. If the text is empty, codes are
+    /// sRGB, and `dark` is the transmittance of the darkest state relative to clear film.
     ///
     /// # Errors
     /// If a list is not a curve from code 0 to code 255.
@@ -64,8 +65,8 @@ impl Film {
         })
     }
 
-    /// Encodes values `[..][rgb]` of a layer, transmittances 0..peak. Also returns the number of
-    /// values below the darkest state.
+    /// Encodes values `[..][rgb]` of a layer, which are transmittances in 0..peak. Also returns the
+    /// number of values that are lost, since they are below the darkest state.
     pub fn codes(&self, layer: &Layer, rgb: &[f32]) -> (Vec<u8>, usize) {
         let mut lost = 0;
         let codes = rgb.iter().enumerate().map(|(i, &value)| {
@@ -77,14 +78,15 @@ impl Film {
         (codes.collect(), lost)
     }
 
-    /// Transmittance of the film at a code, relative to clear film.
+    /// Returns the transmittance of the film at a code, relative to clear film.
     pub fn transmittance(&self, channel: usize, code: u8) -> f64 {
         let share = f64::from(self.transfer.decode(channel, f32::from(code) / 255.0));
         self.dark[channel] + (1.0 - self.dark[channel]) * share
     }
 }
 
-/// A value counts as lost if it is below the darkest state by more than this.
+/// A value counts as lost if it is below the darkest state by more than this: half a step between
+/// codes.
 const HALF_CODE: f64 = 0.5 / 255.0;
 
 /// Parses a list of pairs. It must contain the codes 0 and 255, so that no code is outside the
@@ -111,8 +113,8 @@ mod tests {
         assert!((film.dark[0] - 0.05).abs() < 1e-12);
         assert_eq!(film.clear, Some([0.8; 3]));
         let layer = Layer { peak: 0.9, ..Layer::new(0.0, [1, 1], 1.0) };
-        // The value 0.27 is 0.3 of the peak, and 0.3 of clear film's 0.8 is 0.24: code 128. Values
-        // below 0.04 / 0.8 = 0.05 of the peak are lost.
+        // The value 0.27 is 0.3 of the peak 0.9. Clear film transmits 0.8, and 0.3 of 0.8 is 0.24,
+        // which is code 128. Values below 0.04 / 0.8 = 0.05 of the peak are lost.
         let (codes, lost) = film.codes(&layer, &[0.9, 0.27, 0.9 * 0.05, 0.01, 0.0, 1.0]);
         assert_eq!((codes, lost), (vec![255, 128, 0, 0, 0, 255], 2));
         for code in [0, 60, 128, 200, 255] {

@@ -9,8 +9,8 @@
 //!
 //! A film's page has the mask, registration marks in the border, and cut lines outside the border.
 //!
-//! `transparencies.json` lists the position of each mask on its page. Colours are device RGB: print
-//! without colour management and without scaling.
+//! `transparencies.json` lists the position of each mask on its page. Colours are device RGB, so
+//! the pages must be printed without colour management. They must also be printed without scaling.
 
 pub mod curve;
 mod pages;
@@ -49,7 +49,8 @@ pub struct Transparencies {
 }
 
 impl Paper {
-    /// [shorter, longer] side of the paper in mm; `None` if pages have the smallest possible size.
+    /// Returns the [shorter, longer] side of the paper in mm; `None` if pages have the smallest
+    /// possible size.
     fn size_mm(self) -> Option<[f64; 2]> {
         match self {
             Self::A4 => Some([210.0, 297.0]),
@@ -78,7 +79,7 @@ struct Manifest<'a> {
     files: Vec<Entry>,
 }
 
-/// One film.
+/// The position of one film's mask in the PDF.
 #[derive(Clone, Debug, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Entry {
@@ -209,7 +210,7 @@ impl Transparencies {
         } else {
             format!("t{:04}/transparencies.pdf", time.index)
         };
-        // Write the assembly sheet and the test chart, which precede the films.
+        // Write the assembly sheet and the test chart, which come before the films.
         let layers = &self.display.layers;
         let stage = self.host.stage("films", layers.len() as u64, "pages");
         let out = BufWriter::with_capacity(1 << 16, self.host.create(&file)?);
@@ -239,7 +240,7 @@ impl Transparencies {
             });
             stage.advance(1, "");
         }
-        // Warn of lost values, since the user can avoid them.
+        // Warn of mask values that the film cannot show, since the user can avoid them.
         let too_dark: usize = entries.iter().map(|entry| entry.too_dark).sum();
         if too_dark > 0 {
             let darkest = self.film.dark.iter().copied().fold(0.0, f64::max);
@@ -252,8 +253,8 @@ impl Transparencies {
         Ok(entries)
     }
 
-    /// Makes the page of a layer's film. Returns the page with the picture's [columns, rows] and
-    /// the count of values below the film's least transmittance.
+    /// Makes the page of a layer's film. Returns the page, the picture's [columns, rows], and the
+    /// number of values below the film's least transmittance.
     fn film_page(
         &self,
         document: &mut Document<impl Write>,
@@ -290,8 +291,8 @@ impl Transparencies {
     }
 }
 
-/// Returns [columns, rows] of a layer's picture in the file: at the resolution `dpi`, or the mask's
-/// own size if `dpi` is 0.
+/// Returns [columns, rows] of a layer's picture in the file, at the resolution `dpi`. If `dpi` is
+/// 0, it is the size of the mask.
 ///
 /// # Errors
 /// If a side exceeds [`SIDE_LIMIT`].

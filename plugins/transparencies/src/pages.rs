@@ -1,4 +1,4 @@
-//! Content of the pages.
+//! Draws the content of the pages.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, Layer};
@@ -8,18 +8,18 @@ use crate::curve::Film;
 use crate::pdf::Page;
 use crate::sheet::Sheet;
 
-/// Codes of the test chart's steps. They are closer together at the dark end.
+/// Codes of the test chart's steps. They are denser near black and near white.
 pub(crate) const CHART_CODES: [u8; 24] =
     [0, 4, 8, 12, 16, 24, 32, 40, 48, 56, 64, 80, 96, 112, 128, 144, 160, 176, 192, 208, 224, 240, 248, 255];
-/// Size of type in mm.
+/// Size of the letters in mm.
 const TYPE_MM: f64 = 3.2;
 const LINE_MM: f64 = 4.6;
 const MARGIN_MM: f64 = 12.0;
 
-/// Thickness of the spacers between neighbouring films, in mm.
+/// Returns the thickness of the spacers between neighbouring films, in mm.
 ///
-/// In air a spacer is the distance between the layers, less half a film on either side. The
-/// refractive index of the spacer multiplies that thickness.
+/// In air a spacer is as thick as the distance between the layers, less half a film on either side.
+/// For a material with a refractive index, this thickness is multiplied by the index.
 ///
 /// # Errors
 /// If films are thicker than a gap.
@@ -38,7 +38,7 @@ pub(crate) fn spacers_mm(layers: &[Layer], film_mm: f64, index: f64) -> Result<V
         .collect()
 }
 
-/// A film's page without its mask: title, cut lines, registration marks.
+/// Makes a film's page without its mask: the title, the cut lines and the registration marks.
 pub(crate) fn film(sheet: &Sheet, display: &Display, n: usize, mirror: bool) -> Page {
     let mut page = Page::default();
     let [left, bottom] = sheet.film_corner();
@@ -60,12 +60,12 @@ pub(crate) fn film(sheet: &Sheet, display: &Display, n: usize, mirror: bool) -> 
     let side = if mirror { "printed side away from the viewer" } else { "printed side to the viewer" };
     let d_mm = display.layers[n].d_mm;
     page.text([left + 9.0, bottom - 6.0], 2.6, &format!("layer {n}{place}, z = {d_mm} mm, {side}"));
-    // a short line marks the upper edge of the film after it is cut
+    // A short line marks the film's upper edge, so that the edge is known after the film is cut.
     page.line(&[[left + 0.5 * sheet.film_mm[0] + 5.0, top - 1.0], [left + 0.5 * sheet.film_mm[0] + 10.0, top - 1.0]]);
     page
 }
 
-/// The assembly sheet: the order of films and spacers, and a ruler.
+/// Makes the assembly sheet with the order of films and spacers, and a ruler.
 pub(crate) fn assembly(
     sheet: &Sheet,
     display: &Display,
@@ -109,8 +109,8 @@ pub(crate) fn assembly(
     }
     let [width, height] = sheet.page_mm;
     let longest = lines.iter().map(|line| line.chars().count()).max().unwrap_or(1) as f64;
-    // choose the size of type so that the text fits on the page; letters of Helvetica are about
-    // half as wide as high
+    // Reduce the letters until the text fits on the page. Letters of Helvetica are about half as
+    // wide as high.
     let fit = ((width - 2.0 * MARGIN_MM) / (0.5 * TYPE_MM * longest))
         .min((height - 2.0 * MARGIN_MM - 12.0) / (LINE_MM * lines.len() as f64))
         .clamp(0.05, 1.0);
@@ -138,7 +138,8 @@ fn ruler(page: &mut Page, width: f64) {
     }
 }
 
-/// The test chart: steps of grey and of each colour alone, to measure their transmittance.
+/// Makes the test chart: steps of grey and of each colour alone, whose transmittance the user
+/// measures.
 pub(crate) fn chart(sheet: &Sheet) -> Page {
     let mut page = Page::default();
     let [width, height] = sheet.page_mm;
@@ -160,7 +161,7 @@ pub(crate) fn chart(sheet: &Sheet) -> Page {
             let x = MARGIN_MM + col as f64 * cell[0];
             let y = height - MARGIN_MM - 4.0 - (row as f64 + 1.0) * cell[1];
             let label = (0.22 * cell[1]).min(TYPE_MM);
-            // in a step of one colour the other channels are clear film
+            // A step of one colour prints only its own channel. Code 255 leaves a channel clear.
             let rgb = channels.map(|own| if own { code } else { 255 });
             let patch = [x, y + 1.4 * label, 0.92 * cell[0], cell[1] - 1.6 * label];
             page.fill(patch, rgb);

@@ -1,5 +1,5 @@
-//! A writer of PDF files whose lengths are millimetres. It streams pictures, so none of them is in
-//! memory as a whole.
+//! Writes PDF files, with lengths in millimetres. Pictures are written row by row, so that memory
+//! never holds a whole picture.
 
 use std::io::{self, Write};
 
@@ -16,7 +16,8 @@ const FONT: Name<'_> = Name(b"F");
 /// Largest number of samples of a picture in the file, since readers count a picture's bytes in 31
 /// bits. A larger picture is split into pieces one below another.
 const MOST_SAMPLES: usize = if cfg!(test) { 1 << 11 } else { 1 << 28 };
-/// Largest position of an object. In a PDF's table of objects, positions have ten digits.
+/// Largest position of an object in the file, since a PDF's table of objects has ten digits for a
+/// position.
 const LONGEST: u64 = 9_999_999_999;
 
 /// A PDF document. It has no dates, so that the same content gives the same bytes.
@@ -24,7 +25,7 @@ pub struct Document<W> {
     out: W,
     /// Bytes written so far.
     written: u64,
-    /// Position of each object in the file. The element n − 1 belongs to object n.
+    /// Position of each object in the file. Element n − 1 belongs to object n.
     places: Vec<u64>,
     pages: Vec<Ref>,
 }
@@ -41,7 +42,8 @@ impl<W: Write> Document<W> {
     /// If it cannot be written.
     pub fn new(out: W, title: &str) -> io::Result<Self> {
         let mut document = Self { out, written: 0, places: vec![0; 4], pages: Vec::new() };
-        // let `Pdf` write the header and the first objects; this writer has a trailer of its own
+        // Let `Pdf` write the header and the first objects, but not the trailer, which this writer
+        // makes.
         let mut pdf = Pdf::new();
         document.put(pdf.as_bytes())?;
         pdf.document_info(INFO).title(TextStr(title)).producer(TextStr("Lumistack"));
@@ -99,8 +101,8 @@ impl<W: Write> Document<W> {
         for first in (0..size[1]).step_by(most) {
             let rows = most.min(size[1] - first);
             let [id, length] = [self.reserve(), self.reserve()];
-            // The length of a compressed stream is known only at its end. So it is an object of its
-            // own, which follows the stream.
+            // The length of a compressed stream is known only at its end. So the length is a
+            // separate object, which follows the stream.
             let begin = format!(
                 "{} 0 obj\n<<\n  /Length {} 0 R\n  /Type /XObject\n  /Subtype /Image\n  /Filter /FlateDecode\n  /Width {}\n  /Height {rows}\n  \
                  /ColorSpace /DeviceRGB\n  /BitsPerComponent 8\n  /Interpolate false\n>>\nstream\n",
@@ -130,7 +132,7 @@ impl<W: Write> Document<W> {
     /// Writes the page tree, the table of objects and the trailer.
     ///
     /// # Errors
-    /// If it cannot be written, or its size exceeds ten digits.
+    /// If the document cannot be written, or if its size has more than ten digits.
     pub fn finish(mut self) -> io::Result<W> {
         let pages = std::mem::take(&mut self.pages);
         self.chunk(PAGE_TREE, |chunk| {
@@ -164,7 +166,7 @@ impl<W: Write> Document<W> {
         self.object(id, chunk.as_bytes())
     }
 
-    /// Writes an object or the beginning of one, and records its position.
+    /// Writes an object or the beginning of an object, and records its position.
     fn object(&mut self, id: Ref, bytes: &[u8]) -> io::Result<()> {
         self.places[id.get() as usize - 1] = self.written;
         self.put(bytes)
@@ -177,7 +179,7 @@ impl<W: Write> Document<W> {
     }
 }
 
-/// The compressor of pictures writes to the document.
+/// The compressor of pictures writes to the document through this trait.
 impl<W: Write> Write for Document<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.put(bytes).map(|()| bytes.len())
@@ -204,7 +206,8 @@ pub struct Page {
 }
 
 impl Default for Page {
-    /// An empty page. Its lines will be black and 0.1 mm wide; printers draw thinner lines badly.
+    /// Makes an empty page. Its lines will be black and 0.1 mm wide, since printers draw thinner
+    /// lines badly.
     fn default() -> Self {
         let mut content = Content::new();
         content.set_line_width(points(0.1));
@@ -213,8 +216,8 @@ impl Default for Page {
 }
 
 impl Page {
-    /// Places a picture of `rows` rows, whose pieces [`Document::image`] returned, in the rectangle
-    /// [left, bottom, width, height] in mm.
+    /// Places a picture of `rows` rows in the rectangle [left, bottom, width, height] in mm.
+    /// `pieces` is the result of [`Document::image`].
     pub fn image(&mut self, [x, y, width, height]: [f64; 4], rows: usize, pieces: &[(usize, Ref)]) {
         let mut below = rows;
         for &(count, image) in pieces {
@@ -227,7 +230,7 @@ impl Page {
         }
     }
 
-    /// Draws a line through points, given in mm.
+    /// Draws a line through points, whose coordinates are in mm.
     pub fn line(&mut self, places: &[[f64; 2]]) {
         for (i, [x, y]) in places.iter().enumerate() {
             if i == 0 {
@@ -252,8 +255,8 @@ impl Page {
         self.content.rect(points(x), points(y), points(width), points(height)).stroke();
     }
 
-    /// Writes text that starts at a point; `height` is the size of type in mm. Letters that the
-    /// font lacks become `?`.
+    /// Writes text that starts at a point; `height` is the size of the letters in mm. Letters that
+    /// the font lacks become `?`.
     pub fn text(&mut self, [x, y]: [f64; 2], height: f64, text: &str) {
         let latin: Vec<u8> = text
             .chars()
@@ -266,7 +269,7 @@ impl Page {
         self.content.next_line(points(x), points(y)).show(Str(&latin)).end_text();
     }
 
-    /// Draws a registration mark: a cross in a ring of 3 mm.
+    /// Draws a registration mark: a cross in a ring.
     pub fn mark(&mut self, [x, y]: [f64; 2]) {
         self.line(&[[x - 2.5, y], [x + 2.5, y]]);
         self.line(&[[x, y - 2.5], [x, y + 2.5]]);
@@ -292,7 +295,7 @@ mod tests {
 
     use super::*;
 
-    /// Finds an object in a file by the table at the file's end.
+    /// Returns the bytes of an object in a file, found by the table at the file's end.
     fn object(file: &[u8], id: Ref) -> &[u8] {
         let text = String::from_utf8_lossy(&file[file.len() - 200..]);
         let table: usize = text.rsplit("startxref\n").next().unwrap().lines().next().unwrap().parse().unwrap();
@@ -335,7 +338,7 @@ mod tests {
             assert!(stream[length..].starts_with(b"\nendstream"), "the stated length of the stream is wrong");
         }
         assert!(found == rows.concat());
-        // on the page every piece touches the piece above it
+        // On the page, every piece must touch the piece above it.
         let content = String::from_utf8_lossy(&file);
         let places = content.lines().filter_map(|line| line.strip_suffix(" cm"));
         let places: Vec<Vec<f64>> =

@@ -1,8 +1,8 @@
 //! Layout of a page, in millimetres from its lower left corner.
 //!
-//! All films are cut to the same rectangle: the smallest that contains all layers at their
-//! positions in the display, plus a border with registration marks. The centre of the rectangle is
-//! the centre of the page.
+//! All films are cut to the same rectangle. It is the smallest rectangle that contains all layers
+//! at their positions in the display, plus a border with registration marks. The centre of the
+//! rectangle is the centre of the page.
 //!
 //! Marks and cut lines have the same positions on every film, so films are aligned when their marks
 //! coincide. Cut lines are outside the film's corners.
@@ -10,8 +10,8 @@
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::Layer;
 
-/// Least distance from a film's edge to the page's edge, in mm. Cut lines and the title are
-/// between.
+/// Least distance from a film's edge to the page's edge, in mm. Cut lines and the title are printed
+/// there.
 pub const OUTSIDE_MM: f64 = 12.0;
 /// Millimetres per inch.
 pub const INCH_MM: f64 = 25.4;
@@ -30,8 +30,8 @@ pub struct Sheet {
 }
 
 impl Sheet {
-    /// The layout for `layers`. `paper_mm` is the paper's [shorter, longer] side; `None` gives
-    /// pages of the smallest possible size.
+    /// Computes the sizes for `layers`. `paper_mm` is the paper's [shorter, longer] side; `None`
+    /// gives pages of the smallest possible size.
     ///
     /// # Errors
     /// If the films do not fit on the paper.
@@ -66,20 +66,20 @@ impl Sheet {
         [0.5 * self.page_mm[0] + sign * (x - self.centre_mm[0]), 0.5 * self.page_mm[1] + y - self.centre_mm[1]]
     }
 
-    /// [left, bottom, width, height] of a layer's pixels on the page.
+    /// Returns [left, bottom, width, height] of a layer's mask on the page.
     pub fn place(&self, layer: &Layer, mirror: bool) -> [f64; 4] {
         let size = [0, 1].map(|axis| layer.resolution[axis] as f64 * layer.pitch_mm);
         let [x, y] = self.on_page(layer.offset_mm, mirror);
         [x - 0.5 * size[0], y - 0.5 * size[1], size[0], size[1]]
     }
 
-    /// [left, bottom] of the film on the page.
+    /// Returns [left, bottom] of the film on the page.
     pub fn film_corner(&self) -> [f64; 2] {
         [0, 1].map(|axis| 0.5 * (self.page_mm[axis] - self.film_mm[axis]))
     }
 
-    /// Centres of the registration marks, in the border at the corners and the middles of the
-    /// sides.
+    /// Returns the centres of the registration marks. They are in the film's border, at the corners
+    /// and at the middles of the sides.
     pub fn marks(&self) -> Vec<[f64; 2]> {
         let [left, bottom] = self.film_corner();
         let [width, height] = self.film_mm;
@@ -103,7 +103,8 @@ mod tests {
 
     #[test]
     fn films_hold_all_layers_where_they_stand() {
-        // the layers extend over x from −40 to 40 and y from −45 to 45
+        // The layers extend over x from −40 to 40 and y from −45 to 45, and the border adds 10 on
+        // each side.
         let sheet = Sheet::new(&layers(), 10.0, Some([210.0, 297.0])).unwrap();
         assert_eq!((sheet.film_mm, sheet.centre_mm, sheet.page_mm), ([100.0, 110.0], [0.0, 0.0], [210.0, 297.0]));
         assert_eq!(sheet.place(&layers()[0], false), [65.0, 123.5, 80.0, 50.0]);

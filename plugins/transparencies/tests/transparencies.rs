@@ -1,7 +1,7 @@
-//! Rasterizes the pages of the PDF by poppler's `pdftoppm`, as a printer would, and compares them
+//! Rasterizes the pages of the PDF with poppler's `pdftoppm`, as a printer would, and compares them
 //! with the masks.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::process::Command;
 
 use lumistack_plugin::core::seed::Stream;
@@ -16,9 +16,9 @@ use lumistack_plugin_transparencies::curve::Film;
 type Files = BTreeMap<String, Vec<u8>>;
 
 /// Dots per inch of the rasterized pages. Poppler smooths pictures that it enlarges less than four
-/// times, even if the file forbids it, so this is high enough for the pitches below.
+/// times, even if the file forbids it. At this resolution a mask pixel is at least six dots wide.
 const DPI: usize = 300;
-/// Pitches of the layers: six dots and eight dots.
+/// Pitches of the layers: six dots and eight dots at [`DPI`].
 const PITCH_MM: [f64; 2] = [3.0 * 25.4 / 150.0, 4.0 * 25.4 / 150.0];
 
 fn write(display: &Display, stack: &LayerStack, params: Value) -> Result<(Files, Vec<String>), PluginError> {
@@ -30,7 +30,7 @@ fn write(display: &Display, stack: &LayerStack, params: Value) -> Result<(Files,
     Ok((host.files(), warnings.collect()))
 }
 
-/// Two layers of different sizes and positions, with random values.
+/// Returns a display of two layers of different sizes and positions, and a stack of random values.
 fn sample() -> (Display, LayerStack) {
     let mut display = Display::uniform([90, 60], PITCH_MM[0], [3, 3], [10.0, 10.0], &[-3.0, 3.0], 1);
     display.name = "two films".into();
@@ -51,7 +51,7 @@ fn has_pdftoppm() -> bool {
     found
 }
 
-/// Rasterizes a page.
+/// Rasterizes a page of the PDF at [`DPI`].
 fn render(files: &Files, page: u64) -> image::RgbImage {
     let folder = tempfile::tempdir().unwrap();
     let pdf = folder.path().join("a.pdf");
@@ -162,9 +162,14 @@ fn chart_and_assembly_sheet_are_there() {
     assert!((manifest["spacers_mm"][0].as_f64().unwrap() - 5.9 * 1.49).abs() < 1e-9);
     let chart = render(&files, 2);
     let codes: Vec<u8> = (0..24).map(|i| manifest["chart_codes"][i].as_u64().unwrap() as u8).collect();
+    // count the dots of every colour in one pass, since the chart has millions of dots
+    let mut dots = HashMap::<[u8; 3], usize>::new();
+    for pixel in chart.pixels() {
+        *dots.entry(pixel.0).or_default() += 1;
+    }
     for code in codes {
         for rgb in [[code; 3], [code, 255, 255], [255, code, 255], [255, 255, code]] {
-            let count = chart.pixels().filter(|pixel| pixel.0 == rgb).count();
+            let count = dots.get(&rgb).copied().unwrap_or_default();
             assert!(count > 5000, "{rgb:?} on {count} dots");
         }
     }
@@ -203,8 +208,7 @@ fn displays_that_cannot_be_printed_are_refused() {
     let mut wall = display.clone();
     wall.layers[1].pitch_mm = 6.0;
     assert!(refused(&wall, json!({})).contains("`paper`"));
-    // the masks of this display have values down to 0, so some are below the film's least
-    // transmittance
+    // The masks have values down to 0, so some values are below the film's least transmittance.
     let (_, warnings) = write(&display, &stack, json!({"min_transmittance": 0.05})).unwrap();
     assert!(warnings[0].contains("black_level = 0.050"), "{warnings:?}");
     let mut within = stack.clone();

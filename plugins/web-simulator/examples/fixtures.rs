@@ -19,10 +19,10 @@ use lumistack_plugin_testkit::MemoryHost;
 use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
 use lumistack_plugin_web_simulator::PLUGIN;
 
-/// Brightness of every case. It is also the largest transmittance of the front layer, so no value
-/// is clipped and every error is visible.
+/// Brightness of every case. The front layer transmits at most this fraction, so L̃/β is never
+/// above 1. So no value is clipped, and every error is visible.
 const BRIGHTNESS: f64 = 0.8;
-/// Pixels of every case.
+/// [columns, rows] of every case.
 const SIZE: [usize; 2] = [60, 40];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -55,8 +55,8 @@ fn cases() -> [(&'static str, Display); 4] {
     [("uniform3", uniform), ("directional", directional), ("mixed", mixed), ("layers8", layers(&eight, 2))]
 }
 
-/// Makes smooth patterns with a little noise. They are so bright that the product of eight layers
-/// still transmits light.
+/// Makes smooth patterns with a little noise. They are so bright that even eight layers together
+/// transmit light.
 fn random_stack(display: &Display) -> LayerStack {
     let mut stack = LayerStack::filled(display, 1.0);
     let mut random = Stream::new(17);
@@ -93,8 +93,8 @@ fn write_case(folder: &Path, display: &Display) -> Result<(), Box<dyn std::error
     for (path, bytes) in host.files() {
         write(&folder.join(path), &bytes)?;
     }
-    // the slopes as fractions of half the field of view: the centre, points near the four corners
-    // and near the middles of two edges, and two other points
+    // Choose nine slopes, as fractions of half the field of view. They are the centre, points near
+    // the four corners and near the middles of two edges, and two other points.
     let half = (10f64.to_radians()).tan();
     let shares = [
         [0.0, 0.0],

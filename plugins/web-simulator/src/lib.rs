@@ -1,4 +1,4 @@
-//! Output plugin `web_simulator`: a static site that simulates the display in a browser.
+//! Output plugin `web_simulator`: writes a static site that simulates the display in a browser.
 //!
 //! | file | content |
 //! |---|---|
@@ -12,7 +12,7 @@
 //! | `stack/target_YY_XX.png` | views of the target, sRGB-encoded, if the host provides them; at most 7 per axis |
 //!
 //! Later time steps of a sequence have their own sites in `time_0001/`, `time_0002/`, and so on.
-//! Only one frame of patterns is in memory.
+//! Memory holds only one frame of patterns at a time.
 
 mod order;
 mod page;
@@ -37,14 +37,14 @@ pub use page::PREVIEW_JSON;
 /// cached results that this code affects.
 pub const FINGERPRINT: &str = concat!(env!("LUMISTACK_FINGERPRINT"), " ", include_str!("../dist/sources.blake3"));
 
-/// Largest number of the target's views per axis on the site. If a display has hundreds of views,
-/// all of them would take most of the site's size.
+/// Largest number of the target's views per axis on the site. All views of a display with hundreds
+/// of views would take most of the site's size.
 const MOST_TARGETS: usize = 7;
-/// Smallest size of the patterns, bytes, for which small views are written. A mobile connection
-/// needs about half a second for so many bytes.
+/// Smallest size of the pattern files, bytes, for which small views are written. A mobile
+/// connection needs about half a second to load files of this size.
 const AROUND_FROM: usize = 1_000_000;
 
-/// The plugin.
+/// The plugin `web_simulator`.
 #[derive(Debug)]
 pub struct WebSimulator {
     host: Host,
@@ -148,11 +148,13 @@ impl OutputPlugin for WebSimulator {
             let middle = rounding.add(layers, emission, stack.brightness());
             middles.push(order::coarse(&middle, shown.cols));
         }
-        // Sort the files so that the mean of the first frames is close to the final picture.
+        // Sort the files by frame, so that the mean of the first frames is close to the final
+        // picture.
         let order = order::by_importance(&middles);
         files.sort_by_key(|file: &Value| order.iter().position(|frame| file["frame"] == *frame));
         let size: u64 = files.iter().filter_map(|file| file["bytes"].as_u64()).sum();
-        // Write small views if the stack is large; the page shows them while the patterns load.
+        // Write small views if the pattern files are large. The page shows these views while the
+        // patterns load.
         let around = if size >= AROUND_FROM as u64 {
             let (jpeg, entry) = poster::around(stack, display.field.fov_deg)?;
             site.file(AROUND, &jpeg)?;
@@ -195,8 +197,8 @@ impl OutputPlugin for WebSimulator {
 }
 
 impl WebSimulator {
-    /// Returns the target's views to write, in rising distance from the middle, at which users look
-    /// first.
+    /// Returns the target's views that are written. The views nearest to the middle come first,
+    /// since users look there first.
     fn targets(&self, stack: &StackInput<'_>, shown: &FieldGeometry) -> Result<Vec<[usize; 2]>, PluginError> {
         if !self.params.target || !stack.has_target_views() {
             return Ok(Vec::new());

@@ -1,13 +1,14 @@
-//! Sorts the frames so that the mean of the first few is as near as possible to the mean of all
-//! frames.
+//! Sorts the frames so that the mean of the first few frames is as near as possible to the mean of
+//! all frames.
 
-/// Smallest side of the boxes over which a frame's picture is averaged, pixels. The averages
-/// matter, since the eye averages the noise of single pixels.
+/// Smallest side of the boxes over which a frame's picture is averaged, pixels. Frames are compared
+/// by these averages, since the eye averages the noise of single pixels.
 const BOX: usize = 8;
 /// Largest number of boxes along a side, so that even a large frame needs little memory.
 const ACROSS: usize = 64;
 
-/// Reduces a frame's picture, as seen from the middle, to the means of its boxes.
+/// Reduces the picture that one frame shows to the middle of the zone to the means over boxes of
+/// pixels.
 pub(crate) fn coarse(linear: &[f32], cols: usize) -> Vec<f32> {
     let rows = linear.len() / (3 * cols);
     let side = rows.max(cols).div_ceil(ACROSS).max(BOX);
@@ -51,8 +52,8 @@ mod tests {
     #[test]
     fn the_first_frame_is_the_likest_and_the_second_makes_up_for_it() {
         let frames: Vec<Vec<f32>> = [0.0, 9.0, 5.0, 4.0].map(|value| vec![value; 3]).to_vec();
-        // The mean of all is 4.5. Frames 2 and 3 are equally near to it, so frame 2 is first. Frame
-        // 3 follows, since the mean of both is exact.
+        // The mean of all frames is 4.5. Frames 2 and 3 are equally near to it, so frame 2 is
+        // first. Frame 3 is next, since the mean of frames 2 and 3 is 4.5.
         assert_eq!(by_importance(&frames), [2, 3, 0, 1]);
         assert_eq!(by_importance(&[]), [0; 0]);
     }

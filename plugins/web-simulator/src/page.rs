@@ -12,7 +12,8 @@ use crate::poster::{POSTER, Poster};
 pub const PREVIEW_JSON: &str = "stack/preview.json";
 const INDEX: &str = include_str!("../dist/index.html");
 const SCRIPT: &str = include_str!("../dist/viewer.js");
-/// Scripts that the viewer loads for other displays; the single file does without them.
+/// Scripts that the page loads only for headsets, lenticular displays and their software. The
+/// single file does not contain them.
 const OTHERS: [(&str, &str); 3] = [
     ("app/bridge.js", include_str!("../dist/bridge.js")),
     ("app/headset.js", include_str!("../dist/headset.js")),
@@ -20,17 +21,17 @@ const OTHERS: [(&str, &str); 3] = [
 ];
 const MODULE: &[u8] = include_bytes!("../dist/lumistack_web_bg.wasm");
 
-/// Part of the page that the single file replaces by the script itself.
+/// The link to the script, which the single file replaces by the script itself.
 const SCRIPT_LINK: &str = r#"<script type="module" src="app/viewer.js"></script>"#;
 /// Parts of the page that are replaced in every site.
 const HEAD: [&str; 2] = ["<title>", "<!--/about-->"];
 const POSTER_PLACE: &str = "<!--poster-->";
-/// Marks around parts of the page that may be removed. The part about the folder is removed from
-/// the single file. The part about the single file is removed if there is none.
+/// Marks around the part of the page about the folder, which is removed from the single file.
 const FOLDER: [&str; 2] = ["<!--folder-->", "<!--/folder-->\n"];
+/// Marks around the part of the page about the single file, which is removed if none is written.
 const SINGLE: [&str; 2] = ["<!--single-->", "<!--/single-->"];
-/// Number of bytes that are encoded at a time; a multiple of 3, so that the encoded pieces join to
-/// the encoded whole.
+/// Number of bytes that are encoded at a time. It is a multiple of 3, so that the encoded pieces
+/// together are the encoding of the whole file.
 const ENCODED_AT_ONCE: usize = 3 << 16;
 
 /// A site that is being written.
@@ -41,17 +42,18 @@ pub(crate) struct Site<'a> {
     single: Option<SingleFile>,
 }
 
-/// The site in one file. Every picture is appended at once, so none is kept in memory.
+/// The site in one file. Every picture is appended as soon as it is made, so that no picture is
+/// kept in memory.
 struct SingleFile {
     file: OutputFile,
-    /// Number of bytes written so far, and its limit.
+    /// Number of bytes written so far, and the largest allowed number.
     length: usize,
     most: usize,
     /// The part of the page after its script.
     end: String,
 }
 
-/// The texts and the poster of the page, which previews of links to it also show.
+/// The texts and the poster of the page. Other sites show them in a preview of a link to the page.
 pub(crate) struct About<'a> {
     pub(crate) title: &'a str,
     pub(crate) caption: &'a str,
@@ -85,7 +87,7 @@ impl<'a> Site<'a> {
         if single.add(path, bytes)? {
             return Ok(());
         }
-        // an open file that is dropped is removed
+        // Drop the open single file, which removes it.
         let most = single.most / 1_000_000;
         self.single = None;
         let text = format!(
@@ -155,8 +157,8 @@ impl SingleFile {
         Ok(true)
     }
 
-    /// Appends a file to the JSON object in the page: its path as the key, its bytes as base64. No
-    /// escapes are needed, since neither paths of this crate nor base64 contain special characters.
+    /// Appends a file to the JSON object in the page, with its path as the key and its bytes as
+    /// base64. Paths of this crate and base64 have no special characters, so nothing needs escapes.
     fn entry(&mut self, key: &str, bytes: &[u8]) -> Result<(), PluginError> {
         self.text(&format!("\"{key}\":\""))?;
         for part in bytes.chunks(ENCODED_AT_ONCE) {
@@ -182,7 +184,8 @@ impl SingleFile {
 }
 
 impl About<'_> {
-    /// The page's HTML. With `single` it contains the poster, and refers to no folder or address.
+    /// Returns the page's HTML. If `single`, the HTML contains the poster, and refers to no other
+    /// file and no address.
     fn page(&self, single: bool) -> Result<String, PluginError> {
         let Poster { jpeg, rows, cols } = self.poster;
         let source = if single { format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)) } else { POSTER.into() };
@@ -195,8 +198,8 @@ impl About<'_> {
         if single { cut(&cut(&page, FOLDER, "")?, SINGLE, "") } else { Ok(page) }
     }
 
-    /// The page's title and description, also as the properties that services read to preview a
-    /// link (Open Graph).
+    /// Returns the page's title and description. They are also the properties that services read
+    /// for the preview of a link (Open Graph).
     fn head(&self, single: bool) -> String {
         let (title, caption) = (escaped(self.title), escaped(self.caption));
         let mut head = format!(

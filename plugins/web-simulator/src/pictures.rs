@@ -1,4 +1,5 @@
-//! Converts patterns to pictures of 8 bits per channel, and measures the effect of that rounding.
+//! Converts patterns to pictures of 8 bits per channel, and measures the effect of the rounding to
+//! 8 bits.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::core::colour::srgb_code;
@@ -62,19 +63,20 @@ pub(crate) fn png_of(picture: &Picture) -> Result<Vec<u8>, PluginError> {
     Ok(bytes)
 }
 
-/// Compares views of the rounded patterns with views of the unrounded patterns: the target's middle
-/// view and two views at opposite corners.
+/// Compares views of the rounded patterns with views of the unrounded patterns. The views are the
+/// target's middle view and two views at opposite corners.
 pub(crate) struct Rounding<'a> {
     display: &'a Display,
     geometry: FieldGeometry,
     map: RayMap,
-    /// For each of these views, the difference of rounded and exact light, summed over frames.
+    /// The difference between the light of the rounded and the exact patterns, summed over frames,
+    /// `[view][value]`.
     differences: Vec<Vec<f32>>,
     frames: f64,
     brightness: f64,
 }
 
-/// Shape [bins_y, bins_x, lenslet_rows, lenslet_cols] of an emission.
+/// The shape of an emission: [bins_y, bins_x, lenslet_rows, lenslet_cols].
 type Bins = [usize; 4];
 
 impl<'a> Rounding<'a> {
@@ -91,8 +93,8 @@ impl<'a> Rounding<'a> {
         Self { display, differences, geometry, map, frames: 0.0, brightness: 1.0 }
     }
 
-    /// Adds one frame. It simulates the exact patterns first and the rounded ones afterwards, so
-    /// that only one of the two is in memory. Returns the frame's middle view.
+    /// Adds one frame. The exact patterns are simulated first and the rounded ones afterwards, so
+    /// that memory holds only one of them. Returns the frame's middle view.
     pub(crate) fn add(
         &mut self,
         layers: Vec<(Picture, Vec<f32>)>,
@@ -126,8 +128,8 @@ impl<'a> Rounding<'a> {
         middle
     }
 
-    /// PSNR of L̃/β with rounded patterns against exact ones, dB; infinite if rounding has no
-    /// effect.
+    /// Returns the PSNR of L̃/β of the rounded patterns against the exact patterns, dB. It is
+    /// infinite if the rounding has no effect.
     pub(crate) fn psnr(&self) -> f64 {
         let scale = 1.0 / (self.frames * self.brightness);
         let mut error = SquaredError::default();
@@ -136,7 +138,7 @@ impl<'a> Rounding<'a> {
     }
 }
 
-/// The mask of a layer in one frame as a tensor.
+/// Makes a tensor of one frame from a layer's mask.
 fn layer(picture: &Picture, values: Vec<f32>) -> Tensor<4> {
     let shape = [1, picture.rows, picture.cols, 3];
     Tensor::from_vec(LayerStack::LAYER_AXES, shape, values).expect("a picture has a value per code")

@@ -1,5 +1,5 @@
-//! Pictures that the page shows while its patterns load: the seen picture from the middle, and
-//! small views from a few positions in the zone.
+//! Makes pictures that the page shows while its patterns load. They are the seen picture from the
+//! middle, and small views from a few positions in the zone.
 
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
@@ -16,13 +16,14 @@ pub(crate) const AROUND: &str = "stack/around.jpg";
 /// Longest side of the poster and of a small view, pixels.
 const POSTER_PX: usize = 1200;
 const AROUND_PX: usize = 240;
-/// Largest size of the poster and of the file with all small views, bytes. The first of these JPEG
-/// qualities is used whose file is small enough.
+/// Largest size of the poster's file, bytes.
 const POSTER_BYTES: usize = 45_000;
+/// Largest size of the file with all small views, bytes.
 const AROUND_BYTES: usize = 110_000;
+/// JPEG qualities, of which the first one whose file is small enough is used.
 const QUALITIES: [u8; 6] = [88, 80, 72, 64, 56, 48];
-/// Numbers of positions across and upwards. Positions are so close that a blend of neighbouring
-/// small views has no visible double edges.
+/// Numbers of positions of small views, [horizontal, vertical]. Positions are so close that a blend
+/// of neighbouring small views has no visible double edges.
 const PLACES: [usize; 2] = [5, 3];
 
 /// A JPEG picture and its size.
@@ -34,7 +35,7 @@ pub(crate) struct Poster {
 }
 
 impl Poster {
-    /// The seen picture from the middle, for an adapted eye.
+    /// Makes the seen picture from the middle, for an adapted eye.
     ///
     /// # Errors
     /// If the host cannot simulate.
@@ -45,14 +46,14 @@ impl Poster {
     }
 }
 
-/// Makes one picture with small views from the whole zone: a grid of tiles, columns from left to
-/// right, rows from the top. Also returns the entry for preview.json.
+/// Makes one picture with small views from the whole zone. It is a grid of tiles, with the leftmost
+/// and topmost view at the top left. Also returns the entry for preview.json.
 ///
 /// # Errors
 /// If the host cannot simulate.
 pub(crate) fn around(stack: &StackInput<'_>, fov_deg: [f64; 2]) -> Result<(Vec<u8>, Value), PluginError> {
     let views = stack.target().grid.views();
-    // with a single view there is no viewing zone
+    // With a single view the axis has no viewing zone, so the small views have slope 0.
     let slopes = |axis: usize, views: usize| match (views, PLACES[axis]) {
         (1, _) => vec![0.0],
         (_, count) => {
@@ -78,8 +79,8 @@ pub(crate) fn around(stack: &StackInput<'_>, fov_deg: [f64; 2]) -> Result<(Vec<u
     Ok((jpeg_of(&quilt, AROUND_BYTES)?, told))
 }
 
-/// The seen picture from a slope (at the centre of the field), encoded as sRGB. A box filter
-/// reduces it so that no side is longer than `most` pixels.
+/// Returns the seen picture along a slope at the centre of the field, encoded as sRGB. A box filter
+/// reduces the picture so that no side is longer than `most` pixels.
 fn seen(stack: &StackInput<'_>, [x, y]: [f64; 2], most: usize) -> Result<Picture, PluginError> {
     let from = match stack.target().grid.projection {
         Projection::Oblique => ViewPoint::Slope([x, y]),
@@ -109,7 +110,8 @@ fn reduced(linear: &[f32], geometry: &FieldGeometry, most: usize, scale: f32) ->
     Picture { rows: out_rows, cols: out_cols, codes }
 }
 
-/// Encodes a picture as JPEG in the best quality with at most `most_bytes`.
+/// Encodes a picture as JPEG, in the best quality of [`QUALITIES`] whose file has at most
+/// `most_bytes`.
 fn jpeg_of(picture: &Picture, most_bytes: usize) -> Result<Vec<u8>, PluginError> {
     let (width, height) = (picture.cols as u32, picture.rows as u32);
     let mut jpeg = Vec::new();

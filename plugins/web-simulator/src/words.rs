@@ -1,9 +1,9 @@
-//! Texts about a display, for the page and for previews of links to it.
+//! Makes texts about a display, for the page and for previews of links to the page.
 
 use lumistack_plugin::display::{Backlight, Display};
 
-/// Returns a title for users. A name that looks like a file's becomes words ("still-life" → "Still
-/// life"); other names are unchanged.
+/// Returns a title for users. A name that looks like the name of a file becomes words ("still-life"
+/// → "Still life"). Other names are unchanged.
 pub(crate) fn title_of(name: &str) -> String {
     let of_file = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
     let words = name.split(['-', '_']).filter(|word| !word.is_empty()).collect::<Vec<_>>().join(" ");
@@ -13,7 +13,7 @@ pub(crate) fn title_of(name: &str) -> String {
     words[..1].to_uppercase() + &words[1..]
 }
 
-/// One sentence that describes the display and the scene.
+/// Returns one sentence that describes the display and the scene.
 pub(crate) fn caption_of(title: &str, display: &Display) -> String {
     let plural = |count: usize, one: &str| match count {
         1 => format!("one {one}"),

@@ -1,4 +1,5 @@
-//! Writes the site through the plugin's C functions, and reads it by the page's module.
+//! Writes the site through the plugin's C functions, and reads it with the module that the page
+//! runs.
 
 use std::collections::BTreeMap;
 
@@ -45,7 +46,7 @@ fn conforms() {
 }
 
 /// For every sample stack, with a uniform or directional backlight, the page's picture equals the
-/// display model's except for the rounding that the preview states.
+/// picture of the display model. They may differ by the rounding that preview.json states.
 #[test]
 fn the_page_agrees_with_the_display_model() {
     for sample in samples().iter().filter(|sample| sample.stack().is_some()) {
@@ -79,7 +80,7 @@ fn files_come_frame_by_frame_and_then_the_target_from_the_middle() {
     let files = write(&sample.display, OutputData::LayerStack(stack, Some(&target)), json!({"title": "A <b> & c"}));
     let preview: Value = from_slice(&files[PREVIEW_JSON]).unwrap();
     let list = preview["files"].as_array().unwrap();
-    // all files of a frame are adjacent; the frames may be in any order
+    // All files of a frame must be adjacent, but the frames may be in any order.
     for (i, file) in list.iter().take(stack.layers.len() * stack.frames()).enumerate() {
         let layers = stack.layers.len();
         assert_eq!((&file["layer"], &file["frame"]), (&json!(i % layers), &list[i / layers * layers]["frame"]));
@@ -88,7 +89,8 @@ fn files_come_frame_by_frame_and_then_the_target_from_the_middle() {
     let [rows, cols] = target.geometry().grid.views();
     let first = list.iter().find(|file| file["kind"] == "target").unwrap();
     assert_eq!(first["view"], json!([(rows - 1) / 2, (cols - 1) / 2]));
-    // the single file contains every file under its path, and does not refer to files of the app
+    // The single file must contain every file under its path, and must not refer to files of the
+    // folder `app`.
     let page = std::str::from_utf8(&files["preview.html"]).unwrap();
     assert!(
         page.contains("<title>A &lt;b&gt; &amp; c") && !page.contains("href=\"app/") && !page.contains("src=\"app/")
@@ -121,7 +123,7 @@ fn rounding_of_exact_codes_costs_nothing() {
     assert!(stated.is_none_or(|stated| stated > 120.0), "{stated:?}");
 }
 
-/// A stack of waves of low spatial frequency, which JPEG compression keeps.
+/// Returns a stack of waves of low spatial frequency, which JPEG compression keeps.
 fn waves(display: &Display) -> LayerStack {
     let mut stack = LayerStack::filled(display, 0.0);
     for (n, layer) in stack.layers.iter_mut().enumerate() {
@@ -164,8 +166,8 @@ fn the_poster_is_the_seen_picture_and_links_show_it() {
     assert!(page.contains(r#"src="data:image/jpeg;base64,"#) && !page.contains("og:image"));
 }
 
-/// The site of a large stack has small views from the whole zone. A single file that would be too
-/// large is not written, with a message.
+/// The site of a large stack has small views from the whole zone. If the single file would be too
+/// large, it is not written, and a message says so.
 #[test]
 fn a_large_stack_can_be_viewed_before_it_is_loaded() {
     let display = Display::uniform([400, 250], 1.0, [3, 1], [20.0, 20.0], &[-3.0, 3.0], 3);
@@ -189,7 +191,7 @@ fn a_large_stack_can_be_viewed_before_it_is_loaded() {
     assert!(
         host.messages().iter().any(|(_, text)| text.contains("preview.html was left out") && text.contains("2 MB"))
     );
-    // the site of a small stack has no small views
+    // The site of a small stack must have no small views.
     let display = Display::uniform([6, 5], 1.0, [3, 3], [20.0, 20.0], &[-3.0, 3.0], 2);
     let files = write(&display, OutputData::LayerStack(&LayerStack::filled(&display, 0.5), None), json!({}));
     assert!(!files.contains_key("stack/around.jpg") && files.contains_key("preview.html"));

@@ -57,8 +57,8 @@ pub(crate) fn columns(text: &str) -> usize {
     (text.chars().count() * ADVANCE).saturating_sub(1)
 }
 
-/// True if the dot at `column` and `row` (from the top) of a line of text is set; false outside the
-/// line.
+/// True if the dot at `column` and `row` (from the top) of a line of text is set. Dots outside of
+/// the line are not set.
 ///
 /// Characters that the font lacks are blank.
 pub(crate) fn is_set(text: &str, column: usize, row: usize) -> bool {

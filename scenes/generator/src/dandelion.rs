@@ -1,8 +1,9 @@
-//! A dandelion clock of Gaussian splats. Its hairs are thinner than a pixel, transparent and at
-//! every depth, which no mesh of this size can represent.
+//! A dandelion clock of Gaussian splats. Its hairs are transparent, thinner than a pixel, and at
+//! every depth of the head. A mesh of this size could not represent them.
 //!
-//! One unit is a decimetre, y is up; the head's centre is the origin and the flower's front is +z.
-//! Colours change with direction by harmonics of degree 1, as sheen does.
+//! One unit is a decimetre, and y points up. The head's centre is the origin, and the flower's
+//! front faces +z. By spherical harmonics of degree 1, colours change with the direction of view,
+//! as sheen does.
 
 use glam::{Quat, Vec3};
 use lumistack_splats::Cloud;
@@ -10,16 +11,16 @@ use lumistack_splats::write;
 
 use crate::{GeneratorError, SceneFile};
 
-/// Number of seeds on the head, and number of hairs of a seed.
+/// Number of seeds on the head, and number of hairs of each seed.
 const SEEDS: usize = 190;
 const HAIRS: usize = 13;
-/// Radius of the head at the hairs' feet, and length of the hairs.
+/// Distance from the head's centre to the feet of the hairs, and length of the hairs.
 const HEAD: f32 = 0.52;
 const HAIR: f32 = 0.2;
 /// The golden angle, radians.
 const TURN: f32 = 2.399_963;
 
-/// The scene's files.
+/// Returns the files of the scene.
 pub(crate) fn build() -> Result<Vec<SceneFile>, GeneratorError> {
     let file = "dandelion.spz";
     let bytes = write::spz(&cloud()).map_err(|source| GeneratorError::Write { path: file.into(), source })?;
@@ -31,7 +32,7 @@ fn cloud() -> Cloud {
     for i in 0..SEEDS {
         seed(&mut cloud, on_sphere(i, SEEDS), i);
     }
-    // the base of the head
+    // add the base of the head, on which the seeds sit
     for i in 0..60 {
         let normal = on_sphere(i, 60);
         disc(&mut cloud, 0.09 * normal, normal, 0.022, [0.42, 0.47, 0.27], 0.95);
@@ -43,14 +44,15 @@ fn cloud() -> Cloud {
     cloud
 }
 
-/// Evenly spread directions.
+/// Returns direction i of `count` directions that are evenly spread over the sphere.
 fn on_sphere(i: usize, count: usize) -> Vec3 {
     let y = 1.0 - 2.0 * (i as f32 + 0.5) / count as f32;
     let (sin, cos) = (TURN * i as f32).sin_cos();
     Vec3::new((1.0 - y * y).sqrt() * cos, y, (1.0 - y * y).sqrt() * sin)
 }
 
-/// A brown grain, a thread outwards from it, and a parachute of hairs at the thread's end.
+/// Adds a seed: a brown grain, a thread that leads outwards from it, and a parachute of hairs at
+/// the thread's end.
 fn seed(cloud: &mut Cloud, out: Vec3, number: usize) {
     needle(cloud, 0.12 * out, 0.17 * out, 0.009, [0.36, 0.24, 0.14], 0.95);
     for part in 0..4 {
@@ -68,7 +70,7 @@ fn seed(cloud: &mut Cloud, out: Vec3, number: usize) {
     }
 }
 
-/// The hollow stalk, bent a little.
+/// Adds the hollow stalk, which is slightly bent.
 fn stalk(cloud: &mut Cloud) {
     let at = |t: f32| Vec3::new(0.22 * t * t, -0.06 - 1.75 * t, 0.1 * t);
     for ring in 0..70 {
@@ -83,7 +85,7 @@ fn stalk(cloud: &mut Cloud) {
     }
 }
 
-/// A leaf on the ground with a jagged edge.
+/// Adds a leaf with a jagged edge, which lies on the ground.
 fn blade(cloud: &mut Cloud, turn: f32, length: f32) {
     let foot = Vec3::new(0.22, -1.79, 0.1);
     let along = Quat::from_rotation_y(turn) * Vec3::X;
@@ -103,16 +105,16 @@ fn blade(cloud: &mut Cloud, turn: f32, length: f32) {
     }
 }
 
-/// A long splat from one point to another.
+/// Adds a long splat from one point to another.
 fn needle(cloud: &mut Cloud, from: Vec3, to: Vec3, thickness: f32, rgb: [f32; 3], opacity: f32) {
     let along = to - from;
     let rotation = Quat::from_rotation_arc(Vec3::X, along.normalize());
     splat(cloud, 0.5 * (from + to), rotation, Vec3::new(0.36 * along.length(), thickness, thickness), rgb, opacity);
-    // lit from above, and brighter towards the light, which comes from behind
+    // a needle is brighter from above, and from behind, where the light comes from
     sheen(cloud, 0.06, -0.1);
 }
 
-/// A flat round splat.
+/// Adds a flat round splat.
 fn disc(cloud: &mut Cloud, at: Vec3, normal: Vec3, size: f32, rgb: [f32; 3], opacity: f32) {
     let lit = 0.72 + 0.28 * normal.y;
     splat(

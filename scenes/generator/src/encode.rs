@@ -7,13 +7,14 @@ use image::{ExtendedColorType, ImageEncoder};
 use crate::paint::Picture;
 use crate::{GeneratorError, SceneFile};
 
-/// Quality of the JPEG files, high enough to keep ringing below the contrast of the finest pattern.
+/// Quality of the JPEG files. It is so high that ringing is weaker than the contrast of the finest
+/// pattern.
 const JPEG_QUALITY: u8 = 88;
 
 /// Channels of a picture that a PNG stores.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Channels {
-    /// The red channel only.
+    /// Only the red channel, as a grey picture.
     Gray,
     /// Three channels.
     Rgb,
@@ -21,7 +22,7 @@ pub(crate) enum Channels {
     Rgba,
 }
 
-/// A PNG file.
+/// Encodes a picture as a PNG file.
 pub(crate) fn png(file: &str, picture: &Picture, channels: Channels) -> Result<SceneFile, GeneratorError> {
     let (kept, color) = match channels {
         Channels::Gray => (1, ExtendedColorType::L8),
@@ -35,7 +36,7 @@ pub(crate) fn png(file: &str, picture: &Picture, channels: Channels) -> Result<S
     Ok((file.into(), bytes))
 }
 
-/// A JPEG file, for pictures with much grain.
+/// Encodes a picture as a JPEG file, which is smaller for pictures with much grain.
 pub(crate) fn jpeg(file: &str, picture: &Picture) -> Result<SceneFile, GeneratorError> {
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)

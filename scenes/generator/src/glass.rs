@@ -26,10 +26,10 @@ pub(crate) const WINDOW: Window = Window { pitch_rad: 22.0 * std::f64::consts::P
 
 /// Height of the table, metres.
 const TABLE_Y: f64 = -0.09;
-/// Display depth of the edge between table and wall, metres.
+/// Depth of the edge between table and wall, on the display, metres.
 const WALL_DEPTH: f64 = -0.18;
 
-/// The scene's files.
+/// Returns the files of the scene.
 pub(crate) fn build() -> Result<Vec<SceneFile>, GeneratorError> {
     let mut document = Document::new("glass");
     WINDOW.add_camera(&mut document);
@@ -78,7 +78,8 @@ fn add_table_and_wall(document: &mut Document) -> Result<(), GeneratorError> {
     let corner = DVec3::new(-half_width, TABLE_Y, wall_z);
     let table = Mesh::rectangle(corner, DVec3::X * 2.0 * half_width, DVec3::Z * depth)
         .with_texture_scale(DVec2::new(2.0 * half_width, depth) / 0.1);
-    // u runs to +x; with +y as normal, the bitangent then points up the image (to -z) for w = 1
+    // The tangent is +x, along which u rises. With the normal +y and w = 1, the bitangent is -z,
+    // which points upwards in the image, as glTF demands.
     let tangents = vec![[1.0f32, 0.0, 0.0, 1.0]; table.positions.len()];
     let mut primitive = document.primitive(&table, tiles);
     primitive["attributes"]["TANGENT"] = json!(document.add_floats(&tangents, true));
@@ -118,7 +119,7 @@ fn add_mirrors(document: &mut Document) {
     let body = Mesh::cuboid(DVec3::new(-0.5 * width, 0.0, -thickness), DVec3::new(0.5 * width, height, 0.0));
     let primitives = vec![document.primitive(&glass, silver), document.primitive(&body, frame)];
     let mesh = document.add_mesh("framed mirror", primitives);
-    // leaning back lowers the rear edge of the foot, so the mirror is lifted by as much
+    // a mirror that leans back lowers the rear edge of its foot, so lift the mirror by this height
     let lean_rad = 3f64.to_radians();
     let lift = thickness * lean_rad.sin();
     let mut node = node_at(
@@ -144,7 +145,7 @@ fn add_mirrors(document: &mut Document) {
     }
 }
 
-/// A transmissive ball, and blended panes that overlap at three depths.
+/// Adds a glass ball (transmission), and panes (alpha mode BLEND) that overlap at three depths.
 fn add_glass(document: &mut Document) -> Result<(), GeneratorError> {
     let clear = document.add_material(json!({
         "name": "clear glass",
@@ -197,8 +198,8 @@ fn add_glass(document: &mut Document) -> Result<(), GeneratorError> {
     Ok(())
 }
 
-/// A ribbon of printed paper (double-sided, one triangle strip) and a screen of leaves (alpha
-/// MASK).
+/// Adds a ribbon of printed paper (double-sided, one triangle strip), and a screen of leaves (alpha
+/// mode MASK).
 fn add_paper_and_screen(document: &mut Document) -> Result<(), GeneratorError> {
     let print = document.add_texture(png("sheet-music.png", &textures::sheet_music(), Channels::Rgb)?, Wrap::Clamp);
     let paper = document.add_material(json!({
@@ -225,7 +226,7 @@ fn add_paper_and_screen(document: &mut Document) -> Result<(), GeneratorError> {
         "alphaCutoff": 0.5,
         "doubleSided": true
     }));
-    // two repetitions of the square texture along the width
+    // the sheet is twice as wide as high, so the square texture repeats twice along its width
     let (width, height) = (0.096, 0.048);
     let sheet = Mesh::rectangle(DVec3::new(-0.5 * width, height, 0.0), DVec3::X * width, DVec3::NEG_Y * height)
         .with_texture_scale(DVec2::new(2.0, 1.0));
@@ -237,7 +238,7 @@ fn add_paper_and_screen(document: &mut Document) -> Result<(), GeneratorError> {
     Ok(())
 }
 
-/// The rippled plate (sparse accessors) and the gem (no indices, no normals).
+/// Adds the rippled plate (sparse accessors), and the gem (no indices, no normals).
 fn add_plate_and_gem(document: &mut Document) {
     let steel = document.add_material(json!({
         "name": "pressed steel",
@@ -264,7 +265,7 @@ fn add_plate_and_gem(document: &mut Document) {
     let gem = cut_gem(document, ruby);
     let mesh = document.add_mesh("cut gem", vec![gem]);
     let radius = 0.017;
-    // The gem lies on one of its lower faces: rotate that face's outward normal downwards.
+    // The gem lies on one of its lower faces. So rotate the outward normal of this face downwards.
     let half_side = std::f64::consts::PI / 8.0;
     let face = DVec3::new(1.1 * half_side.sin(), -half_side.cos(), 1.1 * half_side.cos()).normalize();
     let rest = DQuat::from_rotation_y(2.4) * DQuat::from_rotation_arc(face, DVec3::NEG_Y);
@@ -274,7 +275,8 @@ fn add_plate_and_gem(document: &mut Document) {
     document.add_node(node);
 }
 
-/// Two rows of stretched beads: one mesh, a parent with a rotation, children with nonuniform scale.
+/// Adds two rows of stretched beads. All beads share one mesh. The common parent node has a
+/// rotation, and the beads' nodes have nonuniform scales.
 fn add_beads(document: &mut Document) {
     let jade = document.add_material(json!({
         "name": "jade",
@@ -289,7 +291,7 @@ fn add_beads(document: &mut Document) {
         node["scale"] = json!(scale);
         node
     };
-    // three levels of nodes: beads, rows, and their parent
+    // make three levels of nodes: the beads, the two rows, and the parent of the rows
     let mut rows = Vec::new();
     for row in 0..2 {
         let beads: Vec<usize> = (0..4)

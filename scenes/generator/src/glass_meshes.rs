@@ -11,16 +11,17 @@ use crate::mesh::Mesh;
 
 /// Number of cells along each side of the plate.
 const PLATE_CELLS: u32 = 48;
-/// Waves on the plate lie within this radius, in plate half-widths; the rest stays flat.
+/// Radius of the area with waves, in half-widths of the plate; outside of it the plate is flat.
 const RIPPLE_RADIUS: f64 = 0.8;
-/// Height of the first wave, in plate half-widths.
+/// Height of the wave in the plate's middle, in half-widths of the plate.
 const RIPPLE_HEIGHT: f64 = 0.035;
 /// Number of waves between the plate's middle and [`RIPPLE_RADIUS`].
 const RIPPLES: f64 = 3.0;
 
-/// A square plate of half-width 1 in the plane y = 0, its middle raised in rings.
+/// Makes a square plate of half-width 1 in the plane y = 0, with circular waves (rings) around its
+/// middle.
 ///
-/// The accessors for positions and normals hold the flat plate and, as sparse entries, the rings.
+/// The accessors for positions and normals contain the flat plate, and the rings as sparse entries.
 pub(crate) fn rippled_plate(document: &mut Document, material: usize) -> Value {
     let place = |u: f64, v: f64| DVec3::new(2.0 * u - 1.0, 0.0, 2.0 * v - 1.0);
     let flat = Mesh::grid(PLATE_CELLS, PLATE_CELLS, |u, v| (place(u, v), DVec3::Y));
@@ -40,8 +41,9 @@ pub(crate) fn rippled_plate(document: &mut Document, material: usize) -> Value {
     })
 }
 
-/// Height and slope of the rings at distance r from the middle: h = a (1 - q²)² (1 + cos 2πnq)/2
-/// with q = r/R. Here a, n and R are the height, number and radius of the constants above.
+/// Returns height and slope of the rings at the distance r from the middle. The height is h = a (1
+/// - q²)² (1 + cos 2πnq)/2 with q = r/R, where a is [`RIPPLE_HEIGHT`], n is [`RIPPLES`] and R is
+/// [`RIPPLE_RADIUS`].
 fn ripple(radius: f64) -> (f64, f64) {
     let q = radius / RIPPLE_RADIUS;
     if q >= 1.0 {
@@ -54,9 +56,11 @@ fn ripple(radius: f64) -> (f64, f64) {
     (RIPPLE_HEIGHT * fade * wave, slope)
 }
 
-/// A strip of paper that stands on edge on y = 0 in waves: one triangle strip without indices.
+/// Makes a wavy strip of paper that stands on its edge on y = 0, as one triangle strip without
+/// indices.
 ///
-/// It is `length` long in x, `height` high, and swings by `swing` in z over one and a half waves.
+/// The strip is `length` long in x and `height` high. It has one and a half waves of the amplitude
+/// `swing` in z.
 pub(crate) fn paper_ribbon(document: &mut Document, [length, height, swing]: [f64; 3], material: usize) -> Value {
     const STEPS: u32 = 64;
     const WAVES: f64 = 1.5;
@@ -68,7 +72,8 @@ pub(crate) fn paper_ribbon(document: &mut Document, [length, height, swing]: [f6
         let (sin, cos) = (TAU * WAVES * u).sin_cos();
         let slope = swing * TAU * WAVES * cos / length;
         let normal = DVec3::new(-slope, 0.0, 1.0).normalize();
-        // top before bottom: the first triangle then winds counter-clockwise seen from +z
+        // the top vertex precedes the bottom vertex, so that the first triangle is
+        // counter-clockwise seen from +z
         for (v, y) in [(0.0, height), (1.0, 0.0)] {
             positions.push(DVec3::new((u - 0.5) * length, y, swing * sin).as_vec3().to_array());
             normals.push(normal.as_vec3().to_array());
@@ -83,8 +88,8 @@ pub(crate) fn paper_ribbon(document: &mut Document, [length, height, swing]: [f6
     json!({ "attributes": attributes, "material": material, "mode": TRIANGLE_STRIP })
 }
 
-/// A cut gem of unit radius that stands on its point: triangles without indices and without
-/// normals. The glTF specification defines flat shading for these.
+/// Makes a cut gem of radius 1 that stands on its point. Its triangles have neither indices nor
+/// normals, for which the glTF specification defines flat shading.
 pub(crate) fn cut_gem(document: &mut Document, material: usize) -> Value {
     const SIDES: u32 = 8;
     let ring = |k: u32, half_steps: u32, radius: f64, height: f64| {

@@ -1,8 +1,8 @@
 //! A glTF 2.0 document under construction: JSON arrays, one binary buffer, and the files to which
 //! it refers.
 //!
-//! Source: Khronos glTF 2.0 specification, sections 3.6 (binary data) and 5 (properties). Vertex
-//! data goes into one buffer view per accessor, each aligned to four bytes, tightly packed.
+//! Source: Khronos glTF 2.0 specification, sections 3.6 (binary data) and 5 (properties). Every
+//! accessor has a buffer view of its own, which is tightly packed and aligned to four bytes.
 
 use std::collections::BTreeSet;
 
@@ -24,26 +24,26 @@ pub(crate) const TRIANGLES: u32 = 4;
 /// Primitive mode of a triangle strip.
 pub(crate) const TRIANGLE_STRIP: u32 = 5;
 
-/// Numbers in JSON are rounded to multiples of the inverse of this. That is coarser than the last
-/// bit of a platform's sine or tangent, so the text is the same everywhere.
+/// Numbers in JSON are rounded to multiples of 1e-9, the inverse of this number. The last bits of a
+/// sine or tangent differ between machines; after rounding, the text is the same on all machines.
 const JSON_DECIMALS: f64 = 1e9;
 
-/// A number for JSON, rounded to nine decimals.
+/// Rounds a number for JSON to nine decimals.
 pub(crate) fn rounded(value: f64) -> f64 {
     // adding zero turns -0 into 0
     (value * JSON_DECIMALS).round() / JSON_DECIMALS + 0.0
 }
 
-/// How a texture repeats outside 0..1.
+/// Content of a texture outside of 0..1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Wrap {
-    /// The texture is tiled.
+    /// The texture repeats.
     Repeat,
-    /// The border is continued.
+    /// The texels at the border continue.
     Clamp,
 }
 
-/// The document; sections are kept in the order in which they are written.
+/// The document under construction. Its sections are in the order in which they are written.
 #[derive(Debug)]
 pub(crate) struct Document {
     name: &'static str,
@@ -67,19 +67,20 @@ impl Document {
             root_nodes: Vec::new(),
             files: Vec::new(),
         };
-        // The two samplers, in the order of `Wrap`: linear with mipmaps.
+        // Add one sampler for each variant of `Wrap`, in their order. Both filter linearly with
+        // mipmaps.
         for wrap in [10497, 33071] {
             document.push("samplers", json!({ "magFilter": 9729, "minFilter": 9987, "wrapS": wrap, "wrapT": wrap }));
         }
         document
     }
 
-    /// Names an extension in `extensionsUsed`. No extension of the scenes is required.
+    /// Adds an extension to `extensionsUsed`. The scenes have no entry in `extensionsRequired`.
     pub(crate) fn use_extension(&mut self, name: &'static str) {
         self.extensions.insert(name);
     }
 
-    /// Adds a texture from an encoded image, which is written to the document's folder.
+    /// Adds a texture with an encoded image, whose file is written to the document's folder.
     pub(crate) fn add_texture(&mut self, file: SceneFile, wrap: Wrap) -> usize {
         let source = self.push("images", json!({ "uri": file.0 }));
         self.files.push(file);
@@ -129,7 +130,7 @@ impl Document {
         )
     }
 
-    /// Adds an index accessor, with 16 bits if they are enough.
+    /// Adds an accessor of indices. They have 16 bits if no index is larger.
     pub(crate) fn add_indices(&mut self, indices: &[u32]) -> usize {
         let (view, component) = self.add_index_view(indices, Some(ELEMENT_ARRAY_BUFFER));
         self.push(
@@ -140,8 +141,8 @@ impl Document {
         )
     }
 
-    /// Adds a VEC3 accessor that takes its values from `base` except in the rows that differ in
-    /// `rows`.
+    /// Adds a sparse VEC3 accessor with the values `rows`. Its buffer contains `base`, and its
+    /// sparse entries are the rows that differ from `base`.
     pub(crate) fn add_sparse(&mut self, base: &[[f32; 3]], rows: &[[f32; 3]]) -> usize {
         let changed: Vec<u32> = (0u32..)
             .zip(base.iter().zip(rows))
@@ -150,7 +151,7 @@ impl Document {
             .collect();
         let values: Vec<u8> =
             changed.iter().flat_map(|&index| rows[index as usize]).flat_map(f32::to_le_bytes).collect();
-        // The bounds of a sparse accessor are those of its final values, so they come from `rows`.
+        // The bounds of a sparse accessor are those of its final values, `rows`.
         let accessor = self.add_floats(base, true);
         let (indices_view, component) = self.add_index_view(&changed, None);
         let values_view = self.add_view(values, None);
@@ -170,7 +171,8 @@ impl Document {
         accessor
     }
 
-    /// An indexed triangle list. Texture coordinates are omitted if the material has no texture.
+    /// Returns a primitive with an indexed triangle list. Texture coordinates are omitted if the
+    /// material has no texture.
     pub(crate) fn primitive(&mut self, mesh: &Mesh, material: usize) -> Value {
         let mut attributes = Map::new();
         let positions: Vec<_> = mesh.positions.iter().map(|p| p.as_vec3().to_array()).collect();
@@ -220,18 +222,19 @@ impl Document {
         self.push("nodes", node)
     }
 
-    /// Adds a node without a transform for a mesh that is modelled in place.
+    /// Adds a node without a transform, and its mesh, whose vertices are already in world axes.
     pub(crate) fn add_mesh_node(&mut self, name: &str, mesh: &Mesh, material: usize) -> usize {
         let mesh = self.add_simple_mesh(name, mesh, material);
         self.add_node(json!({ "name": name, "mesh": mesh }))
     }
 
-    /// The finished files: JSON, buffer, textures, and the sky that the scene's extras name.
+    /// Returns the files of the document: JSON, buffer, textures, and the sky, which the scene's
+    /// extras name.
     pub(crate) fn finish(mut self, sky: sky::Sky) -> Result<Vec<SceneFile>, GeneratorError> {
         let json_file = format!("{}.gltf", self.name);
         let binary_file = format!("{}.bin", self.name);
         let sky_file = "sky.hdr".to_string();
-        // Keys are in the order in which a reader looks for them; empty lists are omitted.
+        // Write the sections in an order that is easy to read, and omit empty lists.
         let mut root = Map::new();
         root.insert(
             "asset".into(),
@@ -269,7 +272,7 @@ impl Document {
 
     fn add_index_view(&mut self, indices: &[u32], target: Option<u32>) -> (usize, u32) {
         let short: Option<Vec<u16>> = indices.iter().map(|&i| u16::try_from(i).ok()).collect();
-        // 65535 is reserved for primitive restart.
+        // glTF reserves the 16-bit index 65535 (primitive restart), so with it use 32 bits.
         match short.filter(|values| !values.contains(&u16::MAX)) {
             Some(values) => {
                 let bytes = values.into_iter().flat_map(u16::to_le_bytes).collect();

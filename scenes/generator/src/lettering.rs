@@ -1,6 +1,6 @@
-//! Solid letters: the dots of the bitmap font as one extruded body per line of text.
+//! Solid letters: the dots of the bitmap font, extruded to a mesh for each line of text.
 //!
-//! Dots that touch make one solid. A few large rectangles cover the front and back of a
+//! Dots that share an edge form one solid. A few large rectangles cover the front and back of a
 //! solid. A dot has a side wall only where it has no neighbour; walls in one line are joined.
 
 use glam::{DVec2, DVec3};
@@ -8,11 +8,11 @@ use glam::{DVec2, DVec3};
 use crate::bitmap_font::{GLYPH_ROWS, columns, is_set};
 use crate::mesh::Mesh;
 
-/// The text as a solid. The left bottom corner of its front face is the origin, dots have `dot_m`
-/// metres, and the solid extends from z = 0 to z = -`depth_m`.
+/// Returns the text as a solid. The bottom left corner of its front face is the origin. Dots have
+/// sides of `dot_m` metres, and the solid extends from z = 0 to z = -`depth_m`.
 ///
-/// Texture coordinates run over the whole line: (0, 0) top left to (1, 1) bottom right of the
-/// front.
+/// Texture coordinates are (0, 0) at the top left and (1, 1) at the bottom right of the front of
+/// the whole line.
 pub(crate) fn solid_text(text: &str, dot_m: f64, depth_m: f64) -> Mesh {
     let dots = Dots::of(text);
     let (width, height) = (dots.columns as f64 * dot_m, dots.rows as f64 * dot_m);
@@ -51,8 +51,8 @@ impl Dots {
         inside && self.set[row as usize * self.columns + column as usize]
     }
 
-    /// Disjoint rectangles [left, top, right, bottom) that cover the set dots: each grown right,
-    /// then down.
+    /// Returns disjoint rectangles [left, top, right, bottom) that cover the set dots. Each starts
+    /// at an uncovered dot and grows to the right, then down.
     fn rectangles(&self) -> Vec<[usize; 4]> {
         let mut left_over = self.set.clone();
         let mut rectangles = Vec::new();
@@ -75,8 +75,9 @@ impl Dots {
         rectangles
     }
 
-    /// Outline segments as (column, row) corners, in the front view with the set dots to the right
-    /// of the direction from start to end. Straight runs are one segment.
+    /// Returns the segments of the outline, as start and end corner (column, row). Seen from the
+    /// front, the set dots are to the right of the direction from start to end. Neighbouring
+    /// segments in one line are joined.
     fn walls(&self) -> Vec<[(usize, usize); 2]> {
         let (columns, rows) = (self.columns as isize, self.rows as isize);
         let mut walls = Vec::new();
@@ -100,7 +101,7 @@ impl Dots {
     }
 }
 
-/// Returns the longest half-open runs of 0..length on which `inside` holds.
+/// Returns the longest ranges [start, end) within 0..length in which `inside` is true.
 fn runs(length: isize, inside: impl Fn(isize) -> bool) -> Vec<(usize, usize)> {
     let mut runs = Vec::new();
     let mut start = None;
@@ -121,10 +122,11 @@ fn runs(length: isize, inside: impl Fn(isize) -> bool) -> Vec<(usize, usize)> {
 mod tests {
     use super::*;
 
-    /// Volumes agree to rounding.
+    /// Largest difference between the volumes of a mesh and of its dots, which is due to rounding.
     const VOLUME_TOLERANCE: f64 = 1e-12;
 
-    /// Signed volume by the divergence theorem; positive when all faces wind outwards.
+    /// Computes the signed volume of a mesh by the divergence theorem. It is positive if all faces
+    /// wind outwards.
     fn volume(mesh: &Mesh) -> f64 {
         mesh.indices
             .chunks_exact(3)

@@ -1,8 +1,8 @@
 //! `letters`: solid words at five depths in front of finely ruled paper and resolution charts.
 //!
-//! The camera looks along -z, so display axes are world axes. Each word stands on a rail that
-//! extends past the window on both sides. A small number next to the word gives the depth of its
-//! front face in millimetres.
+//! The camera looks along -z, so display axes are world axes. Each word stands on a rail that is
+//! wider than the window. A small number next to the word states the depth of its front face in
+//! millimetres.
 
 use std::f64::consts::FRAC_PI_6;
 
@@ -22,16 +22,16 @@ use crate::{GeneratorError, SceneFile};
 /// Tilt of the window, and distance of the camera.
 pub(crate) const WINDOW: Window = Window { pitch_rad: 0.0, focus_distance_m: 1.5 };
 
-/// Display depth of the wall of ruled paper, metres.
+/// Depth of the wall of ruled paper, on the display, metres.
 const WALL_DEPTH: f64 = -0.175;
-/// Depth of a word from its front to its back.
+/// Distance from the front of a word to its back, metres.
 const LETTER_DEPTH_M: f64 = 0.012;
-/// Half the length of a rail.
+/// Half the length of a rail, metres.
 const RAIL_HALF_WIDTH_M: f64 = 0.45;
 
 /// Colouring of a word.
 enum Paint {
-    /// One colour for the whole word, in the material.
+    /// One colour for the whole word, stored in the material.
     Plain([f64; 3]),
     /// A vertex colour gradient from bottom to top, stored as 8-bit RGBA.
     Bytes([f64; 3], [f64; 3]),
@@ -39,7 +39,8 @@ enum Paint {
     Floats([f64; 3], [f64; 3]),
 }
 
-/// A word: its text, the left bottom corner of its front face, its dot size, and its colouring.
+/// A word: its text, the bottom left corner of its front face, the size of its dots, and its
+/// colours.
 struct Word {
     text: &'static str,
     corner: DVec3,
@@ -47,11 +48,11 @@ struct Word {
     paint: Paint,
     metallic: f64,
     roughness: f64,
-    /// Left end of the number that states the word's depth: its x in display axes.
+    /// Position x, in display axes, of the left end of the number that states the word's depth.
     label_x: f64,
 }
 
-/// The scene's files.
+/// Returns the files of the scene.
 pub(crate) fn build() -> Result<Vec<SceneFile>, GeneratorError> {
     let mut document = Document::new("letters");
     WINDOW.add_camera(&mut document);
@@ -123,7 +124,7 @@ fn add_word(document: &mut Document, word: &Word) {
     let blended = |low: [f64; 3], high: [f64; 3], t: f64| -> [f64; 3] {
         std::array::from_fn(|channel| low[channel] + t * (high[channel] - low[channel]))
     };
-    // texture coordinates run over the whole line, so gradients follow them
+    // vertex colours are gradients over the texture coordinates, which are 0..1 over the line
     match word.paint {
         Paint::Plain(_) => {}
         Paint::Bytes(bottom, top) => {
@@ -149,7 +150,7 @@ fn add_word(document: &mut Document, word: &Word) {
     document.add_node(node);
 }
 
-/// The rail below a word, flush with its front.
+/// Adds the rail below a word. The fronts of rail and word are in one plane.
 fn add_rail(document: &mut Document, word: &Word, material: usize) {
     let front = word.corner.z;
     let low = DVec3::new(-RAIL_HALF_WIDTH_M, word.corner.y - 0.004, front - LETTER_DEPTH_M);
@@ -157,8 +158,8 @@ fn add_rail(document: &mut Document, word: &Word, material: usize) {
     document.add_mesh_node(&format!("rail of {}", word.text), &Mesh::cuboid(low, high), material);
 }
 
-/// Graph paper over the whole wall, and two charts that share one texture through texture
-/// transforms.
+/// Adds graph paper over the whole wall, and two charts. The charts share one texture, of which
+/// each shows a part by its texture transform.
 fn add_wall_and_charts(document: &mut Document) -> Result<(), GeneratorError> {
     document.use_extension("KHR_texture_transform");
     let paper = textures::graph_paper(rgb(226, 229, 224), rgb(70, 118, 150));
@@ -175,7 +176,7 @@ fn add_wall_and_charts(document: &mut Document) -> Result<(), GeneratorError> {
         })
     };
     let (half_width, half_height) = (0.4, 0.32);
-    // One tile of graph paper is 40 mm.
+    // One repetition of the graph paper's texture is 40 mm wide.
     let wall = document.add_material(matte(
         "graph paper",
         transformed(paper, json!({ "scale": [half_width / 0.02, half_height / 0.02] })),
@@ -210,7 +211,8 @@ fn add_wall_and_charts(document: &mut Document) -> Result<(), GeneratorError> {
     Ok(())
 }
 
-/// A point light over the window's upper left and a spot from the right; intensities in candela.
+/// Adds a point light at the upper left in front of the window, and a spot light from the right.
+/// Intensities are in candela.
 fn add_lights(document: &mut Document) {
     let eye = DVec3::new(-0.35, 0.45, 0.55);
     let mut point = node_at("point light", eye, DQuat::IDENTITY);

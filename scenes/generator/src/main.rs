@@ -5,9 +5,9 @@
 //! and `dandelion/` in FOLDER (default: the repository's `scenes/`). The same source gives the same
 //! bytes on every run. The tests compare the committed files with the generator's output.
 //!
-//! Scenes are modelled at true size, 1 unit = 1 metre. They are around a window of 475.02 mm x
-//! 296.89 mm (840 x 525 pixels of 0.5655 mm). The window's centre is the origin. Each scene's
-//! camera looks at the window's centre, and its frustum at the focus distance is the window.
+//! The glTF scenes are modelled at true size, with 1 unit = 1 metre. They stand around a window of
+//! 475.02 mm x 296.89 mm (840 x 525 pixels of 0.5655 mm), whose centre is the origin. Each camera
+//! looks at the window's centre, and its frustum at the focus distance is the window.
 
 mod bitmap_font;
 mod dandelion;
@@ -76,7 +76,7 @@ fn write_scenes(folder: &Path) -> Result<usize, GeneratorError> {
     Ok(bytes)
 }
 
-/// Errors of writing the scenes.
+/// Errors while the scenes are built and written.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum GeneratorError {
     /// A texture or the sky could not be encoded.

@@ -1,14 +1,14 @@
 //! Triangle meshes with normals and texture coordinates, and the simple bodies of the scenes.
 //!
 //! Lengths are in metres, and axes are world axes (x right, y up, z to the viewer), unless a
-//! function states others. Front faces wind counter-clockwise. Texture coordinates start at an
+//! function states other axes. Front faces wind counter-clockwise. Texture coordinates are 0 at an
 //! image's top left corner, as in glTF.
 
 use std::f64::consts::{PI, TAU};
 
 use glam::{DMat4, DVec2, DVec3};
 
-/// Edges up to this length are treated as coinciding vertices at a pole.
+/// The ends of an edge up to this length are treated as one vertex, as at the pole of a sphere.
 const COLLAPSED_EDGE_M: f64 = 1e-9;
 
 /// An indexed triangle list; `texcoords` is empty or as long as `positions`.
@@ -25,11 +25,11 @@ pub(crate) struct Mesh {
 }
 
 impl Mesh {
-    /// A (columns + 1) x (rows + 1) grid of vertices from `vertex(u, v) -> (position, normal)`, u
-    /// and v in 0..1.
+    /// Makes a grid of (columns + 1) x (rows + 1) vertices. `vertex(u, v)` returns position and
+    /// normal for u and v in 0..1.
     ///
-    /// `u` runs to the right and `v` downwards in the view of the front. Cells with a collapsed
-    /// triangle (at a pole) lose that triangle.
+    /// Seen from the front, `u` rises to the right and `v` downwards. A triangle without area, as
+    /// at a pole, is omitted.
     pub(crate) fn grid(columns: u32, rows: u32, mut vertex: impl FnMut(f64, f64) -> (DVec3, DVec3)) -> Self {
         let mut mesh = Self::default();
         for row in 0..=rows {
@@ -52,13 +52,14 @@ impl Mesh {
         mesh
     }
 
-    /// A flat rectangle from its top left corner and its edges to the right and down.
+    /// Makes a flat rectangle, given its top left corner and its edges to the right and down.
     pub(crate) fn rectangle(top_left: DVec3, right: DVec3, down: DVec3) -> Self {
         let normal = down.cross(right).normalize();
         Self::grid(1, 1, |u, v| (top_left + u * right + v * down, normal))
     }
 
-    /// A sphere about the origin; the seam faces -z, the texture is equirectangular.
+    /// Makes a sphere about the origin. The texture is equirectangular, and its left and right ends
+    /// join on the side that faces -z.
     pub(crate) fn sphere(radius: f64, columns: u32, rows: u32) -> Self {
         Self::grid(columns, rows, |u, v| {
             let (sin, cos) = (TAU * (u - 0.5)).sin_cos();
@@ -68,11 +69,11 @@ impl Mesh {
         })
     }
 
-    /// A body of revolution about y through a profile of (radius, height) points from top to
+    /// Makes a body of revolution about y. `profile` has points (radius, height) from top to
     /// bottom.
     ///
-    /// Every profile segment has its own flat slope, so corners stay sharp; a texture runs once
-    /// around.
+    /// Every segment of the profile has its own normals, so corners are sharp. A texture goes once
+    /// around the body.
     pub(crate) fn lathe(profile: &[(f64, f64)], columns: u32) -> Self {
         let mut mesh = Self::default();
         for segment in profile.windows(2) {
@@ -88,7 +89,7 @@ impl Mesh {
         mesh
     }
 
-    /// An axis-aligned box between two corners; every face carries the whole texture.
+    /// Makes an axis-aligned box between two corners. Every face has the whole texture.
     pub(crate) fn cuboid(low: DVec3, high: DVec3) -> Self {
         let size = high - low;
         let (x, y, z) = (DVec3::X * size.x, DVec3::Y * size.y, DVec3::Z * size.z);
@@ -115,7 +116,7 @@ impl Mesh {
         self.indices.extend(other.indices.iter().map(|index| base + index));
     }
 
-    /// The mesh under an affine map; normals transform by the inverse transpose.
+    /// Transforms the mesh by an affine map; normals are transformed by its inverse transpose.
     pub(crate) fn transformed(mut self, world_from_mesh: DMat4) -> Self {
         let normal_map = world_from_mesh.inverse().transpose();
         for position in &mut self.positions {
@@ -127,12 +128,12 @@ impl Mesh {
         self
     }
 
-    /// The mesh moved by `offset`.
+    /// Moves the mesh by `offset`.
     pub(crate) fn translated(self, offset: DVec3) -> Self {
         self.transformed(DMat4::from_translation(offset))
     }
 
-    /// The mesh with its texture coordinates multiplied.
+    /// Multiplies the texture coordinates of the mesh by `scale`.
     pub(crate) fn with_texture_scale(mut self, scale: DVec2) -> Self {
         for texcoord in &mut self.texcoords {
             *texcoord *= scale;

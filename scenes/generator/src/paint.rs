@@ -1,12 +1,12 @@
-//! Painting textures: a function of (u, v) sampled with box-filtered antialiasing, and tileable
-//! noise.
+//! Paints textures: samples a function of (u, v) with a box filter against aliasing. Also computes
+//! noise that repeats without a visible border.
 //!
-//! Colours are sRGB-encoded in 0..1 while painting. The noise is built on integer hashes, so that
-//! the same pixels come out on every machine.
+//! While a texture is painted, its colours are sRGB-encoded in 0..1. The noise comes from integer
+//! hashes, so that the pixels are the same on every machine.
 
 use std::f64::consts::TAU;
 
-/// RGBA, sRGB-encoded colour with straight alpha, 0..1.
+/// A colour as RGBA, 0..1: sRGB-encoded, and not multiplied by its alpha.
 pub(crate) type Rgba = [f64; 4];
 
 /// An 8-bit RGBA picture, rows from the top.
@@ -20,8 +20,8 @@ pub(crate) struct Picture {
     pub(crate) pixels: Vec<[u8; 4]>,
 }
 
-/// Paints `color(u, v)` (u right, v down, both 0..1), averaging `samples` x `samples` points per
-/// pixel.
+/// Paints the function `color(u, v)` (u to the right, v downwards, both 0..1). A pixel is the
+/// average of `samples` x `samples` points.
 pub(crate) fn paint(width: u32, height: u32, samples: u32, color: impl Fn(f64, f64) -> Rgba) -> Picture {
     let mut pixels = Vec::with_capacity(width as usize * height as usize);
     let step = 1.0 / f64::from(samples);
@@ -33,7 +33,7 @@ pub(crate) fn paint(width: u32, height: u32, samples: u32, color: impl Fn(f64, f
                 let u = (f64::from(column) + (i + 0.5) * step) / f64::from(width);
                 let v = (f64::from(row) + (j + 0.5) * step) / f64::from(height);
                 let value = color(u, v);
-                // colour weighted by alpha, so that transparent samples add no colour
+                // weight the colour by alpha, so that transparent samples add no colour
                 for channel in 0..3 {
                     sum[channel] += value[channel] * value[3];
                 }
@@ -51,11 +51,11 @@ pub(crate) fn paint(width: u32, height: u32, samples: u32, color: impl Fn(f64, f
     Picture { width, height, pixels }
 }
 
-/// A tangent-space normal map of `height(u, v)`, tiled; `relief` is the height, in tile
-/// widths, where `height` is 1.
+/// Paints a normal map in tangent space for a surface of the height `relief` · `height(u, v)`, in
+/// widths of the texture. The texture repeats.
 ///
-/// n ∝ (-∂h/∂x, -∂h/∂y, 1) with x to the right and y up the image, stored as (n + 1)/2 (glTF 2.0,
-/// 3.9.3).
+/// The normal is n ∝ (-∂h/∂x, -∂h/∂y, 1), with x to the right and y upwards in the image. It is
+/// stored as (n + 1)/2 (glTF 2.0, 3.9.3).
 pub(crate) fn paint_normals(size: u32, relief: f64, height: impl Fn(f64, f64) -> f64) -> Picture {
     let step = 1.0 / f64::from(size);
     paint(size, size, 1, |u, v| {
@@ -67,22 +67,23 @@ pub(crate) fn paint_normals(size: u32, relief: f64, height: impl Fn(f64, f64) ->
     })
 }
 
-/// Opaque colour from 8-bit components.
+/// Returns an opaque colour, given 8-bit components.
 pub(crate) fn rgb(red: u8, green: u8, blue: u8) -> Rgba {
     [f64::from(red) / 255.0, f64::from(green) / 255.0, f64::from(blue) / 255.0, 1.0]
 }
 
-/// Linear blend: `a` at t = 0, `b` at t = 1.
+/// Blends two colours linearly: `a` at t = 0, `b` at t = 1.
 pub(crate) fn mix(a: Rgba, b: Rgba, t: f64) -> Rgba {
     std::array::from_fn(|channel| a[channel] + t.clamp(0.0, 1.0) * (b[channel] - a[channel]))
 }
 
-/// The colour with its RGB multiplied.
+/// Multiplies red, green and blue of a colour by a factor.
 pub(crate) fn shade(color: Rgba, factor: f64) -> Rgba {
     [color[0] * factor, color[1] * factor, color[2] * factor, color[3]]
 }
 
-/// Value noise in 0..1 with `cells_u` x `cells_v` cells over the unit square, periodic on it.
+/// Returns value noise in 0..1, with `cells_u` x `cells_v` cells in the unit square. The noise
+/// repeats with the period 1 in u and v.
 pub(crate) fn noise(u: f64, v: f64, cells_u: u32, cells_v: u32, seed: u32) -> f64 {
     let (x, y) = (u.rem_euclid(1.0) * f64::from(cells_u), v.rem_euclid(1.0) * f64::from(cells_v));
     let (column, row) = (x.floor() as u32, y.floor() as u32);
@@ -94,7 +95,8 @@ pub(crate) fn noise(u: f64, v: f64, cells_u: u32, cells_v: u32, seed: u32) -> f6
     top + fy * (bottom - top)
 }
 
-/// Sum of `octaves` of [`noise`], each of half the amplitude and twice the cells; in 0..1.
+/// Returns a sum of several [`noise`] functions (octaves), scaled to 0..1. Each has half the
+/// amplitude and twice the number of cells of the previous one.
 pub(crate) fn fractal_noise(u: f64, v: f64, cells: u32, octaves: u32, seed: u32) -> f64 {
     let (mut sum, mut total) = (0.0, 0.0);
     for octave in 0..octaves {
@@ -106,7 +108,8 @@ pub(crate) fn fractal_noise(u: f64, v: f64, cells: u32, octaves: u32, seed: u32)
     sum / total
 }
 
-/// A hash of three integers as a number in 0..1 (the finalizer of MurmurHash3, Austin Appleby).
+/// Returns a hash of three integers as a number in 0..1, by the finalizer of MurmurHash3 (Austin
+/// Appleby).
 pub(crate) fn hash(x: u32, y: u32, seed: u32) -> f64 {
     let mut state = x
         .wrapping_mul(0x9E37_79B1)
@@ -120,13 +123,13 @@ pub(crate) fn hash(x: u32, y: u32, seed: u32) -> f64 {
     f64::from(state) / f64::from(u32::MAX)
 }
 
-/// True if `x` lies within `half_width` of a multiple of `period`.
+/// True if the distance of `x` from a multiple of `period` is less than `half_width`.
 pub(crate) fn ruled(x: f64, period: f64, half_width: f64) -> bool {
     let offset = x.rem_euclid(period);
     offset.min(period - offset) < half_width
 }
 
-/// cos(2π t), the building block of periodic relief.
+/// Returns cos(2π t), from which periodic reliefs are made.
 pub(crate) fn wave(turns: f64) -> f64 {
     (TAU * turns).cos()
 }

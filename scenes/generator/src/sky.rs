@@ -1,8 +1,8 @@
 //! Skies: smooth equirectangular radiance maps in Radiance HDR.
 //!
-//! Row 0 is +y (up), and the image's centre column looks along -z. u grows to the right, which is
-//! towards +x in the direction -z. So the direction of (u, v) is (sin πv · sin 2π(u - ½), cos πv,
-//! -sin πv · cos 2π(u - ½)).
+//! Row 0 of the image is +y (up), and its centre column looks along -z. In the image, u rises to
+//! the right and v downwards, both 0..1. Columns to the right of the centre turn towards +x. So the
+//! direction of (u, v) is (sin πv · sin 2π(u - ½), cos πv, -sin πv · cos 2π(u - ½)).
 
 use std::f64::consts::{PI, TAU};
 
@@ -15,19 +15,20 @@ use crate::{GeneratorError, SceneFile};
 const COLUMNS: usize = 64;
 const ROWS: usize = 32;
 
-/// A broad light in the sky: radiance `color` along `direction`, falling off as exp(-sharpness (1 -
-/// cos θ)), at the angle θ from `direction`.
+/// A broad light in the sky. At the angle θ from `direction` its radiance is `color` times
+/// exp(-sharpness (1 - cos θ)).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Glow {
     /// Unit direction from the scene to the light's middle.
     pub(crate) direction: DVec3,
-    /// Radiance added in the middle, linear RGB.
+    /// Radiance that the light adds to the sky in its middle, linear RGB.
     pub(crate) color: DVec3,
     /// A larger value makes the light narrower.
     pub(crate) sharpness: f64,
 }
 
-/// A gradient from ground over horizon to zenith with glows; linear radiance.
+/// A sky: a gradient from the ground over the horizon to the zenith, to which broad lights are
+/// added. Radiance is linear.
 #[derive(Debug, Clone)]
 pub(crate) struct Sky {
     /// Radiance straight up.
@@ -44,7 +45,8 @@ impl Sky {
     /// Radiance from a unit direction.
     pub(crate) fn radiance(&self, direction: DVec3) -> DVec3 {
         let target = if direction.y >= 0.0 { self.zenith } else { self.ground };
-        // the blend is flat at horizon and poles, so that the two halves join without a kink
+        // the slope of the blend is 0 at the horizon and the poles, so that the upper and lower
+        // half join smoothly
         let t = direction.y.abs();
         let base = self.horizon.lerp(target, t * t * (3.0 - 2.0 * t));
         self.glows.iter().fold(base, |sum, glow| {
@@ -53,7 +55,7 @@ impl Sky {
         })
     }
 
-    /// The sky as a Radiance HDR file.
+    /// Encodes the sky as a Radiance HDR file.
     pub(crate) fn encode(&self, file: String) -> Result<SceneFile, GeneratorError> {
         let pixels: Vec<Rgb<f32>> = (0..ROWS * COLUMNS)
             .map(|k| {

@@ -1,7 +1,7 @@
 //! `still-life`: a glossy teapot on a checkerboard that runs through the display plane.
 //!
-//! The camera looks down by 24 degrees. Display depths run from -0.17 m (foot of the wall) to about
-//! +0.1 m (the floor at the window's lower edge).
+//! The camera looks down by 24 degrees. The depths of the content on the display are -0.17 m (the
+//! foot of the wall) to about +0.1 m (the floor at the window's lower edge).
 
 use glam::{DMat4, DQuat, DVec2, DVec3};
 use serde_json::json;
@@ -20,12 +20,12 @@ pub(crate) const WINDOW: Window = Window { pitch_rad: 24.0 * std::f64::consts::P
 
 /// Height of the floor, metres.
 const FLOOR_Y: f64 = -0.09;
-/// Display depth of the edge between floor and wall, metres.
+/// Depth of the edge between floor and wall, on the display, metres.
 const WALL_DEPTH: f64 = -0.17;
 /// Side of one check of the floor.
 const CHECK_M: f64 = 0.032;
 
-/// The scene's files.
+/// Returns the files of the scene.
 pub(crate) fn build() -> Result<Vec<SceneFile>, GeneratorError> {
     let mut document = Document::new("still-life");
     WINDOW.add_camera(&mut document);
@@ -50,7 +50,8 @@ fn sky() -> Sky {
     }
 }
 
-/// Floor and back wall, wide enough that their edges are outside all views up to 25 degrees.
+/// Adds floor and back wall. They are so wide that their edges are outside of all views up to 25
+/// degrees.
 fn add_room(document: &mut Document) -> Result<(), GeneratorError> {
     let checks = document.add_texture(jpeg("checkerboard.jpg", &textures::checkerboard())?, Wrap::Repeat);
     let paper = document.add_texture(jpeg("wallpaper.jpg", &textures::wallpaper())?, Wrap::Repeat);
@@ -66,7 +67,7 @@ fn add_room(document: &mut Document) -> Result<(), GeneratorError> {
             "baseColorTexture": { "index": paper }, "metallicFactor": 0.0, "roughnessFactor": 0.9
         }
     }));
-    // floor and wall share the edge at `corner`
+    // floor and wall share an edge, which begins at `corner`
     let wall_z = WINDOW.at(0.0, FLOOR_Y, WALL_DEPTH).z;
     let (half_width, depth) = (0.8, 1.6);
     let corner = DVec3::new(-half_width, FLOOR_Y, wall_z);
@@ -116,7 +117,8 @@ fn add_teapot(document: &mut Document) -> Result<(), GeneratorError> {
     Ok(())
 }
 
-/// Balls in front of, in and behind the display plane: one mesh per finish, scaled by its node.
+/// Adds balls in front of, in and behind the display plane. There is one mesh for each material,
+/// and a ball's node scales it.
 fn add_balls(document: &mut Document) -> Result<(), GeneratorError> {
     let stripes =
         document.add_texture(png("striped-ball.png", &textures::striped_ball(), Channels::Rgb)?, Wrap::Repeat);
@@ -141,8 +143,8 @@ fn add_balls(document: &mut Document) -> Result<(), GeneratorError> {
             "baseColorFactor": [0.86, 0.87, 0.88, 1.0], "metallicFactor": 1.0, "roughnessFactor": 0.06
         }
     });
-    // material, radius, display column and display depth of the centre, turn about the vertical in
-    // degrees
+    // Each ball has a material, a radius, position x and depth z of the centre in display axes (all
+    // in metres), and a rotation about the vertical axis in degrees.
     let balls = [
         (plastic("red plastic", [0.75, 0.06, 0.03], 0.25), 0.017, -0.115, 0.078, 0.0),
         (plastic("blue plastic", [0.04, 0.14, 0.62], 0.3), 0.023, -0.178, 0.015, 0.0),
@@ -168,7 +170,8 @@ fn add_balls(document: &mut Document) -> Result<(), GeneratorError> {
     Ok(())
 }
 
-/// Thin pins in a line from front to back: 2 mm wires with a bead on top, one mesh for all.
+/// Adds thin pins in a line from front to back. They are wires of 2 mm with a bead on top, and
+/// share one mesh.
 fn add_pins(document: &mut Document) {
     let brass = document.add_material(json!({
         "name": "brass wire",
@@ -195,7 +198,7 @@ fn add_pins(document: &mut Document) {
     }
 }
 
-/// A printed card that leans against the wall, far behind the display plane.
+/// Adds a printed card that leans against the wall, far behind the display plane.
 fn add_card(document: &mut Document) -> Result<(), GeneratorError> {
     let print = document.add_texture(png("text-card.png", &textures::text_card(), Channels::Rgb)?, Wrap::Clamp);
     let card = document.add_material(json!({
@@ -217,7 +220,7 @@ fn add_card(document: &mut Document) -> Result<(), GeneratorError> {
     let primitives =
         vec![document.primitive(&face.transformed(lean), card), document.primitive(&body.transformed(lean), board)];
     let mesh = document.add_mesh("card", primitives);
-    // the lower edge of the leaning card's back must not be below the floor
+    // lift the leaning card, so that the lower edge of its back is not below the floor
     let lift = thickness * 9f64.to_radians().sin();
     let mut node =
         node_at("card", WINDOW.at(-0.142, FLOOR_Y + lift, -0.132), DQuat::from_rotation_y(8f64.to_radians()));
@@ -226,7 +229,7 @@ fn add_card(document: &mut Document) -> Result<(), GeneratorError> {
     Ok(())
 }
 
-/// Two lamps beside and above every view: a large warm one and a cool strip.
+/// Adds two lamps, which no view shows: a large warm lamp and a narrow cool lamp.
 fn add_lights(document: &mut Document) {
     for (name, color, strength, centre, width, height) in [
         ("large lamp", [1.0, 0.93, 0.82], 7.0, DVec3::new(-0.30, 1.00, 0.38), 0.55, 0.45),
@@ -237,7 +240,7 @@ fn add_lights(document: &mut Document) {
     }
 }
 
-/// A black body with emission, so that a lamp adds light and reflects none.
+/// Returns a black material with emission, so that a lamp emits light and reflects none.
 pub(crate) fn lamp_material(name: &str, color: [f64; 3], strength: f64) -> serde_json::Value {
     json!({
         "name": name,
@@ -249,7 +252,7 @@ pub(crate) fn lamp_material(name: &str, color: [f64; 3], strength: f64) -> serde
     })
 }
 
-/// A rectangle about `centre` that faces `target`.
+/// Makes a rectangle around `centre` that faces `target`.
 pub(crate) fn lamp(centre: DVec3, target: DVec3, width: f64, height: f64) -> Mesh {
     let outward = (target - centre).normalize();
     let right = DVec3::Y.cross(outward).normalize();

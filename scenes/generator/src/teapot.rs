@@ -1,11 +1,12 @@
 //! The Utah teapot, tessellated from its Bézier patches.
 //!
-//! A bicubic patch is P(u, v) = Σ_i Σ_j B_i(v) B_j(u) p_ij with the Bernstein polynomials B of
-//! degree three. The normal is ∂P/∂u × ∂P/∂v, which points outwards on every patch of this data
-//! set.
+//! A bicubic patch is P(u, v) = Σ_i Σ_j B_i(v) B_j(u) p_ij, with control points p_ij and the
+//! Bernstein polynomials B of degree three. The normal is ∂P/∂u × ∂P/∂v, which points outwards on
+//! every patch of this data set.
 //!
-//! If all control points of a row coincide (the lid's knob, the middle of the bottom), ∂P/∂u and
-//! the cross product vanish. The limit of the normal then has the direction of ∂²P/∂u∂v × ∂P/∂v.
+//! If all control points of a row coincide (a pole: the lid's knob, the middle of the bottom),
+//! ∂P/∂u and the cross product are zero there. Then the normal has the direction of its limit,
+//! ∂²P/∂u∂v × ∂P/∂v.
 //!
 //! Source: see `teapot_data`; bicubic patches as in Farin, "Curves and Surfaces for CAGD".
 
@@ -17,21 +18,21 @@ use crate::teapot_data::{CONTROL_POINTS, PATCHES};
 /// Derivatives shorter than this, in units of the data set, are treated as zero.
 const DEGENERATE_LENGTH: f64 = 1e-9;
 
-/// Patches of the rim whose first row is the inner edge, and of the lid whose last row is the outer
-/// edge.
+/// Patches of the rim, whose first row of control points is the rim's inner edge. Patches of the
+/// lid whose last row is the lid's outer edge.
 const RIM_PATCHES: std::ops::Range<usize> = 0..4;
 const LID_EDGE_PATCHES: std::ops::Range<usize> = 24..28;
 
-/// The teapot with its foot's centre at the origin, y up and the spout towards +x. `scale` is in
-/// metres per unit of the data set (3.15 units high, 6.5 long). Each patch has `divisions` x
-/// `divisions` cells.
+/// Makes the teapot. The centre of its foot is the origin, y points up, and the spout points to +x.
+/// `scale` is in metres per unit of the data set, in which the pot is 3.15 high and 6.5 long. Each
+/// patch has `divisions` x `divisions` cells.
 ///
-/// The ring between lid and rim, open in the data set, is closed, so that the inside is hidden.
-/// Texture coordinates run over 0..1 on every patch.
+/// In the data set a ring between lid and rim is open. Here it is closed, so that the inside is not
+/// visible. Texture coordinates are 0..1 on every patch.
 pub(crate) fn teapot(divisions: u32, scale: f64) -> Mesh {
     let mut mesh = Mesh::default();
-    // Seen from outside the pot, u of a patch runs to the left and u of a grid to the right, so u
-    // is reversed.
+    // Seen from outside of the pot, u of a patch rises to the left, but u of a grid rises to the
+    // right. So reverse u.
     for patch in &PATCHES {
         let points = control_points(patch);
         mesh.append(&Mesh::grid(divisions, divisions, |u, v| {
@@ -59,7 +60,7 @@ fn y_up(point: DVec3) -> DVec3 {
     DVec3::new(point.x, point.z, -point.y)
 }
 
-/// Position and unit normal at (u, v).
+/// Returns the position and the unit normal of a patch at (u, v).
 fn evaluate(points: &[DVec3; 16], u: f64, v: f64) -> (DVec3, DVec3) {
     let blend = |along_u: [f64; 4], along_v: [f64; 4]| -> DVec3 {
         (0..16).map(|k| along_v[k / 4] * along_u[k % 4] * points[k]).sum()
@@ -69,8 +70,8 @@ fn evaluate(points: &[DVec3; 16], u: f64, v: f64) -> (DVec3, DVec3) {
     let position = blend(bu, bv);
     let mut along_u = blend(du, bv);
     if along_u.length() < DEGENERATE_LENGTH {
-        // ∂P/∂u ≈ (v - v_pole) ∂²P/∂u∂v next to the pole. No patch has its pole at v = 1, so the
-        // factor is positive and the direction the same.
+        // At a pole use the limit: next to it ∂P/∂u ≈ (v - v_pole) ∂²P/∂u∂v. No patch has its pole
+        // at v = 1, so the factor is positive, and the two vectors have the same direction.
         along_u = blend(du, dv);
     }
     (position, along_u.cross(blend(bu, dv)).normalize())
@@ -90,8 +91,8 @@ fn bernstein_derivative(t: f64) -> [f64; 4] {
 mod tests {
     use super::*;
 
-    /// Vertices of neighbouring patches that lie closer than this, in units of the data set, are
-    /// one point.
+    /// Vertices of neighbouring patches count as one point if their distance is less than this, in
+    /// units of the data set.
     const WELD_DISTANCE: f64 = 1e-6;
     /// Smallest cosine between a vertex normal and the normal of a face at that vertex.
     /// Neighbouring faces of 12 x 12 cells differ by less than 60 degrees, even at the tight ends
@@ -159,15 +160,15 @@ mod tests {
 
     #[test]
     fn body_rim_lid_and_bottom_are_closed() {
-        // Every edge of these patches, welded, is shared by two triangles: the outer body has no
-        // holes.
+        // If coinciding vertices count as one, two triangles share every edge of these patches. So
+        // the outer body has no holes.
         let mesh = teapot(5, 1.0);
         let per_patch = 36;
         let weld = |index: u32| (mesh.positions[index as usize] / WELD_DISTANCE).round().to_array().map(|x| x as i64);
         let mut edges = std::collections::HashMap::new();
         for corners in mesh.indices.chunks_exact(3) {
             if (12..20).contains(&(corners[0] / per_patch)) {
-                continue; // handle and spout pierce the body instead of joining it
+                continue; // handle and spout intersect the body, and share no edges with it
             }
             for k in 0..3 {
                 let (a, b) = (weld(corners[k]), weld(corners[(k + 1) % 3]));

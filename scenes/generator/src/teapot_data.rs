@@ -2,9 +2,9 @@
 //!
 //! Source: Martin Newell's data set of 1975 (University of Utah), in its common form. It has 32
 //! bicubic Bézier patches over 306 control points. The height of the original is divided by 1.3
-//! (Jim Blinn's rescaling). The four bottom patches are Frank Crow's (1987); the original has none.
-//! The z axis is up; the pot stands on z = 0 and is 3.15 units high. The spout points to +x, the
-//! handle to -x.
+//! (Jim Blinn's rescaling). The four patches of the bottom are Frank Crow's (1987); the original
+//! has no bottom. The z axis points up; the pot stands on z = 0 and is 3.15 units high. The spout
+//! points to +x, the handle to -x.
 
 /// Control points `[x, y, z]` in units of the data set.
 pub(crate) const CONTROL_POINTS: [[f64; 3]; 306] = [
@@ -316,10 +316,10 @@ pub(crate) const CONTROL_POINTS: [[f64; 3]; 306] = [
     [1.425, -0.798, 0.0],
 ];
 
-/// One bicubic patch per row: 4 x 4 indices into [`CONTROL_POINTS`], u along a row of four, v
-/// across rows.
+/// Every line is a bicubic patch: 4 x 4 indices into [`CONTROL_POINTS`], in four rows of four. u
+/// rises along a row, and v from row to row.
 ///
-/// Rim 0-3, body 4-11, handle 12-15, spout 16-19, lid 20-27, bottom 28-31.
+/// The patches are: rim 0-3, body 4-11, handle 12-15, spout 16-19, lid 20-27, bottom 28-31.
 pub(crate) const PATCHES: [[u16; 16]; 32] = [
     [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15],
     [3, 16, 17, 18, 7, 19, 20, 21, 11, 22, 23, 24, 15, 25, 26, 27],

@@ -1,5 +1,5 @@
-//! Textures of the scenes. A picture that tiles repeats without a seam. The comment of each
-//! function states its content and, if fixed, its scale.
+//! Textures of the scenes. "It tiles" means that a picture repeats without a visible border. The
+//! comment of each function states the picture's content and, if fixed, its scale.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -9,7 +9,8 @@ use crate::paint::{Picture, Rgba, fractal_noise, hash, mix, noise, paint, paint_
 /// Number of checks along each side of [`checkerboard`].
 pub(crate) const CHECKS_PER_TILE: u32 = 8;
 
-/// Checkerboard of two stones with grain, inlaid lines and a small star in every check; it tiles.
+/// A checkerboard of two stones with grain. Every check has inlaid lines and a small star. It
+/// tiles.
 pub(crate) fn checkerboard() -> Picture {
     let (ivory, slate) = (rgb(228, 218, 196), rgb(58, 74, 88));
     paint(1024, 1024, 3, |u, v| {
@@ -20,7 +21,7 @@ pub(crate) fn checkerboard() -> Picture {
         let from_middle = across.abs().max(along.abs());
         let diamond = across.abs() + along.abs();
         if from_middle > 0.488 {
-            return shade(slate, 0.55); // joint
+            return shade(slate, 0.55); // the joint between two checks
         }
         if (0.392..0.41).contains(&from_middle) || (0.13..0.15).contains(&diamond) || diamond < 0.05 {
             return mix(base, inlay, 0.75);
@@ -32,7 +33,7 @@ pub(crate) fn checkerboard() -> Picture {
     })
 }
 
-/// Wallpaper: stripes with a woven thread, and a small flower at each point of a lattice; it tiles.
+/// Wallpaper: stripes with a woven thread, and a small flower at each point of a lattice. It tiles.
 pub(crate) fn wallpaper() -> Picture {
     let (ground, stripe, flower) = (rgb(96, 128, 132), rgb(116, 147, 146), rgb(205, 205, 178));
     paint(1024, 1024, 3, |u, v| {
@@ -65,7 +66,8 @@ const CARD_TEXT: [&str; 8] = [
     "PRODUCTS: A TENSOR OF LOW RANK.",
 ];
 
-/// A printed card, 3 : 2; one dot of its small letters is 3 pixels of 768.
+/// A printed card with the proportions 3 : 2. A dot of its small letters is 3 pixels wide; the card
+/// has 768 columns.
 pub(crate) fn text_card() -> Picture {
     let (paper, ink, red) = (rgb(240, 235, 220), rgb(34, 34, 48), rgb(176, 42, 36));
     paint(768, 512, 1, |u, v| {
@@ -87,7 +89,7 @@ pub(crate) fn text_card() -> Picture {
         {
             return ink;
         }
-        // a strip of colour patches above a strip of ever finer bars
+        // a row of colour patches, and below it a row of bars that become finer to the right
         if (54.0..714.0).contains(&x) && (404.0..436.0).contains(&y) {
             let patches = [rgb(200, 40, 40), rgb(225, 150, 40), rgb(70, 150, 60), rgb(40, 130, 170), rgb(60, 60, 150)];
             return patches[((x - 54.0) / 132.0) as usize];
@@ -100,7 +102,8 @@ pub(crate) fn text_card() -> Picture {
     })
 }
 
-/// Beach ball: twelve meridian stripes and thin parallels, equirectangular.
+/// A beach ball as an equirectangular picture: twelve stripes along meridians, and thin lines along
+/// parallels.
 pub(crate) fn striped_ball() -> Picture {
     let (white, red, blue) = (rgb(236, 232, 224), rgb(190, 50, 40), rgb(40, 80, 150));
     paint(512, 256, 3, |u, v| {
@@ -150,12 +153,12 @@ pub(crate) fn resolution_charts() -> Picture {
         if !right_half {
             let (radius, angle) = ((x - 0.5).hypot(y - 0.5), (y - 0.5).atan2(x - 0.5));
             let ring = (0.445..0.455).contains(&radius);
-            // the small offset keeps sector borders off the pixel diagonals
+            // with this small offset no border of a sector lies on a diagonal of pixels
             let sector = (36.0 * (angle / TAU + 1.001)).fract() < 0.5;
             return ink(ring || (radius < 0.43 && radius > 0.01 && sector));
         }
-        // 4 x 4 fields: upright pairs, level pairs, checks and slanted pairs, each row finer than
-        // the row above it
+        // The right chart has 4 x 4 fields. Its columns have vertical line pairs, horizontal line
+        // pairs, checks and slanted line pairs. Each row is finer than the row above it.
         let (column, row) = ((x * 4.0).floor(), (y * 4.0).floor());
         let (a, b) = ((x * 4.0).fract(), (y * 4.0).fract());
         if a.min(b).min(1.0 - a).min(1.0 - b) < 0.1 {
@@ -172,8 +175,8 @@ pub(crate) fn resolution_charts() -> Picture {
     })
 }
 
-/// Height of the glazed tiles of [`tile_colors`] and [`tile_normals`]: two bevelled tiles each way
-/// with a raised ripple around the middle; the unit is arbitrary.
+/// Height of the glazed tiles of [`tile_colors`] and [`tile_normals`], in an arbitrary unit. The
+/// picture has 2 x 2 bevelled tiles, each with a raised ripple around its middle.
 fn tile_height(u: f64, v: f64) -> f64 {
     let (across, along) = ((2.0 * u).rem_euclid(1.0) - 0.5, (2.0 * v).rem_euclid(1.0) - 0.5);
     let edge = (0.5 - across.abs().max(along.abs())) / 0.05;
@@ -188,7 +191,7 @@ pub(crate) fn tile_normals() -> Picture {
     paint_normals(512, 0.012, tile_height)
 }
 
-/// Colour of the glazed tiles: two glazes with brush marks, a painted ring and dark joints; it
+/// Colours of the glazed tiles: two glazes with brush marks, a painted ring and dark joints. It
 /// tiles.
 pub(crate) fn tile_colors() -> Picture {
     let (cream, teal, joint) = (rgb(214, 206, 186), rgb(74, 126, 128), rgb(70, 66, 62));
@@ -209,8 +212,8 @@ pub(crate) fn tile_colors() -> Picture {
     })
 }
 
-/// A screen of leaves on a lattice: alpha 1 on the leaves and bars, 0 between (for alpha mode
-/// MASK); it tiles.
+/// A screen of leaves on a lattice, for the alpha mode MASK. Alpha is 1 on leaves and bars, and 0
+/// between them. It tiles.
 pub(crate) fn leaf_screen() -> Picture {
     let (leaf, vein, bar) = (rgb(64, 110, 48), rgb(138, 168, 84), rgb(92, 70, 44));
     paint(256, 256, 4, |u, v| {
@@ -231,7 +234,8 @@ pub(crate) fn leaf_screen() -> Picture {
     })
 }
 
-/// Stained glass: clear colours of different alpha in lead lines (for alpha mode BLEND).
+/// Stained glass, for the alpha mode BLEND: coloured panes with different alpha, separated by lead
+/// lines.
 pub(crate) fn stained_glass() -> Picture {
     let lead = rgb(24, 24, 26);
     let panes = [rgb(200, 40, 50), rgb(240, 180, 30), rgb(30, 120, 200), rgb(40, 160, 90)];
@@ -250,7 +254,7 @@ pub(crate) fn stained_glass() -> Picture {
     })
 }
 
-/// Both sides of the paper ribbon: ruled music with notes, and a fine line along the edges.
+/// The print on both sides of the paper ribbon: staves with notes, and a fine line along the edges.
 pub(crate) fn sheet_music() -> Picture {
     let (paper, ink) = (rgb(238, 230, 208), rgb(30, 28, 34));
     paint(1024, 256, 2, |u, v| {
@@ -267,7 +271,7 @@ pub(crate) fn sheet_music() -> Picture {
         {
             return ink;
         }
-        // two staves of five lines, 12 pixels apart
+        // draw two staves of five lines; the lines are 12 pixels apart
         for (stave, top) in [(0u32, 90.0), (1, 178.0)] {
             let line = y - top;
             if (-1.0..49.0).contains(&line) && ruled(line, 12.0, 1.0) {

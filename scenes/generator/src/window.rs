@@ -1,17 +1,19 @@
-//! The display's window, the camera that frames it, and placement by display depth.
+//! The display's window, the camera whose picture is the window, and positions of objects by their
+//! depth on the display.
 //!
-//! Display axes: x right, y up, z to the viewer; the window is z = 0 with its centre at the origin.
-//! A scene with a floor tilts the camera down by `pitch_rad`, so that parallel views see the floor
-//! from above. Then `world_from_display` is the rotation by -pitch about x. World y is up.
+//! Display axes are x to the right, y up, z to the viewer. The window is z = 0 with its centre at
+//! the origin. In a scene with a floor, the camera looks down by `pitch_rad`, so that parallel
+//! views show the floor from above. `world_from_display` is the rotation by -`pitch_rad` about x.
+//! World y is up.
 
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
 
 use crate::gltf_document::{Document, rounded};
 
-/// The window's size in metres: 840 x 525 pixels of 0.5655 mm.
+/// Width of the window in metres: 840 pixels of 0.5655 mm.
 pub(crate) const WINDOW_WIDTH_M: f64 = 840.0 * 0.5655e-3;
-/// See [`WINDOW_WIDTH_M`].
+/// Height of the window in metres: 525 pixels of 0.5655 mm.
 pub(crate) const WINDOW_HEIGHT_M: f64 = 525.0 * 0.5655e-3;
 
 /// The window's orientation in the world, and its camera.
@@ -29,8 +31,8 @@ impl Window {
         DMat3::from_rotation_x(-self.pitch_rad)
     }
 
-    /// The world point at height `y_m`, display column `x_m` and display depth `depth_m` (positive
-    /// = in front).
+    /// Returns the world point with the height `y_m` above the window's centre, the position `x_m`
+    /// to its right, and the depth `depth_m` on the display (above 0 in front).
     pub(crate) fn at(&self, x_m: f64, y_m: f64, depth_m: f64) -> DVec3 {
         let (sin, cos) = self.pitch_rad.sin_cos();
         DVec3::new(x_m, y_m, (depth_m - y_m * sin) / cos)

@@ -17,16 +17,16 @@ export interface Preset {
 const SLIDERS = ["layers", "gap_mm", "frames", "brightness"] as const;
 type Key = (typeof SLIDERS)[number];
 
-/** The choices of detail: columns of the light field, and the text that names them. */
+/** The choices of detail: the number of columns of the light field, and the choice's text. */
 const DETAILS: readonly [number, string][] = [
   [96, "Quick, 96 columns"],
   [160, "Normal, 160 columns"],
   [240, "Fine, 240 columns"],
   [420, "Finest, 420 columns"],
 ];
-/** Keys of the address that set the effort, with their names in a job file. */
+/** Keys of the address that set the solver's effort; a job file has the same keys. */
 const EFFORT = ["zone_samples", "iterations"] as const;
-/** Largest number of frames that a preset sets. The page solves with one thread, so more are slow. */
+/** Largest number of frames that a preset sets. The page solves with one thread, so more frames would be slow. */
 const FRAMES = 6;
 const DEFAULT = "paper-three-layer";
 
@@ -68,12 +68,12 @@ export class Choice {
     this.words();
   }
 
-  /** The choice as JSON for the solver, without values that equal the preset's. */
+  /** The choice as JSON for the solver, without values that equal those of the preset. */
   get settings(): string {
     const { about } = this.preset;
     const own = { layers: about.layers, gap_mm: about.gap_mm, frames: about.frames, brightness: about.brightness };
     const changed = SLIDERS.filter((key) => Math.abs(this.value(key) - own[key]) > 1e-6);
-    // A single layer has no gap.
+    // A display with a single layer has no gap.
     const given = changed.filter((key) => key !== "gap_mm" || this.value("layers") > 1);
     const effort = EFFORT.filter((key) => Number(this.asked.get(key)) > 0).map((key) => [key, Number(this.asked.get(key))]);
     return JSON.stringify({

@@ -4,7 +4,7 @@ import { Problem } from "../problem.js";
 import scenes from "./scenes.json";
 
 export interface Input {
-  /** Each file's path and content. The solver's thread reads the content, not the page. */
+  /** Path and content of each file. The solver's thread, not the page, reads the content. */
   files: [path: string, content: Blob][];
   /** Path of the scene, or of the light field's file or folder. */
   path: string;
@@ -14,13 +14,13 @@ export interface Input {
   builtIn?: string;
 }
 
-/** The scenes that come with the page. Their files are in `scenes/NAME/`; the first is the scene. */
+/** The scenes that come with the page. Their files are in `scenes/NAME/`; the first file is the scene's main file. */
 export const SCENES: Readonly<Record<string, { title: string; files: readonly string[] }>> = scenes;
 
 /** Largest size of the input. The solver's module has at most 4 GiB of memory for all its data. */
 const MOST_BYTES = 600e6;
 const MODEL = /\.(glb|gltf|ply|spz|sog)$/i;
-/** Files of light fields. `lightfield.json` is the index of a folder that the command wrote. */
+/** Pattern of files of light fields. `lightfield.json` is the index of a folder that the command wrote. */
 const FIELD = /\.(png|jpe?g|webp|hdr|exr|npy)$|(^|\/)lightfield\.json$/i;
 const WANTED = "Drop a .glb, a .gltf with its files, a capture (.ply, .spz, .sog), a quilt, an .npy, or a folder of views.";
 
@@ -43,16 +43,16 @@ export function dropped(files: ReadonlyMap<string, File>): Input | undefined {
   if (path === undefined) return undefined;
   const base = path.replace(/[^/]*$/, "");
   const beside = paths.filter((other) => other.startsWith(base));
-  // Only .gltf and meta.json refer to other files.
+  // Only .gltf and meta.json refer to other files; all other scenes are single files.
   const needed = /\.(gltf|json)$/i.test(path) ? beside : [path];
   return { ...held(files, needed, base, path), isField: false };
 }
 
 /**
- * Finds a light field among dropped files. It is a single file, or the folder that contains its
- * index, or the folder that contains all its pictures. The solver determines its kind. Returns
- * undefined if no file has the extension of a light field.
- */
+* Finds a light field among dropped files. A light field is a single file, a folder with an index
+* file, or a folder of pictures. The solver determines its kind. Returns undefined if no file has
+* the extension of a light field.
+*/
 export function droppedField(files: ReadonlyMap<string, File>): Input | undefined {
   const paths = [...files.keys()].filter((path) => FIELD.test(path)).sort((a, b) => depth(a) - depth(b) || a.localeCompare(b));
   if (paths.length === 0) return undefined;
@@ -70,7 +70,7 @@ function common(a: string[], b: string[]): string[] {
   return end < 0 ? a : a.slice(0, end);
 }
 
-/** Takes the needed files, and removes the folder `base` from their paths. */
+/** Returns the needed files, without the folder `base` in their paths. Throws a Problem if they are too large. */
 function held(files: ReadonlyMap<string, File>, needed: readonly string[], base: string, path: string): Pick<Input, "files" | "path" | "title"> {
   const bytes = needed.reduce((sum, name) => sum + files.get(name)!.size, 0);
   if (bytes > MOST_BYTES) {

@@ -1,5 +1,5 @@
-// The page that solves: another thread computes patterns of a scene or light field, and the viewer
-// shows intermediate patterns meanwhile.
+// The page that solves: another thread computes patterns for a scene or light field. Until it has
+// ended, the viewer shows its intermediate patterns.
 import type { LumistackViewer } from "../element.js";
 import { download, videoFormat } from "../capture.js";
 import { filesByName, filesOf } from "../drop.js";
@@ -9,7 +9,7 @@ import { builtIn, dropped, droppedField, nothing, SCENES, type Input } from "./i
 import { Solver } from "./solver.js";
 import type { State, SolverMessage, SolverRequest } from "./worker.js";
 
-/** Milliseconds for which the chosen display must stay unchanged before it is solved. */
+/** Time without a change of the settings after which a solve begins, milliseconds. */
 const SETTLE_MS = 300;
 
 const at = <T extends HTMLElement>(id: string): T => document.getElementById(id) as T;
@@ -20,13 +20,13 @@ const choice = new Choice(displayChanged);
 let input: Input | undefined;
 let paused = false;
 let settling: ReturnType<typeof setTimeout> | undefined;
-/** The newest patterns that are not shown yet. They wait until the viewer shows the previous ones. */
+/** The newest patterns that are not yet shown. They wait until the viewer shows the previous patterns. */
 let next: Extract<SolverMessage, { kind: "stack" }> | undefined;
 let showing = false;
 let stage: State["stage"] | undefined;
-/** True while a quilt or a video is saved; new patterns are shown only after that. */
+/** True while a quilt or a video is saved; new patterns are shown only afterwards. */
 let saving = false;
-/** Number of the newest call of `solve`; earlier calls end when they see a newer one. */
+/** Number of the newest call of `solve`. An earlier call ends if it finds a higher number than its own. */
 let load = 0;
 
 async function solve(get: () => Promise<Input | undefined>): Promise<void> {
@@ -39,7 +39,7 @@ async function solve(get: () => Promise<Input | undefined>): Promise<void> {
     paused = false;
     document.title = `${found.title} – Lumistack`;
     performance.mark("lumistack-solve");
-    // `input` keeps the files, so that a new thread can read them if this one ends.
+    // `input` keeps the files, so that a new thread can read them if the current thread ends.
     solver.ask(request(found));
     buttons(true);
   } catch (error) {
@@ -79,7 +79,7 @@ function receive(what: SolverMessage): void {
   }
 }
 
-/** Shows patterns one after another. If several arrive meanwhile, only the newest are shown next. */
+/** Shows patterns one after another. If several arrive while patterns are loaded, only the newest are shown next. */
 async function show(): Promise<void> {
   if (showing || saving) return;
   showing = true;
@@ -91,7 +91,7 @@ async function show(): Promise<void> {
       at("empty").hidden = true;
       await viewer.showStack(stack.json, stack.codes);
       tell(JSON.parse(stack.json) as { title: string; caption: string });
-      // Wait until the picture is drawn, since the mark below states when it became visible.
+      // Wait until the picture is drawn, since this performance mark states when it became visible.
       await viewer.ready;
       if (performance.getEntriesByName("lumistack-first-patterns").length === 0) performance.mark("lumistack-first-patterns");
     }
@@ -112,7 +112,8 @@ function tell({ title, caption }: { title: string; caption: string }): void {
   const name = document.createElement("strong");
   name.textContent = title;
   at("caption").replaceChildren(name, ` ${caption}`);
-  // With its own controls (without the attribute "plain") the viewer shows them itself.
+  // Without the attribute "plain" the viewer has its own controls, and shows title and caption
+  // itself.
   at("caption").hidden = !viewer.hasAttribute("plain");
 }
 
@@ -149,7 +150,7 @@ function refuse({ message, advice }: Problem): void {
   buttons(false);
 }
 
-/** Sets the button that stops and continues the work; `working` is false after the work. */
+/** Sets the button that stops and continues the work. `working` is false after the end of the work. */
 function buttons(working: boolean): void {
   const pause = at<HTMLButtonElement>("pause");
   pause.disabled = !working;
@@ -160,7 +161,7 @@ function buttons(working: boolean): void {
   }
 }
 
-/** Saves a quilt or a video of the current patterns by `make`. They stay the same meanwhile. */
+/** Saves a quilt or a video of the current patterns by `make`. New patterns are shown only afterwards. */
 async function save(id: "quilt" | "turn", make: () => Promise<void>): Promise<void> {
   const button = at<HTMLButtonElement>(id);
   const { textContent: text } = button;
@@ -252,8 +253,8 @@ for (const kind of ["dragenter", "dragover", "dragleave", "drop"] as const) {
   );
 }
 
-// Without a scene in the address, start the thread for its presets, so that the user can choose a
-// display.
+// Solve the scene that the address names. Otherwise only start the thread: it sends the presets, so
+// that the user can choose a display.
 const wanted = new URLSearchParams(location.hash.slice(1)).get("scene");
 if (wanted) void solve(() => builtIn(wanted));
 else solver.start().catch((error: unknown) => refuse(problemOf(error, "Load this page again.")));

@@ -3,25 +3,25 @@
 import type { SolverRequest, SolverMessage } from "./worker.js";
 import WORKER from "worker:./worker.ts";
 
-/** The program of the thread. */
+/** The thread's program: a script and a WebAssembly module. */
 interface Program {
   module: WebAssembly.Module;
   script: string;
-  /** Why no graphics processor solves; undefined if one does. */
+  /** The reason why no graphics processor solves; undefined if a graphics processor solves. */
   obstacle: string | undefined;
 }
 
 /** `device` in the page's address: `cpu`, or `gpu`, which also accepts an adapter in software. */
 const DEVICE = new URLSearchParams(location.hash.slice(1)).get("device");
-/** The part of WebGPU that the page uses. The types of this compiler do not contain it yet. */
+/** The part of WebGPU that the page uses. TypeScript's own types do not yet contain WebGPU. */
 type Gpu = { requestAdapter(): Promise<{ info: { isFallbackAdapter: boolean } } | null> };
 
-/** Finds out why no graphics processor can solve; returns undefined if one can. */
+/** Returns the reason why no graphics processor can solve; undefined if a graphics processor can solve. */
 async function obstacleOf(): Promise<string | undefined> {
   if (DEVICE === "cpu") return "the address of this page asks for it";
   const { gpu } = navigator as { gpu?: Gpu };
   if (!gpu) return "this browser has no WebGPU";
-  // The module is suspended while it waits for the graphics processor.
+  // The browser must be able to suspend the module while it waits for the graphics processor.
   if (!("Suspending" in WebAssembly && "JSTag" in WebAssembly)) return "this browser cannot suspend WebAssembly";
   const adapter = await gpu.requestAdapter().catch(() => null);
   if (!adapter) return "this browser offers no graphics processor";
@@ -63,12 +63,12 @@ export class Solver {
   private worker: Worker | undefined;
   /** Resolves when the thread has sent its presets. */
   private ready: Promise<void> = Promise.resolve();
-  /** Why no graphics processor solves; undefined if one does, or before the start. */
+  /** The reason why no graphics processor solves; undefined if one solves, or before the start. */
   obstacle: string | undefined;
 
   constructor(private readonly receive: (what: SolverMessage) => void) {}
 
-  /** True if the thread has been started and has not ended. */
+  /** True while the thread runs. */
   get runs(): boolean {
     return this.worker !== undefined;
   }

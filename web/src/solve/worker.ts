@@ -1,7 +1,7 @@
-// The thread that solves. It works in short turns and handles messages between them, so that the
-// page can stop it at any time.
+// The thread that solves. It works in short turns. Between two turns it handles messages, so that
+// the page can stop it at any time.
 import * as decoders from "../../pkg/lumistack_web_decoders.js";
-// In solve-gpu.js this is the module with WebGPU (see build.mjs).
+// For solve-gpu.js, build.mjs replaces this module by the module with WebGPU.
 import { Dropped, initSync, presets, Solver } from "../../pkg/lumistack_web_solver.js";
 import type { Solver as DeviceSolver } from "../../pkg/lumistack_web_solver_gpu.js";
 
@@ -52,14 +52,14 @@ function ready(): typeof decoders {
 }
 
 /**
- * Returns true if an error means that a module stopped. A module stops if its memory is exhausted,
- * and a decoder also on damaged content that it does not detect.
- */
+* Returns true if an error means that a module stopped. Every module stops if its memory is
+* exhausted. The module of decoders also stops on some damaged content.
+*/
 function stopped(error: unknown): boolean {
   return error instanceof WebAssembly.RuntimeError || error instanceof RangeError;
 }
 
-// The solver's module imports these functions.
+// The solver's module calls these functions.
 Object.assign(globalThis, {
   lumistack_decoders: {
     answer(request: Uint8Array): Uint8Array | undefined {
@@ -84,7 +84,7 @@ Object.assign(globalThis, {
   },
 });
 
-/** Least duration of a turn of work, and least time between two reports of progress, ms. */
+/** Shortest duration of a turn of work, and shortest time between two reports of progress, ms. */
 const TURN_MS = 25;
 const REPORT_MS = 100;
 
@@ -101,15 +101,15 @@ let shown = 0;
 let reported = 0;
 let warnings: string[] = [];
 
-// A turn ends with a message that starts the next turn. Timers would be slower: browsers delay each
-// by four milliseconds after five in a row.
+// A turn ends with a message that starts the next turn. Timers would be slower: after five timers
+// in a row, browsers delay each further timer by four milliseconds.
 const turns = new MessageChannel();
 turns.port1.onmessage = () => enqueue(turn);
 
 /**
- * The newest turn or message. Each waits for the one before it, since a solver accepts no call
- * while it waits for a graphics processor.
- */
+* The promise of the newest turn or message. Each turn or message waits for the previous one, since
+* a solver accepts no call while it waits for a graphics processor.
+*/
 let last = Promise.resolve();
 let waiting = 0;
 
@@ -136,7 +136,8 @@ async function turn(): Promise<void> {
 function report(patterns: boolean): void {
   if (!solver) return;
   reported = performance.now();
-  // The patterns come first: when the page reads the last state, it already has the last patterns.
+  // Send the patterns before the state: when the page reads the last state, it already has the last
+  // patterns.
   if (patterns) {
     const codes = solver.codes() as Uint8Array<ArrayBuffer>;
     send({ kind: "stack", json: solver.preview(title), codes }, [codes.buffer]);
@@ -228,7 +229,7 @@ onmessage = ({ data }: MessageEvent<SolverRequest>) =>
         ({ title, settings } = data);
         return void begin(data);
       case "change":
-        // While files are read there is no solver. It will start with the newest settings.
+        // While files are read there is no solver. The solver will start with the newest settings.
         ({ settings } = data);
         paused = false;
         if (!solver) return;

@@ -46,7 +46,7 @@ pub(super) fn read_commands(mut lines: impl BufRead, requests: &Requests, json: 
 }
 
 fn carry_out(line: &str, requests: &Requests) -> Result<(), String> {
-    // parse the whole line first, so that a wrong line changes nothing
+    // Parse the whole line first, so that a wrong line changes nothing.
     for command in commands_of(line)? {
         match command {
             Command::Set(keys) => requests.set(&keys).map_err(|error| error.to_string())?,
@@ -93,7 +93,7 @@ fn commands_of(line: &str) -> Result<Vec<Command>, String> {
 pub(super) fn read_packets(socket: &UdpSocket, centre_mm: [f64; 3], requests: &Requests, task: Task<'_>) {
     let mut packet = [0; 512];
     while !(requests.is_stopped() || task.cancel.is_cancelled()) {
-        // the socket has a timeout, so that the loop notices the end
+        // The socket has a timeout, so that the loop notices the end.
         let Ok(length) = socket.recv(&mut packet) else { continue };
         let seen = head_of_packet(&packet[..length], centre_mm).and_then(|head_mm| requests.see(&[head_mm]));
         if let Err(error) = seen {
@@ -125,7 +125,7 @@ mod tests {
             (2, Some(0.3), Some(2), Some(1.5))
         );
         assert_eq!(requests.job(), request.job);
-        // a changed job file keeps the keys that commands have set
+        // A changed job file keeps the keys that commands have set.
         let mut other = self::requests().job();
         other.seed = 9;
         requests.replace(other).unwrap();

@@ -84,7 +84,7 @@ impl<'a> Guest<'a> {
     }
 }
 
-/// The files of a state.
+/// A state's files, encoded for the page.
 #[derive(Clone)]
 struct Made {
     number: u64,
@@ -131,7 +131,7 @@ impl<'a> PageFeed<'a> {
     }
 
     fn newest(&self) -> Option<Made> {
-        // one thread encodes the state, and the lock makes other threads wait for the result
+        // One thread encodes the state. The lock makes other threads wait for its result.
         let mut made = lock(&self.made);
         let known = made.as_ref().map_or(0, |made| made.number);
         if let Some((number, state)) = self.states.after(known) {
@@ -178,7 +178,8 @@ impl Feed for PageFeed<'_> {
         let asked = Asked::of(query);
         let deadline = now() + PATIENCE;
         while !self.stopped.load(Ordering::SeqCst) && now() < deadline {
-            // a page of an earlier run may send a number above the newest
+            // A page of an earlier run may send a number above the newest one. Every state is then
+            // new to the page.
             let known = self.states.after(0).is_some_and(|(newest, _)| newest < asked.number);
             let is_newer = self.states.wait_after(if known { 0 } else { asked.number }, LOOK).is_some();
             let message = self.messages.newest();

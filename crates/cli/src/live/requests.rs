@@ -26,10 +26,10 @@ pub(super) struct Requests {
     /// The newest request.
     pub(super) newest: Mailbox<Request>,
     tracker: Mutex<Tracker>,
-    /// Cancels the running pass, which a newer request makes useless.
+    /// Cancels the running pass, whose light field is useless after a newer request.
     pass: Mutex<Option<Cancel>>,
     stopped: AtomicBool,
-    /// The end of standard input also stops the display.
+    /// True if the end of standard input also stops the display.
     stops_at_end: AtomicBool,
 }
 
@@ -52,7 +52,7 @@ impl Requests {
         }
     }
 
-    /// The current job.
+    /// Returns the current job.
     pub(super) fn job(&self) -> Job {
         lock(&self.request).request.job.clone()
     }
@@ -98,7 +98,7 @@ impl Requests {
         lock(&self.tracker).clone()
     }
 
-    /// Returns a flag for a new pass; the next request cancels it.
+    /// Returns the cancel flag of a new pass. The next request sets this flag.
     pub(super) fn pass(&self) -> Cancel {
         let cancel = Cancel::default();
         *lock(&self.pass) = Some(cancel.clone());
@@ -152,7 +152,7 @@ pub(super) struct Once<'a> {
 pub(super) struct Messages(Mailbox<String>);
 
 impl Messages {
-    /// Number and text of the message; the number is 0 before the first message.
+    /// Returns the number and the text of the message; the number is 0 before the first message.
     pub(super) fn newest(&self) -> (u64, Arc<String>) {
         self.0.after(0).unwrap_or_default()
     }
@@ -176,7 +176,7 @@ impl<'a> Once<'a> {
 
 impl Warnings for Once<'_> {
     fn warn(&self, warning: Warning) {
-        // on the page, errors of the live display itself need no place in front of the message
+        // On the page, errors of the live display itself need no place in front of the message.
         let is_own = warning.place == "live";
         self.messages.say(if is_own { warning.message.clone() } else { warning.to_string() });
         let mut seen = lock(&self.seen);

@@ -14,7 +14,7 @@ type FileStates = Vec<(PathBuf, FileState)>;
 #[derive(Default)]
 pub(super) struct Watched {
     seen: BTreeMap<PathBuf, FileStates>,
-    /// The states after a change that may be incomplete.
+    /// States of the files after a change that may still be incomplete.
     moving: Option<BTreeMap<PathBuf, FileStates>>,
 }
 
@@ -32,7 +32,8 @@ impl Watched {
             self.moving = None;
             return false;
         }
-        // a file that a program replaces is missing for a short time
+        // A program that replaces a file removes it for a short time, so a missing file means that
+        // the change is incomplete.
         let is_whole = now.values().flatten().all(|(_, states)| states.is_some());
         if is_whole && self.moving.as_ref() == Some(&now) {
             (self.seen, self.moving) = (now, None);
@@ -43,8 +44,8 @@ impl Watched {
     }
 }
 
-/// States at an earlier time, as far as they are known: `None` for files that were written after
-/// that time.
+/// Returns the states that files had at a given earlier time. The state is `None` for files that
+/// were written later.
 fn states_at(states: &FileStates, time: SystemTime) -> FileStates {
     let is_old = |modified: &Option<SystemTime>| modified.is_none_or(|modified| modified <= time);
     let at = |state: &FileState| state.filter(|(_, modified)| is_old(modified));
@@ -79,16 +80,16 @@ mod tests {
         assert_eq!(look(), [false; 3]);
         std::fs::write(file, "22").unwrap();
         assert_eq!(look(), [false, true, false]);
-        // a file that is replaced is missing for a short time
+        // The file is missing for a short time while a program replaces it.
         std::fs::remove_file(file).unwrap();
         assert_eq!(look(), [false; 3]);
         std::fs::write(file, "333").unwrap();
         assert_eq!(look(), [false, true, false]);
         std::fs::write(views.join("view_00_00.exr"), "v").unwrap();
         assert_eq!(look(), [false, true, false]);
-        // a shorter list of files is no change
+        // A call with fewer files than the last call reports no change.
         assert!(!watched.have_changed(&paths[..1], read) && !watched.have_changed(&paths[..1], read));
-        // a file has changed if it was written after the program began to read it
+        // A file has changed if it was written after the program began to read it.
         let mut late = Watched::default();
         let before = read.checked_sub(std::time::Duration::from_secs(60)).unwrap();
         assert_eq!([0; 3].map(|_| late.have_changed(&paths, before)), [false, true, false]);

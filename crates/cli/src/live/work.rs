@@ -38,12 +38,13 @@ pub(super) struct SolveRequest {
 /// Values that the threads share.
 pub(super) struct Shared {
     pub(super) requests: Arc<Requests>,
-    /// For the page: warnings and errors of the newest request.
+    /// Warnings and errors of the newest request, which the page shows.
     pub(super) messages: Messages,
     to_solve: Mailbox<SolveRequest>,
     /// States to show.
     pub(super) states: Mailbox<State>,
-    /// Number of the newest light field that has a state or cannot be solved.
+    /// Number of the newest light field that the solver has finished: the light field has a state,
+    /// or it cannot be solved.
     handled: AtomicU64,
     files: Mutex<(Vec<PathBuf>, SystemTime)>,
     updates: u32,
@@ -85,7 +86,8 @@ impl Shared {
         self.stopped.load(Ordering::SeqCst)
     }
 
-    /// Files of the current light field, and the time at which the pass that first read them began.
+    /// Returns the files of the current light field, and the time at which the pass that first read
+    /// these files began.
     pub(super) fn files(&self) -> (Vec<PathBuf>, SystemTime) {
         lock(&self.files).clone()
     }
@@ -99,7 +101,7 @@ impl Shared {
     }
 }
 
-/// Makes light fields until the end. Returns how many time steps of a video were skipped.
+/// Makes light fields until the display stops. Returns how many time steps of a video were skipped.
 ///
 /// # Errors
 /// When the first light field fails; later errors are reported, and the current state stays.
@@ -133,13 +135,13 @@ pub(super) fn render(
         // Wait until the solver has used the last light field that was sent.
         let is_solved = shared.handled.load(Ordering::SeqCst) >= sent;
         if !(is_video || is_new || is_solved) {
-            // another pass would take processor time from the solver
+            // Wait, since another pass would take processor time from the solver.
             drop(requests.newest.wait_after(seen, SHORT));
             continue;
         }
         if is_video {
-            // time steps are solved in order: the next one starts when the previous one has
-            // patterns
+            // Time steps are solved in order: the next one starts when the previous one has
+            // patterns.
             match is_solved.then(|| player.next(now())) {
                 Some(Due::Time(time)) => {
                     let job = Job { light_field: Some(rates.times[time].clone()), ..live_fields.job().clone() };
@@ -156,12 +158,12 @@ pub(super) fn render(
                 continue;
             }
         }
-        // A new request must not cancel the first pass of the previous one: otherwise a series of
-        // requests would show nothing.
+        // A new request must not cancel the first pass of the previous request, since a series of
+        // requests would then show nothing.
         let cancel = if is_new { task.cancel.clone() } else { requests.pass() };
         let begun = SystemTime::now();
         let pass = live_fields.pass(registry, Task { cancel: &cancel, ..task });
-        // files are watched also after an error, since they may be incomplete and change again
+        // Files are also watched after an error, since an incomplete file may change again.
         shared.note_files(live_fields.files(), begun);
         let pass = pass
             .map(|made| made.map(|target| SolveRequest { target: Arc::new(target), job: live_fields.job().clone() }));
@@ -178,7 +180,8 @@ pub(super) fn render(
                 return Err(error);
             }
             Err(error) => {
-                // the current state stays
+                // The error is a warning. The display keeps its current state until a newer
+                // request.
                 task.warn("live", error.to_string());
                 is_new = false;
                 while !(is_video || shared.is_stopped() || requests.newest.wait_after(seen, IDLE).is_some()) {}
@@ -188,7 +191,7 @@ pub(super) fn render(
     Ok(player.dropped)
 }
 
-/// Solves the newest light field step by step until the end.
+/// Solves the newest light field step by step until the display stops.
 ///
 /// # Errors
 /// When the first state fails; later errors are reported, and the current state stays.
@@ -214,7 +217,7 @@ pub(super) fn solve(mut solver: LiveSolver, shared: &Shared, json: bool, task: T
             continue;
         }
         let (start, target) = (now(), on.request.target.clone());
-        // Run as many iterations as fit into the time of a step.
+        // Run as many iterations as fit into [`STEP_S`] seconds.
         let affordable = if update_s > 0.0 { (STEP_S / update_s) as u32 } else { 1 };
         let updates = affordable.clamp(1, shared.updates).min(on.left);
         match solver.step(&target, &on.weights, updates, task) {

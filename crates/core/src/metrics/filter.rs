@@ -1,15 +1,16 @@
 //! Separable filters: out[i] = Σ_k weights[k] · in[i + k − radius], along rows, then along columns.
+//! The radius is half of the number of weights, rounded down.
 //!
 //! Pictures are filtered band by band, so that a metric's many intermediate planes take little
-//! memory. A band is a few rows with a halo of rows above and below. The border's rule fills the
-//! halo where the picture ends.
+//! memory. A band is a few rows with a halo of rows above and below. At the edges of the picture,
+//! [`Border`] states which pixels fill the halo.
 
 use std::ops::{AddAssign, Mul, Range};
 
-/// Number of rows of a band without its halo.
+/// Number of rows of a band, the part of a picture that is filtered at a time, without its halo.
 const BAND: usize = 128;
 
-/// One quantity at every pixel of a band and its halo, `[row][col]`.
+/// One quantity at every pixel of a band of rows and of its halo, `[row][col]`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Plane<T> {
     pub(super) rows: usize,
@@ -32,7 +33,7 @@ pub(super) enum Border {
     Mirror,
 }
 
-/// The bands of a picture, as ranges of rows.
+/// Splits a picture into bands, which are filtered one after another. A band is a range of rows.
 pub(super) fn bands(rows: usize) -> impl Iterator<Item = Range<usize>> {
     (0..rows).step_by(BAND).map(move |start| start..(start + BAND).min(rows))
 }
@@ -96,13 +97,14 @@ impl<T: Real> Plane<T> {
 }
 
 impl Border {
-    /// Index of the value that a filter reads at position `i` of a line. The line's `count` ≥ 1
-    /// values start at position `radius`.
+    /// Index of the value that a filter reads at position `i` of a line, which is a row or a
+    /// column. The line's `count` ≥ 1 values take the positions from `radius` on. Other positions
+    /// read the value that the border's rule selects.
     fn index(self, i: usize, radius: usize, count: usize) -> usize {
         match self {
             Self::Nearest => i.saturating_sub(radius).min(count - 1),
             Self::Mirror => {
-                // a line that is mirrored at both ends is periodic
+                // a line that is mirrored at both ends repeats after twice its length
                 let period = 2 * count as isize;
                 let place = (i as isize - radius as isize).rem_euclid(period) as usize;
                 place.min(2 * count - 1 - place)
@@ -136,7 +138,8 @@ mod tests {
     use super::*;
     use crate::seed::Stream;
 
-    /// Tolerance between sums in f32 and in f64, of at most a few dozen terms.
+    /// Largest accepted difference between a sum of a few dozen terms in f32 and the same sum in
+    /// f64.
     const ROUNDING: f64 = 1e-6;
 
     #[test]

@@ -13,7 +13,8 @@
 //!
 //! Filters have their size in degrees of visual angle, so the error depends on the number of pixels
 //! per degree. Outside of the picture they read the outermost pixel. Every filter is separable. The
-//! sum of two Gaussians of Cz is two separate filters whose total weight is 1.
+//! filter of Cz is a sum of two Gaussians, which are two separate filters whose weights together
+//! sum to 1.
 //!
 //! Source: Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: A Difference
 //! Evaluator for Alternating Images", High Performance Graphics 2020 (LDR-FLIP). Checked against
@@ -25,28 +26,29 @@ use std::ops::Range;
 use super::MetricMap;
 use super::filter::{Border, Plane, bands, channels};
 
-/// Contrast sensitivity a·√(π/b)·exp(−π² x²/b) as (a, b), with x in degrees. The sensitivity of Cz
-/// is the sum of two such Gaussians.
+/// Pairs (a, b) of the contrast sensitivity a·√(π/b)·exp(−π² x²/b), where x is the distance from
+/// the filter's centre in degrees. The sensitivity of Cz is the sum of two such Gaussians.
 const SENSITIVITY_Y: (f64, f64) = (1.0, 0.0047);
 const SENSITIVITY_CX: (f64, f64) = (1.0, 0.0053);
 const SENSITIVITY_CZ: [(f64, f64); 2] = [(34.1, 0.04), (13.5, 0.025)];
-/// Exponent of the colour distance.
+/// Exponent to which colour distances are raised.
 const COLOUR_EXPONENT: f32 = 0.7;
-/// Distances up to this fraction of the largest are mapped to 0..`COLOUR_KNEE_TO`, larger ones to
-/// the rest of 0..1.
+/// Colour distances up to this fraction of the largest distance are mapped to 0..`COLOUR_KNEE_TO`.
+/// Larger distances are mapped to the rest of 0..1.
 const COLOUR_KNEE_FROM: f32 = 0.4;
 const COLOUR_KNEE_TO: f32 = 0.95;
 /// Width of the feature detectors, which is twice the Gaussian's standard deviation, degrees.
 const FEATURE_WIDTH_DEG: f64 = 0.082;
 
-/// XYZ of linear sRGB.
+/// Matrix from linear sRGB to CIE XYZ.
 const XYZ_FROM_RGB: [[f64; 3]; 3] = [
     [10135552.0 / 24577794.0, 8788810.0 / 24577794.0, 4435075.0 / 24577794.0],
     [2613072.0 / 12288897.0, 8788810.0 / 12288897.0, 887015.0 / 12288897.0],
     [1425312.0 / 73733382.0, 8788810.0 / 73733382.0, 70074185.0 / 73733382.0],
 ];
 
-/// FLIP at a viewing distance: the filters, and the colour spaces.
+/// Computes FLIP for one number of pixels per degree. It holds the filters and the conversions of
+/// colours.
 #[derive(Clone, Debug)]
 pub struct Flip {
     y: Vec<f32>,
@@ -64,7 +66,7 @@ struct Seen {
     lightness: Vec<f32>,
     a: Vec<f32>,
     b: Vec<f32>,
-    /// Strength of edges and of points.
+    /// Strength of edges and of points at every pixel, from the derivatives of Y.
     edges: Vec<f32>,
     points: Vec<f32>,
 }
@@ -90,8 +92,8 @@ impl Flip {
             (0..=2 * radius).map(|i| amplitude * (-pi * pi * x(i).powi(2) / b).exp()).collect()
         };
         let unit = |b: f64| scaled(&gaussian(1.0, b), 1.0 / gaussian(1.0, b).iter().sum::<f64>());
-        // a 2D Gaussian of weight a·√(π/b) is the product of two 1D Gaussians, each of the square
-        // root of that weight
+        // A 2D Gaussian of amplitude a·√(π/b) is the product of two 1D Gaussians. The amplitude of
+        // each is the square root of a·√(π/b).
         let [cz1, cz2] = SENSITIVITY_CZ.map(|(a, b)| gaussian((a * (pi / b).sqrt()).sqrt(), b));
         let total = cz1.iter().sum::<f64>().hypot(cz2.iter().sum());
         let (smooth, edge, point) = feature_filters(0.5 * FEATURE_WIDTH_DEG * density);
@@ -187,16 +189,16 @@ fn scaled(weights: &[f64], factor: f64) -> Vec<f32> {
 struct Colours {
     opponent_from_rgb: [[f32; 3]; 3],
     rgb_from_opponent: [[f32; 3]; 3],
-    /// X/X_n, Y/Y_n, Z/Z_n.
+    /// Matrix from linear RGB to (X/X_n, Y/Y_n, Z/Z_n), relative to the white point.
     relative_from_rgb: [[f32; 3]; 3],
-    /// The largest colour distance, which is between green and blue, to the power of
-    /// `COLOUR_EXPONENT`.
+    /// The largest colour distance, raised to `COLOUR_EXPONENT`. It is the distance of green and
+    /// blue.
     largest: f32,
 }
 
 impl Colours {
     fn new() -> Self {
-        // white is RGB (1, 1, 1)
+        // the white point is the XYZ of RGB (1, 1, 1), so each row is divided by its sum
         let relative = XYZ_FROM_RGB.map(|row| row.map(|value| value / row.iter().sum::<f64>()));
         let [x, y, z] = relative;
         let minus = |a: [f64; 3], b: [f64; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
@@ -250,7 +252,7 @@ fn transform(matrix: &[[f32; 3]; 3], v: [f32; 3]) -> [f32; 3] {
     matrix.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
 }
 
-/// Inverse by cofactors.
+/// Inverse of a 3 × 3 matrix, by cofactors.
 fn inverse(m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
     let cofactor = |r: usize, c: usize| {
         let (r1, r2, c1, c2) = ((r + 1) % 3, (r + 2) % 3, (c + 1) % 3, (c + 2) % 3);
@@ -264,7 +266,8 @@ fn inverse(m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
 mod tests {
     use super::*;
 
-    /// Tolerance: the rounding of f32 after a power of 0.7.
+    /// Largest accepted error of a mean FLIP. The map is in f32, and the power of 0.7 enlarges
+    /// rounding errors of small distances.
     const SAME: f64 = 1e-4;
 
     fn flip(reference: &[f32], test: &[f32], shape: [usize; 2]) -> f64 {
@@ -275,11 +278,12 @@ mod tests {
     fn equal_pictures_have_no_error_and_black_on_white_has_most() {
         let flat = |value: f32| vec![value; 3 * 7 * 9];
         assert_eq!(flip(&flat(0.4), &flat(0.4), [7, 9]), 0.0);
-        // Lab lightness is 0 and 100, so the distance is 100; flat pictures have no features
+        // black has the Lab lightness 0 and white 100, so their distance is 100; flat pictures have
+        // no features
         let colours = Colours::new();
         let expected = f64::from(colours.error(100.0));
         assert!((flip(&flat(0.0), &flat(1.0), [7, 9]) - expected).abs() < SAME && expected > 0.9);
-        assert_eq!(flip(&flat(f32::NAN), &flat(-3.0), [7, 9]), 0.0, "clamped");
+        assert_eq!(flip(&flat(f32::NAN), &flat(-3.0), [7, 9]), 0.0, "NaN and negative values become 0");
         assert!(flip(&[], &[], [0, 9]).is_nan(), "nothing to compare");
     }
 

@@ -75,7 +75,7 @@ mod tests {
     use super::*;
     use crate::colour::srgb_decode;
 
-    /// Tolerance: the rounding of the map's f32.
+    /// Largest accepted error of a mean SSIM: the map is rounded to f32.
     const SAME: f64 = 1e-6;
 
     #[test]
@@ -86,7 +86,7 @@ mod tests {
         let expected = (2.0 * x * y + 1e-4) / (x * x + y * y + 1e-4);
         let map = ssim(&flat(x as f32), &flat(y as f32), [20, 30]);
         assert!((map.mean().value() - expected).abs() < SAME, "{}", map.mean().value());
-        assert_eq!(map.mean().count, 10 * 20, "windows inside the picture");
+        assert_eq!(map.mean().count, 10 * 20, "only windows inside the picture count");
     }
 
     #[test]

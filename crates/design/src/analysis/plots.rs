@@ -8,10 +8,10 @@ use lumistack_plot::{self as plot, Area, Axes, Curve, PlotError};
 const MOST_DETAIL: f64 = 4.0;
 
 impl Analysis {
-    /// The bound over depth along an axis (0: x, 1: y), as SVG. Each display has a curve of its
-    /// bound, and a dashed curve of its closed form if this differs from the bound. A lens array
-    /// has a curve of its own, without the layers. The depth histogram of the first scene is in the
-    /// background.
+    /// Draws the bound over depth along an axis (0: x, 1: y), as SVG. Each display has a curve of
+    /// its bound, and a dashed curve of its closed form if this differs from the bound. A lens
+    /// array has a curve of its own, without the layers. The depth histogram of the first scene is
+    /// in the background.
     ///
     /// # Errors
     /// If there are no displays.
@@ -29,7 +29,7 @@ impl Analysis {
                     let of = if form.equation == 23 { "its lens array alone" } else { "closed form" };
                     let name = format!("eq. {}: {of}", form.equation);
                     let points = form.bound.clone();
-                    // several displays with the same lens array have one curve for it
+                    // Displays with the same lens array share one curve for it.
                     let same = |other: &Curve| other.name == name && other.points.first() == points.first();
                     if curves.iter().any(same) {
                         continue;
@@ -60,7 +60,7 @@ impl Analysis {
         Ok(drawn)
     }
 
-    /// The spectral supports along an axis (0: x, 1: y), as SVG.
+    /// Draws the spectral supports along an axis (0: x, 1: y), as SVG.
     ///
     /// # Errors
     /// If there are no displays.
@@ -84,7 +84,8 @@ impl Analysis {
     }
 }
 
-/// The scene's depth histogram, scaled so that the largest bar fills the axis.
+/// Returns the scene's depth histogram, scaled so that the largest bar has 0.9 of the plot's
+/// height.
 fn bars(scene: &Scene) -> Vec<[f64; 3]> {
     let most = scene.shares.iter().map(|bar| bar[2]).fold(1e-9, f64::max);
     scene.shares.iter().map(|[from, to, share]| [*from, *to, 0.9 * share / most]).collect()

@@ -1,11 +1,11 @@
-//! The analysis as text.
+//! Formats the analysis of a display as text.
 
 use std::fmt::Write as _;
 
 use super::{Analysis, Closed};
 
 impl Analysis {
-    /// A title, and a line per property of the display.
+    /// Returns the text: a title, and a line per property of the display.
     pub fn text(&self) -> String {
         let mut text = String::new();
         let plural = |count: usize, one: &str| if count == 1 { format!("1 {one}") } else { format!("{count} {one}s") };

@@ -9,17 +9,20 @@ use crate::{
     ProjectionKind, RayMap, Sampling, Simulator,
 };
 
-/// Tolerance of single against double precision, in radiance.
+/// Allowed difference in radiance between the model in single precision and the oracle in double
+/// precision.
 const AGREEMENT: f64 = 1e-5;
 
 const FORMATIONS: [Formation; 3] = [Formation::Attenuating, Formation::Additive, Formation::Polarization];
 
-/// Layers of different size, pitch and position; the arguments select everything else.
+/// Returns a display whose layers have random sizes, pitches and positions. The arguments select
+/// the rest.
 fn random_display(formation: Formation, choices: [bool; 5], seed: u64) -> Display {
     let [bilinear, clear, perspective, limited, repeat] = choices;
     let mut random = Stream::new(derive(seed, &[]));
     let mut unit = || f64::from(random.next_f32());
-    // odd distances keep positions away from the ties of rounding
+    // Odd distances keep rays away from pixel borders, where rounding would decide which pixel they
+    // read.
     let mut display = Display {
         formation,
         sampling: if bilinear { Sampling::Bilinear } else { Sampling::Nearest },
@@ -96,8 +99,8 @@ fn layers_that_are_not_there_change_nothing() {
         }
         let view = Simulator::new(&display, &stack).from_slope([0.05, 0.0]);
         assert!(view.share.iter().all(|share| (share - 1.0).abs() < 1e-6));
-        // attenuating layers leave the bare backlight; in other formations no layer emits or
-        // rotates light
+        // Without layers, an attenuating display shows its backlight, of radiance 1. In the other
+        // formations it is black, since no layer emits or rotates light.
         let expected = if formation == Formation::Attenuating { 1.0 } else { 0.0 };
         assert!(view.radiance.data().iter().all(|value| (value - expected).abs() < 1e-6), "{formation:?}");
         display.missing = Missing::Drop;
@@ -116,7 +119,7 @@ fn one_pixel_and_extreme_values_stay_in_range() {
             let expected = match formation {
                 Formation::Attenuating => value,
                 Formation::Additive => 2.0 * value,
-                // two rotations by 90° bring the polarization back
+                // Two rotations by 90° add up to 180°, which crossed polarizers block.
                 Formation::Polarization => 0.0,
             };
             assert!(view.share[0] > 0.5);
@@ -136,7 +139,7 @@ fn two_quarter_turns_of_half_a_right_angle_are_bright() {
 }
 
 /// In these oblique views, all edges of layer pixels lie on sixteenths of a field pixel. So the
-/// mean over 16 × 16 rays per pixel is exact.
+/// mean over 16 × 16 rays per pixel is exact, and the seen picture must equal it.
 #[test]
 fn seen_pictures_are_exact_means_over_pixels() {
     for (seed, formation) in FORMATIONS.into_iter().enumerate() {
@@ -144,7 +147,8 @@ fn seen_pictures_are_exact_means_over_pixels() {
             let mut display = Display {
                 formation,
                 missing,
-                // seen pictures take pixels as squares, also if the solver reads them bilinearly
+                // Seen pictures treat layer pixels as squares, also if the solver interpolates
+                // between them.
                 sampling: Sampling::Bilinear,
                 ..Display::uniform([8, 6], 1.0, [1, 1], [30.0, 30.0], &[-3.0, 0.0, 2.0], 2)
             };
@@ -167,8 +171,9 @@ fn seen_pictures_are_exact_means_over_pixels() {
     }
 }
 
-/// For any display, from near and far: the mean over 150 × 150 rays per pixel agrees with the seen
-/// picture. The tolerance is the error by the spacing of the rays.
+/// For random displays, oblique and perspective, the seen picture agrees with the mean over 150 ×
+/// 150 rays per pixel. The tolerance is the error of this mean, which misses edges between two
+/// rays.
 #[test]
 fn seen_pictures_of_any_display_are_means_over_pixels() {
     const SPACING: f64 = 0.03;
@@ -183,7 +188,8 @@ fn seen_pictures_of_any_display_are_means_over_pixels() {
     }
 }
 
-/// Largest difference between the forward model and the oracle over all pixels of the last view.
+/// Returns the largest difference between the seen picture and the oracle's, over all pixels of the
+/// last view.
 fn compare_seen(display: &Display, stack: &LayerStack, geometry: &FieldGeometry, fine: usize) -> f64 {
     display.check().unwrap();
     let effective: Vec<Effective> =
@@ -202,7 +208,8 @@ fn compare_seen(display: &Display, stack: &LayerStack, geometry: &FieldGeometry,
     worst
 }
 
-/// Where all shifts are whole pixels, one ray per pixel is exact for its area.
+/// At slopes that shift all layers by whole pixels, the ray through a pixel's centre has the mean
+/// value of the pixel's area.
 #[test]
 fn whole_shifts_are_seen_as_their_centre_rays_are() {
     let display = Display::uniform([20, 14], 1.0, [5, 5], [20.0, 20.0], &[-40.0, 0.0, 40.0], 3);

@@ -1,4 +1,5 @@
-//! The equations once more, in a naive form: no tables, no separable passes, double precision.
+//! A naive oracle of the forward model: the equations in double precision, without tables and
+//! separable passes.
 
 use lumistack_core::Tensor;
 
@@ -7,15 +8,15 @@ use crate::{
     OutsideBins, Sampling,
 };
 
-/// Values that rays read on a layer, as [frame][row][col][rgb].
+/// Values that rays read on a layer, `[frame][row][col][rgb]`.
 pub(super) struct Effective {
     shape: [usize; 4],
     values: Vec<f64>,
 }
 
 impl Effective {
-    /// F_c = Σ_c' crosstalk[c][c'] · blur(filter_c' · f_c'), with the blur as one sum over all
-    /// pixels of a square.
+    /// Computes F_c = Σ_c' crosstalk[c][c'] · blur(filter_c' · f_c'), with the blur as one sum over
+    /// a square of pixels.
     pub(super) fn of(layer: &Layer, stored: &Tensor<4>) -> Self {
         let shape @ [frames, rows, cols, _] = stored.shape();
         let radius = (3.0 * layer.blur_px).ceil() as i64;
@@ -63,7 +64,7 @@ impl Effective {
     }
 }
 
-/// A ray: where it crosses z = 0, and its slope.
+/// A ray: the point (x, y) at which it crosses z = 0, and its slope.
 #[derive(Clone, Copy)]
 struct Ray {
     x: f64,
@@ -71,7 +72,7 @@ struct Ray {
     slope: [f64; 2],
 }
 
-/// Radiance of the ray through a pixel's centre; `None` for an invalid ray.
+/// Returns the radiance of the ray through a pixel's centre; `None` for an invalid ray.
 pub(super) fn emitted(
     display: &Display,
     effective: &[Effective],
@@ -83,8 +84,8 @@ pub(super) fn emitted(
     emitted_at(display, effective, stack, geometry, view, [row as f64, col as f64])
 }
 
-/// Mean over a pixel's area, by the rays through the centres of `fine` × `fine` squares of it. Also
-/// returns the fraction of these rays that is valid.
+/// Divides a pixel into `fine` × `fine` squares, and traces a ray through the centre of each.
+/// Returns the mean radiance of the valid rays, and the fraction of rays that is valid.
 pub(super) fn seen(
     display: &Display,
     effective: &[Effective],
@@ -107,7 +108,7 @@ pub(super) fn seen(
     (sum.map(|sum| if count > 0.0 { sum / count } else { 0.0 }), count / (fine * fine) as f64)
 }
 
-/// Radiance of the ray at a fractional row and column; `None` for an invalid ray.
+/// Returns the radiance of the ray at a fractional row and column; `None` for an invalid ray.
 fn emitted_at(
     display: &Display,
     effective: &[Effective],
@@ -147,7 +148,7 @@ fn emitted_at(
     Some(radiance)
 }
 
-/// Value of a layer on the ray; `None` if the ray misses the layer.
+/// Returns the value that a ray reads on a layer; `None` if the ray misses the layer.
 fn read(sampling: Sampling, layer: &Layer, effective: &Effective, ray: Ray, frame: usize) -> Option<[f64; 3]> {
     let [cols, rows] = layer.resolution;
     let x = ray.x + layer.d_mm * ray.slope[0] - layer.offset_mm[0];
@@ -159,8 +160,8 @@ fn read(sampling: Sampling, layer: &Layer, effective: &Effective, ray: Ray, fram
     inside.then(|| {
         std::array::from_fn(|c| match sampling {
             Sampling::Nearest => effective.get(frame, nearest_v as usize, nearest_u as usize, c),
-            // weights that fall linearly with the distance from the ray's position, which is
-            // clamped to the outermost centres
+            // Each pixel's weight falls linearly with its distance from the ray's position. The
+            // position is clamped to the outermost pixel centres.
             Sampling::Bilinear => {
                 let (u, v) = (u.clamp(0.0, cols as f64 - 1.0), v.clamp(0.0, rows as f64 - 1.0));
                 let tent = |distance: f64| (1.0 - distance.abs()).max(0.0);
@@ -173,7 +174,8 @@ fn read(sampling: Sampling, layer: &Layer, effective: &Effective, ray: Ray, fram
     })
 }
 
-/// Value of the backlight on the ray: 0 outside the bins; `None` if the ray misses the lenslets.
+/// Returns the backlight's emission along a ray, which is 0 outside dark bins. `None` if the ray
+/// misses the lenslets.
 fn light(backlight: &LensletBacklight, emission: &Tensor<6>, ray: Ray, frame: usize) -> Option<[f64; 3]> {
     let [cols, rows] = backlight.lenslets.map(|n| n as i64);
     let [bins_x, bins_y] = backlight.views.map(|n| n as i64);
@@ -188,7 +190,7 @@ fn light(backlight: &LensletBacklight, emission: &Tensor<6>, ray: Ray, frame: us
     let mut bin_x = (bins_x as f64 / 2.0 * (1.0 + ray.slope[0] / half_angle[0])).floor() as i64;
     let mut bin_y = (bins_y as f64 / 2.0 * (1.0 - ray.slope[1] / half_angle[1])).floor() as i64;
     if backlight.outside_bins == OutsideBins::Repeat {
-        // past the last bin the ray sees the neighbouring lenslet's picture
+        // A ray beyond the outermost bins reads the bins of a neighbouring lenslet.
         for (bin, bins, lenslet) in [(&mut bin_x, bins_x, &mut col), (&mut bin_y, bins_y, &mut row)] {
             while *bin >= bins {
                 *bin -= bins;

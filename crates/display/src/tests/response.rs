@@ -11,12 +11,13 @@ use super::{fill, random_stack};
 use crate::config::tests::small_display;
 use crate::{Layer, LayerColour, LayerStack, Response};
 
-/// Tolerance: single precision of sums of at most 49 × 49 values in 0..1 with weights of sum 1.
+/// Tolerance for the rounding in single precision: sums of at most 49 × 49 values in 0..1, with
+/// weights that add up to 1.
 const ROUNDING: f64 = 2e-6;
 
 const SIGMAS_PX: [f64; 8] = [0.0, 0.05, 0.3, 0.5, 1.0, 1.4, 3.0, 8.0];
-/// Sizes [rows, cols] of planes. Some are smaller and some are larger than the point spreads, and
-/// than a block of columns.
+/// Sizes [rows, cols] of planes. Some are smaller than the point spreads and than a block of
+/// columns, and some are larger.
 const SIZES: [[usize; 2]; 7] = [[1, 1], [1, 9], [7, 1], [2, 3], [5, 64], [30, 33], [11, 97]];
 
 fn layer([rows, cols]: [usize; 2], blur_px: f64) -> Layer {
@@ -57,7 +58,7 @@ fn every_effect_agrees_with_the_sum_over_all_pixels() {
 
 fn blurs() -> impl Iterator<Item = ([usize; 2], Response)> {
     let kinds = SIZES.into_iter().flat_map(|size| SIGMAS_PX.map(|sigma| layer(size, sigma)).map(|layer| (size, layer)));
-    // mono layers, so that there is a response without blur as well
+    // The layers are `mono`, so that they have a response even without blur.
     kinds.filter_map(|(size, layer)| Some((size, Layer { colour: LayerColour::Mono, ..layer }.response()?)))
 }
 
@@ -120,7 +121,7 @@ fn the_point_spread_has_the_width_that_was_asked_for() {
         let response = layer([100, 100], sigma).response().unwrap();
         let radius = (response.taps().len() / 2) as f64;
         let moments = response.taps().iter().enumerate().map(|(k, w)| f64::from(*w) * (k as f64 - radius).powi(2));
-        // the cut at 3σ removes 2.7 % of the variance
+        // The weights end at 3σ, so 2.7 % of the variance is missing.
         assert!((moments.sum::<f64>().sqrt() / sigma - 1.0).abs() < 0.02, "{sigma}");
         assert!(radius >= 3.0 * sigma);
     }
@@ -132,7 +133,8 @@ fn an_ideal_layer_has_no_response_and_costs_nothing() {
     let stack = random_stack(&display, 1);
     assert_eq!(display.layers[0].response(), None);
     assert!(matches!(stack.effective(&display), Cow::Borrowed(_)));
-    // a mono layer has one value per pixel, and rays read it as it is stored
+    // A `mono` layer has a response, since its channels share one value, but rays read the stored
+    // values.
     display.layers[0].colour = LayerColour::Mono;
     display.layers[1].crosstalk = Some([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
     let tied = display.layers[0].response().unwrap();

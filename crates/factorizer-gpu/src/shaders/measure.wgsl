@@ -9,7 +9,7 @@ fn copy(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     to_values[at] = from_values[at];
 }
 
-// 8 chains of 4 lanes, 64 steps each: 2048 multiply-adds
+// Each thread computes 8 chains of 4 lanes with 64 steps, which are 2048 multiply-adds.
 @compute @workgroup_size(64)
 fn multiply_add(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let at = id.y * groups.x * 64u + id.x;

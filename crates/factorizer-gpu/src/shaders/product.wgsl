@@ -1,4 +1,5 @@
-// Layers attenuate: a_m = Π_{k ≠ own} f_k.
+// Layers attenuate: a_m is the product of all other factors, Π_{k ≠ own} f_k, in frame m. The
+// emission of frame m is a_m times the own factor.
 //@ frames
 var a{m} = 1.0;
 //@ end

@@ -102,7 +102,7 @@ fn read_{k}(line: Tap, column: Tap, frame: u32) -> f32 {
 }
 
 //@ end
-// βL of a ray.
+// Returns βL of a ray.
 fn wanted_of(view: u32, row: u32, col: u32) -> f32 {
     let line = row * params.views_y * params.views_x + view;
     if (HALF) {
@@ -112,7 +112,7 @@ fn wanted_of(view: u32, row: u32, col: u32) -> f32 {
     return params.brightness * bitcast<f32>(radiance[line * params.cols + col - params.target_base]);
 }
 
-// √w of a ray.
+// Returns √w of a ray.
 fn root_of(view: u32, row: u32, col: u32) -> f32 {
     if (!WEIGHTED) {
         return 1.0;

@@ -1,5 +1,6 @@
-// Layers rotate polarization. With s the sum of all layers, the emission is b sin²((π/2) s). Hence
-// a_m = b (π/2) sin(π s) for a layer, and a_m = sin²((π/2) s) for the backlight b.
+// Layers rotate polarization. With s the sum of all layers and b the value of the backlight, the
+// emission of frame m is b sin²((π/2) s). Let a_m be its derivative by the own factor. For a layer
+// a_m = b (π/2) sin(π s), and for the backlight a_m = sin²((π/2) s).
 //@ frames
 var turn{m} = 0.0;
 var light{m} = 1.0;

@@ -1,4 +1,5 @@
-// Layers emit: a_m = 1.
+// Layers emit: the emission of frame m is the sum of all factors, so its derivative by the own
+// factor is a_m = 1.
 //@ frames
 let a{m} = 1.0;
 //@ if own

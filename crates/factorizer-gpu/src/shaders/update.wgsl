@@ -1,10 +1,11 @@
-// The update of one factor: sums over the rays through a pixel, and the step by these sums. It
-// computes the same as the factorizer's sums.rs and step.rs.
+// The update of one factor: sums over the rays through a pixel, and the step by these sums. The
+// factorizer's sums.rs and step.rs compute the same update.
 
 const LEAST_CURVATURE: f32 = 1e-30;
 const LEAST_NORMAL: f32 = 1.17549435e-38;
 
-// Returns Σ w e² before the step, and the gain of the step as in `Outcome`.
+// Returns Σ w e² before the step, and the gain of the step as the factorizer's `Outcome` defines
+// it.
 fn update_pixel(line: u32, column: u32) -> vec2<f32> {
     let views = params.views_y * params.views_x;
     let length = FRAMES * params.own_cols;
@@ -16,8 +17,8 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ sums
     var {s} = 0.0;
 //@ end
-    // the rays: field rows that read the line, then field columns that read the column, each with
-    // its weight in the interpolation
+    // Loop over the rays: field rows that read the line, then field columns that read the column.
+    // Each entry has its weight in the interpolation.
     for (var view_y = 0u; view_y < params.views_y; view_y++) {
         let lines_at = params.own_lines + view_y * (params.stored_lines + 1u) + line;
         let last_row = tables[lines_at + 1u];
@@ -31,7 +32,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
             let line_of_{own} = line_{own}(view_y, row);
 //@ end
 //@ if long_sums
-            // with many rays, sums of partial sums lose fewer digits
+            // For many rays, add partial sums to the sum, which loses fewer digits.
 //@ sums
             let before_{s} = {s};
             {s} = 0.0;
@@ -82,8 +83,8 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if nonlinear
-                    // L̃ is not linear in the values, so a bound of the curvature along them is
-                    // added
+                    // L̃ is not linear in the factor's values, so add a bound of the objective's
+                    // curvature.
 //@ if local
                     let most = LOCAL_CURVATURE * abs(e);
 //@ end
@@ -117,7 +118,8 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if gram
-    // coordinate descent: each frame's value in turn steps to its minimum, clamped to low..high
+    // Coordinate descent: the value of each frame in turn moves to its minimum, clamped to
+    // low..high.
 //@ frames
     let inverse{m} = f32(FRAMES) / max(g{m}_{m}, LEAST_CURVATURE);
     let before{m} = r{m};
@@ -139,7 +141,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if diagonal
-    // the steps serve only the KKT residual, so the values do not change
+    // These steps are computed only for the KKT residual, so the values do not change.
     var curvature = 0.0;
     var step = 0.0;
 //@ frames

@@ -82,7 +82,8 @@ impl Machine {
 }
 
 fn sum(values: &[u64]) -> u64 {
-    // eight independent sums, so that memory limits the rate even where vectors are short
+    // Eight independent sums keep the additions from waiting for one another. So memory limits the
+    // rate, even where vectors are short.
     let mut sums = [0u64; 8];
     for chunk in values.chunks_exact(8) {
         sums.iter_mut().zip(chunk).for_each(|(sum, value)| *sum = sum.wrapping_add(*value));

@@ -41,7 +41,7 @@ const SEED: u64 = 1;
 const PAPER_UPDATES: u32 = 50;
 /// Largest difference in transmittance that rounding may cause between masks after one update.
 const SAME_MASKS: f32 = 1e-4;
-/// Smallest number of Lumistack's updates per round.
+/// Number of updates of each of Lumistack's solvers in one round, at least.
 const OWN_UPDATES: usize = 3;
 
 type Outcome<T = ()> = Result<T, Box<dyn Error>>;
@@ -84,8 +84,8 @@ fn arguments() -> Result<Arguments, String> {
 }
 
 fn bench(arguments: &Arguments) -> Outcome {
-    // prepare five cases: the paper's, the same with bilinear sampling, two with few and many
-    // views, and a lens array
+    // prepare five cases: the paper's case, the paper's case with bilinear sampling, two cases with
+    // few and with many views, and a lens array
     let resolution = arguments.resolution;
     println!("preparing: light fields in closed form, {}×{} pixels, 5×5 views", resolution[0], resolution[1]);
     let (three, between) = (cases::three_layers(resolution, PAPER_VIEWS), cases::bilinear(resolution));
@@ -125,7 +125,8 @@ fn bench(arguments: &Arguments) -> Outcome {
             machine.measure();
             runs[0].step()?;
         }
-        // then time the other solvers, the objective, a start, and the default settings
+        // then time the other solvers, an evaluation of the objective, a start, and the default
+        // settings
         for run in &mut runs[1..] {
             run.step()?;
         }
@@ -168,7 +169,7 @@ impl TimedRun<'_> {
     }
 }
 
-/// Starts all solvers on all cases; the first run is the paper's rule on the main case.
+/// Starts all solvers on all cases. The first run is the paper's rule on the paper's main case.
 fn own_runs(cases: &[Case]) -> Outcome<Vec<TimedRun<'_>>> {
     let mut runs = Vec::new();
     for case in cases {

@@ -16,8 +16,8 @@ use crate::cases::Case;
 
 type Outcome<T = ()> = Result<T, Box<dyn Error>>;
 
-/// Time to wait after a request, since threads of a library may spin after their work and would
-/// slow the next timing.
+/// Time to wait after each request. Threads of a library may spin after their work, and would slow
+/// the next timing.
 const PAUSE: Duration = Duration::from_millis(30);
 
 /// The process of a library.
@@ -105,7 +105,7 @@ pub fn write_problem(folder: &Path, case: &Case, start: &LayerStack) -> Outcome 
     Ok(())
 }
 
-/// Largest difference between the masks in a folder and a stack.
+/// Largest difference between the masks in the files of `folder` and the masks of `stack`.
 pub fn largest_difference(folder: &Path, stack: &LayerStack) -> Outcome<f32> {
     let mut largest = 0.0f32;
     for (n, layer) in stack.layers.iter().enumerate() {

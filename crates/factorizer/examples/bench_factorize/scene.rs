@@ -6,8 +6,8 @@
 //! Three balls (plastic, brushed metal, mirror) lie on it, and their highlights move with the view.
 //! Thin posts stand in front.
 //!
-//! A ray is (x, y, 0) + z (s_x, s_y, 1); the viewer sees the hit of largest z. There are no
-//! transcendental functions, since their last bits differ between machines.
+//! A ray is (x, y, 0) + z (s_x, s_y, 1), and the viewer sees the hit with the largest z. The code
+//! calls no transcendental functions, since their last bits differ between machines.
 
 use lumistack_display::{Display, DisplayError, LightField};
 use rayon::prelude::*;
@@ -89,7 +89,7 @@ fn round_to_half(value: f32) -> f32 {
     f32::from_bits((bits + nearest_even) & !((1 << DROPPED) - 1))
 }
 
-/// Colour of the hit that is nearest to the viewer.
+/// Colour of the surface that the viewer sees along a ray.
 fn seen(origin: Vector, direction: Vector) -> Vector {
     let mut z = WALL_Z;
     let mut colour = wall(along(origin, direction, z));
@@ -142,7 +142,7 @@ fn board_colour(at: Vector) -> Vector {
     colour.map(|value| value * shade)
 }
 
-/// Hit of a sphere that is nearest to the viewer.
+/// z at which the viewer sees a sphere along a ray; `None` if the ray misses it.
 fn sphere(origin: Vector, direction: Vector, centre: Vector, radius: f64) -> Option<f64> {
     let from = sub(origin, centre);
     let (a, b, c) = (dot(direction, direction), dot(from, direction), dot(from, from) - radius * radius);
@@ -150,7 +150,7 @@ fn sphere(origin: Vector, direction: Vector, centre: Vector, radius: f64) -> Opt
     (discriminant > 0.0).then(|| (-b + discriminant.sqrt()) / a)
 }
 
-/// Hit of an upright cylinder that is nearest to the viewer.
+/// z at which the viewer sees an upright cylinder along a ray; `None` if the ray misses it.
 fn post(origin: Vector, direction: Vector, x: f64, z: f64, radius: f64) -> Option<f64> {
     sphere([origin[0], 0.0, 0.0], [direction[0], 0.0, 1.0], [x, 0.0, z], radius)
 }

@@ -58,8 +58,8 @@ pub struct PeerRow {
 /// Time until the quality of the paper's 50 updates is reached.
 #[derive(Default)]
 pub struct Quality {
-    /// PSNR (dB, `psnr_view`) after 50 multiplicative updates from a random start. The next field
-    /// is the time of these updates with preparation.
+    /// PSNR (dB, `psnr_view`) after 50 multiplicative updates from a random start. `paper_seconds`
+    /// is the time of the preparation and these updates.
     pub paper_psnr: f64,
     pub paper_seconds: f64,
     /// The default settings, with every automatic choice replaced by its value.
@@ -72,7 +72,8 @@ pub struct Quality {
     pub until_reached: Series,
     /// Time of a whole call with `reached` iterations.
     pub whole_call: Series,
-    /// PSNR after all iterations of the default settings. The next field is their time.
+    /// PSNR after all iterations of the default settings. `long_seconds` is the time of these
+    /// iterations.
     pub long_psnr: f64,
     pub long_seconds: f64,
 }
@@ -124,7 +125,7 @@ impl Report {
             let _ = writeln!(text, "{what:<48}{median:>9.1} ms{fastest:>9.1} ms{rest}");
         };
         let _ = writeln!(text, "{:<48}{:>12}{:>12}{:>17}{:>9}", "", "median", "fastest", "multiply-adds", "memory");
-        // Lumistack's updates, then the other steps, then the peers
+        // list Lumistack's updates, then the objective and the preparation, then the peers' updates
         for row in &self.rows {
             let rest = row.needs.map_or(String::new(), |needs| {
                 let [arithmetic, memory] = shares(&needs, &row.times, machine);
@@ -152,7 +153,8 @@ impl Report {
         text
     }
 
-    /// Time of a peer's update divided by Lumistack's: medians, and fastest times.
+    /// Time of a peer's update divided by the time of Lumistack's update: for the medians, and for
+    /// the fastest times.
     fn ratios(&self, peer: &PeerRow) -> [f64; 2] {
         let ours = &self.rows[0].times;
         [peer.times.median() / ours.median(), peer.times.fastest() / ours.fastest()]

@@ -213,7 +213,7 @@ impl Progress for Steps {
 fn one_lent_channel_is_solved_like_a_channel_of_the_whole() {
     let mut owned = random(Kind::Wide, 2);
     let geometry = owned.target.geometry().clone();
-    // half floats 0 and 0.25..1, the same in every channel
+    // The target has the half floats 0 and 0.25..1, alike in every channel.
     let halves: Vec<u16> = (0..owned.target.radiance().data().len() / 3)
         .map(|i| if i * 37 % 257 == 0 { 0 } else { 0x3c00 - (i * 37 % 257) as u16 * 8 })
         .collect();

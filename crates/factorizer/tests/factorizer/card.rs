@@ -1,4 +1,5 @@
-//! A textured card at the position of a layer: its texture must appear on that layer.
+//! Tests a target that shows a textured card at the position of a layer: the texture must appear on
+//! that layer.
 
 use lumistack_core::Cancel;
 use lumistack_display::LayerStack;
@@ -25,8 +26,8 @@ fn card(d_mm: f64) -> Owned {
     owned
 }
 
-/// Energy of the horizontal differences of the log of a layer's mean transmittance over frames,
-/// away from the border.
+/// Energy of the fine detail of layer `n`: squared horizontal differences of the logarithm of its
+/// mean transmittance over frames, away from the border.
 fn high_frequency_energy(stack: &LayerStack, n: usize) -> f64 {
     let layer = &stack.layers[n];
     let [frames, rows, cols, _] = layer.shape();

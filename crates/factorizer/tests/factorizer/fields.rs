@@ -5,7 +5,7 @@ use lumistack_display::{Backlight, Display, LensletBacklight, LightField, Missin
 
 use lumistack_factorizer::{Multiplicative, Problem, Settings, Solver, factorize, random_start};
 
-/// Tolerance for differences between random starts, dB.
+/// Largest tolerated PSNR difference from a published value, since random starts differ, dB.
 const FIGURE_TOLERANCE: f64 = 0.3;
 
 /// Width of the display in millimetres at any resolution.
@@ -74,7 +74,7 @@ fn curve(display: &Display, target: &LightField, updates: &[u32]) -> Vec<f64> {
     figures
 }
 
-/// Compares a row of values with the published ones, and prints both.
+/// Compares PSNR values with published values, and prints all of them.
 fn check(what: &str, found: &[f64], published: &[f64]) {
     println!("{what}: {found:.2?} published {published:?}");
     assert!(
@@ -128,7 +128,7 @@ fn check_default(what: &str, display: &Display, rows: &[(u32, f64)]) {
     let (iterations, published): (Vec<u32>, Vec<f64>) = rows.iter().copied().unzip();
     let found = default_curve(display, &target, &iterations);
     println!("{what}, default: {found:.2?} best published {published:?}");
-    // published values are rounded to a tenth
+    // The tolerance is 0.05 dB, since published values are rounded to a tenth.
     assert!(
         found.iter().zip(&published).all(|(found, best)| *found >= best - 0.05),
         "{what}: {found:.2?} {published:?}"
@@ -164,11 +164,11 @@ fn frames_are_worth_more_than_layers() {
     assert!(six >= still + 12.0);
 }
 
-/// The paper's bound of 30 dB for eight static layers.
+/// The paper states that eight static layers stay below 30 dB.
 ///
-/// It holds with 5 × 5 views, and with 3 × 3 views if no ray is dropped. It does not hold with 3 ×
-/// 3 views under the default `drop`: 33.4 dB, which an independent forward model of the written
-/// patterns confirms. The test asserts all three.
+/// This holds with 5 × 5 views, and with 3 × 3 views if no ray is dropped. It does not hold with 3
+/// × 3 views under the default `drop`: the result is 33.4 dB. An independent forward model of the
+/// written patterns confirms this value. The test asserts these three results.
 #[test]
 fn eight_static_layers_stay_below_30_db_except_on_dropped_3x3_views() {
     let display = display(5, 8, 1, 0.2);

@@ -1,4 +1,5 @@
-//! Measures losses by hardware effects, with solvers that ignore them and solvers that model them.
+//! Measures the PSNR that hardware effects cost, with solvers that ignore the effects and with
+//! solvers that model them.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{Display, EyeBox, Formation, LayerColour, LayerStack, LightField, Sampling, Weights, score};
@@ -11,7 +12,7 @@ use lumistack_factorizer::{Factorization, Problem, Settings, factorize};
 /// Number of iterations of every solve; PSNR differences then vary by about 0.2 dB.
 const ITERATIONS: u32 = 30;
 
-/// PSNR differences below this limit are ignored after so few iterations, dB.
+/// PSNR differences below this limit are treated as noise, since solves have few iterations, dB.
 const NEGLIGIBLE_DB: f64 = 0.2;
 
 fn solve(display: &Display, target: &LightField, levels: bool) -> Factorization {
@@ -21,8 +22,8 @@ fn solve(display: &Display, target: &LightField, levels: bool) -> Factorization 
     factorize(&problem, &settings, None, Task::quiet(&warnings, &cancel), &mut |_| ()).unwrap()
 }
 
-/// PSNR on the display as it is: values are clamped to each layer's range, and monochrome layers
-/// show no colour.
+/// PSNR on a display with its real limits: values are clamped to each layer's range, and monochrome
+/// layers show no colour.
 fn shown(display: &Display, stack: &LayerStack, target: &LightField) -> f64 {
     let mut stack = stack.clone();
     for (layer, values) in display.layers.iter().zip(&mut stack.layers) {
@@ -38,8 +39,8 @@ fn shown(display: &Display, stack: &LayerStack, target: &LightField) -> f64 {
     score(display, &stack, target, &Weights::Uniform).psnr_view()
 }
 
-/// PSNR in dB: [effect absent, present but ignored by the solver, present and modelled by the
-/// solver].
+/// Returns three PSNR values in dB. The effect is absent in the first. In the second the solver
+/// ignores the effect, and in the third the solver models it.
 fn effect(name: &str, target: &LightField, ideal: &Display, real: &Display) -> [f64; 3] {
     let blind = solve(ideal, target, true).stack;
     let figures = [
@@ -119,7 +120,7 @@ fn few_bits_cost_less_when_the_patterns_know_them() {
 
 #[test]
 fn weights_around_two_eyes_make_what_these_eyes_see_better() {
-    // far eyes: each sees the whole display within the zone of the target's views
+    // The eyes are far away, so each sees the whole display within the zone of the target's views.
     let display = display(5, 3, 3, 0.6);
     let Some(target) = light_field("main_5x5_160x100_fov20", &display) else { return };
     let eye = |x: f64| EyeBox { eye_mm: [x, 0.0, 3000.0], sigma_mm: 60.0, weight: 1.0 };

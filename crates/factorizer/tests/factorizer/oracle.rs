@@ -15,8 +15,8 @@ struct Entry {
     at: usize,
     /// Weight of the stored value in the value that the ray reads.
     share: f64,
-    /// Weight in the bound of the curvature: `share` times the sum of the shares of all stored
-    /// values in the pixel that the ray hits.
+    /// Weight in the bound of the curvature. It is `share` times the sum of the shares of all
+    /// stored values that form the pixel that the ray hits.
     bound: f64,
 }
 
@@ -87,8 +87,8 @@ impl Oracle {
         }
     }
 
-    /// Emission of frame m. With `replaced` = (n, value), factor n has this value instead of its
-    /// own.
+    /// Emission of frame m along a ray. If `replaced` is (n, value), factor n has this value
+    /// instead of its own value.
     fn frame(&self, ray: &Ray, m: usize, channel: usize, replaced: Option<(usize, f64)>) -> f64 {
         let value = |k: usize| match replaced {
             Some((n, value)) if n == k => value,
@@ -109,8 +109,8 @@ impl Oracle {
         (0..self.frames).map(|m| self.frame(ray, m, channel, None)).sum::<f64>() / self.frames as f64
     }
 
-    /// Derivative of frame m's emission by factor n's value: exact if linear, otherwise by central
-    /// differences.
+    /// Derivative of frame m's emission by the value of factor n: exact if the emission is linear
+    /// in it, otherwise by central differences.
     fn slope(&self, ray: &Ray, n: usize, m: usize, channel: usize) -> f64 {
         let f = self.value(ray, n, m, channel);
         let [low, high] = if self.is_linear(n) { [0.0, 1.0] } else { [f - 1e-5, f + 1e-5] };
@@ -122,8 +122,8 @@ impl Oracle {
         self.formation != Formation::Polarization || n >= self.layers
     }
 
-    /// Updates factor n by the paper's rule (without `sweeps`), or by sweeps of coordinate steps on
-    /// the bounding quadratic.
+    /// Updates factor n. Without `sweeps` it applies the paper's rule; otherwise it makes sweeps of
+    /// coordinate steps on the bounding quadratic.
     ///
     /// Returns the influence of every value f on the emission. It is an upper bound of
     /// √Σ w (∂L̃/∂f)², summed over the rays that read f.
@@ -132,12 +132,12 @@ impl Oracle {
         let size = self.factors[n].len() / frames;
         let (mut residual, mut wanted) = (vec![vec![0.0; frames]; size], vec![vec![0.0; frames]; size]);
         let (mut emitted_sum, mut gram) = (vec![vec![0.0; frames]; size], vec![vec![vec![0.0; frames]; frames]; size]);
-        // the sums of every pixel over all its rays
+        // compute the sums of every pixel over all its rays
         for ray in &self.rays {
             let Read::Entries(entries) = &ray.reads[n] else { continue };
             for channel in 0..3 {
                 let (emitted, beta_l) = (self.emitted(ray, channel), ray.wanted[channel]);
-                // derivatives by f_m/M
+                // derivatives of the emission L̃ by each frame's value, times the number of frames
                 let a: Vec<f64> = (0..frames).map(|m| self.slope(ray, n, m, channel)).collect();
                 let quarter = std::f64::consts::FRAC_PI_2.powi(2);
                 let most = quarter * frames as f64 * (1.0 + 2.0 * beta_l.abs().max((1.0 - beta_l).abs()));
@@ -160,7 +160,7 @@ impl Oracle {
                 }
             }
         }
-        // step pixel by pixel
+        // step each pixel by its sums
         let [low, high] = self.ranges[n];
         for at in 0..size {
             let f = |m: usize| m * size + at;
@@ -186,7 +186,7 @@ impl Oracle {
         let influence = |m: usize, at: usize| gram[at][m][m].sqrt() / frames as f64;
         let mut influences: Vec<f64> = (0..frames * size).map(|i| influence(i / size, i % size)).collect();
         if self.tied[n] {
-            // the sums above changed only the red value; copy it to green and blue
+            // In tied channels, the steps changed only the red value. Copy it to green and blue.
             for values in [&mut self.factors[n], &mut influences] {
                 values.chunks_exact_mut(3).for_each(|pixel| pixel.copy_from_slice(&[pixel[0]; 3]));
             }
@@ -204,8 +204,8 @@ impl Oracle {
         self.rays.len()
     }
 
-    /// Largest weighted difference between factor n and a stack; `counts(i)` is the weight of value
-    /// i.
+    /// Largest difference between the values of factor n here and in a stack, each multiplied by
+    /// its weight `counts(i)`.
     pub(crate) fn distance(&self, n: usize, stack: &LayerStack, counts: impl Fn(usize) -> f64) -> f64 {
         let mut tensors = stack.layers.iter().map(|t| t.data()).chain(stack.emission.iter().map(|t| t.data()));
         let found = tensors.nth(n).unwrap_or(&[]);
@@ -214,14 +214,15 @@ impl Oracle {
     }
 }
 
-/// The stored values of a layer that rays at these pixels read.
+/// For each channel, the stored values of a layer that a ray through these pixels reads.
 fn entries(layer: &Layer, pixels: &[(usize, f64)]) -> [Vec<Entry>; 3] {
     let [cols, rows] = layer.resolution;
     let tied = layer.colour == LayerColour::Mono;
     let taps: Vec<f64> =
         layer.response().map_or(vec![1.0], |response| response.taps().iter().map(|&t| f64::from(t)).collect());
     let radius = (taps.len() / 2) as isize;
-    // shares along one axis; shares outside the border are divided among the others
+    // Blur spreads a pixel along one axis. Shares outside the border are divided among the pixels
+    // inside.
     let spread = |i: usize, count: usize| -> Vec<(usize, f64)> {
         let all = (-radius..=radius).map(|k| (i as isize + k, taps[(k + radius) as usize]));
         let within: Vec<_> = all.filter(|(i, _)| (0..count as isize).contains(i)).collect();
@@ -261,14 +262,14 @@ fn rays(problem: &Problem) -> Vec<Ray> {
     let mut rays = Vec::new();
     for [view_y, view_x] in field.grid.iter() {
         for (row, col) in (0..field.rows).flat_map(|row| (0..field.cols).map(move |col| (row, col))) {
-            // the ray's position and slope at z = 0
+            // compute the ray's position and slope at z = 0
             let x = (col as f64 - (field.cols as f64 - 1.0) / 2.0) * field.pitch_mm;
             let y = ((field.rows as f64 - 1.0) / 2.0 - row as f64) * field.pitch_mm;
             let (mut sx, mut sy) = (field.grid.slope_x[view_x], field.grid.slope_y[view_y]);
             if let Projection::Perspective { distance_mm } = field.grid.projection {
                 (sx, sy) = ((sx * distance_mm - x) / distance_mm, (sy * distance_mm - y) / distance_mm);
             }
-            // the pixels of each layer that the ray reads
+            // find the pixels of each layer that the ray reads
             let mut reads = Vec::new();
             let mut counts = true;
             for layer in &display.layers {
@@ -289,7 +290,7 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                     reads.push(Read::Entries(entries(layer, &pixels)));
                 }
             }
-            // the lenslet and angular bin that the ray hits
+            // find the lenslet and angular bin that the ray hits
             if let Backlight::Lenslets(b) = &display.backlight {
                 let ([cols, rows], [bins_x, bins_y]) = (b.lenslets.map(|n| n as f64), b.views.map(|n| n as f64));
                 let i = ((x + b.d_mm * sx - b.offset_mm[0]) / b.pitch_mm + (cols - 1.0) / 2.0 + 0.5).floor();
@@ -298,7 +299,8 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                 let tan = b.fov_deg.map(|fov| (fov / 2.0).to_radians().tan());
                 let bin_x = (bins_x / 2.0 * (1.0 + sx / tan[0])).floor();
                 let bin_y = (bins_y / 2.0 * (1.0 - sy / tan[1])).floor();
-                // outside its bins a lens array shows the picture of the neighbouring lenslet
+                // Outside its bins, a lenslet shows the picture of the pixels behind a neighbouring
+                // lenslet.
                 let (zone_x, zone_y) = ((bin_x / bins_x).floor(), (bin_y / bins_y).floor());
                 let (i, j) = (i - zone_x, j - zone_y);
                 let (bin_x, bin_y) = (bin_x - zone_x * bins_x, bin_y - zone_y * bins_y);
@@ -321,7 +323,8 @@ fn rays(problem: &Problem) -> Vec<Ray> {
     rays
 }
 
-/// The two pixels around a position and their weights; outside the centres, the outermost pixel.
+/// The two pixels around a position, with their weights. At the border a position may have one
+/// pixel only.
 fn neighbours(u: f64, count: usize) -> impl Iterator<Item = (usize, f64)> {
     let u = u.clamp(0.0, count as f64 - 1.0);
     let first = u.floor();

@@ -9,7 +9,7 @@ use lumistack_display::{
 
 use lumistack_factorizer::Problem;
 
-/// The special property of a random problem.
+/// The property by which a random problem differs from a plain one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     Plain,
@@ -88,7 +88,7 @@ impl Owned {
     }
 }
 
-/// A display whose layers have the field's pixels.
+/// A display whose layers have the pixels and the pitch of the light field.
 pub(crate) fn display(resolution: [usize; 2], views: [usize; 2], d_mm: &[f64], frames: usize) -> Display {
     Display {
         name: "random".into(),
@@ -103,7 +103,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
     let mut random = Stream::new(derive(seed, &[kind as u64]));
     let mut below = |n: usize| (random.next_u64() % n as u64) as usize;
     let any = kind == Kind::Anything;
-    // sizes
+    // choose the resolution, and the numbers of views, frames and layers
     let resolution = match kind {
         Kind::OnePixel => [1, 1],
         Kind::Wide | Kind::WideBilinear => [70 + below(30), 3],
@@ -122,7 +122,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
         Kind::EightLayers => 8,
         _ => 1 + below(4),
     };
-    // properties that the kind fixes or leaves to chance
+    // choose the properties that the kind fixes or leaves to chance
     let formed = matches!(kind, Kind::Additive | Kind::Polarization);
     let lenslets = matches!(kind, Kind::LensletsDark | Kind::LensletsRepeat) || (any || formed) && below(2) == 0;
     let responses = kind == Kind::Responses;
@@ -138,7 +138,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
         _ => 0,
     };
     let mut unit = || f64::from(random.next_f32());
-    // odd distances keep positions away from the ties of rounding
+    // Odd distances keep ray positions away from half pixels, where rounding would decide.
     let mut d_mm = -7.3 - unit();
     let distances: Vec<f64> = (0..layers)
         .map(|_| {
@@ -146,7 +146,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
             d_mm
         })
         .collect();
-    // the display
+    // build the display
     let mut display = display(resolution, views, &distances, frames);
     display.brightness = 0.2 + 0.8 * unit();
     display.missing = if clear { Missing::Clear } else { Missing::Drop };
@@ -165,7 +165,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
         }
     }
     if kind == Kind::CoarseLayers {
-        // very many rays read every pixel
+        // layers are so coarse that very many rays read every pixel
         for layer in &mut display.layers {
             layer.resolution = [3, 2];
             layer.pitch_mm = 5.0 + unit();
@@ -224,7 +224,7 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
     // some weights are 0
     let mut weight = || ((unit() * 1.3 - 0.3).max(0.0) * 7.0) as f32;
     let [view_cols, view_rows] = views;
-    // but at least one weight is above 0
+    // make at least one weight greater than 0
     let some = |mut values: Vec<f32>| {
         if values.iter().all(|w| *w == 0.0) {
             values[0] = 1.0;

@@ -1,5 +1,6 @@
 //! Tests tiles: a tile's rays read the same values as in the whole display. If a tile is solved
-//! with fixed borders, the objective of the whole display falls by as much as that of the tile.
+//! with fixed borders, the objective of the whole display falls by as much as the objective of the
+//! tile.
 
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_display::{LayerColour, LayerStack, RayMap, Region, Tap, Tile, Tiling, Weights};
@@ -9,7 +10,8 @@ use lumistack_factorizer::device::Updater;
 use lumistack_factorizer::internals::Engine;
 use lumistack_factorizer::{FactorizeError, Problem, Settings, factorize, factorize_tile, random_start};
 
-/// Tolerance of a gain, relative to the previous objective. Tile and whole sum the gain in f32.
+/// Tolerance of a gain, relative to the previous objective. It is needed since the gain of a tile
+/// and of the whole display are summed in f32.
 const GAIN_TOLERANCE: f64 = 2e-5;
 const SEEDS: [u64; 3] = [1, 2, 3];
 
@@ -60,7 +62,8 @@ fn every_pixel_is_one_tiles_own_and_all_rays_through_free_pixels_are_the_tiles()
                 }
                 assert!(part.own.is_empty() || part.own.common(&part.free) == part.own, "{kind:?}");
             }
-            // compare naively, for every ray and every layer
+            // for every ray and layer, compare the pixels that the ray reads in the tile and in the
+            // whole display
             for view in geometry.grid.iter() {
                 for (row, col) in (0..geometry.rows).flat_map(|r| (0..geometry.cols).map(move |c| (r, c))) {
                     let Region { rows, cols } = &tile.field;
@@ -132,7 +135,8 @@ fn what_a_tile_gains_with_fixed_borders_the_whole_gains() {
             let of_tile = Problem { display: &display, target: &target, weights: &weights };
             let settings =
                 Settings { solver: "block-exact".into(), iterations: 2, levels: false, ..Settings::default() };
-            // a warm start raises black values to the floor, so do the same here
+            // A warm start raises black values to the floor. Do the same for the patterns that are
+            // compared.
             let tensors = stack.layers.iter_mut().map(|layer| layer.data_mut());
             for values in tensors.chain(stack.emission.iter_mut().map(|emission| emission.data_mut())) {
                 values.iter_mut().for_each(|value| *value = value.max(lumistack_factorizer::FLOOR));

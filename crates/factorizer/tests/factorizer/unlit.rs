@@ -9,14 +9,14 @@ use lumistack_factorizer::device::Updater;
 use lumistack_factorizer::internals::Engine;
 use lumistack_factorizer::{Settings, StartKind, factorize, random_start};
 
-/// Largest loss by the end of a run, dB.
+/// Largest PSNR that darkening at the end of a run may cost, dB.
 const COST_DB: f64 = 1e-3;
-/// Transmittance of the other layer below which a test takes a pixel as unlit. It is far below the
-/// solver's own limit, 10⁻⁴ of the brightness.
+/// Transmittance of the other layer below which these tests treat a pixel as unlit. It is far below
+/// the solver's own limit, 10⁻⁴ of the brightness.
 const UNLIT: f32 = 1e-6;
 
-/// Largest allowed value of an unlit pixel. It is not 0: the solver may have darkened the other
-/// layer after this pixel. That happens only if this pixel was below the solver's limit.
+/// Largest allowed value of an unlit pixel. It is not 0, since the solver may have darkened the
+/// other layer after this pixel. That can happen only if this pixel was below the solver's limit.
 const BLACK: f32 = 1e-4;
 
 /// Two layers of three frames. The left half of the target is black; its right half has waves.
@@ -44,8 +44,9 @@ fn solve(owned: &Owned, settings: &Settings, warm: Option<&LayerStack>) -> (Laye
     (made.stack, psnr)
 }
 
-/// Per value of each layer, the largest value of the other layer in the same frame over all rays
-/// through the pixel; `None` without rays. Two layers, nearest sampling.
+/// For each value of each layer, the largest value of the other layer in the same frame, over all
+/// rays through the pixel. `None` for a pixel without rays. It requires two layers and nearest
+/// sampling.
 fn light(owned: &Owned, stack: &LayerStack) -> [Vec<Option<f32>>; 2] {
     let geometry = owned.target.geometry();
     let map = RayMap::new(&owned.display, geometry);
@@ -153,7 +154,7 @@ fn darkening_changes_no_value_that_light_reaches_on_any_display() {
 #[test]
 fn pixels_that_no_ray_reaches_keep_what_they_have() {
     let mut display = display([20, 12], [3, 3], &[-5.3, 5.1], 2);
-    // wider than the field, so that some pixels have no rays
+    // Layers are wider than the field, so that some pixels have no rays.
     for layer in &mut display.layers {
         layer.resolution = [60, 36];
     }
@@ -184,8 +185,8 @@ fn black_patterns_are_a_start_like_any_other() {
     for iterations in [1, 5] {
         let settings = Settings { solver: "block-exact".into(), iterations, ..Settings::default() };
         let (_, psnr) = solve(&owned, &settings, Some(&black));
-        // all frames stay equal, so the display shows the half that is not black no better than a
-        // display with one frame
+        // All frames stay equal. So the half that is not black looks no better than on a display
+        // with one frame.
         assert!(psnr > 12.0, "{psnr} dB after {iterations} iterations from black");
     }
     // a mask that was black in one time step becomes bright in the next

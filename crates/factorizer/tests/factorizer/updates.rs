@@ -11,7 +11,8 @@ use lumistack_factorizer::device::Updater;
 use lumistack_factorizer::internals::Engine;
 use lumistack_factorizer::{FLOOR, random_start, solver};
 
-/// Largest allowed difference of a mask value between full updates in f32 and in f64.
+/// Largest allowed difference of a mask value between an update in f32 and the oracle's update in
+/// f64.
 const MASK_TOLERANCE: f64 = 1e-5;
 /// Tolerated relative rise of the objective by rounding in f32.
 const RISE_RELATIVE: f64 = 1e-6;
@@ -21,7 +22,7 @@ const RISE_PER_VALUE: f64 = 1e-13;
 const ERROR_SEEN: f64 = 1e-5;
 /// Tolerance of an objective near 0 that an update obtains from its own sums, per ray and channel.
 const ERROR_SEEN_PER_VALUE: f64 = 1e-11;
-/// Largest allowed KKT residual after many iterations.
+/// Largest allowed KKT residual after many iterations, when the run has converged.
 const SETTLED: f64 = 1e-4;
 /// Tolerance of the objective between f32 and f64, relative.
 const OBJECTIVE_TOLERANCE: f64 = 1e-5;
@@ -40,7 +41,8 @@ fn kernels() -> Vec<(Backend, bool)> {
     Backend::available().iter().flat_map(|backend| [(*backend, false), (*backend, true)]).collect()
 }
 
-/// Every rule with the floor of its solver, and the number of sweeps for the oracle.
+/// Every rule, with the smallest value that its solver allows, and the number of sweeps for the
+/// oracle.
 const RULES: [(Rule, f32, Option<u32>); 2] =
     [(Rule::Multiplicative, FLOOR, None), (Rule::Block { sweeps: 4 }, 0.0, Some(4))];
 
@@ -72,8 +74,8 @@ fn one_update_agrees_with_the_oracle_on_every_kind_of_problem() {
                             worst = worst.max(distance);
                             assert!(distance <= MASK_TOLERANCE, "{what}: {distance}");
                         } else {
-                            // a value that almost no light reaches is not determined: rounding
-                            // decides it
+                            // Rounding decides a value that almost no light reaches, so only
+                            // determined values are compared.
                             let distance = oracle.distance(n, &stack, |i| f64::from(influence[i] > DETERMINED));
                             worst = worst.max(distance);
                             assert!(distance <= MASK_TOLERANCE, "{what}: {distance}");

@@ -11,7 +11,7 @@ use crate::FieldError;
 /// Number of bytes at the end of a JPEG that must contain its end marker. Cameras append small
 /// extras after the marker.
 const JPEG_TAIL: u64 = 1 << 16;
-/// Memory limit of a decoder, bytes.
+/// Largest memory that a decoder may take, bytes.
 const DECODER_BYTES: u64 = 3 << 30;
 
 pub(super) fn size(path: &Path) -> Result<[usize; 2], FieldError> {
@@ -35,7 +35,7 @@ pub(super) fn read(path: &Path) -> Result<Picture, FieldError> {
 fn reader(path: &Path) -> Result<ImageReader<BufReader<lumistack_files::File>>, FieldError> {
     let file = lumistack_files::open(path).map_err(FieldError::io(path, "read"))?;
     let mut reader = ImageReader::new(BufReader::new(file));
-    // set the format by the extension; it holds for files without a signature
+    // set the format by the extension, which decides for files without a signature
     if let Ok(format) = ImageFormat::from_path(path) {
         reader.set_format(format);
     }

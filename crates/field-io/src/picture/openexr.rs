@@ -19,13 +19,13 @@ use crate::{FieldError, atomic};
 pub enum Precision {
     /// Half float: 11 significant bits, largest value 65504.
     Half,
-    /// Single float.
+    /// Single float: 24 significant bits.
     Float,
 }
 
 /// On noisy pictures PIZ takes half the time and half the space of ZIP.
 const COMPRESSION: Compression = Compression::PIZ;
-/// Bytes that a chunk takes at least: its entry in the offset table and its header.
+/// Smallest number of bytes of a chunk in a file: its entry in the offset table, and its header.
 const LEAST_BYTES_PER_CHUNK: u64 = 16;
 /// Largest size of decoded pixels, relative to the size of their file. Deflate packs 1032 bytes
 /// into one, and PXR24 keeps 24 of 32 bits.
@@ -44,8 +44,9 @@ pub fn write_exr(path: &Path, size: [usize; 2], rgb: &[f32], precision: Precisio
 }
 
 /// Writes like [`write_exr`], but uncompressed and with a text in the header's attribute
-/// `comments`, which [`Picture::read_noted`] returns. Such files are soon read again. For a noisy
-/// view of few samples, compression would take half as long as the rendering.
+/// `comments`, which [`Picture::read_noted`] returns. The file is not compressed because it is soon
+/// read again. Compression of a noisy view with few samples would take half as long as its
+/// rendering.
 ///
 /// # Errors
 /// If writing fails.
@@ -75,8 +76,8 @@ pub fn exr_bytes(size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Res
     Ok(bytes)
 }
 
-/// Encodes a picture. Pixels are read from `rgb` when their block is compressed. A copy of all
-/// pixels would be the largest allocation for a large picture.
+/// Encodes a picture. The encoder reads pixels from `rgb` block by block, so memory never holds a
+/// second copy of all pixels.
 fn encode(
     writer: impl io::Write + io::Seek,
     size: [usize; 2],
@@ -184,7 +185,7 @@ impl MultiView {
         self.names.push(text);
     }
 
-    /// The file's bytes.
+    /// Encodes the picture, and returns the bytes of the file.
     ///
     /// # Errors
     /// If the picture has no view or exceeds the limits of the format.

@@ -49,7 +49,8 @@ pub fn defaults() -> GeometryDefaults {
     GeometryDefaults { width_mm: Some(400.0), fov_deg: Some([20.0, 20.0]) }
 }
 
-/// A folder of third-party files next to the workspace; `None` after a skip message.
+/// A folder of third-party files next to the workspace. If it is missing, the test is reported as
+/// skipped, and the result is `None`.
 pub fn assets(variable: &str, default: &str, below: &str) -> Option<PathBuf> {
     let path = lumistack_testkit::skip::folder(variable, &format!("../shared/{default}"))?.join(below);
     if path.exists() {

@@ -33,7 +33,7 @@ fn stanford_views_are_ordered_by_camera_centres() {
         let folder = tempfile::tempdir().unwrap();
         for row in 0..2u8 {
             for col in 0..3u8 {
-                // uneven spacing along x: 0, 10, 40
+                // the cameras are unevenly spaced along x, at 0, 10 and 40
                 let x = x_sign * [0.0, 10.0, 40.0][usize::from(col)] + 500.0;
                 let y = y_sign * 20.0 * f64::from(row);
                 labelled(&folder.path().join(format!("out_{row:02}_{:02}_{y:.6}_{x:.6}_.png", 4 * col)), [col, row]);
@@ -45,7 +45,7 @@ fn stanford_views_are_ordered_by_camera_centres() {
         let topmost = if y_sign > 0.0 { 0 } else { 1 };
         assert_eq!(label(&field, [0, 0]), [leftmost, topmost]);
         assert_eq!(label(&field, [1, 2]), [2 - leftmost, 1 - topmost]);
-        // the bins together cover 20°, so this is their mean width; the views' slopes are in
+        // the three bins together cover 20°, so `step` is their mean width; the slopes are in
         // proportion to the cameras' positions
         let step = 2.0 / 3.0 * 10f64.to_radians().tan();
         let expected = if x_sign > 0.0 { [-1.0, -0.5, 1.0] } else { [-1.0, 0.5, 1.0] };
@@ -86,8 +86,8 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     let (field, warnings) = open(folder.path(), &GeometryFlags::default(), &defaults());
     assert_eq!(label(&field.unwrap(), [1, 2]), [2, 1]);
     assert!(warnings.iter().any(|w| w.contains("the cameras' own angles are 0.9° × 0.6°")), "{warnings:?}");
-    // without a default angle, the slopes follow from the cameras: 50 mm at 10 m; the viewing
-    // distance is width · f / sensor
+    // Without a default angle, the slopes follow from the cameras: they are 50 mm apart, at a
+    // distance of 10 m. The viewing distance is width · f / sensor.
     let own = GeometryDefaults { width_mm: Some(350.0), fov_deg: None };
     let field = open(folder.path(), &GeometryFlags::default(), &own).0.unwrap();
     let grid = &field.geometry().grid;
@@ -100,8 +100,8 @@ fn numbered_and_hci_views_go_from_the_top_left() {
 #[test]
 fn quilts_start_at_the_bottom_left_and_may_be_anamorphic() {
     let folder = tempfile::tempdir().unwrap();
-    // 3 columns and 2 rows of tiles of 6 × 4 pixels; at the right one column, and at the top one
-    // row of pixels is unused
+    // the picture has 3 × 2 tiles of 6 × 4 pixels; one column at the right and one row at the top
+    // are unused
     let draw =
         |name: &str| {
             let path = folder.path().join(name);
@@ -116,10 +116,10 @@ fn quilts_start_at_the_bottom_left_and_may_be_anamorphic() {
     assert!(field.geometry().grid.slope_x.windows(2).all(|pair| pair[1] > pair[0]));
     assert_eq!(field.geometry().grid.slope_y, [0.0]);
     assert!((field.geometry().pitch_mm - 400.0 / 6.0).abs() < EXACT);
-    // the views' aspect is 3 : 4, so square pixels reduce a view to three columns
+    // a view has the aspect 3 : 4, so square pixels reduce its six columns to three
     let field = open(&draw("a_qs3x2a0.75.png"), &GeometryFlags::default(), &defaults()).0.unwrap();
     assert_eq!(field.radiance().shape(), [1, 6, 4, 3, 3]);
-    // the flag overrides the name, and defines the layout of a picture without one
+    // the flag overrides the layout in the name, and gives a layout to a picture without one
     let flags = GeometryFlags { quilt: Some([2, 3]), ..GeometryFlags::default() };
     assert_eq!(open(&draw("a_qs3x2.png"), &flags, &defaults()).0.unwrap().radiance().shape(), [1, 6, 3, 9, 3]);
     let flags = GeometryFlags { tiles: Some([19, 9]), ..GeometryFlags::default() };
@@ -128,7 +128,7 @@ fn quilts_start_at_the_bottom_left_and_may_be_anamorphic() {
     assert_eq!((label(&field, [1, 0]), label(&field, [8, 17])), ([0, 1], [2, 0]));
 }
 
-/// The shift with the best match between two views.
+/// Returns the shift along an axis, in pixels, at which two views match best.
 fn best_shift(field: &LightField, first: [usize; 2], second: [usize; 2], axis: usize, reach: i64) -> i64 {
     let [_, _, rows, cols, _] = field.radiance().shape();
     let level = |view: [usize; 2], row: i64, col: i64| {
@@ -177,8 +177,8 @@ fn the_shop_is_put_in_focus_and_can_keep_its_own_angles() {
     let field = field.unwrap();
     println!("{warnings:#?}");
     assert!(warnings.iter().any(|w| w.contains("is moved to z = 0")), "{warnings:?}");
-    // slopes to the plane with 9 ± 3 pixels per view: the focal length is 800 pixels, and kept
-    // views are four views apart
+    // The plane at z = 0 had a disparity of 9 ± 3 pixels per view. The focal length is 800 pixels,
+    // and kept views are four views apart, so their slopes differ by 4 · (9 ± 3)/800.
     let grid = &field.geometry().grid;
     assert!((6.0 / 800.0 * 4.0..12.0 / 800.0 * 4.0).contains(&grid.slope_x[2]), "{grid:?}");
     assert!((grid.slope_x[2] - grid.slope_y[0]).abs() < EXACT);
@@ -195,7 +195,7 @@ fn the_real_quilt_has_thirty_two_views() {
     let (field, _) = open(path.parent().unwrap(), &flags, &defaults());
     let field = field.unwrap();
     assert_eq!(field.radiance().shape(), [1, 32, 256, 512, 3]);
-    // over all views the box in front moves left, and the background stays
+    // from view 8 to view 24 the box in front moves left, and the background stays
     let across = best_shift(&field, [0, 8], [0, 24], 0, 16);
     println!("from view 8 to view 24 the picture moves by {across}");
     assert!(across <= 0);

@@ -19,7 +19,7 @@ fn plain_error(path: &Path) -> String {
     error_of(path, &GeometryFlags::default(), &defaults())
 }
 
-/// Lengths that cut headers, tables and data.
+/// Lengths to which a file of `length` bytes is truncated. They cut headers, tables and data.
 fn cuts(length: usize) -> Vec<usize> {
     let mut cuts: Vec<usize> = (0..32).chain([length / 4, length / 2, length * 3 / 4]).collect();
     cuts.extend(length.saturating_sub(20)..length);
@@ -27,8 +27,8 @@ fn cuts(length: usize) -> Vec<usize> {
     cuts
 }
 
-/// Truncates a file at many lengths. `read` must fail for each, except for the whole file. The last
-/// `idle` bytes of the file carry no data.
+/// Truncates a file at many lengths. `read` must fail for each length, and succeed for the whole
+/// file. The last `idle` bytes carry no data, so the file is not cut within them.
 fn truncate(file: &Path, idle: usize, read: impl Fn() -> Result<(), String>) {
     let whole = fs::read(file).unwrap();
     for cut in cuts(whole.len() - idle) {
@@ -116,7 +116,7 @@ fn files_that_an_index_names_are_regular_and_inside() {
 
 #[test]
 fn truncated_pictures_are_errors() {
-    // a PNG ends with the checksum of an empty chunk
+    // the last 4 bytes of a PNG are the checksum of an empty chunk, without which it can be read
     for (name, idle) in [("q_qs2x1.png", 4), ("q_qs2x1.jpg", 0), ("q_qs2x1.webp", 0)] {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(name);
@@ -152,8 +152,8 @@ fn headers_that_claim_much_cost_nothing() {
     assert!(grown < 1 << 30, "{grown} bytes were touched");
 }
 
-/// A picture of a single value compresses best, which determines the limit on pixels per byte of a
-/// file.
+/// A picture of a single value has the most pixels per byte of its file, and must be read. A header
+/// that claims more pixels than the file can hold is an error.
 #[test]
 fn pictures_do_not_claim_more_pixels_than_they_can_hold() {
     let folder = tempfile::tempdir().unwrap();

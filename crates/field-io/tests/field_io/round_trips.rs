@@ -112,14 +112,16 @@ fn a_field_that_cannot_be_written_leaves_no_index() {
     assert!(error.contains("view_00_00.exr: output folder: expected a folder or nothing, found a file"), "{error}");
 }
 
-/// A plane at z with a grating of frequency ω is in 45 views, of which 9 are kept. With a footprint
-/// of n views, each kept view has sin(πωznΔs)/(n sin(πωzΔs)) of the contrast, about sinc(ω z δs).
-/// Without a prefilter the contrast does not change.
+/// A plane at z with a grating of frequency ω is in 45 views, whose slopes are Δs apart. Nine views
+/// are kept. A footprint δs = nΔs averages n views into each kept view. This leaves sin(πωznΔs)/(n
+/// sin(πωzΔs)) of the contrast, about sinc(ω z δs). Without a prefilter the contrast does not
+/// change.
 #[test]
 fn a_prefilter_removes_detail_above_the_bound() {
     let grid = lumistack_display::ViewGrid::uniform(Projection::Oblique, [45, 2], [20.0, 2.0]).unwrap();
     let step = grid.bin_width()[0];
-    // with a pixel at x = 0 and a whole number of pixels per half period, samples hit the extremes
+    // a pixel is at x = 0, and half a period has a whole number of pixels, so samples hit the
+    // extremes
     for (z_mm, frequency, n) in [(40.0, 0.8, 5), (-60.0, 0.4, 5), (25.0, 0.5, 9), (0.0, 0.8, 9)] {
         let geometry = lumistack_display::FieldGeometry { rows: 1, cols: 101, pitch_mm: 0.125, grid: grid.clone() };
         let mut field = LightField::black(geometry.clone()).unwrap();
@@ -155,8 +157,8 @@ fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
     write_field(folder.path(), &field, &Map::new()).unwrap();
     let [bin_x, bin_y] = field.geometry().grid.bin_width();
     let flags = GeometryFlags { views: Some([1, 3]), prefilter: true, ..GeometryFlags::default() };
-    // with one view per row there is no step along x; of three rows, the central one takes a
-    // quarter of each neighbour
+    // with one kept view per row there is no step along x, so only rows are averaged: the central
+    // one of three rows takes a quarter of each neighbour
     let (filtered, _) = open_for(folder.path(), &flags, [3.0 * bin_x, 2.0 * bin_y]);
     let filtered = filtered.unwrap();
     for (i, found) in filtered.view([1, 0]).iter().enumerate() {
@@ -170,8 +172,8 @@ fn a_prefilter_is_a_mean_and_says_where_it_does_nothing() {
     assert!(error.contains("--prefilter: expected a display"), "{error}");
 }
 
-/// Views that are not kept have the slopes that they have in the whole light field. They occur
-/// once, and kept views are not among them.
+/// The views between the kept views have the same slopes as in the whole light field. Each occurs
+/// once, and no kept view is among them.
 #[test]
 fn views_between_those_that_are_kept_are_given_when_wanted() {
     for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 600.0 }] {
@@ -315,7 +317,8 @@ np.save("theirs.npy", a[:, ::-1].astype(">f8"))
 "#;
     let output = Command::new(python).args(["-c", script]).current_dir(folder.path()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // the copy has big-endian doubles and reversed rows, so its first row is our last row
+    // NumPy wrote a copy of layer 0 with big-endian doubles and reversed rows, so its first row is
+    // our last row
     let (shape, values) = npy::read(&folder.path().join("theirs.npy")).unwrap();
     assert_eq!(shape, [2, 5, 7, 3]);
     assert_eq!(values[..21], stack.layers[0].data()[4 * 21..5 * 21]);

@@ -5,7 +5,7 @@ use gltf::json::accessor::ComponentType;
 
 use super::kinds::{Attribute, Mesh, Unpacked, Unsound};
 
-/// Decodes a stream, and unpacks the attributes with the given ids to one element per vertex.
+/// Decodes a stream. The attributes with the given ids are expanded to one element per vertex.
 pub(super) fn decode(bytes: &[u8], attributes: &[u32], max_bytes: u64) -> Result<Unpacked, Unsound> {
     let limits = DecodeLimits::default()
         .with_max_decoded_bytes(max_bytes)
@@ -23,7 +23,8 @@ pub(super) fn decode(bytes: &[u8], attributes: &[u32], max_bytes: u64) -> Result
         let dimensions = usize::from(source.num_components());
         let size = component.as_ref().map_or(0, |component| component.size()) * dimensions;
         used += (vertices * size) as u64;
-        // the caller counts these bytes too, and refuses the file
+        // over the limit nothing is unpacked; the caller counts these bytes too, and refuses the
+        // file
         let elements = if used > max_bytes { Ok(Vec::new()) } else { elements(source, vertices, size) };
         Some(Attribute { component, dimensions, elements })
     };

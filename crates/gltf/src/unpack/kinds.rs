@@ -7,49 +7,49 @@ use lumistack_splats::read::Found;
 /// Packed content that a library decodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Packed<'a> {
-    /// A picture of which the size alone is wanted: [`Unpacked::Size`].
+    /// A picture whose size is read from its header: [`Unpacked::Size`].
     Size(Use, &'a [u8]),
-    /// A picture: [`Unpacked::Pixels`].
+    /// A picture that is decoded: [`Unpacked::Pixels`].
     Picture(Use, &'a [u8]),
-    /// A Draco mesh: [`Unpacked::Mesh`] with the attributes of these ids, within `max_bytes`.
+    /// A Draco mesh, which is decoded to [`Unpacked::Mesh`].
     Draco {
-        /// The stream.
+        /// The bytes of the Draco stream.
         bytes: &'a [u8],
-        /// Draco's unique ids of the wanted attributes, without duplicates.
+        /// Draco's unique ids of the attributes that are decoded, without duplicates.
         attributes: &'a [u32],
-        /// Largest number of bytes that the mesh and the wanted attributes may take.
+        /// Largest number of bytes that the mesh and these attributes may take.
         max_bytes: u64,
     },
-    /// A meshopt stream: [`Unpacked::Bytes`].
+    /// A meshopt stream, which is decoded to [`Unpacked::Bytes`].
     Meshopt {
-        /// The stream.
+        /// The bytes of the meshopt stream.
         bytes: &'a [u8],
-        /// Its codec.
+        /// The codec by which the stream was compressed.
         codec: Codec,
         /// The filter that is undone after decompression.
         filter: Filter,
-        /// Number of elements.
+        /// Number of elements of the decoded view.
         count: usize,
-        /// Number of bytes of an element.
+        /// Number of bytes of an element of the decoded view.
         stride: usize,
     },
-    /// An SPZ stream: [`Unpacked::Splats`].
+    /// An SPZ stream, which is decoded to [`Unpacked::Splats`].
     Spz {
-        /// The stream.
+        /// The bytes of the SPZ stream.
         bytes: &'a [u8],
         /// Largest number of bytes that the splats may take.
         max_bytes: u64,
     },
-    /// A file of splats, and the files beside it by name: [`Unpacked::Splats`].
+    /// A file of splats, and the files beside it with their names: [`Unpacked::Splats`].
     Capture(&'a [u8], Vec<(&'a str, &'a [u8])>),
 }
 
 /// The use of a picture, which decides its formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Use {
-    /// PNG, JPEG, WebP or KTX2.
+    /// A texture, which may be PNG, JPEG, WebP or KTX2.
     Texture,
-    /// Radiance (`.hdr`).
+    /// An environment map, which is Radiance (`.hdr`).
     Environment,
 }
 
@@ -84,43 +84,43 @@ pub enum Filter {
 pub enum Unpacked {
     /// Size of a picture in texels, and of one of its texels in bytes.
     Size {
-        /// Number of texels in a row.
+        /// Number of texels in a row of the picture.
         width: u32,
-        /// Number of rows.
+        /// Number of rows of the picture.
         height: u32,
-        /// Number of bytes of a texel.
+        /// Number of bytes of a texel after decoding.
         texel_bytes: usize,
     },
-    /// Texels, row by row.
+    /// Texels of a picture, row by row.
     Pixels(Pixels),
-    /// A mesh.
+    /// Mesh of a Draco stream.
     Mesh(Mesh),
-    /// Plain bytes.
+    /// Decoded bytes of a meshopt stream.
     Bytes(Vec<u8>),
-    /// Splats.
+    /// Splats of an SPZ stream or of a file of splats.
     Splats(Found),
 }
 
 /// A mesh of a Draco stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mesh {
-    /// Number of vertices.
+    /// Number of vertices of the mesh.
     pub vertices: usize,
     /// Vertex indices of the corners, not checked against `vertices`.
     pub triangles: Vec<[u32; 3]>,
-    /// The wanted attributes; `None` for ids that the stream does not have.
+    /// One attribute for each requested id; `None` if the stream does not have the id.
     pub attributes: Vec<Option<Attribute>>,
 }
 
 /// Elements of one attribute, tightly packed, one per vertex.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Attribute {
-    /// Type of a component, or the name of one that glTF does not have.
+    /// Type of a component, or Draco's name of a type that glTF does not have.
     pub component: Result<ComponentType, String>,
-    /// Number of components of an element.
+    /// Number of components of an element, such as 3 for a position.
     pub dimensions: usize,
-    /// The elements, or the first vertex that has none. Empty once the bytes that the mesh may take
-    /// are used up.
+    /// The elements, or the index of the first vertex that has none. The list is empty if the mesh
+    /// would exceed its limit of bytes.
     pub elements: Result<Vec<u8>, u32>,
 }
 
@@ -131,7 +131,7 @@ pub struct Unsound {
     pub place: String,
     /// The expected content.
     pub expected: String,
-    /// The found content.
+    /// The content that was found instead.
     pub found: String,
 }
 

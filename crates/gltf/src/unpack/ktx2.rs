@@ -21,10 +21,10 @@ pub(super) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 /// Number of bytes of the header before the list of levels, and of one level's entry in the list.
 const HEADER_BYTES: usize = 80;
 const LEVEL_BYTES: usize = 24;
-/// The bytes of the header that hold offset and length of the key/value data.
+/// Range of the header's bytes that states offset and length of the key/value data.
 #[cfg(feature = "ktx2")]
 const NOTES: Range<usize> = 56..64;
-/// Colour models of the data format descriptor.
+/// Colour models of the data format descriptor that stand for Basis Universal's two codecs.
 const ETC1S: u32 = 163;
 const UASTC: u32 = 166;
 
@@ -47,7 +47,7 @@ struct Header {
     channels: Channels,
 }
 
-/// Width and height of the largest level.
+/// Returns width and height of the largest level, in texels.
 pub(super) fn size(bytes: &[u8]) -> Result<[u32; 2], Unsound> {
     let Header { width, height, .. } = Header::read(bytes)?;
     Ok([width, height])
@@ -60,13 +60,13 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
     Err(Unsound::new("a PNG, JPEG or WebP picture, since this build reads no others", "KTX2"))
 }
 
-/// Decodes the largest level.
+/// Decodes the largest level of a picture.
 #[cfg(feature = "ktx2")]
 pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
     let Header { width, height, channels } = Header::read(bytes)?;
     let broken = |error| Unsound::new("a sound Basis Universal picture", format!("{error:?}"));
-    // the key/value data is irrelevant for texels, and the decoder trusts the length of its last
-    // entry, so the data is hidden
+    // hide the key/value data: texels do not need it, and the decoder trusts the length of its last
+    // entry
     let mut noteless = bytes.to_vec();
     noteless[NOTES].fill(0);
     let transcoder = Transcoder::new(&noteless).map_err(broken)?;
@@ -84,7 +84,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
 }
 
 impl Header {
-    /// Reads the header's fields that matter and checks every range in it.
+    /// Reads the fields of the header that are needed, and checks every range that the header
+    /// states.
     fn read(bytes: &[u8]) -> Result<Self, Unsound> {
         let fault = |expected: &str, found: String| Err(Unsound::new(format!("a KTX2 picture with {expected}"), found));
         let truncated = || Unsound::new("a whole KTX2 file", format!("{} bytes", bytes.len()));
@@ -133,7 +134,7 @@ impl Header {
                 return fault(&format!("{needed} bytes in level {level}"), unpacked.to_string());
             }
         }
-        // channel ids of the samples in the data format descriptor
+        // read the channel ids of the samples in the data format descriptor
         let sample = |at: usize| -> Result<u32, Unsound> { Ok((word(at)? >> 24) & 15) };
         let first = sample(descriptor + 28)?;
         let two_samples = word(52)? >= 60;

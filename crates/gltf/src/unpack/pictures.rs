@@ -1,4 +1,4 @@
-//! Pictures: PNG, JPEG, WebP and KTX2 of codes, Radiance of linear values.
+//! Decodes pictures. PNG, JPEG, WebP and KTX2 hold codes, and Radiance holds linear values.
 //!
 //! The content decides the format; names and MIME types are often wrong. Colour profiles and
 //! orientation tags are ignored, as glTF requires (2.0, section 3.8.3).
@@ -45,7 +45,7 @@ pub(super) fn decode(usage: Use, bytes: &[u8]) -> Result<Unpacked, Unsound> {
     pixels.map(Unpacked::Pixels)
 }
 
-/// Opens a picture, within the limits.
+/// Opens a picture of a format that the use allows, with limits on size and memory.
 fn open(usage: Use, bytes: &[u8]) -> Result<(ImageFormat, impl ImageDecoder + '_), Unsound> {
     let formats = match usage {
         Use::Texture => &TEXTURES[..],
@@ -72,7 +72,7 @@ fn open(usage: Use, bytes: &[u8]) -> Result<(ImageFormat, impl ImageDecoder + '_
         let expected = format!("at most {MAX_SIDE} texels a side");
         return Err(Unsound::new(expected, format!("{width} × {height} texels of {:?}", decoder.color_type())));
     }
-    // the picture itself is in the budget before it is decoded
+    // the caller has counted the texels; the decoder may hold them twice, besides rows and tables
     limits.max_alloc = Some(decoder.total_bytes().saturating_mul(2).saturating_add(DECODER_BYTES));
     decoder.set_limits(limits).map_err(|error| unreadable(format, error))?;
     Ok((format, decoder))
@@ -88,7 +88,7 @@ fn is_deep(decoder: &impl ImageDecoder) -> bool {
     color.bytes_per_pixel() / color.channel_count() > 1
 }
 
-/// Codes with four channels; 16 bits where the file has them.
+/// Decodes a picture of codes to four channels, with 16 bits if the file has 16 bits.
 fn codes(bytes: &[u8]) -> Result<Pixels, Unsound> {
     let (format, decoder) = open(Use::Texture, bytes)?;
     let (width, height) = decoder.dimensions();
@@ -97,9 +97,9 @@ fn codes(bytes: &[u8]) -> Result<Pixels, Unsound> {
         let decoded = DynamicImage::from_decoder(decoder).map_err(unsound)?;
         return Ok(Pixels::Rgba16(decoded.into_rgba16().into_raw().as_chunks::<4>().0.to_vec()));
     }
-    // A large picture is not held twice. The decoder writes into the end of the memory for the
-    // four-channel texels. Then the values are spread out from the start; the writer never catches
-    // up with the reader.
+    // A large picture is not held twice. The decoder writes its values into the end of the memory
+    // for four-channel texels. Then the values are spread out from the start, and never overwrite a
+    // value that is still needed.
     let (count, channels) = (width as usize * height as usize, usize::from(decoder.color_type().channel_count()));
     let mut texels = vec![[0; 4]; count];
     let start = (4 - channels) * count;
@@ -118,7 +118,7 @@ fn codes(bytes: &[u8]) -> Result<Pixels, Unsound> {
     Ok(Pixels::Rgba8(texels))
 }
 
-/// The values of a Radiance picture.
+/// Decodes a Radiance picture to linear values.
 fn radiance(bytes: &[u8]) -> Result<Pixels, Unsound> {
     let (format, decoder) = open(Use::Environment, bytes)?;
     let decoded = DynamicImage::from_decoder(decoder).map_err(|error| unreadable(format, error))?;

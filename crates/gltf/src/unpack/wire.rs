@@ -1,4 +1,5 @@
-//! Requests and answers as bytes: numbers of 64 bits, lists after their length, little-endian.
+//! Requests and answers as bytes, little-endian. Numbers have 64 bits, and each list follows its
+//! length.
 
 use glam::{Quat, Vec3};
 use gltf::json::accessor::ComponentType;
@@ -31,7 +32,7 @@ impl Out {
         self
     }
 
-    /// Writes the position of a value in the list `all`.
+    /// Writes a value as its position in the list `all`.
     fn one_of<T: PartialEq>(&mut self, all: &[T], value: &T) -> &mut Self {
         self.number(all.iter().position(|other| other == value).unwrap_or(all.len()))
     }
@@ -42,7 +43,7 @@ impl Out {
         self
     }
 
-    /// Writes a list of values of `N` bytes each, after its length in bytes.
+    /// Writes values of `N` bytes each, after the number of all their bytes.
     fn values<const N: usize>(&mut self, values: impl ExactSizeIterator<Item = [u8; N]>) -> &mut Self {
         self.number(N * values.len());
         self.0.reserve(N * values.len());

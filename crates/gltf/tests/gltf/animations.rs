@@ -81,13 +81,13 @@ fn splines_have_the_values_and_tangents_of_their_keys() {
     for step in 0..=20 {
         let t = 0.5 + 2.5 * step as f32 / 20.0;
         let expected = value(t);
-        // corners (1, 0, 0) and (0, 1, 0); the scale along y is half of the scale along x
+        // the animated scale along y is half of the scale along x
         let size = at_scale(&b, f64::from(t));
         assert!((size.x - expected).abs() < 1e-4 && (size.y - 0.5 * expected).abs() < 1e-4, "{t}: {size} {expected}");
     }
 }
 
-/// Scale of node 1 along its axes, which may be zero.
+/// Scale of node 1 along each of its axes. A scale may be zero.
 fn at_scale(b: &Builder, time_s: f64) -> Vec3 {
     let mut b = b.clone();
     // the translation of a child shows the scale, even if a scale of zero hides the mesh
@@ -121,7 +121,8 @@ fn rotations_take_the_shorter_arc_at_constant_speed() {
 
 #[test]
 fn rotations_come_in_every_width() {
-    // the keys are no rotation and half a turn about z; the time is halfway between them
+    // the keys are no rotation and half a turn about z; at a time halfway between the keys, the
+    // node has made a quarter turn
     let cases: [(u32, Vec<u8>); 5] = [
         (F32, [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect()),
         (I8, vec![0, 0, 0, 127, 0, 0, 127, 0]),
@@ -144,7 +145,7 @@ fn rotations_come_in_every_width() {
 fn weights_move_morph_targets() {
     let mut b = animated(|b| {
         let input = b.floats("SCALAR", &[0.0, 1.0]);
-        // normalized values, for two targets per key
+        // the values are normalized, two for each key, since the mesh has two targets
         let output = b.accessor(U8, "SCALAR", 4, &[0, 255, 255, 51]);
         b.set(&format!("/accessors/{output}/normalized"), json!(true));
         vec![one_channel(0, "weights", "LINEAR", input, output)]
@@ -165,8 +166,8 @@ fn weights_move_morph_targets() {
 fn cubic_weights_have_three_groups_per_key() {
     let b = animated(|b| {
         let input = b.floats("SCALAR", &[0.0, 2.0]);
-        // in-tangents, values, out-tangents of two targets; the first rises as t² − t³/4 (from 0 to
-        // 2), the second stays at 1
+        // each key has in-tangents, values and out-tangents of two targets: the first weight rises
+        // as t² − t³/4 (from 0 to 2), the second stays at 1
         let key = |value: [f32; 2]| [0.0, 0.0, value[0], value[1], 0.0, 0.0];
         let values: Vec<f32> = [key([0.0, 1.0]), key([2.0, 1.0])].concat();
         let output = b.floats("SCALAR", &values);
@@ -242,7 +243,7 @@ fn without_a_choice_animations_that_do_not_conflict_play_together() {
     assert_eq!([0, 1].map(|i| placed(scene.as_ref().unwrap(), i, Vec3::ZERO).x), [1.0, 0.0]);
     let expected = "test.gltf: /animations: two or more animations move the same property of a node; only the first is played (animations: 0 (Hop), 1 (Jump), 2 (Leap))";
     assert_eq!(warnings, [expected]);
-    // a time for a file without animations
+    // a time for a file without animations causes a warning
     let (_, warnings) = load_choosing(&Builder::triangle().glb(), &options);
     assert_eq!(warnings, ["test.gltf: /animations: the file has no animations; the time has no effect"]);
 }
@@ -335,7 +336,8 @@ fn contents_list_animations_and_variants() {
     assert_eq!(contents.variants, ["Ruby", "Topaz"]);
 }
 
-/// Bounds and mean of the corners of the fox, as `data/fox.py` computes them with NumPy.
+/// For an animation of the fox and a time: the smallest and largest coordinates and the mean of its
+/// corners, as `data/fox.py` computes them with NumPy.
 const FOX: [(&str, f64, [[f32; 3]; 3]); 4] = [
     ("Survey", 0.0, [[-29.8998, -0.1307, -84.3404], [11.5953, 74.6421, 56.6528], [-3.2666, 32.1693, -2.8316]]),
     ("Survey", 1.7, [[-11.5965, -0.1307, -84.9123], [18.5374, 77.7259, 67.4433], [1.3505, 32.7429, -1.7869]]),
@@ -355,7 +357,7 @@ fn the_fox_stands_where_numpy_puts_it() {
         let sum: glam::DVec3 = corners.iter().map(|corner| corner.as_dvec3()).sum();
         let found = [bounds.min, bounds.max, (sum / corners.len() as f64).as_vec3()];
         for (found, expected) in found.into_iter().zip([low, high, mean]) {
-            // the fox is 155 units long
+            // the tolerance is small compared with the fox, which is 155 units long
             assert!(found.distance(expected.into()) < 2e-3, "{animation} at {time_s}: {found} {expected:?}");
         }
     }

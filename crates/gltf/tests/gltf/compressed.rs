@@ -15,8 +15,8 @@ fn data(name: &str) -> Vec<u8> {
     std::fs::read(workspace().join("crates/gltf/tests/data").join(name)).unwrap()
 }
 
-/// Vertices, by a key: twice their grid position, rounded. Also triangles, as the keys of their
-/// corners, with the smallest key first.
+/// The vertices of a grid and its triangles. The key of a vertex is twice its grid position,
+/// rounded. A triangle has the keys of its corners, with the smallest key first.
 type Grid = (BTreeMap<[i32; 2], (Vec3, Vec3, Vec2)>, Vec<[[i32; 2]; 3]>);
 
 fn grid(scene: &Scene) -> Grid {
@@ -69,8 +69,8 @@ fn assert_same(name: &str, tolerances: [f32; 3]) {
 
 #[test]
 fn draco_primitives_are_decoded() {
-    // KHR_draco_mesh_compression: positions have 14 bits over the extent of the grid, normals have
-    // 10 bits, texture coordinates have 12 bits
+    // KHR_draco_mesh_compression: the tolerances follow from the bits. Positions have 14 bits over
+    // the extent of the grid, normals have 10 bits, texture coordinates have 12 bits.
     for name in ["grid-draco-edgebreaker.glb", "grid-draco-sequential.glb"] {
         assert_same(name, [3e-4, 5e-3, 5e-4]);
     }
@@ -85,7 +85,8 @@ fn draco_primitives_are_decoded() {
 
 #[test]
 fn meshopt_views_are_unpacked() {
-    // EXT_meshopt_compression: ATTRIBUTES, TRIANGLES, and the filters OCTAHEDRAL and QUATERNION
+    // EXT_meshopt_compression: the files use ATTRIBUTES, TRIANGLES, and the filters OCTAHEDRAL and
+    // QUATERNION
     assert_same("grid-meshopt-quantize.glb", [2e-4, 5e-3, 2e-4]);
     assert_same("grid-meshopt-filter.glb", [2e-4, 2e-2, 2e-4]);
     for name in ["grid-meshopt-quantize.glb", "grid-meshopt-filter.glb"] {
@@ -94,10 +95,10 @@ fn meshopt_views_are_unpacked() {
         let plain = load_choosing(&data("grid.glb"), &options).0.unwrap().instances[0].scene_from_mesh;
         let x = turned.transform_vector3(Vec3::X).normalize();
         assert!(x.distance(plain.transform_vector3(Vec3::X).normalize()) < 1e-3, "{name}: {x}");
-        // an eighth of a turn about z
+        // at this time, the node has made an eighth of a turn about z
         assert!(x.distance(Vec3::new(1.0, 1.0, 0.0).normalize()) < 1e-3, "{name}: {x}");
     }
-    // KHR_meshopt_compression: the second version of the codec
+    // KHR_meshopt_compression also allows the second version of the codec
     let mut b = Builder::triangle();
     let encoding = VertexEncoding::new(1, 2).unwrap();
     let mut workspace = Workspace::default();
@@ -108,7 +109,7 @@ fn meshopt_views_are_unpacked() {
         let mut b = b.clone();
         let extension = json!({"buffer": 0, "byteOffset": source["byteOffset"], "byteLength": source["byteLength"],
             "byteStride": 12, "count": 3, "mode": "ATTRIBUTES"});
-        // the fallback buffer has no data
+        // the view's own buffer, for readers without the extension, has no data
         let fallback = json!({"buffer": 1, "byteOffset": 0, "byteLength": 36, "extensions": {name: extension}});
         b.set("/bufferViews/0", fallback).set("/extensionsRequired", json!([name]));
         b.set("/buffers", json!([{"byteLength": b.bin.len()}, {"byteLength": 36}]));
@@ -139,7 +140,7 @@ fn claims_that_no_stream_can_back_are_refused_before_memory_is_taken() {
     b.set("/bufferViews/0/byteLength", json!(1u64 << 32));
     b.set("/bufferViews/0/extensions", json!({"EXT_meshopt_compression": extension}));
     assert!(support::error(&b).contains("which 64 packed bytes can hold"), "{}", support::error(&b));
-    // Draco: break every byte of the stream in turn
+    // Draco: breaking any byte of the stream causes no panic
     let file = data("grid-draco-edgebreaker.glb");
     let view = file.windows(5).position(|bytes| bytes == b"DRACO").unwrap();
     for at in view..file.len() {
@@ -147,7 +148,7 @@ fn claims_that_no_stream_can_back_are_refused_before_memory_is_taken() {
             let mut broken = file.clone();
             broken[at] = value;
             let options = LoadOptions { max_decoded_bytes: 64 << 20, ..LoadOptions::default() };
-            // either an error or a scene is right
+            // the result may be an error or a scene
             _ = load_choosing(&broken, &options);
         }
     }
@@ -169,7 +170,8 @@ fn picture(bytes: &[u8]) -> Builder {
 
 #[test]
 fn basis_pictures_are_decoded() {
-    // KHR_texture_basisu; in ETC1S the colours of a block lie on one line in the space of colours
+    // KHR_texture_basisu. In ETC1S the colours of a block lie on one line in the space of colours,
+    // so its tolerance is larger.
     for (name, tolerance) in [("etc1s", 24), ("uastc", 8), ("uastc-zstd", 8)] {
         let file = data(&format!("{name}.ktx2"));
         let scene = scene(&picture(&file));
@@ -184,8 +186,8 @@ fn basis_pictures_are_decoded() {
         }
         println!("{name}: off by at most {largest}");
         assert!(largest <= tolerance, "{name}: {largest}");
-        // the file is cut short, and every byte is broken in turn: the result is an error or a
-        // picture, but no panic
+        // The file is cut short, which must be an error. Then every byte is broken in turn, which
+        // gives an error or a picture, but no panic.
         for length in 0..file.len() {
             assert!(load(&picture(&file[..length]).glb()).0.is_err(), "{name} cut to {length}");
         }
@@ -197,7 +199,8 @@ fn basis_pictures_are_decoded() {
             }
         }
     }
-    // an entry of key/value data whose end is not padded; the decoder must not read it
+    // the key/value data ends with an entry that is not padded, past which the decoder must not
+    // read
     let mut noted = data("uastc.ktx2");
     noted.resize(noted.len().next_multiple_of(4), 0);
     let notes = [noted.len() as u32, 7].map(u32::to_le_bytes);

@@ -14,11 +14,11 @@ use serde_json::{Value, json};
 /// Longest time in which any file of the corpus is loaded or refused.
 const MAX_LOAD_TIME: Duration = Duration::from_secs(20);
 
-/// Number of triangles, including copies, from the corpus' own inventory.
+/// Number of triangles of each file, including copies, as the corpus' own inventory states it.
 const TRIANGLES: [(&str, usize); 25] = [
     ("BoxMeshopt/BoxMeshopt.glb", 12),
     ("BoxMeshopt/BoxMeshopt.gltf", 12),
-    // 36446 in the inventory, which includes triangles without area
+    // the inventory has 36446, since it includes triangles without area
     ("jet-fighter/jet-fighter.glb", 36440),
     ("AttenuationTest/AttenuationTest.glb", 292),
     ("Box/Box.glb", 12),
@@ -40,9 +40,9 @@ const TRIANGLES: [(&str, usize); 25] = [
     ("TransmissionRoughnessTest/TransmissionRoughnessTest.glb", 77792),
     ("TransmissionRoughnessTest-quantized/TransmissionRoughnessTest-quantized.glb", 77792),
     ("many-cubes/many-cubes.gltf", 6012),
-    // 12 triangles, 125 copies
+    // 125 copies of 12 triangles
     ("simple-instancing/simple-instancing.glb", 1500),
-    // 121496 in the inventory, which includes triangles without area
+    // the inventory has 121496, since it includes triangles without area
     ("2CylinderEngine/2CylinderEngine.glb", 110_336),
 ];
 
@@ -98,8 +98,9 @@ fn sample_assets_load_or_are_refused_for_their_extensions() {
     }
 }
 
-/// glTF-Asset-Generator: modes 0 to 6 without indices, then with indices; the last two files have
-/// other sizes of indices. Modes that make triangles show a unit square that faces +z.
+/// Checks a file of glTF-Asset-Generator by its number. Files 0 to 6 have the modes 0 to 6 without
+/// indices, and files 7 to 13 with indices. The last two files have other sizes of indices. Modes
+/// that make triangles show a unit square that faces +z.
 fn check_primitive_mode(file: usize, result: Result<Scene, GltfError>) {
     if file % 7 < 4 && file < 14 {
         assert!(result.unwrap_err().to_string().contains("at least one triangle"));
@@ -116,7 +117,7 @@ fn quantized_and_plain_meshes_are_the_same_surface() {
     let plain = load_file(&folder.join("TransmissionRoughnessTest/TransmissionRoughnessTest.glb")).0.unwrap();
     let name = "TransmissionRoughnessTest-quantized/TransmissionRoughnessTest-quantized.glb";
     let quantized = load_file(&folder.join(name)).0.unwrap();
-    // positions have 14 bits over an extent of 2
+    // compressed positions have 14 bits over an extent of 2
     let tolerance = 2.0 / 16384.0;
     let corners = |scene: &Scene| -> Vec<Vec3> {
         let placed = scene.instances.iter().flat_map(|instance| {
@@ -193,14 +194,14 @@ fn with_a_triangle(path: &Path) -> Option<Vec<u8>> {
     let file: Value = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
     let (mut b, [_, node]) = add_triangle(&file)?;
     let scene = b.json.get("scene").and_then(Value::as_u64).unwrap_or_default();
-    // without scenes every node without a parent is shown
+    // if a file has no scenes, every node without a parent is shown
     if let Some(scene) = b.json.pointer_mut(&format!("/scenes/{scene}")) {
         scene.as_object_mut()?.entry("nodes").or_insert_with(|| json!([])).as_array_mut()?.push(json!(node));
     }
     Some(b.json.to_string().into_bytes())
 }
 
-/// Files with errors that are harmless in them, and the reason.
+/// Files that load although the validator finds an error in them, and the reason why this is right.
 const LENIENT: [(&str, &str); 6] = [
     ("buffer/invalid_uri_data.glb", "shows nothing; its twin in JSON is refused when shown"),
     ("buffer/no_bin_chunk.glb", "shows nothing; the same is refused when shown in the tests of errors"),
@@ -210,7 +211,7 @@ const LENIENT: [(&str, &str); 6] = [
     ("root/extensions_non_objects.gltf", "extensions of this form are not read"),
 ];
 
-/// Files that are refused although all of their errors are harmless, and the reason.
+/// Files that are refused although all of their errors are in [`HARMLESS`], and the reason.
 const STRICT: [(&str, &str); 1] = [(
     "animation_data/quaternion_non_unit_values.gltf",
     "its times have no data and so are all zero, which the validator does not look at",
@@ -262,15 +263,15 @@ fn hostile_files_do_no_harm() {
     }
     println!("{loaded} load, {refused} refused");
     assert!(disagreements.is_empty(), "{disagreements:#?}");
-    // every file that shows nothing states a reason, and files with different defects do not all
-    // state the same
+    // every file that shows nothing states a reason, and different defects give more than one
+    // reason
     assert!(reasons.iter().all(|reason| reason.starts_with("none: ")), "{reasons:#?}");
     let count = reasons.len();
     reasons.sort();
     reasons.dedup();
     println!("{count} files show nothing, for {} reasons", reasons.len());
     assert!(reasons.len() > 20, "{reasons:#?}");
-    // other files of the corpus that show nothing or are broken
+    // these files show nothing or are broken, and the error must name the place
     let named = [
         ("assimp-BoxWithInfinites/BoxWithInfinites.glb", "/attributes/POSITION: expected finite numbers"),
         ("assimp-IndexOutOfRange/IndexOutOfRange.gltf", "/indices: expected vertices below 24, found 255"),
@@ -286,7 +287,7 @@ fn hostile_files_do_no_harm() {
     }
 }
 
-/// Most hostile files have their defect in an object that no scene shows. Here every object is
+/// Most hostile files have their defect in an object that no scene shows, so here every object is
 /// shown in turn.
 #[test]
 fn hostile_objects_do_no_harm_when_shown() {
@@ -309,8 +310,8 @@ fn hostile_objects_do_no_harm_when_shown() {
     }
     messages.iter().for_each(|message| println!("{message}"));
     println!("{loaded} load, {refused} refused");
-    // an index just past the end of a list refers to the appended entry, so such indices are tested
-    // elsewhere
+    // [`add_triangle`] appends entries, so an index just past the end of a list is valid here;
+    // other tests check such indices
     for (file, expected) in [
         ("mesh/accessor_unequal_count", "/attributes/COLOR_0: expected"),
         ("mesh/position_accessor_invalid_format", "/attributes/POSITION: expected VEC3"),
@@ -326,8 +327,8 @@ fn hostile_objects_do_no_harm_when_shown() {
     }
 }
 
-/// The file with a triangle that no scene shows yet, and the indices of its mesh and its node.
-/// `None` if a member that should be a list is not one.
+/// Adds a triangle that no scene shows yet to a file, and returns the indices of its mesh and its
+/// node. `None` if a member that should be a list is not one.
 fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     let mut b = Builder { json: file.clone(), bin: Vec::new() };
     for list in ["scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers", "materials", "textures"] {
@@ -335,7 +336,7 @@ fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
             return None;
         }
     }
-    // buffers without data in the corpus get zeros
+    // a buffer without data gets zeros, so that the objects that use it can be read
     let buffers = b.json.get_mut("buffers").and_then(Value::as_array_mut);
     for buffer in buffers.into_iter().flatten().filter_map(Value::as_object_mut) {
         let length = buffer.get("byteLength").and_then(Value::as_u64).filter(|&length| length <= 1 << 16);
@@ -435,7 +436,7 @@ fn the_scenes_of_this_project_load_without_a_warning() {
         assert!(scene.environment.is_some() && scene.is_lit(), "{name}");
         assert!(scene.cameras[0].focus_distance.is_some_and(|distance| distance > 0.0), "{name}");
         assert!(scene.materials.iter().any(|material| material.base_color_texture.is_some()), "{name}");
-        // the binary file, the sky and the pictures are read once each
+        // the binary file, the sky and every picture must be read only once
         let mut read = resolver.read.borrow().clone();
         read.sort();
         let before = read.len();

@@ -71,7 +71,7 @@ fn broken_pictures() {
 
     assert_error(&textured(json!({})), "/images/0: expected a uri or a bufferView, found neither");
 
-    // a header that states 60000 × 60000 texels
+    // the header states 60000 × 60000 texels, which is over the limit
     let mut huge = png(1, &[[0; 4]]);
     huge[16..24].copy_from_slice(&[0, 0, 0xEA, 0x60, 0, 0, 0xEA, 0x60]);
     let crc = crc32(&huge[12..29]);
@@ -112,10 +112,11 @@ fn accessors_that_reach_past_their_bytes() {
     assert_error(&b, "/bufferViews/0/byteLength: expected at most 36 bytes, which buffer 0 has there, found 37");
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/byteOffset", json!(u64::MAX)));
     assert_error(&b, "/bufferViews/0/byteLength: expected at most 0 bytes, which buffer 0 has there, found 36");
-    // 2³² becomes 0 in the typed reader
+    // 2³² becomes 0 in the typed reader, so the reader has to compare the index as it is written
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/buffer", json!(1u64 << 32)));
     assert_error(&b, "/bufferViews/0/buffer: expected an index below 1, found 4294967296");
-    // an accessor without a buffer view: zeros, which take no space in the file
+    // an accessor without a buffer view has zeros, which take no space in the file, so its count is
+    // limited
     let b = triangle_with(|b| {
         b.remove("/accessors/0/bufferView").set("/accessors/0/count", json!(4_000_000_000u64));
     });
@@ -211,12 +212,12 @@ fn scenes_with_nothing_to_see() {
     assert!(error(&b).contains("every node that the scene lists is hidden"), "{}", error(&b));
     let b = triangle_with(|b| _ = b.set("/meshes/0/primitives", json!([])));
     assert_error(&b, &format!("/scenes/0: {nothing}: /meshes/0 has no primitives"));
-    // the first of several reasons
+    // of several reasons, the message states the first
     let primitives = json!([{"attributes": {"POSITION": 0}, "mode": 1}, {"attributes": {}}]);
     let b = triangle_with(|b| _ = b.set("/meshes/0/primitives", primitives));
     let reason = "/meshes/0/primitives/0: a primitive of mode Lines has no surface and is left out (primitives left out in all: 2)";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
-    // data that the scene does not use is broken as well
+    // the message also names a defect of data that the scene does not use
     let b = triangle_with(|b| {
         b.set("/nodes/0", json!({}));
         b.set("/accessors/0/count", json!(4));
@@ -364,7 +365,7 @@ fn required_extensions() {
 #[test]
 fn copies_of_copies_do_not_exhaust_memory() {
     let mut builder = Builder::triangle();
-    // a million copies that take no space in the file, of a mesh with two hundred primitives
+    // a million copies of a mesh with two hundred primitives take no space in the file
     let offsets = builder.push("accessors", json!({"componentType": F32, "type": "VEC3", "count": 1 << 20}));
     builder.set("/meshes/0/primitives", json!(vec![json!({"attributes": {"POSITION": 0}}); 200]));
     let instancing = json!({"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": offsets}}});
@@ -374,8 +375,8 @@ fn copies_of_copies_do_not_exhaust_memory() {
     assert!(message.starts_with(expected), "{message}");
 }
 
-/// Fifty thousand nodes show a mesh with twenty thousand primitives. Work for each pair, a billion,
-/// would take minutes.
+/// Fifty thousand nodes show a mesh with twenty thousand primitives. The reader must not work on
+/// every pair of node and primitive: a billion pairs would take minutes.
 #[test]
 fn nodes_that_share_a_large_mesh_take_no_time() {
     let mut builder = Builder::triangle();

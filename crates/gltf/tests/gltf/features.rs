@@ -114,7 +114,7 @@ fn sparse_elements_replace_dense_ones_or_zeros() {
 #[test]
 fn interleaved_and_quantized_attributes() {
     let mut b = Builder::triangle();
-    // 12 bytes per vertex: position i16×3, padding, normal i8×3, padding
+    // a vertex has 12 bytes: position i16×3, padding, normal i8×3, padding
     let mut bytes = Vec::new();
     for position in [[0i16, 0, 0], [32767, 0, 0], [0, -32768, 0]] {
         position.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
@@ -180,7 +180,7 @@ fn shared_meshes_become_instances_under_their_parents() {
     let place = |i: usize| scene.instances[i].scene_from_mesh.transform_point3(Vec3::X);
     assert_near(place(0), Vec3::X);
     assert_near(place(1), Vec3::new(1.0, 0.0, 1.0));
-    // rotated by 90° about z, scaled by two, then lifted by the parent
+    // node 2 is scaled by two and turned by 90° about z, then its parent lifts it
     assert_near(place(2), Vec3::new(0.0, 2.0, 1.0));
     assert_near(place(3), Vec3::new(3.0, 5.0, 6.0));
 }
@@ -194,7 +194,7 @@ fn the_default_scene_is_chosen() {
     assert_eq!(scene(&b).bounds().min.x, 0.0);
     b.set("/scene", json!(1));
     assert_eq!(scene(&b).bounds().min.x, 9.0);
-    // without scenes every node without a parent is shown
+    // if a file has no scenes, every node without a parent is shown
     b.remove("/scene").remove("/scenes");
     assert_eq!(scene(&b).instances.len(), 2);
 }
@@ -222,7 +222,7 @@ fn gpu_instancing_places_copies() {
     let scene = scene(&b);
     let place = |i: usize| scene.instances[i].scene_from_mesh.transform_point3(Vec3::Y);
     assert_near(place(0), Vec3::new(1.0, 1.0, 0.0));
-    // half a turn about z, then 3 towards z
+    // copy 1 makes half a turn about z, and is then moved by 3 along z
     assert_near(place(1), Vec3::new(1.0, -1.0, 3.0));
 }
 
@@ -261,7 +261,7 @@ fn a_skin_turns_normals_with_the_surface() {
     b.push("skins", json!({"joints": [0]}));
     b.set("/nodes/0", json!({"mesh": 0, "skin": 0, "scale": [2, 1, 1]}));
     let scene = scene(&b);
-    // a plane x + y = c that is stretched by two along x becomes x/2 + y = c
+    // the plane x + y = c becomes x/2 + y = c if it is stretched by two along x
     assert_near(scene.meshes[0].normals[0], Vec3::new(1.0, 2.0, 0.0).normalize());
     assert_near(scene.meshes[0].positions[1], 2.0 * Vec3::X);
 }
@@ -339,7 +339,7 @@ fn materials_keep_every_factor_and_texture() {
         (Wrap::ClampToEdge, Wrap::MirroredRepeat, Filter::Nearest)
     );
     assert_eq!((default.wrap_u, default.wrap_v, default.filter), (Wrap::Repeat, Wrap::Repeat, Filter::Linear));
-    // one picture, decoded once, whose first row is at the top
+    // the picture is decoded only once, and its first row is at the top
     assert_eq!((sampled.image, default.image, scene.images.len()), (0, 0, 1));
     assert_eq!(
         scene.images[0].pixels,
@@ -351,7 +351,8 @@ fn materials_keep_every_factor_and_texture() {
 fn texture_transforms_scale_then_turn_then_shift() {
     let scene = scene(&painted());
     let map = scene.materials[1].base_color_texture.unwrap().texture_from_mesh;
-    // (1, 1) → (2, 3) → a quarter turn that moves u to −v: (3, −2) → (3.5, −1.75)
+    // (1, 1) is scaled to (2, 3), turned by a quarter from u to −v to (3, −2), and moved to (3.5,
+    // −1.75)
     assert!((map.transform_point2(Vec2::ONE) - Vec2::new(3.5, -1.75)).length() < TOLERANCE);
 }
 
@@ -408,7 +409,7 @@ fn pictures_of_every_format_and_depth() {
         assert_eq!(load_picture(bytes).pixels, expected);
     }
     let Pixels::Rgba8(texels) = load_picture(encode(rgb8, image::ImageFormat::Jpeg)).pixels else { panic!() };
-    // tolerance for JPEG's rounding in YCbCr
+    // allow 2 codes for JPEG's rounding in YCbCr
     assert!(texels.iter().all(|t| t[0].abs_diff(200) <= 2 && t[1].abs_diff(100) <= 2 && t[2].abs_diff(50) <= 2));
 }
 

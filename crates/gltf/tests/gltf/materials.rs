@@ -21,7 +21,8 @@ fn triangle_with(material: Value) -> Builder {
     b
 }
 
-/// A texture reference with its own transform, and the form that it gets in the scene.
+/// Returns the JSON of a texture reference with its own transform, and the use of the texture that
+/// the scene must have.
 fn texture(number: usize) -> (Value, Option<TextureUse>) {
     let shift = 0.0625 * number as f32;
     let json = json!({"index": number, "texCoord": number % 2,
@@ -30,8 +31,7 @@ fn texture(number: usize) -> (Value, Option<TextureUse>) {
     (json, Some(TextureUse { texture: 0, uv_set: number % 2, texture_from_mesh }))
 }
 
-/// The use of a texture with the texture's index set to 0, since the index depends on the order of
-/// reading.
+/// Sets the texture's index of a use to 0, since the index depends on the order of reading.
 fn moved(found: Option<TextureUse>) -> Option<TextureUse> {
     found.map(|found| TextureUse { texture: 0, ..found })
 }
@@ -130,7 +130,7 @@ fn glossiness_becomes_roughness() {
     assert_eq!(moved(material.specular_color_texture), texture(1).1);
     let rough = material.metallic_roughness_texture.unwrap();
     assert_eq!(moved(Some(rough)), texture(1).1);
-    // 1 − glossiness · alpha, for alpha 0, 1, 0.4 and 0.2
+    // roughness is 1 − glossinessFactor · alpha, with the factor 0.5 and alpha 0, 1, 0.4 and 0.2
     let Pixels::Rgba8(texels) = &found.images[found.textures[rough.texture].image].pixels else { panic!() };
     let green: Vec<u8> = texels.iter().map(|texel| texel[1]).collect();
     assert_eq!(green, [255, 128, 204, 230]);

@@ -78,8 +78,8 @@ fn everything() -> Builder {
     b
 }
 
-/// Loads the bytes, and returns true if they give a scene. A panic fails with `what`, a description
-/// of the bytes.
+/// Loads the bytes, and returns true if they give a scene. If the reader panics, the test fails
+/// with `what`, a description of the bytes.
 fn survives(bytes: &[u8], what: &str) -> bool {
     let start = Instant::now();
     let result = catch_unwind(|| load(bytes).0.is_ok());
@@ -105,7 +105,8 @@ fn a_file_cut_anywhere_is_refused() {
 
 #[test]
 fn a_binary_chunk_cut_anywhere_is_survived() {
-    // the container is valid, so that every accessor in turn extends past the end of the data
+    // only the binary chunk is cut, in a valid container, so that every accessor in turn extends
+    // past the data
     let whole = everything();
     let json_length = whole.bin.len();
     for length in (0..json_length).step_by(3) {

@@ -56,7 +56,7 @@ fn accessors_become_a_cloud() {
         assert_eq!(cloud.scales[1], Vec3::new(0.4, 0.5, 0.6));
         assert_eq!(cloud.opacities, [1.0, 0.2, 0.0]);
         assert!((cloud.rotations[1] * Vec3::Y - Vec3::Z).length() < 1e-6);
-        // [splat][coefficient][rgb]
+        // the harmonics of a cloud are `[splat][coefficient][rgb]`
         let coefficients = (degree + 1).pow(2);
         for (i, rgb) in cloud.harmonics.chunks_exact(3).enumerate() {
             let (splat, coefficient) = (i / coefficients, i % coefficients);
@@ -149,7 +149,7 @@ fn broken_splats_are_refused_or_left_out() {
         b.set(&attribute("SCALE"), scales.into());
     };
     refused(&fewer, "3 elements, as POSITION has");
-    // splats with impossible values are left out one by one
+    // a splat with an impossible value is left out, and the other splats stay
     for (name, kind, values) in [
         ("SCALE", "VEC3", [0.1, f32::NAN, 0.1, 1.0, 1.0, 1.0, -1.0, 1.0, 1.0].as_slice()),
         ("ROTATION", "VEC4", &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0, f32::INFINITY, 0.0, 0.0, 1.0]),
@@ -188,7 +188,8 @@ fn an_spz_stream_goes_before_accessors() {
     b.set("/nodes/0", json!({"mesh": 0}));
     let scene = scene(&b);
     assert_eq!((scene.splat_count(), scene.clouds[0].degree), (2, 0));
-    // SPZ has x right, y up and z back; glTF has x left, y up and z front
+    // SPZ has x right, y up and z back; glTF has x left, y up and z front, so x and z change their
+    // signs
     let first = scene.splat_positions().next().unwrap();
     assert!((first - Vec3::new(-1.0, 2.0, -3.0)).length() < 1e-3, "{first}");
     let broken = b.view(&[0; 100]);

@@ -19,13 +19,13 @@ pub(super) enum Content {
 
 pub(super) const CONTENTS: [Content; 3] = [Content::Waves, Content::Patches, Content::Two];
 
-/// Three layers 12 mm apart, 80 × 50 pixels of 1 mm.
+/// Returns a display of three layers 12 mm apart, with 80 × 50 pixels of 1 mm.
 pub(super) fn display() -> Display {
     Display { brightness: 0.3, ..Display::uniform([80, 50], 1.0, [5, 3], [20.0, 12.0], &[-12.0, 0.0, 12.0], 4) }
 }
 
-/// The display of [`display`] with twice the columns. A smaller part of it is new when content
-/// moves.
+/// Returns the display of [`display`] with twice the columns, so that moving content enters a
+/// smaller fraction of it.
 pub(super) fn wide() -> Display {
     Display { brightness: 0.3, ..Display::uniform([160, 50], 1.0, [5, 3], [20.0, 12.0], &[-12.0, 0.0, 12.0], 4) }
 }

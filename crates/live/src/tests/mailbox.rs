@@ -11,7 +11,7 @@ fn readers_get_the_newest_value_once() {
     let (seen, value) = mailbox.after(0).unwrap();
     assert_eq!((seen, *value), (2, 'b'));
     assert!(mailbox.after(seen).is_none() && mailbox.wait_after(seen, Duration::from_millis(1)).is_none());
-    // another reader has an older value
+    // a reader whose last value is number 1 gets the newest value, too
     assert_eq!(*mailbox.after(1).unwrap().1, 'b');
 }
 

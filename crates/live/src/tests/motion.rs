@@ -13,7 +13,8 @@ fn content_that_moves_is_found_on_every_layer_and_patterns_move_with_it() {
                 continue;
             };
             for flow in &flows {
-                // compare pixels away from the border, across which new content enters
+                // Compare only pixels away from the border, where new content enters that matches
+                // nothing.
                 let inner: Vec<[i32; 2]> = (12..38)
                     .flat_map(|row| (24..68).map(move |col| [row, col]))
                     .map(|[row, col]| flow.at(row, col))
@@ -39,7 +40,7 @@ fn values_move_by_whole_pixels_in_every_frame() {
     let fresh = lumistack_display::LayerStack::filled(&display, -1.0);
     let out = moved(&stack, &flows, &fresh);
     for (layer, before) in out.layers.iter().zip(&stack.layers) {
-        assert_eq!(layer.get([1, 25, 2, 1]), -1.0, "values from outside are fresh");
+        assert_eq!(layer.get([1, 25, 2, 1]), -1.0, "a value from outside the layer is fresh");
         for (frame, channel) in [(0, 0), (3, 2)] {
             assert_eq!(layer.get([frame, 25, 40, channel]), before.get([frame, 25, 34, channel]));
         }

@@ -7,9 +7,9 @@ use lumistack_factorizer::{Problem, Processor, Settings, factorize};
 use super::fields::{CONTENTS, Content, target, wide};
 use crate::{Solver, Start, Target};
 
-/// Iterations per time step on a slow display.
+/// Number of iterations per time step, as on a slow machine.
 const WARM: u32 = 5;
-/// Iterations of a solve from a fresh start.
+/// Number of iterations of a solve from a fresh start.
 const FROM_SCRATCH: u32 = 30;
 
 fn from_scratch(target: &Target, weights: &Weights, iterations: u32) -> f64 {
@@ -21,7 +21,7 @@ fn from_scratch(target: &Target, weights: &Weights, iterations: u32) -> f64 {
 }
 
 /// Solves several time steps, in each of which the content has moved by `step_px`. Returns the PSNR
-/// of the last one after a few iterations, its start and its target.
+/// of the last time step after [`WARM`] iterations, its start and its target.
 fn chain(content: Content, step_px: f64) -> (f64, Start, Arc<Target>) {
     let (warnings, cancel, display) = (Collector::default(), Cancel::default(), wide());
     let task = Task::quiet(&warnings, &cancel);

@@ -11,7 +11,8 @@ fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// A head that moves at 200 mm/s. The tracker reports it 50 times a second.
+/// Returns a tracker that has received positions of a head 50 times a second. The head moves at 200
+/// mm/s.
 fn walking(until_ms: u64) -> Tracker {
     let mut tracker = Tracker::default();
     for at in (0..=until_ms).step_by(20) {
@@ -54,7 +55,7 @@ fn somebody_else_has_no_velocity_of_who_was_there_before() {
     let mut tracker = walking(1000);
     tracker.see(&[[-400.0, 0.0, 600.0]], ms(1020)).unwrap();
     assert_eq!(tracker.boxes(ms(1020), ms(200)).heads_mm, [[-400.0, 0.0, 600.0]]);
-    // the tracker reports that there is no viewer, so the zone has the weight 1
+    // After an empty list there is no viewer, so the whole zone has the weight 1.
     tracker.see(&[], ms(1040)).unwrap();
     assert_eq!(tracker.boxes(ms(1040), ms(0)).zone, 1.0);
 }
@@ -74,7 +75,7 @@ fn positions_that_make_no_sense_are_refused() {
     assert!(head_of_packet(&nan, [0.0; 3]).unwrap_err().to_string().contains("finite"));
 }
 
-/// Mean squared error of the picture that the display shows along a slope, against
+/// Returns the mean squared error of the picture that the display shows along a slope, against
 /// [`Content::Two`].
 fn seen_from(stack: &LayerStack, target: &Target, slope: [f64; 2]) -> f64 {
     let geometry = target.field.geometry();
@@ -84,7 +85,7 @@ fn seen_from(stack: &LayerStack, target: &Target, slope: [f64; 2]) -> f64 {
     let wanted = super::fields::view(Content::Two, &from);
     let (mut sum, mut count) = (0.0, 0);
     for (i, (shown, wanted)) in shown.radiance.data().iter().zip(wanted).enumerate() {
-        // compare pixels away from the border, where rays miss layers
+        // compare only pixels away from the border, since rays near the border miss layers
         let (row, col) = (i / 3 / from.cols, i / 3 % from.cols);
         if (8..from.rows - 8).contains(&row) && (8..from.cols - 8).contains(&col) {
             sum += (f64::from(*shown) / target.display.brightness - f64::from(wanted)).powi(2);

@@ -12,7 +12,7 @@ fn times_come_in_order_when_they_are_due() {
     assert_eq!(player.next(ms(500)), Due::Time(0));
     assert_eq!(player.next(ms(540)), Due::Wait(ms(60)));
     assert_eq!(player.next(ms(600)), Due::Time(1));
-    // the time step is late, but it is shown
+    // Time step 2 is 1.9 intervals late. It is shown, since this player allows two.
     assert_eq!(player.next(ms(890)), Due::Time(2));
     assert_eq!(player.next(ms(890)), Due::End);
     assert_eq!(player.dropped, 0);
@@ -22,7 +22,7 @@ fn times_come_in_order_when_they_are_due() {
 fn times_that_would_be_too_late_are_dropped_and_counted() {
     let mut player = Player::new(100, 10.0, 2);
     assert_eq!(player.next(ms(0)), Due::Time(0));
-    // after a stall, time steps 1 to 9 are skipped, and time step 10 is due
+    // After a stall of the caller, time steps 1 to 9 are skipped, and time step 10 is due.
     assert_eq!(player.next(ms(1000)), Due::Time(10));
     assert_eq!(player.dropped, 9);
     // a caller that needs 250 ms per time step shows each one at most 200 ms after it was due

@@ -40,7 +40,7 @@ struct Way {
     pictures: [Vec<Tensor<3>>; 2],
 }
 
-/// Errors of a way to render, over all views.
+/// Errors of the pictures that one way of rendering makes, over all views.
 struct Errors {
     /// Mean squared error with bias, of all views (`all`) and of the worst view (`worst`).
     all: f64,
@@ -77,9 +77,9 @@ pub fn measure(options: &Options) -> Outcome {
     Ok(())
 }
 
-/// Renders the views of a case one by one and filtered, at several numbers of samples, and prints a
-/// table row per way of rendering. The last column is the error of views that are rendered one by
-/// one in the same time, divided by the error of this way.
+/// Renders the views of a case one by one and filtered, at several numbers of samples. Prints a
+/// table row per way of rendering. The last column compares equal times: the error of views that
+/// are rendered one by one, divided by the error of the row's way.
 pub fn filters(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);

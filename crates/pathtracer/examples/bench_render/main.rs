@@ -137,10 +137,10 @@ fn pair(word: &str) -> Outcome<[usize; 2]> {
     Ok([a.parse()?, b.parse()?])
 }
 
-/// A renderer of the view.
+/// One of the renderers that render the view: Lumistack, or a peer with one of its samplers.
 struct Entry {
     name: String,
-    /// Index of the peer and its sampler; `None` for this renderer.
+    /// Index of the peer among the arguments, and its sampler; `None` for Lumistack.
     peer: Option<(usize, String)>,
     reference: Vec<f32>,
     /// Per number of samples: (seconds, mean squared error) of every round.
@@ -245,7 +245,7 @@ fn view(options: &Options) -> Outcome {
     Ok(())
 }
 
-/// Compares converged pictures of a diffuse scene with those of the peers.
+/// Compares converged pictures of a diffuse scene with the peers' pictures.
 fn agree(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };
@@ -331,8 +331,8 @@ fn mean_square(picture: &[f32], reference: &[f32]) -> f64 {
     sum / picture.len() as f64
 }
 
-/// Relative difference of the mean radiances, and root mean square of the pixels' relative
-/// differences.
+/// Relative difference of the mean radiances of two pictures, and root mean square of the relative
+/// differences of their pixels.
 fn agreement(ours: &[f32], theirs: &[f32]) -> (f64, f64) {
     let mean = |values: &[f32]| values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len() as f64;
     let (own_mean, their_mean) = (mean(ours), mean(theirs));

@@ -1,7 +1,9 @@
 //! Directional albedo of the GGX reflection lobe, tabulated once.
 //!
-//! E(μ, α) is the albedo of the lobe without Fresnel. B(μ, α) is the albedo with s(o·h) of
-//! [`fresnel`] instead of Fresnel's term. So the albedo with Fresnel is F₀(E − B) + F₉₀B.
+//! Here μ is the cosine between the viewer's direction and the normal, and α the squared roughness.
+//! E(μ, α) is the albedo of the lobe without Fresnel's term. B(μ, α) is the albedo if the rise
+//! s(o·h) of [`fresnel`] replaces Fresnel's term. So the albedo with Fresnel's term is F₀(E − B) +
+//! F₉₀B.
 //!
 //! Single scattering loses the fraction 1 − E of the reflected light. The lost light strikes the
 //! surface again and is multiplied by the mean F̄ of the Fresnel term. The fraction Ē of the result
@@ -13,7 +15,7 @@
 //! ```
 //!
 //! F̄ is computed with the s of a metal. The F̄ of a dielectric is a little greater: 0.092 instead
-//! of 0.086 at n = 1.5. That would change its gloss by less than a percent.
+//! of 0.086 at n = 1.5. The greater F̄ would change a dielectric's gloss by less than a percent.
 //!
 //! With K a white metal is lossless, and a coloured metal becomes more saturated. Sources:
 //!
@@ -58,7 +60,8 @@ const INDICES_STEP: u32 = 233;
 /// as 4.
 const LARGEST_ROOT: f32 = 0.6;
 
-/// Positions of E and of the mean of E in the values of a node.
+/// Positions in the values of a table's node: the albedo without Fresnel's term, and its mean over
+/// all cosines.
 const FULL: usize = 0;
 const MEAN: usize = 3;
 
@@ -67,8 +70,8 @@ const MEAN: usize = 3;
 pub(crate) struct Albedo {
     /// E: albedo without Fresnel, in (0, 1].
     pub(crate) full: f32,
-    /// B: albedo with s(o·h) instead of Fresnel's term, of metals, and of dielectrics of index
-    /// [`COMMON_IOR`].
+    /// B: albedo if the rise s(o·h) of `fresnel.rs` replaces Fresnel's term. `metal` is B of
+    /// metals, `dielectric` is B of dielectrics whose index of refraction is [`COMMON_IOR`].
     pub(crate) metal: f32,
     pub(crate) dielectric: f32,
     /// Mean of `full` over all cosines, by their projected solid angle.
@@ -76,13 +79,14 @@ pub(crate) struct Albedo {
 }
 
 impl Albedo {
-    /// Albedo of the lobe with Fresnel, before compensation; `rise` is B of the lobe.
+    /// Albedo of the lobe with Fresnel's term, before compensation. `rise` is B of the lobe's
+    /// material, as in `metal` and `dielectric`.
     #[inline]
     pub(crate) fn reflected(&self, f0: Vec3, f90: f32, rise: f32) -> Vec3 {
         f0 * (self.full - rise) + f90 * rise
     }
 
-    /// The factor K, which returns the light that single scattering loses.
+    /// The factor K on the lobe. It adds the light that single scattering loses.
     #[inline]
     pub(crate) fn compensation(&self, f0: Vec3) -> Vec3 {
         let fresnel = f0 + (Vec3::ONE - f0) * (1.0 / 21.0);
@@ -105,8 +109,8 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
 }
 
 /// Albedo of a stretched lobe, interpolated linearly in four coordinates. They are the root of the
-/// cosine, cos² of the azimuth φ, and √α along and across the stretch. φ is the viewer's azimuth
-/// from the direction of stretch.
+/// cosine, cos² of the azimuth φ, and √α along and across the stretch. The azimuth φ of the viewer
+/// is measured from the direction of stretch.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     static TABLE: OnceLock<Table<4, 4>> = OnceLock::new();
     let across = o.x * o.x + o.y * o.y;
@@ -114,8 +118,9 @@ pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     TABLE.get_or_init(tabulate_stretched).at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
 }
 
-/// B, the albedo with s(o·h) instead of Fresnel's term, of a dielectric of any index. It is
-/// interpolated linearly in the root of the cosine, in √α, and in the root of (n − 1)/(n + 1).
+/// B of a dielectric of any index n: the albedo if the rise s(o·h) of `fresnel.rs` replaces
+/// Fresnel's term. It is interpolated linearly in the root of the cosine, in √α, and in the root of
+/// (n − 1)/(n + 1).
 pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
     static TABLE: OnceLock<Table<3, 1>> = OnceLock::new();
     let root = (ior - 1.0).max(0.0) / (ior + 1.0) / LARGEST_ROOT;
@@ -161,8 +166,8 @@ fn tabulate_indices() -> Table<3, 1> {
     })
 }
 
-/// ∫ E · density over nodes that are spread evenly over 0..1. The density integrates to 1. If E is
-/// constant, the result is exactly E.
+/// The integral of E · density over 0..1. `nodes` have E at evenly spaced positions. The density
+/// integrates to 1, so if E is constant, the result is exactly E.
 fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     let last = (nodes.len() - 1) as f32;
     let (mut sum, mut weights) = (0.0, 0.0);
@@ -185,8 +190,8 @@ fn round(roughness: f32) -> Vec2 {
     Vec2::splat((roughness * roughness).max(SMALLEST))
 }
 
-/// E, B of metals, B of dielectrics, and NaN in the place of the mean, which is computed after the
-/// values of all cosines.
+/// Returns the values of a node: E, B of metals and B of dielectrics (see [`Albedo`]), and NaN for
+/// the mean. The mean is computed later, from all cosines.
 fn integrate(o: Vec3, alpha: Vec2, samples: u32, lattice_step: u32) -> [f32; 4] {
     let [full, metal, dielectric] = mean_of_lobe(o, alpha, samples, lattice_step, |o_h| {
         [1.0, fresnel::metal_rise(o_h), fresnel::dielectric_rise(o_h, COMMON_IOR)]
@@ -194,7 +199,7 @@ fn integrate(o: Vec3, alpha: Vec2, samples: u32, lattice_step: u32) -> [f32; 4] 
     [full, metal, dielectric, f32::NAN]
 }
 
-/// Albedo of the lobe with functions of o·h instead of Fresnel's term.
+/// Albedos of the GGX lobe, in which each of N functions of o·h replaces Fresnel's term.
 fn mean_of_lobe<const N: usize>(
     o: Vec3,
     alpha: Vec2,
@@ -220,7 +225,7 @@ fn mean_of_lobe<const N: usize>(
 mod tests {
     use super::*;
 
-    /// Largest difference between the interpolated table and a direct integration.
+    /// Tolerated difference between an interpolated table and a direct integration, for each table.
     const TABLE_TOLERANCE: f32 = 4e-3;
     const STRETCHED_TOLERANCE: f32 = 0.02;
     const INDICES_TOLERANCE: f32 = 0.01;
@@ -252,7 +257,7 @@ mod tests {
         assert!((mirror.full - 1.0).abs() < TABLE_TOLERANCE && (mirror.metal - 1.0 / 32.0).abs() < TABLE_TOLERANCE);
     }
 
-    /// The closed form of K equals the sum of its series.
+    /// The closed form of the compensation factor K equals the sum of its series.
     #[test]
     fn the_compensation_is_a_series_of_reflections() {
         for (full, escape) in [(0.3f32, 0.5f32), (0.5, 0.45), (0.9, 0.95), (1.0, 1.0)] {

@@ -16,7 +16,8 @@ pub(crate) struct Appearance {
     pub(crate) roughness: f32,
     pub(crate) ior: f32,
     pub(crate) transmission: f32,
-    /// True if transmitted light refracts into a solid.
+    /// True if the material is a solid, into which transmitted light refracts; false for a thin
+    /// wall.
     pub(crate) solid: bool,
     /// True if microfacets return the light that single scattering loses.
     pub(crate) compensated: bool,
@@ -34,14 +35,15 @@ pub(crate) struct Extras {
     pub(crate) layers: Layers,
     /// 20 / Abbe number.
     pub(crate) dispersion: f32,
-    /// Weights of the colour channels at the path's wavelength, where a path enters dispersing
-    /// glass.
+    /// Factor per colour channel on transmitted light. It differs from 1 where a path draws its
+    /// wavelength, as it enters dispersing glass.
     pub(crate) wave_weight: Vec3,
 }
 
 impl Appearance {
     /// Gives dispersing glass the index of refraction of the path's wavelength, and returns that
-    /// wavelength. A path that has none yet draws one by `u`. Returns `None` for other materials.
+    /// wavelength. A path without a wavelength draws one by the number that `u` returns. The result
+    /// is `None` for materials that do not disperse.
     pub(crate) fn disperse(&mut self, path_nm: Option<f32>, u: impl FnOnce() -> f32) -> Option<f32> {
         let extras = self.extras.as_mut().filter(|extras| extras.dispersion > 0.0)?;
         let wave = match path_nm {

@@ -33,7 +33,8 @@ pub(crate) struct Coat {
     o: Vec3,
     alpha: Vec2,
     mirror: bool,
-    /// Factor times compensation.
+    /// Factor of the coat, times the compensation of its lobe, times the fraction of light that
+    /// reaches the coat.
     weight: f32,
     albedo: f32,
 }

@@ -4,15 +4,16 @@ use glam::Vec3;
 
 use crate::math::concentric_disc;
 
-/// A direction of the upper hemisphere with density cos/π.
+/// Maps two uniform numbers to a direction of the upper hemisphere. Its density is cos/π, with the
+/// cosine of the angle to the z axis.
 #[inline]
 pub(crate) fn cosine_direction(u: [f32; 2]) -> Vec3 {
     let (x, y) = concentric_disc(u);
     Vec3::new(x, y, (1.0 - x * x - y * y).max(1e-12).sqrt())
 }
 
-/// [`cosine_direction`] for the first `count` of many pairs of numbers. Do not use the x, y and z
-/// that it returns for the other pairs.
+/// [`cosine_direction`] for the first `count` of N pairs of numbers, as arrays of x, y and z. The
+/// values for later pairs are meaningless.
 #[inline]
 pub(crate) fn cosine_directions<const N: usize>(u: &[[f32; N]; 2], count: usize) -> [[f32; N]; 3] {
     /// The number of values that fit into one vector on every machine.

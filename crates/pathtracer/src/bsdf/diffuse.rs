@@ -13,8 +13,8 @@ use crate::normals::Normals;
 /// The diffuse lobe.
 pub(crate) struct Diffuse {
     albedo: Vec3,
-    /// Mapped and smooth normal in the local frame. They are the z axis unless a normal was bent or
-    /// mapped.
+    /// Mapped and smooth normal in the local frame. Both are the z axis unless the shading normal
+    /// was bent or a normal map turned the mapped normal.
     normals: Normals,
 }
 
@@ -37,7 +37,8 @@ impl Diffuse {
 }
 
 impl Lobe for Diffuse {
-    // the diffuse normal is not bent, so its horizon differs from the horizon of other lobes
+    // Light is received above the plane of the diffuse normal. That normal is not bent, unlike the
+    // shading normal of other lobes.
     const OWN_FRAME: bool = true;
 
     fn albedo(&self) -> f32 {

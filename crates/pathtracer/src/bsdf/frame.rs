@@ -11,11 +11,11 @@ pub(crate) struct Frame {
     /// Normal of specular reflection and refraction, bent so that a mirror never reflects the
     /// viewer into the surface.
     pub(crate) shading: Vec3,
-    /// Normals of diffuse scattering, which are not bent.
+    /// Normals of diffuse scattering, which are never bent, unlike `shading`.
     pub(crate) diffuse: Normals,
     /// Normal of the clear coat.
     pub(crate) coat: Vec3,
-    /// Direction in which reflections are stretched.
+    /// Direction in which anisotropic reflections are stretched; `None` if any direction will do.
     pub(crate) tangent: Option<Vec3>,
 }
 

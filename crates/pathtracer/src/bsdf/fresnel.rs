@@ -1,10 +1,13 @@
 //! Fraction of the light that an interface reflects: Schlick's approximation, Fresnel's equations,
 //! and a thin film on top.
 //!
-//! F = f₀ + (f₉₀ − f₀) s(cos θ), where s rises from 0 to 1. Metals have s = (1 − cos θ)⁵ (Schlick
-//! 1994). Dielectrics follow Fresnel's equations F_n of their index: s = (F_n(cos θ) − F_n(1)) / (1
-//! − F_n(1)). So F = F_n unless the material changes f₀ or f₉₀. (The sample code of glTF takes
-//! Schlick's term for both. At n = 1.5 it reflects 8.6 % of diffuse light, the equations 9.2 %.)
+//! F = f₀ + (f₉₀ − f₀) s(cos θ), where s rises from 0 at normal incidence to 1 at grazing
+//! incidence. Metals have s = (1 − cos θ)⁵ (Schlick 1994). Dielectrics have s = (F_n(cos θ) −
+//! F_n(1)) / (1 − F_n(1)), where F_n is the result of Fresnel's equations for the index n. So F =
+//! F_n unless the material changes f₀ or f₉₀.
+//!
+//! The sample code of glTF takes Schlick's term for dielectrics too. At n = 1.5 Schlick's term
+//! reflects 8.6 % of diffuse light, and Fresnel's equations 9.2 %.
 //!
 //! A film (`KHR_materials_iridescence`) replaces F by the reflectance of outside–film–base with
 //! interference. The spectrum is integrated in closed form (Belcour, Barla 2017, section 4; the
@@ -33,7 +36,8 @@ const FADE_NM: f32 = 30.0;
 /// infinite index.
 const MOST_F0: f32 = 0.9999;
 
-/// A reflectance with its weight: `weight · (f0 + (f90 − f0) s)`, per channel.
+/// A reflectance with its weight, per channel: `weight · (f0 + (f90 − f0) s)`. The rise s goes from
+/// 0 at normal incidence to 1 at grazing incidence.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Fresnel {
     pub(crate) f0: Vec3,
@@ -52,27 +56,29 @@ pub(crate) struct Film {
 }
 
 impl Fresnel {
-    /// F without the weight, for a value of s.
+    /// The reflectance f0 + (f90 − f0) s without the weight; `rise` is s.
     #[inline]
     pub(crate) fn reflectance(&self, rise: f32) -> Vec3 {
         self.f0 + (Vec3::splat(self.f90) - self.f0) * rise
     }
 }
 
-/// s of a metal: (1 − cos)⁵.
+/// The rise s of a metal's reflectance, see the top of the file: (1 − cos)⁵.
 #[inline]
 pub(crate) fn metal_rise(cosine: f32) -> f32 {
     (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
 }
 
-/// s of a dielectric seen from outside. For an index below 1 (`KHR_materials_ior` allows 0), only
-/// the specular colour is known, so the result is s of a metal.
+/// The rise s of a dielectric's reflectance, seen from outside; see the top of the file. For an
+/// index below 1 (`KHR_materials_ior` allows 0), only the specular colour is known, so the result
+/// is that of [`metal_rise`].
 #[inline]
 pub(crate) fn dielectric_rise(cosine: f32, ior: f32) -> f32 {
     if ior < 1.0 { metal_rise(cosine) } else { rise(dielectric(cosine, ior).0, normal_reflectance(ior)) }
 }
 
-/// s of an interface that reflects `reflectance`, and reflects `f0` at normal incidence.
+/// The rise s = (reflectance − f0) / (1 − f0) of an interface that reflects `f0` at normal
+/// incidence.
 #[inline]
 pub(crate) fn rise(reflectance: f32, f0: f32) -> f32 {
     ((reflectance - f0) / (1.0 - f0)).clamp(0.0, 1.0)

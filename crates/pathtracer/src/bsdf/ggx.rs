@@ -20,8 +20,8 @@ use glam::{Vec2, Vec3};
 
 use crate::math::sin_cos_turns;
 
-/// Density of microfacet normals per solid angle. Computing with the components of `h` avoids the
-/// cancellation in 1 − cos².
+/// Density D(h) of microfacet normals per solid angle. The components of `h` avoid the cancellation
+/// in 1 − cos².
 #[inline]
 pub(crate) fn density(h: Vec3, alpha: Vec2) -> f32 {
     let (x, y) = (h.x / alpha.x, h.y / alpha.y);
@@ -37,15 +37,15 @@ fn smith_root(v: Vec3, alpha: Vec2) -> f32 {
     (x * x + y * y + v.z * v.z).sqrt()
 }
 
-/// V = G₂ / (4 |o_z| |i_z|); the same for reflection and transmission.
+/// V = G₂ / (4 |o_z| |i_z|). The formula holds for reflection and for transmission.
 #[inline]
 pub(crate) fn visibility(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     let (o_z, i_z) = (o.z.abs(), i.z.abs());
     0.5 / (i_z * smith_root(o, alpha) + o_z * smith_root(i, alpha)).max(f32::MIN_POSITIVE)
 }
 
-/// Density per solid angle of the direction to which a normal of [`sample_normal`] reflects `o`, if
-/// that direction is above the horizon: G₁(o) D(h) / (4 o_z).
+/// Density per solid angle of the direction `i` to which a normal `h` of [`sample_normal`] reflects
+/// `o`: G₁(o) D(h) / (4 o_z). The formula holds if `i` is above the horizon.
 #[inline]
 pub(crate) fn reflection_pdf(o: Vec3, h: Vec3, alpha: Vec2) -> f32 {
     density(h, alpha) / (2.0 * (o.z + smith_root(o, alpha)))
@@ -78,7 +78,7 @@ pub(crate) fn normal_pdf(o: Vec3, h: Vec3, alpha: Vec2) -> f32 {
     4.0 * o.dot(h).max(0.0) * reflection_pdf(o, h, alpha)
 }
 
-/// G₂/G₁, the weight of a sampled normal.
+/// The weight G₂/G₁ of a direction `i` that a sampled visible normal gives.
 #[inline]
 pub(crate) fn masking_ratio(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     let i_z = i.z.abs();
@@ -86,7 +86,7 @@ pub(crate) fn masking_ratio(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     i_z * (o.z + root_o) / (i_z * root_o + o.z * root_i).max(f32::MIN_POSITIVE)
 }
 
-/// A visible microfacet normal for two uniform numbers.
+/// A visible microfacet normal, sampled by two uniform numbers.
 #[inline]
 pub(crate) fn sample_normal(o: Vec3, alpha: Vec2, u: [f32; 2]) -> Vec3 {
     sample_cap(o, alpha, 1.0, u)

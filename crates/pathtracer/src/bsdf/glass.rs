@@ -52,10 +52,10 @@ pub(crate) struct Glass {
     changed: Option<Changed>,
 }
 
-/// Reflectance other than that of the bare interface.
+/// The reflectance of an interface that a film or `KHR_materials_specular` changes.
 #[derive(Clone, Copy)]
 struct Changed {
-    /// F at normal incidence: `bare_f0` of the bare interface, `f0` after the change.
+    /// Reflectance at normal incidence: `bare_f0` for the bare interface, `f0` after the change.
     bare_f0: f32,
     f0: Vec3,
     f90: f32,
@@ -89,8 +89,8 @@ impl Glass {
         })
     }
 
-    /// Reflectance at a microfacet, the chance of choosing reflection there, and the cosine on the
-    /// far side.
+    /// Reflectance at a microfacet, the chance with which reflection is chosen at that facet, and
+    /// the cosine of the refracted direction.
     fn reflectance(&self, cosine: f32) -> (Vec3, f32, f32) {
         let (bare, far) = fresnel::dielectric(cosine, self.eta);
         let Some(changed) = &self.changed else { return (Vec3::splat(bare), bare, far) };
@@ -101,7 +101,8 @@ impl Glass {
         let rise = fresnel::rise(bare, changed.bare_f0);
         let mut fresnel = changed.f0 + (Vec3::splat(changed.f90) - changed.f0) * rise;
         if let Some(film) = &changed.film {
-            // a lossless stack reflects alike from both sides, so the film takes the outer cosine
+            // A lossless stack of layers reflects the same fraction from both sides. So the film is
+            // evaluated for the cosine on the outer side.
             let outside = if changed.front { cosine } else { far };
             fresnel = film.over(fresnel, changed.f0, outside);
         }
@@ -109,14 +110,16 @@ impl Glass {
         (fresnel, fresnel.element_sum() * (1.0 / 3.0), far)
     }
 
-    /// f |cos| and density (without the chance of this lobe) for a direction above the surface;
-    /// `specular` is D V |i_z|, `reflection_pdf` the density of reflected directions.
+    /// Returns f |cos| and the density for a direction above the surface. The density excludes the
+    /// chance of this lobe. `specular` is D V |i_z|, and `reflection_pdf` the density of reflected
+    /// directions.
     fn reflected(&self, o_h: f32, specular: f32, reflection_pdf: f32) -> (Vec3, f32) {
         let (fresnel, chance, _) = self.reflectance(o_h);
         (fresnel * (self.weight * self.compensation * specular), chance * reflection_pdf)
     }
 
-    /// [`reflected`](Self::reflected) for a direction below the surface.
+    /// Returns f |cos| and the density for a direction below the surface. The density excludes the
+    /// chance of this lobe.
     fn transmitted(&self, o: Vec3, i: Vec3, alpha: Vec2) -> (Vec3, f32) {
         const NOTHING: (Vec3, f32) = (Vec3::ZERO, 0.0);
         let Some(h) = (o + self.eta * i).try_normalize() else { return NOTHING };

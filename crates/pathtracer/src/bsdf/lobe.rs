@@ -72,8 +72,8 @@ pub(crate) trait Layer: Lobe + Sized {
         texel: &impl Fn(&Option<Slot>) -> Vec4,
     ) -> Option<Self::Parameters>;
 
-    /// Fraction of the light emitted by the base that passes the layer, towards a viewer at this
-    /// cosine.
+    /// Fraction of the light emitted by the base that passes the layer, towards a viewer whose
+    /// direction has this cosine to the normal.
     fn passed(_: &Self::Parameters, _cosine: f32) -> f32 {
         1.0
     }
@@ -127,7 +127,7 @@ pub(crate) enum Sample {
     Mirror {
         /// Direction in the scene.
         direction: Vec3,
-        /// The same as `up` of `Rough`.
+        /// Positive if the mirror scatters to the viewer's side of the surface.
         up: f32,
         /// f |cos| / density, with the scattering function f.
         weight: Vec3,
@@ -158,10 +158,10 @@ pub(crate) struct Surface<'a> {
     pub(crate) table: Albedo,
     pub(crate) film: Option<Film>,
     pub(crate) specular: f32,
-    /// F₀ of glass. It may belong to another index than the one that bends the light.
+    /// F₀ of glass, with the changes by `KHR_materials_specular`.
     pub(crate) glass_f0: Vec3,
     pub(crate) wave_weight: Vec3,
-    /// Fresnel's term of the dielectric, without its weight.
+    /// Reflectance of the dielectric; its weight is 1.
     pub(crate) dielectric: Fresnel,
     /// Compensation of the dielectric's reflection, and the albedo of the compensated reflection,
     /// at most 1.
@@ -190,15 +190,15 @@ impl Surface<'_> {
         }
     }
 
-    /// Fraction of the light that reaches a dielectric base without glass. The fraction `below`
-    /// reaches the base.
+    /// Fraction of the light that reaches the dielectric of the base, without its glass. `below` is
+    /// the fraction that reaches the base.
     #[inline]
     pub(crate) fn layered(&self, below: f32) -> f32 {
         below * (1.0 - self.metallic) * (1.0 - self.glass_share)
     }
 
-    /// The part of [`layered`](Self::layered) that the dielectric does not reflect, so that it
-    /// reaches the diffuse lobe.
+    /// Fraction of the light that reaches the diffuse lobe: the result of
+    /// [`layered`](Self::layered), less the light that the dielectric reflects.
     #[inline]
     pub(crate) fn passed(&self, below: f32) -> f32 {
         self.layered(below) * (1.0 - self.dielectric_albedo.max_element())

@@ -12,7 +12,7 @@ use super::sheen::Sheen;
 use super::thin::Thin;
 use crate::texture::{Encoding, Slot};
 
-/// Makes the layers, the last of the list first, since it is the topmost.
+/// Makes the layers from the top down. The last layer of the list is the topmost.
 macro_rules! layers_from_the_top {
     ($parameters:ident, $surface:ident, $below:ident;) => {};
     ($parameters:ident, $surface:ident, $below:ident; $layer:ident: $Layer:ident, $($above:tt)*) => {
@@ -45,7 +45,7 @@ macro_rules! lobes {
         }
 
         impl LayerSlots {
-            /// `slot` prepares a texture.
+            /// Prepares the textures of all layers; `slot` prepares one texture.
             pub(crate) fn new(
                 material: &Material,
                 slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>,
@@ -84,7 +84,8 @@ macro_rules! lobes {
         }
 
         impl Lobes {
-            /// `layers` are the layers on the viewer's side.
+            /// Makes the lobes at a point. `layers` has the parameters of the layers; it is `None`
+            /// if the viewer is inside a solid, where no layer is seen.
             #[inline]
             pub(crate) fn new(surface: &Surface<'_>, layers: Option<&Layers>) -> Self {
                 let mut below = 1.0;
@@ -98,7 +99,7 @@ macro_rules! lobes {
                 [$(self.$base.as_ref().map_or(0.0, Lobe::albedo),)* $(self.$layer.as_ref().map_or(0.0, Lobe::albedo),)*]
             }
 
-            /// The lobes that can be evaluated, and those among them that transmit light from
+            /// For each lobe, true if it can be evaluated; and true if it also transmits light from
             /// behind.
             #[inline]
             pub(crate) fn rough(&self, facet: &Facet) -> [[bool; LOBES]; 2] {
@@ -180,7 +181,7 @@ lobes! {
         thin: Thin,
         glass: Glass,
     }
-    // from the bottom up
+    // Layers stand in the order from the lowest to the topmost.
     layers {
         sheen: Sheen,
         coat: Coat,

@@ -1,7 +1,7 @@
 //! Scattering at a surface: glTF's metallic-roughness model with its extensions, conserving energy.
 //!
-//! With base colour c, metallic m, transmission t, F the reflectance of [`fresnel`] and K the
-//! compensation of [`albedo`]:
+//! The base has the colour c, the metallic fraction m and the transmission t. F is the reflectance
+//! of [`fresnel`], K the compensation of [`albedo`], and D V the microfacet term of [`ggx`]:
 //!
 //! ```text
 //! f     = κ f_coat + (1 − κ E_coat(o)) [σ f_fibres + (1 − max(σ) E_fibres(o)) f_base]
@@ -11,15 +11,16 @@
 //!        = m K F(c) D V + (1 − m) [(1 − t) (K F(f0) D V + (1 − E_d(o)) c/π) + t glass]
 //! ```
 //!
-//! E_d is the albedo of the dielectric's reflection lobe (its largest channel). Light that is not
-//! reflected is scattered, so a white dielectric neither gains nor loses energy (albedo scaling).
+//! E_d is the albedo of the dielectric's reflection lobe (its largest channel). The diffuse lobe
+//! gets the light that this lobe does not reflect, so a white dielectric neither gains nor loses
+//! energy.
 //!
 //! * The clear coat (factor κ, index 1.5, own normal) and the fibres (colour σ, [`sheen`]) scale
 //!   all lobes below in the same way (`KHR_materials_clearcoat`, `KHR_materials_sheen`).
 //! * T is the reflection lobe mirrored to the far side (`KHR_materials_transmission`: thin wall).
 //! * `glass` is in [`glass`], thin films (`KHR_materials_iridescence`) are in [`fresnel`].
-//! * f0 = min(((n − 1)/(n + 1))² colour, 1) specular, and f90 = specular
-//!   (`KHR_materials_specular`). An index of 0 gives f0 = colour.
+//! * f0 = min(((n − 1)/(n + 1))² colour, 1) specular, and f90 = specular. Here n is the index, and
+//!   `colour` and `specular` are the specular colour and factor (`KHR_materials_specular`).
 //! * Anisotropy stretches α of the base's reflection (`KHR_materials_anisotropy`).
 //!
 //! Lobes with α < [`MIRROR_ALPHA`] are perfect mirrors: they can only be sampled, not evaluated.

@@ -43,7 +43,8 @@ impl Bsdf {
         let extras = appearance.extras.as_ref();
         let scene_from_local = local_frame(frame.shading, frame.tangent);
         let o = local_viewer(&scene_from_local, to_viewer);
-        // the base is a mirror below MIRROR_ALPHA; its α is stretched along the tangent
+        // The base is a mirror if its α is below MIRROR_ALPHA. Anisotropy enlarges α along the
+        // tangent.
         let stretch = extras.map_or(0.0, |extras| extras.anisotropy);
         let mirror = roughness * roughness < MIRROR_ALPHA && stretch == 0.0;
         let across = (roughness * roughness).max(MIRROR_ALPHA);
@@ -51,7 +52,7 @@ impl Bsdf {
         let table_roughness = if mirror { 0.0 } else { roughness };
         let table: Albedo = if stretch == 0.0 { albedo(o.z, table_roughness) } else { albedo::stretched(o, alpha) };
         let facet = Facet { scene_from_local, geometric_normal: frame.geometric, o, alpha, mirror };
-        // parameters that lobes share
+        // collect the parameters that several lobes need
         let (f0, f90) = dielectric_reflectance(ior, extras);
         let mut surface = Surface {
             facet: &facet,
@@ -69,7 +70,7 @@ impl Bsdf {
             table,
             film: extras.and_then(|extras| extras.film),
             specular: extras.map_or(1.0, |extras| extras.specular),
-            glass_f0: if extras.is_some() { f0 } else { Vec3::splat(normal_reflectance(ior)) },
+            glass_f0: f0,
             wave_weight: extras.map_or(Vec3::ONE, |extras| extras.wave_weight),
             dielectric: Fresnel { f0, f90, weight: Vec3::ONE },
             dielectric_compensation: Vec3::ONE,
@@ -84,8 +85,8 @@ impl Bsdf {
         let (reflected, for_compensation) = surface.seen(&surface.dielectric, dielectric_rise(o.z, ior), mean_rise);
         surface.dielectric_compensation = surface.compensation(for_compensation);
         surface.dielectric_albedo = (reflected * surface.dielectric_compensation).min(Vec3::ONE);
-        // the lobes, chosen with chances in proportion to their albedos; layers are on the outside
-        // of a solid
+        // Make the lobes, and choose among them with chances in proportion to their albedos. A
+        // viewer inside a solid sees no layers, since they lie on its outside.
         let seen_from_inside = solid && transmission > 0.0 && !front;
         let layers = extras.filter(|_| !seen_from_inside).map(|extras| &extras.layers);
         let lobes = Lobes::new(&surface, layers);
@@ -97,8 +98,8 @@ impl Bsdf {
         Self { facet, lobes, chances }
     }
 
-    /// The same function with one lobe alone. `None` if that lobe had no chance or was alone
-    /// already, or if no lobe can be evaluated.
+    /// This function with the lobe `lobe` alone. `None` if the lobe's chance is 0 or 1, or if no
+    /// lobe can be evaluated.
     #[cfg(test)]
     pub(crate) fn alone(mut self, lobe: usize) -> Option<Self> {
         let chance =
@@ -159,7 +160,8 @@ impl Bsdf {
         (value, pdf)
     }
 
-    /// Reflectance of the lobe that scatters alike to all viewers; 0 where there is none.
+    /// Reflectance of the diffuse lobe, which scatters alike to all viewers; 0 if there is no such
+    /// lobe.
     pub(crate) fn diffuse_reflectance(&self) -> Vec3 {
         self.lobes.diffuse().map_or(Vec3::ZERO, Diffuse::reflectance)
     }

@@ -6,10 +6,10 @@
 //! ```
 //!
 //! Λ is the authors' fit, and α = roughness². At grazing views smooth fibres would return up to 1.4
-//! times the incident light; there f is divided by its albedo.
+//! times the incident light. At these views f is divided by its albedo.
 //!
-//! Half of the samples reflect at a normal of density D cos θ_h. The other half has density cos/π,
-//! for light from above on rough fibres, which the first half samples badly.
+//! Half of the samples reflect at a normal of density D cos θ_h. The other half has density cos/π.
+//! This half finds the light from above on rough fibres, which the first half samples badly.
 
 use std::f32::consts::{FRAC_1_PI, TAU};
 use std::sync::OnceLock;
@@ -26,7 +26,8 @@ use crate::texture::{Encoding, Slot};
 
 /// Smallest perceptual roughness; below it the lobe is a rim thinner than a degree.
 const LEAST_ROUGHNESS: f32 = 0.1;
-/// Fraction of the samples that reflect at the fibres' normals; the others follow the cosine.
+/// Fraction of the samples that reflect at the fibres' normals; all other samples have density
+/// cos/π.
 const FIBRE_SHARE: f32 = 0.5;
 /// Numbers of nodes of the albedo table, over the root of the cosine and over roughness.
 const COSINES: usize = 48;
@@ -59,8 +60,8 @@ pub(crate) struct FabricSlots {
 
 /// The layer of fibres.
 pub(crate) struct Sheen {
-    /// Colour, scaled so that the layer gains no energy, times the fraction of light that layers
-    /// above pass.
+    /// Colour of the fibres, times a factor that keeps their albedo at or below 1, times the
+    /// fraction of light that the layers above pass.
     color: Vec3,
     fibres: Fibres,
     albedo: f32,
@@ -136,7 +137,7 @@ struct Fibres {
 }
 
 impl Fibres {
-    /// `roughness` is perceptual.
+    /// Fibres of a perceptual roughness, which is raised to [`LEAST_ROUGHNESS`].
     fn new(roughness: f32) -> Self {
         let roughness = roughness.clamp(LEAST_ROUGHNESS, 1.0);
         let alpha = roughness * roughness;
@@ -184,8 +185,8 @@ impl Fibres {
     }
 }
 
-/// Albedo of white fibres, and the factor on f that keeps the albedo at or below 1, by the cosine
-/// and perceptual roughness.
+/// Albedo of white fibres, for the viewer's cosine and a perceptual roughness. It is limited to 1;
+/// the second result is the factor on f that limits it.
 fn albedo(cosine: f32, roughness: f32) -> (f32, f32) {
     let raw = raw_albedo(cosine, roughness);
     (raw.min(1.0), 1.0 / raw.max(1.0))

@@ -2,12 +2,12 @@
 //!
 //! The three channels are treated as light whose spectra are the non-negative part of linear sRGB's
 //! matching functions. Each spectrum is scaled to a mean of 1, so that white stays white. A path
-//! that enters dispersing glass keeps one wavelength, drawn from the mean of the three spectra.
-//! Each of its channels is weighted by its own spectrum over that mean, so the expectation over
-//! wavelengths is exact.
+//! A path that enters dispersing glass keeps one wavelength, drawn from the mean of the three
+//! spectra. The weight of a channel is the channel's spectrum divided by the mean spectrum, at that
+//! wavelength. So the expectation over wavelengths is exact.
 //!
-//! n(λ) = n_d + (n_d − 1) (dispersion/20) (523655/λ² − 1.5168), λ in nanometres: Cauchy's equation
-//! from Abbe's number.
+//! The index of refraction is n(λ) = n_d + (n_d − 1) (dispersion/20) (523655/λ² − 1.5168), with λ
+//! in nanometres. This is Cauchy's equation, with constants from Abbe's number 20/dispersion.
 
 use std::sync::OnceLock;
 

@@ -16,7 +16,7 @@ use lumistack_testkit::statistics::{FALSE_ALARM_RATE, Mean, assert_counts, z_lim
 /// Largest deviation from 1 of the fraction of light that white metals and dielectrics return. The
 /// albedo table is interpolated, so the fraction is not exactly 1.
 const ENERGY_TOLERANCE: f64 = 4e-3;
-/// The same tolerance for clear rough glass, whose table is coarser.
+/// The tolerance for clear rough glass, whose table is coarser.
 const GLASS_TOLERANCE: f64 = 1e-2;
 /// A white surface may return up to this fraction more light than it receives, since tables and the
 /// albedos of stretched lobes are approximate.
@@ -150,7 +150,8 @@ fn refraction_bends_by_snells_law() {
     let bsdf = Bsdf::new(&glass, viewer(0.5), &Frame::flat(Vec3::Z, Vec3::Z), true);
     let scatter = bsdf.sample([0.5; 2], 0.99).unwrap();
     assert!(scatter.crossed && scatter.refracted);
-    // the sine on the far side is sin θ / 1.5, away from the viewer
+    // The sine of the refracted direction is sin θ / 1.5. The direction points away from the
+    // viewer, so its x is negative.
     assert!((scatter.direction.x + 0.75f32.sqrt() / 1.5).abs() < 1e-5, "{}", scatter.direction);
     let inside = Bsdf::new(&glass, viewer(0.5), &Frame::flat(Vec3::Z, Vec3::Z), false);
     let reflected = inside.sample([0.5; 2], 0.99).unwrap();
@@ -229,8 +230,8 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
 }
 
 /// Frames whose direction of stretch is off the axes. The first has one normal. The second has a
-/// tilted shading normal and a coat that leans the other way. The third has a normal map so steep
-/// that the specular normal is bent.
+/// tilted shading normal and a coat that leans the opposite way. The third has a normal map so
+/// steep that the specular normal is bent.
 fn frames() -> [Frame; 3] {
     let tangent = Some(Vec3::new(0.8, 0.6, 0.0));
     let straight = Frame { tangent, ..Frame::flat(Vec3::Z, Vec3::Z) };
@@ -239,12 +240,12 @@ fn frames() -> [Frame; 3] {
     [straight, tilted, Frame { diffuse: steep(), ..tilted }]
 }
 
-/// A steep normal map on smooth vertex normals.
+/// Normals of a point where a steep normal map turns the smooth normal.
 fn steep() -> Normals {
     Normals::new(Vec3::new(-0.8, 0.3, 0.5).normalize(), Vec3::new(0.1, 0.0, 1.0).normalize())
 }
 
-/// Views of the sampling tests: cosine, and true for the front face.
+/// Views of the sampling tests: cosine of the viewer's direction, and true for the front face.
 const VIEWS: [(f32, bool); 3] = [(0.9, true), (0.3, true), (0.6, false)];
 
 #[test]
@@ -259,8 +260,8 @@ fn sampled_directions_follow_the_density() {
     }
 }
 
-/// Tests the lobes one by one, with the chances of the others at 0. A mixture may hide a fault of a
-/// lobe that is rarely chosen.
+/// Every lobe alone follows its density. The chances of all other lobes are 0, since a mixture may
+/// hide a fault of a lobe that is rarely chosen.
 #[test]
 fn every_lobe_follows_its_density() {
     for (index, (name, surface)) in surfaces().iter().enumerate() {
@@ -375,7 +376,7 @@ fn single_scattering_is_reciprocal() {
                 continue;
             }
             let (there, back) = (seen(o, i), seen(i, o));
-            // An opaque surface passes no light: for directions on different sides of it, both
+            // An opaque surface passes no light: for directions on different sides of it, the two
             // values are 0 and agree.
             let error = (there - back).abs().max_element();
             assert!(error <= 2e-3 * there.max_element().max(1e-3), "{o} {i}: {there} {back}");
@@ -393,8 +394,9 @@ fn films_have_their_limits() {
     for cosine in [0.1, 0.5, 1.0] {
         let same = Film { factor: 0.0, ior: 1.8, thickness_nm: 300.0 }.over(bare, Vec3::splat(0.04), cosine);
         assert_eq!(same, bare);
-        // index 1.5 on 1.5: only the upper interface reflects, except for the remainder of the
-        // clamped round trip
+        // A film of index 1.5 on a base of index 1.5 has one interface, its upper side. The
+        // tolerance is for a small rest of interference, since the code clamps the product of the
+        // reflectances above 0.
         let one = Film { factor: 1.0, ior: 1.5, thickness_nm: 500.0 }.over(bare, Vec3::splat(0.04), cosine);
         let schlick = 0.04 + 0.96 * (1.0 - cosine).powi(5);
         assert!((one - schlick).abs().max_element() < 0.03, "{cosine}: {one} against {schlick}");
@@ -407,9 +409,9 @@ fn films_have_their_limits() {
     assert!(quarter.y < 0.01 && quarter.max_element() < 0.03, "{quarter}");
 }
 
-/// White plastic under a film. The largest channel of the film's reflectance dims all channels of
-/// the lobes below (`KHR_materials_iridescence`). So the brightest channel returns all light, and
-/// the others lose only the difference.
+/// On white plastic, the largest channel of the film's reflectance dims all channels of the lobes
+/// below (`KHR_materials_iridescence`). So the brightest channel returns all light. Each weaker
+/// channel loses only its difference from the brightest channel.
 #[test]
 fn a_film_on_plastic_loses_light_in_weaker_channels_only() {
     for thickness_nm in [200.0, 350.0, 600.0] {
@@ -429,8 +431,8 @@ fn a_film_on_plastic_loses_light_in_weaker_channels_only() {
     }
 }
 
-/// A path's wavelength changes the index and tints the transmitted light, nothing else. On average
-/// glass stays white.
+/// A path's wavelength changes the index of refraction and tints the transmitted light, and nothing
+/// else. On average glass stays white.
 #[test]
 fn dispersion_keeps_white_white() {
     let glass = Appearance { transmission: 1.0, roughness: 0.0, solid: true, ior: 1.5, ..appearance() };
@@ -450,14 +452,14 @@ fn dispersion_keeps_white_white() {
         assert_eq!(again.disperse(Some(nanometres), || panic!("drawn twice")), Some(nanometres));
         assert_eq!((again.ior, again.extras.unwrap().wave_weight), (here.ior, Vec3::ONE));
     }
-    // the reflectance differs by a few thousandths between the channels
+    // The tolerance is needed, since the reflectance differs by a few thousandths between channels.
     samples.into_iter().for_each(|samples| Mean::of(samples).assert_is(1.0, 5e-3, FALSE_ALARM_RATE));
     assert!(indices.iter().all(|&(nanometres, ior)| (ior > 1.5) == (nanometres < 587.57)));
     assert_eq!(appearance().disperse(None, || panic!("drawn for nothing")), None);
 }
 
-/// Chi-square test of [`Bsdf::sample`] against the density of [`Bsdf::evaluate`]; samples that are
-/// absorbed, or reflected by a mirror on top, are one more cell.
+/// Chi-square test of the directions of [`Bsdf::sample`] against the density of [`Bsdf::evaluate`].
+/// Samples that are absorbed, or reflected by a mirror, are counted in one more cell.
 fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
     let [rows, cols] = CELLS;
     let local = |z: f32, phi: f32| {
@@ -509,8 +511,8 @@ fn diffuse_light_is_that_of_lambert_surfaces() {
         let direction = Vec3::from_array([(); 3].map(|()| 2.0 * stream.next_f32() - 1.0)).normalize_or(Vec3::Z);
         let ((value, pdf), (expected, expected_pdf)) = (general.evaluate(direction), lambert.evaluate(direction));
         assert!((value - expected).abs().max_element() < 1e-5, "{direction}: {value} {expected}");
-        // the diffuse special case leaves out the density below its horizon, which no caller
-        // requests
+        // The diffuse special case returns the density 0 for a direction below the surface. No
+        // caller requests that density.
         assert!((pdf - expected_pdf).abs() < 1e-5, "{direction}: {pdf} {expected_pdf}");
         lit += usize::from(value != Vec3::ZERO);
     }
@@ -521,7 +523,7 @@ fn diffuse_light_is_that_of_lambert_surfaces() {
 fn light_does_not_leak_around_a_tilted_shading_normal() {
     let tilted = Vec3::new(0.8, 0.0, 0.6);
     let bsdf = Bsdf::new(&appearance(), Vec3::new(0.6, 0.0, 0.8), &Frame::flat(Vec3::Z, tilted), true);
-    // the direction is above the horizon of the shading normal, but below the surface
+    // This direction is above the plane of the shading normal, but below the surface.
     assert_eq!(bsdf.evaluate(Vec3::new(0.95, 0.0, -0.3).normalize()).0, Vec3::ZERO);
     let mut stream = Stream::new(5);
     for _ in 0..5000 {

@@ -2,8 +2,9 @@
 //! of one pixel do.
 //!
 //! The rays' points at distance t lie in the box o₀ + t d₀ ..= o₁ + t d₁. Here o₀ and o₁ are the
-//! least and the greatest coordinates of the rays' origins, d₀ and d₁ those of their directions.
-//! That box overlaps a child's bounds b₀ ..= b₁ along an axis while
+//! least and the greatest coordinates of the rays' origins. The least and the greatest coordinates
+//! of their directions are d₀ and d₁. That box overlaps a child's bounds b₀ ..= b₁ along an axis
+//! while
 //!
 //! ```text
 //! o₁ + t d₁ ≥ b₀   and   o₀ + t d₀ ≤ b₁
@@ -13,9 +14,9 @@
 //! costs the beam as much as it costs a single ray.
 //!
 //! A block's eight triangles are tested against the beam as boxes too. The triangles that the beam
-//! may hit, mostly one or two, are tested against all rays together, one ray per lane. The
-//! arithmetic is that of single rays, so hits are the same bit for bit. The test requires that the
-//! directions of all rays have their largest component along the same axis. Neighbouring rays
+//! may hit, mostly one or two, are tested against all rays together, one ray per lane. Single rays
+//! are tested with the same arithmetic, so the hits are equal bit for bit. The test requires that
+//! the directions of all rays have their largest component along the same axis. Neighbouring rays
 //! nearly always do. A beam that spreads over many blocks, for example out of focus, is split into
 //! single rays.
 //!
@@ -39,8 +40,8 @@ const FEWEST: usize = 3;
 /// slower in focus, a limit of 16 is 3 % slower out of focus (FlightHelmet).
 const MOST_BLOCKS: usize = 10;
 
-/// A bound of t for eight boxes: plane · inverse + shift. The planes are the row `row` of
-/// [`Node::bounds`].
+/// Eight bounds on the distance t, one per box: plane · inverse + shift. The planes are the row
+/// `row` of [`Node::bounds`].
 #[derive(Clone, Copy)]
 struct Bound<V> {
     row: usize,
@@ -48,7 +49,8 @@ struct Bound<V> {
     shift: V,
 }
 
-/// Bounds of t from below and from above.
+/// Bounds on the distances t at which a beam's rays may be inside a box: `near` from below, `far`
+/// from above.
 struct Beam<V> {
     near: [Bound<V>; 6],
     near_count: usize,
@@ -76,7 +78,7 @@ impl Bvh {
         unsafe { self.backend.call_eight::<NearestOfBeam<_>>((self, rays, hits, stack, accept)) }
     }
 
-    /// Traces the rays one by one, for hits that are nearer than the known ones.
+    /// Traces the rays one by one. A ray with a hit in `hits` searches only for nearer hits.
     fn alone(
         &self,
         rays: &[Ray],
@@ -123,7 +125,7 @@ impl Bvh {
             let mut depth = 1;
             let mut blocks = 0;
             while depth > 0 {
-                // the nearest postponed child, unless it is farther than all hits
+                // take the nearest postponed child, and drop it if it is farther than all hits
                 depth -= 1;
                 let next = *postponed.add(depth);
                 if f32::from_bits((next >> 32) as u32) >= t_max {
@@ -132,7 +134,8 @@ impl Bvh {
                 let current = next as u32;
                 if current & LEAF == 0 {
                     let node = arrays.nodes.get_unchecked(current as usize);
-                    // postpone the children that the beam enters, the nearest last
+                    // postpone the children that the beam enters, the nearest last, so that it is
+                    // taken first
                     let (t_near, mut entered) = beam.enters(&node.bounds, t_max);
                     let t_near: [f32; WIDTH] = t_near.to_array();
                     let base = depth;
@@ -173,7 +176,8 @@ impl Bvh {
     }
 }
 
-/// [`Bvh::nearest_of_beam`] of three rays or more, without instances, with `F` as its `accept`.
+/// The kernel of [`Bvh::nearest_of_beam`] for at least [`FEWEST`] rays and a tree without
+/// instances; `F` is its `accept`.
 pub(super) struct NearestOfBeam<F>(PhantomData<F>);
 
 impl<F: FnMut(usize, &Hit) -> bool> Kernel for NearestOfBeam<F> {
@@ -190,12 +194,12 @@ impl<F: FnMut(usize, &Hit) -> bool> Kernel for NearestOfBeam<F> {
 /// The rays of a beam prepared for the triangle test, one per lane, and the nearest hit of each.
 /// The directions of all rays have their largest component along the same axis.
 struct Sheared<V> {
-    /// The same as [`Shear::axes`].
+    /// Rows of the axes in a block, see [`Shear::axes`].
     axes: [usize; 3],
     /// Number of rays, and of vectors that hold a ray.
     count: usize,
     vectors: usize,
-    /// Per ray, the same as [`Shear::origin`] and [`Shear::shear`].
+    /// Values of [`Shear::origin`] and [`Shear::shear`] for every ray.
     origin: [[V; 3]; VECTORS],
     shear: [[V; 3]; VECTORS],
     t: [V; VECTORS],
@@ -230,10 +234,10 @@ unsafe fn bounds<V: Lanes>(block: &Block) -> [[f32; WIDTH]; 6] {
 // SAFETY of every block and function below: the callers have `V`'s instruction set
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Sheared<V> {
-    /// `shear` belongs to the first ray.
+    /// Prepares the rays for the triangle test. `shear` is the [`Shear`] of the first ray.
     #[inline(always)]
     unsafe fn new(rays: &[Ray], shear: &Shear) -> Self {
-        // coordinates of the rays in the order of the shear's axes, the longest last
+        // collect the rays' coordinates in the order of the shear's axes, the longest axis last
         let axes = shear.axes.map(|row| row / WIDTH);
         let (mut origins, mut directions) = ([[0.0; BEAM]; 3], [[1.0; BEAM]; 3]);
         for (index, ray) in rays.iter().enumerate() {
@@ -303,7 +307,7 @@ impl<V: Lanes> Sheared<V> {
                 let rows = block.vertices[vertex].as_flattened();
                 self.axes.map(|row| *rows.get_unchecked(row + lane))
             };
-            // the triangle's corners in the order of the rays' axes
+            // collect the triangle's corners in the order of the rays' axes
             let vertices = [vertex(0), vertex(1), vertex(2)];
             let reference = block.references[lane];
             let flags = reference & !INDEX_MASK;
@@ -385,10 +389,10 @@ impl<V: Lanes> Sheared<V> {
 
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Beam<V> {
-    /// `extent`: largest coordinate of the tree's bounds.
+    /// Bounds for a beam of `rays`. `extent` is the largest coordinate of the tree's bounds.
     #[inline(always)]
     unsafe fn new(rays: &[Ray], extent: f32) -> Self {
-        // least and greatest coordinates of all rays
+        // find the least and the greatest coordinates of all rays
         let (mut low, mut high) = ((rays[0].origin, rays[0].direction), (rays[0].origin, rays[0].direction));
         for ray in &rays[1..] {
             low = (low.0.min(ray.origin), low.1.min(ray.direction));
@@ -397,8 +401,8 @@ impl<V: Lanes> Beam<V> {
         let none = unsafe { Bound { row: 0, inverse: V::splat(0.0), shift: V::splat(0.0) } };
         let mut beam = Self { near: [none; 6], near_count: 0, far: [none; 6], far_count: 0 };
         for axis in 0..3 {
-            // the low planes of boxes are compared with the greatest ray, the high planes with the
-            // least
+            // A box's low planes are compared with the greatest coordinates of the rays, and its
+            // high planes with the least.
             let against = [(high.0[axis], high.1[axis]), (low.0[axis], low.1[axis])];
             for (side, (origin, direction)) in against.into_iter().enumerate() {
                 let direction =
@@ -422,8 +426,8 @@ impl<V: Lanes> Beam<V> {
         beam
     }
 
-    /// For each of eight boxes, the distance before which no ray is inside the box. Also a bit for
-    /// each box that some ray may enter before `t_max`.
+    /// Returns for each of eight boxes a distance before which no ray is inside the box. Also
+    /// returns a bit per box, which is set if a ray may be inside the box before `t_max`.
     #[inline(always)]
     unsafe fn enters(&self, boxes: &[[f32; WIDTH]; 6], t_max: f32) -> (V, u32) {
         unsafe {
@@ -432,8 +436,8 @@ impl<V: Lanes> Beam<V> {
             for bound in self.near.get_unchecked(..self.near_count) {
                 entry = entry.max(V::from_array(eight(planes, bound.row)).fused_mul_add(bound.inverse, bound.shift));
             }
-            // The exit may be infinite: for an unlimited t_max, if the rays spread to all sides. A
-            // child that does not exist is entered at infinity, and the limit `f32::MAX` keeps it
+            // If t_max is unlimited and the rays spread to all sides, nothing else limits the exit.
+            // A child that does not exist is entered at infinity, and the limit `f32::MAX` keeps it
             // out.
             let mut exit = V::splat(t_max.min(f32::MAX));
             for bound in self.far.get_unchecked(..self.far_count) {

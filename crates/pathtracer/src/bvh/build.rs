@@ -16,16 +16,18 @@ use super::plan::Plan;
 use super::tree::{Block, Bvh, EMPTY, INSTANCE, Input, LEAF, Node, Placed, WIDTH};
 
 /// Fraction of the nodes that each round tries to reinsert: obvhs' value for a slow, good build.
-/// Small trees get a larger fraction, since that takes little time. Reinserting all nodes of
-/// still-life (0.04 s) gives 3 to 4 % more rays per second. All nodes of FlightHelmet (0.4 s), or
-/// half of the nodes of 15 copies (4 s more), give 1 to 2 %.
+/// Small trees reinsert at least [`REINSERTED_AT_LEAST`] nodes, since that takes little time.
+///
+/// Measured: reinserting all nodes of the scene still-life (0.04 s) gives 3 to 4 % more rays per
+/// second. All nodes of FlightHelmet (0.4 s), or half of the nodes of 15 copies of it (4 s more),
+/// give 1 to 2 %.
 const REINSERTION_RATIO: f32 = 0.2;
 const REINSERTED_AT_LEAST: f32 = 20_000.0;
 /// Number of first passes in which obvhs pairs only direct neighbours (its
 /// `search_depth_threshold`).
 const SEARCH_DEPTH: usize = 2;
-/// Bounds of instances are widened by this fraction of their largest coordinate. Their corners are
-/// rounded, and so are rays that are moved into their space.
+/// Bounds of instances are widened by this fraction of their largest coordinate. The widening
+/// covers the rounding of the bounds' corners, and of rays that are moved into an instance's space.
 const INSTANCE_WIDENING: f32 = 2e-6;
 
 /// One finished tree.
@@ -48,7 +50,7 @@ impl Bvh {
             stack_depth: 0,
             backend: Backend::best(),
         };
-        // a tree per shared mesh, then a box per instance of it
+        // build a tree for each shared mesh, then a box for each of its instances
         let shared: Vec<Tree> = input.shared.iter().map(|range| bvh.add_tree(input, range.clone(), &[])).collect();
         let mut boxes = Vec::with_capacity(input.placements.len());
         for placement in input.placements {
@@ -63,11 +65,12 @@ impl Bvh {
                 extent: extent(&tree.bounds),
             });
         }
-        // the top tree over loose triangles and instances
+        // build the top tree over loose triangles and instances
         let top = bvh.add_tree(input, input.loose.clone(), &boxes);
         bvh.root = top.root;
         bvh.extent = extent(&top.bounds);
-        // an instance postpones its own end besides the children that its tree postpones
+        // an instance puts the mark of its end on the stack, besides the postponed children of its
+        // tree
         bvh.stack_depth = top.stack_depth + 1 + shared.iter().map(|tree| tree.stack_depth).max().unwrap_or(0);
         bvh.nodes.shrink_to_fit();
         bvh.nodes = in_large_pages(bvh.nodes);
@@ -136,8 +139,9 @@ impl Bvh {
     }
 }
 
-/// Cuts the boxes of large triangles into smaller ones. Only opaque triangles are cut: a traversal
-/// may test them twice without effect. The alpha of others would be evaluated twice.
+/// Cuts the boxes of large triangles into smaller boxes. Only opaque triangles are cut, since a
+/// traversal may test them twice without effect. The alpha or the tint of another triangle would be
+/// evaluated twice.
 fn split_large(boxes: &mut Vec<Aabb>, primitives: &mut Vec<u32>, triangles: &[[Vec3; 3]], flags: &[u32]) {
     if triangles.is_empty() {
         return;

@@ -1,13 +1,14 @@
 //! Chooses the subtrees of a binary tree that become nodes and blocks.
 //!
 //! It minimizes the expected cost of a ray (Ylitie, Karras, Laine 2017, "Efficient incoherent ray
-//! traversal on GPUs through compressed wide BVHs", section 3). A node and a block cost the same:
-//! their area.
+//! traversal on GPUs through compressed wide BVHs", section 3). A node costs its surface area, and
+//! so does a block. C(n, j) is the least cost of the subtree n if it becomes at most j children.
+//! `first` and `second` are the two children of n.
 //!
 //! ```text
-//! cost of a subtree as one child
-//!     C(n, 1) = area(n) if n fits into a block
-//!     C(n, 1) = area(n) + min over k of C(first, k) + C(second, 8 − k) otherwise, or if less
+//! cost of a subtree as one child: the less of
+//!     area(n)                                                   as a block, if n fits into one
+//!     area(n) + min over k of C(first, k) + C(second, 8 − k)    as a node
 //! as up to j children
 //!     C(n, j) = min over k of C(first, k) + C(second, j − k), or C(n, j − 1)
 //! ```
@@ -16,9 +17,9 @@ use obvhs::bvh2::Bvh2;
 
 use super::tree::WIDTH;
 
-/// Per subtree, index j − 1 holds how many of its j children come from the first child of the
-/// binary tree, or [`FEWER`]. Index 0 holds the same number for the eight children of a node, or
-/// [`END`].
+/// For each subtree of the binary tree, how its children are divided. If the subtree becomes j
+/// children, entry j − 1 is how many of them its first child becomes, or [`FEWER`]. If it becomes
+/// one child, entry 0 is how many of a node's eight children its first child becomes, or [`END`].
 pub(super) struct Plan(Vec<[u8; WIDTH]>);
 
 /// Marks a subtree that is a block or an instance.
@@ -131,7 +132,7 @@ mod tests {
         (!node.is_leaf()).then_some(node.first_index)
     }
 
-    /// Number of triangles of a subtree; `None` if the subtree contains an instance.
+    /// Number of triangles in a subtree; `None` if the subtree contains an instance.
     fn weight(binary: &Bvh2, index: u32, triangles: usize) -> Option<usize> {
         match first(binary, index) {
             Some(first) => Some(weight(binary, first, triangles)? + weight(binary, first + 1, triangles)?),
@@ -181,7 +182,7 @@ mod tests {
         area(binary, index) + children.iter().map(|&child| planned(plan, binary, child, triangles)).sum::<f64>()
     }
 
-    /// Boxes of very different sizes.
+    /// A binary tree over boxes of very different sizes.
     fn tree(count: usize, scale: f32, stream: &mut Stream) -> Bvh2 {
         let mut point = |size: f32| Vec3A::new(stream.next_f32(), stream.next_f32(), stream.next_f32()) * size;
         let boxes: Vec<Aabb> = (0..count)

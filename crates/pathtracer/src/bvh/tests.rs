@@ -32,8 +32,8 @@ fn soup(count: usize, edge: f32, seed: u64) -> Vec<[Vec3; 3]> {
         .collect()
 }
 
-/// Möller, Trumbore 1997 in f64 over all triangles. Also returns true if an edge is so near that
-/// f32 may decide differently.
+/// Intersects all triangles by Möller, Trumbore 1997 in f64. The second result is true if the ray
+/// passes an edge so closely that f32 may decide differently.
 fn oracle(triangles: &[[Vec3; 3]], ray: &Ray) -> (Option<(f64, u32)>, bool) {
     let (o, d) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
     let mut best: Option<(f64, u32)> = None;

@@ -7,7 +7,7 @@
 //!     instance   move the ray into the instance's space and go on with its tree
 //! ```
 //!
-//! Departures from the simple version:
+//! The code departs from this loop in the following ways:
 //!
 //! * The ray's signs select near and far planes, which saves min and max. Distances are one fused
 //!   multiply-add, b/d − o/d.
@@ -24,7 +24,8 @@
 //! * A hit becomes a [`Hit`] once, at the end (4 to 12 % more rays).
 //!
 //! These variants were tried on FlightHelmet, on 15 copies of it (1.4 million triangles) and on
-//! still-life (Zen 4, one pinned thread, the fastest of several rounds):
+//! still-life. The machine was a Zen 4, with one pinned thread. The figures are of the fastest of
+//! several rounds:
 //!
 //! * No branch on the number of children entered (none, one or two): 5 % slower, since a predicted
 //!   branch waits for no data.
@@ -41,9 +42,9 @@
 //! The triangle test is the watertight one of Woop, Benthin, Wald 2013 ("Watertight ray/triangle
 //! intersection", JCGT 2(1)). It shears the triangle into a space where the ray is the z axis, and
 //! compares edge functions with zero. Shared edges give exactly opposite values, so a ray cannot
-//! pass between two triangles. The edge functions therefore must not be fused: a·b − c·d with one
-//! product rounded and the other not is not the opposite of c·d − a·b. Boxes are widened by the
-//! rounding of the slab test, see [`SLAB_ROUNDING`].
+//! pass between two triangles. So the edge functions must not be fused. With one product rounded
+//! and the other not, a·b − c·d is not −(c·d − a·b). Boxes are widened by the rounding of the slab
+//! test, see [`SLAB_ROUNDING`].
 
 use std::marker::PhantomData;
 
@@ -61,8 +62,8 @@ pub(super) const SMALLEST_SLOPE: f32 = 1e-18;
 /// double the sum.
 pub(super) const SLAB_ROUNDING: f32 = 4.0 * f32::EPSILON;
 
-/// Reusable memory for postponed children. The high bits hold the distance and the low bits the
-/// child, so that entries sort by distance.
+/// Reusable memory for postponed children. An entry has the distance in its high 32 bits and the
+/// child in its low 32 bits, so that entries sort by distance.
 pub(crate) struct Stack(pub(super) Vec<u64>);
 
 /// Marks the end of an instance. On the stack this entry is below the children of the instance's
@@ -72,9 +73,9 @@ const END_OF_INSTANCE: u64 = (f32::NEG_INFINITY.to_bits() as u64) << 32 | EMPTY 
 /// The axis of the direction's largest component. The index has three bits, from the lowest: |x| >
 /// |y|, |x| > |z|, |y| > |z|.
 const LONGEST: [u8; 8] = [2, 2, 2, 0, 1, 2, 1, 0];
-/// The other two axes, for a ray that runs up an axis and for one that runs down it. If the ray
-/// runs down, the two are exchanged, which keeps the winding. Padding to eight entries saves a
-/// range check of the three-bit index.
+/// The two axes other than the longest axis a: entry 2a if the direction is positive along a, entry
+/// 2a + 1 if it is negative. The two entries differ in order, which keeps the triangles' winding.
+/// Padding to eight entries saves a range check of the three-bit index.
 const OTHERS: [[u8; 2]; 8] = [[1, 2], [2, 1], [2, 0], [0, 2], [0, 1], [1, 0], [0, 0], [0, 0]];
 
 /// A ray prepared for the slab test.
@@ -101,7 +102,8 @@ pub(super) struct Shear {
     shear: [f32; 3],
 }
 
-/// Result of the triangle test, one lane per triangle.
+/// Results of the triangle test. A lane holds one of eight triangles for a single ray, or one of
+/// eight rays for a beam.
 pub(super) struct Test<V> {
     pub(super) t: V,
     pub(super) u: V,
@@ -185,13 +187,14 @@ impl Bvh {
         unsafe { self.backend.call_eight::<Transmittance<_>>((self, ray, stack, transmittance)) }
     }
 
-    /// The arrays that a traversal reads.
+    /// The arrays that a traversal of this tree reads.
     #[inline(always)]
     pub(super) fn arrays(&self) -> Arrays<'_> {
         Arrays { nodes: &self.nodes, blocks: &self.blocks }
     }
 
-    /// Without `INSTANCED` the tree has no instances, and rays never change.
+    /// Computes the nearest accepted hit. If `INSTANCED` is false, the tree must have no instances,
+    /// so the ray is never moved into another space.
     ///
     /// # Safety
     /// The machine has `V`'s instruction set.
@@ -210,7 +213,7 @@ impl Bvh {
         // were made with. No more than `stack_depth` children are ever postponed, which `build`
         // counts and the assertion above checks.
         unsafe {
-            // a copy; [`Arrays`] states the reason
+            // a local copy makes the loop faster; the doc of [`Arrays`] states the reason
             let ray = &{ *ray };
             let mut slabs = Slabs::<V>::new(ray, self.extent);
             let mut shear = Shear::new(ray);
@@ -221,7 +224,7 @@ impl Bvh {
             let mut nearest: Option<RawHit> = None;
             let mut t_max = ray.t_max;
             let mut current = self.root;
-            // the next postponed child that is not farther than the nearest hit
+            // takes the next postponed child that is not farther than the nearest hit
             macro_rules! pop {
                 () => {
                     loop {
@@ -238,8 +241,8 @@ impl Bvh {
                 };
             }
             loop {
-                // a separate loop, so that registers hold the inputs of the node test, not those of
-                // the block test
+                // Nodes have a separate loop, so that registers hold only the inputs of the node
+                // test.
                 while current & LEAF == 0 {
                     let node = arrays.nodes.get_unchecked(current as usize);
                     let (t_near, mut hits) = slabs.enters(node, t_max);
@@ -352,7 +355,7 @@ impl Bvh {
         assert!(stack.0.len() > self.stack_depth, "a stack of another tree");
         // SAFETY: as in `nearest_in`
         unsafe {
-            // a copy; [`Arrays`] states the reason
+            // a local copy makes the loop faster; the doc of [`Arrays`] states the reason
             let ray = &{ *ray };
             let mut slabs = Slabs::<V>::new(ray, self.extent);
             let mut shear = Shear::new(ray);
@@ -372,7 +375,8 @@ impl Bvh {
                         current = *postponed.add(depth) as u32;
                         continue;
                     }
-                    // any order will do, so children are not sorted
+                    // visit the children in any order, since the product of transmittances does not
+                    // depend on it
                     current = *node.children.get_unchecked(hits.trailing_zeros() as usize);
                     hits &= hits - 1;
                     while hits != 0 {
@@ -392,7 +396,8 @@ impl Bvh {
                             hits &= hits - 1;
                             let hit = test.hit(lane, block.references[lane], instance);
                             if hit.is_visible() {
-                                // opaque triangles end the segment, others dim the light
+                                // opaque triangles end the segment, and all other triangles dim the
+                                // light
                                 if hit.flags & !CULL_BACK == 0 {
                                     return Vec3::ZERO;
                                 }
@@ -426,7 +431,7 @@ impl Bvh {
     }
 }
 
-/// [`Bvh::find_nearest`] with `F` as its `accept`.
+/// The kernel of [`Bvh::find_nearest`]; `F` is its `accept`.
 pub(super) struct Nearest<F>(PhantomData<F>);
 
 impl<F: FnMut(&Hit) -> bool> Kernel for Nearest<F> {
@@ -446,7 +451,7 @@ impl<F: FnMut(&Hit) -> bool> Kernel for Nearest<F> {
     }
 }
 
-/// [`Bvh::transmittance`] with `F` as its `transmittance`.
+/// The kernel of [`Bvh::transmittance`]; `F` is its `transmittance`.
 pub(super) struct Transmittance<F>(PhantomData<F>);
 
 impl<F: FnMut(&Hit) -> Vec3> Kernel for Transmittance<F> {
@@ -470,7 +475,8 @@ impl Placed {
     /// The ray in the tree's space, with the same points at the same t.
     #[inline(always)]
     fn tree_ray(&self, ray: &Ray) -> Ray {
-        // subtract first: the difference is exact close to the instance, where rounding would hurt
+        // The subtraction comes first, since its result is exact close to the instance. If the
+        // rotation came first, its rounding would move the hits.
         Ray {
             origin: self.tree_from_render * (ray.origin - self.translation),
             direction: self.tree_from_render * ray.direction,
@@ -489,7 +495,7 @@ impl Hit {
 // SAFETY of every block and function below: the callers have `V`'s instruction set
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Slabs<V> {
-    /// `extent`: largest coordinate of the tree's bounds.
+    /// Prepares a ray. `extent` is the largest coordinate of the tree's bounds.
     #[inline(always)]
     unsafe fn new(ray: &Ray, extent: f32) -> Self {
         let (d, o) = (ray.direction.to_array(), ray.origin.to_array());
@@ -549,7 +555,8 @@ impl<V: Lanes> Slabs<V> {
     }
 }
 
-/// Eight values of an array of rows of eight; the row starts at `row`.
+/// Returns eight successive values of `rows`, which has rows of eight values. `row` is the index of
+/// the first value.
 ///
 /// # Safety
 /// `row` is the start of a row.
@@ -566,10 +573,10 @@ impl Shear {
     pub(super) fn new(ray: &Ray) -> Self {
         let (d, o) = (ray.direction.to_array(), ray.origin.to_array());
         let magnitude = d.map(f32::abs);
-        // looked up without branches, since which axis is the longest is unpredictable
+        // A table avoids branches, which would be unpredictable: any axis may be the longest.
         let greater = |a: usize, b: usize| usize::from(magnitude[a] > magnitude[b]);
         let z = LONGEST[greater(0, 1) | greater(0, 2) << 1 | greater(1, 2) << 2];
-        // padded to a power of two, which saves range checks, as in the tables
+        // a fourth element saves range checks of the two-bit index
         let (d, o) = ([d[0], d[1], d[2], 0.0], [o[0], o[1], o[2], 0.0]);
         let along = d[usize::from(z & 3)];
         let [x, y] = OTHERS[usize::from(2 * z + u8::from(along < 0.0)) & 7];
@@ -582,13 +589,13 @@ impl Shear {
         }
     }
 
-    /// True if the ray's direction has its largest component along the same axis, with the same
-    /// sign.
+    /// True if the direction of `ray` has its largest component along the same axis as the ray of
+    /// this shear, with the same sign.
     #[inline(always)]
     pub(super) fn has_axes_of(&self, ray: &Ray) -> bool {
         let direction = ray.direction.to_array();
         let [x, y, z] = self.axes.map(|row| direction[row / WIDTH]);
-        // strictly larger, since of two equal components Shear::new chooses the later one
+        // The test is strict, since `Shear::new` chooses the later of two equal components.
         z.abs() > x.abs().max(y.abs()) && (z < 0.0) == (self.shear[2] < 0.0)
     }
 
@@ -628,12 +635,12 @@ impl Shear {
 /// A triangle per lane, in the space where the lane's ray starts at the origin and is the z axis; z
 /// is not scaled yet.
 ///
-/// Tests of single rays and of beams both call these functions, so their hits are the same to the
+/// Single rays and beams are tested by the functions of this type, so their hits are equal to the
 /// bit.
 pub(super) struct Corners<V>(pub(super) [[V; 3]; 3]);
 
-/// A triangle per lane, as seen along the lane's ray. For each edge: twice the area between it and
-/// the ray. Also a mask of the triangles that the ray passes through.
+/// Areas of one triangle per lane, as seen along the lane's ray. u, v and w are each twice the area
+/// between an edge and the ray. A mask marks the triangles that the ray passes through.
 pub(super) struct Edges<V: Lanes> {
     pub(super) u: V,
     pub(super) v: V,
@@ -670,7 +677,8 @@ impl<V: Lanes> Corners<V> {
         }
     }
 
-    /// Distance t of the intersection with the triangle's plane; `along` scales z.
+    /// Distance t of the intersection with the triangle's plane. `along` is the scale of z, which
+    /// the corners lack.
     #[inline(always)]
     pub(super) unsafe fn distance(&self, edges: &Edges<V>, along: V) -> V {
         unsafe {
@@ -719,7 +727,8 @@ impl RawHit {
             triangle: self.reference & INDEX_MASK,
             instance: self.instance,
             barycentric: [u, v, 1.0 - u - v],
-            // a mirroring instance mirrors ray and triangle alike
+            // a mirroring instance mirrors the ray too, so the sign of the determinant keeps its
+            // meaning
             front: self.determinant > 0.0,
             flags: self.reference & !INDEX_MASK,
         }

@@ -14,7 +14,7 @@ pub(super) const INSTANCE: u32 = 1 << 30;
 /// Marks a child that does not exist. Its bounds are empty, so that no ray enters it. On a
 /// traversal's stack it marks the end of an instance.
 pub(super) const EMPTY: u32 = u32::MAX;
-/// Bits of a triangle reference that hold its index; the others are flags.
+/// Bits of a triangle reference that hold the triangle's index; all other bits are flags.
 pub(super) const INDEX_MASK: u32 = (1 << 29) - 1;
 /// Largest number of triangles that references can address. A mesh's triangles count once, for any
 /// number of instances.
@@ -60,8 +60,8 @@ pub(crate) struct Hit {
 
 /// Input of [`Bvh::new`](super::Bvh::new).
 pub(crate) struct Input<'a> {
-    /// Corners of all triangles: those in `loose` are in render space, and each range of `shared`
-    /// is in its own space.
+    /// Corners of all triangles. The triangles in `loose` are in render space. The triangles of
+    /// each range in `shared` are in a space of their own.
     pub(crate) triangles: &'a [[Vec3; 3]],
     /// [`CULL_BACK`], [`ALPHA`] and [`TINT`] of every triangle.
     pub(crate) flags: &'a [u32],
@@ -95,8 +95,8 @@ pub(crate) struct Bvh {
     pub(super) backend: Backend,
 }
 
-/// Bounds of eight children: `[min_x, min_y, min_z, max_x, max_y, max_z]`, one lane per child.
-/// Aligned to whole cache lines, so that it never extends over one more line.
+/// A node: the bounds of eight children, `[min_x, min_y, min_z, max_x, max_y, max_z]`, and the
+/// children. Each row has one lane per child. The alignment keeps a node within four cache lines.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct Node {

@@ -1,9 +1,9 @@
 //! The filter of a few rows of one view.
 //!
-//! Neighbouring views are first resampled into the view's own frame, pixel by pixel. Then each
-//! shift of a window is computed for all pixels together. A shift gives a picture of colour
-//! distances, whose sums over 3 × 3 pixels are the distances of patches. So all loops run along
-//! rows.
+//! Neighbouring views are first resampled into the view's own frame, pixel by pixel. A window
+//! around a pixel is a set of shifts, and each shift is computed for all pixels together. A shift
+//! gives a picture of colour distances, whose sums over 3 × 3 pixels are the distances of patches.
+//! So all loops run along rows.
 
 use std::ops::Range;
 
@@ -12,9 +12,11 @@ use super::view::Window;
 
 /// Half width of a patch: patches are squares of 3 × 3 pixels.
 const PATCH: usize = 1;
-/// Unit of the differences of patches, in standard deviations of the noise.
+/// Difference of two patches that lowers a weight to about a third, in standard deviations of the
+/// noise of that difference.
 const COLOUR_SCALE: f32 = 0.8;
-/// Differences of guides, each of which lowers a weight to about a third.
+/// Difference of normals that lowers a weight to about a third. The scales of the other guides
+/// below have the same meaning.
 const NORMAL_SCALE: f32 = 0.2;
 /// Distance of a point from the plane of another point, in pixels, that lowers a weight to about a
 /// third.
@@ -22,21 +24,23 @@ const PLANE_SCALE: f32 = 1.5;
 const ALBEDO_SCALE: f32 = 0.2;
 const GLOSS_SCALE: f32 = 0.2;
 const COVERED_SCALE: f32 = 0.2;
-/// Number of filtered answers per pixel, each for both halves of the samples. The first uses
-/// colours and guides, with weights from the other half. The second uses guides alone. The third
-/// uses colours and guides, with weights from the half itself; it serves only to estimate errors.
+/// Number of answers: ways to filter the radiance of a pixel. Each is computed for both halves of
+/// the samples. The first uses colours and guides, with weights from the other half. The second
+/// uses guides alone. The third uses colours and guides, with weights from the half itself; it
+/// serves only to estimate errors.
 pub(super) const ANSWERS: usize = 3;
 
-/// Filtered demodulated radiance of a band, per answer and half: `[row][col][rgb]`.
+/// Filtered radiance of a few rows, divided by the albedo, for each answer and each half of the
+/// samples: `[row][col][rgb]`.
 pub(super) type Answers = [[Vec<[f32; 3]>; 2]; ANSWERS];
 
-/// A region of a view with `margin` pixels around it; outside of the picture all values are 0.
+/// A region of a view, with `margin` pixels around it. Values outside of the picture are 0.
 struct Block {
     planes: [Vec<f32>; PLANES],
     width: usize,
 }
 
-/// Sums of weights and weighted values.
+/// For each half of the samples, the sums of weighted radiance and of the weights, for every pixel.
 struct Sums {
     values: [[Vec<f32>; 3]; 2],
     weights: [Vec<f32>; 2],
@@ -76,7 +80,8 @@ pub(super) fn filter(
 }
 
 impl Block {
-    /// The pixels of `other` that `place` returns for the pixels of `frame`.
+    /// Collects pixels of `other`: for each pixel of `rows` of `frame` and of the margin around
+    /// them, the pixel whose index `place` returns.
     fn cut(
         frame: &Frame,
         other: &Frame,
@@ -117,16 +122,16 @@ impl Block {
     }
 }
 
-/// Memory for the maps of one shift.
+/// Memory for the values of all pixels at one shift of the window.
 struct Scratch {
     height: usize,
     cols: usize,
-    /// Distance of colours per half, with the margin of a patch around it.
+    /// Colour distances for each half of the samples, with the margin of a patch around the pixels.
     distance: [Vec<f32>; 2],
     /// Sums of three neighbouring distances along a row.
     across: [Vec<f32>; 2],
     guides: Vec<f32>,
-    /// Weights of a row, from guides and colours.
+    /// Weights of a row, from the guides and the colours together.
     colours: Vec<f32>,
 }
 
@@ -143,7 +148,8 @@ impl Scratch {
         }
     }
 
-    /// Adds the pixels of `block` at a shift [down, right].
+    /// Adds each pixel of `block`, weighted, to the sums of the pixel of `centre` that is `shift`
+    /// ([down, right]) away. It does so for all answers.
     fn add(
         &mut self,
         centre: &Block,
@@ -154,7 +160,8 @@ impl Scratch {
         sums: &mut [Sums; ANSWERS],
     ) {
         let (height, cols, width) = (self.height, self.cols, centre.width);
-        // colour distances of both halves, summed along rows of patches
+        // Sum the colour distances over three successive pixels of a row, for each half of the
+        // samples. Three of these sums give the distance of two patches.
         let wide = cols + 2 * PATCH;
         for y in 0..height + 2 * PATCH {
             let p = (y + margin - PATCH) * width + margin - PATCH;
@@ -182,7 +189,8 @@ impl Scratch {
         for y in 0..height {
             let p = (y + margin) * width + margin;
             let q = (p as isize + shift[0] * width as isize + shift[1]) as usize;
-            // weights from the guides, times the kernel of the patches' colour distances
+            // compute the weights: from the guides, times the kernel of the patches' colour
+            // distances
             guide_row(centre, block, p, q, &steady[y * cols..][..cols], &mut self.guides);
             let range = y * cols..(y + 1) * cols;
             for half in 0..2 {
@@ -191,8 +199,8 @@ impl Scratch {
                 let other = 1 - half;
                 let [r, g, b] = [0, 1, 2].map(|c| values(other, c));
                 let [with_colour, guides_alone, own_weights] = &mut *sums;
-                // colour distances in this half weight the radiance of the other half, so that the
-                // noise of weights and radiance is independent
+                // The colour distances of one half give the weights for the radiance of the other
+                // half. So the noise of the weights is independent of the noise of the radiance.
                 let weights = &mut with_colour.weights[other][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut with_colour.values[other];
                 let [sum_r, sum_g, sum_b] = [sum_r, sum_g, sum_b].map(|sum| &mut sum[range.clone()]);
@@ -205,8 +213,8 @@ impl Scratch {
                     sum_g[x] += w * g[x];
                     sum_b[x] += w * b[x];
                 }
-                // the same weights also average the half from which they come, to estimate the
-                // error
+                // the same weights also average the half that they come from, since the estimate of
+                // errors requires that answer
                 let [own_r, own_g, own_b] = [0, 1, 2].map(|c| values(half, c));
                 let weights = &mut own_weights.weights[half][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut own_weights.values[half];
@@ -218,7 +226,7 @@ impl Scratch {
                     sum_g[x] += w * own_g[x];
                     sum_b[x] += w * own_b[x];
                 }
-                // the answer of the guides alone
+                // add to the answer whose weights come from the guides alone
                 let weights = &mut guides_alone.weights[other][range.clone()];
                 let [sum_r, sum_g, sum_b] = &mut guides_alone.values[other];
                 let [sum_r, sum_g, sum_b] = [sum_r, sum_g, sum_b].map(|sum| &mut sum[range.clone()]);
@@ -234,8 +242,8 @@ impl Scratch {
     }
 }
 
-/// Weights from the guides of a row of pixels. The row starts at `p` in `centre` and at `q` in
-/// `block`.
+/// Computes the weights from the guides for a row of pixels. The row starts at index `p` in
+/// `centre`, and the pixels that are compared with it start at index `q` in `block`.
 fn guide_row(centre: &Block, block: &Block, p: usize, q: usize, steady: &[f32], weights: &mut [f32]) {
     let cols = weights.len();
     let here = |plane: usize| &centre.planes[plane][p..][..cols];

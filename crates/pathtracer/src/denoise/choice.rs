@@ -5,18 +5,18 @@ use lumistack_core::Tensor;
 use super::band::{ANSWERS, Answers};
 use super::frame::{Frame, HALVES, VARIANCE, box_mean};
 
-/// Half the width of the square over which the errors of answers are averaged before they are
-/// compared.
+/// Half the width of the square of pixels over which errors are averaged, before the answers'
+/// errors are compared.
 const ERROR_RADIUS: usize = 4;
-/// Difference of errors, relative to the noise's variance, at which the better answer gets e times
-/// the weight.
+/// Difference of two answers' squared errors at which the better answer gets e times the weight of
+/// the other. The unit is the variance of the noise.
 const SOFTNESS: f32 = 0.03;
 /// Number of candidates for a pixel: filtered by colours and guides, filtered by guides alone, as
 /// rendered.
 const CHOICES: usize = 3;
 
-/// Blends the answers by their estimated errors. The estimate leaves out the pixel itself, since
-/// otherwise the choice would follow the pixel's noise.
+/// Blends the answers for each pixel, with weights from their estimated errors. A pixel's estimate
+/// leaves out the pixel itself, since otherwise the choice would follow the pixel's noise.
 pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
     let count = frame.rows * frame.cols;
     let halves =
@@ -40,9 +40,10 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
 /// Weight of each answer in every pixel. It follows from the squared errors that are estimated in
 /// the surrounding pixels, divided by the variance of the noise.
 ///
-/// (F_a − u_b)² is on average the squared error of the answer F_a from half of the samples, plus
-/// the noise of the other half, u_b. That noise is equal for all answers. `gain` is subtracted,
-/// since the result is the mean of both halves, whose error is smaller.
+/// F_a is the answer from one half of the samples, and u_b is the picture of the other half. The
+/// mean of (F_a − u_b)² is the squared error of F_a plus the noise of u_b, which is equal for all
+/// answers. The result is the mean of both halves' answers, whose error is smaller; `gain` is the
+/// difference.
 fn shares(frame: &Frame, halves: &[Vec<[f32; 3]>; 2], answers: [&[Vec<[f32; 3]>; 2]; CHOICES]) -> Vec<[f32; CHOICES]> {
     let count = halves[0].len();
     let (rows, cols) = (frame.rows, frame.cols);

@@ -79,12 +79,12 @@ impl Estimate {
     }
 }
 
-/// Compares a filtered view with the unbiased view that it was made from, and with the checks of
-/// that view. Both pictures are `[row][col][rgb]`.
+/// Compares a filtered view with the unbiased view from which it was made, and with the checks of
+/// the unbiased view. Both pictures are `[row][col][rgb]`.
 pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> ViewFigures {
     let [rows, cols, _] = unbiased.shape();
     let mut figures = ViewFigures::default();
-    // the change of the mean, block by block
+    // compute the change of the mean, block by block
     for top in (0..rows).step_by(BLOCK) {
         for left in (0..cols).step_by(BLOCK) {
             let (mut sum, mut count) = (0.0, 0.0);
@@ -101,7 +101,7 @@ pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> V
         }
     }
     figures.mean /= unbiased.data().len().max(1) as f64;
-    // squared errors at the checks, before and after the filter
+    // compute the squared errors at the checks, before and after the filter
     for check in &checks.list {
         let squared = |picture: &Tensor<3>| {
             let pixel = picture.block([check.row, check.col]);
@@ -109,7 +109,7 @@ pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> V
             (0..3).map(|c| f64::from(pixel[c] - first[c]) * f64::from(pixel[c] - second[c])).sum::<f64>() / 3.0
         };
         let (before, after) = (squared(unbiased), squared(filtered));
-        // a pixel that is not finite in either render is left out
+        // leave out a pixel whose product is not a finite number
         if before.is_finite() && after.is_finite() {
             figures.mse_before.add(before);
             figures.mse_after.add(after);

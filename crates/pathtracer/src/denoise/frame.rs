@@ -5,7 +5,8 @@ use lumistack_display::{FieldGeometry, Projection};
 
 use super::view::NoisyView;
 
-/// Smallest reflectance that radiance is divided by; darker surfaces keep their own contrast.
+/// Smallest reflectance by which radiance is divided. The contrast of darker surfaces is filtered
+/// with the light.
 const LEAST_ALBEDO: f32 = 0.02;
 /// Half the width of the square over which the variance of a pixel is averaged. The two halves of
 /// one pixel give only a very rough variance.
@@ -15,7 +16,7 @@ const VARIANCE_RADIUS: usize = 2;
 pub(super) const PLANES: usize = 22;
 /// First plane of the demodulated radiance of each half; each has red, green and blue.
 pub(super) const HALVES: [usize; 2] = [0, 3];
-/// First plane of the variance of a half, with three channels.
+/// First plane of the variance of one half of the samples, with three channels.
 pub(super) const VARIANCE: usize = 6;
 /// First planes of the guides: normal, position, reflectance, gloss, α, coverage.
 pub(super) const NORMAL: usize = 9;
@@ -24,7 +25,7 @@ pub(super) const ALBEDO: usize = 15;
 pub(super) const GLOSS: usize = 18;
 pub(super) const ALPHA: usize = 19;
 pub(super) const COVERED: usize = 20;
-/// Plane that is 1 for pixels of the picture, and 0 outside of it.
+/// Plane that is 1 for pixels inside the picture, and 0 for pixels outside of it.
 pub(super) const THERE: usize = 21;
 
 /// One view, a plane per value: `[plane][row][col]`.
@@ -108,8 +109,8 @@ impl Frame {
             return None;
         }
         let z_mm = f64::from(self.planes[PLACE + 2][i]) * self.pitch_mm;
-        // A point (X, z) appears at the x with x + s z = X, in both views. The slope s at x is the
-        // central slope, less x / D in a perspective view.
+        // In both views a point at (X, z) appears at the x for which x + s z = X. In a perspective
+        // view, the slope s at x is the view's central slope minus x / `distance_mm`.
         let stretch = match self.projection {
             Projection::Oblique => 1.0,
             Projection::Perspective { distance_mm } => 1.0 - z_mm / distance_mm,
@@ -121,7 +122,8 @@ impl Frame {
     }
 }
 
-/// Mean over a square of 2r + 1 pixels, or over the region of it that is in the picture.
+/// Mean over a square with `radius` pixels on either side of its centre, or over the region of the
+/// square that is in the picture.
 pub(super) fn box_mean(values: &[f32], rows: usize, cols: usize, radius: usize) -> Vec<f32> {
     let along = |values: &[f32], count: usize, step: usize, lines: usize, line_step: usize| {
         let mut result = vec![0.0; values.len()];

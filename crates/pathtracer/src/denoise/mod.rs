@@ -10,13 +10,13 @@
 //!         · (fraction of light that does not depend on the view)
 //! ```
 //!
-//! a and b are two renders, with half of the samples each. The weights for one are computed from
-//! the other, so they are independent of the noise that they average.
+//! a and b are two renders, with half of the samples each, and u_a and u_b their pictures. The
+//! weights for u_a are computed from u_b, so they are independent of the noise that they average.
 //!
 //! q runs over a window around p in p's own view. It also runs over small windows in neighbouring
-//! views, around the position where p's surface point appears. A point at depth Z that is at x in
-//! view s is at x + (s − s')·Z in view s' (a line in an epipolar picture). Views thus share their
-//! samples, and the remaining noise is similar in all views.
+//! views, around the position where p's surface point appears. If a point at depth Z is at x in
+//! view s, it is at x + (s − s')·Z in view s'. In an epipolar picture, this is a line. Views thus
+//! share their samples, and the remaining noise is similar in all views.
 //!
 //! Three answers are kept for every pixel: as rendered, guides and colours, guides alone. Their
 //! weights follow from their squared errors. The halves estimate these errors without bias if the
@@ -60,7 +60,7 @@ pub use view::{NoisyView, Window};
 /// Number of rows that are filtered together: the unit of work, of progress and of cancellation.
 const BAND: usize = 16;
 
-/// Steps by which [`denoise`] advances the progress.
+/// Number of steps by which [`denoise`] advances the progress.
 pub fn steps(geometry: &FieldGeometry) -> u64 {
     (geometry.rows.div_ceil(BAND) * geometry.grid.iter().count()) as u64
 }

@@ -7,11 +7,14 @@
 //! L' = G + ρ_d E'
 //! ```
 //!
-//! p_u is the pixel where view u sees the point of p: a point at depth z moves by (s − s')·z from
-//! view to view. The weight w is 1 if u sees the same surface there, and falls to 0 if it sees
-//! another. It follows from the distance of u's point from the plane of p's point. Nothing is
-//! averaged over neighbouring pixels, so shadows and textures stay sharp up to a pixel's rounding:
-//! E is read at the pixel nearest to p_u. The mirrored light G stays as rendered.
+//! D is the light that the first surface scatters diffusely, ρ_d the reflectance for it, and G all
+//! other light.
+//!
+//! p_u is the pixel where view u sees the surface point of pixel p. A point at depth z moves by (s
+//! − s')·z between views of the slopes s and s'. The weight w is 1 if u sees the same surface at
+//! p_u, and falls to 0 if it sees another surface. It follows from the distance of u's point from
+//! the plane of p's point. Nothing is averaged over neighbouring pixels, so shadows and textures
+//! stay sharp up to a pixel's rounding. E is read at the pixel nearest to p_u. G stays as rendered.
 //!
 //! So a point that hundreds of views see has the samples of all of them. Each of these views costs
 //! one shift and one comparison. Averages over rows and then over columns take as many steps as the
@@ -29,8 +32,8 @@ use rayon::prelude::*;
 
 use crate::SplitView;
 
-/// Distance of a point from the plane of another, in pixels, at which its weight has fallen to
-/// about a third.
+/// Distance of one point from the plane of another point, in pixels, at which the weight has fallen
+/// to about a third.
 const PLANE_SCALE: f32 = 0.75;
 /// Two surfaces are treated as different if the cosine between their normals is below this.
 const LEAST_COSINE: f32 = 0.8;
@@ -43,7 +46,7 @@ const LEAST_REFLECTANCE: f32 = 0.02;
 #[derive(Clone, Copy, Default)]
 #[repr(C)]
 struct Point {
-    /// E, the light at the point, from the pixel's own samples.
+    /// E: the light at the point divided by its reflectance, from the pixel's own samples.
     light: [f32; 3],
     z_mm: f32,
     /// Unit normal, times 127.
@@ -62,13 +65,13 @@ pub struct SharedLight<'a> {
     added: usize,
     /// Data of every pixel, `[view][row][col]`.
     points: Array<Point>,
-    /// Mean of the light E over the views, `[view][row][col]`, once it is computed.
+    /// Mean over the views of [`Point::light`], `[view][row][col]`, once it is computed.
     light: Array<[f32; 3]>,
 }
 
 /// The mean light of every view.
 pub struct MeanLight {
-    /// The mean of the light E, `[view][row][col]`.
+    /// Mean over the views of [`Point::light`], `[view][row][col]`.
     light: Array<[f32; 3]>,
 }
 
@@ -141,8 +144,8 @@ impl<'a> SharedLight<'a> {
 }
 
 impl MeanLight {
-    /// Returns the view of this number in the grid, with the mean light instead of its
-    /// view-independent light E, `[row][col][rgb]`.
+    /// Returns the view of this number in the grid as radiance `[row][col][rgb]`. The mean light
+    /// replaces the light that the view itself measured.
     pub fn on(&self, number: usize, view: &SplitView) -> Tensor<3> {
         let [rows, cols] = view.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
@@ -213,8 +216,8 @@ fn pass(
     light.chunks_mut(pixels).enumerate().try_for_each(one)
 }
 
-/// Computes the mean light of one view over its partners. `announce` receives the number of points
-/// that were used.
+/// Computes the mean light of one view over the view and its partners. `announce` receives the
+/// number of points that have been read.
 fn of_view(
     geometry: &FieldGeometry,
     points: &[Point],
@@ -248,8 +251,9 @@ fn of_view(
                     continue;
                 }
                 let normal = point.normal();
-                // A point (X, z) appears at the x with x + s z = X, in both views. The slope s at x
-                // is the central slope, less x / D in a perspective view.
+                // In both views a point at (X, z) appears at the x for which x + s z = X. In a
+                // perspective view, the slope s at x is the view's central slope minus x /
+                // `distance_mm`.
                 let depth = match grid.projection {
                     Projection::Oblique => point.z_mm,
                     Projection::Perspective { distance_mm } => point.z_mm / (1.0 - point.z_mm / distance_mm as f32),
@@ -265,8 +269,8 @@ fn of_view(
                 if !there.is_lit() || normal.dot(there.normal()) < LEAST_COSINE {
                     continue;
                 }
-                // up to a pixel's rounding both points are on the ray of p, so they differ only in
-                // depth
+                // Up to a pixel's rounding both points are on the ray of this pixel, so they differ
+                // only in depth.
                 let off = normal.z * (there.z_mm - point.z_mm) / pitch as f32;
                 let nearness = (1.0 - off * off * (0.25 / (PLANE_SCALE * PLANE_SCALE))).max(0.0);
                 let weight = (nearness * nearness) * (nearness * nearness);

@@ -200,7 +200,7 @@ fn a_surface_point_is_found_in_the_other_view() {
                     for place in [&across, &up] {
                         let here = place[own].get([row, col, 0]);
                         let there = place[other].get([at / COLS, at % COLS, 0]);
-                        // half a pixel, since the shift is rounded to whole pixels
+                        // the tolerance is half a pixel, since the shift is rounded to whole pixels
                         assert!((here - there).abs() < 0.501, "{here} {there}");
                     }
                     found += 1;

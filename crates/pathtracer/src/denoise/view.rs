@@ -12,7 +12,8 @@ pub struct Window {
     /// Number of views on either side, along both axes of the grid. With 0 every view is filtered
     /// by itself. Default 2.
     pub views: usize,
-    /// Number of pixels on either side of the corresponding pixel in those other views. Default 1.
+    /// Number of pixels on either side of the corresponding pixel in the neighbouring views.
+    /// Default 1.
     pub radius_in_views: usize,
 }
 

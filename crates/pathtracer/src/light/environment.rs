@@ -2,13 +2,13 @@
 //! its colour).
 //!
 //! The map is covered by a grid of cells with constant density in (u, v). A cell's weight is the
-//! integral over it of bilinear magnitude times sin θ. In large maps a cell holds several texels,
-//! in small maps a texel holds several cells. So the grid is never huge, and sin θ varies little
-//! inside a cell.
+//! integral of bilinear magnitude times sin θ over the cell. In large maps a cell holds several
+//! texels, in small maps a texel holds several cells. So the grid is never huge, and sin θ varies
+//! little inside a cell.
 //!
 //! Only radiance above the mean is sampled ("MIS compensation", Karlík et al. 2019). Scattered rays
-//! find the rest as well or better, and the heuristic would give most samples of the rest little
-//! weight. A sky of one radiance is thus never sampled here.
+//! find the rest as well or better, and the power heuristic would give little weight to most
+//! samples of the rest. A sky of one radiance is thus never sampled here.
 
 use std::f32::consts::PI;
 use std::sync::Arc;
@@ -57,7 +57,7 @@ struct Cells {
 impl EnvironmentLight {
     /// `None` without an environment, or when the environment is black.
     pub(crate) fn new(scene: &Arc<Scene>) -> Option<Self> {
-        // first sample all of the light, to compute its mean
+        // first prepare sampling of all the light, which gives its mean
         let whole = Self::above(scene, 0.0)?;
         let mean = whole.sampled_magnitude;
         if whole.constant.is_some() { Some(whole) } else { Self::above(scene, mean).or(Some(whole)) }
@@ -88,7 +88,7 @@ impl EnvironmentLight {
             this.constant = Some(environment.strength * Vec3::from_array(texels[0]));
             return (this.constant != Some(Vec3::ZERO)).then_some(this);
         }
-        // choose a row of cells by its sum, then a cell of the row
+        // a sample first chooses a row of cells by the row's sum, then a cell of that row
         let mut row_weights = Vec::with_capacity(rows.count());
         for row in 0..rows.count() {
             let weights: Vec<f64> = (0..columns.count()).map(|column| this.cell_weight(row, column)).collect();
@@ -96,13 +96,13 @@ impl EnvironmentLight {
             this.column_choices.push(Distribution::new(&weights));
         }
         this.row_choice = Distribution::new(&row_weights)?;
-        // mean over the sphere: ∫ L sin θ du dv · 2π² / 4π
+        // the mean over the sphere is ∫ L sin θ du dv times 2π² / 4π
         this.sampled_magnitude = (row_weights.iter().sum::<f64>() * std::f64::consts::FRAC_PI_2) as f32;
         Some(this)
     }
 
-    /// Mean magnitude of the radiance that [`sample`](Self::sample) draws; 0 for a sky of one
-    /// radiance.
+    /// Magnitude of the radiance that [`sample`](Self::sample) draws, averaged over the sphere; 0
+    /// for a sky of one radiance.
     pub(crate) fn sampled_magnitude(&self) -> f32 {
         self.sampled_magnitude
     }
@@ -146,13 +146,13 @@ impl EnvironmentLight {
         self.row_choice.probability(row) * columns.probability(column) / ((u1 - u0) * (v1 - v0))
     }
 
-    /// ∫ magnitude sin θ du dv over a cell.
+    /// The integral of magnitude · sin θ du dv over a cell.
     fn cell_weight(&self, row: usize, column: usize) -> f64 {
         let mut sum = 0.0;
         let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
         let (across, down) = (self.columns.joined, self.rows.joined);
-        // points at the corners of half-texel squares; the outermost have half the weight, since
-        // neighbours share them
+        // Add up points at the corners of squares of half a texel. The outermost points have half
+        // the weight, since neighbouring cells share them.
         for j in 0..=2 * down {
             let v = v0 + (v1 - v0) * j as f32 / (2 * down) as f32;
             let mut line = 0.0;
@@ -162,7 +162,8 @@ impl EnvironmentLight {
                 line += share * f64::from((magnitude(self.bilinear(u, v)) - self.floor).max(0.0));
             }
             let share = if j == 0 || j == 2 * down { 0.5 } else { 1.0 };
-            // sin θ is 0 on a pole's line, but the cell that touches it must have some weight
+            // sin θ is 0 where v is at a pole, but a cell that touches the pole must have some
+            // weight
             sum += share * line * f64::from((PI * v).sin()).max(1e-6);
         }
         sum / (4 * across * down) as f64 * f64::from((u1 - u0) * (v1 - v0))
@@ -173,10 +174,10 @@ impl EnvironmentLight {
         let Some(environment) = environment else { return Vec3::ZERO };
         let Pixels::RgbF32(texels) = &self.scene.images[environment.image].pixels else { return Vec3::ZERO };
         let (x, y) = (u * self.width as f32 - 0.5, v * self.height as f32 - 0.5);
-        // x and y are ≥ −0.5, so after adding 1, truncation equals the floor
+        // x and y are at least −0.5, so truncation of x + 1 and y + 1 equals the floor
         let (x0, y0) = ((x + 1.0) as usize, (y + 1.0) as usize);
         let (fx, fy) = (x + 1.0 - x0 as f32, y + 1.0 - y0 as f32);
-        // x0 and y0 are 0 at texel −1
+        // the index x0 = 0 or y0 = 0 stands for texel −1, which is outside of the map
         let left = if x0 == 0 { self.width - 1 } else { (x0 - 1).min(self.width - 1) };
         let right = if x0 >= self.width { 0 } else { x0 };
         let (top, bottom) = (y0.saturating_sub(1) * self.width, y0.min(self.height - 1) * self.width);
@@ -311,7 +312,7 @@ mod tests {
         }));
         important.assert_same(uniform, 0.0, FALSE_ALARM_RATE);
         // `uniform` has ten times as many samples. With as few as `important`, its standard error
-        // would be 3.2 times as large. `important` must have less than half of that.
+        // would be 3.2 times as large. `important` must have less than half of this error.
         assert!(important.standard_error < 0.5 * 3.2 * uniform.standard_error, "{important:?} {uniform:?}");
         // the integral over a cell is exact unless the radiance crosses `floor` within it
         assert!((important.value / (4.0 * std::f64::consts::PI * f64::from(sky.sampled_magnitude)) - 1.0).abs() < 0.03);

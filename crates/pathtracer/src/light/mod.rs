@@ -24,19 +24,19 @@ use crate::distribution::Distribution;
 use crate::geometry::{Geometry, SurfacePoint};
 use crate::shading::Materials;
 
-/// Fraction of the choice that is divided equally among the kinds of light that exist. It raises
-/// the chance of a weak kind that shines from close by.
+/// Fraction of the chances that is divided equally among the kinds of light that exist. It raises
+/// the chance of a weak kind of light that shines from close by.
 const EQUAL_SHARE: f64 = 0.3;
 /// Number of points per edge of a triangle at which a textured emission is evaluated to estimate
 /// its power.
 const POWER_POINTS: usize = 6;
-/// Step between two successive random numbers that choose a light.
+/// Step between two successive values of the 24-bit random numbers that choose a light.
 const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
 /// Deviation from a parallelogram that is tolerated, as a fraction of its size: about the rounding
 /// of its corners.
 const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
-/// Number of powers of two of [`Parts`] for which a choice of lights is prepared; larger numbers
-/// use the last.
+/// Number of choices of lights that are prepared. Choice k is for 2ᵏ [`Parts`]; for more parts than
+/// the last choice, the last choice is used.
 const PART_POWERS: u32 = 13;
 /// Marks a triangle that is no light.
 const NONE: u32 = u32::MAX;
@@ -44,8 +44,8 @@ const NONE: u32 = u32::MAX;
 /// All lights of a scene.
 pub(crate) struct Lights {
     triangles: Vec<TriangleLight>,
-    /// Index of the light of each triangle of the scene, [`NONE`] for most; empty without emitting
-    /// triangles.
+    /// For each triangle of the scene, the index of its light; [`NONE`] for most triangles. Empty
+    /// if no triangle emits.
     light_of_triangle: Vec<u32>,
     environment: Option<EnvironmentLight>,
     /// Point lights and spotlights.
@@ -80,7 +80,8 @@ struct TriangleLight {
 
 impl Lights {
     pub(crate) fn new(scene: &Arc<Scene>, geometry: &Geometry, materials: &Materials) -> Self {
-        // emitting triangles, and for each triangle of the scene the index of its light
+        // find the emitting triangles, and keep for each triangle of the scene the index of its
+        // light
         let (triangles, mut emitters) = emitting_triangles(geometry, materials);
         let mut light_of_triangle = Vec::new();
         if !triangles.is_empty() {
@@ -91,7 +92,8 @@ impl Lights {
                 }
             }
         }
-        // punctual lights: local lights join the tree, each distant light is chosen separately
+        // Local punctual lights join the tree. Each directional or distant light is chosen
+        // separately.
         let radius = geometry.space.radius;
         let mut local_power: f64 = emitters.iter().map(|light| f64::from(light.strength * light.sides() * PI)).sum();
         let (mut points, mut directional, mut directional_powers) = (Vec::new(), Vec::new(), Vec::new());
@@ -110,8 +112,8 @@ impl Lights {
                 Some(_) => {}
             }
         }
-        // chances by power, of all local lights together, of each distant light, and of the
-        // environment
+        // The chances follow power. One chance is for all local lights together, one for each light
+        // from infinity, and one for the environment.
         let tree = LightTree::new(&emitters);
         let environment = EnvironmentLight::new(scene);
         let environment_power =
@@ -141,7 +143,8 @@ impl Lights {
         (radiance, chance * pdf)
     }
 
-    /// True if there are point lights or spots, for which the tilt of receivers matters.
+    /// True if there are point lights or spotlights. For these lights the tilt of receivers
+    /// matters.
     #[inline]
     pub(crate) fn has_horizon(&self) -> bool {
         !self.points.is_empty()
@@ -171,9 +174,9 @@ impl Lights {
 
     /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also
     /// chooses the light. It is then rescaled from the light's interval to [0, 1), so that each
-    /// light's samples stay stratified. `u_fine` adds the digits that rescaling loses. If [0, 1) is
-    /// divided into `parts` equal parts, each part holds the first number of one of the pixel's
-    /// samples.
+    /// light's samples stay stratified. `u_fine` adds the digits that rescaling loses. `parts` is
+    /// the number of equal parts of [0, 1) of which each holds the first number of one of the
+    /// pixel's samples.
     pub(crate) fn sample(
         &self,
         geometry: &Geometry,
@@ -185,13 +188,13 @@ impl Lights {
     ) -> Option<LightSample> {
         // choose between the local lights and each light from infinity
         let choice = self.choice(parts)?;
-        // mostly there is only the tree to choose
+        // in most scenes the tree is the only entry
         let only_local = choice.probability(LOCAL) == 1.0;
         let (index, inside) = if only_local { (LOCAL, u[0]) } else { choice.sample(u[0]) };
         let chance = choice.probability(index);
         let inside = f64::from(inside) + f64::from(u_fine * DIGIT / chance);
         let single = |inside: f64| (inside as f32).min(1.0 - f32::EPSILON);
-        // choose a local light by the tree, and a point of it
+        // choose a local light by the tree, and a point of that light
         if index == LOCAL {
             let inside = inside.min(1.0 - f64::EPSILON);
             let (light, tree_chance, inside) = self.tree.as_ref()?.sample(receiver, inside, parts_of(chance, parts))?;
@@ -244,8 +247,9 @@ impl TriangleLight {
         let inverse_distance = to_light.length_recip();
         let direction = to_light * inverse_distance;
         let cosine = -direction.dot(self.normal);
-        // the inverse of the density is area |cos θ'| / d² divided by the chance; the divisions are
-        // independent, so that they run in parallel
+        // The inverse of the density is area · |cos θ'| / d², divided by the chance. Here θ' is the
+        // angle to the light's normal, and d the distance. The divisions are independent, so they
+        // run in parallel.
         let inverse_pdf = self.area * cosine.abs() * (inverse_distance * inverse_distance) * chance.recip();
         // no light is received at distance 0, from the side, or where the numbers overflow
         let is_seen = inverse_pdf > 0.0 && inverse_pdf.is_finite() && (cosine > 0.0 || self.double_sided);
@@ -262,8 +266,8 @@ impl TriangleLight {
 }
 
 impl TriangleLight {
-    /// This triangle and the previous one as one light; `None` if they are not the halves of a
-    /// parallelogram of one radiance.
+    /// Joins this triangle and the previous triangle to one light. `None` if they are not the
+    /// halves of a parallelogram of one radiance.
     fn joined(&self, before: &Self, geometry: &Geometry) -> Option<Self> {
         let alike = before.partner.is_none()
             && before.triangle + 1 == self.triangle
@@ -306,8 +310,8 @@ fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
     [x, y, 1.0 - x - y]
 }
 
-/// Radiance that leaves a point in a direction with this cosine to the normal, times the surface's
-/// alpha.
+/// Radiance that leaves a point in a direction with this cosine to the normal, times the fraction
+/// of the surface that alpha leaves.
 fn emitted(materials: &Materials, material: usize, point: &SurfacePoint<'_>, cosine: f32) -> Vec3 {
     materials.emission(material, point, 0.0, true, cosine) * materials.coverage(material, point)
 }
@@ -324,7 +328,7 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         let index = geometry.material_index(triangle);
         let at = |k: usize| (k as f32 + 0.5) / POWER_POINTS as f32;
         let centre = geometry.point(triangle, [1.0 / 3.0; 3]);
-        // mean radiance; if it varies, averaged over points of the triangle
+        // mean radiance of the triangle; if it varies, it is averaged over points of the triangle
         let varies = material.textures().next().is_some() || material.clearcoat.is_some() || centre.is_colored();
         let uniform = (!varies).then(|| emitted(materials, index, &centre, 1.0));
         let mean = match uniform {
@@ -396,9 +400,9 @@ fn parts_of(chance: f32, parts: Parts) -> Parts {
     (chance * parts as f32 + 0.5) as Parts
 }
 
-/// Chances in proportion to weights, rounded to whole parts. Chances of less than half a part are
-/// not rounded, and the greatest chance makes up for the rounding. Nothing is rounded if that would
-/// take more than half of the greatest.
+/// Chances in proportion to weights, rounded to whole parts of [0, 1). Chances of less than half a
+/// part are not rounded. The greatest chance is the rest. Nothing is rounded if the rest would be
+/// less than half of the greatest chance before.
 fn in_whole_parts(weights: &[f64], parts: Parts) -> Vec<f64> {
     let (sum, parts) = (weights.iter().sum::<f64>(), f64::from(parts));
     if !(sum > 0.0 && sum.is_finite()) {
@@ -458,13 +462,13 @@ mod tests {
         Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
     }
 
-    /// Number of intervals per barycentric coordinate; they divide a triangle into PARTS² congruent
-    /// cells.
+    /// Number of intervals of each barycentric coordinate. They divide a triangle into PARTS²
+    /// congruent cells.
     const PARTS: usize = 4;
 
-    /// Points sampled on lights follow their density (chi-square over these cells). Scattered rays
-    /// that hit a light are weighted by the same density. There are four receivers, each with
-    /// [`FALSE_ALARM_RATE`].
+    /// Points sampled on lights follow their density (chi-square over the PARTS² cells of each
+    /// triangle). Scattered rays that hit a light are weighted by the same density. There are four
+    /// receivers, each with [`FALSE_ALARM_RATE`].
     #[test]
     fn points_of_lights_follow_their_density() {
         let scene = lit_scene();
@@ -593,7 +597,8 @@ mod tests {
 
     #[test]
     fn barycentric_points_are_uniform() {
-        // the mean of each weight over a triangle is 1/3, and the mean of its square is 1/6
+        // the mean of each barycentric weight over a triangle is 1/3, and the mean of its square is
+        // 1/6
         let n = 300;
         let (mut first, mut second) = ([0.0f64; 3], [0.0f64; 3]);
         for i in 0..n * n {

@@ -1,9 +1,9 @@
 //! Lights without a surface (`KHR_lights_punctual`): irradiance is intensity over squared distance,
 //! and spots have the extension's smooth cone.
 //!
-//! Distant lights are discs of the sky: a cone of half angle θ with the irradiance E has the
+//! Distant lights are discs of the sky. A cone of half angle θ with the irradiance E has the
 //! radiance E / (π sin²θ). A direction drawn uniformly from the cone's solid angle 2π (1 − cos θ)
-//! thus has the weight 2 E / (1 + cos θ). Scattered rays never find any of these lights.
+//! thus has the weight 2 E / (1 + cos θ). Scattered rays never find any of the lights of this file.
 
 use std::f64::consts::PI;
 
@@ -44,7 +44,7 @@ impl PunctualLight {
         }
     }
 
-    /// Power of a local light; of a light from infinity, the power that reaches a sphere of
+    /// Power of the light. For a light from infinity, it is the power that reaches a sphere of
     /// `radius`.
     pub(crate) fn power(&self, radius: f32) -> f64 {
         let intensity = f64::from(magnitude(self.intensity));
@@ -75,15 +75,15 @@ impl PunctualLight {
         })
     }
 
-    /// The light as a sample that was chosen with this chance. `u` chooses a direction of a light
-    /// that has several.
+    /// The light as a sample, if the light was chosen with this chance. For a distant light, `u`
+    /// chooses a direction of its cone.
     pub(crate) fn light_sample(&self, from: Vec3, chance: f32, u: [f32; 2]) -> Option<LightSample> {
         let (direction, end, intensity) = self.sample(from, u)?;
         Some(LightSample { direction, end, weight: intensity / chance, inverse_pdf: 0.0 })
     }
 
-    /// Direction to the light, its position (`None` at infinity), and the irradiance it gives to a
-    /// surface that faces it.
+    /// Direction to the light, the light's position (`None` at infinity), and the irradiance that
+    /// the light gives to a surface that faces it.
     fn sample(&self, from: Vec3, u: [f32; 2]) -> Option<(Vec3, Option<Vec3>, Vec3)> {
         match self.kind {
             LightKind::Directional => return Some((-self.direction, None, self.intensity)),

@@ -11,14 +11,15 @@ pub(crate) struct LightSample {
     /// Radiance divided by density. It is still to be multiplied by f |cos| with the scattering
     /// function f, by visibility, and by the weight of the power heuristic.
     pub(crate) weight: Vec3,
-    /// 1 over the density per solid angle, including the choice of the light; 0 for punctual
-    /// lights, which no other technique finds.
+    /// 1 over the density per solid angle, where the density includes the choice of the light. 0
+    /// for punctual lights, which scattered rays never find.
     pub(crate) inverse_pdf: f32,
 }
 
-/// Strength of a light for choosing among lights: the length of its colour, 1 for white. Chances in
-/// proportion to it minimize the sum of the channels' squared errors. By luminance, blue light
-/// would be chosen fourteen times more rarely than white light, and its noise would show.
+/// Strength of a light for choosing among lights: the length of its colour, scaled so that white
+/// has 1. Chances in proportion to it minimize the sum of the channels' squared errors. With
+/// luminance instead, blue light would be chosen fourteen times more rarely than white light, and
+/// its noise would show.
 pub(super) fn magnitude(rgb: Vec3) -> f32 {
     rgb.length() * (1.0 / 3.0f32).sqrt()
 }

@@ -21,17 +21,17 @@
 //! d is the distance to the box's centre, or the box's radius if that is greater. A bound of 0
 //! means that no light can arrive, so the estimate stays unbiased.
 //!
-//! [0, 1) is divided into n equal parts, and each holds one of the numbers by which a pixel's
+//! [0, 1) is divided into n equal parts. Each part holds one of the numbers by which a pixel's
 //! samples choose a light ([`Parts`]). Chances are rounded to whole parts, if each child keeps at
-//! least one. Then every light gets exactly its fraction of the samples, and the choice among a few
-//! point lights adds no noise. Rounded chances are valid chances too, so the estimate stays
+//! least one part. Then every light gets exactly its fraction of the samples, and the choice among
+//! a few point lights adds no noise. Rounded chances are valid chances too, so the estimate stays
 //! unbiased.
 
 use std::f32::consts::PI;
 
 use glam::{Quat, Vec3};
 
-/// Number of buckets per axis, between which splits are tried.
+/// Number of buckets along each axis. A node's lights are split between two neighbouring buckets.
 const BUCKETS: usize = 12;
 
 /// A point that receives light, from one side of a surface or from all directions.
@@ -41,8 +41,8 @@ pub(crate) struct Receiver {
     /// Unit normal of an opaque surface, which receives light from its side only. `None` for
     /// surfaces that light passes through.
     pub(crate) normal: Option<Vec3>,
-    /// Cosine and sine of the angle by which light may come from below the horizon. The angle is
-    /// not zero for triangles that approximate a smooth surface.
+    /// Cosine and sine of the tilt: the angle by which light may come from below the plane of the
+    /// surface. The tilt is not 0 for triangles that approximate a smooth surface.
     pub(crate) tilt: [f32; 2],
 }
 
@@ -51,7 +51,7 @@ impl Receiver {
     pub(crate) const UPRIGHT: [f32; 2] = [1.0, 0.0];
 }
 
-/// A light or a set of lights, as a node of the tree holds them.
+/// A light or a set of lights: its box, and the cone of its directions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Emitter {
     pub(crate) min: Vec3,
@@ -71,8 +71,8 @@ pub(crate) struct Emitter {
 /// samples choose a light. 0 if nothing is known about these numbers.
 pub(crate) type Parts = u32;
 
-/// The chance of the first child, rounded to whole parts, and the numbers of parts of both
-/// children. A chance that would round to none or all of the parts is not rounded.
+/// The chance of the first child, rounded to whole parts, and the numbers of parts of the first and
+/// of the second child. A chance that would round to none or all of the parts is not rounded.
 #[inline]
 pub(super) fn whole_parts(chance: f32, parts: Parts) -> (f32, [Parts; 2]) {
     let first = (chance * parts as f32 + 0.5) as Parts;
@@ -83,7 +83,8 @@ pub(super) fn whole_parts(chance: f32, parts: Parts) -> (f32, [Parts; 2]) {
 /// The tree; leaves are single lights.
 pub(crate) struct LightTree {
     nodes: Vec<Node>,
-    /// Per light, the turns from the root to its leaf, with the first turn in the lowest bit.
+    /// For each light, the path from the root to its leaf: a bit per turn, 1 for the second child.
+    /// The first turn is the lowest bit.
     trails: Vec<u64>,
 }
 
@@ -174,8 +175,8 @@ impl LightTree {
             return emitter;
         }
         self.nodes.push(Node::new(&lights[order[0] as usize], 0, false));
-        // a trail holds 64 turns: from depth 32 on the lights are halved, which takes at most 32
-        // more turns
+        // A trail of 64 bits holds 64 turns. From depth 32 on the lights are halved, which takes at
+        // most 32 more turns.
         let middle = if depth < 32 { split(lights, order) } else { order.len() / 2 };
         let (left, right) = order.split_at_mut(middle);
         let first = self.build(lights, left, trail, depth + 1);
@@ -210,7 +211,8 @@ impl Node {
         let radius2 = self.radius * self.radius;
         let most = self.strength / distance2.max(radius2).max(f32::MIN_POSITIVE);
         if distance2 <= radius2 {
-            // inside the sphere around the box, light may come from any direction
+            // inside the sphere around the box, light may come from any direction, so no cosine
+            // lowers the bound
             return most;
         }
         let direction = to_receiver / distance2.sqrt();
@@ -295,7 +297,8 @@ fn cone_union(a: &Emitter, b: &Emitter) -> (Vec3, f32) {
     }
 }
 
-/// Reorders lights and returns where the second part begins.
+/// Splits the lights of `order` in two: reorders them, and returns the index at which the second
+/// half begins.
 fn split(lights: &[Emitter], order: &mut [u32]) -> usize {
     let light = |index: u32| &lights[index as usize];
     let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
@@ -315,7 +318,7 @@ fn split(lights: &[Emitter], order: &mut [u32]) -> usize {
             let bucket = &mut buckets[bucket_of(light(index), axis, min, size)];
             *bucket = Some(bucket.map_or(*light(index), |before| before.union(light(index))));
         }
-        // cuts across the longest axis are preferred
+        // prefer cuts across the longest axis: the cost of other cuts is raised
         let stretch = size.max_element() / size[axis];
         for cut in 1..BUCKETS {
             let joined = |side: &[Option<Emitter>]| {
@@ -329,7 +332,7 @@ fn split(lights: &[Emitter], order: &mut [u32]) -> usize {
             }
         }
     }
-    // partition the lights by the cheapest cut, or in halves if no cut separates them
+    // partition the lights by the cheapest cut, or into two halves if no cut separates them
     let Some((_, axis, cut)) = best else { return order.len() / 2 };
     let mut middle = 0;
     for k in 0..order.len() {
@@ -428,9 +431,9 @@ mod tests {
                     }
                 }
                 let mut expected: Vec<f64> = chances.iter().map(|chance| chance * f64::from(draws)).collect();
-                // the missing chance belongs to nodes from which no light arrives
+                // the rest of the chance belongs to nodes from which no light arrives
                 expected.push((1.0 - sum).max(0.0) * f64::from(draws));
-                // a single light with chance 1 leaves nothing to test
+                // if one light has nearly all of the chance, there is nothing to test
                 if expected.iter().filter(|&&expected| expected > 10.0).count() > 1 {
                     assert_counts(&counts, &expected, FALSE_ALARM_RATE);
                 }
@@ -438,7 +441,8 @@ mod tests {
         }
     }
 
-    /// Every light that reaches the receiver has a chance, in every tree.
+    /// Every light from which the receiver gets irradiance has a chance, in trees over random
+    /// lights.
     #[test]
     fn whatever_arrives_can_be_chosen() {
         for seed in 0..20 {
@@ -453,8 +457,9 @@ mod tests {
         }
     }
 
-    /// The exact mean square Σ E²/p of irradiance estimated from one light, compared with a choice
-    /// by power alone.
+    /// The mean square Σ E²/p of the irradiance that one light estimates, for the lights'
+    /// irradiances E and chances p. With the tree's chances its variance is much smaller than with
+    /// chances by power.
     #[test]
     fn the_tree_beats_a_choice_by_power() {
         let mut ratios = Vec::new();
@@ -495,8 +500,9 @@ mod tests {
         assert!(geometric > 2.0, "{geometric}");
     }
 
-    /// With n stratified numbers each light is chosen n times its chance, which is a whole number.
-    /// If the chances were not rounded, a light might be chosen once more or once less often.
+    /// With n stratified numbers each light is chosen exactly n times its chance, since the rounded
+    /// chances are multiples of 1/n. Without rounding, a light might be chosen once more or once
+    /// less.
     #[test]
     fn a_few_lights_get_whole_parts() {
         for parts in [16u32, 64] {
@@ -516,8 +522,8 @@ mod tests {
                         let expected = tree.chance(light, &receiver, parts) * parts as f32;
                         let exact = tree.chance(light, &receiver, 0) * parts as f32;
                         // Counts are exact only if all chances are whole parts. A light that is too
-                        // weak for a whole part keeps its small chance, and its rare samples are
-                        // missing from other lights.
+                        // weak for a whole part keeps its small chance, which other lights lack. So
+                        // their counts may differ.
                         let least = (0..4).map(|other| tree.chance(other, &receiver, parts) * parts as f32);
                         let whole = least.into_iter().all(|share| (share - share.round()).abs() < 1e-3);
                         assert!(!whole || (expected - count as f32).abs() < 1e-3, "{count} of {expected}");

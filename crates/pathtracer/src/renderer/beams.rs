@@ -1,5 +1,4 @@
-//! Rays of a view's samples. All results for those samples use the same rays and the same random
-//! numbers.
+//! Rays of a view's samples. All results for the samples use the same rays and random numbers.
 
 use lumistack_core::seed;
 
@@ -9,7 +8,7 @@ use crate::primary::{PixelRays, PrimaryRays};
 use crate::sampler::{Draws, SampleBank};
 use crate::settings::Settings;
 
-/// Pairs of random numbers of primary rays: the position in the pixel, and the slope.
+/// Pairs of random numbers of a primary ray: one for the position in the pixel, one for the slope.
 const PLACE_PAIR: u64 = 0;
 const SLOPE_PAIR: u64 = 1;
 
@@ -35,8 +34,8 @@ impl<'a> ViewSamples<'a> {
         seed::derive(self.seed, &[row as u64, col as u64])
     }
 
-    /// Calls `take` with the rays of a pixel, at most [`BEAM`] per call, and with their random
-    /// numbers, which follow from `pixel_seed`.
+    /// Calls `take` with the rays of a pixel, at most [`BEAM`] per call, and with the random
+    /// numbers of these rays. The numbers follow from `pixel_seed`.
     #[inline]
     pub(super) fn for_each_beam(
         &self,

@@ -19,8 +19,8 @@ use crate::settings::Settings;
 
 /// Edge of the squares of pixels, each of which holds one check.
 const SPACING: usize = 8;
-/// Streams of random numbers that no view uses for its radiance: one chooses the pixels, the other
-/// renders them.
+/// Streams of random numbers that differ from the streams of all views. One chooses the pixels, and
+/// the other renders them.
 const PLACES: u64 = 0xc4ec_0001;
 const RADIANCE: u64 = 0xc4ec_0002;
 
@@ -39,8 +39,8 @@ pub(crate) struct Check {
 }
 
 impl Renderer {
-    /// Renders a sixty-fourth of the pixels of a view twice. `settings` have the same seed as the
-    /// settings of the view. Does not advance the progress.
+    /// Renders one pixel of every 8 × 8 pixels of a view twice. `settings` must have the seed that
+    /// renders the view. Does not advance the progress.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).
@@ -79,7 +79,7 @@ impl Renderer {
     }
 }
 
-/// True if the pixel is the check of its square.
+/// True if this pixel was chosen in its square of [`SPACING`] × [`SPACING`] pixels.
 fn is_drawn(seed: u64, row: usize, col: usize) -> bool {
     let chosen = seed::derive(seed, &[(row / SPACING) as u64, (col / SPACING) as u64]) as usize % (SPACING * SPACING);
     chosen == row % SPACING * SPACING + col % SPACING

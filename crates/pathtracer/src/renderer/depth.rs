@@ -6,7 +6,8 @@
 //! for the nearest hit at t along the central ray of a pixel
 //! ```
 //!
-//! It is the depth of surfaces, not of pictures in a mirror or behind a pane.
+//! It is the depth of the first surface. Mirrors and panes have their own depth, not the depth of
+//! the objects that they show.
 
 use glam::DVec3;
 use lumistack_core::{NoProgress, Task, Tensor};
@@ -60,7 +61,7 @@ mod tests {
 
     use super::*;
 
-    /// Tolerance in millimetres; the scene is about 100 mm large and rays are 32-bit.
+    /// Tolerance in millimetres: the scene is about 100 mm large, and rays are 32-bit.
     const ROUNDED: f32 = 2e-3;
 
     /// A plane z = slant · x around `centre` in scene units, as two triangles of half size `half`.

@@ -1,8 +1,8 @@
 //! Data of a view's first surfaces: they guide a denoiser, and make layers of pictures.
 //!
-//! Every value is a mean over those paths of a pixel that hit a surface, which are the same paths
-//! that give the light. [`Renderer::render_view_and_features`] records the surfaces while it
-//! renders. [`Renderer::render_features`] traces the same rays only to their first hits.
+//! Every value is a mean over the paths of a pixel that hit a surface. They are the paths that give
+//! the pixel's light. [`Renderer::render_view_and_features`] records the surfaces while it renders.
+//! [`Renderer::render_features`] traces the same rays only to their first hits.
 
 use glam::Vec3;
 use lumistack_core::{NoProgress, Task, Tensor};
@@ -26,9 +26,9 @@ pub struct Features {
 pub struct GuidedView {
     /// Scene-linear radiance, `[row][col][rgb]`.
     pub radiance: Tensor<3>,
-    /// Variance of every pixel's mean, `[row][col][rgb]`: the variance of the samples over their
-    /// number. Samples are stratified, so the true variance of the means is smaller. NaN if fewer
-    /// than two samples are finite numbers.
+    /// Variance of every pixel's mean, `[row][col][rgb]`: the variance of the samples divided by
+    /// their number. Samples are stratified, so the true variance of the means is smaller. NaN if
+    /// fewer than two samples are finite numbers.
     pub variance: Tensor<3>,
     /// Data of the surfaces that the view's paths hit first.
     pub features: Features,
@@ -88,11 +88,11 @@ impl Features {
         [rows, cols]
     }
 
-    /// Guides of all samples of two renders with the same number of samples each. The central depth
-    /// is from the first.
+    /// Guides of all samples of two renders of one view, which must have equal numbers of samples.
+    /// The central depth is the depth of `self`.
     ///
     /// # Panics
-    /// If the sizes of the two differ.
+    /// If the sizes of `self` and `other` differ.
     #[must_use]
     pub fn joined(mut self, other: &Self) -> Self {
         assert_eq!(self.size(), other.size(), "guides of one view");
@@ -110,8 +110,9 @@ impl Features {
 }
 
 impl Renderer {
-    /// Renders like [`render_view`](Self::render_view), and also returns the variance of every mean
-    /// and data of the first surfaces of all paths. The radiance is the same to the bit.
+    /// Renders a view, and also returns the variance of every mean and data of the first surfaces
+    /// of all paths. The radiance is the same to the bit as the radiance of
+    /// [`render_view`](Self::render_view).
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).
@@ -136,7 +137,7 @@ impl Renderer {
     }
 
     /// Guides of one view, from the rays that [`render_view`](Self::render_view) traces with the
-    /// same settings, but without their light. Does not advance the progress.
+    /// same settings. No light is computed. Does not advance the progress.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).

@@ -11,10 +11,10 @@ pub(crate) const FEATURES: usize = 11;
 /// Number of values per pixel of a view whose diffuse and other light are separate.
 pub(super) const PARTS: usize = 13;
 
-/// Directions and depth of display space, for points in render space.
+/// Converts points and directions of render space to depths and directions of display space.
 pub(super) struct DisplayAxes {
     display_from_scene: Quat,
-    /// Coefficients of z in millimetres for a point of render space: along · point + offset.
+    /// For a point of render space, along · point + offset is z in display space, in millimetres.
     along: DVec3,
     offset: f64,
 }
@@ -37,12 +37,12 @@ impl DisplayAxes {
 }
 
 /// Sums over the first surfaces of a pixel's paths. Normals are in render space until
-/// [`turned`](Self::turned).
+/// [`turned`](Self::turned) converts them to display space.
 #[derive(Default)]
 pub(super) struct FirstSums {
     hits: u32,
     z_mm: f32,
-    /// Geometric normals, and reflectances of the diffuse lobe.
+    /// Sums of geometric normals, and of the reflectances of the diffuse lobe.
     normal: Vec3,
     reflectance: Vec3,
     /// Sums of the guides' values.
@@ -51,7 +51,7 @@ pub(super) struct FirstSums {
     gloss: f32,
     alpha: f32,
     /// For the path nearest to the pixel's centre: the squared distance from the centre, and the
-    /// depth of its hit.
+    /// depth of its hit, `None` for a miss.
     nearest: Option<(f32, Option<f32>)>,
     /// Light that is scattered alike to all viewers, over the samples that are finite.
     diffuse: Vec3,
@@ -91,7 +91,7 @@ impl FirstSums {
         self
     }
 
-    /// The guides of a pixel with this number of samples.
+    /// The guides of a pixel that has this number of samples.
     pub(super) fn features(&self, samples: u32) -> [f32; FEATURES] {
         let share = 1.0 / self.hits.max(1) as f32;
         let [r, g, b] = (share * self.albedo).to_array();

@@ -6,9 +6,10 @@
 //!             E = D / ρ_d does not depend on the view
 //! ```
 //!
-//! D is a weighted mean of the light of all paths. A path's weight is the fraction of the
-//! scattering function at its first vertex that comes from the diffuse lobe. D + G is the light
-//! that [`render_view`](Renderer::render_view) adds up, of the same rays and random numbers.
+//! G is all other light. D is a weighted mean of the light of all paths. A path's weight is the
+//! fraction of the scattering function at its first vertex that comes from the diffuse lobe. D + G
+//! is the light that [`render_view`](Renderer::render_view) computes from the same rays and random
+//! numbers.
 
 use glam::Vec3;
 use lumistack_core::{Task, Tensor};
@@ -21,7 +22,8 @@ use super::{PixelMean, RenderError, Renderer, ranges};
 use crate::settings::Settings;
 
 /// A view whose diffuse and other light are separate, with data of the surfaces that the light
-/// comes from. All are means over the samples of every pixel.
+/// comes from. Light and reflectance are means over a pixel's samples. Normal and depth are means
+/// over the samples that hit a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SplitView {
     /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm]`. The normal is in
@@ -85,7 +87,7 @@ impl SplitView {
         radiance
     }
 
-    /// Returns for each pixel, row by row, true if a sample of it hits a surface.
+    /// For each pixel, row by row: true if one of its samples hits a surface.
     pub fn surfaces(&self) -> impl Iterator<Item = bool> {
         self.values.data().chunks_exact(PARTS).map(|values| values[9..12].iter().any(|normal| *normal != 0.0))
     }

@@ -53,7 +53,7 @@ fn mean(picture: &Tensor<3>) -> f64 {
     picture.data().iter().map(|value| f64::from(*value)).sum::<f64>() / picture.data().len() as f64
 }
 
-/// Mean of the pixels of a column that are between the floor and the top of the pole.
+/// Mean of the pixels of a column in rows that show neither the floor nor the pole's upper end.
 fn column(picture: &Tensor<3>, col: usize) -> f64 {
     (20..40).map(|row| f64::from(picture.get([row, col, 0]))).sum::<f64>() / 20.0
 }
@@ -81,7 +81,8 @@ fn the_report_is_true_and_means_and_edges_stay() {
         let settings = Settings { samples: 16, ..Settings::default() };
         let checks = renderer.render_checks(&window(), &geometry, view, &settings, task).unwrap();
         told.push(figures(picture, &noisy.mean(), &checks));
-        // two long renders: the product of the differences to them is free of their noise
+        // The error is a mean product of the differences to two long renders, so the renders' noise
+        // averages out.
         let [a, b] = [11, 12].map(|seed| render(&renderer, view, 256, seed));
         let error = |picture: &Tensor<3>| {
             let pixels = picture.data().iter().zip(a.data()).zip(b.data());
@@ -92,9 +93,9 @@ fn the_report_is_true_and_means_and_edges_stay() {
         after += error(picture);
         let truth = 0.5 * (mean(&a) + mean(&b));
         assert!((mean(picture) / truth - 1.0).abs() < 0.01, "{} instead of {truth}", mean(picture));
-        // the columns on either side of both edges, and their neighbours, in the middle view, where
-        // the edges are between two columns. In other views the edges pass through pixels, and the
-        // four samples of a pixel locate them only roughly.
+        // Test the two columns on either side of both edges, in the middle view. In this view the
+        // edges are between two columns. In other views the edges pass through pixels, and the four
+        // samples of a pixel locate them only roughly.
         for col in [POLE - 2, POLE - 1, POLE, POLE + 1, COLOUR - 2, COLOUR - 1, COLOUR, COLOUR + 1] {
             let (found, truth) = (column(picture, col), 0.5 * (column(&a, col) + column(&b, col)));
             assert!((found / truth - 1.0).abs() < 0.15, "view {view:?}, column {col}: {found} instead of {truth}");
@@ -103,7 +104,8 @@ fn the_report_is_true_and_means_and_edges_stay() {
     let [told_before, told_after] =
         [Estimate::joined(told.iter().map(|f| f.mse_before)), Estimate::joined(told.iter().map(|f| f.mse_after))];
     println!("{before} {told_before:?} {}, {after} {told_after:?} {}", told_before.error(), told_after.error());
-    // four standard errors: with random seeds a false alarm in one of 16,000 runs
+    // The bound is four standard errors: with random seeds, one of 16,000 runs would be a false
+    // alarm.
     assert!((told_before.value() - before).abs() < 4.0 * told_before.error(), "{before} {told_before:?}");
     assert!((told_after.value() - after).abs() < 4.0 * told_after.error(), "{after} {told_after:?}");
     assert!(after < 0.35 * before, "{after} of {before}");
@@ -180,8 +182,8 @@ fn shared_light_has_the_samples_of_all_views() {
         }
     }
     println!("{before} {after}");
-    // there are 35 views; the noise of edges inside of pixels remains, and so does the noise of
-    // points that few views see
+    // With 35 views the noise could fall to a 35th. But edges inside of pixels keep their noise,
+    // and so do points that few views see.
     assert!(after < 0.35 * before, "{before} {after}");
     // without another view nothing is shared
     let alone = geometry.with_grid(ViewGrid::single(Projection::Oblique, [0.0; 2]));

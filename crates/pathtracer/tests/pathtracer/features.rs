@@ -1,4 +1,4 @@
-//! Guides of the denoiser on scenes whose first hits are known.
+//! Tests the denoiser's guides on scenes whose first hits are known.
 
 use crate::common::{Builder, diffuse, glowing, one_view, rectangle, window};
 use glam::{Quat, Vec3, Vec4};
@@ -20,7 +20,7 @@ fn depth_normal_and_reflectance_are_those_of_the_first_surface() {
     let turn = Quat::from_rotation_y(0.4);
     let metal = Material { base_color: Vec4::new(0.9, 0.6, 0.3, 1.0), metallic: 1.0, roughness: 0.5, ..diffuse(0.5) };
     builder.add(rectangle(Vec3::new(0.0, 0.0, -0.2), turn * (4.0 * Vec3::X), 4.0 * Vec3::Y), metal);
-    // this surface is hidden by the first one
+    // the first surface hides this surface
     builder.add(rectangle(Vec3::new(0.0, 0.0, -3.0), 9.0 * Vec3::X, 9.0 * Vec3::Y), diffuse(0.1));
     let (size, slope) = (16, [0.25, -0.1]);
     let found = features(&builder, size, slope);
@@ -96,14 +96,14 @@ fn mixture() -> Builder {
     builder
 }
 
-/// Recording the first surfaces changes no bit of the light. The surfaces equal those of the same
-/// rays traced to their first hits alone.
+/// Recording the first surfaces changes no bit of the light. The same surfaces are recorded if the
+/// rays are traced to their first hits alone.
 #[test]
 fn surfaces_come_with_the_light_at_no_change_of_it() {
     let (collector, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&collector, &cancel);
     let (renderer, geometry) = (mixture().renderer(), one_view(24, [0.2, 0.1]));
-    // equal bits, since NaN is compared too
+    // compare bits, since NaN must equal NaN
     let same = |a: &Tensor<3>, b: &Tensor<3>| {
         a.shape() == b.shape() && a.data().iter().map(|v| v.to_bits()).eq(b.data().iter().map(|v| v.to_bits()))
     };
@@ -115,7 +115,7 @@ fn surfaces_come_with_the_light_at_no_change_of_it() {
             let alone = renderer.render_features(&window(), &geometry, [0, 0], &settings, task).unwrap();
             assert!(same(&guided.radiance, &plain), "{samples} {max_bounces}");
             assert!(same(guided.features.values(), alone.values()), "{samples} {max_bounces}");
-            // diffuse and other light, with and without guides
+            // Split views with and without guides must agree.
             let split = renderer.render_split(&window(), &geometry, [0, 0], &settings, task).unwrap();
             let parts = renderer.render_split_and_features(&window(), &geometry, [0, 0], &settings, task).unwrap();
             let features = &parts.features;

@@ -8,7 +8,7 @@ use lumistack_pathtracer::Settings;
 use lumistack_scene::{Anisotropy, Clearcoat, Material};
 use lumistack_testkit::statistics::FALSE_ALARM_RATE;
 
-/// Rounding of f32 sums over long paths.
+/// Relative rounding error of f32 sums over long paths.
 const ROUNDING: f64 = 2e-4;
 /// Energy that microfacet surfaces may lose: the interpolation error of the albedo table.
 const ALBEDO_TABLE: f64 = 5e-3;
@@ -42,8 +42,8 @@ fn a_closed_room_radiates_the_geometric_series() {
     }
 }
 
-/// The limit on bounces cuts the series L + ρL + ρ²L + … after the given number of terms, also with
-/// roulette.
+/// If n bounces are allowed, the series L + ρL + ρ²L + … has n + 1 terms. Russian roulette does not
+/// change that.
 #[test]
 fn the_limit_on_bounces_cuts_the_series() {
     let mut scene = Builder::default();

@@ -1,5 +1,5 @@
-//! Compares every kind of light with its closed form, on a diffuse plane of albedo ρ at z = 0 seen
-//! from the front: L = ρ E / π.
+//! Compares every kind of light with its closed form. The lit surface is a diffuse plane of albedo
+//! ρ at z = 0, seen from the front. At the irradiance E its radiance is L = ρ E / π.
 
 use std::f64::consts::PI;
 
@@ -26,7 +26,7 @@ fn point_light(position: Vec3, kind: LightKind, direction: Vec3) -> Light {
     Light { position, direction, intensity: Vec3::new(5.0, 2.0, 1.0), kind }
 }
 
-/// Irradiance at a point of z = 0 from a small light at `position` that shines alike in all
+/// Irradiance at a point of z = 0 from a small light at `position`, whose intensity is 1 in all
 /// directions.
 fn inverse_square(position: DVec3, at: DVec3) -> f64 {
     let to_light = position - at;
@@ -54,8 +54,8 @@ fn assert_pixels(radiance: &Tensor<3>, expected: &[f64], relative: f64) {
     }
 }
 
-/// Relative tolerance for a pixel with 64 stratified samples, since the light varies within the
-/// pixel.
+/// Relative tolerance for a pixel with 64 stratified samples. It is needed since the light varies
+/// within the pixel.
 const PIXEL_AREA: f64 = 1e-2;
 
 #[test]
@@ -108,9 +108,9 @@ fn a_directional_light_gives_its_irradiance_times_the_cosine() {
 }
 
 /// A disc of the sky around the plane's normal gives the plane the irradiance that the light
-/// states, at any width. A disc that is tilted, but wholly above the horizon, gives that irradiance
-/// times a cosine. The reason: the projected solid angle of a cone is π sin²θ times the cosine
-/// between its axis and the normal.
+/// states, at any width. A tilted disc that is wholly above the plane gives that irradiance times
+/// the cosine between its axis and the normal. The reason: a cone's projected solid angle is π
+/// sin²θ times this cosine.
 #[test]
 fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
     for (half_angle_rad, direction) in
@@ -124,8 +124,8 @@ fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
     }
 }
 
-/// Irradiance at the origin from a square of half width w at height h, parallel to the plane and
-/// centred above it:
+/// Irradiance at the origin from a square of radiance L and half width w. The square is at height
+/// h, parallel to the plane and centred above the origin:
 ///
 /// ```text
 /// E = 4 L s atan s,   s = w/√(w² + h²)
@@ -140,8 +140,8 @@ fn irradiance_below_square(radiance: f64, half_width: f64, height: f64) -> f64 {
 
 #[test]
 fn a_square_light_has_its_form_factor() {
-    // from a small light far above to a light so near that it fills nearly the whole view of the
-    // plane
+    // test lights from a small one far above to one so near that it fills nearly the whole view of
+    // the plane
     for (half_width, height) in [(0.1, 2.0), (0.5, 1.0), (1.0, 0.1)] {
         let mut scene = plane();
         let light = rectangle(Vec3::new(0.0, 0.0, height), -half_width * Vec3::X, half_width * Vec3::Y);
@@ -182,7 +182,8 @@ fn an_emission_texture_shines_where_it_is_bright() {
     mean_of(&radiance, 0).assert_is(expected, 1e-3 * expected, FALSE_ALARM_RATE);
 }
 
-/// A diffuse plane under a sky that changes with height: E = ∫ L cos dω.
+/// A diffuse plane under a sky that changes with height: the irradiance is the integral of L cos θ
+/// over the hemisphere.
 #[test]
 fn environment_light_agrees_with_its_integral() {
     // the plane faces +z; the sky is 1 above the horizon y = 0 and 0 below it, so half of the
@@ -195,8 +196,8 @@ fn environment_light_agrees_with_its_integral() {
     mean_of(&radiance, 0).assert_is(expected, 2e-3 * expected, FALSE_ALARM_RATE);
 }
 
-/// The same surroundings, once as an environment and once as glowing walls, look the same on a
-/// glossy plane. The weights of light sampling and of scattering are quite different in the two.
+/// A glossy plane looks the same in an environment and between glowing walls of the same radiance.
+/// The weights of light sampling and of scattering are quite different in these two scenes.
 #[test]
 fn sampling_lights_and_sampling_the_surface_agree() {
     let metal = Material { metallic: 1.0, roughness: 0.4, ..diffuse(0.8) };
@@ -225,7 +226,7 @@ fn the_mean_does_not_depend_on_the_number_of_samples() {
     scene.add(common::sphere(Vec3::new(0.3, 0.0, 0.5), 0.4, 16), Material { ior: 1.5, roughness: 0.3, ..diffuse(0.7) });
     scene.parts.lights.push(point_light(Vec3::new(-0.5, 0.5, 1.0), LightKind::Point, Vec3::NEG_Z));
     let renderer = scene.renderer();
-    // radiance varies between pixels, so each pixel is compared with the same pixel
+    // compare each pixel with the reference at the same pixel, since radiance varies between pixels
     let render_with = |samples: u32, seed: u64| {
         render(&renderer, &window(), &one_view(48, [0.0, 0.0]), &Settings { samples, seed, ..Settings::default() })
     };
@@ -303,9 +304,10 @@ fn hundreds_of_lights_add_up() {
 }
 
 /// On a sphere of few triangles, the edge between light and dark is the edge of the smooth sphere.
-/// It does not follow the triangles. A point P of a triangle has the interpolated normal P/|P|, so
-/// L = ρ E max(P·d, 0) / (π |P|). The length |P| is between the radius and the distance of the
-/// largest triangle's middle.
+/// It does not follow the triangles. A point P of a triangle has the interpolated normal P/|P|.
+/// With the albedo ρ, the irradiance E and the direction d to the light, its radiance is L = ρ E
+/// max(P·d, 0) / (π |P|). The length |P| is between the radius and the distance of the largest
+/// triangle's middle.
 #[test]
 fn hard_light_ends_where_the_smooth_surface_turns_away() {
     let (radius, divisions, irradiance) = (0.9f64, 12usize, 2.0f64);
@@ -338,7 +340,7 @@ fn hard_light_ends_where_the_smooth_surface_turns_away() {
                 continue;
             }
             let on = |radius: f64| DVec3::new(x, y, (radius * radius - x * x - y * y).sqrt()).dot(towards) / radius;
-            // change of the cosine over a pixel
+            // tolerance: about the change of the cosine over a pixel
             let pixel_wide = 2.0 / (size as f64 * radius);
             let (low, high) = (on(radius).min(on(radius * flattest)), on(radius).max(on(radius * flattest)));
             let cosine = f64::from(pixel[0]) * PI / (f64::from(ALBEDO) * irradiance);

@@ -45,7 +45,8 @@ fn hiding_the_environment_takes_its_share_away_and_no_light() {
 }
 
 /// Compares the variance that one render reports with the variance over many renders. The reported
-/// one is an upper bound, since the samples are stratified. It is a close bound for random light.
+/// variance is an upper bound, since the samples are stratified. It would be exact for independent
+/// samples.
 #[test]
 fn the_reported_variance_is_that_of_the_mean() {
     const RENDERS: usize = 200;

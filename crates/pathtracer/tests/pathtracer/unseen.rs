@@ -1,6 +1,5 @@
-//! Things that primary rays pass through. They are all that is in front of a near plane, lamps that
-//! viewers do not see, and the environment behind a backdrop. The light is the same as if the
-//! viewer saw them.
+//! Tests things that views leave out: all that is in front of a near plane, unseen lamps, and the
+//! environment behind a backdrop. These things light the scene as if the viewer saw them.
 
 use crate::common::{Builder, WINDOW_MM, diffuse, glowing, long_paths, mean_of, one_view, rectangle, render, window};
 use glam::{Vec3, Vec4};
@@ -11,12 +10,13 @@ use lumistack_scene::{AlphaMode, Lamp, Material, Window};
 use lumistack_testkit::statistics::FALSE_ALARM_RATE;
 
 const SIZE: usize = 40;
-/// Half width of a lamp at a distance of 1, and the fraction of the half space that it does not
-/// fill.
+/// Half width of a lamp at a distance of 1 from a wall. The lamp fills the half space in front of
+/// the wall except for the fraction `MISSING`.
 const HALF_WIDTH: f32 = 300.0;
 const MISSING: f64 = 2e-5;
 
-/// A green card behind the window and a red card in front of it, larger than every view.
+/// A red card is in front of the window, and a green card behind it, both larger than every view. A
+/// view shows the first card that is not in front of the near plane.
 #[test]
 fn nothing_before_the_near_plane_is_seen() {
     let mut scene = Builder::default();
@@ -55,8 +55,8 @@ fn nothing_before_the_near_plane_is_seen() {
     }
 }
 
-/// A lamp fills the half space in front of a wall, and the viewer looks through the lamp. The
-/// wall's radiance is ρ L, and L if it is a mirror.
+/// A lamp of radiance L fills the half space in front of a wall, and the viewer looks through the
+/// lamp. The wall's radiance is ρ L with the albedo ρ, or L if the wall is a mirror.
 #[test]
 fn a_lamp_that_is_not_seen_lights_as_ever() {
     let (albedo, radiance) = (0.8, 2.5);
@@ -102,7 +102,7 @@ fn a_backdrop_is_seen_and_lights_nothing() {
     let half = 0.5 * WINDOW_MM as f32;
     let render_of = |material: Material, ground: Option<f32>| {
         let mut scene = Builder::default();
-        // the left half of the window
+        // the material covers the left half of the window
         scene.add(rectangle(Vec3::new(-half, 0.0, 0.0), half * Vec3::X, 2.0 * half * Vec3::Y), material);
         scene.sky(&[1.0]).parts.backdrop = ground.map(Vec3::splat);
         render(&scene.renderer(), &window(), &one_view(SIZE, [0.0; 2]), &long_paths(64))
@@ -128,6 +128,6 @@ fn a_backdrop_is_seen_and_lights_nothing() {
     let pane =
         Material { base_color: Vec4::ONE, metallic: 0.0, roughness: 0.0, transmission: 1.0, ior: 1.5, ..diffuse(1.0) };
     let through = mean(&render_of(pane, Some(backdrop)), 0..SIZE / 2);
-    // for R = 0.04 a pane reflects at most 2 R / (1 + R)
+    // one interface reflects R = 0.04, so a pane reflects at most 2 R / (1 + R)
     assert!(through > f64::from(backdrop) && through < 0.35, "{through}");
 }

@@ -65,8 +65,8 @@ fn a_card_appears_where_its_rays_cross_the_display() {
     }
 }
 
-/// In perspective, the card's rays to the eye at e = D s cross z = 0 at x_card + (x_card − e) z/(D
-/// − z).
+/// In perspective, the eye is at e = D s, at the distance D and the slope s of the view. The card's
+/// rays to the eye cross z = 0 at x_card + (x_card − e) z/(D − z).
 #[test]
 fn perspective_views_meet_at_the_eye() {
     let distance = 3.0;
@@ -120,7 +120,7 @@ fn scaled_slopes_scale_parallax_and_leave_the_middle_alone() {
     }
 }
 
-/// Objects behind the eye are not seen; oblique views have no eye and see them.
+/// Perspective views do not show objects behind the eye. Oblique views have no eye and show them.
 #[test]
 fn perspective_views_do_not_see_behind_the_eye() {
     let renderer = card(Vec3::new(0.0, 0.0, 2.0), 0.5, Vec3::ONE).renderer();
@@ -204,8 +204,8 @@ fn masked_and_blended_surfaces_let_light_through() {
     assert!((image.get([6, 6, 0]) - (alpha + (1.0 - alpha) * 0.5)).abs() < 1.0 / 256.0, "{}", image.get([6, 6, 0]));
 }
 
-/// Blended surfaces that cover one another decide independently in every pixel, so noise vanishes
-/// with more samples.
+/// Several blended surfaces in front of each other decide independently whether they are there. So
+/// a pixel's noise vanishes with more samples.
 #[test]
 fn layers_of_blended_surfaces_converge() {
     let mut scene = card(Vec3::new(0.0, 0.0, -0.5), 2.0, Vec3::Z);
@@ -218,7 +218,8 @@ fn layers_of_blended_surfaces_converge() {
     let image = render(&scene.renderer(), &window(), &one_view(8, [0.0, 0.0]), &many);
     for pixel in image.data().chunks(3) {
         for (value, expected) in pixel.iter().zip([0.4, 0.6 * 0.5, 0.6 * 0.5]) {
-            // five standard errors of independent samples: √(0.3 · 0.7 / 4096) = 0.007
+            // The bound is five standard errors of independent samples: 5 √(0.3 · 0.7 / 4096) =
+            // 0.036.
             assert!((value - expected).abs() < 0.036, "{pixel:?}");
         }
     }
@@ -232,7 +233,8 @@ fn blended_surfaces_cast_partial_shadows() {
         let mut scene = Builder::default();
         scene.add(rectangle(Vec3::new(0.0, 0.0, -0.5), 2.0 * Vec3::X, 2.0 * Vec3::Y), diffuse(0.5));
         if let Some(alpha) = alpha {
-            // above the plane and outside of the view, where it blocks the slanted light
+            // the veil is above the plane and outside of the view, where it blocks the slanted
+            // light
             let mut veil = diffuse(0.0);
             veil.base_color.w = alpha;
             veil.alpha_mode = AlphaMode::Blend;
@@ -341,8 +343,8 @@ fn single_sided_backs_are_invisible_and_mirrored_copies_keep_their_front() {
 
 #[test]
 fn a_fine_texture_is_filtered_to_its_mean() {
-    // 4 × 4 pixels show a checkerboard of 512 × 512 texels, so each pixel is near the mean even
-    // with one sample
+    // Each of the 4 × 4 pixels shows 128 × 128 texels of a checkerboard. So its value is near the
+    // mean even with one sample.
     let mut scene = Builder::default();
     let size = 512;
     let texels =
@@ -374,7 +376,7 @@ fn the_angular_filter_blurs_what_is_off_the_plane() {
         let (image, _) = render_view(&renderer, &window(), &geometry, [0, 1], &settings(AngularFilter::Bin));
         let (sharp, _) = render_view(&renderer, &window(), &geometry, [0, 1], &settings(AngularFilter::Point));
         let row: Vec<f32> = (0..SIZE).map(|col| image.get([SIZE / 2, col, 0])).collect();
-        // columns on both edges of the card that are neither dark nor full
+        // count the columns on both edges of the card that are neither dark nor full
         let partial = row.iter().filter(|&&v| v > 0.02 && v < 0.98).count() as f64;
         assert!((partial * PITCH - 2.0 * width).abs() < 4.5 * PITCH, "{z}: {partial} columns");
         assert_centroid(&image, 0, (0.0, 0.0));
@@ -383,9 +385,9 @@ fn the_angular_filter_blurs_what_is_off_the_plane() {
     }
 }
 
-/// A lens focused on the display plane blurs the edge of a card at depth z over a disc. Its
-/// diameter is z times the lens's. The profile is the fraction of a disc on one side of a chord:
-/// 1/2 + (u√(1 − u²) + asin u)/π at u radii from the middle.
+/// A lens focused on the display plane blurs the edge of a card at depth z over a disc. The disc's
+/// diameter is |z| times the lens's diameter. The profile is the fraction of a disc on one side of
+/// a chord. If the chord is u radii from the middle, it is 1/2 + (u√(1 − u²) + asin u)/π.
 #[test]
 fn a_lens_blurs_with_a_disc() {
     let geometry = one_view(SIZE, [0.0, 0.0]);
@@ -408,8 +410,8 @@ fn a_lens_blurs_with_a_disc() {
             }
             let expected = (profile(x - 0.5 * PITCH) + 4.0 * profile(x) + profile(x + 0.5 * PITCH)) / 6.0;
             let found = f64::from(image.get([SIZE / 2, col, 0]));
-            // the error of 256 stratified samples is far below 0.03, one standard deviation of
-            // independent samples
+            // The tolerance 0.03 is one standard deviation of 256 independent samples. Stratified
+            // samples have far smaller errors.
             assert!((found - expected).abs() < 0.03, "z {z}, {x} from the rim: {found} instead of {expected}");
         }
     }
@@ -442,7 +444,7 @@ fn the_same_bytes_come_out_on_one_and_two_threads() {
     let (one, two) = (on_threads(1), on_threads(2));
     assert!(one.data().iter().zip(two.data()).all(|(a, b)| a.to_bits() == b.to_bits()));
     assert!(one.data().iter().all(|v| v.is_finite()) && one.data().iter().any(|&v| v > 0.0));
-    // equal also for another scene object from the same parts; different for another seed
+    // another renderer of the same scene gives equal bytes; another seed gives different bytes
     assert_eq!(one, render(&busy_scene(), &window(), &geometry, &settings));
     assert_ne!(one, render(&renderer, &window(), &geometry, &Settings { seed: 1, ..settings }));
 }
@@ -466,7 +468,7 @@ fn views_are_decorrelated() {
     let (a, b) = (noise(0), noise(1));
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let correlation = dot(&a, &b) / (dot(&a, &a) * dot(&b, &b)).sqrt();
-    // five standard errors of a correlation over all pixels
+    // the bound is five standard errors of a correlation over all pixels
     assert!(dot(&a, &a) > 0.0 && correlation.abs() < 5.0 / size as f64, "{correlation}");
 }
 
@@ -518,8 +520,8 @@ fn a_scene_without_light_is_reported() {
 
 #[test]
 fn samples_that_overflow_are_counted_and_left_out() {
-    // so bright that the sum of emitted and reflected light overflows f32, but directly seen
-    // emission does not
+    // the card is so bright that the sum of emitted and reflected light overflows f32, but directly
+    // seen emission does not
     let mut scene = card(Vec3::new(0.0, 0.0, -0.5), 1.0, Vec3::splat(3e38));
     scene.parts.materials[0].base_color = Vec4::ONE;
     scene.add(rectangle(Vec3::new(0.0, -0.9, 0.0), Vec3::X, Vec3::NEG_Z), glowing(Vec3::splat(3e38)));

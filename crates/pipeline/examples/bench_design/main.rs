@@ -31,9 +31,10 @@ fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let result = match words.as_slice() {
-        // the process that the parent kills
+        // The function `killing` starts this program with these words as a child process, and kills
+        // it.
         ["child", job, folder] => child(Path::new(job), Path::new(folder)),
-        // prints data to which the constants of the prediction can be fitted
+        // Print the data to which the constants of the prediction can be fitted.
         ["features", seed] => print_features(seed.parse().unwrap_or(1000)),
         _ => prediction().and_then(|()| killing()),
     };
@@ -62,7 +63,7 @@ fn quietly<T>(work: impl FnOnce(Task<'_>) -> Result<T, PipelineError>) -> Result
     work(Task::quiet(&warnings, &cancel))
 }
 
-/// The light field of the jobs for the paper's Figure 7.
+/// Renders the light field of the sweep for the paper's Figure 7, with 80 × 50 pixels per view.
 fn light_field() -> Result<LightField, PipelineError> {
     let mut job = Job::load(&root().join("scenes/sweeps/figure-7.toml"))?;
     job.display.resolution = Some([80, 50]);
@@ -177,7 +178,7 @@ fn killing() -> Outcome {
         command.arg("child").arg(&job).arg(out).stdout(Stdio::null());
         command.spawn()
     };
-    // The reference: a sweep without interruption.
+    // Sweep once without interruption, as the reference.
     if !start(&whole)?.wait()?.success() {
         return Err("the sweep fails".into());
     }

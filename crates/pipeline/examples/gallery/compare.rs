@@ -22,7 +22,7 @@ pub const GAIN: f32 = 4.0;
 pub struct Halves {
     size: [usize; 2],
     halves: [Vec<f32>; 2],
-    /// True for pixels more than half of which a surface covers.
+    /// True for each pixel of which a surface covers more than half.
     covered: Vec<bool>,
 }
 

@@ -98,7 +98,7 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
         Ok(relative)
     };
     let seconds = |about: &Value, key: &str| format!("{:.1} s", about[key].as_f64().unwrap_or(f64::NAN));
-    // Exposure and tone curve of our picture apply to all three.
+    // All three pictures have the exposure and tone curve of our picture.
     let halves = Halves::read(folder, "ours", "covered-ours.npy")?;
     let curve = ToneCurve::ALL.iter().find(|(name, _)| ours["curve"] == *name);
     let (_, curve) = *curve.ok_or_else(|| format!("{}: ours.json names no tone curve", folder.display()))?;

@@ -155,7 +155,7 @@ fn one(file: &Path, folder: &Path, options: &Options, registry: &Registry, task:
         "environment": environment,
         "exposure": exposure,
         "curve": curve.name(),
-        // upper bound of distances from the window to the scene, scene units
+        // No point of the scene is farther from the window than this distance, in scene units.
         "reach": reach,
         "window": {
             "centre": map.translation.to_array(),

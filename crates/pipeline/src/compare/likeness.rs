@@ -13,7 +13,7 @@ use crate::simulate::simulate_to_file;
 /// Similarity of two pictures or light fields.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Likeness {
-    /// Peak signal-to-noise ratio, dB; `None` if both are equal.
+    /// Peak signal-to-noise ratio, dB; `None` if the two compared pictures are equal.
     pub psnr_db: Option<f64>,
     /// Structural similarity, at most 1.
     pub ssim: f64,
@@ -41,13 +41,14 @@ pub(super) fn zone_of(run: &Path) -> Option<ZoneLikeness> {
 /// Maximum number of compared views of a target, per axis.
 const MOST_VIEWS: usize = 5;
 
-/// A selection of a grid's views: evenly spread, including the middle and the outermost views.
+/// Returns a selection of a grid's views: evenly spread, including the middle and the outermost
+/// views.
 pub(super) fn some_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     let [rows, cols] = grid.views().map(|count| spread(count, MOST_VIEWS));
     rows.iter().flat_map(|&row| cols.iter().map(move |&col| [row, col])).collect()
 }
 
-/// The left, the middle and the right view of a grid's middle row.
+/// Returns the left, the middle and the right view of a grid's middle row.
 pub(super) fn middle_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     let [rows, cols] = grid.views();
     let mut views: Vec<[usize; 2]> = [0, cols / 2, cols - 1].map(|col| [rows / 2, col]).into();
@@ -55,7 +56,7 @@ pub(super) fn middle_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     views
 }
 
-/// The seen picture of a view, and for each pixel, true if the display shows it.
+/// Returns the seen picture of a view, and for each pixel, true if the display shows the pixel.
 pub(super) fn seen(
     simulator: &Simulator<'_>,
     brightness: f64,
@@ -65,8 +66,8 @@ pub(super) fn seen(
     adapted(simulator.seen(geometry, view).into(), brightness)
 }
 
-/// The emitted light along the rays of a view, L̃/β, and for each ray, true if it goes through the
-/// display.
+/// Returns the emitted light along the rays of a view, L̃/β, and for each ray, true if it goes
+/// through the display.
 pub(super) fn along_rays(
     simulator: &Simulator<'_>,
     map: &RayMap,

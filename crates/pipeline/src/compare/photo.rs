@@ -36,8 +36,9 @@ use crate::simulate::{RunFolder, Viewpoint};
 pub enum Pose {
     /// A measured position.
     Known(Viewpoint),
-    /// Computed from the corners and this focal length in millimetres, for a picture of 36 mm × 24
-    /// mm (EXIF: FocalLengthIn35mmFilm).
+    /// The position is computed from the corners of the display in the photograph and from the
+    /// focal length. The focal length is in millimetres, for a picture of 36 mm × 24 mm (EXIF:
+    /// FocalLengthIn35mmFilm).
     FocalMm(f64),
 }
 
@@ -48,7 +49,8 @@ pub struct PhotoComparison {
     pub likeness: Likeness,
     /// Factor g on the photograph's linear values.
     pub gain: f64,
-    /// Fraction of the display's pixels where the photograph is clipped; they are excluded.
+    /// Fraction of the display's pixels at which the photograph is clipped. These pixels are
+    /// excluded from the comparison.
     pub clipped: f64,
     /// The camera's position that the corners give, if it was not known: `[x, y, z]` in display
     /// space, millimetres.
@@ -148,8 +150,8 @@ const DIAGONAL_35MM: f64 = 43.266_615;
 /// Linear value of the code 254 of 255; from this value on, a pixel is regarded as clipped.
 const CLIPPED: f32 = 0.991;
 
-/// The camera's position in display space, millimetres. `map` is the homography from the unit
-/// square to the picture. The unit square represents the display of `size_mm`.
+/// Returns the camera's position in display space, millimetres. `map` is the homography from the
+/// unit square to the picture. The unit square represents the display of `size_mm`.
 fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_px: f64) -> Option<[f64; 3]> {
     let m = &map.0;
     let unit = DMat3::from_cols_array_2d(m).transpose();
@@ -167,7 +169,8 @@ fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_
     let (a, b) = (h.x_axis.try_normalize()?, h.y_axis.try_normalize()?);
     let (sum, difference) = ((a + b).try_normalize()?, (a - b).try_normalize()?);
     let [r_1, r_2] = [sum + difference, sum - difference].map(|r| r * std::f64::consts::FRAC_1_SQRT_2);
-    // The camera's frame is left-handed, and the display's z axis points to the camera.
+    // The cross product has the opposite sign, since the camera's frame is left-handed. The
+    // display's z axis points to the camera.
     let r_3 = -r_1.cross(r_2);
     let t = h.z_axis / scale;
     Some([-r_1.dot(t), -r_2.dot(t), -r_3.dot(t)])
@@ -176,8 +179,8 @@ fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_
 /// Number of sample points per axis in each pixel of the rectified picture.
 const POINTS: usize = 4;
 
-/// The part of a picture to which a homography maps the unit square, resampled to [rows, cols]. The
-/// picture is `[row][col][rgb]` of size [width, height].
+/// Returns the part of a picture to which a homography maps the unit square, resampled to [rows,
+/// cols]. The picture is `[row][col][rgb]` of size [width, height].
 fn rectified(rgb: &[f32], [width, height]: [usize; 2], map: &Homography, [rows, cols]: [usize; 2]) -> Vec<f32> {
     let mut result = vec![0.0f32; 3 * rows * cols];
     let share = 1.0 / (POINTS * POINTS) as f32;

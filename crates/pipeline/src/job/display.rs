@@ -15,11 +15,11 @@ use lumistack_core::path_text::PathText;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DisplayJob {
-    /// Name of a preset; see `lumistack displays`. Either this or `file`.
+    /// Name of a preset; see `lumistack displays`. A table has either this key or `file`.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("enum" = presets::names().collect::<Vec<_>>()))]
     pub preset: Option<String>,
-    /// A display file. Either this or `preset`.
+    /// Path of a display file. A table has either this key or `preset`.
     #[serde(skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub file: Option<PathBuf>,
@@ -35,7 +35,7 @@ pub struct DisplayJob {
     /// Field of view, `[horizontal, vertical]` full angles in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fov_deg: Option<[f64; 2]>,
-    /// Frames M.
+    /// Number of frames M.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frames: Option<usize>,
     /// Brightness scale β.

@@ -19,8 +19,8 @@ pub struct FactorizeJob {
     pub solver: String,
     /// Device of the solver: `auto`, `cpu`, `gpu` or `gpu:NAME`.
     pub device: String,
-    /// Number of iterations. Default: 16 if the display chooses the views of a scene, otherwise 50.
-    /// With chosen views, the zone score changes little after 12 iterations (still life, 13 × 13
+    /// Number of iterations. Default: 16 for a scene with automatic views, otherwise 50. With
+    /// automatic views, the zone score changes little after 12 iterations (still life, 13 × 13
     /// views: by 0.03 dB from iteration 12 to 50).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<u32>,
@@ -31,10 +31,10 @@ pub struct FactorizeJob {
     /// the next. Default: the solver decides.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse_levels: Option<u32>,
-    /// Iterations at each coarser level.
+    /// Number of iterations at each coarser level.
     pub coarse_iterations: u32,
-    /// If true, patterns of layers with few `bits` are optimized again, on the levels that the
-    /// panel can show.
+    /// If true, patterns of layers with few `bits` are optimized again, over the transmittances
+    /// that the panel can show.
     pub levels: bool,
     /// Tiles, [columns, rows], each 1 to 1000: the display is solved tile by tile, on one machine
     /// or many. Without `tiles` and `tile_mib` it is solved as a whole.

@@ -74,7 +74,8 @@ pub struct NodeJob {
 }
 
 impl NodeJob {
-    /// Id of the node that is the built-in factorizer. Its parameters are the table `factorize`.
+    /// Id of the node plugin that is the built-in factorizer. Its parameters are the table
+    /// `factorize`.
     pub const TENSOR_DISPLAY: &'static str = "tensor-display";
 }
 
@@ -104,7 +105,7 @@ impl OutputJob {
     /// Value of `from` if the input is the light field itself.
     pub const LIGHT_FIELD: &'static str = "light_field";
 
-    /// An output with default parameters.
+    /// Returns an output with default parameters.
     pub fn new(plugin: &str) -> Self {
         Self { plugin: plugin.into(), name: None, from: None, params: serde_json::Map::new() }
     }
@@ -114,7 +115,7 @@ impl OutputJob {
         self.from.as_deref() == Some(Self::LIGHT_FIELD)
     }
 
-    /// Name of the output's folder.
+    /// Returns the name of the output's folder.
     pub fn name(&self) -> &str {
         self.name.as_deref().unwrap_or(&self.plugin)
     }

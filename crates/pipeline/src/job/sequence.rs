@@ -31,8 +31,9 @@ pub struct SequenceJob {
     /// machines solve them in parallel. Default: all time steps are one chain of warm starts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub chunk_times: Option<usize>,
-    /// Number of time steps before a chunk that are solved once more. The first of them has no warm
-    /// start. They make the chunk begin almost as in a sequence without chunks. Default 2.
+    /// Number of time steps before a chunk that are solved once more for this chunk. The first of
+    /// them has no warm start. With their patterns, the chunk begins almost as in a sequence
+    /// without chunks. Default 2.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warm_up_times: Option<usize>,
 }

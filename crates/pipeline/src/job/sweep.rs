@@ -15,10 +15,10 @@ pub struct SweepJob {
     /// Presets, or display files relative to the job; default: the job's display.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub displays: Vec<String>,
-    /// Layers N.
+    /// Numbers of layers N.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub layers: Vec<usize>,
-    /// Frames M.
+    /// Numbers of frames M.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub frames: Vec<usize>,
     /// Brightness scales β.
@@ -47,8 +47,8 @@ pub struct SweepJob {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SearchJob {
-    /// Maximum distance from the rearmost to the frontmost part, millimetres. Parts are the layers
-    /// and the backlight.
+    /// Maximum distance from the rearmost to the frontmost component, millimetres. The components
+    /// are the layers and the backlight.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_thickness_mm: Option<f64>,
     /// Maximum refresh rate of the panels, Hz. All frames together must be shown 60 times a second.
@@ -67,7 +67,7 @@ pub struct SearchJob {
 }
 
 impl SweepJob {
-    /// Number of designs, including equal ones.
+    /// Returns the number of designs, including equal ones.
     pub fn count(&self) -> usize {
         let lengths = [
             self.displays.len(),

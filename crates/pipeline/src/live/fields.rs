@@ -79,12 +79,12 @@ impl LiveFields {
         self.edition += 1;
     }
 
-    /// The current job.
+    /// Returns the current job.
     pub fn job(&self) -> &Job {
         &self.job
     }
 
-    /// Files that the light field depends on.
+    /// Returns the files that the light field depends on.
     pub fn files(&self) -> Vec<PathBuf> {
         let named = [&self.job.scene, &self.job.light_field, &self.job.display.file, &self.job.light.environment];
         let mut files: Vec<PathBuf> = named.into_iter().flatten().cloned().collect();
@@ -221,7 +221,7 @@ impl LiveFields {
         Ok(Target { display, field, weights, content: self.content, passes })
     }
 
-    /// The light fields of a sequence, in the order of their time steps.
+    /// Returns the light fields of a sequence, in the order of their time steps.
     ///
     /// # Errors
     /// If the folder has no light fields.
@@ -243,7 +243,7 @@ fn expose(tone_mapping: ToneMapping, job: &Job, shot: Shot<'_>, views: &Progress
     }
 }
 
-/// The display of a job, with at most [`MOST_VIEWS`] automatic views.
+/// Returns the display of a job, with at most [`MOST_VIEWS`] automatic views.
 fn display_of(job: &Job) -> Result<Display, PipelineError> {
     job.check()?;
     let refused = [

@@ -33,7 +33,7 @@ impl LiveFolder {
         Ok(Self { dir: dir.to_owned(), _owned: owned })
     }
 
-    /// The folder for results that can be made again.
+    /// Returns the folder for results that can be made again.
     pub fn cache(&self) -> PathBuf {
         self.dir.join("cache")
     }

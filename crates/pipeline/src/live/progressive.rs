@@ -21,8 +21,8 @@ use crate::stage::fields::{FieldJob, Shot};
 
 /// Paths per pixel that measure the fraction of a pixel where the background is visible.
 const MISSED_SAMPLES: u32 = 4;
-/// Indices of those values of a [`SplitView`]'s pixel that are the normal (three values) and the
-/// depth of the hit surface. These values are 0 without a hit.
+/// Indices of the hit surface's normal (three values) and depth among the values of a pixel of a
+/// [`SplitView`]. These values are 0 without a hit.
 const SURFACE: std::ops::Range<usize> = 9..13;
 
 /// Views in progress.
@@ -135,8 +135,8 @@ impl Progressive {
         Ok(Radiance { field, brightest })
     }
 
-    /// Fraction of each pixel of view `number` that shows the background; empty without a
-    /// background colour.
+    /// Returns the fraction of each pixel of view `number` that shows the background; empty without
+    /// a background colour.
     pub(super) fn missed(&self, number: usize) -> &[f32] {
         &self.views[number].missed
     }

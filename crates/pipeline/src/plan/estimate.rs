@@ -42,7 +42,7 @@ use crate::store::key::{KeyBuilder, content_hash};
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// File of the records, relative to the run folder.
+/// File with the [`Record`] of every executed step, relative to the run folder.
 const FILE: &str = "cache/steps.json";
 /// Number of hexadecimal digits of a key that is shown.
 const DIGITS: usize = 16;
@@ -117,7 +117,8 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     let (machine, sizes) = (multiply_adds_per_second(), sizes(plan));
     for (index, key) in keys.into_iter().enumerate() {
         let record = records.get(&plan.steps[index].id);
-        // Without a record, the result is not cached. Without a key, only a run can find out.
+        // Without a record, the result is not cached. Without a key, only a run can find out if the
+        // result is current.
         let cached = match (&key, record) {
             (_, None) => Some(false),
             (None, Some(_)) => None,
@@ -240,7 +241,7 @@ fn is_there(plan: &Plan, index: usize) -> bool {
     let job = &plan.parts[step.part].job;
     let exists = |names: &[&str]| names.iter().all(|name| dir.join(name).exists());
     match step.kind {
-        // every run reads or makes these again
+        // Every run makes the results of these steps again, so they are never cached.
         StepKind::Ingest | StepKind::Place | StepKind::Read => false,
         StepKind::Trace | StepKind::Denoise | StepKind::Score => exists(&["cache/views"]),
         StepKind::Expose | StepKind::Source => stamps.is_whole("target"),
@@ -263,7 +264,7 @@ struct Sizes {
     pixels: f64,
     /// Views of the target.
     views: f64,
-    /// Views of the light fields that only the report needs.
+    /// Number of views in the light fields that only the report needs.
     others: f64,
     layers: f64,
     /// Number of values in the patterns of all frames.
@@ -275,19 +276,20 @@ struct Sizes {
 /// Memory that is used at the same time, bytes. A light field in a mapped file counts only by the
 /// part of it that is in memory.
 struct Memory {
-    /// The light fields: the target, and the light fields for the report.
+    /// Memory of the light fields: the target, and the light fields for the report.
     fields: f64,
-    /// The solver, without the light fields.
+    /// Memory of the solver, without the light fields.
     solving: f64,
-    /// The denoiser.
+    /// Memory of the denoiser.
     denoising: f64,
-    /// The measurement of the number of paths.
+    /// Memory for the measurement of the number of paths.
     measuring: f64,
-    /// Depths of the target's views.
+    /// Memory of the depths of the target's views.
     depths: f64,
-    /// Views that are left out of a given light field, for its zone score.
+    /// Memory of the views of a given light field that are left out of the target. They serve for
+    /// the zone score.
     left_out: f64,
-    /// The decoded file of a given light field, if the file is one picture.
+    /// Memory of the decoded file of a given light field, if the file is one picture.
     picture: f64,
 }
 
@@ -335,7 +337,8 @@ impl Memory {
         let (render, threads) = (&job.render, rayon::current_num_threads());
         let rays = |geometry: &FieldGeometry| (geometry.grid.iter().count() * geometry.rows * geometry.cols) as f64;
         let (view, window) = (RGB * (geometry.rows * geometry.cols) as f64, render.window_bytes() as f64);
-        // For a light field in a mapped file, each thread may use one view beside the window.
+        // For a light field in a mapped file, `window` bytes of the file are in memory, and one
+        // view per thread.
         let in_use = |bytes: f64, of_thread: f64| bytes.min(window + threads as f64 * of_thread);
         let of_field = |geometry: &FieldGeometry| match render.is_held(geometry) {
             true => RGB * rays(geometry),
@@ -407,7 +410,8 @@ fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
     }
 }
 
-/// Returns the additional iterations of a time step that begins a chunk.
+/// Returns the additional iterations of a time step that begins a chunk, since it also solves some
+/// earlier time steps.
 fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
     let Some((time, sequence)) = plan.time(part) else { return 0 };
     let PartKind::Sequence(times) = &plan.parts[sequence].kind else { return 0 };
@@ -417,8 +421,8 @@ fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
     }
 }
 
-/// Number of multiply-adds that take as long as one unit of a stage's work. It includes memory
-/// accesses, was measured once, and is right to an order of magnitude.
+/// Returns the number of multiply-adds that take as long as one unit of a stage's work. It includes
+/// memory accesses, was measured once, and is right to an order of magnitude.
 fn cost(stage: &str) -> f64 {
     match stage {
         "ingest" | "place" => 1e8,
@@ -432,7 +436,7 @@ fn cost(stage: &str) -> f64 {
 
 /// Bytes of a pixel: three floats.
 const RGB: f64 = 12.0;
-/// Bytes of the rays that choose an exposure, in two copies.
+/// Bytes of the rays from which an exposure is chosen; the program has two copies of them.
 const EXPOSURE: f64 = (64 << 20) as f64;
 /// Bytes of the program itself: its code, libraries and threads, and memory that the allocator
 /// keeps.
@@ -503,7 +507,7 @@ fn multiply_adds_per_second() -> f64 {
         .into_par_iter()
         .map(|thread| (0..ROUNDS).fold([thread as f32; 8], |sum, _| sum.map(|x| x * 0.999 + 0.5)).iter().sum())
         .collect();
-    // The compiler would remove the loop if its result were not used.
+    // Use the sums, since the compiler would otherwise remove the loop.
     let scale = if sums.iter().all(|sum| sum.is_finite()) { 8.0 } else { 1.0 };
     scale * f64::from(ROUNDS) * threads as f64 / start.elapsed().as_secs_f64().max(1e-6)
 }

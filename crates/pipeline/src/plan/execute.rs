@@ -168,8 +168,8 @@ impl<'a> Executor<'a> {
         let plan = self.context.plan;
         let step = &plan.steps[index];
         for input in &step.inputs {
-            // Execute the input, unless it is done. When a whole plan is executed, it always is. A
-            // unit of work skips the patterns of a warm start, which it reads from their files.
+            // Execute the input, unless it is done; in a whole plan, earlier steps are always done.
+            // A unit of work skips the patterns of a warm start, which it reads from their files.
             let input = self.index(input)?;
             let of_file = self.unit.is_some() && [step.kind, plan.steps[input].kind] == [StepKind::Patterns; 2];
             if !of_file {
@@ -216,7 +216,8 @@ impl<'a> Executor<'a> {
             return Ok(());
         }
         if let Some((own, hold)) = self.unit {
-            // A unit of work only reads the finished results of other parts.
+            // A unit of work writes only into its own part, and reads the finished results of other
+            // parts.
             if self.context.plan.is_below(own, part) {
                 let hold = if own == part { hold } else { Hold::Shared };
                 let owned = lock_for_unit(&self.context.dir(part), hold, UNIT_LIMIT, self.context.task)?;
@@ -224,7 +225,7 @@ impl<'a> Executor<'a> {
             }
             return Ok(());
         }
-        // The folder of a time step may also be used as a run folder, so it is checked like one.
+        // The folder of a time step may also be used as a run folder, so check it as a run folder.
         let in_sweep = matches!(self.context.plan.parts[0].kind, PartKind::Sweep);
         let owned = match of_part.kind {
             PartKind::Time(_) if !in_sweep => {
@@ -280,7 +281,7 @@ impl<'a> Executor<'a> {
                 }
                 _ => context.report(part, task),
             },
-            // `plan/sweep.rs` solves these
+            // `plan/sweep.rs` solves the designs and the search.
             StepKind::Design(_) | StepKind::Search => Ok(false),
         }
     }

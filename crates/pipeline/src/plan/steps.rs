@@ -42,7 +42,7 @@ pub struct Step {
     /// Hash of everything that the result depends on: equal keys give equal results. `None` if the
     /// key contains the list of the scene's files, which only a run finds.
     pub key: Option<String>,
-    /// True if the run folder has the result; `None` if only a run can find out.
+    /// True if the run folder has the current result; `None` if only a run can find out.
     pub cached: Option<bool>,
     /// Upper bound of the memory, bytes, computed from the sizes of arrays. A light field larger
     /// than the job's `render.field_mib` counts only by its parts that are in memory.
@@ -94,7 +94,7 @@ pub(crate) struct Part {
     pub(crate) parent: Option<usize>,
 }
 
-/// Kinds of folders.
+/// Kinds of parts.
 #[derive(Clone, Debug)]
 pub(crate) enum PartKind {
     /// A still, or several nodes with one light field.
@@ -149,7 +149,7 @@ impl Plan {
         id
     }
 
-    /// The stage of a step.
+    /// Returns the stage of a step.
     pub(crate) fn stage_of(&self, part: usize, kind: StepKind) -> &'static StageInfo {
         match kind {
             StepKind::Ingest => &stage::INGEST,
@@ -169,17 +169,17 @@ impl Plan {
         }
     }
 
-    /// Indices of the steps by their ids.
+    /// Returns the indices of the steps by their ids.
     pub(crate) fn indices(&self) -> HashMap<&str, usize> {
         self.steps.iter().enumerate().map(|(index, step)| (step.id.as_str(), index)).collect()
     }
 
-    /// A part and its ancestors, from the part outwards.
+    /// Returns a part and its ancestors, from the part outwards.
     pub(crate) fn around(&self, part: usize) -> impl Iterator<Item = usize> + '_ {
         std::iter::successors(Some(part), |part| self.parts[*part].parent)
     }
 
-    /// The node of a part, if the part is a node.
+    /// Returns the node of a part, if the part is a node.
     pub(crate) fn node(&self, part: usize) -> Option<&NodeJob> {
         match (&self.parts[part].kind, self.parts[part].parent) {
             (PartKind::Node(number), Some(parent)) => self.parts[parent].job.nodes.get(*number),
@@ -187,7 +187,8 @@ impl Plan {
         }
     }
 
-    /// The part whose light field a part uses: the parent of a node, otherwise the part itself.
+    /// Returns the index of the part whose light field a part uses: the parent of a node, otherwise
+    /// the part itself.
     pub(crate) fn field_part(&self, part: usize) -> usize {
         match (&self.parts[part].kind, self.parts[part].parent) {
             (PartKind::Node(_), Some(parent)) => parent,
@@ -195,7 +196,8 @@ impl Plan {
         }
     }
 
-    /// The time step that a part belongs to, and the part of its sequence.
+    /// Returns the number of the time step that a part belongs to, and the index of the sequence's
+    /// part.
     pub(crate) fn time(&self, part: usize) -> Option<(usize, usize)> {
         let of_field = self.field_part(part);
         match (&self.parts[of_field].kind, self.parts[of_field].parent) {
@@ -204,8 +206,8 @@ impl Plan {
         }
     }
 
-    /// The same part at another time step of its sequence. For a node, this is the node with the
-    /// same number.
+    /// Returns the index of the same part at another time step of its sequence. For a node, this is
+    /// the node with the same number.
     pub(crate) fn at_time(&self, part: usize, time: usize) -> Option<usize> {
         let (_, sequence) = self.time(part)?;
         let is_time =
@@ -219,7 +221,7 @@ impl Plan {
         }
     }
 
-    /// The parts whose parent is this part.
+    /// Returns the indices of the parts whose parent is this part.
     pub(crate) fn within(&self, part: usize) -> impl Iterator<Item = usize> + '_ {
         self.parts.iter().enumerate().filter(move |(_, inner)| inner.parent == Some(part)).map(|(number, _)| number)
     }

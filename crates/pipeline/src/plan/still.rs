@@ -52,8 +52,9 @@ pub(crate) fn add_score(plan: &mut Plan, part: usize, field: &str) -> Vec<String
 pub(crate) struct TimeBefore {
     pub(crate) patterns: String,
     pub(crate) field: String,
-    /// Ids of the steps of light fields that are solved again for a warm start, instead of
-    /// `patterns`; empty if `patterns` are the warm start.
+    /// For the first time step of a chunk, the ids of the steps that make the light fields of the
+    /// earlier time steps. These time steps are solved again for a warm start. Empty if the warm
+    /// start is `patterns`.
     pub(crate) warm_up: Vec<String>,
 }
 

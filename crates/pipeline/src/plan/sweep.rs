@@ -143,7 +143,7 @@ pub(crate) fn add(plan: &mut Plan, job: &Job, sweep: &SweepJob) -> Result<Design
                 if is_sequence { add_times(plan, part, true)? } else { vec![add_field(plan, part, Before::default())] };
             let steps = plan.steps.iter().filter(|step| ids.contains(&step.id));
             parts = steps.map(|step| step.part).collect();
-            // Add the pictures for the zone score, which every time step has.
+            // Add the steps that render the pictures for the zone score of every time step.
             let of_fields = parts.iter().copied().zip(ids.clone()).collect::<Vec<(usize, String)>>();
             ids.extend(of_fields.into_iter().flat_map(|(part, id)| add_score(plan, part, &id)));
         }
@@ -187,7 +187,7 @@ pub(crate) fn execute(
     for parts in &designs.fields {
         fields.push(shared(&mut executor, parts, job)?);
     }
-    // Solve all designs, or those that the search selects.
+    // Solve all designs, or the designs that the search selects.
     let solver = Solver { job, fields, folder: dir.join("designs"), later: later(job), registry };
     let sweep = Sweep { solver, used: Mutex::default(), task };
     let (rows, kept, proposed) = match job.sweep.as_ref().and_then(|sweep| sweep.search.as_ref()) {

@@ -17,9 +17,9 @@ use crate::stage::node::is_factorized;
 
 /// The solver for time steps after the first one, if the job has the solver `auto`.
 ///
-/// If few iterations start from patterns of another target, extrapolation overshoots. Measured with
-/// content that moves 2 pixels per time step (3 layers, 6 frames, 160 × 100 pixels, 5 × 5 views, 5
-/// iterations):
+/// If few iterations start from patterns of another target, extrapolation overshoots. These values
+/// were measured with content that moves 2 pixels per time step (3 layers, 6 frames, 160 × 100
+/// pixels, 5 × 5 views, 5 iterations):
 ///
 /// | β | solver | PSNR (dB) | flicker (dB) |
 /// |---|---|---|---|
@@ -38,10 +38,10 @@ const WARM_SOLVER: &str = "block-exact";
 pub(crate) const WARM_UP: &str = "cache/warm-up";
 /// Default number of time steps before a chunk that are solved again.
 ///
-/// Measured with a window that turns by 0.4° per time step (84 × 52 pixels, 25 views, three layers
-/// and frames). There, one time step is as good as two. The error is then within 0.01 dB of a
-/// sequence without chunks, and the flicker score is 0.5 dB lower. Since content that moves faster
-/// needs more time steps, the default is 2.
+/// In a measurement, a window turned by 0.4° per time step (84 × 52 pixels, 25 views, three layers
+/// and frames). One time step was as good as two. The error was within 0.01 dB of a sequence
+/// without chunks, and the flicker score was 0.5 dB lower. Since content that moves faster needs
+/// more time steps, the default is 2.
 const WARM_UP_TIMES: usize = 2;
 
 /// The time steps of a job.
@@ -140,7 +140,7 @@ impl Times {
                 of.light.automatic &= studio;
             }
             if !self.sequence.reports {
-                // Only reports use these views.
+                // Time steps without reports need no views that only reports use.
                 (of.render.held_out, of.render.outside, of.report.zone_directions) = (0, 0, 0);
             }
         }
@@ -204,8 +204,8 @@ impl Times {
     }
 }
 
-/// Returns the settings of later time steps for sequences that are solved in memory. The first
-/// settings have a warm start, the second have none.
+/// Returns a function for sequences that are solved in memory. It takes the settings of the first
+/// time step, and returns the settings of later time steps with and without a warm start.
 pub(crate) fn later(job: &Job) -> Later {
     let sequence = job.sequence.clone().unwrap_or_default();
     let times = Times { sequence, fields: Vec::new(), count: 1 };
@@ -220,8 +220,8 @@ pub(crate) fn name(time: usize) -> String {
     format!("t{:04}", time + 1)
 }
 
-/// Moves the window by a fraction of its whole movement. It rotates about its vertical axis, and
-/// moves along the axes that it has at the first time step.
+/// Moves the window by a fraction of its whole movement. The window rotates about its vertical
+/// axis, and moves along the axes that it has at the first time step.
 fn moved(window: &Window, sequence: &SequenceJob, share: f64) -> Window {
     let map = window.scene_from_display;
     let turn = DQuat::from_rotation_y((share * sequence.turn_deg).to_radians());
@@ -363,7 +363,8 @@ mod tests {
         let sequence = SequenceJob { turn_deg: 60.0, shift_mm: [100.0, 0.0, -50.0], ..SequenceJob::default() };
         assert_eq!(moved(&first, &sequence, 0.0), first);
         let half = moved(&first, &sequence, 0.5);
-        // 1 mm is 0.01 scene units: half of (100, 0, −50) mm, from (1, 2, 3)
+        // One millimetre is 0.01 scene units here. Half of the shift (100, 0, −50) mm moves the
+        // window from (1, 2, 3) by (0.5, 0, −0.25).
         assert!((half.scene_from_display.translation - DVec3::new(1.5, 2.0, 2.75)).length() < 1e-12);
         let to_viewer = half.scene_from_display.rotation * DVec3::Z;
         assert!((to_viewer - DVec3::new(0.5, 0.0, 0.75f64.sqrt())).length() < 1e-12, "{to_viewer}");

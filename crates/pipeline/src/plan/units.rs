@@ -72,7 +72,7 @@ fn tiles_of(plan: &Plan, part: usize) -> Option<(Tiles, u64)> {
         Some(node) => display_of_node(node, &job.resolve_display().ok()?, &display, &geometry).ok()?.0,
     };
     let tiles = Tiles::of(&job.factorize, &display, &geometry)?;
-    // a tile reads its pixels from one whole view at a time, so the memory of that view is included
+    // A tile reads its pixels from one whole view at a time, so add the memory of a view.
     let bytes = tiles.bytes(&display, &geometry) + 12 * (geometry.rows * geometry.cols) as u64;
     Some((tiles, bytes))
 }
@@ -105,9 +105,10 @@ impl<'a> Cutter<'a> {
             StepKind::FieldOutput(_) | StepKind::StackOutput(_) | StepKind::Measure => return self.add_result(step),
             StepKind::Report if self.is_report_of_time(step) => return self.add_result(step),
             StepKind::Design(number) => return self.add_design(step, number),
-            // each unit that reads these results makes them again
+            // Each unit that reads these results makes them again, so they get no unit of their
+            // own.
             StepKind::Ingest | StepKind::Place | StepKind::Denoise => return self.pass(step),
-            // the last unit makes these results
+            // The last unit makes these results, so they get no unit of their own.
             StepKind::Report | StepKind::Search => return,
         };
         let mut inputs = self.inputs(&step.inputs);
@@ -218,7 +219,7 @@ impl<'a> Cutter<'a> {
         let mut inputs = self.inputs(&step.inputs);
         inputs.retain(|input| Some(*input) != known);
         let unit = self.unit(step, id, UnitKind::Results, inputs);
-        // If the part has such a unit already, merge the step into it.
+        // If the part has a unit `results` already, merge the step into that unit.
         let Some(known) = known else { return self.push(step, unit) };
         self.made_by.entry(&step.id).or_default().insert(known);
         let all = &mut self.units[known];

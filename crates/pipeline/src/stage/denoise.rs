@@ -58,8 +58,8 @@ pub(crate) struct Denoised {
 /// Bytes per ray while the guided filter works. The filter needs all views at once.
 pub(crate) const GUIDED_BYTES: u64 = 192;
 
-/// Checks before any rendering that the filter is installed, and that the job allows the memory it
-/// needs.
+/// Checks before any rendering that the filter is installed, and that the job allows the memory
+/// that the filter needs.
 ///
 /// # Errors
 /// If Open Image Denoise is not installed, or the guided filter needs more memory than the job
@@ -101,7 +101,8 @@ pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
     !kind.filters() || (read_figures(&folder).is_some() && shows && field.traced.grid.iter().all(is_there))
 }
 
-/// Filters the views. Writes the error estimates last; they mark the filter as finished.
+/// Filters the views. Writes the error estimates last, since these estimates mark the filter as
+/// finished.
 ///
 /// # Errors
 /// If cancelled, if a file cannot be written, or if Open Image Denoise fails.
@@ -142,7 +143,8 @@ fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), Pipeli
     // The scores are written last, since they mark the light field as finished.
     write_json(&figures_path(&folder), &written)?;
     if kind == Denoise::Shared {
-        // Split views take gigabytes, and the report shows only the central one.
+        // Remove all split views but the central one, since they take gigabytes and the report
+        // shows only the central one.
         let middle = middle(geometry);
         for view in geometry.grid.iter().filter(|view| *view != middle) {
             let path = split_path(&field.folder, view);

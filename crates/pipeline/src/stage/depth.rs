@@ -14,7 +14,7 @@ use crate::store::key::content_hash;
 
 /// File of the depths, in the folder of the views.
 const FILE: &str = "depth.npy";
-/// File with a hash of the content of the depths' file.
+/// File with a hash of the content of [`FILE`].
 const HASH: &str = "depth.json";
 
 /// Reads cached depths of the views of a geometry; `None` if they are missing or damaged.

@@ -170,7 +170,7 @@ impl Solver<'_> {
             rows.push(node_row(node.map_or("", |node| &node.id), &times));
         }
         let of_nodes = if self.job.nodes.is_empty() { Vec::new() } else { rows.clone() };
-        // the design's scores are the scores of the first node
+        // The design's scores are the scores of the first node.
         let first = rows.swap_remove(0);
         Ok(Row {
             design: candidate.design.clone(),
@@ -255,7 +255,7 @@ fn node_row(id: &str, times: &[Errors]) -> NodeRow {
     let brightness = times.last().map_or(1.0, |time| time.brightness);
     let between = times.iter().filter_map(|time| time.between).reduce(SquaredError::merged).map(SquaredError::psnr);
     let worst = times.iter().map(|time| time.target.psnr()).fold(f64::INFINITY, f64::min);
-    // the directions of all time steps have the same weight
+    // The directions of all time steps have the same weight.
     let directions = times.iter().filter_map(|time| time.zone.as_ref()).flat_map(|zone| &zone.directions);
     let zone = ZoneScore { directions: directions.cloned().collect() };
     NodeRow {

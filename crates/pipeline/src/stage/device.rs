@@ -24,7 +24,7 @@ impl SolverDevice {
     /// Opens the device that a job names: `auto`, `cpu`, `gpu` or `gpu:NAME`.
     ///
     /// # Errors
-    /// If the name is another one, or the device is not available.
+    /// If the name is none of these, or the device is not available.
     pub(crate) fn of(device: &str) -> Result<Self, PipelineError> {
         check(device)?;
         #[cfg(feature = "gpu")]
@@ -80,8 +80,8 @@ impl SolverDevice {
     /// Adds the device to a key, since a graphics processor rounds differently from the processor.
     pub(crate) fn add_to(&self, key: &mut KeyBuilder) {
         match self {
-            // Results of the processor have equal keys in builds with and without the feature
-            // `gpu`.
+            // Add nothing, so that results of the processor have equal keys in builds with and
+            // without the feature `gpu`.
             Self::Processor => _ = key,
             #[cfg(feature = "gpu")]
             Self::Device { device, .. } => {

@@ -86,7 +86,7 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     // pixel.
     let expose_view = |field: &FieldJob, view: [usize; 2], rgb: &mut [f32]| -> Result<(), PipelineError> {
         if linear {
-            // scene-linear values are neither exposed, nor clipped, nor rounded
+            // Scene-linear values are neither exposed, nor clipped, nor rounded.
             return Ok(());
         }
         if let Background::Colour(background) = job.light.background {

@@ -23,7 +23,7 @@ use crate::store::stamps::Stamps;
 pub(crate) struct Solved {
     pub(crate) stack: LayerStack,
     pub(crate) steps: Vec<Iteration>,
-    /// `None` if the node reports no solution.
+    /// The solver's settings and the quality of its result; `None` if a node plugin reports none.
     pub(crate) solution: Option<Solution>,
 }
 
@@ -232,7 +232,7 @@ pub(crate) fn reuse_or_write(
     stamps.reuse_or_make(stage, key, kept, make)
 }
 
-/// The choice of a time step's start, in the form of its JSON file.
+/// The choice between a warm start and a fresh start of a time step, in the form of its JSON file.
 #[derive(Serialize, Deserialize)]
 struct Choice {
     key: String,

@@ -43,8 +43,8 @@ impl Shot<'_> {
         geometry.with_grid(geometry.grid.scaled(self.placement.depth_scale))
     }
 
-    /// Returns a key of views before exposure. Geometry and samples of the views are not part of
-    /// it.
+    /// Returns a key of views before exposure. The key does not contain the geometry and the
+    /// samples of the views.
     pub(crate) fn key(&self) -> KeyBuilder {
         let light = &self.job.light;
         let mut key = KeyBuilder::new("render", code::VIEWS);
@@ -182,8 +182,8 @@ fn joined(parts: Vec<Features>) -> Option<Features> {
     parts.into_iter().reduce(|all, part| all.joined(&part))
 }
 
-/// Returns the parts in which views are traced: two halves for filters that need halves, otherwise
-/// one whole.
+/// Returns the parts in which a view is traced: two halves of its samples for filters that need
+/// halves, otherwise the whole view.
 pub(crate) fn parts(kind: Denoise) -> &'static [Option<usize>] {
     if kind.takes_halves() { &[Some(0), Some(1)] } else { &[None] }
 }

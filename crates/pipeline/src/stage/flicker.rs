@@ -104,8 +104,7 @@ mod tests {
     use super::*;
     use crate::presets;
 
-    /// Tolerance against the naive computation, dB. Both computations sum the values of the
-    /// simulator in f64.
+    /// Tolerance against the oracle, dB. Both computations sum the values of the simulator in f64.
     const AGREEMENT_DB: f64 = 1e-6;
 
     fn display() -> Display {
@@ -120,7 +119,7 @@ mod tests {
         stack
     }
 
-    /// Returns targets whose right half is the same for all seeds.
+    /// Returns a random target whose right half is the same for all seeds.
     fn random_target(display: &Display, seed: u64) -> LightField {
         let mut target = LightField::black(display.geometry().unwrap()).unwrap();
         let (cols, mut still, mut moving) = (target.geometry().cols, Stream::new(77), Stream::new(seed));
@@ -143,8 +142,8 @@ mod tests {
         let targets = [3, 4].map(|seed| random_target(&display, seed));
         let [before, now] = [0, 1].map(|t| Shown { stack: &stacks[t], target: &targets[t] });
         let found = measured(&display, now, before, &Weights::Uniform);
-        // compute the error e_t of every ray in one list per time step, then the difference of the
-        // lists
+        // Oracle: make a list of the error e_t of every ray for both time steps, then subtract the
+        // lists.
         let geometry = now.target.geometry();
         let map = RayMap::new(&display, geometry);
         let errors = |shown: Shown<'_>| -> Vec<f64> {
@@ -167,7 +166,7 @@ mod tests {
         };
         assert!((found.change.psnr() - decibels(&|_| true)).abs() < AGREEMENT_DB);
         let right_half = |i: usize| (i / 3) % geometry.cols >= geometry.cols / 2;
-        // a ray that changes may keep its code by chance
+        // Compare codes, since even a changing ray may keep its code by chance.
         let same = |i: usize| {
             let code = |target: &LightField| srgb_code(target.radiance().data()[i]);
             code(now.target).abs_diff(code(before.target)) <= STILL_CODES

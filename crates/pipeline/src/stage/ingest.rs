@@ -89,7 +89,8 @@ impl Ingested {
             key.add("file", path.file_name().unwrap_or_default().as_encoded_bytes()).add("content", content.as_bytes());
         }
         key.add_json("pose", &self.pose);
-        // the job may hide light sources, which changes the field `lamp` of their materials
+        // The key contains the field `lamp` of materials, since the job may change this field to
+        // hide light sources.
         let lamps: Vec<u8> = self.scene.materials.iter().map(|material| material.lamp as u8).collect();
         key.add("lamps", &lamps);
     }
@@ -304,7 +305,8 @@ fn load_blend(
         return Err(PipelineError::value(path, format!("pose.{key}"), expected, found));
     }
     let HandedOver { glb, account } = handover::hand_over(path, time_s, cache_dir, task)?;
-    // Blender packs all pictures into the converted file.
+    // Blender packs all pictures into the converted file, so files outside of the folder need not
+    // be allowed.
     let resolver = Files::beside(path, false)?;
     let max_picture_bytes = importer.picture_mib.saturating_mul(1 << 20);
     let options = LoadOptions { max_picture_bytes, ..LoadOptions::default() };

@@ -23,7 +23,7 @@ pub(crate) fn is_factorized(node: Option<&NodeJob>) -> bool {
 /// Checks a node's plugin and parameters, without any work.
 ///
 /// # Errors
-/// If there is no such node, or it refuses the parameters.
+/// If the node plugin does not exist, or it refuses the parameters.
 pub(crate) fn check(node: &NodeJob, registry: &Registry) -> Result<(), PipelineError> {
     if is_factorized(Some(node)) {
         return Ok(());
@@ -34,7 +34,8 @@ pub(crate) fn check(node: &NodeJob, registry: &Registry) -> Result<(), PipelineE
 }
 
 /// Returns the display of a node for a light field of this geometry. It is `of_job` if the node
-/// names a display, or else `shared`. The text describes how the display's backlight was adapted.
+/// names a display, or else `shared`. Also returns a text that describes how the display's
+/// backlight was adapted.
 ///
 /// # Errors
 /// If the display cannot show the light field.

@@ -19,7 +19,7 @@ use crate::store::stamps::Stamps;
 /// Checks plugins and parameters of a job's outputs, without opening them.
 ///
 /// # Errors
-/// If there is no such output, or it refuses the parameters or the kind of data.
+/// If an output plugin does not exist, or it refuses the parameters or the kind of data.
 pub(crate) fn check(job: &Job, registry: &Registry) -> Result<(), PipelineError> {
     for output in &job.outputs {
         let info = registry.get_kind(&output.plugin, PluginKind::Output).map_err(PipelineError::Output)?.info();

@@ -57,11 +57,13 @@ mod tests {
     #[test]
     fn paths_follow_from_noise_and_error_within_limits() {
         let choose = |noise, error, views| Samples::new(noise, error, views);
-        // without noise one path is enough, for any error of the display
+        // Without noise one path is enough, for any error of the display.
         assert_eq!((choose(0.0, 1e-3, 169).per_view, choose(0.0, 0.0, 169).limited), (1, false));
-        // n = V / (η D) = 4.9, rounded up to the next allowed number
+        // The equation n = V / (η D) of `samples.rs` gives 4.9, which is rounded up to the next
+        // allowed number.
         assert_eq!(choose(4.9 * NOISE_SHARE * 2e-3, 2e-3, 169).per_view, 6);
-        // a display that is regarded as exact needs no more paths
+        // A display that is regarded as exact needs the paths of the error [`LEAST_ERROR`], and not
+        // more.
         assert_eq!(choose(2.9 * NOISE_SHARE * LEAST_ERROR, -1e-7, 169).per_view, 3);
         let limited = choose(1.0, 1e-3, 169);
         assert_eq!((limited.per_view, limited.limited), (18, true));

@@ -49,7 +49,7 @@ impl Subject for CachedScene<'_> {
 /// Calls [`lumistack_shot::place()`] for a loaded scene.
 ///
 /// # Errors
-/// The errors of that function, and an error if a result cannot be written.
+/// The errors of [`lumistack_shot::place()`], and an error if a result cannot be written.
 pub(crate) fn place(
     ingested: &Ingested,
     job: &WindowJob,
@@ -65,7 +65,7 @@ pub(crate) fn place(
 /// moved to fit the depth.
 ///
 /// # Errors
-/// The errors of that function, and an error if a result cannot be written.
+/// The errors of [`find_window`], and an error if a result cannot be written.
 pub fn place_window(
     ingested: &Ingested,
     job: &WindowJob,

@@ -14,8 +14,8 @@ use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 
 /// Reads the light field at `path` for a display. A light field that is larger than the job allows
-/// in memory is kept in an unnamed file in a folder. Also returns as many views as the report
-/// scores, of those that the display does not use.
+/// in memory is kept in an unnamed file in `folder`. Also returns some views that the display does
+/// not use, as many as the report scores.
 ///
 /// # Errors
 /// If the light field cannot be read, or its geometry is incomplete.

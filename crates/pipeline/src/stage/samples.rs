@@ -66,8 +66,8 @@ const MOST_RAYS: usize = 4_000_000;
 /// Number of a sequence of random numbers that no view uses.
 const STREAM: u64 = 0x5a3b_0001;
 
-/// Returns the number of paths per pixel and view, if the job sets no number. The number is
-/// measured once, and cached in a folder.
+/// Returns the number of paths per pixel and view that the display needs, measured once and cached
+/// in a folder. `None` if the job sets the number, or the measurement does not apply.
 ///
 /// # Errors
 /// If rendering or solving fails or is cancelled, or the folder cannot be written.
@@ -154,8 +154,8 @@ fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) 
         })?;
     }
 
-    // Distribute directions over the sections. They are generated like the directions of the zone
-    // score.
+    // Distribute directions over the sections. The directions are generated like the directions of
+    // the zone score.
     let zone = score::zone_of(job, display, geometry);
     let directions = zone.directions(parts.len() * DIRECTIONS);
     let measured = parts.par_iter().zip(&halves).enumerate().map(|(number, (part, halves))| {
@@ -324,8 +324,8 @@ pub(crate) fn bytes(job: &Job, display: &Display, geometry: &FieldGeometry, thre
     if !(job.render.samples_are_measured() && is_chosen) {
         return 0;
     }
-    // The bound depends only on the sizes of the parts, so any window in a scene gives the same
-    // value.
+    // The bound depends only on the sizes of the sections, not on their places in a scene. So use
+    // any window.
     let scene_from_display = Similarity { rotation: DQuat::IDENTITY, scale: 1.0, translation: DVec3::ZERO };
     let window = Window { scene_from_display, size_mm: geometry.size_mm(), near_mm: None };
     let parts = parts(display, geometry, &window);
@@ -349,8 +349,8 @@ pub(crate) fn bytes(job: &Job, display: &Display, geometry: &FieldGeometry, thre
     exposure + rendering.max(solving)
 }
 
-/// Returns the number of bytes of a part's files that may be in memory. All parts are compared in
-/// parallel.
+/// Returns the number of bytes of a part's files that may be in memory. It is an eighth of the
+/// job's limit, since several parts are compared in parallel.
 fn window_bytes(job: &Job) -> usize {
     job.render.window_bytes() / 8
 }
@@ -374,7 +374,7 @@ fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Pa
     let [rows, cols] = [edge.min(geometry.rows), edge.min(geometry.cols)];
     let area = (geometry.rows * geometry.cols) as f64 / (rows * cols) as f64;
     let count = ((MOST_AREA * area) as usize).clamp(1, PARTS);
-    // if there is only one section, it is in the middle of the picture
+    // The first place is the centre, so a single section is in the middle of the picture.
     let places = spread(count);
     let [free_rows, free_cols] = [geometry.rows - rows, geometry.cols - cols].map(|free| free as f64);
     places
@@ -390,7 +390,7 @@ fn parts(display: &Display, geometry: &FieldGeometry, window: &Window) -> Vec<Pa
 
 /// Returns `count` points of the unit square; the first is the centre.
 fn spread(count: usize) -> Vec<[f64; 2]> {
-    // the real root of x³ = x + 1, for Roberts' sequence R₂
+    // This is the real root of x³ = x + 1, from which Roberts' sequence R₂ is made.
     const RATIO: f64 = 1.324_717_957_244_746;
     (0..count).map(|i| [1.0, 2.0].map(|power| (0.5 + i as f64 * RATIO.powf(-power)).fract())).collect()
 }
@@ -494,7 +494,7 @@ mod tests {
                 for (row, col) in [(0, 0), (rows - 1, cols - 1), (3, 7)] {
                     let own = [part.geometry.x_mm(col), part.geometry.y_mm(row)];
                     let whole = [0, 1].map(|axis| own[axis] + part.centre_mm[axis]);
-                    // the position must be the centre of a pixel of the whole picture
+                    // The position must be the centre of a pixel of the whole picture.
                     let place = (whole[0] / 1.5 + 149.5, 109.5 - whole[1] / 1.5);
                     assert!((place.0 - place.0.round()).abs() < 1e-9 && (-0.1..299.1).contains(&place.0), "{place:?}");
                     assert!((place.1 - place.1.round()).abs() < 1e-9 && (-0.1..219.1).contains(&place.1), "{place:?}");

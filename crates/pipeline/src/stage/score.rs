@@ -49,7 +49,8 @@ pub struct References {
 enum Pictures {
     /// In a folder of the cache, with two pictures per direction.
     Rendered { folder: PathBuf, tone_mapping: ToneMapping, background: Background, space: Option<Space> },
-    /// In memory, display-referred. Pictures without noise are stored as two equal pictures.
+    /// In memory, display-referred, with two pictures per direction. If a picture has no noise, the
+    /// two pictures are equal.
     Held { pictures: Vec<[Arc<Vec<f32>>; 2]>, left_out: bool },
 }
 
@@ -123,7 +124,7 @@ impl References {
             let settings = Settings {
                 samples: SAMPLES[usize::from(i >= CLEAN)] / 2,
                 max_bounces: job.render.max_bounces,
-                // Clamped references would lack light.
+                // Samples are not clamped, since clamped references would lack light.
                 clamp: None,
                 seed: seed::derive(job.seed, &[STREAM, i as u64, half as u64]),
                 angular_filter: AngularFilter::Point,
@@ -139,7 +140,8 @@ impl References {
             if let (Some(splats), Some(space)) = (splats.get(i), space) {
                 put_before(space, splats.data(), picture.data_mut());
             }
-            // A background needs the fraction of each pixel that shows it.
+            // Keep the fraction of each pixel that shows the background, since the background is
+            // added later.
             if background != Background::Environment {
                 let shape = [geometry.rows, geometry.cols];
                 let mut missed = if ingested.scene.instances.is_empty() {
@@ -276,8 +278,8 @@ impl References {
         Ok([one(0)?, one(1)?])
     }
 
-    /// Reads one picture. Returns `None` if its file is missing or damaged. With a background
-    /// colour, this also applies to the file with the fraction of samples that hit no surface.
+    /// Reads one picture and, with a background colour, the fraction of samples that hit no
+    /// surface. Returns `None` if a file is missing or damaged.
     fn one(&self, i: usize, half: usize) -> Option<Vec<f32>> {
         let (folder, tone_mapping, background, space) = match &self.pictures {
             Pictures::Rendered { folder, tone_mapping, background, space } => {

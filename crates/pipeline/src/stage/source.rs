@@ -29,7 +29,7 @@ fn path(stamps: &Stamps) -> PathBuf {
 }
 
 impl SourceRecord {
-    /// Writes the file. The light field must be in its folder already.
+    /// Writes the JSON file. The light field must be in its folder already.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -41,7 +41,7 @@ impl SourceRecord {
 /// Returns the light field, the keys to write, and true if the light field was cached.
 ///
 /// # Errors
-/// If there is no such plugin, or it fails or is cancelled.
+/// If the source plugin does not exist, fails or is cancelled.
 pub(crate) fn run(
     source: &SourceJob,
     display: &Display,

@@ -139,7 +139,8 @@ pub(crate) fn run(solve: Solve<'_>, stamps: &Stamps, task: Task<'_>) -> Result<(
     let Solve { job, seed, display, target, weights } = solve;
     let crop = |tile: &Tile| Ok(tile.light_field(target));
     let solve = CutSolve { job, seed, display, geometry: target.geometry(), weights, crop: &crop };
-    // The keys of the tiles follow from the key of the whole solve, so they are not part of it.
+    // The key contains the cut into tiles, but not the tiles' results, which follow from the same
+    // inputs.
     key.add_json("tiles", &(tiles.tiling.tiles(), tiles.rounds));
     let work = Work { solve, tiles: &tiles, stamps };
     reuse_or_write("factorize", &key.finish(), solve.display, stamps, || {
@@ -244,7 +245,7 @@ impl Work<'_> {
             0 => warm.map(|warm| warm.cut(&held(&tile))),
             _ => Some(self.borders(at, &tile, &display)?),
         };
-        // Round values to the levels of the panel only in the last round.
+        // Round values to the grey levels of the panel only in the last round.
         let is_last = round + 1 == self.tiles.rounds;
         let settings = Settings {
             iterations: self.tiles.iterations(job, round).len() as u32,

@@ -117,7 +117,7 @@ fn trace_views(
             }
         }
     }
-    // After the denoiser has finished, it removes split views. They need not be traced again.
+    // A finished denoiser has removed the split views, so missing split views need no tracing.
     let is_shared: Vec<bool> =
         fields.iter().map(|field| kind == Denoise::Shared && denoise::is_finished(field, kind)).collect();
     let is_kept = |Todo { field, path, variance, .. }: &Todo| {

@@ -76,8 +76,8 @@ pub fn clean(dir: &Path, all: bool, dry_run: bool, task: Task<'_>) -> Result<Cle
     let _owned = lock_known(dir, task)?;
     let mut kinds: Vec<(&'static str, Vec<PathBuf>)> = vec![("left-overs of stopped runs", left_overs(dir))];
     collect(dir, all, &mut kinds);
-    // A preview that is being written is locked. A preview that a killed process left is not
-    // locked.
+    // Remove an incomplete preview only if it is not locked. A lock means that a process still
+    // writes the preview.
     let preview = dir.join(".preview.partial");
     if is_folder(&preview) && lock_preview(dir, task).is_ok() {
         kinds[0].1.push(preview);
@@ -126,8 +126,8 @@ fn nested(dir: &Path) -> Vec<PathBuf> {
 fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>) {
     let cache = dir.join("cache");
     let used = read_json::<Used>(&cache.join(USED));
-    // A stopped run may reuse all files. If a run is finished but has no list of used files, an
-    // older version made it. This version cannot reuse its files.
+    // A stopped run may reuse all files. A finished run without a list of used files is from an
+    // older version, whose files this version cannot reuse.
     let finished = ["report.json", "lightfield.json", "sweep.json"].iter().any(|name| dir.join(name).is_file());
     let known = used.or_else(|| finished.then(Used::default));
     if all {
@@ -149,7 +149,7 @@ fn collect(dir: &Path, all: bool, kinds: &mut Vec<(&'static str, Vec<PathBuf>)>)
         let warm_up = cache.join("warm-up");
         kinds.push(("warm-ups of chunks", if is_folder(&warm_up) { vec![warm_up] } else { Vec::new() }));
     }
-    // List light fields and rows of a sweep.
+    // List the light fields and the rows that the last sweep did not use.
     if dir.join("sweep.json").is_file()
         && let Some(used) = &known
         && !used.fields.is_empty()

@@ -43,7 +43,7 @@ pub(crate) fn read_json<T: DeserializeOwned>(path: &Path) -> Option<T> {
 
 /// Writes a cached value with its hash.
 pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), PipelineError> {
-    let value = serde_json::to_string(value).expect("what is kept between runs serializes");
+    let value = serde_json::to_string(value).expect("cached values serialize");
     let hash = blake3::hash(value.as_bytes()).to_hex();
     write(path, format!("{}{hash}{}{value}}}", SEAL[0], SEAL[1]).as_bytes())
 }

@@ -62,15 +62,15 @@ fn is_empty_folder(path: &Path) -> bool {
 
 /// Checks that the work overwrites none of the job's inputs.
 fn check_inputs(dir: &Path, work: Work, job: &Job, registry: &Registry) -> Result<(), PipelineError> {
-    // a folder that does not exist contains no input
+    // A folder that does not exist contains no input.
     let Ok(root) = dir.canonicalize() else { return Ok(()) };
     for (role, path) in inputs(job, registry) {
         let Ok(found) = path.canonicalize() else { continue };
         let Ok(inside) = found.strip_prefix(&root) else { continue };
         let written = match inside.components().next() {
             Some(Component::Normal(first)) => work.writes(first),
-            // The input is the folder itself. Only a sequence refuses this, since it would write
-            // time steps among the light fields that it reads.
+            // An input may be the folder itself, except for a sequence. A sequence would write time
+            // steps among the light fields that it reads.
             _ => work == Work::Sequence,
         };
         // The job file of a run folder may be run again, since the job file that replaces it has
@@ -97,7 +97,7 @@ fn inputs(job: &Job, registry: &Registry) -> Vec<(&'static str, PathBuf)> {
         ("weights", &job.factorize.weights),
     ];
     list.extend(named.into_iter().filter_map(|(role, path)| Some((role, path.clone()?))));
-    // Add files that nodes name. It has no effect that some files are listed twice.
+    // Add files that nodes name. Some files are listed twice, which has no effect.
     list.extend(job.paths_mut().map(|path| ("input", path.clone())));
     let displays = job.sweep.iter().flat_map(|sweep| &sweep.displays).filter(|name| name.ends_with(".toml"));
     list.extend(displays.map(|name| ("display file", job.folder.join(name))));
@@ -142,7 +142,7 @@ mod tests {
         assert!(error.contains(&run.display().to_string()) && error.contains(&process), "{error}");
         drop(first);
         assert!(!folder.path().join("runs").exists(), "nothing was kept, so nothing is left");
-        // the owner's file that a dead process left does not lock the folder
+        // The owner's file that a dead process left does not lock the folder.
         std::fs::create_dir_all(run.join("cache")).unwrap();
         std::fs::write(run.join("cache").join(LOCK), "").unwrap();
         std::fs::write(run.join("cache").join(OWNER), "{\"process\":1,\"host\":\"gone\"}").unwrap();
@@ -176,7 +176,7 @@ mod tests {
             assert_eq!(std::fs::read_to_string(&path).unwrap(), "mine");
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing was written");
         }
-        // files with names that the work does not write are allowed
+        // Files with names that the work does not write are allowed.
         std::fs::write(base.path().join("notes.txt"), "mine").unwrap();
         std::fs::create_dir(base.path().join("outputs")).unwrap();
         drop(try_take(base.path(), Work::Run, &job).unwrap());
@@ -188,7 +188,8 @@ mod tests {
         let job = job(folder.path());
         let path = folder.path().join("job.toml");
         let accepted = || try_take(folder.path(), Work::Run, &job).map(drop);
-        // first a file of a version that wrote all defaults and no hash; then a file with a hash
+        // First check a file of a version that wrote all defaults and no hash, then a file with a
+        // hash.
         std::fs::write(&path, job.to_toml()).unwrap();
         assert_eq!(accepted(), Ok(()));
         std::fs::write(&path, format!("{}# mine\n", job.to_toml())).unwrap();
@@ -196,7 +197,7 @@ mod tests {
         write_sealed(&path, &job.to_toml()).unwrap();
         assert_eq!(accepted(), Ok(()));
         assert_eq!(config::parse::<Job>(&std::fs::read_to_string(&path).unwrap()).unwrap(), job);
-        // the job file of a run may be run from its run folder
+        // The job file of a run may be run from its run folder.
         let again = Job { file: Some(path.clone()), ..job.clone() };
         assert!(try_take(folder.path(), Work::Run, &again).is_ok());
         let text = std::fs::read_to_string(&path).unwrap().replace("seed = 1", "seed = 2");
@@ -221,7 +222,7 @@ mod tests {
         assert!(is_written_by_us(&path, false), "Lumistack calibrated it");
         write_display(&path, &display).unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), after);
-        // a display file is replaced if the display has changed
+        // A display file is replaced if the display has changed.
         write_display(&path, &Display { frames: display.frames + 1, ..display }).unwrap();
         assert!(std::fs::read_to_string(&path).unwrap() != after);
         assert_eq!(with_new_seal("a = 1", "a = 2"), "a = 2");
@@ -237,7 +238,7 @@ mod tests {
         assert!(try_take(dir, Work::Run, &job(dir)).is_err());
         let stamp = format!("{{\"key\": \"{}\", \"files\": [[\"layers/stack.json\", 2]]}}", "a".repeat(64));
         std::fs::write(dir.join("cache/factorize.json"), stamp).unwrap();
-        // a job file of an older version, which has fewer keys
+        // This job file is from an older version, which had fewer keys.
         let old = job(dir).to_toml().replace("seed = 1\n", "");
         std::fs::write(dir.join("job.toml"), old).unwrap();
         drop(try_take(dir, Work::Run, &job(dir)).unwrap());

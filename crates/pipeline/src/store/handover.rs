@@ -28,8 +28,8 @@ fn code_of_scenes() -> String {
     KeyBuilder::new("scenes", code::SCENE).finish()
 }
 
-/// True if a run would reuse a cached conversion. `path` is one of its files, `blend-KEY.json` or
-/// `blend-KEY.glb`.
+/// True if a run would reuse a cached conversion. `path` is a file of the conversion,
+/// `blend-KEY.json` or `blend-KEY.glb`.
 pub(crate) fn holds(path: &Path) -> bool {
     read_json::<CachedConversion>(&path.with_extension("json")).is_some_and(|kept| kept.holds())
 }
@@ -76,7 +76,7 @@ fn kept_or(
     surroundings: &str,
     folder: &Path,
 ) -> Result<HandedOver, PipelineError> {
-    // The key contains the file, the time, and the state of the files around the file.
+    // The key contains the file's path, the time, and the state of the files around it.
     let mut key = KeyBuilder::new("blend", code::SCENE);
     let place = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     key.add("path", place.as_os_str().as_encoded_bytes()).add_json("time", &time_s);
@@ -137,7 +137,7 @@ mod tests {
         between(folder.path());
         let second = hand_over(Some(0.5), "one");
         assert_eq!((first.glb, first.account), (second.glb, second.account));
-        // another time, or another version of Blender, gives another conversion
+        // Another time, or another version of Blender, gives another conversion.
         let (late, other) = (hand_over(Some(1.0), "one"), hand_over(Some(0.5), "two"));
         assert_eq!((late.glb, other.glb), (b"Some(1.0)".to_vec(), b"Some(0.5)".to_vec()));
         count - 2

@@ -13,7 +13,7 @@ pub(crate) fn remove(dir: &Path) {
     remove_all(&left_overs(dir));
 }
 
-/// Removes files and folders. No result depends on them, so a failure is not an error. `clean`
+/// Removes files and folders. No result depends on them, so a failure is not an error; `clean`
 /// reports files that remain.
 pub(crate) fn remove_all(paths: &[PathBuf]) {
     for path in paths {
@@ -31,7 +31,7 @@ pub(crate) fn entries(folder: &Path) -> Vec<(String, PathBuf)> {
 }
 
 pub(crate) fn is_folder(path: &Path) -> bool {
-    // links to folders are not regarded as folders
+    // A link to a folder is not regarded as a folder, so the linked files are never removed.
     std::fs::symlink_metadata(path).is_ok_and(|data| data.is_dir())
 }
 
@@ -54,7 +54,7 @@ pub(crate) fn left_overs(dir: &Path) -> Vec<PathBuf> {
 fn below(folder: &Path, found: &mut Vec<PathBuf>) {
     for (name, path) in entries(folder) {
         let temporary = name.starts_with(".lumistack-") && name.ends_with(".tmp");
-        // an output writes its files into this folder before it renames them
+        // An output writes its files into this folder before it renames them.
         let partial = name.starts_with('.') && name.ends_with(".partial") && is_folder(&path);
         if temporary || partial {
             found.push(path);

@@ -112,7 +112,7 @@ impl FolderLock {
             let taken = if hold == Hold::Shared { lock.try_lock_shared() } else { lock.try_lock() };
             match taken {
                 Ok(()) if is_at(&lock, &path) => owned.lock = Some(lock),
-                // the last owner removed the file and its folder, so create both again
+                // The last owner removed the file and its folder, so create both again.
                 Ok(()) => continue,
                 Err(TryLockError::WouldBlock) => {
                     return Err(PipelineError::InUse { folder: dir.to_owned(), owner: owned.other() });
@@ -151,20 +151,21 @@ impl FolderLock {
 
 impl Drop for FolderLock {
     fn drop(&mut self) {
-        // another process holds the lock, or the lock is shared, or the file system has no locks
+        // Keep all files if another process holds the lock, units share the lock, or the file
+        // system has no locks.
         if self.lock.is_none() || self.hold == Hold::Shared {
             return;
         }
         if self.file == LOCK {
             let _ = std::fs::remove_file(self.cache.join(OWNER));
         }
-        // If a run fails before it keeps a file, its folder is removed. Only Unix can remove open
-        // files.
+        // If a run fails before it keeps a file, its folder is removed. This works only on Unix,
+        // which can remove open files.
         if cfg!(unix) && !self.made.is_empty() {
             let others = std::fs::read_dir(&self.cache)
                 .map_or(1, |list| list.flatten().filter(|e| e.file_name() != self.file).count());
-            // Finished time steps and nodes stay. Then the lock file stays too, since it marks them
-            // as files of Lumistack.
+            // If finished time steps or nodes stay, the lock file stays too, since it marks the
+            // folder as a folder of Lumistack.
             let beside = self.cache.parent().and_then(|dir| std::fs::read_dir(dir).ok());
             let is_alone = beside.is_some_and(|list| list.flatten().all(|e| e.path() == self.cache));
             if others == 0 && is_alone {

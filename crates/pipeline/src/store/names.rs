@@ -17,7 +17,7 @@ pub(crate) enum Work {
     Run,
     /// A sequence. Each of its time steps has a folder.
     Sequence,
-    /// Views only.
+    /// Rendering of views, without patterns.
     Views,
     /// A sweep over designs.
     Sweep,
@@ -94,7 +94,7 @@ pub(crate) fn is_ours(dir: &Path) -> bool {
         let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
         entries.filter_map(|entry| entry.file_name().into_string().ok()).any(|name| kept(&name))
     };
-    // older versions of Lumistack, which had no locks, wrote each row of a sweep into a file
+    // Older versions of Lumistack, which had no locks, wrote each row of a sweep into a file.
     let is_row = |name: &str| {
         name.strip_suffix(".json").is_some_and(|key| key.len() == 24 && key.bytes().all(|b| b.is_ascii_hexdigit()))
     };

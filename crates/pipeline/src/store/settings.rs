@@ -32,8 +32,8 @@ pub(super) fn write_sealed(path: &Path, text: &str) -> Result<(), PipelineError>
     write(path, sealed(text).as_bytes())
 }
 
-/// Writes `display.toml` of a run. If the file already has the same display with a calibration, the
-/// file stays. Patterns do not depend on the calibration, which took work.
+/// Writes `display.toml` of a run. The file stays if it has the same display with a calibration,
+/// and `display` has no calibration. A calibration takes work, and patterns do not depend on it.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -46,8 +46,8 @@ pub(crate) fn write_display(path: &Path, display: &Display) -> Result<(), Pipeli
     write_sealed(path, &display.to_toml())
 }
 
-/// Lumistack changed the text of a settings file from `before` to `after`, for example by a
-/// calibration. Returns the text to write. If `before` has a valid hash, the result has a new hash;
+/// Renews the hash of a settings file whose text Lumistack changed from `before` to `after`, for
+/// example by a calibration. If `before` has a valid hash, the result is `after` with a new hash;
 /// otherwise the result is `after`.
 pub fn with_new_seal(before: &str, after: &str) -> String {
     match (is_whole(before), after.strip_prefix(SEAL).and_then(|rest| rest.split_once('\n'))) {
@@ -66,7 +66,7 @@ fn is_whole(text: &str) -> Option<bool> {
     Some(blake3::hash(rest.as_bytes()).to_hex().as_str() == hash.trim_end())
 }
 
-/// Calls [`is_whole`] for the text of a file.
+/// True if the hash in a settings file is valid; `None` if the file is missing or has no hash.
 pub(crate) fn is_sealed(path: &Path) -> Option<bool> {
     is_whole(&std::fs::read_to_string(path).ok()?)
 }

@@ -163,7 +163,7 @@ mod tests {
         assert!(!stamps.is_current("s", "k"));
         stamps.write("s", "k", &["a.txt".into()]).unwrap();
         assert!(stamps.is_current("s", "k") && !stamps.is_current("s", "other"));
-        // change the content, but not the size and the time
+        // Change the content, but not the size and the time.
         let written = std::fs::metadata(&file).unwrap().modified().unwrap();
         std::fs::write(&file, "two").unwrap();
         std::fs::File::options().write(true).open(&file).unwrap().set_modified(written).unwrap();

@@ -218,8 +218,8 @@ mod tests {
             std::fs::write(&first, &damaged).unwrap();
             assert_eq!(read_picture(&first, SIZE), None, "byte {place} of {}", bytes.len());
         }
-        // pictures of the same size that are invalid: a copy of another view, and a picture without
-        // a hash
+        // Two pictures of the right size are invalid: a copy of another view, and a picture without
+        // a hash.
         std::fs::copy(&second, &first).unwrap();
         assert_eq!(read_picture(&first, SIZE), None);
         picture::write_exr(&first, SIZE, &grain(1), Precision::Float).unwrap();

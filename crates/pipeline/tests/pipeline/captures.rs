@@ -19,7 +19,7 @@ use crate::usd::has_usd;
 /// Minimum PSNR of the picture of one file format against the picture of another, dB.
 const LEAST_PSNR: f64 = 50.0;
 
-/// A bumpy ball of flat splats, whose colours change with the direction. An `.spz` file can
+/// Returns a bumpy ball of flat splats, whose colours change with the direction. An `.spz` file can
 /// represent all of its values.
 fn ball() -> Cloud {
     let mut cloud = Cloud { degree: 2, ..Cloud::default() };
@@ -54,7 +54,7 @@ fn as_trained(cloud: &Cloud) -> Cloud {
     turned
 }
 
-/// A USD stage that contains the cloud.
+/// Returns a USD stage that contains the cloud.
 fn usda(cloud: &Cloud) -> String {
     let tuples = |rows: &mut dyn Iterator<Item = Vec<f32>>| -> String {
         let texts = rows.map(|row| format!("({})", row.iter().map(f32::to_string).collect::<Vec<_>>().join(", ")));
@@ -84,7 +84,7 @@ fn loaded(path: &Path) -> Arc<Scene> {
     loaded.scene
 }
 
-/// Views of a scene from the side, `[view][row][col][r, g, b, T]`.
+/// Renders views of a scene from the side, `[view][row][col][r, g, b, T]`.
 fn pictures(scene: &Arc<Scene>) -> Vec<f32> {
     let grid = ViewGrid::uniform(Projection::Perspective { distance_mm: 500.0 }, [2, 2], [20.0, 20.0]).unwrap();
     let geometry = FieldGeometry { rows: 60, cols: 80, pitch_mm: 3.0, grid };

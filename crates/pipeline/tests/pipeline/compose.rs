@@ -7,8 +7,8 @@ use lumistack_core::{Cancel, Collector, Task};
 use lumistack_pipeline::{Job, Plan, Registry, plan, run, run_step, sweep};
 use serde_json::Value;
 
-/// Tolerance of a sweep's scores against the scores of a run, dB. Both sum the same errors, in
-/// different orders.
+/// Tolerance of a sweep's scores against the scores of a run, dB. Sweep and run sum the same errors
+/// in different orders.
 const AGREEMENT_DB: f64 = 1e-9;
 
 const DISPLAY: &str = "[display]\npreset = \"paper-three-layer\"\nresolution = [24, 15]\nviews = [3, 3]\nframes = 2\n";
@@ -79,7 +79,7 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
     }
     assert_eq!(report["psnr_view"], report["nodes"][0]["psnr_view"]);
 
-    // the next run uses all cached results, as the plan predicts
+    // The next run uses all cached results, as the plan predicts.
     let found = plan(&job, &dir, &registry).unwrap();
     for id in ["t0001/source", "t0001/nodes/a/factorize", "t0002/nodes/b/factorize", "t0002/nodes/a/output-images"] {
         assert_eq!(cached(&found, id), Some(true), "{id}");
@@ -92,7 +92,7 @@ fn a_sweep_over_a_sequence_of_two_nodes() {
         json(&dir.join("report.json"))["nodes"][1]["times"].as_array().unwrap().iter().all(|t| t["cached"] == true)
     );
 
-    // a time step is a graph that can be run by itself
+    // A time step is a graph that can be run by itself.
     let alone = folder.path().join("alone");
     let of_time = Job::load(&dir.join("t0002/job.toml")).unwrap();
     with_task(|task| run(&of_time, &alone, &registry, None, task)).unwrap();
@@ -149,7 +149,7 @@ fn a_walk_before_two_displays() {
     for id in ["t0001/trace", "t0002/trace", "t0002/expose", "t0002/nodes/a/factorize"] {
         assert_eq!(cached(&found, id), Some(true), "{id}");
     }
-    // a step whose files were damaged later is not current
+    // A step whose files were damaged later is not current.
     std::fs::write(dir.join("t0002/nodes/a/layers/layer_0.npy"), "damaged").unwrap();
     assert_eq!(cached(&plan(&job, &dir, &registry).unwrap(), "t0002/nodes/a/factorize"), Some(false));
 }
@@ -160,7 +160,7 @@ fn a_sweep_over_a_walk_is_scored_over_the_zone_of_all_its_times() {
     let folder = tempfile::tempdir().unwrap();
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/letters/letters.gltf");
     let head = format!("name = \"walk\"\nscene = {scene:?}");
-    // a sweep does not compress depth, so the run must not compress it either
+    // A sweep does not compress depth, so the run must not compress it either.
     let render = "[render]\nsamples = 1\nmax_bounces = 1\noutside = 0\n[window]\nfit_depth = \"off\"\n";
     let walk = "[sequence]\ntimes = 2\niterations = 2\nturn_deg = 5.0\nreports = true\n";
     let mut job = job(folder.path(), &head, &[DISPLAY, render, walk]);
@@ -172,11 +172,11 @@ fn a_sweep_over_a_walk_is_scored_over_the_zone_of_all_its_times() {
     });
     assert!((of_run[0] - of_run[1]).abs() > 1e-3, "two different pictures: {of_run:?}");
 
-    // the zone score also exists if the run writes no reports of time steps
+    // The zone score also exists if the run writes no reports of time steps.
     job.sequence.as_mut().unwrap().reports = false;
     job.sweep = Some(lumistack_pipeline::SweepJob { frames: vec![2], ..lumistack_pipeline::SweepJob::default() });
     let done = with_task(|task| sweep(&job, &folder.path().join("sweep"), &registry, task)).unwrap();
-    // the directions of both time steps have the same weight
+    // The directions of both time steps have the same weight.
     let error = of_run.iter().map(|psnr| 10f64.powf(-0.1 * psnr)).sum::<f64>() / 2.0;
     let (expected, found) = (-10.0 * error.log10(), done.best.and_then(|row| row.psnr_zone_db));
     assert!(found.is_some_and(|found| (found - expected).abs() < 1e-6), "{found:?} dB, the run has {expected} dB");
@@ -190,7 +190,7 @@ fn every_step_can_be_executed_alone() {
     let [whole, parts] = ["whole", "parts"].map(|name| folder.path().join(name));
     with_task(|task| run(&job, &whole, &registry, None, task)).unwrap();
     for step in plan(&job, &parts, &registry).unwrap().steps {
-        // the processes of the steps share only the run folder
+        // Each step is executed alone. Its only inputs are the files in the run folder.
         with_task(|task| run_step(&job, &parts, &step.id, &registry, task)).unwrap();
     }
     assert!(results(&whole) == results(&parts));
@@ -208,7 +208,7 @@ fn a_light_field_in_a_file_gives_what_one_in_memory_gives() {
     let display = "[display]\npreset = \"paper-three-layer\"\nresolution = [60, 40]\nviews = [5, 5]\nframes = 2\n";
     let report = "[report]\nzone_directions = 0\n";
     let mut found = Vec::new();
-    // 60,000 rays of 32 bytes: more than one MiB
+    // The light field has 60,000 rays of 32 bytes, which is more than one MiB.
     for (name, limit) in [("held", 4096), ("paged", 1)] {
         let render = format!("[render]\nsamples = 1\nmax_bounces = 1\nfield_mib = {limit}\n");
         let job = job(folder.path(), &head, &[display, &render, report]);

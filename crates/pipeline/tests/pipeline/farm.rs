@@ -70,7 +70,7 @@ fn units_of_a_still_give_the_bytes_of_a_run() {
         ["place", "trace/1-of-2", "trace/2-of-2", "expose", "score/1-of-2", "score/2-of-2", "factorize", "finish"];
     assert_eq!(ids(&plan), expected);
     assert_eq!(results(&one), results(&many));
-    // the report has the scores of the report of a run
+    // The report after the units has the same zone score as the report of a run.
     let figure = |dir: &PathBuf| json(&dir.join("report.json"))["psnr_zone"].clone();
     assert!(figure(&one).is_number() && figure(&one) == figure(&many));
 
@@ -80,7 +80,7 @@ fn units_of_a_still_give_the_bytes_of_a_run() {
     std::fs::write(many.join("layers/layer_0.npy"), "damaged").unwrap();
     assert_eq!(unit(&many, "finish", &registry), Ok(false));
     assert_eq!(results(&one), results(&many));
-    // a run may change results, so after it no unit is regarded as finished
+    // A run may change results, so after it no unit is regarded as finished.
     with_task(|task| run(&job, &many, &registry, None, task)).unwrap();
     assert!(plan.done(&many, "expose").is_none());
     let error = unit(&many, "factorize", &registry).unwrap_err();
@@ -113,7 +113,7 @@ fn units_of_a_sequence_of_two_nodes_give_the_bytes_of_a_run() {
     let warm = &of("t0002/nodes/a/factorize").inputs;
     assert!(warm.contains(&"t0002/source".to_owned()) && warm.contains(&"t0001/nodes/a/factorize".to_owned()));
     assert_eq!(of("t0001/nodes/a/results").steps.len(), 2);
-    // reports of the whole sequence are equal, except for durations and paths
+    // Reports of the whole sequence are equal, except for durations and paths.
     let times = |dir: &PathBuf| json(&dir.join("report.json"))["nodes"][0]["psnr_change"].clone();
     assert!(times(&one).is_number() && times(&one) == times(&many));
 }
@@ -128,7 +128,7 @@ fn units_of_a_moving_window_give_the_bytes_of_a_run() {
     with_task(|task| run(&job, &one, &registry, None, task)).unwrap();
     let plan = execute(&job, &many, &registry);
     assert_eq!(results(&one), results(&many));
-    // units that render views need only the placement, at every time step
+    // Units that render views need only the placement, at every time step.
     for unit in plan.units.iter().filter(|unit| unit.block.is_some()) {
         assert_eq!(unit.inputs, ["place"], "{}", unit.id);
     }
@@ -152,14 +152,15 @@ fn chunks_of_a_sequence_do_not_wait_for_each_other() {
             let id = format!("t000{time}/{node}factorize");
             plan.units.iter().find(|unit| unit.id == id).unwrap().inputs.clone()
         };
-        // the inputs are the light fields of the warm-up, not the patterns of the previous time
-        // step
+        // The inputs are the light fields of the warm-up, not the patterns of the previous time
+        // step.
         assert_eq!(inputs(4), ["t0002/expose", "t0003/expose", "t0004/expose"]);
         assert!(inputs(5).contains(&format!("t0004/{node}factorize")));
-        // a time step may prefer a fresh start, so its job does not show that there was a warm-up
+        // The job of a time step does not show a warm-up, since a time step may prefer a fresh
+        // start. So check the files.
         let warm_up = many.join("cache/warm-up/t0004/t0003").join(node).join("layers/stack.json");
         assert!(warm_up.is_file() && !many.join("cache/warm-up/t0005").exists());
-        // the content moves little, so the error is close to the error of a sequence without chunks
+        // The content moves little, so chunks change the error only slightly.
         let chain = folder.path().join(format!("chain{}", nodes.len()));
         let mut whole = job.clone();
         (whole.sequence.as_mut().unwrap().chunk_times, whole.sequence.as_mut().unwrap().warm_up_times) = (None, None);
@@ -194,7 +195,7 @@ fn workers_of_other_code_and_other_folders_are_refused() {
     assert!(error.contains("expected a run folder with a farm's plan, found none"), "{error}");
     let plan = with_task(|task| farm_plan(&job, &dir, &registry, CUT, task)).unwrap();
     assert!(unit(&dir, "t0009/source", &registry).unwrap_err().contains("the id of a unit"));
-    // change the fingerprint of the code in the plan, as if another build had planned
+    // Change the fingerprint of the code in the plan, as if another build had planned.
     let file = dir.join("cache/farm/plan.json");
     let text = std::fs::read_to_string(&file).unwrap();
     let (_, value) = text.split_once("\",\"value\":").unwrap();
@@ -203,7 +204,7 @@ fn workers_of_other_code_and_other_folders_are_refused() {
     std::fs::write(&file, format!("{{\"blake3\":\"{hash}\",\"value\":{value}}}")).unwrap();
     let error = with_task(|task| farm_unit(&dir, "source", &[], Duration::ZERO, &registry, task)).unwrap_err();
     assert!(error.is_machine_specific() && error.to_string().contains("0123456789abcdef"), "{error}");
-    // plan the same job again with this build
+    // Plan the same job again with this build.
     with_task(|task| farm_plan(&job, &dir, &registry, CUT, task)).unwrap();
     assert_eq!(unit(&dir, "source", &registry), Ok(false));
 }

@@ -55,14 +55,14 @@ fn a_scene_that_is_saved_again_is_exposed_again() {
     with_task(|task| {
         let before = shown(&mut live_fields, &registry, task);
         assert!(mean(&before) > 0.01, "the triangle is seen");
-        // with eight times the radiance, automatic exposure gives the same light field
+        // With eight times the radiance, automatic exposure gives the same light field.
         write_glowing(folder, 0.8);
         live_fields.reload();
         let reloaded = shown(&mut live_fields, &registry, task);
         assert_eq!(reloaded, shown(&mut new_live_fields(), &registry, task));
         let change = mean(&reloaded) / mean(&before);
         assert!((change - 1.0).abs() < SAME, "brighter by {change}");
-        // if files and settings are unchanged, there is no new light field
+        // If files and settings are unchanged, there is no new light field.
         assert!(live_fields.pass(&registry, task).unwrap().is_none());
     });
 }

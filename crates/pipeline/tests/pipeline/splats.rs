@@ -65,7 +65,7 @@ fn assert_near(found: [f32; 3], expected: [f32; 3]) {
 fn a_capture_becomes_a_display_and_is_taken_from_the_cache() {
     let folder = tempfile::tempdir().unwrap();
     let mut capture = ball(Vec3::ZERO, 1.0, [0.9, 0.5, 0.2]);
-    // add a distant splat, which must not move the window
+    // Add a distant splat, which must not move the window.
     capture.positions.push(Vec3::splat(60.0));
     capture.rotations.push(Quat::IDENTITY);
     capture.scales.push(Vec3::splat(0.05));
@@ -76,19 +76,20 @@ fn a_capture_becomes_a_display_and_is_taken_from_the_cache() {
     let dir = folder.path().join("run");
     let (summary, warnings) = run_quietly(&job, &dir);
     assert!(warnings.is_empty(), "{warnings:?}");
-    // the score is low, since the display has two frames and the solver four iterations
+    // The required score is low, since the display has two frames and the solver makes four
+    // iterations.
     assert!(summary.psnr_zone.unwrap() > 20.0, "{:?}", summary.psnr_zone);
-    // the capture's colours appear without exposure and tone curve, over black
+    // The capture's colours appear without exposure and tone curve, over black.
     assert_near(middle(&dir, [15, 24]), [0.9, 0.5, 0.2].map(srgb));
     assert_near(middle(&dir, [15, 2]), [0.0; 3]);
-    // the ball fills the window from top to bottom
+    // The ball fills the window from top to bottom.
     assert!(middle(&dir, [2, 24])[0] > 0.3, "{:?}", middle(&dir, [2, 24]));
     let first = pictures(&dir);
     let registry = Registry::built_in().unwrap();
     let cached =
         |id: &str| plan(&job, &dir, &registry).unwrap().steps.iter().find(|step| step.id == id).unwrap().cached;
     assert_eq!(["trace", "expose", "factorize"].map(cached), [Some(true); 3]);
-    // missing views are rendered again, and the files have the same bytes
+    // Missing views are rendered again, and the files have the same bytes.
     let lost = std::fs::read_dir(dir.join("cache/views")).unwrap().map(|entry| entry.unwrap().path());
     let lost = lost.map(|folder| folder.join("splats_01_00.exr")).find(|path| path.exists()).unwrap();
     let bytes = std::fs::read(&lost).unwrap();
@@ -126,8 +127,8 @@ fn a_background_stands_behind_a_capture() {
     assert_near(middle(&dir, [15, 24]), [0.1, 0.2, 0.4].map(|value| srgb(0.5 + 0.5 * encoded(value))));
 }
 
-/// A glowing white wall is between two red balls of splats. The left ball is in front of the wall,
-/// and the right ball behind it.
+/// A glowing white wall is between two red balls of splats. The left ball must hide the wall behind
+/// it, and the wall must hide the right ball.
 #[test]
 fn splats_and_meshes_hide_one_another() {
     let folder = tempfile::tempdir().unwrap();
@@ -151,14 +152,15 @@ fn splats_and_meshes_hide_one_another() {
         let mut job = job;
         job.render.denoise = denoise.parse().unwrap();
         run_quietly(&job, &dir);
-        // the left ball is visible, the right ball is hidden, and the unlit wall shows its colour
+        // The left ball is visible, the right ball is hidden, and the unlit wall shows its colour.
         assert_near(middle(&dir, [15, 12]), [0.8, 0.1, 0.1].map(srgb));
         assert_near(middle(&dir, [15, 36]), [0.5; 3]);
         assert_near(middle(&dir, [15, 24]), [0.5; 3]);
     }
 }
 
-/// A grey wall is inside a ball of splats. The near plane removes the splats in front of the wall.
+/// A grey wall is inside a ball of splats, which must light the wall only with `from_splats`. The
+/// near plane removes the splats in front of the wall.
 #[test]
 fn splats_light_meshes_only_if_asked() {
     let folder = tempfile::tempdir().unwrap();
@@ -177,7 +179,7 @@ fn splats_light_meshes_only_if_asked() {
         middle(&dir, [15, 24])
     };
     assert_near(lit(false), [0.0; 3]);
-    // the wall scatters half of the splats' light, which is the same from all directions
+    // The wall scatters half of the splats' light, which is the same from all directions.
     assert_near(lit(true), [0.8, 0.4, 0.2].map(|value| 0.5 * srgb(value)));
 }
 
@@ -240,7 +242,7 @@ fn a_crop_is_applied_to_splats_of_any_file() {
     let job = job(folder.path(), "a.glb", "[pose]\ncrop_sphere = [0.0, 0.0, 0.0, 2.0]\n[light]\ntone = \"linear\"\n");
     let dir = folder.path().join("run");
     run_quietly(&job, &dir);
-    // the window frames the splats that remain, so its centre is the centre of the first ball
+    // The window frames the splats that remain, so its centre is the centre of the first ball.
     assert_near(middle(&dir, [15, 24]), [0.9, 0.5, 0.2].map(srgb));
 
     let wrong = Job::load(&folder.path().join("job.toml")).unwrap().with("pose.crop_sphere", [0.0; 4].into());

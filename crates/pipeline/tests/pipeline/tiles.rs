@@ -11,9 +11,9 @@ use lumistack_pipeline::{BlockSize, Job, Registry, farm_plan, farm_unit, run};
 
 use crate::compose::{results, with_task};
 
-/// Maximum loss of PSNR in a band around seams against a solve without tiles, dB.
+/// Maximum loss of PSNR near seams (borders between tiles) against a solve without tiles, dB.
 const SEAM_DB: f64 = 0.1;
-/// Width of the band on either side of a seam, pixels of the light field.
+/// Distance from a seam up to which a pixel is near the seam, pixels of the light field.
 const BAND: usize = 4;
 const CUT: BlockSize = BlockSize { block_seconds: 1.0, blocks: Some(1) };
 
@@ -29,7 +29,7 @@ fn still_life(folder: &Path, name: &str, tiles: &str) -> Job {
     Job::load(&path).unwrap()
 }
 
-/// Returns the PSNR in the band around seams, and the PSNR outside of it.
+/// Returns two PSNR values: over the pixels for which `near` is true, and over the other pixels.
 fn figures(dir: &Path, target: &LightField, display: &Display, near: &dyn Fn(usize, usize) -> bool) -> [f64; 2] {
     let (stack, geometry) = (read_stack(&dir.join("layers")).unwrap(), target.geometry());
     let (simulator, map) = (Simulator::new(display, &stack), RayMap::new(display, geometry));
@@ -55,7 +55,8 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     let [of_whole, of_tiles, farm] = ["whole", "tiles", "farm"].map(|name| folder.path().join(name));
     with_task(|task| run(&whole, &of_whole, &registry, None, task)).unwrap();
 
-    // stop the tiled run in the middle of its solve, and run it again; the second run must continue
+    // Stop the tiled run in the middle of its solve, and run it again. The second run must
+    // continue.
     std::fs::create_dir_all(&of_tiles).unwrap();
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let stops = StopsAt { stage: "factorize", after: 5, seen: Default::default(), cancel: &cancel };
@@ -64,7 +65,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     let kept = |name: &str| of_tiles.join("cache/tiles").join(name).join("layers/stack.json").is_file();
     assert!(kept("round-1/tile-4") && kept("round-2/tile-1") && !kept("round-4/tile-1"));
     with_task(|task| run(&tiled, &of_tiles, &registry, None, task)).unwrap();
-    assert!(!of_tiles.join("cache/tiles").exists(), "a run that finished has no use of them");
+    assert!(!of_tiles.join("cache/tiles").exists(), "a finished run does not need the results of tiles");
 
     let display = tiled.resolve_display().unwrap();
     let (target, _) = read_field_folder(&of_tiles.join("target")).unwrap();
@@ -78,7 +79,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     println!("around seams {seam:.2} dB, without tiles {without:.2}; elsewhere {rest:.2} and {elsewhere:.2}");
     assert!(seam > without - SEAM_DB && rest > elsewhere - SEAM_DB);
 
-    // execute every tile of every round alone
+    // Execute every tile of every round alone.
     let plan = with_task(|task| farm_plan(&tiled, &farm, &registry, CUT, task)).unwrap();
     let of = |id: &str| plan.units.iter().find(|unit| unit.id == id).unwrap();
     assert!(of("factorize/round-1/1-of-4").inputs.iter().all(|input| input == "expose"));
@@ -89,7 +90,7 @@ fn seams_are_not_to_be_seen_and_units_of_tiles_give_the_bytes_of_a_run() {
     for unit in &plan.units {
         let before = (unit.id == "factorize").then(written);
         with_task(|task| farm_unit(&farm, &unit.id, &[], Duration::ZERO, &registry, task)).unwrap();
-        assert!(before.is_none_or(|before| before == written()), "patterns take up the tiles of units");
+        assert!(before.is_none_or(|before| before == written()), "the run reuses the tiles that units solved");
     }
     assert!(results(&of_tiles) == results(&farm));
     assert!(std::fs::read_to_string(of_tiles.join("report.json")).unwrap().contains("\"psnr_view\""));

@@ -26,7 +26,8 @@ const RATE: f64 = 8e-11;
 /// rounds them.
 const ROUNDING: f64 = 1e-5;
 
-/// Returns the mean of each block and channel over all pictures.
+/// Renders the scene `file` with [`PICTURES`] seeds, the first of which is `first_seed`. Returns
+/// the mean of each block and channel over these pictures.
 fn blocks(file: &str, first_seed: u64) -> Vec<Mean> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
@@ -75,8 +76,8 @@ def Camera "above"
 }
 "#;
 
-/// A glowing panel above a dark floor. Both materials have a shader with this `id`. `color` and
-/// `rough` are the names of inputs, and `glow` sets the emission of the panel.
+/// Returns a scene of a glowing panel above a dark floor. Both materials have a shader with this
+/// `id`. `color` and `rough` are the names of inputs, and `glow` sets the emission of the panel.
 fn lit_room(id: &str, color: &str, rough: &str, glow: &str) -> String {
     let material = |name: &str, inputs: &str| {
         format!(

@@ -1,5 +1,5 @@
-//! The child process: loads one library, runs its functions for the program, and gives the plugin a
-//! host that forwards requests to the program.
+//! The child process. It loads one library, runs the plugin's functions for the program, and
+//! forwards the plugin's requests to the program.
 
 use std::collections::HashMap;
 use std::ffi::{OsString, c_void};
@@ -23,18 +23,20 @@ use crate::LoadError;
 use crate::dynamic;
 use crate::serve::Functions;
 
-/// Time for which an answer about cancellation stays valid. Every answer of the program, to any
-/// request, states whether the user has cancelled.
+/// Time for which the program's last answer about cancellation is used without a new request. Every
+/// answer of the program states whether the user has cancelled.
 const CANCEL_VALIDITY: Duration = Duration::from_millis(2);
-/// Stack size of a thread that runs a plugin's function, bytes; it is usual for main threads.
+/// Stack size of a thread that runs a plugin's function, bytes. Main threads usually have this
+/// size.
 const STACK: usize = 8 << 20;
-/// Longest time for the destructors of the library's statics.
+/// Longest time in which the destructors of the library's statics may run before the process is
+/// ended.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The main function of a process that runs a plugin for another process. `args` are the two
 /// arguments that [`Launcher`](crate::Launcher) appends: the library's path and the plugin's id.
-/// Call this function from the main thread, before standard input or output are used. Exit with the
-/// returned code.
+/// Call this function from the main thread, before any use of standard input and output. End the
+/// process with the returned code.
 ///
 /// Standard output belongs to the program, so the library's standard output is redirected to
 /// standard error.
@@ -129,7 +131,8 @@ fn take_over() -> io::Result<(File, File)> {
     Ok((from, to))
 }
 
-/// As on Unix, but standard output is not redirected: the library must not print to it.
+/// Reserves standard input and output for messages. On Windows standard output is not redirected,
+/// so the library must not print to it.
 #[cfg(windows)]
 fn take_over() -> io::Result<(File, File)> {
     use std::os::windows::io::AsHandle;
@@ -155,11 +158,11 @@ struct Link {
     /// Plugin threads that wait for answers, by request number.
     waiting: Mutex<HashMap<u64, Sender<(Answer, Vec<u8>)>>>,
     requests: AtomicU64,
-    /// Number of running calls; loading the library is included as one call.
+    /// Number of running calls. Loading the library counts as one call.
     active: AtomicUsize,
-    /// Time of the program's last answer about cancellation, and the answer.
+    /// Time of the program's last answer about cancellation, and whether the user has cancelled.
     asked: Mutex<(Option<Instant>, bool)>,
-    /// The plugin's functions; empty if loading failed, after which the program sends no calls.
+    /// The plugin's functions. They are empty if loading failed; the program then sends no calls.
     functions: OnceLock<Arc<dyn Functions>>,
     instance: Mutex<Instance>,
 }
@@ -185,7 +188,8 @@ impl Link {
         }
     }
 
-    /// As [`ask`](Self::ask); passes the answer's status and reason to the plugin.
+    /// Sends a request as [`ask`](Self::ask) does, and passes the status and the reason of the
+    /// answer to the plugin.
     ///
     /// # Safety
     /// `error` is null or a valid sink.
@@ -208,11 +212,12 @@ impl Link {
             return cancelled;
         }
         let (answer, _) = self.ask(Request::IsCancelled, &[]);
-        // a failed request counts as a cancellation
+        // A failed request counts as a cancellation, so that the plugin stops.
         answer.cancelled || answer.status != Status::OK.0
     }
 
-    /// The host's table, as the plugin receives it.
+    /// Makes the table of host services that the plugin receives. Its functions forward requests to
+    /// the program.
     fn services(&'static self) -> HostServices {
         HostServices {
             size: size_of::<HostServices>(),
@@ -319,7 +324,8 @@ unsafe extern "C" fn file_append(context: *const c_void, file: u64, content: Byt
     }
 }
 
-/// Sends bytes in pieces; if there are no bytes, it sends one empty piece.
+/// Sends bytes in pieces of at most [`PART`](protocol::PART) bytes. Without bytes it sends one
+/// empty piece.
 fn in_parts(bytes: &[u8], mut send: impl FnMut(&[u8]) -> Status) -> Status {
     if bytes.is_empty() {
         return send(bytes);
@@ -356,7 +362,7 @@ unsafe extern "C" fn tell_program(context: *const c_void, event_json: Str) {
     unsafe { link_of(context).say(Say::Tell { json: text(event_json) }) };
 }
 
-/// Context of lent data and sinks.
+/// The running call to which data or a sink is lent; the C structs of data and sinks point to it.
 struct Running {
     link: &'static Link,
     call: u64,
@@ -623,12 +629,13 @@ impl Default for Instance {
 }
 
 impl Link {
-    /// Runs a call that may arrive during another call, in its own thread.
+    /// Runs a `submit` or a `command` in a new thread, since they may arrive during other calls.
     fn beside(&'static self, call: u64, what: Call) {
         let Some(functions) = self.functions.get() else { return };
         let instance = *locked(&self.instance);
         let work = move || {
-            // binds the whole value, which is `Send`, instead of capturing the pointer field
+            // This binding captures the whole `Instance`, which is `Send`. Without it the closure
+            // would capture the pointer alone.
             let Instance(handle) = { instance };
             // SAFETY: the handle is that of `open`, which the program closes later; the other
             // arguments are lent for the call.
@@ -718,7 +725,7 @@ fn time_of(time: protocol::Time) -> Time {
     Time { size: size_of::<Time>(), index: time.index, seconds: f64::from_bits(time.seconds_bits) }
 }
 
-/// Lends the data of a call to a function.
+/// Makes the C struct of a call's data, and lends it to a function.
 fn with_data(
     link: &'static Link,
     call: u64,
@@ -743,7 +750,8 @@ fn with_data(
 fn done(link: &Link, call: u64, function: impl FnOnce(*const ErrorSink) -> Status) {
     let mut text = String::new();
     let status = function(&keeping(&mut text));
-    // only a status other than OK has a reason; texts written with OK are ignored
+    // Only a status other than OK has a reason, so a text that was written with the status OK is
+    // ignored.
     let text = if status == Status::OK { String::new() } else { text };
     link.active.fetch_sub(1, Ordering::SeqCst);
     if link.send(&FromChild::Done { call, status: status.0, text }, &[]).is_err() {

@@ -1,4 +1,4 @@
-//! Launches child processes, and defines their time limits.
+//! The program that child processes run, and their time limits.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -11,11 +11,11 @@ const SILENCE: &str = "LUMISTACK_PLUGIN_SILENCE_S";
 /// Environment variable with the longest time to load a library, seconds; 0 for no limit.
 const LOAD: &str = "LUMISTACK_PLUGIN_LOAD_S";
 
-/// A program that runs one plugin. The library's path and the plugin's id are appended to `args`.
-/// The program calls [`plugin_child`](crate::plugin_child).
+/// The program that a child process runs, which calls [`plugin_child`](crate::plugin_child). The
+/// library's path and the plugin's id are appended to `args`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Launcher {
-    /// The program.
+    /// The path of the program.
     pub program: PathBuf,
     /// Its arguments before the library's path.
     pub args: Vec<OsString>,
@@ -24,9 +24,11 @@ pub struct Launcher {
 static OF_PROCESS: OnceLock<Launcher> = OnceLock::new();
 
 impl Launcher {
-    /// The current program. `first` is its first argument, which makes it run a plugin.
+    /// Returns a launcher of the current program. `first` is the program's first argument, which
+    /// makes it run a plugin.
     pub fn this_program(first: &str) -> Option<Self> {
-        // on Linux this path opens the running program, even if its file was replaced on disk
+        // On Linux `/proc/self/exe` opens the running program, even if the program's file was
+        // replaced on disk.
         let own = PathBuf::from("/proc/self/exe");
         let program = if cfg!(target_os = "linux") && own.exists() { own } else { std::env::current_exe().ok()? };
         Some(Self { program, args: vec![first.into()] })
@@ -49,10 +51,11 @@ impl Launcher {
 pub struct Limits {
     /// Longest time from the start of the process until the plugin has described itself.
     pub load: Option<Duration>,
-    /// Longest time that a running call may take without a sign of life. Signs are a call of a
-    /// host service, and the return of a function of the plugin.
+    /// Longest time that a running call may take without a sign of life. The plugin gives a sign
+    /// when it calls a host service, and when one of its functions returns.
     pub silence: Option<Duration>,
-    /// Time for a running call to end after cancellation; then the process is ended.
+    /// Time that a running call has to end after the user has cancelled. After this time the
+    /// process is ended.
     pub grace: Duration,
 }
 
@@ -64,8 +67,9 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// The defaults, overridden by the environment variables `LUMISTACK_PLUGIN_LOAD_S` and
-    /// `LUMISTACK_PLUGIN_SILENCE_S`: seconds, 0 for no limit.
+    /// Returns the default limits, overridden by the environment variables
+    /// `LUMISTACK_PLUGIN_LOAD_S` and `LUMISTACK_PLUGIN_SILENCE_S`. Their values are seconds, with 0
+    /// for no limit.
     ///
     /// # Errors
     /// The variable and its value, if the value is no number of seconds.
@@ -81,7 +85,8 @@ impl Limits {
     }
 }
 
-/// Parses the value of a limit's variable.
+/// Parses the value of a limit's variable: seconds, with 0 for no limit. `None` if the value is
+/// invalid.
 fn limit_of(text: &str) -> Option<Option<Duration>> {
     let limit = Duration::try_from_secs_f64(text.trim().parse().ok()?).ok()?;
     Some((!limit.is_zero()).then_some(limit))

@@ -10,13 +10,13 @@
 //!    │◀──────────────────────────────── Done(status) ─────│
 //! ```
 //!
-//! Every open output has a child process. So has every call that makes a scene, a light field or a
-//! layer stack.
+//! Every open output has its own child process. Every call that makes a scene, a light field or a
+//! layer stack also has its own child process.
 //!
-//! Both ends implement the C interface, so neither the host's nor the plugin's code depends on the
-//! child. Planes are sent through the pipe one at a time, when the plugin fetches them.
-//! Shared memory would save one copy. However, if the child truncated the file behind that memory,
-//! a bus error would end the program.
+//! Program and child implement the two sides of the C interface. So the code of the host and of the
+//! plugin is the same with a child and without. Planes are sent through the pipe one at a time,
+//! when the plugin requests them. Shared memory would save one copy. However, if the child
+//! truncated the file of the shared memory, a bus error would end the program.
 //!
 //! [`outside`] forwards the plugin's functions, [`session`] controls the child, [`requests`] serves
 //! its requests, and [`inside`] runs in the child.

@@ -1,4 +1,4 @@
-//! The program's side: forwards every function of the plugin to a child.
+//! The program's side of a child process: forwards every function of the plugin to a child.
 
 use std::ffi::c_void;
 use std::path::{Path, PathBuf};
@@ -18,10 +18,10 @@ use crate::LoadError;
 use crate::serve::{Functions, Plugin};
 
 /// Loads a library in a child, and returns its plugin. Later, every open output and every call that
-/// makes data starts a child of its own.
+/// makes data starts its own child.
 pub(crate) fn probe(library: &Path, id: &str, launcher: Launcher, limits: Limits) -> Result<Plugin, LoadError> {
     let path = || library.to_path_buf();
-    // an absolute path, since the loader searches other folders for a bare name
+    // The path must be absolute, since the loader searches other folders for a bare name.
     let absolute = std::path::absolute(library).map_err(|source| LoadError::Read { path: path(), source })?;
     let remote = Remote { library: absolute, id: id.into(), launcher, limits };
     let (_session, loaded) = match remote.start(&|| false) {
@@ -44,7 +44,7 @@ pub(crate) fn probe(library: &Path, id: &str, launcher: Launcher, limits: Limits
     Plugin::elsewhere(info, Arc::new(remote)).map_err(|reason| LoadError::Descriptor { path: path(), reason })
 }
 
-/// A plugin's functions, in children.
+/// A plugin whose functions run in child processes.
 struct Remote {
     library: PathBuf,
     id: String,
@@ -80,7 +80,7 @@ impl Remote {
     }
 }
 
-/// Copies a text of the host. Such texts are UTF-8.
+/// Copies a text that the host lends. The host's texts are UTF-8.
 ///
 /// # Safety
 /// The text is lent for the call.
@@ -231,7 +231,7 @@ unsafe impl Functions for Remote {
         // SAFETY: as in `submit`, and the handle is released once.
         unsafe {
             let Opened { owner, host } = *Box::from_raw(instance.cast::<Opened>());
-            // the call during which a child died has reported it
+            // If the child has died, the call that ran at that time has reported it.
             if owner.0.state().ended {
                 return;
             }
@@ -247,6 +247,6 @@ unsafe impl Functions for Remote {
 /// An open output. The handle that `open` returns points to this struct.
 struct Opened {
     owner: Owner,
-    /// Valid until `close`.
+    /// The host's table, valid until `close`.
     host: *const HostServices,
 }

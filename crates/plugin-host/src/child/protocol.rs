@@ -1,8 +1,9 @@
 //! Messages between a program and its plugin process.
 //!
-//! A frame is the length of its head (u32), the length of its body (u64), both little-endian, the
-//! head as JSON, and the body. The body is bytes of a file, a plane of `f32` in native byte order,
-//! or a text that may be invalid UTF-8. Real numbers are sent as their bits.
+//! A message is a frame of four parts. They are the length of the head (u32), the length of the
+//! body (u64), the head as JSON, and the body. The lengths are little-endian. The body is bytes of
+//! a file, a plane of `f32` in native byte order, or a text that may be invalid UTF-8. Real numbers
+//! are sent as their bits.
 
 use std::io::{self, Read, Write};
 
@@ -10,9 +11,9 @@ use crate::serve::PluginInfo;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-/// Longest head, bytes: parameters, displays and geometries are far shorter.
+/// Longest head, bytes. It is far above the size of parameters, displays and geometries.
 const MAX_HEAD: u32 = 64 << 20;
-/// Longest body, bytes: a plane of 35 000 × 10 000 pixels.
+/// Longest body, bytes. A plane of 35 000 × 10 000 pixels fits.
 const MAX_BODY: u64 = 4 << 30;
 /// Largest piece of a file or a scene in one message, bytes.
 pub(super) const PART: usize = 16 << 20;
@@ -46,7 +47,7 @@ pub(super) struct Time {
     pub(super) seconds_bits: u64,
 }
 
-/// Data lent to a call. A request for a plane of the data states the call's number.
+/// Data lent to a call. A request for a plane of these data states the number of the call.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Data {
     pub(super) port: u32,
@@ -60,11 +61,11 @@ pub(super) struct Answer {
     pub(super) status: i32,
     /// Reason of a status other than OK.
     pub(super) text: String,
-    /// Handle of a file.
+    /// Handle of the file that was opened.
     pub(super) file: u64,
     /// Rows, columns and channels of the plane in the body.
     pub(super) shape: [usize; 3],
-    /// The user has cancelled.
+    /// True if the user has cancelled.
     pub(super) cancelled: bool,
 }
 
@@ -91,18 +92,18 @@ pub(super) enum Loaded {
     NoEntry(String),
     /// The descriptor is invalid.
     Descriptor(String),
-    /// The plugin's id differs from the entry function's.
+    /// The plugin's id, which differs from the id in the name of the entry function.
     OtherId(String),
 }
 
-/// A request of the child. It goes to a service of the host, or to data or a sink that the program
-/// has lent to the call number `call`.
+/// A request of the child. It uses a service of the host, or data or a sink that the program has
+/// lent to call number `call`.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) enum Request {
     IsCancelled,
-    /// The body is the path.
+    /// Opens a file, whose path is the body.
     FileOpen,
-    /// The body is appended.
+    /// Appends the body to a file.
     FileAppend {
         file: u64,
     },
@@ -138,7 +139,7 @@ pub(super) enum Request {
         kind: u32,
         value_bits: [u64; 3],
     },
-    /// The body is the path.
+    /// Reads a file for an importer; the body is the file's path.
     ReadAsset {
         call: u64,
     },
@@ -211,8 +212,8 @@ pub(super) fn write_frame(to: &mut impl Write, head: &impl Serialize, body: &[u8
     to.flush()
 }
 
-/// Reads one frame; `None` if the other side has closed the pipe. Memory for the body grows as its
-/// bytes arrive, so a false length cannot exhaust the memory.
+/// Reads one frame; `None` if the other side has closed the pipe. Memory for the body is allocated
+/// as its bytes arrive, so a wrong length cannot exhaust the memory.
 pub(super) fn read_frame<T: DeserializeOwned>(from: &mut impl Read) -> io::Result<Option<(T, Vec<u8>)>> {
     let mut start = [0; 12];
     let mut read = 0;

@@ -1,4 +1,5 @@
-//! Serves a child's requests: services of the host, planes and sinks lent to a call.
+//! Serves a child's requests. They use services of the host, and data and sinks that are lent to a
+//! call.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
@@ -11,13 +12,13 @@ use lumistack_plugin::wire::{append, keeping, write_error};
 
 use super::protocol::{Answer, Request, Say};
 
-/// The objects lent to the running calls of a child.
+/// The objects that are lent to the running calls of a child.
 #[derive(Default)]
 pub(super) struct Lending {
-    /// The keys are the numbers of the calls. The host's table, which is lent to the whole output,
-    /// has the key [`HOST`].
+    /// The objects lent to each call, by the call's number. The host's table is lent to the whole
+    /// output, with the key [`HOST`].
     all: RwLock<HashMap<u64, Lent>>,
-    /// Files being written, by their handles.
+    /// Names of the files that are being written, by their handles.
     files: Mutex<BTreeMap<u64, String>>,
 }
 
@@ -57,17 +58,17 @@ pub(super) unsafe fn is_cancelled(host: *const HostServices) -> bool {
 }
 
 impl Lending {
-    /// The objects of all calls; the lock is held during their use.
+    /// Locks and returns the objects of all calls. A request holds the lock while it uses them.
     pub(super) fn all(&self) -> RwLockReadGuard<'_, HashMap<u64, Lent>> {
         self.all.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The objects of all calls, mutable; waits until no request uses them.
+    /// Waits until no request uses the objects of any call. Then returns the objects, mutable.
     pub(super) fn all_mut(&self) -> RwLockWriteGuard<'_, HashMap<u64, Lent>> {
         self.all.write().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The files being written.
+    /// Returns the names of the files that are being written.
     pub(super) fn files(&self) -> MutexGuard<'_, BTreeMap<u64, String>> {
         self.files.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -247,7 +248,7 @@ pub(super) unsafe fn forward(host: &HostServices, say: &Say) {
     }
 }
 
-/// Copies a plane lent by the host.
+/// Copies a plane that the host lends into the body of an answer.
 ///
 /// # Safety
 /// `error` is a valid sink, and `lend` fills in a valid plane on success.
@@ -300,7 +301,7 @@ unsafe fn give_to_sink(
         };
         return Status::REFUSED;
     }
-    // no overflow: `body` holds a plane of this shape
+    // The products cannot overflow, since `body` holds a plane of this shape.
     let strides = [cols * channels * element, channels * element, element, 0].map(|stride| stride as isize);
     let shape = [rows, cols, channels, 1];
     take(&Plane { data: body.as_ptr().cast(), dtype: dtype::F32, ndim: 3, shape, strides, ..Plane::empty() })

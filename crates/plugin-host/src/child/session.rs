@@ -1,9 +1,10 @@
-//! A child's session: start, calls, supervision and end.
+//! The session of a child process: its start, its calls, its supervision and its end.
 //!
 //! Every child has three threads in the program. One writes messages, one reads messages and serves
 //! requests, and one forwards the plugin's prints. The caller of a plugin function waits for the
-//! function's end. Meanwhile it checks for cancellation, for the child's exit and for its silence.
-//! No call joins the three threads, since a process started by the plugin may hold the pipes open.
+//! function's end. Meanwhile the caller checks for cancellation, for the child's exit, and for a
+//! child that gives no sign of life. No call joins the three threads, since a process started by
+//! the plugin may hold the pipes open.
 
 use std::collections::HashMap;
 use std::io::{Read, Write};
@@ -23,13 +24,13 @@ use super::requests::{HOST, Lending, Lent, forward, is_cancelled};
 
 /// Interval of the checks during a wait.
 const TICK: Duration = Duration::from_millis(20);
-/// Time for an idle process to end.
+/// Time that a child has to end after its input was closed.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
-/// Time to read the last messages of a process that has ended.
+/// Time to read the last messages and prints of a child that has ended.
 const DRAIN_TIMEOUT: Duration = Duration::from_millis(300);
-/// Number of bytes of the plugin's prints that are kept for messages. The last bytes are kept.
+/// Number of the last bytes of the plugin's prints that are kept for error messages.
 const KEPT_BYTES: usize = 16 << 10;
-/// Largest number of files named in a message.
+/// Largest number of files that an error message names.
 const MAX_FILES: usize = 3;
 
 /// The reason why a call did not complete.
@@ -40,8 +41,8 @@ pub(super) enum Stopped {
     Died(String),
 }
 
-/// Ends the session on drop. The session's threads hold references to the session, not to the
-/// owner.
+/// The owner of a session, which ends the session on drop. The session's threads hold references to
+/// the session, not to the owner.
 pub(super) struct Owner(pub(super) Arc<Session>);
 
 impl Owner {
@@ -70,7 +71,7 @@ impl Owner {
         };
         #[cfg(target_os = "linux")]
         for pipe in [std::os::fd::AsFd::as_fd(&input), std::os::fd::AsFd::as_fd(&output)] {
-            // a larger pipe is faster, if the system allows it
+            // A larger pipe is faster. If the system refuses it, the pipe keeps its size.
             let _ = rustix::pipe::fcntl_setpipe_size(pipe, 1 << 20);
         }
         let (outgoing, frames) = channel::<Option<(ToChild, Vec<u8>)>>();
@@ -86,7 +87,7 @@ impl Owner {
         let (loaded, waits) = channel();
         session.state().loaded = Some(loaded);
         thread::spawn(move || {
-            // the end of this thread closes the pipe, which ends an idle child
+            // When this thread ends, it closes the pipe, which ends an idle child.
             while let Ok(Some((head, body))) = frames.recv() {
                 if write_frame(&mut input, &head, &body).is_err() {
                     break;
@@ -118,7 +119,8 @@ impl std::ops::Deref for Owner {
 
 impl Drop for Owner {
     fn drop(&mut self) {
-        // the host's table ends with the output; the lock waits for requests that use the table
+        // The host's table is valid only until the output ends. The lock waits for requests that
+        // use the table.
         self.lending.all_mut().clear();
         self.shut_down();
     }
@@ -146,9 +148,10 @@ pub(super) struct State {
     calls: HashMap<u64, Sender<(Status, String)>>,
     last_call: u64,
     last_sign: Instant,
-    /// Number of requests being served, during which the child waits.
+    /// Number of requests that are being served. Meanwhile the child waits, so its silence is no
+    /// fault.
     requests: usize,
-    /// The child has ended, or must not be called any more.
+    /// True if the child has ended, or must not be called any more.
     pub(super) ended: bool,
 }
 
@@ -180,7 +183,7 @@ impl Session {
         doing: &str,
         error: *const ErrorSink,
     ) -> Status {
-        // a presentation has no time limit
+        // A presentation runs until the user closes it, so it has no time limit.
         let limit = if matches!(what, Call::Run) { None } else { self.limits.silence };
         let (done, waits) = channel();
         let call = {
@@ -202,7 +205,7 @@ impl Session {
         // SAFETY: guaranteed by the caller.
         let result = self.wait(&waits, doing, limit, &|| unsafe { is_cancelled(host) });
         {
-            // the lock waits for requests that use the lent objects
+            // Requests that use the lent objects hold the lock, so this waits for them.
             let mut all = self.lending.all_mut();
             all.remove(&call);
         }
@@ -219,7 +222,8 @@ impl Session {
         }
     }
 
-    /// Waits for a message of the child.
+    /// Waits for a message of the child. Fails if the child ends, if it gives no sign of life for
+    /// `limit`, or if it must be killed after a cancellation.
     fn wait<T>(
         &self,
         message: &Receiver<T>,
@@ -234,8 +238,9 @@ impl Session {
                 Err(RecvTimeoutError::Disconnected) => return Err(self.died(doing)),
                 Err(RecvTimeoutError::Timeout) => {}
             }
-            // If a process started by the child holds the pipe, the exit status alone reveals the
-            // child's end. The child's last messages are read first.
+            // A process that the child started may hold the pipe open. Then only the exit status
+            // shows that the child has ended. Before the failure is returned, there is time to read
+            // the child's last messages.
             if matches!(locked(&self.child).try_wait(), Ok(Some(_))) {
                 if gone.get_or_insert_with(Instant::now).elapsed() > DRAIN_TIMEOUT {
                     return Err(self.died(doing));
@@ -262,7 +267,8 @@ impl Session {
         }
     }
 
-    /// The child's current operation, for messages.
+    /// Describes the child's current operation for error messages: the files that it writes, or
+    /// else the call.
     fn doing(&self, call: &str) -> String {
         let files = self.lending.files();
         let mut names: Vec<String> = files.values().take(MAX_FILES).map(|name| format!("`{name}`")).collect();
@@ -272,7 +278,8 @@ impl Session {
         if names.is_empty() { call.into() } else { format!("it wrote {}", names.join(", ")) }
     }
 
-    /// Waits for the end of a child that has ended or is about to end, and returns the cause.
+    /// Waits for the exit status of a child that has closed its connection, and returns the cause
+    /// of the end.
     fn died(&self, doing: &str) -> Stopped {
         let doing = self.doing(doing);
         let deadline = Instant::now() + EXIT_TIMEOUT;
@@ -289,7 +296,8 @@ impl Session {
         Stopped::Died(format!("its process ({}) {cause} while {doing}{}", self.library, self.last_printed()))
     }
 
-    /// The last line printed by the plugin, after all prints were read.
+    /// Returns the last line that the plugin printed, for error messages. Waits until all prints
+    /// were read.
     fn last_printed(&self) -> String {
         let deadline = Instant::now() + DRAIN_TIMEOUT;
         while !locked(&self.printed).1 && Instant::now() < deadline {
@@ -308,7 +316,7 @@ impl Session {
         if !matches!(child.try_wait(), Ok(Some(_))) {
             #[cfg(unix)]
             if let Some(group) = i32::try_from(child.id()).ok().and_then(rustix::process::Pid::from_raw) {
-                // the group may have ended in the meantime
+                // Ignore the error, since the process group may have ended in the meantime.
                 let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
             }
             let _ = child.kill();
@@ -330,11 +338,11 @@ impl Session {
         self.kill();
     }
 
-    /// Handles the end of the child's messages.
+    /// Marks the child as ended after its last message, and wakes all waiting callers.
     fn disconnected(&self) {
         let mut state = self.state();
         state.ended = true;
-        // the closed channels wake all waiting callers
+        // Dropping the channels wakes the callers that wait on them.
         state.calls.clear();
         state.loaded = None;
     }
@@ -386,8 +394,8 @@ impl Session {
                     }
                     let _ = session.outgoing.send(Some((ToChild::Answer(answer), body)));
                 };
-                // slow requests and disk waits run in their own thread, so that other threads of
-                // the plugin proceed
+                // Requests that compute or wait for the disk run in their own thread, so that other
+                // threads of the plugin proceed.
                 match what {
                     Request::Simulate { .. } | Request::ReadAsset { .. } | Request::FileCommit { .. } => {
                         thread::spawn(work);
@@ -417,7 +425,8 @@ impl Stopped {
 fn cause_of(status: ExitStatus) -> String {
     #[cfg(unix)]
     if let Some(signal) = std::os::unix::process::ExitStatusExt::signal(&status) {
-        // signal numbers that all Unix systems share, and two of Linux
+        // The numbers 7 and 31 have these meanings on Linux. All other numbers have them on every
+        // Unix system.
         let name = match signal {
             2 => " (interrupt)",
             3 => " (quit)",

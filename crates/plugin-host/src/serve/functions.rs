@@ -1,4 +1,4 @@
-//! A plugin's C functions, in this process or another.
+//! The C functions of a plugin, which run in this process or in another one.
 
 use std::ffi::c_void;
 
@@ -19,7 +19,7 @@ use lumistack_plugin::wire::answer;
 /// [`close`](Self::close). Callers follow the rules for a host in the documentation of the tables.
 #[expect(clippy::missing_safety_doc, reason = "the tables' documentation has it, function by function")]
 pub unsafe trait Functions: Send + Sync {
-    /// [`ImporterVtable::import`].
+    /// Calls [`ImporterVtable::import`].
     unsafe fn import(
         &self,
         host: *const HostServices,
@@ -30,7 +30,7 @@ pub unsafe trait Functions: Send + Sync {
         error: *const ErrorSink,
     ) -> Status;
 
-    /// [`SourceVtable::make`].
+    /// Calls [`SourceVtable::make`].
     unsafe fn make_field(
         &self,
         host: *const HostServices,
@@ -41,7 +41,7 @@ pub unsafe trait Functions: Send + Sync {
         error: *const ErrorSink,
     ) -> Status;
 
-    /// [`NodeVtable::make`].
+    /// Calls [`NodeVtable::make`].
     unsafe fn make_stack(
         &self,
         host: *const HostServices,
@@ -53,7 +53,7 @@ pub unsafe trait Functions: Send + Sync {
         error: *const ErrorSink,
     ) -> Status;
 
-    /// [`OutputVtable::open`].
+    /// Calls [`OutputVtable::open`].
     unsafe fn open(
         &self,
         host: *const HostServices,
@@ -63,7 +63,7 @@ pub unsafe trait Functions: Send + Sync {
         error: *const ErrorSink,
     ) -> Status;
 
-    /// [`OutputVtable::submit`].
+    /// Calls [`OutputVtable::submit`].
     unsafe fn submit(
         &self,
         instance: *mut c_void,
@@ -72,20 +72,20 @@ pub unsafe trait Functions: Send + Sync {
         error: *const ErrorSink,
     ) -> Status;
 
-    /// [`OutputVtable::run`].
+    /// Calls [`OutputVtable::run`].
     unsafe fn run(&self, instance: *mut c_void, error: *const ErrorSink) -> Status;
 
-    /// [`OutputVtable::command`].
+    /// Calls [`OutputVtable::command`].
     unsafe fn command(&self, instance: *mut c_void, command_json: Str, error: *const ErrorSink) -> Status;
 
-    /// [`OutputVtable::finish`].
+    /// Calls [`OutputVtable::finish`].
     unsafe fn finish(&self, instance: *mut c_void, error: *const ErrorSink) -> Status;
 
-    /// [`OutputVtable::close`].
+    /// Calls [`OutputVtable::close`].
     unsafe fn close(&self, instance: *mut c_void);
 }
 
-/// The functions of a plugin's kind, in this process.
+/// The table of C functions of a plugin in this process.
 #[derive(Clone, Copy)]
 pub(crate) enum Vtable {
     Importer(&'static ImporterVtable),

@@ -11,15 +11,16 @@ use lumistack_plugin::{PluginError, Port, Time};
 /// Input data of an output at one time step.
 #[derive(Clone, Copy, Debug)]
 pub enum OutputData<'a> {
-    /// The layer stack of a tensor display, and the light field that it was solved for. The views
-    /// of this light field are lent as well; without a light field, the geometry is the display's.
+    /// The layer stack of a tensor display, and the light field for which it was solved. The views
+    /// of this light field are lent as well. Without a light field, the plugin receives the
+    /// display's geometry instead.
     LayerStack(&'a LayerStack, Option<&'a LightField>),
     /// Linear radiance of many views.
     LightField(&'a LightField),
 }
 
 impl OutputData<'_> {
-    /// The port of these data.
+    /// Returns the port of these data.
     pub fn port(&self) -> Port {
         match self {
             Self::LayerStack(..) => Port::LayerStack,
@@ -31,22 +32,22 @@ impl OutputData<'_> {
 /// Input data of a node.
 #[derive(Clone, Copy, Debug)]
 pub struct NodeData<'a> {
-    /// The display.
+    /// The display for which the node makes a layer stack.
     pub display: &'a Display,
     /// Time step; the default for a still.
     pub time: Time,
     /// The light field, in the display's geometry.
     pub field: &'a LightField,
-    /// Weights of its rays.
+    /// Weights of the light field's rays.
     pub weights: &'a Weights,
-    /// Layer stack of the display to start from.
+    /// A layer stack of the display from which the node may start.
     pub start: Option<&'a LayerStack>,
-    /// Random seed.
+    /// The seed of the node's random numbers.
     pub seed: u64,
 }
 
 impl<'a> NodeData<'a> {
-    /// A light field with uniform weights and no start.
+    /// Makes the input of a node with uniform weights, seed 1 and no start.
     pub fn new(display: &'a Display, field: &'a LightField) -> Self {
         Self { display, time: Time::default(), field, weights: &Weights::Uniform, start: None, seed: 1 }
     }
@@ -56,11 +57,11 @@ impl<'a> NodeData<'a> {
 pub(crate) struct Lent<'a> {
     data: OutputData<'a>,
     display: &'a Display,
-    /// Geometry of the light field that the stack was solved for, or of the lent light field.
+    /// Geometry of the lent light field, or of the light field for which the lent stack was solved.
     geometry: FieldGeometry,
-    /// Created at the first request for a simulated view.
+    /// Simulates views of a lent stack. It is made at the first request for such a view.
     simulator: OnceLock<Simulator<'a>>,
-    /// For nodes: weights of the rays, and the layer stack to start from.
+    /// Weights of the rays, for nodes.
     weights: Option<&'a Weights>,
     start: Option<&'a LayerStack>,
     description: String,
@@ -73,7 +74,7 @@ impl<'a> Lent<'a> {
         let refused = |error: String| PluginError::Refused(error);
         let (geometry, description) = match data {
             OutputData::LayerStack(stack, target) => {
-                // plugins rely on the checks, so data that fail them are not lent
+                // Plugins rely on this check, so a stack that fails it is not lent.
                 stack.check(display).map_err(|error| refused(format!("layer stack: {error}")))?;
                 let geometry = match target {
                     Some(field) => field.geometry().clone(),
@@ -139,7 +140,7 @@ impl<'a> Lent<'a> {
         Ok(Self { data, display, geometry, simulator: OnceLock::new(), weights: None, start: None, description })
     }
 
-    /// The layer stack on loan.
+    /// Returns the layer stack on loan: an output's data, or a node's start.
     fn patterns(&self, what: &str) -> Result<&'a LayerStack, PluginError> {
         match self.data {
             OutputData::LayerStack(stack, _) => Some(stack),
@@ -152,7 +153,7 @@ impl<'a> Lent<'a> {
         self.data.port()
     }
 
-    /// The C struct; valid while `self` lives.
+    /// Makes the C struct of the data, which is valid while `self` lives.
     pub(crate) fn to_abi(&self) -> Data {
         Data {
             size: size_of::<Data>(),

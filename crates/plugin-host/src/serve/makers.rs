@@ -22,7 +22,7 @@ const MAX_VALUES: usize = 1 << 32;
 /// returns the file's bytes.
 pub type ReadAsset<'a> = dyn Fn(&str) -> Result<Vec<u8>, PluginError> + Sync + 'a;
 
-/// Runs an importer: converts `file` into a glTF document, which is not yet validated.
+/// Runs an importer, which converts `file` into a glTF document. The document is not yet validated.
 ///
 /// # Errors
 /// If the plugin is no importer; otherwise the plugin's error.
@@ -96,11 +96,12 @@ pub fn make_field<S: Services>(
 /// A node's layer stack, and its reports on the solution.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Made {
-    /// The layer stack.
+    /// The layer stack that the node made.
     pub stack: LayerStack,
-    /// Steps of an iterative solver, each with its time since the call, seconds.
+    /// Steps of an iterative solver. Each has the time in seconds between the call of the node and
+    /// the report of the step.
     pub steps: Vec<(Step, f64)>,
-    /// The solver's summary.
+    /// The solver's summary, if the node reported one.
     pub solution: Option<Solution>,
 }
 
@@ -119,7 +120,8 @@ pub fn make_stack<S: Services>(
     let display = node.display;
     let display_json = display_json(display)?;
     let lent = Lent::for_node(node)?;
-    // The sink collects planes in a builder, which records the planes received.
+    // Make a sink that collects planes in a builder. The builder also records the planes that it
+    // has received.
     let stack = LayerStack::filled(display, 0.0);
     let frames = stack.frames();
     let bins = stack.emission.as_ref().map_or([0, 0], |emission| [emission.shape()[1], emission.shape()[2]]);
@@ -154,11 +156,12 @@ pub fn make_stack<S: Services>(
     Ok(made)
 }
 
-/// Context of a sink. A plugin must call a sink from one thread at a time; the lock guards against
-/// plugins that do not.
+/// The result that a sink builds; the sink's `context` points to it. A plugin must call a sink from
+/// one thread at a time. The lock protects the host from plugins that violate this rule.
 struct Builder<T>(Mutex<T>);
 
-/// A light field under construction: its values, and per view whether it was received.
+/// A light field that is being built, and a flag per view that is true if the view was received.
+/// `None` before the geometry was received.
 struct Field {
     made: Option<(LightField, Vec<bool>)>,
 }
@@ -170,9 +173,9 @@ struct Stack {
     frames: usize,
     /// Bins of the emission: [bins_y, bins_x].
     bins: [usize; 2],
-    /// True for planes that were received, `[layer][frame]`.
+    /// True for the layer planes that were received, `[layer][frame]`.
     given_layers: Vec<bool>,
-    /// True for planes that were received, `[frame][bin_y][bin_x]`.
+    /// True for the emission planes that were received, `[frame][bin_y][bin_x]`.
     given_bins: Vec<bool>,
 }
 
@@ -359,7 +362,8 @@ unsafe extern "C" fn stack_solution(context: *mut c_void, solution_json: Str, er
     unsafe { answer(error, take) }
 }
 
-/// The values of a plane lent by a plugin. They must have this shape and lie in 0..`most`.
+/// Returns the values of a plane that a plugin lends. Fails unless the plane has the given shape
+/// and all values are in 0..`most`.
 ///
 /// # Safety
 /// `plane` points to a plane whose `size` is set, and whose pointer, shape, strides and type
@@ -408,7 +412,7 @@ fn display_json(display: &Display) -> Result<String, PluginError> {
     serde_json::to_string(display).map_err(|error| PluginError::failed("display", error))
 }
 
-/// The parameters passed to a plugin: checked, with defaults, as JSON.
+/// Checks parameters, fills in defaults, and returns the result as JSON for the plugin.
 ///
 /// # Errors
 /// [`PluginError::Refused`] for parameters that the plugin's schema refuses.

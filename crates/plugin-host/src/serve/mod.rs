@@ -1,7 +1,9 @@
 //! The host's side of the plugin interface. It describes plugins, lends data, provides services,
-//! and calls plugins through their C functions. Compiled-in and loaded plugins are handled alike.
+//! and calls plugins through their C functions. Compiled-in and loaded plugins are called in the
+//! same way.
 //!
-//! The rest of this crate adds a registry and files on disk; the test kit adds files in memory.
+//! The other modules of this crate add a registry and files on disk. The test kit adds files in
+//! memory.
 
 mod functions;
 mod lend;

@@ -1,4 +1,4 @@
-//! An output in progress.
+//! An open output of a plugin.
 
 use std::ffi::c_void;
 use std::marker::PhantomData;
@@ -50,8 +50,8 @@ impl<'a> Output<'a> {
         Self::open_unresolved(plugin, services, &Value::Object(resolved).to_string(), display)
     }
 
-    /// As [`open`](Self::open), but leaves all checks of the parameters to the plugin, as a host in
-    /// another language would.
+    /// Opens an output as [`open`](Self::open) does, but leaves all checks of the parameters to the
+    /// plugin. A host in another language may do so.
     ///
     /// # Errors
     /// The plugin's error.
@@ -62,7 +62,8 @@ impl<'a> Output<'a> {
         display: &'a Display,
     ) -> Result<Self, PluginError> {
         let display_json = serde_json::to_string(display).map_err(|error| PluginError::failed("display", error))?;
-        // not a `Box`: by Rust's rules of aliasing, moving a `Box` invalidates the plugin's pointer
+        // This is no `Box`, since a move of a `Box` would invalidate the plugin's pointer by Rust's
+        // rules of aliasing.
         let table = Rc::new(table(services));
         let functions = plugin.of_kind(PluginKind::Output)?.clone();
         let mut instance = std::ptr::null_mut();

@@ -1,8 +1,8 @@
-//! Checks names of files that plugins write.
+//! Checks the names of files that plugins write.
 
 use lumistack_plugin::PluginError;
 
-/// Longest part of a path, bytes; common file systems allow it.
+/// Longest part of a path between slashes, bytes. Common file systems allow this length.
 const MAX_PART_BYTES: usize = 255;
 /// Longest path, bytes.
 const MAX_PATH_BYTES: usize = 1024;
@@ -11,8 +11,8 @@ const MAX_PATH_BYTES: usize = 1024;
 /// system. The path is relative, with `/` between parts, and at most 1024 bytes long. A part
 ///
 /// * is not empty and has at most 255 bytes,
-/// * does not start with a dot (`..`, and names that the host reserves), nor end with a dot or a
-///   space,
+/// * does not start with a dot (which excludes `..` and names that the host reserves), and does not
+///   end with a dot or a space,
 /// * is no device name (`nul`, `com1.txt`),
 /// * contains no control character and none of `\\ : * ? " < > |`.
 ///

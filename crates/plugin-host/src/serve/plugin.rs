@@ -27,7 +27,7 @@ pub enum PluginKind {
 }
 
 impl PluginKind {
-    /// The name in listings.
+    /// Returns the name of the kind in listings and messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Importer => "importer",
@@ -50,7 +50,7 @@ impl fmt::Display for PluginKind {
 pub struct PluginInfo {
     /// Name in job files and on the command line.
     pub id: String,
-    /// The kind.
+    /// The kind of the plugin.
     pub kind: PluginKind,
     /// Version of the plugin.
     pub version: String,
@@ -76,7 +76,7 @@ pub struct Plugin {
 }
 
 impl Plugin {
-    /// A compiled-in plugin: the `PLUGIN` of its crate.
+    /// Makes a plugin from the `PLUGIN` of a compiled-in crate.
     ///
     /// # Errors
     /// If the plugin's description is invalid.
@@ -85,11 +85,11 @@ impl Plugin {
         unsafe { Self::from_descriptor(export.descriptor()) }
     }
 
-    /// A plugin from its entry function's descriptor.
+    /// Makes a plugin from the descriptor that its entry function returns.
     ///
     /// # Errors
-    /// If it was built for another version of the interface, is of a kind that this host does not
-    /// support, or its description is invalid.
+    /// If the plugin was built for another version of the interface, if this host does not support
+    /// its kind, or if its description is invalid.
     ///
     /// # Safety
     /// `descriptor` is null, or points to a descriptor of at least `size` bytes. All that it points
@@ -158,7 +158,8 @@ impl Plugin {
         Ok(Self { info, functions: Arc::new(vtable) })
     }
 
-    /// A plugin whose functions run in another process, which sent its description.
+    /// Makes a plugin whose functions run in another process, which has sent the plugin's
+    /// description.
     ///
     /// # Errors
     /// If the description is invalid, by the rules of [`from_descriptor`](Self::from_descriptor).
@@ -171,7 +172,7 @@ impl Plugin {
         Ok(Self { info, functions })
     }
 
-    /// The plugin's functions, if the plugin is of this kind.
+    /// Returns the plugin's functions if the plugin is of the kind `wanted`, otherwise an error.
     pub(crate) fn of_kind(&self, wanted: PluginKind) -> Result<&Arc<dyn Functions>, PluginError> {
         if self.info.kind != wanted {
             let text = format!("`{}` is no {} but {}", self.info.id, wanted.name(), self.info.kind);
@@ -185,7 +186,7 @@ impl Plugin {
         &self.functions
     }
 
-    /// The plugin's description.
+    /// Returns the description of the plugin.
     pub fn info(&self) -> &PluginInfo {
         &self.info
     }
@@ -197,7 +198,7 @@ impl fmt::Debug for Plugin {
     }
 }
 
-/// The functions of a plugin's kind, if all required ones are present.
+/// Returns a plugin's kind and its table of functions. Fails if a required function is missing.
 ///
 /// # Safety
 /// The descriptor's `vtable` is null, or points to the table of functions of its kind. The table

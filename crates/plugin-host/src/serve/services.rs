@@ -1,4 +1,4 @@
-//! A host's services as a trait, and the C table built from them.
+//! The services of a host as a trait, and the C table of functions that call them.
 
 use std::ffi::c_void;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -24,7 +24,7 @@ pub enum LogLevel {
     Debug,
 }
 
-/// Services of a host for its plugins. Calls come from any thread.
+/// Services of a host for its plugins. Plugins call them from any thread.
 pub trait Services: Sync {
     /// The task of the plugin. It receives the plugin's progress, and its cancel flag stops the
     /// plugin.
@@ -54,32 +54,33 @@ pub trait Services: Sync {
     fn file_append(&self, _file: u64, _bytes: &[u8]) -> Result<(), PluginError> {
         Err(self.no_files())
     }
-    /// Completes the file.
+    /// Completes the open file with this handle.
     ///
     /// # Errors
     /// If no open file has this handle, or the file cannot be completed.
     fn file_commit(&self, _file: u64) -> Result<(), PluginError> {
         Err(self.no_files())
     }
-    /// Discards the file.
+    /// Discards the open file with this handle.
     ///
     /// # Errors
     /// If no open file has this handle, or the file cannot be removed.
     fn file_abort(&self, _file: u64) -> Result<(), PluginError> {
         Err(self.no_files())
     }
-    /// The error of a host without files. A host with files implements the four functions above.
+    /// Returns the error of a host without files. A host with files implements the functions
+    /// `file_…` itself.
     fn no_files(&self) -> PluginError {
         PluginError::Refused("this host accepts no files".into())
     }
-    /// The port of the data that an output will receive, if it is known at `open`.
+    /// The port of the data that an output will receive; `None` if it is unknown at `open`.
     fn port(&self) -> Option<Port> {
         None
     }
 }
 
-/// Makes the C table of a host. The table borrows the services; its functions are compiled for
-/// their type.
+/// Makes the C table of a host. The table borrows the services, and its functions are compiled for
+/// the type `S`.
 pub(crate) fn table<S: Services>(services: &S) -> HostServices {
     HostServices {
         size: size_of::<HostServices>(),
@@ -106,7 +107,8 @@ unsafe fn services<'a, S: Services>(context: *const c_void) -> &'a S {
     unsafe { &*context.cast::<S>() }
 }
 
-/// Runs a service that cannot fail; stops panics at the C interface.
+/// Runs a service that returns no error. Returns `None` if it panics, so that no panic crosses the
+/// C interface.
 fn contained<T>(function: impl FnOnce() -> T) -> Option<T> {
     catch_unwind(AssertUnwindSafe(function)).ok()
 }

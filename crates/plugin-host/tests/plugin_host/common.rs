@@ -5,22 +5,22 @@ use std::path::PathBuf;
 
 use lumistack_plugin_host::{Launcher, PluginPaths};
 
-/// File name of a plugin's library.
+/// Returns the file name of a plugin's library.
 pub fn file_name(id: &str) -> String {
     format!("{DLL_PREFIX}lumistack_plugin_{id}{DLL_SUFFIX}")
 }
 
-/// A plugin of the folder `examples`, which cargo builds with the tests.
+/// Returns the library of a plugin in the folder `examples`, which cargo builds with the tests.
 pub fn example(id: &str) -> PathBuf {
     built(&file_name(id))
 }
 
-/// The program that runs plugins for these tests.
+/// Returns the launcher of the program that runs plugins for these tests.
 pub fn child() -> Launcher {
     Launcher { program: built(&format!("plugin_child{EXE_SUFFIX}")), args: Vec::new() }
 }
 
-/// Search paths, with [`child`] as launcher.
+/// Returns search paths with the given files and folders, and with [`child`] as launcher.
 pub fn paths(named: Vec<PathBuf>) -> PluginPaths {
     PluginPaths { named, launcher: Some(child()), ..PluginPaths::default() }
 }

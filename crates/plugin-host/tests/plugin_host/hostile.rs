@@ -1,5 +1,5 @@
-//! Plugins that end their process, or never return: the host reports plugin and cause, and
-//! continues.
+//! Tests with plugins that end their process or never return. The host must report the plugin and
+//! the cause, and continue.
 
 #![cfg(unix)]
 
@@ -21,12 +21,14 @@ use serde_json::json;
 
 use crate::common;
 
-/// Time for a library to load in these tests; a busy machine starts processes slowly.
+/// Longest time to load a library in these tests. It is long, since a busy machine starts processes
+/// slowly.
 const LOAD: Duration = Duration::from_secs(5);
-/// Longest silence in these tests.
+/// Longest time without a sign of life in these tests.
 const SILENCE: Duration = Duration::from_secs(2);
 
-/// Builds `hostile.c`. `kind` is the name of a constant `LUMISTACK_KIND_...` after that prefix.
+/// Builds the plugin `id` from `hostile.c` and returns its library. `kind` is the plugin's kind,
+/// such as `OUTPUT`. `in_entry` selects a fault of the entry function.
 fn hostile(folder: &Path, id: &str, kind: &str, in_entry: &str) -> PathBuf {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let library = folder.join(common::file_name(id));
@@ -40,7 +42,8 @@ fn hostile(folder: &Path, id: &str, kind: &str, in_entry: &str) -> PathBuf {
     library
 }
 
-/// A registry with the compiled-in plugins and these libraries; no library code has run.
+/// Returns a registry with the compiled-in plugins and these libraries, none of which is loaded
+/// yet.
 fn registry(named: &[&Path], load: Duration, silence: Duration) -> Registry {
     let mut registry = Registry::built_in().unwrap();
     let limits = Limits { load: Some(load), silence: Some(silence), grace: Duration::from_millis(500) };
@@ -126,7 +129,8 @@ fn an_overflow_of_the_stack_is_reported() {
     let bench = Bench::new();
     for fault in ["submit:overflow", "finish:overflow"] {
         let error = bench.write(fault).unwrap_err().to_string();
-        // an overflow is detected by the guard page of Rust's threads, or by the system
+        // A stack overflow is reported by Rust's guard page as an abort, or by the system as a
+        // segmentation fault.
         assert!(error.contains("ended by signal 6 (abort)") || error.contains("ended by signal 11"), "{error}");
         assert!(error.starts_with("output `hostile` failed: its process ("), "{error}");
         bench.others_work(fault);
@@ -213,7 +217,7 @@ fn libraries_that_misbehave_while_they_are_loaded_are_listed_with_the_cause() {
     }
     hostile(folder.path(), "sound", "OUTPUT", "print");
     let registry = registry(&[folder.path()], LOAD, SILENCE);
-    // the error of a requested plugin states the cause, and no other plugin is loaded
+    // The error for a requested plugin must state the cause. The request must load no other plugin.
     let error = registry.get("aborts").unwrap_err().to_string();
     let library = |id: &str| folder.path().join(common::file_name(id)).display().to_string();
     let told = |id: &str| format!("{}: its process ({}) {}", library(id), common::file_name(id), causes[id].1);
@@ -263,8 +267,9 @@ fn plugins_of_the_other_kinds_are_named_as_well() {
     assert_eq!(made, b"{}");
 }
 
-/// A plugin of these tests creates a file when its library is loaded. A process of its own uses one
-/// of two plugins, since environment variables name the libraries and the folder of that file.
+/// A plugin of these tests creates a file when its library is loaded. Another process uses one of
+/// two plugins, and only that plugin's file must exist afterwards. The process is another one,
+/// since environment variables name the libraries and the folder.
 #[test]
 fn a_library_that_is_not_requested_is_not_loaded() {
     let folder = tempfile::tempdir().unwrap();
@@ -292,7 +297,8 @@ fn uses_the_plugin_named() {
     assert!(registry.get("others").unwrap_err().to_string().contains("did you mean `other`?"));
 }
 
-/// Planes are sent one by one and freed when the plugin releases them.
+/// Planes are sent one by one and freed when the plugin releases them. So the memory of the child
+/// must not grow with the number of planes.
 #[test]
 fn a_plugin_needs_memory_for_one_plane() {
     let folder = tempfile::tempdir().unwrap();
@@ -316,7 +322,8 @@ fn a_plugin_needs_memory_for_one_plane() {
     assert_eq!(numbers[0], plane * 18.0 * 4.0);
     println!("{:.0} MB in {seconds:.2} s; most memory of the process {:.0} MB", numbers[0] / 1e6, numbers[1] / 1e3);
     if cfg!(target_os = "linux") {
-        // the process holds one plane and its copies in transit; all planes would take 207 MB
+        // The process holds one plane and its copies in the pipe. All planes together would take
+        // 207 MB.
         assert!(numbers[1] * 1024.0 < 6.0 * plane, "{} kB", numbers[1]);
     }
 }
@@ -359,7 +366,7 @@ fn a_program_that_cannot_be_started_is_named() {
     let error = load(Some(nothing));
     assert!(error.contains("the process for it cannot be started: /no/such/program: "), "{error}");
     assert!(load(None).contains("the process for it cannot be started: no launcher is set"));
-    // a program that does not run plugins
+    // Use a launcher whose program does not run plugins.
     let other = lumistack_plugin_host::Launcher { program: "echo".into(), args: Vec::new() };
     let error = load(Some(other));
     assert!(error.contains("ended itself with exit code 0 while it was loaded"), "{error}");

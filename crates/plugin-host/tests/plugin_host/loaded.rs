@@ -1,4 +1,4 @@
-//! The plugins of this repository as libraries, and the samples of the tutorial.
+//! Tests the plugins of this repository as libraries, and the samples of the tutorial.
 
 use std::path::PathBuf;
 
@@ -33,7 +33,7 @@ fn every_plugin_is_the_same_loaded_as_compiled_in() {
     let mut compared = 0;
     for (info, origin) in loaded.entries() {
         let plugin = loaded.get(&info.id).unwrap();
-        // These parameters keep their defaults. Tests of their extreme values would take too long:
+        // These parameters keep their defaults, since their extreme values would take too long:
         // pictures for every device, and four billion iterations.
         let at_default: &[&str] = match info.id.as_str() {
             "quilt" => &["device"],
@@ -41,13 +41,13 @@ fn every_plugin_is_the_same_loaded_as_compiled_in() {
             _ => &[],
         };
         conformance_of(plugin, at_default).unwrap_or_else(|broken| panic!("{origin}: {broken}"));
-        // the tutorial's samples are not compiled in
+        // The tutorial's samples are not compiled in, so their results are not compared.
         let Ok(same) = compiled.get(&info.id) else {
             println!("{}: keeps the rules", info.id);
             continue;
         };
         let count = same_outputs(same, plugin, at_default).unwrap_or_else(|broken| panic!("{origin}: {broken}"));
-        // a presenter writes nothing
+        // A presenter writes nothing, so it has no results to compare.
         assert!(count > 0 || info.presents, "{}: nothing was compared", info.id);
         if info.id == "obj" {
             let [a, b] = [same, plugin].map(|plugin| {
@@ -108,7 +108,7 @@ mod c {
         assert_eq!(text.lines().collect::<Vec<_>>(), expected);
     }
 
-    /// A plugin in C with invalid file names, lengths, handles and statuses.
+    /// A plugin in C that passes invalid file names, lengths, handles and statuses to the host.
     const GARBAGE: &str = r#"
 #include "lumistack_plugin.h"
 #include <string.h>
@@ -171,8 +171,8 @@ const LumistackDescriptor *lumistack_plugin_entry_garbage(void) { return &descri
         let (host, sample) = (MemoryHost::new(), &samples()[0]);
         let output = Output::open(plugin, &host, &json!({}), &sample.display).unwrap();
         let error = output.submit(Time::default(), sample.data()).unwrap_err();
-        // The plugin returns status 1234 if the host answered all calls correctly, otherwise
-        // minus the number of wrong answers.
+        // The plugin returns status 1234 if the host has refused all invalid arguments. Otherwise
+        // it returns minus the number of wrong answers.
         assert_eq!(error.to_string(), "no reason given (status 1234)");
         assert_eq!(host.files().into_keys().collect::<Vec<_>>(), ["a.txt"]);
         assert!(host.open_files().is_empty());

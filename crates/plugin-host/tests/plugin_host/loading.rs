@@ -1,4 +1,5 @@
-//! Files that are no usable plugins: one clear message each, and the other plugins still work.
+//! Tests with files that are no usable plugins. Each must give one clear message, and the other
+//! plugins must still work.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,7 +16,7 @@ const ELF_MACHINES: [(u16, &str); 4] = [(62, "x86_64"), (183, "aarch64"), (243, 
 fn load(named: &[&Path]) -> Registry {
     let mut registry = Registry::built_in().unwrap();
     registry.load(&common::paths(named.iter().map(|path| path.to_path_buf()).collect()));
-    // load all libraries, since some errors appear only then
+    // Load all libraries, since some errors appear only when a library is loaded.
     let _ = registry.infos().count();
     registry
 }
@@ -38,7 +39,8 @@ fn write(folder: &Path, id: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// The first bytes of a shared library for 64-bit little-endian Linux: the file header alone.
+/// Returns the file header of a shared library for 64-bit little-endian Linux, without the rest of
+/// the library.
 fn elf_header(machine: u16) -> Vec<u8> {
     let mut header = vec![0x7f, b'E', b'L', b'F', 2, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0];
     header.extend(3u16.to_le_bytes());
@@ -75,7 +77,7 @@ fn libraries_for_other_machines_are_recognized() {
         let expected = format!("expected a library for {here} (elf), found one for {name}");
         assert!(message.starts_with(&expected), "{message}");
     }
-    // the smallest program for Windows: the headers alone
+    // Make the headers of a program for Windows, without the rest of the program.
     let mut windows = vec![0; 0x40];
     windows[..2].copy_from_slice(b"MZ");
     windows[0x3c] = 0x40;
@@ -83,13 +85,13 @@ fn libraries_for_other_machines_are_recognized() {
     windows.resize(0x40 + 24 + 0xf0, 0);
     let message = failure(&write(folder.path(), "windows", &windows));
     assert_eq!(message, format!("expected a library for {here} (elf), found one for x86_64 (pe)"));
-    // a file for the right machine, with nothing after its header
+    // A library for this machine that has only a header exports no functions.
     let mine = ELF_MACHINES.iter().find(|(_, name)| here.starts_with(name));
     if let Some((number, _)) = mine {
         let message = failure(&write(folder.path(), "hollow", &elf_header(*number)));
         assert!(message.starts_with("expected the function `lumistack_plugin_entry_hollow`"), "{message}");
     }
-    // a program is no library, though format and machine are right
+    // A program is no library, even if it is for this machine.
     let program = folder.path().join(file_name("program"));
     compile(&["-no-pie", "-o"], &program, "int main(void) { return 0; }");
     assert_eq!(failure(&program), "expected a shared library, found a file of another kind (executable)");
@@ -106,7 +108,7 @@ fn names_and_places_are_checked() {
     assert!(failure(&upper).starts_with("expected a file named"));
     let missing = failure(&folder.path().join("nothing"));
     assert!(missing.starts_with("expected a plugin or a folder of plugins, found: "), "{missing}");
-    // ids come from the exported functions, not from the file's name
+    // A renamed library keeps its plugin's id, since ids come from the exported functions.
     let renamed = folder.path().join(file_name("other"));
     fs::copy(example("faulty"), &renamed).unwrap();
     let registry = load(&[&renamed]);
@@ -146,7 +148,7 @@ fn the_user_s_folder_need_not_exist() {
     assert_eq!((load().entries().count(), load().failed().len()), (1, 0));
 }
 
-/// Compiles C. Every Unix machine that links Rust has a C compiler.
+/// Compiles C code into a file. Every Unix machine that links Rust has a C compiler.
 #[cfg(unix)]
 fn compile(options: &[&str], output: &Path, code: &str) {
     let source = output.with_extension("c");
@@ -156,7 +158,7 @@ fn compile(options: &[&str], output: &Path, code: &str) {
     assert!(done.success(), "cc on {}", source.display());
 }
 
-/// A library in C with the given descriptor and no functions.
+/// Compiles a library from C code `text`, which defines a descriptor.
 #[cfg(unix)]
 fn descriptor_in_c(folder: &Path, id: &str, text: &str) -> PathBuf {
     let library = folder.join(file_name(id));
@@ -249,7 +251,7 @@ fn a_library_may_hold_several_plugins() {
         assert_eq!(registry.get(id).unwrap().info().id, id);
         assert_eq!(registry.origin(id).unwrap().to_string(), library.display().to_string());
     }
-    // an unusable plugin does not affect the others
+    // Only the plugin `third` has an error, and must not affect the other plugins of its library.
     let texts: Vec<String> = registry.failed().iter().map(ToString::to_string).collect();
     let expected = "expected a plugin `third` by the name of its entry function, found `other`";
     assert_eq!(texts, [format!("{}: {expected}", library.display())]);

@@ -1,6 +1,6 @@
-//! Plugins through the plugin interface, compiled in and loaded. All files belong to one test
-//! program, so that their tests share the processors. Run the tests of one file by `cargo test -p
-//! lumistack-plugin-host --test plugin_host hostile::`.
+//! Tests of plugins through the plugin interface, compiled in and loaded from libraries. All files
+//! belong to one test program, so that their tests share the processors. Run the tests of one file
+//! by `cargo test -p lumistack-plugin-host --test plugin_host hostile::`.
 
 mod common;
 mod hostile;

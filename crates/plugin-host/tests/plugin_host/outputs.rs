@@ -1,5 +1,5 @@
-//! Outputs on disk. The tests compare an output's folder after its plugin succeeded, failed,
-//! panicked, was cancelled or misbehaved.
+//! Tests of outputs on disk. They check an output's folder after its plugin has succeeded, failed,
+//! panicked, been cancelled or violated a rule.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -32,7 +32,7 @@ impl Bench {
         Self::with(registry)
     }
 
-    /// As [`new`](Self::new), with the plugin from a library.
+    /// Makes a bench with the plugin `faulty` loaded from a library.
     fn loaded() -> Self {
         let mut registry = Registry::built_in().unwrap();
         registry.load(&common::paths(vec![common::example("faulty")]));
@@ -69,7 +69,7 @@ impl Bench {
         self.write_to("faulty", params, &self.out(), &NoProgress)
     }
 
-    /// All files in the bench's folder, hidden ones included: path to content.
+    /// Returns the contents of all files in the bench's folder by path, hidden files included.
     fn tree(&self) -> BTreeMap<String, String> {
         let mut files = BTreeMap::new();
         let mut folders = vec![self.folder.path().to_path_buf()];
@@ -113,7 +113,8 @@ impl Progress for StopAtFirstStep<'_> {
     fn end(&self) {}
 }
 
-/// Causes every failure; the bench's folder must stay unchanged.
+/// Runs the plugin with every fault. Each run must report its fault, and leave the bench's folder
+/// unchanged.
 fn everything_goes_wrong(bench: &Bench) {
     let before = bench.tree();
     for (params, message) in [
@@ -177,7 +178,7 @@ fn a_plugin_that_hangs_ends_after_an_interruption() {
         let start = Instant::now();
         let result = std::thread::scope(|scope| {
             let writer = scope.spawn(|| bench.write(json!({"fault": "hang"})));
-            // wait until the plugin has begun
+            // wait until the plugin has written its first file, and hangs in its second
             while !bench.out().with_file_name(".faulty.partial").join("sub0/f.txt").exists() {
                 assert!(start.elapsed() < PATIENCE && !writer.is_finished(), "the plugin hangs in its second file");
                 std::thread::yield_now();
@@ -201,7 +202,8 @@ fn a_panic_in_a_thread_of_the_plugin_is_its_own() {
 #[test]
 fn a_loaded_plugin_writes_the_same_as_the_compiled_one() {
     let [compiled, loaded] = [Bench::new(), Bench::loaded()].map(|bench| bench.registry.get("faulty").unwrap().clone());
-    // three samples with three files each, and both extremes of `files`: none and nine
+    // With default parameters, each of three samples has three files. At the two ends of the
+    // parameter `files`, one sample has no file and nine files. That makes 18 files.
     assert_eq!(same_outputs(&compiled, &loaded, &[]).unwrap(), 18);
 }
 
@@ -223,8 +225,8 @@ fn a_new_output_replaces_the_old_one_and_keeps_files_of_others() {
 fn an_error_while_files_move_into_place_is_undone() {
     let bench = Bench::new();
     bench.write(json!({"files": 2})).unwrap();
-    // a file in place of a required folder is detected only when sub2/f.txt is moved, after the
-    // others
+    // A file is in the place of the folder `sub2`. This is detected only when sub2/f.txt is moved,
+    // after the other files.
     fs::write(bench.out().join("sub2"), "in the way").unwrap();
     let before = bench.tree();
     let error = bench.write(json!({"files": 3})).unwrap_err();
@@ -294,7 +296,7 @@ fn images_are_on_disk_as_they_were_submitted() {
     assert!(files.iter().all(|file| out.join(file).is_file()));
     let layer = &bench.sample.stack().unwrap().layers[1];
     let picture = image::open(out.join("layer_1_frame_01.png")).unwrap().into_rgb8();
-    // layer 1 has the transfer function `linear`
+    // Layer 1 has the transfer function `linear`, so its codes are proportional to its values.
     let codes: Vec<u8> = layer.block([1]).iter().map(|value| (value * 255.0).round() as u8).collect();
     assert_eq!(picture.into_raw(), codes);
 }

@@ -1,5 +1,5 @@
-//! Presenters through the plugin interface, compiled in and loaded: layer stacks and commands
-//! arrive while one runs, and events return.
+//! Tests of presenters through the plugin interface, compiled in and loaded. Layer stacks and
+//! commands must reach a running presenter, and its events must reach the program.
 
 use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, channel};
@@ -27,7 +27,7 @@ fn registries() -> [Registry; 2] {
     [compiled_in, loaded]
 }
 
-/// Events and warnings of a sample's presentation.
+/// Runs a presentation of a sample, and returns its events and warnings.
 fn presented(
     registry: &Registry,
     id: &str,

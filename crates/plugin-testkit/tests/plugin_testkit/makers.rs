@@ -1,4 +1,4 @@
-//! Importers, sources and nodes through the C interface, and results that the host refuses.
+//! Tests importers, sources and nodes through the C interface, and results that the host refuses.
 
 use lumistack_plugin::abi::{self, ErrorSink, Plane, StackSink, Status};
 use lumistack_plugin::core::Tensor;
@@ -24,7 +24,8 @@ fn gain_schema() -> Schema {
     ])
 }
 
-/// Fills all layers and bins with one value: the mean of the target's first view times the gain.
+/// A node that fills all layers and bins with one value: the mean of the target's first view times
+/// the gain.
 struct Flat;
 
 impl NodePlugin for Flat {
@@ -63,11 +64,11 @@ mod flat {
     lumistack_plugin::export_plugin!("flat", super::Flat as node);
 }
 
-/// A light field whose views differ by a constant.
+/// A source whose views are of one grey value each.
 struct Card;
 
 impl SourcePlugin for Card {
-    const DOC: &'static str = "Views of one grey value each.";
+    const DOC: &'static str = "Makes views of one grey value each.";
     type Params = GainParams;
 
     fn schema() -> Schema {
@@ -93,11 +94,11 @@ mod card {
     lumistack_plugin::export_plugin!("card", super::Card as source);
 }
 
-/// Returns the file's bytes.
+/// An importer that returns the file's bytes as the scene.
 struct Echo;
 
 impl ImporterPlugin for Echo {
-    const DOC: &'static str = "Returns what it reads.";
+    const DOC: &'static str = "Returns the bytes that it reads.";
     const EXTENSIONS: &'static [&'static str] = &["echo", "twice"];
     type Params = GainParams;
 
@@ -194,8 +195,8 @@ fn plugins_are_not_taken_for_other_kinds() {
     assert_eq!(error.to_string(), "`card` is no node but a source");
 }
 
-/// A node written against the C interface, which executes its parameters:
-/// `{"steps": [[layer, frame, rows, value], ...]}`.
+/// A node written against the C interface. Its parameters list the planes that it sends: `{"steps":
+/// [[layer, frame, rows, value], ...]}`.
 mod raw {
     use super::*;
     use lumistack_plugin::serde_json::{Value, from_slice};
@@ -265,12 +266,12 @@ fn pieces_that_do_not_fit_are_refused_where_they_are_given() {
     assert_eq!([0, 1].map(|frame| stack.layers[0].block([frame])[7]), [0.25, 1.0]);
 }
 
-/// Returns its start, each value times the mean weight of a view, and reports a step and a
-/// solution.
+/// A node that returns its start, with each value times the mean weight of a view. It also reports
+/// a step and a solution.
 struct Warm;
 
 impl NodePlugin for Warm {
-    const DOC: &'static str = "Hands back what it may begin from.";
+    const DOC: &'static str = "Returns the layer stack that it may start from.";
     type Params = GainParams;
 
     fn schema() -> Schema {

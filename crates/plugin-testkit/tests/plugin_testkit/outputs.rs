@@ -1,5 +1,5 @@
-//! A plugin and a host on the two sides of the C interface, and plugins that violate rules, which
-//! the kit must detect.
+//! Tests calls across the C interface, with a plugin and a host in one program. Also tests that the
+//! kit detects plugins that violate its rules.
 
 use std::sync::{LazyLock, Mutex};
 
@@ -11,7 +11,7 @@ use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
 use lumistack_plugin_testkit::{MemoryHost, Sample, conformance, samples};
 use serde_json::{Value, json};
 
-/// Writes all input as text, and misbehaves as its text parameter selects.
+/// An output that writes all input as text. Its parameter `fault` selects a violation of the rules.
 struct Probe {
     host: Host,
     fault: String,
@@ -26,11 +26,11 @@ struct ProbeParams {
     scale: f64,
 }
 
-/// A host kept after its output was closed.
+/// The host of an output, kept after the output was closed.
 static STOLEN: Mutex<Option<Host>> = Mutex::new(None);
 
 impl OutputPlugin for Probe {
-    const DOC: &'static str = "Writes all it gets as text.";
+    const DOC: &'static str = "Writes all its input as text.";
     const PORTS: &'static [Port] = &[Port::LayerStack, Port::LightField];
     type Params = ProbeParams;
 
@@ -83,7 +83,7 @@ impl Drop for Probe {
 
 export_plugin!("probe", Probe);
 
-/// All planes of an input, in order.
+/// Returns all planes of an input with their names, in order.
 fn planes(data: &Input<'_>) -> Result<Vec<(String, Vec<f32>)>, PluginError> {
     let mut all = Vec::new();
     match data {
@@ -204,7 +204,7 @@ fn a_host_that_is_kept_after_the_end_gives_errors() {
     let host = STOLEN.lock().unwrap().take().unwrap();
     assert_eq!(host.write("late.txt", b"x"), Err(PluginError::Failed("the output is already closed".into())));
     assert!(host.is_cancelled());
-    host.warn("nobody listens");
+    host.warn("a warning after the end");
 }
 
 #[test]
@@ -235,7 +235,7 @@ fn descriptors_of_other_versions_are_refused() {
     assert!(unsafe { Plugin::from_descriptor(std::ptr::null()) }.is_err());
 }
 
-/// Violates one rule of the interface, selected by `FAULT`.
+/// An output that violates one rule of the interface, selected by `FAULT`.
 struct Faulty<const FAULT: u8> {
     host: Host,
 }
@@ -293,8 +293,8 @@ impl<const FAULT: u8> OutputPlugin for Faulty<FAULT> {
     }
 
     fn finish(self) -> Result<(), PluginError> {
-        // A plugin that leaks its files writes this file, so that it does not also violate the
-        // rule that an output writes something.
+        // With `LEAKS_FILES` no other file is completed. This file keeps the rule that an output
+        // writes something, so that only the leak is a violation.
         if FAULT == LEAKS_FILES { self.host.write("finished.txt", b"") } else { Ok(()) }
     }
 }

@@ -1,16 +1,16 @@
 //! A blue-noise threshold map, by void-and-cluster (Ulichney, "The void-and-cluster method for
 //! dither array generation", 1993).
 //!
-//! Dots are ranked one by one on a torus. The energy of a position is the sum of exp(−r²/2σ²) over
-//! all dots, σ = 1.5 pixels. The tightest cluster is the dot of highest energy, the largest void
-//! the free position of lowest energy.
+//! Dots at pixels of a torus are ranked one by one. The energy of a position is the sum of
+//! exp(−r²/2σ²) over all dots at distances r, with σ = 1.5 pixels. The tightest cluster is the dot
+//! of highest energy. The largest void is the position without a dot of lowest energy.
 //!
-//! 1. Some random dots are placed. The tightest cluster moves to the largest void, repeatedly,
-//!    until both are the same position.
-//! 2. These dots get the low ranks, in falling order: the tightest cluster gets a rank and is
-//!    removed, repeatedly.
-//! 3. All other positions get the high ranks, in rising order: the largest void gets a rank and a
-//!    dot, repeatedly.
+//! 1. Some random dots are placed. Then the tightest cluster is moved to the largest void,
+//!    repeatedly, until the move returns the dot to its old position.
+//! 2. The dots of step 1 get the low ranks, in falling order: the tightest cluster gets the next
+//!    rank and is removed, repeatedly.
+//! 3. All other positions get the high ranks, in rising order. Starting from the dots of step 1,
+//!    the largest void gets the next rank and a dot, repeatedly.
 
 use std::sync::OnceLock;
 
@@ -41,7 +41,8 @@ fn ranks() -> Vec<usize> {
             pattern.toggle(place);
         }
     }
-    // Move dots from the tightest cluster to the largest void, until none moves.
+    // Move the dot of the tightest cluster to the largest void, until a dot returns to its old
+    // position.
     loop {
         let cluster = pattern.tightest_cluster();
         pattern.toggle(cluster);
@@ -51,8 +52,8 @@ fn ranks() -> Vec<usize> {
             break;
         }
     }
-    // Dots of the initial pattern get the low ranks, as they are removed from clusters. The other
-    // positions get the high ranks, as voids are filled.
+    // The dots of the initial pattern get the low ranks, in reverse order of their removal. All
+    // other positions get the next ranks, in the order in which they get dots.
     let mut ranks = vec![0; COUNT];
     let mut thinned = pattern.clone();
     for rank in (0..FIRST).rev() {
@@ -72,7 +73,7 @@ fn ranks() -> Vec<usize> {
 struct Pattern {
     has: Vec<bool>,
     tightness: Vec<f64>,
-    /// Energy that a dot at (0, 0) adds to every position.
+    /// The energy that a dot at (0, 0) adds at every position, row by row.
     dot: Vec<f64>,
     dots: usize,
 }
@@ -118,7 +119,8 @@ mod tests {
 
     use super::*;
 
-    /// Mean power per band of spatial frequency (1/64 cycles per pixel) of a pattern with mean 0.
+    /// Returns the mean power of a pattern with mean 0 per spatial frequency: entry i is the band
+    /// around (i + 1)/64 cycles per pixel.
     fn radial_power(values: &[f64]) -> Vec<f64> {
         let side = BLUE_NOISE_SIDE;
         let turn = |k: usize, x: usize| -TAU * ((k * x) % side) as f64 / side as f64;
@@ -169,7 +171,7 @@ mod tests {
             low_over_mean(&radial_power(&(0..COUNT).map(|_| f64::from(random.next_f32()) - 0.5).collect::<Vec<_>>()));
         println!("power below 0.1 cycles per pixel over the mean: {blue:.4}, white noise {white:.2}");
         assert!(blue < 0.02 && (0.6..1.6).contains(&white), "{blue} {white}");
-        // a thresholded pattern stays blue noise at any level
+        // The dots whose threshold is below a level must also be blue noise, for every level.
         for level in [0.1, 0.25, 0.5, 0.8] {
             let mean = f64::from((level * COUNT as f32).round()) / COUNT as f64;
             let dots: Vec<f64> = blue_noise().iter().map(|&t| f64::from(u8::from(t < level)) - mean).collect();

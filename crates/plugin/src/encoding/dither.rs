@@ -1,26 +1,26 @@
-//! Codes of a panel of b bits, with optional dithering.
+//! Computes the codes of a panel of b bits, with optional dithering.
 //!
-//! A value v lies between the light l₀ ≤ v < l₁ of two neighbouring codes. The brighter code is
-//! used for the fraction t = (v − l₀)/(l₁ − l₀) of the pixels. So the mean *light* is exact for any
-//! transfer function. Pixels are selected by a threshold map, or by error diffusion in linear light
-//! (Floyd and Steinberg, 1976; serpentine rows).
+//! Let two neighbouring codes emit the light l₀ and l₁, and a value v lie between them: l₀ ≤ v <
+//! l₁. The brighter code is used for the fraction t = (v − l₀)/(l₁ − l₀) of the pixels. So the mean
+//! *light* is exact for any transfer function. A threshold map selects the pixels, or error
+//! diffusion in linear light (Floyd and Steinberg, 1976; serpentine rows).
 
 use lumistack_display::Transfer;
 use serde::Deserialize;
 
 use super::{BLUE_NOISE_SIDE, blue_noise};
 
-/// Dithering of values between two codes.
+/// Dithering of values that lie between two codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Dither {
-    /// The nearest code.
+    /// Every value gets the nearest code.
     None,
-    /// An 8 × 8 Bayer threshold map.
+    /// An 8 × 8 Bayer threshold map selects the pixels with the brighter code.
     Ordered,
-    /// A 64 × 64 blue-noise threshold map.
+    /// A 64 × 64 blue-noise threshold map selects the pixels with the brighter code.
     BlueNoise,
-    /// Error diffusion to neighbouring pixels.
+    /// Each pixel's error is carried to neighbouring pixels.
     Diffusion,
 }
 
@@ -47,13 +47,14 @@ pub fn panel_codes(
     if dither == Dither::None {
         return rgb.iter().enumerate().map(|(i, &value)| nearest(i % 3, value)).collect();
     }
-    // Dithering averages light, so codes are compared by the light that they emit.
+    // Dithering must be exact in light, so compute the light of every code.
     let light: [Vec<f32>; 3] =
         [0, 1, 2].map(|channel| (0..=top).map(|code| transfer.decode(channel, code as f32 / top as f32)).collect());
     if dither == Dither::Diffusion {
         return diffuse(&light, [rows, cols], rgb);
     }
-    // A shift per channel and pattern decorrelates the dots of layers and frames.
+    // Shift the threshold map differently for every channel and pattern, so that the dots of layers
+    // and frames are uncorrelated.
     let map = ThresholdMap::of(dither);
     let mut codes = vec![0; rgb.len()];
     for channel in 0..3 {
@@ -67,8 +68,9 @@ pub fn panel_codes(
     codes
 }
 
-/// Returns the brightest code whose light is not above a value, but never the last code. Also
-/// returns the value's position t in the step to the next code, 0..1.
+/// Returns the brightest code whose light is not above a value; for the brightest light the code
+/// before the last one. Also returns the value's position t, 0..1, between this code's light and
+/// the next code's.
 fn between(light: &[f32], value: f32) -> (u16, f32) {
     let value = if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) };
     let above = light.partition_point(|&l| l <= value).clamp(1, light.len() - 1);
@@ -85,8 +87,8 @@ struct ThresholdMap {
 impl ThresholdMap {
     fn of(dither: Dither) -> Self {
         if dither == Dither::Ordered {
-            // a rank interleaves the bits of x ^ y and of y; the lowest bits of these become the
-            // highest bits of the rank
+            // A rank interleaves the bits of x ^ y and of y, in reverse order: the lowest bits
+            // become the highest bits of the rank.
             let rank = |x: usize, y: usize| {
                 (0..3).fold(0, |rank, bit| {
                     let pair = 2 * ((x ^ y) >> bit & 1) + (y >> bit & 1);
@@ -99,14 +101,15 @@ impl ThresholdMap {
         Self { side: BLUE_NOISE_SIDE, thresholds: blue_noise().to_vec() }
     }
 
-    /// Returns shift `n` of a sequence of shifts, [rows, columns]. Each step of the sequence
-    /// exchanges the two checkerboards of a Bayer map. Shifts of a blue-noise map are spread evenly
-    /// over the map.
+    /// Returns shift `n` of a sequence of shifts, [rows, columns]. For a Bayer map, neighbouring
+    /// shifts exchange the two halves of a checkerboard. For a blue-noise map, the shifts are
+    /// spread evenly over the map.
     fn shift(&self, n: usize) -> [usize; 2] {
         if self.side < BLUE_NOISE_SIDE {
             return [3 * n, 2 * n];
         }
-        // fractional parts of multiples of 1/g and 1/g², g = the real root of g³ = g + 1
+        // The fractional parts of n/g and n/g² are evenly spread, with g the real root of g³ = g +
+        // 1.
         [0.754_877_666_246_692_7, 0.569_840_290_998_053_2]
             .map(|step: f64| ((n as f64 * step).fract() * self.side as f64) as usize)
     }
@@ -119,7 +122,8 @@ impl ThresholdMap {
 fn diffuse(light: &[Vec<f32>; 3], [rows, cols]: [usize; 2], rgb: &[f32]) -> Vec<u16> {
     let mut codes = vec![0; rgb.len()];
     for channel in 0..3 {
-        // errors carried to this row and to the next row, each padded by a column at both ends
+        // Hold the errors that are carried to this row and to the next row. One more column at
+        // either end takes the errors that leave the picture.
         let (mut here, mut below) = (vec![0.0; cols + 2], vec![0.0; cols + 2]);
         for row in 0..rows {
             let reverse = row % 2 == 1;
@@ -173,8 +177,9 @@ mod tests {
                     let codes = panel_codes(&transfer, bits, dither, SIZE, &flat(value), 3);
                     for channel in 0..3 {
                         let mean = mean_light(&transfer, bits, &codes, channel);
-                        // with 64 thresholds the error is at most half of 1/64 of a step between
-                        // codes; the step between the two brightest codes is the largest
+                        // With 64 thresholds the error is at most half of 1/64 of the step between
+                        // two codes. No step is larger than the one between the two brightest
+                        // codes.
                         let top = ((1u32 << bits) - 1) as f32;
                         let step = 1.0 - transfer.decode(channel, (top - 1.0) / top);
                         let allowed = f64::from(step) / 100.0;

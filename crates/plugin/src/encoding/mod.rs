@@ -8,8 +8,8 @@ use lumistack_display::Transfer;
 pub use blue_noise::{BLUE_NOISE_SIDE, blue_noise};
 pub use dither::{Dither, panel_codes};
 
-/// Returns the code, 0..1, of a linear value, 0..1, in one channel (0 red, 1 green, 2 blue). Values
-/// outside this range are clamped; NaN becomes 0.
+/// Returns the code, 0..1, of a linear value in one channel (0 red, 1 green, 2 blue). Linear values
+/// are clamped to 0..1; NaN becomes 0.
 pub fn encode(transfer: &Transfer, channel: usize, linear: f32) -> f32 {
     transfer.encode(channel, linear)
 }
@@ -19,12 +19,12 @@ pub fn decode(transfer: &Transfer, channel: usize, code: f32) -> f32 {
     transfer.decode(channel, code)
 }
 
-/// 8-bit codes of linear values `[..][rgb]`.
+/// Returns the 8-bit codes of linear values `[..][rgb]`.
 pub fn codes8(transfer: &Transfer, linear: &[f32]) -> Vec<u8> {
     linear.iter().enumerate().map(|(i, &value)| (encode(transfer, i % 3, value) * 255.0 + 0.5) as u8).collect()
 }
 
-/// 16-bit codes of linear values `[..][rgb]`.
+/// Returns the 16-bit codes of linear values `[..][rgb]`.
 pub fn codes16(transfer: &Transfer, linear: &[f32]) -> Vec<u16> {
     linear.iter().enumerate().map(|(i, &value)| (encode(transfer, i % 3, value) * 65535.0 + 0.5) as u16).collect()
 }

@@ -1,5 +1,5 @@
-//! Calls across the C interface, in both directions: results become a status and a text, and back.
-//! Panics are caught.
+//! Calls across the C interface, in both directions. A result is passed as a status and a text, and
+//! becomes a result again on the other side. A panic becomes an error.
 
 use std::any::Any;
 use std::ffi::c_void;
@@ -9,7 +9,7 @@ use lumistack_plugin_abi::{Bytes, ErrorSink, Status, Str};
 
 use crate::PluginError;
 
-/// Calls the other side, with a sink for its error text.
+/// Calls a function of the other side of the interface, with a sink for its error text.
 ///
 /// # Errors
 /// The status that the other side returns, with the text that it wrote to the sink.
@@ -28,13 +28,14 @@ pub fn call(function: impl FnOnce(*const ErrorSink) -> Status) -> Result<(), Plu
     }
 }
 
-/// Runs the callee's part of a call.
+/// Runs a function that the other side has called. Returns its status, and copies its error text or
+/// its panic's message to the sink.
 ///
 /// # Safety
 /// `error` is null or a valid sink.
 pub unsafe fn answer(error: *const ErrorSink, function: impl FnOnce() -> Result<(), PluginError>) -> Status {
-    // No call sees state that a panic left inconsistent: the plugin's instance refuses further
-    // calls, and locks protect all other state.
+    // `AssertUnwindSafe` is right, since no later call sees inconsistent state. After a panic the
+    // plugin's instance refuses calls, and locks protect all other state.
     let outcome = catch_unwind(AssertUnwindSafe(function))
         .unwrap_or_else(|payload| Err(PluginError::Panicked(panic_text(payload))));
     let (status, text) = match outcome {
@@ -63,7 +64,7 @@ pub unsafe fn write_error(error: *const ErrorSink, text: &str) {
     }
 }
 
-/// A sink that stores the written text; valid as long as `text`.
+/// Makes a sink that stores the written text in `text`. It is valid as long as `text` is.
 pub fn keeping(text: &mut String) -> ErrorSink {
     ErrorSink { size: size_of::<ErrorSink>(), context: (&raw mut *text).cast(), write: keep_text }
 }
@@ -81,10 +82,10 @@ pub(crate) fn panic_text(payload: Box<dyn Any + Send>) -> String {
     text
 }
 
-/// Text lent by the other side; `what` names it in errors.
+/// Returns a text that the other side lends; `what` names the text in errors.
 ///
 /// # Errors
-/// If it is longer than an array can be, or it is not UTF-8.
+/// If the text is longer than an array can be, or not UTF-8.
 ///
 /// # Safety
 /// `text` points to `len` readable bytes (or `len` is 0) as long as the result is used.
@@ -94,8 +95,8 @@ pub unsafe fn lent_text<'a>(text: Str, what: &str) -> Result<&'a str, PluginErro
     std::str::from_utf8(bytes).map_err(|error| PluginError::failed(what, error))
 }
 
-/// Text lent by the other side, with invalid UTF-8 replaced; empty if it is longer than an array
-/// can be.
+/// Returns a text that the other side lends, with invalid UTF-8 replaced. The result is empty if
+/// the text is longer than an array can be.
 ///
 /// # Safety
 /// As for [`lent_text`].
@@ -104,7 +105,7 @@ pub unsafe fn lent_lossy<'a>(text: Str) -> std::borrow::Cow<'a, str> {
     String::from_utf8_lossy(unsafe { lent_bytes(Bytes { ptr: text.ptr, len: text.len }, "text") }.unwrap_or_default())
 }
 
-/// Bytes lent by the other side; `what` names them in errors.
+/// Returns bytes that the other side lends; `what` names the bytes in errors.
 ///
 /// # Errors
 /// If they are more than an array can hold.
@@ -146,7 +147,7 @@ pub unsafe extern "C" fn append(context: *mut c_void, bytes: Bytes, error: *cons
     }
 }
 
-/// Refuses a struct of an older version.
+/// Refuses a struct of an older version of the interface, which has fewer than `least` bytes.
 pub(crate) fn needs(size: usize, least: usize) -> Result<(), PluginError> {
     if size < least {
         let text = format!("the host offers a struct of {size} bytes, the plugin needs {least}");

@@ -1,5 +1,5 @@
-//! The JSON that describes data and displays. Readers ignore unknown keys, since the host may be
-//! newer.
+//! The JSON that describes data and displays at the C interface. Readers ignore unknown keys, since
+//! the host may be newer than the plugin.
 
 use lumistack_display::{Display, FieldGeometry, Projection, SeenDepth, ViewGrid};
 use serde::{Deserialize, Serialize};
@@ -14,17 +14,18 @@ use crate::PluginError;
 pub enum Description {
     /// The layer stack of a tensor display.
     LayerStack {
-        /// Brightness β.
+        /// Brightness β of the layer stack.
         brightness: f64,
-        /// Number of frames.
+        /// Number of frames of the layer stack.
         frames: usize,
-        /// [rows, cols], rearmost first.
+        /// [rows, cols] of each layer, rearmost first.
         layers: Vec<[usize; 2]>,
-        /// [bins_y, bins_x, lenslet_rows, lenslet_cols].
+        /// Shape of a directional backlight's emission: [bins_y, bins_x, lenslet_rows,
+        /// lenslet_cols].
         emission: Option<[usize; 4]>,
         /// Geometry of the light field that the stack was solved for.
         target: Geometry,
-        /// The target's views can be read; older hosts lack this key and lend none.
+        /// True if the target's views can be read. Older hosts lack this key and lend no views.
         #[serde(default)]
         target_views: bool,
         /// Depth of the target's central view; older hosts lack this key.
@@ -50,20 +51,20 @@ pub enum Description {
     },
 }
 
-/// Weights of rays.
+/// Weights of the rays of a light field.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RayWeights {
-    /// `[view_y][view_x]`.
+    /// One weight per view, `[view_y][view_x]`.
     PerView(Vec<Vec<f64>>),
-    /// Lent view by view.
+    /// One weight per ray, which the host lends view by view.
     PerRay,
 }
 
 /// Layer stack in the display's shape, lent plane by plane.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Start {
-    /// Brightness β.
+    /// Brightness β of the layer stack.
     pub brightness: f64,
 }
 
@@ -78,7 +79,7 @@ pub struct Depth {
 
 impl From<&SeenDepth> for Depth {
     fn from(seen: &SeenDepth) -> Self {
-        // rounded to 10 nm, which shortens the JSON
+        // rounding to 10 nm shortens the JSON
         let rounded = |z: &f32| (f64::from(*z) * 1e5).round() / 1e5;
         let z_mm = seen.z_mm.iter().map(|z| z.as_ref().map(|z| rounded(z) as f32)).collect();
         Self { rows: seen.rows, cols: seen.cols, z_mm }
@@ -98,7 +99,7 @@ impl TryFrom<Depth> for SeenDepth {
     }
 }
 
-/// A field geometry.
+/// Geometry of a light field: its views and pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Geometry {
     rows: usize,
@@ -151,8 +152,8 @@ impl TryFrom<Geometry> for FieldGeometry {
     }
 }
 
-/// Reads a display and skips keys that this version does not know. (In a display *file* such a key
-/// is an error, but the host has already read that file.)
+/// Reads a display and skips keys that this version does not know. Such a key may come from a newer
+/// host. In a display *file* it is an error, which the host has already checked.
 pub(crate) fn display_from_json(text: &str) -> Result<Display, PluginError> {
     let mut json: Value = serde_json::from_str(text).map_err(|error| PluginError::failed("display", error))?;
     let display: Display = loop {
@@ -160,7 +161,7 @@ pub(crate) fn display_from_json(text: &str) -> Result<Display, PluginError> {
             Ok(display) => break display,
             Err(error) => error,
         };
-        // serde names the key only in its message
+        // serde states the unknown key only in the text of its error
         let message = error.inner().to_string();
         let unknown = message.strip_prefix("unknown field `").and_then(|rest| rest.split('`').next());
         if !unknown.is_some_and(|key| remove_key(&mut json, error.path(), key)) {

@@ -1,5 +1,5 @@
-//! Encodings of calls, texts, planes and descriptions at the C interface, for both sides: this
-//! crate's traits, and hosts such as `lumistack-plugin-host`. Plugin authors do not need it.
+//! Encodes calls, texts, planes and descriptions for the C interface. Both sides use this module:
+//! this crate's traits, and hosts such as `lumistack-plugin-host`. Plugin authors do not need it.
 
 mod calls;
 mod json;

@@ -1,8 +1,9 @@
-//! Dense arrays as planes of the C interface.
+//! Lends dense arrays as planes of the C interface.
 
 use lumistack_plugin_abi::{Plane, dtype};
 
-/// Lends dense values `[row][col][channel]`; the plane is valid as long as the values are.
+/// Makes a plane that points to dense values `[row][col][channel]`. The plane is valid as long as
+/// the values are.
 pub fn dense(values: &[f32], [rows, cols, channels]: [usize; 3]) -> Plane {
     let element = size_of::<f32>() as isize;
     Plane {

@@ -13,12 +13,13 @@ def dlpack(array: Any, **options: Any) -> Any:
     try:
         return array.__dlpack__(**options)
     except (BufferError, TypeError):
-        # The older protocol has no read-only memory, and no option except `stream`.
+        # Older versions of NumPy refuse read-only memory, and know no option except `stream`. So
+        # export a copy.
         return array.copy().__dlpack__(**{key: value for key, value in options.items() if key == "stream"})
 
 
 def from_dlpack(tensor: Any, what: str) -> Any:
-    """Converts an object that supports DLPack, and no other known protocol, to a NumPy array."""
+    """Converts an object to a NumPy array by DLPack, if it supports no other known protocol."""
     import numpy
 
     try:

@@ -1,5 +1,5 @@
-"""Exceptions of the package. They have the messages of the command line, with Python's arguments
-instead of flags."""
+"""Exceptions of the package. Their messages are those of the command line; flags in them are
+replaced by arguments of Python's functions."""
 
 
 class Error(Exception):

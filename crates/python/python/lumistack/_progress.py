@@ -1,5 +1,5 @@
-"""Progress of long calls without a callback: a line in a terminal, a bar in a notebook, nothing
-elsewhere."""
+"""Progress of long calls without a callback: a line in a terminal, a bar in a notebook. Other
+programs get no output."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import threading
 import time
 from typing import Any
 
-#: Work that takes less time shows no progress, seconds.
+#: Time before the first output, seconds. Shorter work shows no progress.
 _PATIENCE = 0.5
-#: Interval of updates, seconds.
+#: Interval between outputs, seconds.
 _PAUSE = 0.1
 
 _wanted: bool | None = None
@@ -45,7 +45,7 @@ class _Shown:
             return
         self._last, self._was_shown = now, True
         spent = now - self._stage_begin
-        # An estimate from the first moments would be wrong.
+        # The speed of the first second is no reliable estimate.
         is_known = fraction > 0.02 and spent > 1.0
         remains = f", {_duration(spent / fraction - spent)} left" if is_known and fraction < 1.0 else ""
         self.show(stage, fraction, f"{stage}: {100 * fraction:.0f} %{remains}")

@@ -13,15 +13,15 @@ if TYPE_CHECKING:
 
 #: Width of thumbnails, pixels.
 _WIDTH = 320
-#: Largest numbers of views per axis in a notebook: for views along one axis, and for views along
-#: two axes. More views would make the notebook's file large.
+#: Largest number of pictures per axis that a notebook contains: `_VIEWS` along a single axis,
+#: `_VIEWS_OF_TWO` if both axes have several views. More would make the notebook's file large.
 _VIEWS = 9
 _VIEWS_OF_TWO = 5
 
 
 def light_field(light_field: LightField) -> str | None:
-    """HTML: a view with a slider per axis of views, and the light field's properties. None without
-    NumPy."""
+    """HTML of a light field: a view with a slider for each axis of views, and a table of properties.
+    None without NumPy."""
     if not _has_numpy():
         return None
     view_rows, view_cols, rows, cols, _ = light_field.shape
@@ -38,8 +38,8 @@ def light_field(light_field: LightField) -> str | None:
 
 
 def layer_stack(stack: LayerStack) -> str | None:
-    """HTML: the seen picture with a slider for the angle, the masks of the first frame, and the
-    properties of the patterns. None without NumPy."""
+    """HTML of patterns: the seen picture with a slider for the angle, the masks of the first frame, and
+    a table of properties. None without NumPy."""
     if not _has_numpy():
         return None
     slopes = sorted(stack.display.slopes[0])
@@ -136,7 +136,7 @@ def _srgb(linear: Any) -> Any:
 
 
 def _png(linear: Any) -> str:
-    """A picture of reduced size as a data URI."""
+    """Returns a picture, reduced to a thumbnail, as a PNG in a data URI."""
     import numpy
 
     step = max(1, -(-linear.shape[1] // _WIDTH))
@@ -144,7 +144,7 @@ def _png(linear: Any) -> str:
     if step > 1 and rows and cols:
         linear = numpy.asarray(linear)[: rows * step, : cols * step].reshape(rows, step, cols, step, 3).mean((1, 3))
     codes = _srgb(linear)
-    # PNG's filter byte 0 before every row.
+    # In PNG every row begins with the number of its filter; 0 means none.
     lines = b"".join(b"\x00" + row.tobytes() for row in codes)
     header = struct.pack(">IIBBBBB", codes.shape[1], codes.shape[0], 8, 2, 0, 0, 0)
     chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]
@@ -155,7 +155,7 @@ def _png(linear: Any) -> str:
 
 
 def _viewer(name: str, facts: dict[str, str], views: list[list[str]]) -> str:
-    """HTML: a table next to a picture; sliders select the picture out of many."""
+    """HTML of a table next to a picture; sliders select one of several pictures."""
     rows = "".join(f"<tr><th style='text-align:left'>{key}</th><td style='text-align:left'>{value}</td></tr>" for key, value in facts.items())
     middle = (len(views) // 2, len(views[0]) // 2)
     pictures = "".join(

@@ -29,10 +29,12 @@ pub(crate) struct DepthMap {
 
 /// Row length up to which views are matched at full resolution, pixels.
 const LARGEST_COLS: usize = 480;
-/// Half the side of the compared squares is the number of columns divided by this, within limits.
+/// Half the side of the compared squares, in pixels: the number of columns divided by
+/// `RADIUS_SHARE`, limited to [`RADIUS`].
 const RADIUS_SHARE: usize = 80;
 const RADIUS: std::ops::RangeInclusive<usize> = 3..=6;
-/// The largest shift is the number of columns divided by this, within limits in pixels.
+/// The largest shift that the matching tries, in pixels: the number of columns divided by
+/// `REACH_SHARE`, limited to [`REACH`].
 const REACH_SHARE: usize = 16;
 const REACH: std::ops::RangeInclusive<usize> = 3..=40;
 /// The best shift is rejected unless it is clearly better than the mean. Its sum of differences
@@ -46,7 +48,8 @@ const NEAR: usize = 2;
 
 impl DepthMap {
     /// Computes the depth of `view` by matching it with `neighbour`, a view in the same row of
-    /// views. `None` if both have the same direction.
+    /// views. `None` if both have the same direction, or a row is shorter than the smallest
+    /// compared square.
     pub(crate) fn new(field: &LightField, view: [usize; 2], neighbour: [usize; 2]) -> Option<Self> {
         let geometry = field.geometry();
         let step = geometry.grid.slope_x[neighbour[1]] - geometry.grid.slope_x[view[1]];
@@ -62,7 +65,7 @@ impl DepthMap {
         Some(Self { factor, cols: first.cols, z_mm, edge: edges(&shifts, first.rows, first.cols), resolution_mm })
     }
 
-    /// Depth at a pixel of the view, millimetres.
+    /// Returns the depth at a pixel of the view, millimetres.
     pub(crate) fn z_mm(&self, row: usize, col: usize) -> f64 {
         f64::from(self.z_mm[row / self.factor * self.cols + col / self.factor])
     }
@@ -116,12 +119,12 @@ impl Levels {
         let reach = (cols / REACH_SHARE).clamp(*REACH.start(), *REACH.end());
         let candidates = 2 * reach + 1;
         let difference = |row: usize, shift: usize, col: usize| {
-            // if the shift goes past the border, read the outermost pixel
+            // If the shift goes past the border, read the outermost pixel.
             let to = (col + shift).saturating_sub(reach).min(cols - 1);
             self.values[row * cols + col].abs_diff(other.values[row * cols + to])
         };
-        // sums of the differences over the rows of a square, [shift][column]; each row of the view
-        // adds one row and removes one
+        // `sums` has the sums of the differences over the rows of a square, [shift][column]. For
+        // each row of the view, one row of pixels is added and one is removed.
         let mut sums = vec![0u32; candidates * cols];
         let include = |sums: &mut [u32], row: usize| {
             let places = sums.iter_mut().enumerate();
@@ -155,12 +158,12 @@ impl Levels {
         shifts
     }
 
-    /// Half the side of the compared squares.
+    /// Returns half the side of the compared squares, pixels.
     fn radius(&self) -> usize {
         (self.cols / RADIUS_SHARE).clamp(*RADIUS.start(), *RADIUS.end())
     }
 
-    /// Median over squares, which are cut at the border of the picture.
+    /// Replaces each shift by the median over a square, which is cut at the border of the picture.
     fn median(&self, shifts: &[f32]) -> Vec<f32> {
         let (rows, cols, radius) = (self.rows, self.cols, self.radius().div_ceil(2));
         let mut square = Vec::with_capacity((2 * radius + 1).pow(2));
@@ -212,7 +215,7 @@ fn filled(mut shifts: Vec<f32>, cols: usize) -> Vec<f32> {
     shifts
 }
 
-/// True for pixels near a discontinuity of the shift.
+/// Returns, for each pixel, true if it is near a discontinuity of the shift.
 fn edges(shifts: &[f32], rows: usize, cols: usize) -> Vec<bool> {
     let mut near = vec![false; rows * cols];
     let jump = (JUMP_SHARE * cols as f32).max(1.0);
@@ -237,12 +240,12 @@ mod tests {
 
     use super::*;
 
-    /// A textured plane at 45 mm, with a card at −60 mm in its centre, seen from two directions.
+    /// Returns two views of a textured plane at 45 mm, with a card at −60 mm in its centre.
     fn two_planes(projection: Projection) -> LightField {
         let grid = ViewGrid { projection, slope_x: vec![0.0, 0.1], slope_y: vec![0.0] };
         let geometry = FieldGeometry { rows: 40, cols: 120, pitch_mm: 1.5, grid };
         let texture = |point: f64, row: usize, seed: u64| {
-            // linear interpolation of noise at multiples of three millimetres
+            // The texture is noise at multiples of three millimetres, interpolated linearly.
             let noise = |i: f64| Stream::new(seed + 1000 * row as u64 + (i as i64 + 500) as u64).next_f32();
             let (place, t) = ((point / 3.0).floor(), (point / 3.0).rem_euclid(1.0) as f32);
             noise(place) * (1.0 - t) + noise(place + 1.0) * t

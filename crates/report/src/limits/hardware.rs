@@ -9,8 +9,8 @@ use super::limit::{Limit, without};
 use super::variants::{AT_END, BRIGHTER, Tone, USUAL_BITS, bits_are_given, emission_range};
 use crate::{ReportInput, format};
 
-/// The report states the gain for this increase of light. It is extrapolated from the gain for
-/// [`BRIGHTER`].
+/// The report states the gain for a brightest state that is brighter by this fraction. The gain is
+/// extrapolated from the measured gain for the smaller fraction [`BRIGHTER`].
 const BRIGHTER_SHOWN: f64 = 0.1;
 
 /// Fractions of the stack's values that are at the ends of their ranges.
@@ -38,7 +38,7 @@ impl Ends {
     }
 }
 
-/// A list such as "12 %, 3 % and 40 % of the values of layers 0 to 2".
+/// Makes a list such as "12 %, 3 % and 40 % of the values of layers 0 to 2".
 fn listed(shares: &[f64], layers: usize) -> String {
     let percents: Vec<String> = shares.iter().map(|share| format::percent(*share)).collect();
     let text = match percents.split_last() {
@@ -60,8 +60,8 @@ pub(super) fn brightness(
     brighter: Option<SquaredError>,
 ) -> Option<Limit> {
     let relative = ((base.mse() - brighter?.mse()) / base.mse()).max(0.0);
-    // the gain per step falls with the size of the step, so extrapolation by a straight line is an
-    // upper bound
+    // The gain per step falls with the size of the step, so extrapolation by a straight line is an
+    // upper bound.
     let extrapolated = without((relative * BRIGHTER_SHOWN / BRIGHTER).min(0.99)).max(0.0);
     let mut text = format!("{} are at their brightest. ", listed(&ends.brightest, input.display.layers.len()));
     text += &if relative > 0.0 {
@@ -130,7 +130,7 @@ pub(super) fn blur_and_crosstalk(gain: f64) -> Limit {
         )
     } else {
         format!(
-            "On layers without blur and crosstalk this layer stack would be {} dB worse, since it compensates for those of this display.",
+            "On layers without blur and crosstalk this layer stack would be {} dB worse, since it compensates for the blur and crosstalk of this display.",
             format::decibels_fine(-gain)
         )
     };

@@ -15,7 +15,7 @@ pub(crate) struct Limit {
     pub(crate) figures: Value,
 }
 
-/// Gain in dB if a fraction of the squared error is removed.
+/// Returns the gain in dB if a fraction of the squared error is removed.
 pub(super) fn without(share: f64) -> f64 {
     -10.0 * (1.0 - share).log10()
 }

@@ -36,7 +36,7 @@ pub(super) enum Variant {
     Still,
 }
 
-/// The variants that apply to this display, [`Variant::Given`] first.
+/// Returns the variants that apply to this display, [`Variant::Given`] first.
 pub(super) fn variants(input: &ReportInput) -> Vec<Variant> {
     let layers = &input.display.layers;
     let mut variants = vec![Variant::Given, Variant::Quantized];
@@ -67,8 +67,8 @@ impl Variant {
             Self::Brighter => {
                 let factors = match display.formation {
                     Formation::Additive => 1.0,
-                    // distribute the increase over the layers, so that a fully open display is
-                    // brighter by BRIGHTER in total
+                    // Distribute the increase over the layers, so that a fully open display is
+                    // brighter by BRIGHTER in total.
                     _ => (stack.layers.len() + usize::from(stack.emission.is_some())) as f64,
                 };
                 let factor = (1.0 + BRIGHTER).powf(1.0 / factors) as f32;
@@ -209,9 +209,9 @@ impl Tone {
         Self { count: self.count + other.count, sums }
     }
 
-    /// Returns (offset, slope, fraction) of the regression. The mean tone curve is x = offset +
-    /// slope·y. The fraction is the part of the squared error that the best straight line y ≈ a +
-    /// b·x would remove.
+    /// Returns (offset, slope, fraction) of the regression, with x = L̃/β and y = L. The mean tone
+    /// curve is x = offset + slope·y. The fraction is the part of the squared error that the best
+    /// straight line y ≈ a + b·x would remove.
     pub(super) fn fit(self) -> Option<(f64, f64, f64)> {
         let [x, y, xx, xy, yy] = self.sums.map(|sum| sum / self.count);
         let (var_x, var_y, cov) = (xx - x * x, yy - y * y, xy - x * y);

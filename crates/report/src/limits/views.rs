@@ -47,8 +47,8 @@ impl Part {
     }
 }
 
-/// Error of content outside of the layers' depths, and of depth discontinuities, in three views:
-/// the leftmost, the central and the rightmost view of the central row.
+/// Returns two limits: by content outside of the layers' depths, and by depth discontinuities. Both
+/// are measured in the leftmost, the central and the rightmost view of the central row.
 pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>, ReportError> {
     let geometry = input.target.geometry();
     let (order, down) = (left_to_right(&geometry.grid), top_to_bottom(&geometry.grid));
@@ -86,7 +86,8 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
     // Sum each class over the views. Then compute the gain if the class had the mean error of all
     // other pixels.
     let jumps = found.iter().fold(Part::default(), |sum, (_, _, edges)| sum.merged(*edges));
-    // on noise and pictures without texture, matching finds discontinuities everywhere
+    // On noise and on pictures without texture, matching finds discontinuities everywhere, so no
+    // limit is reported.
     if found.is_empty() || jumps.share_of_rays() > BELIEVABLE_JUMPS {
         return Ok(Vec::new());
     }

@@ -2,21 +2,21 @@
 
 use lumistack_display::ViewGrid;
 
-/// Indices of view columns from left to right.
+/// Returns the indices of view columns from left to right.
 pub(crate) fn left_to_right(grid: &ViewGrid) -> Vec<usize> {
     let mut order: Vec<usize> = (0..grid.slope_x.len()).collect();
     order.sort_by(|a, b| grid.slope_x[*a].total_cmp(&grid.slope_x[*b]));
     order
 }
 
-/// Indices of view rows from top to bottom.
+/// Returns the indices of view rows from top to bottom.
 pub(crate) fn top_to_bottom(grid: &ViewGrid) -> Vec<usize> {
     let mut order: Vec<usize> = (0..grid.slope_y.len()).collect();
     order.sort_by(|a, b| grid.slope_y[*b].total_cmp(&grid.slope_y[*a]));
     order
 }
 
-/// The central view, then the corners.
+/// Returns the central view and the corner views, in this order.
 pub(crate) fn outstanding_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     let (down, across) = (top_to_bottom(grid), left_to_right(grid));
     let (bottom, right) = (down.len() - 1, across.len() - 1);

@@ -127,32 +127,32 @@ pub(super) fn seen(emitted: &EmittedView, target: &[f32], brightness: f64, count
 }
 
 impl FieldScore {
-    /// PSNR of all rays, L̃/β against L, dB.
+    /// Returns the PSNR of all rays, L̃/β against L, dB.
     pub(crate) fn psnr_view(&self) -> f64 {
         self.total(|view| view.error, SquaredError::merged).psnr()
     }
 
-    /// PSNR of all rays, L̃ against βL, dB.
+    /// Returns the PSNR of all rays, L̃ against βL, dB.
     pub(crate) fn psnr_raw(&self) -> f64 {
         self.psnr_view() - 20.0 * self.brightness.log10()
     }
 
-    /// Mean of a score over all rays.
+    /// Returns the mean of a score over all rays.
     pub(crate) fn mean(&self, figure: impl Fn(&ViewFigures) -> Mean) -> f64 {
         self.total(figure, Mean::merged).value()
     }
 
-    /// Scores of one view; `view` = [view_y, view_x].
+    /// Returns the scores of one view; `view` = [view_y, view_x].
     pub(crate) fn view(&self, view: [usize; 2]) -> &ViewFigures {
         &self.views[view[0] * self.geometry.grid.views()[1] + view[1]]
     }
 
-    /// Fraction of a view's rays that scores include, 0..1.
+    /// Returns the fraction of a view's rays that scores include, 0..1.
     pub(crate) fn counted_share(&self, view: [usize; 2]) -> f64 {
         self.view(view).error.count as f64 / (3 * self.geometry.rows * self.geometry.cols) as f64
     }
 
-    /// The view with the lowest PSNR; `None` if no view has a finite PSNR.
+    /// Returns the view with the lowest PSNR; `None` if no view has a finite PSNR.
     pub(crate) fn worst_view(&self) -> Option<[usize; 2]> {
         let figures = self.geometry.grid.iter().map(|view| (view, self.view(view).error.psnr()));
         figures.filter(|(_, psnr)| psnr.is_finite()).min_by(|a, b| a.1.total_cmp(&b.1)).map(|(view, _)| view)

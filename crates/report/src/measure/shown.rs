@@ -71,12 +71,12 @@ impl Shown {
         }
     }
 
-    /// A direction of the viewing zone.
+    /// Makes the entry of a direction of the viewing zone.
     pub(super) fn of_zone(input: &ReportInput, view: &ZoneView, figures: &ViewFigures) -> Self {
         let geometry = input.target.geometry().with_grid(view.direction.clone());
         let shown = Self::new(input, &geometry, &view.target, &Weights::Uniform, [0, 0], figures, view.seen.clone());
-        // directions near the zone's border are outside of the target's outermost views, so the
-        // title names no view
+        // Directions near the zone's border are outside of the target's outermost views, so the
+        // title names no view.
         Self { title: "Seen picture".into(), ..shown }
     }
 

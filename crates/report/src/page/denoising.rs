@@ -13,7 +13,7 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
     let Some(denoising) = input.denoising else { return Ok(html! {}) };
     let geometry = input.target.geometry();
     let (rows, cols) = (geometry.rows, geometry.cols);
-    // The maximum number of pixels is for the three pictures of the central view together.
+    // Reduce the three pictures so that they have at most [`BUDGET`] pixels together.
     let factor = shrink_factor(&[(rows, cols); 3], BUDGET);
     let small = |values: &[f32]| Linear::new(rows, cols, values, 1.0).shrunk(factor);
     let (before, after) = (small(denoising.unbiased), small(denoising.filtered));
@@ -63,7 +63,7 @@ pub(super) fn section(input: &ReportInput) -> Result<Markup, ReportError> {
     })
 }
 
-/// A value and its standard error.
+/// Formats a value and its standard error.
 fn estimate([value, error]: [f64; 2]) -> String {
     format!("{value:.2e} ± {error:.0e}")
 }

@@ -23,7 +23,7 @@ pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
                     @match &of_field {
                         Some([low, high]) => {
                             "The display can show the finest detail of its pixels from " (low) " to " (high) " mm (positive is towards the viewer). "
-                            strong { (format::percent(budget.inside)) } " of the hits in all views are there, and " (format::percent(budget.inside_middle)) " of those in the central view. "
+                            strong { (format::percent(budget.inside)) } " of the hits in all views are there, and " (format::percent(budget.inside_middle)) " of the hits in the central view. "
                         }
                         None => "The display shows the finest detail of the light field's pixels at no depth. ",
                     }
@@ -39,13 +39,13 @@ pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
                             "To fit the scene, the window was moved " @if budget.moved_back_mm > 0.0 { "back" } @else { "forward" } " by " (mm(budget.moved_back_mm.abs())) " mm. "
                         }
                         @if budget.depth_scale != 1.0 {
-                            "Parallax, and thereby depth, is " (format::percent(budget.depth_scale)) " of that of the scene. Depths on this page are those that are shown."
+                            "Parallax, and thereby depth, is " (format::percent(budget.depth_scale)) " of the scene's. Depths on this page are the shown depths."
                         }
                     }
                 }
                 div class="plots" { @for svg in &plots { (PreEscaped(svg)) } }
                 p class="quiet" {
-                    "Depths are those of the first surface along a ray, even if it is glass or a mirror. The bound on detail holds for continuous layers and many frames; pixels and few frames reach less."
+                    "A depth is the depth of the first surface along a ray, even of glass or a mirror. The bound on detail holds for continuous layers and many frames; pixels and few frames reach less."
                 }
             }
         }

@@ -10,10 +10,10 @@ use crate::measure::{FieldScore, Measured, ViewFigures, left_to_right, top_to_bo
 use crate::picture::{SEQUENTIAL, map_colour};
 use crate::{Found, ReportError, ReportInput, Solution, Stage, format, plot};
 
-/// The bar of main scores under the title.
+/// Makes the bar of main scores under the title.
 pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     let geometry = input.target.geometry();
-    // the number of views for which the solver solved; the page shows only some of them
+    // Show the number of views for which the solver solved, since the page shows only some of them.
     let [view_cols, view_rows] = input.display.views();
     let pixels = format!("across × up, {} × {} pixels each", geometry.cols, geometry.rows);
     let db = |value: f64| format!("{} dB", format::decibels(value));
@@ -66,9 +66,9 @@ fn zone_figures(input: &ReportInput) -> (String, String) {
     (db(input.zone.and_then(|zone| zone.score.psnr())), db(input.zone.and_then(|zone| zone.score.worst_tenth())))
 }
 
-/// Quality over the zone: a map of the measured directions.
+/// Makes the section about the quality over the zone, with a map of the measured directions.
 pub(super) fn zone(input: &ReportInput) -> Markup {
-    /// Side of the map, in units of the map.
+    /// Side of the square map of directions, SVG units.
     const SIDE: f64 = 400.0;
     const DOT: f64 = 19.0;
     let Some(zone) = input.zone else {
@@ -76,7 +76,7 @@ pub(super) fn zone(input: &ReportInput) -> Markup {
             section id="zone" {
                 h2 { "Whole viewing zone" }
                 p class="quiet" {
-                    "Unknown: the solver used all views of the given light field, so there are no references between them. The scores below are those of these views. "
+                    "Unknown: the solver used all views of the given light field, so there are no references between them. The scores below are the scores of these views. "
                     "If a light field has more views than the display needs, keep fewer (" code { "--views" } "). The others are then the references of the zone."
                 }
             }
@@ -131,7 +131,7 @@ struct Heat {
     /// Smallest difference of the scores at the ends of the colour scale. A smaller one would
     /// exaggerate invisible differences.
     narrowest: f64,
-    /// The range if no view has a finite value.
+    /// Ends of the colour scale if no view has a finite value.
     fallback: (f64, f64),
     larger_is_better: bool,
 }
@@ -173,8 +173,8 @@ const HEATS: [Heat; 3] = [
     },
 ];
 
-/// PSNR, SSIM and FLIP of each view, in the arrangement of the views. Held-out and outside views
-/// are next to the target views, on the same scale.
+/// Makes the tables of PSNR, SSIM and FLIP of each view, in the arrangement of the views. Held-out
+/// and outside views are next to the target views, on the same scale.
 pub(super) fn quality(input: &ReportInput, measured: &Measured) -> Markup {
     html! {
         section id="quality" {
@@ -252,7 +252,7 @@ impl Heat {
     }
 }
 
-/// Limits of the result, and its brightness.
+/// Makes the section about the limits of the result, and its brightness.
 pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
     html! {
         section id="limits" {
@@ -276,7 +276,7 @@ pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
     }
 }
 
-/// PSNR over iterations and over time.
+/// Makes the section with plots of PSNR over iterations and over time.
 pub(super) fn convergence(input: &ReportInput) -> Result<Markup, ReportError> {
     let mut plots = Vec::new();
     for axis in &plot::AXES {
@@ -300,7 +300,7 @@ pub(super) fn convergence(input: &ReportInput) -> Result<Markup, ReportError> {
     })
 }
 
-/// Summary of the solution, in a few sentences.
+/// Summarizes the solution in a few sentences.
 fn solved_by(solution: &Solution) -> String {
     let begun = match solution.coarse_levels {
         0 => String::new(),
@@ -321,7 +321,7 @@ fn solved_by(solution: &Solution) -> String {
     text
 }
 
-/// PSNR at round numbers of seconds.
+/// Makes the table of PSNR at round numbers of seconds.
 fn reached_by(lines: &[Reached]) -> Markup {
     html! {
         div class="scroll" {
@@ -334,7 +334,7 @@ fn reached_by(lines: &[Reached]) -> Markup {
     }
 }
 
-/// Time of each stage, seconds.
+/// Makes the table of the time of each stage, seconds.
 pub(super) fn timings(stages: &[Stage]) -> Markup {
     let total: f64 = stages.iter().map(|stage| stage.seconds).sum();
     let share = |stage: &Stage| if total > 0.0 { (100.0 * stage.seconds / total).clamp(0.0, 100.0) } else { 0.0 };

@@ -30,7 +30,7 @@ pub(crate) fn render(input: &GraphInput) -> Result<String, ReportError> {
     Ok(document(input.title, input.version, &header, &main))
 }
 
-/// Central views: one of the target, and one of every display.
+/// Shows central views: the view of the target, and the view of every display.
 fn pictures(input: &GraphInput) -> Result<Markup, ReportError> {
     let mut shown = Vec::new();
     for node in input.nodes {

@@ -73,7 +73,8 @@ fn scale(display: &Display) -> &'static str {
     }
 }
 
-/// Describes features that masks of such a display typically have (section 3.4 of the paper).
+/// Describes features that masks typically have on a display with this backlight, number of layers
+/// and number of frames (section 3.4 of the paper).
 fn expectation(display: &Display, frames: usize) -> &'static str {
     match (&display.backlight, display.layers.len(), frames) {
         (Backlight::Lenslets(_), _, _) => {
@@ -100,8 +101,8 @@ fn name(n: usize, display: &Display) -> String {
     }
 }
 
-/// All layers of one frame next to each other, with a slider. The script copies the pictures from
-/// the contact sheets farther down.
+/// Makes a group of all layers of one frame next to each other, with a slider for the frame. The
+/// script copies the pictures from the contact sheets farther down.
 fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     let backlight = patterns.emission.iter().map(|emission| ("backlight".to_string(), &emission.panel.frames));
     let layers = patterns.layers.iter().enumerate().map(|(n, sheet)| (name(n, display), &sheet.frames));
@@ -121,7 +122,7 @@ fn flipper(display: &Display, patterns: &Patterns) -> Markup {
     }
 }
 
-/// The mean of a layer, and its change over the frames.
+/// Shows the mean of a layer, and its change over the frames.
 fn large(sheet: &Sheet, name: &str) -> Markup {
     html! {
         div class="large group" {
@@ -136,7 +137,7 @@ fn large(sheet: &Sheet, name: &str) -> Markup {
     }
 }
 
-/// A small section of every frame at full resolution. The section is the same in all frames.
+/// Shows a small section of every frame at full resolution. The section is the same in all frames.
 fn close_up(sheet: &Sheet, name: &str) -> Markup {
     let Some(closeup) = &sheet.closeup else { return html! {} };
     let Window { row, col, rows, cols } = closeup.window;
@@ -168,8 +169,8 @@ fn contact_sheet(sheet: &Sheet, name: &str) -> Markup {
     }
 }
 
-/// Returns the style with the number of columns on a wide page. There are at most eight columns,
-/// and as many as make the rows about equally long.
+/// Returns the style with the number of columns on a wide page: three to eight, such that all rows
+/// are about equally long.
 fn across(count: usize) -> String {
     format!("--across:{}", count.div_ceil(count.div_ceil(8)).max(3))
 }

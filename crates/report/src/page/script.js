@@ -3,7 +3,7 @@
   const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
   const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-  // Look around: pointer or arrow keys choose one view of both sheets.
+  // Pointer or arrow keys choose the view that is visible of both sheets, which contain all views.
   const look = document.getElementById("look");
   if (look) {
     const across = look.dataset.across.split("|"), up = look.dataset.up.split("|");
@@ -31,7 +31,7 @@
     show(x, y);
   }
 
-  // One frame of all layers: copies the pictures of the contact sheets.
+  // The slider chooses a frame. Its pictures are copied from the contact sheets of the layers.
   const frames = document.getElementById("frames");
   if (frames) {
     const sheets = [...document.querySelectorAll(".contact[data-sheet]")];
@@ -46,7 +46,7 @@
     });
   }
 
-  // Full size; the arrow keys step through the pictures of the same group in place.
+  // The dialog shows a picture at full size. Arrow keys step through the pictures of its group.
   const dialog = document.getElementById("zoom"), large = dialog.querySelector("img");
   let group = [], place = 0;
   const step = (by) => {

@@ -29,7 +29,7 @@ pub(crate) fn render(input: &SequenceInput, report: &SequenceReport) -> Result<S
     Ok(document(input.title, input.version, &header, &main))
 }
 
-/// The section of one display over time.
+/// Makes the section of one display over time.
 fn section(series: &SequenceSeries<'_>) -> Result<Markup, ReportError> {
     let name = |name: &str| series.id.map_or(name.to_owned(), |id| format!("{name}-{id}"));
     Ok(html! {
@@ -69,9 +69,9 @@ fn key_figures(input: &SequenceSeries<'_>, report: &SequenceFigures) -> Markup {
     }
 }
 
-/// Central views, with the target above and the display below.
+/// Shows central views, with the target above and the display below.
 fn pictures(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
-    // evenly spaced, including the first and the last time step
+    // Show evenly spaced time steps, including the first and the last one.
     let count = times.len().min(PICTURES);
     let chosen = (0..count).map(|i| &times[i * (times.len() - 1) / (count - 1).max(1)]);
     let mut cells = Vec::new();

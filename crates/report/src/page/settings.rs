@@ -13,7 +13,7 @@ use crate::{ReportInput, format};
 /// Lists with more entries than this are collapsed at first.
 const FOLD: usize = 60;
 
-/// Warnings are above the pictures, since they may explain errors of the pictures.
+/// Lists warnings above the pictures, since they may explain errors of the pictures.
 pub(super) fn warnings(warnings: &[Warning]) -> Markup {
     html! {
         @if !warnings.is_empty() {
@@ -25,7 +25,7 @@ pub(super) fn warnings(warnings: &[Warning]) -> Markup {
     }
 }
 
-/// The last section of the page.
+/// Makes the last section of the page: display, job, scene and versions.
 pub(super) fn section(input: &ReportInput) -> Markup {
     html! {
         section id="settings" {

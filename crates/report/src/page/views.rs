@@ -7,7 +7,7 @@ use crate::measure::{Comparison, Measured};
 use crate::picture::{DIVERGING, Embedded, MAGMA};
 use crate::{ReportInput, format};
 
-/// The central view, large.
+/// Makes the large comparison at the top of the page.
 pub(super) fn headline(measured: &Measured) -> Markup {
     let k = measured.headline.amplification;
     html! {
@@ -15,9 +15,9 @@ pub(super) fn headline(measured: &Measured) -> Markup {
             div class="compare group" { (pictures(&measured.headline)) }
             div class="beside" {
                 p {
-                    @if measured.zone.is_some() { "A seen picture in a direction between the solver's views; of those below, it has the median score. " } @else { "The view from straight ahead. " }
+                    @if measured.zone.is_some() { "A seen picture in a direction between the solver's views; its score is the median of the directions with pictures. " } @else { "The view from straight ahead. " }
                     "A good display shows the picture of the target, and the difference is almost white. Red is too bright, blue is too dark. The error is "
-                    "amplified " strong { "× " (k) } " (that of the colour channel with the largest error, in linear light)."
+                    "amplified " strong { "× " (k) } " (the error of the colour channel with the largest error, in linear light)."
                     @if measured.has_dropped_rays { " Grey squares are rays that leave a layer or have weight 0; scores exclude them, and the display may show black there." }
                     " Views are divided by the brightness β, clamped to 0..1 and sRGB-encoded." (shrunk_note(measured.headline_shrunk))
                     " Click a picture for full size; there the arrow keys flip between target, simulated, difference and FLIP error in place. FLIP shows where an eye sees a difference between "
@@ -29,7 +29,7 @@ pub(super) fn headline(measured: &Measured) -> Markup {
     }
 }
 
-/// Two pictures whose view follows the pointer.
+/// Shows two pictures whose view follows the pointer: target and simulation.
 pub(super) fn look_around(measured: &Measured) -> Markup {
     let sheets = &measured.sheets;
     let (rows, cols) = (sheets.up.len(), sheets.across.len());
@@ -37,8 +37,8 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
         return html! {};
     }
     let sheet = |picture: &Embedded, name: &str| {
-        // the sheet of all views is shifted so that the central view is visible; the script shifts
-        // it to other views
+        // The sheet of all views is shifted so that the central view is visible. The script shifts
+        // the sheet to other views.
         let style = format!(
             "width:{}%;transform:translate({}%,{}%)",
             100 * cols,
@@ -72,7 +72,7 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
     }
 }
 
-/// Views at the corners and the centre, the worst view, and views between and outside of the
+/// Shows views at the corners and the centre, the worst view, and views between and outside of the
 /// target's views.
 pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
     let grid = &input.target.geometry().grid;
@@ -131,7 +131,8 @@ fn facts(view: &Comparison) -> String {
     facts
 }
 
-/// Target, simulated view, difference and FLIP error. Without a target, only the simulated view.
+/// Shows target, simulated view, difference and FLIP error. Without a target, only the simulated
+/// view.
 fn pictures(view: &Comparison) -> Markup {
     let amplification = view.amplification;
     let name = |what: &str| format!("{what}: {}, {}", view.title, view.direction);

@@ -48,14 +48,14 @@ pub(super) fn on_layers(display: &Display, layers: &[Tensor<4>]) -> Option<Vec<W
         let shares = energies.iter().zip(windows).map(|(energy, window)| energy.share(*window));
         shares.sum::<f64>()
     };
-    // if several positions are equally good, take the first, so that the result is deterministic
+    // If several positions are equally good, take the first, so that the result is deterministic.
     found
         .map(|windows| (gain(&windows), windows))
         .reduce(|best, next| if next.0 > best.0 { next } else { best })
         .map(|(_, windows)| windows)
 }
 
-/// The window of a backlight's panel. `None` if the panel is no larger than a close-up.
+/// Returns the window of a backlight's panel. `None` if the panel is no larger than a close-up.
 pub(super) fn on_panel(panel: &Tensor<4>) -> Option<Window> {
     let [_, rows, cols, _] = panel.shape();
     if cols <= CLOSEUP[0] && rows <= CLOSEUP[1] {
@@ -150,8 +150,8 @@ mod tests {
                     [[layers]]\nd_mm = 0.0\nresolution = [200, 120]\npitch_mm = 1.0\n[[layers]]\nd_mm = 5.0\nresolution = [100, 60]\npitch_mm = 2.0\noffset_mm = [10.0, 0.0]\n";
         let display = Display::from_toml(text).unwrap();
         let mut stack = LayerStack::filled(&display, 0.5);
-        // the top left pattern is equal in all frames and must be ignored; the other pattern
-        // changes between frames and must be found
+        // The top left pattern is equal in all frames and must be ignored; the other pattern
+        // changes between frames and must be found.
         for row in 0..40 {
             for col in 0..40 {
                 for frame in 0..2 {
@@ -165,8 +165,8 @@ mod tests {
         let [first, second] = [windows[0], windows[1]];
         assert!(first.row <= 60 && first.row + first.rows >= 100, "{first:?}");
         assert!(first.col <= 140 && first.col + first.cols >= 180, "{first:?}");
-        // the second layer is coarser and 10 mm farther to the right; its window is at the same
-        // point, or at the layer's border
+        // The second layer is coarser and 10 mm farther to the right; its window is at the same
+        // point, or at the layer's border.
         let centre_mm = first.col as f64 + 36.0 - 100.0;
         let expected = ((centre_mm - 10.0) / 2.0 + 50.0 - 36.0).round().clamp(0.0, 28.0) as usize;
         assert!(second.col.abs_diff(expected) <= 1 && second.rows == 45, "{second:?}");

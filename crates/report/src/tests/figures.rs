@@ -13,7 +13,7 @@ use crate::{Iteration, ReportInput};
 /// Tolerance of means over f32 pictures.
 const SAME: f64 = 1e-6;
 
-/// A display of two layers, with the lines `extra` in the table of each layer.
+/// Returns a display of two layers, with the lines `extra` in the table of each layer.
 fn two_layers(views: [usize; 2], resolution: [usize; 2], extra: &str) -> Display {
     let [cols, rows] = resolution;
     let mut text = format!(
@@ -94,7 +94,8 @@ fn outside_views_are_scored_or_shown() {
 
 #[test]
 fn brightness_is_relative_to_the_backlight() {
-    // two layers with a peak of 0.5, each at 0.4, and a target of ½, so L̃ = 0.16 and open = 0.25
+    // The two layers have a peak of 0.5 and values of 0.4, and the target is ½. So L̃ is 0.16, and
+    // `open` is 0.25.
     let display = two_layers([1, 1], [12, 8], "peak = 0.5");
     let mut target = LightField::black(display.geometry().unwrap()).unwrap();
     target.radiance_mut().data_mut().fill(0.5);
@@ -110,7 +111,7 @@ fn brightness_is_relative_to_the_backlight() {
         "{text}"
     );
     assert!(report.html.contains("transmit 25.0 %"));
-    // emissive layers add up to 1; two rotations of 0.5 give 90°, which transmits all light
+    // Two emissive layers add up to 1. Two rotations of 0.5 give 90°, which transmits all light.
     for (formation, open) in [("additive", 1.0), ("polarization", 1.0)] {
         let text = display.to_toml().replacen("\"attenuating\"", &format!("\"{formation}\""), 1);
         let display = Display::from_toml(&text).unwrap();
@@ -150,7 +151,7 @@ fn the_limit_of_rounding_agrees_with_the_score() {
             .unwrap()
             .contains("already contain only the values of the layers' 3 bits")
     );
-    // a display that declares no bits is assumed to have 8 bits
+    // A display that declares no bits is assumed to have 8 bits.
     let plain_display = two_layers([2, 2], [24, 20], "");
     let levels: Vec<f32> = (0..256).map(|code| lumistack_core::colour::srgb_decode(code as f32 / 255.0)).collect();
     let mut rounded = stack.clone();
@@ -201,7 +202,7 @@ fn ends_of_the_range_are_counted_and_the_limit_of_black_agrees_with_the_score() 
 
 #[test]
 fn a_flattened_tone_curve_is_measured() {
-    // the stack shows every target value L as 0.1 + 0.7·L
+    // The stack shows every target value L as 0.1 + 0.7·L.
     let display = display(1, 1, [3, 3], [16, 12], "");
     let mut target = noisy_field(&display, None);
     let mut stack = LayerStack::filled(&display, 0.0);
@@ -209,7 +210,7 @@ fn a_flattened_tone_curve_is_measured() {
     for view in target.geometry().grid.iter() {
         target.view_mut(view).copy_from_slice(&picture);
     }
-    // on z = 0, every view reads the same pixels of the picture
+    // On z = 0, every view reads the same pixels of the picture.
     let display =
         Display { layers: vec![lumistack_display::Layer { d_mm: 0.0, ..display.layers[0].clone() }], ..display };
     stack.layers[0].data_mut().iter_mut().zip(&picture).for_each(|(value, l)| *value = 0.2 * (0.1 + 0.7 * l));
@@ -220,7 +221,7 @@ fn a_flattened_tone_curve_is_measured() {
         "{figures}"
     );
     assert!(number(&figures["share_of_error"]) > 0.999_99);
-    // one layer with one frame has as many values as one of the nine views has rays
+    // One layer with one frame has as many values as one of the nine views has rays.
     let ratio = number(&limit(&report, "Frames")["figures"]["ratio"]);
     assert!((ratio - 1.0 / 9.0).abs() < 1e-9, "{ratio}");
 }
@@ -257,8 +258,8 @@ fn blur_and_crosstalk_are_compared_with_a_display_without() {
     assert!(report["limits"].as_array().unwrap().iter().all(|limit| limit["name"] != "Blur and crosstalk"));
 }
 
-/// A plane with a fine texture is at `z_mm` in the left half of the picture, and on z = 0 in the
-/// right half.
+/// Returns a light field of two planes with a fine texture. One is at `z_mm`, in the left half of
+/// the picture; the other is on z = 0, in the right half.
 fn stepped_field(display: &Display, z_mm: f64) -> LightField {
     let mut field = LightField::black(display.geometry().unwrap()).unwrap();
     let geometry = field.geometry().clone();
@@ -279,8 +280,8 @@ fn stepped_field(display: &Display, z_mm: f64) -> LightField {
 
 #[test]
 fn error_behind_the_layers_is_found_there() {
-    // the layer on z = 0 contains the central view, so the display is exact for content on z = 0
-    // and wrong behind it
+    // The layer on z = 0 contains the central view, so the display is exact for content on z = 0
+    // and wrong behind it.
     let text = "name = \"one\"\nframes = 1\nbrightness = 1.0\n[field]\nresolution = [160, 40]\npitch_mm = 1.0\nviews = [3, 1]\nfov_deg = [20.0, 20.0]\n[[layers]]\nd_mm = 0.0\nresolution = [160, 40]\npitch_mm = 1.0\n";
     let display = Display::from_toml(text).unwrap();
     let target = stepped_field(&display, -40.0);

@@ -114,7 +114,7 @@ impl JsonSchema for ZoneSamples {
     }
 }
 
-/// Reads both forms, so that an error names them.
+/// Reads `"auto"` or a number, so that an error states both forms.
 struct ZoneSamplesForm;
 
 impl Visitor<'_> for ZoneSamplesForm {
@@ -209,8 +209,8 @@ impl Denoise {
         ("oidn", Self::Oidn),
     ];
 
-    /// Returns whether a filter changes the views. [`Auto`](Self::Auto) must be resolved before; it
-    /// returns false.
+    /// Returns whether a filter changes the views. [`Auto`](Self::Auto) stands for another value,
+    /// which the caller resolves first; `Auto` itself returns false.
     pub fn filters(self) -> bool {
         !matches!(self, Self::Auto | Self::Off)
     }
@@ -283,12 +283,12 @@ impl RenderJob {
     /// number is not measured.
     pub fn samples_of_view(&self, views: usize) -> u32 {
         let spread = (f64::from(self.zone_samples.count()) / views.max(1) as f64).round().clamp(1.0, 65536.0) as u32;
-        // a filter compares two halves, so it needs two paths
+        // a filter that compares two halves of the paths needs at least two paths
         self.samples.unwrap_or(if self.denoise.takes_halves() { spread.max(2) } else { spread })
     }
 
-    /// Returns whether the number of paths is measured. Filters that compare halves change the
-    /// noise too much for that.
+    /// Returns whether the number of paths is measured. The measurement relies on the noise of the
+    /// views, which filters that compare halves change too much.
     pub fn samples_are_measured(&self) -> bool {
         self.samples.is_none() && self.zone_samples == ZoneSamples::Auto && !self.denoise.takes_halves()
     }

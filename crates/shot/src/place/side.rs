@@ -28,7 +28,7 @@ const AZIMUTHS: [f64; 8] = [0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0]
 const ELEVATIONS: [f64; 7] = [0.0, 20.0, 40.0, 55.0, -20.0, -40.0, -55.0];
 /// The front stays if it shows this fraction of the largest area.
 const FRONT_SHARE: f64 = 0.125;
-/// The same fraction for captures, whose axes come from training, so +z is not preferred. Two
+/// [`FRONT_SHARE`] for captures, whose axes come from training, so +z is not preferred. Two
 /// examples: the edge of a guitar shows 0.69 of the largest area to +z, so the guitar is seen from
 /// another side. A person in profile shows 0.79 to +z, which suffices.
 const CAPTURE_SHARE: f64 = ENOUGH;
@@ -36,7 +36,7 @@ const CAPTURE_SHARE: f64 = ENOUGH;
 /// of 40° suffices for a flat board, which shows most at 55° (sin 40° / sin 55° = 0.78). A card is
 /// seen face on, since it shows only 0.71 from 45°.
 const ENOUGH: f64 = 0.745;
-/// Numbers of columns and rows of the rays along a candidate direction.
+/// Numbers of columns and rows of rays by which the area along a candidate direction is measured.
 const PROBE: [usize; 2] = [96, 60];
 
 /// Computes the forward and up vectors of a viewer, from the azimuth to the right of +z and the
@@ -80,7 +80,7 @@ pub(crate) fn choose(
     size_mm: [f64; 2],
     task: Task<'_>,
 ) -> Result<[f64; 2], ShotError> {
-    // Boxes replace the meshes, since the frame only has to hold them.
+    // Replace meshes by their boxes, since the frame only has to hold them.
     let boxes: Vec<Bounds> = scene
         .meshes
         .iter()
@@ -119,8 +119,8 @@ pub(crate) fn choose(
     Ok(best(&tried, if is_capture { CAPTURE_SHARE } else { FRONT_SHARE }))
 }
 
-/// Returns the first direction that shows enough. The front is chosen if it shows `front_share` of
-/// the largest area.
+/// Returns the first tried direction that shows enough. It is the front if the front shows
+/// `front_share` of the largest area.
 fn best(tried: &[([f64; 2], f64)], front_share: f64) -> [f64; 2] {
     let most = tried.iter().fold(0.0f64, |most, (_, area)| most.max(*area));
     let Some((front, area)) = tried.first() else { return FRONT };
@@ -130,7 +130,7 @@ fn best(tried: &[([f64; 2], f64)], front_share: f64) -> [f64; 2] {
     tried.iter().find(|(_, area)| *area >= ENOUGH * most).map_or(*front, |(from_deg, _)| *from_deg)
 }
 
-/// The visible instances, or all instances if each of them is an unseen lamp.
+/// Returns the instances that the viewer sees. If all instances are unseen lamps, returns all.
 fn seen(scene: &Scene) -> impl Iterator<Item = &Instance> {
     let none = !scene.instances.iter().any(|instance| scene.is_seen(instance));
     scene.instances.iter().filter(move |instance| none || scene.is_seen(instance))
@@ -196,11 +196,11 @@ mod tests {
     #[test]
     fn solid_things_are_seen_from_the_front() {
         assert_eq!(chosen(&scene(block(Vec3::ONE, Vec3::ZERO), false)), FRONT);
-        // a figure, slender from the front: a head on a body
+        // a figure of a head on a body, slender from the front, is seen from the front
         let mut figure = block(Vec3::new(0.5, 1.2, 0.3), Vec3::new(2.0, 0.6, -3.0));
         figure.extend(block(Vec3::new(0.25, 0.3, 0.25), Vec3::new(2.0, 1.4, -3.0)));
         assert_eq!(chosen(&scene(figure, false)), FRONT);
-        // an animal is longer than it is wide
+        // an animal that is longer than wide is seen from the front
         assert_eq!(chosen(&scene(block(Vec3::new(25.0, 78.0, 154.0), Vec3::ZERO), false)), FRONT);
         assert_eq!(chosen(&scene(vec![(card(3.0, 2.0), Affine3A::IDENTITY)], false)), FRONT);
     }
@@ -214,13 +214,14 @@ mod tests {
             assert_eq!(chosen(&scene(turned(Quat::from_rotation_x(-quarter)), double_sided)), [0.0, 40.0]);
             assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(quarter)), double_sided)), [90.0, 0.0]);
         }
-        // fronts face −x, down, and away from the viewer
+        // the card's front faces −x, then down, then away from the viewer
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(-quarter)), false)), [-90.0, 0.0]);
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_x(quarter)), false)), [0.0, -40.0]);
         assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(2.0 * quarter)), false)), [180.0, 0.0]);
     }
 
-    /// 32 pieces on a board, which is a narrow strip from the front.
+    /// 32 pieces stand on a board. From the front, the board is a narrow strip, so it is seen from
+    /// above.
     #[test]
     fn a_chess_board_is_seen_from_above() {
         let mut parts = block(Vec3::new(8.0, 0.2, 8.0), Vec3::ZERO);

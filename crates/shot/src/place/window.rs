@@ -23,11 +23,12 @@ const PROBE_COLS: usize = 336;
 /// A window before depth is fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Found {
-    /// The window.
+    /// The window that was found.
     pub window: Window,
     /// True if the user chose the depth of the window: by numbers or by a focus distance.
     pub chosen: bool,
-    /// Azimuth and elevation of the viewer for whom the scene was framed, degrees.
+    /// Azimuth and elevation in degrees of the viewer for whom the scene was framed. `None` if the
+    /// window was not framed.
     pub looked_from_deg: Option<[f64; 2]>,
 }
 
@@ -73,7 +74,7 @@ fn unlimited_window<S: Subject>(
         let window = Window::given(centre, forward, up, width, size_mm).map_err(error)?;
         return Ok(Found { window, chosen: true, looked_from_deg: None });
     }
-    // The job's camera, otherwise the first one of the file.
+    // Use the camera that the job names, or else the first camera of the file.
     let camera = match (job.from, &job.camera) {
         (WindowFrom::Bounds, _) => None,
         (_, Some(wanted)) => Some(find_camera(scene, wanted)?),
@@ -84,8 +85,8 @@ fn unlimited_window<S: Subject>(
     if job.from == WindowFrom::Camera && camera.is_none() {
         return Err(ShotError::value(&scene.name, "window.from", "a camera in the scene", "none").into());
     }
-    // The window frames the scene from the job's direction or the best side, and then shrinks to
-    // the visible scene.
+    // Frame the scene from the job's direction, or else from the best side. Then shrink the frame
+    // to the visible scene.
     let framed = || -> Result<Found, S::Error> {
         let from_deg = match job.look_from {
             Some(from_deg) => from_deg,
@@ -106,15 +107,15 @@ fn unlimited_window<S: Subject>(
             Ok(found(window))
         }
         Ok(window) => close_up(subject, window, geometry, false, task).map(found),
-        // a camera that the job does not name must not cause an error
+        // a camera that the job does not name must not cause an error, so frame the scene instead
         Err(_) if job.from == WindowFrom::Auto && job.camera.is_none() => framed(),
         Err(source) => Err(error(source).into()),
     }
 }
 
-/// Fits a window to the visible scene. With `recentre` the window frames the scene. Otherwise the
-/// window moves closer along its axis until the scene covers [`COVERAGE`] of it. All visible
-/// content stays visible.
+/// Fits a window to the visible scene, without cutting off visible content. With `recentre` the
+/// window frames the scene. Otherwise it moves closer along its axis until the scene covers
+/// [`COVERAGE`] of it.
 fn close_up<S: Subject>(
     subject: &S,
     window: Window,
@@ -158,14 +159,15 @@ fn extents(mask: &Tensor<2>) -> Option<[[usize; 2]; 2]> {
 fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let size = mask.shape();
     let Some(seen) = extents(mask) else { return (1.0, size.map(|count| 0.5 * count as f64)) };
-    // one pixel more, since content may end anywhere in its last pixel
+    // add one pixel, since content may end anywhere in its last pixel
     let share = |axis: usize| (seen[axis][1] - seen[axis][0] + 1) as f64 / size[axis] as f64;
     let factor = (1.0 + 2.0 * MARGIN) * share(0).max(share(1));
     (factor, seen.map(|[first, end]| 0.5 * (first + end) as f64))
 }
 
-/// Returns the middle region of a picture of which [`COVERAGE`] is set, in the form of [`whole`].
-/// The region is larger if it would otherwise cut off set pixels or be smaller than [`CLOSEST`].
+/// Returns the region in the middle of a picture of which set pixels cover [`COVERAGE`], in the
+/// form of [`whole`]. The region is larger if it would otherwise cut off set pixels or be smaller
+/// than [`CLOSEST`].
 fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let [rows, cols] = mask.shape();
     let middle = [rows, cols].map(|count| 0.5 * count as f64);
@@ -175,7 +177,7 @@ fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
         (1.0 + 2.0 * MARGIN) * first.max(end) / middle[axis]
     };
     let least = reach(0).max(reach(1)).max(CLOSEST);
-    // all set pixels stay inside, so they cover a larger fraction of a smaller region
+    // the wanted area is `covered` / COVERAGE; `least` keeps all set pixels inside
     let covered = mask.data().iter().map(|&hit| f64::from(hit)).sum::<f64>() / (rows * cols) as f64;
     ((covered / COVERAGE).sqrt().max(least).min(1.0), middle)
 }
@@ -210,8 +212,8 @@ mod tests {
 
     #[test]
     fn what_is_framed_is_shown_whole() {
-        // a head on a thin stand; a slender animal; a wide row of small things; a speck in a
-        // corner; a full mask
+        // every case is the mask of an object: a head on a thin stand; a slender animal; a wide row
+        // of small things; a speck in a corner; a full mask
         let cases: [(&str, Box<dyn Fn(usize, usize) -> bool>); 5] = [
             ("bust", Box::new(|row, col| col.abs_diff(80) < if row < 40 { 22 } else { 3 })),
             ("animal", Box::new(|row, col| (2..98).contains(&row) && col.abs_diff(80) < 9)),
@@ -224,7 +226,8 @@ mod tests {
             let [[top, bottom], [left, right]] = extents(&mask).unwrap().map(|ends| ends.map(|end| end as f64));
             let kept = edges(&mask, whole(&mask));
             assert!(kept[0] < top && kept[1] > bottom && kept[2] < left && kept[3] > right, "{name}: {kept:?}");
-            // no larger than needed: a margin on both sides of the longer axis
+            // the window is no larger than needed: the longer axis has a margin of 3 % on both
+            // sides
             let spare = ((kept[1] - kept[0]) / (bottom - top + 1.0)).min((kept[3] - kept[2]) / (right - left + 1.0));
             assert!((spare - 1.06).abs() < 1e-9, "{name}: {spare}");
         }
@@ -244,12 +247,13 @@ mod tests {
         // a small object in the middle gets the closest view
         let small = mask(100, 160, |row, col| row.abs_diff(50) < 5 && col.abs_diff(80) < 5);
         assert_eq!(closer(&small).0, CLOSEST);
-        // an object that covers a seventh gets a view of which it covers a quarter
+        // an object that covers a seventh of the view gets a view of which it covers about a
+        // quarter
         let seventh = mask(100, 160, |row, col| row.abs_diff(50) < 24 && col.abs_diff(80) < 24);
         let factor = closer(&seventh).0;
         let covered = seventh.data().iter().sum::<f32>() / 16000.0;
         assert!((f64::from(covered) / factor.powi(2) - COVERAGE).abs() < 1e-6, "{factor}");
-        // content that reaches the border stays as it is
+        // the view of content that reaches the border stays as it is
         assert_eq!(closer(&mask(100, 160, |row, _| row > 90)).0, 1.0);
     }
 }

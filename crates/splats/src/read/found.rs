@@ -4,7 +4,7 @@ use glam::{Quat, Vec3};
 use lumistack_scene::Cloud;
 use thiserror::Error;
 
-/// Directions of a file's axes.
+/// Directions of the three axes of a file of splats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axes {
     /// x right, y up, z towards the viewer: the axes of glTF and of a scene.
@@ -19,7 +19,7 @@ impl Axes {
     pub fn scene_from_file(self) -> Quat {
         match self {
             Self::RightUpBack => Quat::IDENTITY,
-            // half a turn about x
+            // half a turn about x reverses y and z
             Self::RightDownFront => Quat::from_xyzw(1.0, 0.0, 0.0, 0.0),
         }
     }
@@ -28,7 +28,7 @@ impl Axes {
 /// A cloud as read from a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {
-    /// The splats, before validation.
+    /// The splats of the file, before validation.
     pub cloud: Cloud,
     /// The axes of the cloud's positions and rotations.
     pub axes: Axes,
@@ -40,11 +40,11 @@ pub struct Found {
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{place}: expected {expected}, found {found}")]
 pub struct ReadError {
-    /// Place in the file.
+    /// Place in the file of the wrong value.
     pub place: String,
-    /// The values that the format allows.
+    /// The values that the format allows at this place.
     pub expected: String,
-    /// The value in the file.
+    /// The value that the file has.
     pub found: String,
 }
 
@@ -57,22 +57,22 @@ impl ReadError {
 /// Largest size of a decompressed file, in bytes.
 pub const MAX_BYTES: u64 = 8 << 30;
 
-/// Opacity from the logit that trainers store: 1/(1 + e^−x).
+/// Converts the logit that trainers store to an opacity: 1/(1 + e^−x).
 pub(super) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// Coefficient of the constant harmonic, for a colour in 0..1.
+/// Converts a colour in 0..1 to the coefficient of the constant harmonic.
 pub(super) fn constant(colour: f32) -> f32 {
     (colour - 0.5) / 0.282_094_8
 }
 
-/// Degree of harmonics with this number of coefficients, not counting the constant one.
+/// Degree of the harmonics that have this number of coefficients, not counting the constant one.
 pub(super) fn degree_of(coefficients: usize) -> Option<usize> {
     [0, 3, 8, 15].iter().position(|known| *known == coefficients)
 }
 
-/// Restores a unit quaternion from its three smaller components.
+/// Restores a unit quaternion from its three smaller components, which files store.
 ///
 /// `rest` is the result without its component `largest`, in the same order.
 pub(super) fn from_smallest_three(rest: [f32; 3], largest: usize) -> [f32; 4] {
@@ -97,7 +97,7 @@ pub(super) fn cloud(place: &str, count: usize, degree: usize) -> Cloud {
     }
 }
 
-/// Scales from the logarithms that files store.
+/// Converts the logarithms that files store to scales.
 pub(super) fn exp(log: Vec3) -> Vec3 {
     Vec3::new(log.x.exp(), log.y.exp(), log.z.exp())
 }

@@ -64,7 +64,7 @@ struct Property {
     offset: usize,
 }
 
-/// An element of the file with its rows.
+/// An element of the file, which is a table of rows with named properties.
 struct Element<'a> {
     name: String,
     count: usize,
@@ -73,7 +73,7 @@ struct Element<'a> {
     rows: &'a [u8],
 }
 
-/// One property, in all rows.
+/// One property of an element, in all of its rows.
 #[derive(Clone, Copy)]
 struct Column<'a> {
     rows: &'a [u8],
@@ -165,8 +165,8 @@ fn plain(vertices: &Element<'_>) -> Result<lumistack_scene::Cloud, ReadError> {
     let (rest, degree) = vertices.rest()?;
     let mut cloud = cloud("element vertex", vertices.count, degree);
     for i in 0..vertices.count {
-        // Read a row per splat: positions and rotations as stored, scales and opacities from
-        // logarithms and logits.
+        // Read a row per splat. Positions and rotations are stored as they are, scales as
+        // logarithms, and opacities as logits.
         cloud.positions.push(Vec3::from(position.map(|column| column.float(i))));
         let [w, x, y, z] = rotation.map(|column| column.float(i));
         cloud.rotations.push(Quat::from_xyzw(x, y, z, w));
@@ -203,7 +203,7 @@ fn packed(
     let high = chunks.columns(["max_x", "max_y", "max_z"])?;
     let least = chunks.columns(["min_scale_x", "min_scale_y", "min_scale_z"])?;
     let most = chunks.columns(["max_scale_x", "max_scale_y", "max_scale_z"])?;
-    // older files store no bounds of colours, which are then 0 and 1
+    // an older file stores no bounds of colours, which are then 0 and 1
     let dark = ["min_r", "min_g", "min_b"].map(|name| chunks.find(name));
     let bright = ["max_r", "max_g", "max_b"].map(|name| chunks.find(name));
     let [position, rotation] = [vertices.words("packed_position")?, vertices.words("packed_rotation")?];
@@ -213,7 +213,8 @@ fn packed(
         Some(sh) => return Err(ReadError::new("element sh", format!("{} rows", vertices.count), sh.count)),
         None => (Vec::new(), 0),
     };
-    // Expand the words of each splat: 11, 10 and 11 bits are x, y and z between the chunk's bounds.
+    // Expand the words of each splat. Their 11, 10 and 11 bits are x, y and z between the chunk's
+    // bounds.
     let word = |column: &Column<'_>, i: usize| u32::from_le_bytes(column.bytes(i));
     let three = |word: u32| [unit(word, 21, 11), unit(word, 11, 10), unit(word, 0, 11)];
     let lerp = |low: f32, high: f32, t: f32| low + t * (high - low);

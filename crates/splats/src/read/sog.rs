@@ -15,9 +15,9 @@ use serde::Deserialize;
 
 use super::found::{Axes, Found, MAX_BYTES, ReadError, cloud, degree_of, exp, from_smallest_three, sigmoid};
 
-/// Largest file in a bundle, in bytes.
+/// Largest size of a file in a `.sog` archive, in bytes.
 const MAX_PICTURE: u64 = 1 << 30;
-/// Number of entries of the palette per row of the picture of harmonics.
+/// Number of palette entries in a row of the picture of harmonics.
 const PER_ROW: usize = 64;
 
 #[derive(Deserialize)]
@@ -188,7 +188,7 @@ pub(super) fn read(meta: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>
         let bytes = scales.at(i);
         cloud.scales.push(exp(Vec3::from([0, 1, 2].map(|axis: usize| of_scales[axis].of(bytes[axis])))));
         let [a, b, c, largest] = quats.at(i);
-        // Alpha is the index of the largest component, which follows from the other three.
+        // Alpha states the largest component, whose value follows from the other three.
         let Some(largest) = largest.checked_sub(252) else {
             return Err(ReadError::new(format!("/quats, splat {i}"), "alpha from 252 to 255", largest));
         };
@@ -208,7 +208,8 @@ pub(super) fn read(meta: &[u8], beside: &dyn Fn(&str) -> Result<Vec<u8>, String>
     Ok(Found { cloud, axes: Axes::RightDownFront, left_out: Vec::new() })
 }
 
-/// Harmonics above degree 0. Splats share them: each has a label, which is the index of an entry.
+/// Harmonics above degree 0, in a palette. Each splat has a label, which is the index of its entry
+/// in the palette.
 struct Palette<'a> {
     degree: usize,
     coefficients: usize,

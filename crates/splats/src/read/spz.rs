@@ -1,5 +1,5 @@
-//! `.spz`, versions 1 to 4: quantized attributes, each stored for all splats in turn (in version 4
-//! as separate streams).
+//! `.spz`, versions 1 to 4: quantized attributes. Each attribute is stored for all splats, and then
+//! the next one follows. Version 4 stores every attribute in a stream of its own.
 //!
 //! ```text
 //! position   24-bit fixed point (version 1: half floats)
@@ -26,7 +26,7 @@ const MAGIC: u32 = 0x5053_474e;
 /// Sizes of the headers in bytes: of versions 1 to 3, and of version 4.
 const HEADER: usize = 16;
 const HEADER_4: usize = 32;
-/// Bit of the header's flags that marks records of vendors.
+/// Bit of the header's flags that marks records of vendors, which are not read.
 const EXTENSIONS: u8 = 2;
 /// Largest number of fractional bits of a 24-bit position.
 const MAX_FRACTION: u8 = 23;
@@ -200,8 +200,8 @@ fn splats(header: &Header, parts: [&[u8]; 6]) -> Result<Found, ReadError> {
     Ok(Found { cloud, axes: Axes::RightUpBack, left_out })
 }
 
-/// A rotation in 32 bits: the upper two are the index of the largest component; then ten bits for
-/// each other component, with the sign first.
+/// Reads a rotation of 32 bits. The upper two bits are the index of the largest component. Ten bits
+/// follow for each other component, with the sign first.
 fn smallest_three(bytes: &[u8]) -> Quat {
     let word = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
     let part = |shift: u32| {
@@ -212,7 +212,7 @@ fn smallest_three(bytes: &[u8]) -> Quat {
     Quat::from_array(from_smallest_three([part(20), part(10), part(0)], (word >> 30) as usize))
 }
 
-/// A rotation in three bytes: x, y and z; w is positive.
+/// Reads a rotation of three bytes: x, y and z. The component w is positive and makes the length 1.
 fn first_three(bytes: &[u8]) -> Quat {
     let rest = [0, 1, 2].map(|axis: usize| f32::from(bytes[axis]) / 127.5 - 1.0);
     Quat::from_array(from_smallest_three(rest, 3))

@@ -11,32 +11,33 @@ use lumistack_simd::{Kernel, Lanes};
 
 use super::prepare::CUTOFF;
 
-/// Edge of a block in pixels.
+/// Width and height of a block of pixels, in pixels.
 pub(crate) const EDGE: usize = 4;
-/// Number of pixels of a block: a multiple of the lanes of every vector type.
+/// Number of pixels of a block. It is a multiple of the lanes of every vector type.
 pub(crate) const PIXELS: usize = EDGE * EDGE;
 /// A pixel with less transmittance than this is finished.
 pub(crate) const DARK: f32 = 1e-4;
-/// Largest value of u/16 within a splat's extent.
+/// Largest v within a splat's extent. The splat's opacity falls off as e^(−16 v).
 const LIMIT: f32 = 0.5 * CUTOFF * CUTOFF / 16.0;
 
 /// The projection of a splat into one view.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Flat {
     pub(crate) at: [f32; 2],
-    /// a, b, c of u/16 = a dx² + b dx dy + c dy²; a splat of opacity o has o e^(−u) at a pixel.
+    /// Coefficients [a, b, c] of u/16 = a dx² + b dx dy + c dy², for a pixel at the offset (dx, dy)
+    /// from `at`. A splat of opacity o has the opacity o e^(−u) at this pixel.
     pub(crate) conic: [f32; 3],
     pub(crate) opacity: f32,
     pub(crate) colour: [f32; 3],
     pub(crate) z: f32,
 }
 
-/// Results accumulated over the splats, per pixel of a block.
+/// Sums over the splats that were blended so far, for each pixel of a block.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sums {
     pub(crate) rgb: [[f32; PIXELS]; 3],
     pub(crate) transmittance: [f32; PIXELS],
-    /// Depth at which the transmittance falls below one half; NaN until then.
+    /// Depth of the splat at which the transmittance falls below one half; NaN until this happens.
     pub(crate) z: [f32; PIXELS],
 }
 
@@ -48,11 +49,11 @@ impl Sums {
 /// A block of pixels and the splats that cover it.
 pub(crate) struct Args<'a> {
     pub(crate) splats: &'a [Flat],
-    /// Indices of the splats that are blended, nearest first.
+    /// Indices into `splats` of the splats that are blended, nearest first.
     pub(crate) chosen: &'a [u16],
-    /// Column and row of the first pixel.
+    /// Column and row of the block's first pixel in the light field.
     pub(crate) first: [f32; 2],
-    /// Depth of a surface per pixel, which hides splats behind it; −∞ without a surface.
+    /// For each pixel, the depth of the surface that hides splats behind it; −∞ without a surface.
     pub(crate) cuts: &'a [f32; PIXELS],
     pub(crate) sums: &'a mut Sums,
 }
@@ -69,7 +70,7 @@ const OFFSETS: [[f32; PIXELS]; 2] = {
     offsets
 };
 
-/// Blends splats into sums; returns true if any pixel is unfinished.
+/// Adds the chosen splats to the sums of a block. Returns true if any pixel is still unfinished.
 pub(crate) struct Blend;
 
 impl Kernel for Blend {
@@ -100,13 +101,13 @@ impl Kernel for Blend {
                     let [a, b, c] = splat.conic.map(|value| V::splat(value));
                     let v = dx.mul(a).mul_add(dx, b.mul(dx).mul_add(dy, c.mul(dy).mul(dy)));
                     let z = V::splat(splat.z);
-                    // A splat contributes to pixels within its extent that are unfinished, if it is
-                    // in front of the pixel's surface.
+                    // A splat contributes to a pixel if the pixel is within its extent and
+                    // unfinished. It must also be in front of the pixel's surface.
                     let lit = V::both(V::both(v.at_most(limit), dark.at_most(through)), cut.at_most(z));
                     if V::bits(lit) == 0 {
                         continue;
                     }
-                    // The polynomial of e^(−v), then four squarings.
+                    // Evaluate the polynomial of e^(−v), then square it four times.
                     let series = v.mul_add(V::splat(1.0 / 24.0), V::splat(-1.0 / 6.0));
                     let series = series.mul_add(v, half);
                     let series = series.mul_add(v, V::splat(-1.0));
@@ -119,8 +120,8 @@ impl Kernel for Blend {
                     red = weight.mul_add(V::splat(splat.colour[0]), red);
                     green = weight.mul_add(V::splat(splat.colour[1]), green);
                     blue = weight.mul_add(V::splat(splat.colour[2]), blue);
-                    // The depth is that of the splat at which the transmittance falls below one
-                    // half.
+                    // The depth of a pixel is the depth of the splat at which the pixel's
+                    // transmittance falls below one half.
                     let left = through.sub(weight);
                     depth = z.where_else(V::both(half.at_most(through), left.below(half)), depth);
                     through = left;

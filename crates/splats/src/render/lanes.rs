@@ -11,7 +11,7 @@ use super::prepare::{CUTOFF, Eye, NEAREST, PIXEL_VARIANCE, Splat, TILE};
 /// Number of views of a block. More views save sorting; fewer views save memory, and the projection
 /// of splats that only some views show.
 pub(crate) const VIEWS: usize = 16;
-/// One value per view.
+/// One value for each view of a block of views.
 pub(crate) type Lane = [f32; VIEWS];
 
 /// The eyes of the views of a block. The last one is repeated if there are fewer than [`VIEWS`].
@@ -25,7 +25,7 @@ pub(crate) struct Eyes {
 }
 
 impl Eyes {
-    /// Eyes of one kind, 1 to [`VIEWS`] of them.
+    /// Packs the eyes of 1 to [`VIEWS`] views. All of them must be of one kind.
     pub(crate) fn new(eyes: &[Eye]) -> Self {
         let of = |i: usize| match eyes[i.min(eyes.len() - 1)] {
             Eye::Slope(slope) => (slope, None),
@@ -38,17 +38,18 @@ impl Eyes {
 /// The projections of a splat into all views of a block.
 #[derive(Clone, Debug)]
 pub(crate) struct Projected {
-    /// Column and row of the projected centre.
+    /// Column and row of the splat's projected centre, in each view.
     pub(crate) at: [Lane; 2],
-    /// a, b, c of u/16 = a dx² + b dx dy + c dy²; a splat of opacity o has o e^(−u) at a pixel.
+    /// Coefficients [a, b, c] of u/16 = a dx² + b dx dy + c dy², for a pixel at the offset (dx, dy)
+    /// from `at`. A splat of opacity o has the opacity o e^(−u) at this pixel.
     pub(crate) conic: [Lane; 3],
-    /// Half the extent along each axis, in pixels.
+    /// Half of the splat's extent along each axis, in pixels, in each view.
     pub(crate) reach: [Lane; 2],
     pub(crate) opacity: Lane,
     pub(crate) colour: [Lane; 3],
     /// Key of the view's blending order; it increases with the distance from the viewer.
     pub(crate) distance: Lane,
-    /// One bit per view in which the splat is visible in the tile.
+    /// One bit for each view in which the splat is visible in the tile.
     pub(crate) seen: u32,
 }
 
@@ -64,22 +65,23 @@ impl Projected {
     };
 }
 
-/// A splat, the views, and the destination of the result.
+/// A splat, the eyes of the views, and the place for the result.
 pub(crate) struct Args<'a> {
     pub(crate) splat: &'a Splat,
     pub(crate) eyes: &'a Eyes,
     /// Column and row of the first pixel of the tile.
     pub(crate) origin: [f32; 2],
-    /// Coefficients of the splat, `[coefficient][rgb]`; empty if no colours are computed.
+    /// Coefficients of the splat's harmonics, `[coefficient][rgb]`; empty if no colours are
+    /// computed.
     pub(crate) harmonics: &'a [f32],
-    /// The harmonics of each view's direction, for parallel rays.
+    /// The basis functions Y_lm of each view's direction. They are used only for parallel rays.
     pub(crate) bases: &'a [Lane; MOST],
     /// Columns of the map from directions in pixels to directions of the cloud.
     pub(crate) cloud_from_pixels: &'a [[f32; 3]; 3],
     pub(crate) to: &'a mut Projected,
 }
 
-/// Projects a splat and evaluates its colours.
+/// Projects a splat into all views of a block and computes its colour in each.
 pub(crate) struct Project;
 
 impl Kernel for Project {
@@ -91,8 +93,8 @@ impl Kernel for Project {
         let Args { splat, eyes, origin, harmonics, bases, cloud_from_pixels, to } = args;
         let [x, y, z] = splat.centre;
         let [xx, xy, xz, yy, yz, zz] = splat.covariance;
-        // Compute per view the slope of the ray through the centre, and the magnification m at the
-        // splat's depth; `prepare.rs` defines both.
+        // Compute per view the slope of the ray through the splat's centre, and the magnification m
+        // at the centre's depth. The head of `prepare.rs` has both equations.
         let (mut slope_x, mut slope_y, mut m) = (eyes.x, eyes.y, 1.0);
         match eyes.distance {
             None => {
@@ -133,7 +135,8 @@ impl Kernel for Project {
             to.conic[0][v] = scale * high;
             to.conic[1][v] = -2.0 * scale * both;
             to.conic[2][v] = scale * wide;
-            // the filter widens a splat, and lowers its peak to keep its integral
+            // the pixel's filter widens a splat, and lowers its peak so that its integral stays the
+            // same
             let opacity = splat.opacity * (sharp * share).sqrt();
             to.opacity[v] = opacity;
             let (reach_x, reach_y) = (CUTOFF * wide.sqrt(), CUTOFF * high.sqrt());
@@ -153,7 +156,8 @@ impl Kernel for Project {
         if to.seen == 0 || harmonics.is_empty() {
             return;
         }
-        // Directions from an eye differ between splats; parallel rays have one direction per view.
+        // From an eye, each splat has a direction of its own; parallel rays have one direction per
+        // view.
         let mut own = [[0.0; VIEWS]; MOST];
         let bases = match eyes.distance {
             None => bases,
@@ -186,8 +190,8 @@ impl Kernel for Project {
     }
 }
 
-/// Harmonics of the directions from the eyes to a point; z is the point's depth relative to the
-/// eyes.
+/// Computes the harmonics of the directions from the eyes to a point, and writes them to `to`. `z`
+/// is the point's depth minus the eyes' depth.
 #[inline(always)]
 fn directions(eyes: &Eyes, [x, y, z]: [f32; 3], map: &[[f32; 3]; 3], values: usize, to: &mut [Lane; MOST]) {
     let mut of_axis = [[0.0; VIEWS]; 3];

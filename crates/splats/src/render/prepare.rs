@@ -10,8 +10,9 @@
 //! ```
 //!
 //! The ray from an eye at e through the centre μ has s = (e − μ)/(D − z) and m = D/(D − z). Here D
-//! is the distance of the eye. Within one splat rays are treated as parallel. This is the affine
-//! approximation that KHR_gaussian_splatting prescribes, for the sheared frustum of the window.
+//! is the distance of the eye from the window, and z the depth of μ. Within one splat rays are
+//! treated as parallel. This is the affine approximation that KHR_gaussian_splatting prescribes,
+//! for the sheared frustum of the window.
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use lumistack_display::{FieldGeometry, Projection};
@@ -19,7 +20,7 @@ use lumistack_scene::{Scene, Window};
 #[cfg(feature = "parallel")]
 use rayon::prelude::*;
 
-/// Edge of a tile in pixels.
+/// Width and height of a tile, in pixels.
 pub(crate) const TILE: usize = 16;
 /// Variance of a box as wide as a pixel, pixels².
 pub(crate) const PIXEL_VARIANCE: f32 = 1.0 / 12.0;
@@ -31,9 +32,9 @@ pub(crate) const NEAREST: f32 = 0.05;
 /// A splat in the window's coordinates, in pixels.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Splat {
-    /// Column, row and depth of the centre.
+    /// Column, row and depth of the splat's centre.
     pub(crate) centre: [f32; 3],
-    /// Covariance: xx, xy, xz, yy, yz, zz.
+    /// Covariance of the splat in pixels²: xx, xy, xz, yy, yz, zz.
     pub(crate) covariance: [f32; 6],
     pub(crate) opacity: f32,
     /// Index of the placed cloud (`placed`), and of the splat in the cloud (`index`).
@@ -53,7 +54,7 @@ pub(crate) enum Eye {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Seen {
     pub(crate) at: [f32; 2],
-    /// Covariance xx, xy, yy, without the pixel's variance.
+    /// Covariance of the projection in pixels²: xx, xy, yy, without the pixel's variance.
     pub(crate) covariance: [f32; 3],
 }
 
@@ -101,7 +102,8 @@ impl Eye {
         })
     }
 
-    /// Direction from the viewer to a point, with y downwards and of any length.
+    /// Returns the direction from the viewer to a point. Its y points down, and its length is
+    /// arbitrary.
     #[inline]
     pub(crate) fn direction(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
         match *self {
@@ -111,12 +113,12 @@ impl Eye {
     }
 }
 
-/// Column and row of the light field's centre.
+/// Returns the column and row of the centre of a view, in pixels.
 fn middle(geometry: &FieldGeometry) -> [f64; 2] {
     [geometry.cols, geometry.rows].map(|count| 0.5 * (count as f64 - 1.0))
 }
 
-/// Two eyes, with the smallest and with the largest coordinates of all eyes.
+/// Returns two eyes that have the smallest and the largest coordinates of all eyes.
 ///
 /// The bounds of a projected splat are the sum of a linear and a convex function of each coordinate
 /// of the eye. So the bounds of these two projections contain the projections into all views.
@@ -131,14 +133,14 @@ pub(crate) fn ends(eyes: &[Eye]) -> Vec<Eye> {
     [both(f32::min), both(f32::max)].into_iter().flatten().collect()
 }
 
-/// All splats that a window can show, with their order.
+/// All splats that a window can show, with their order by depth.
 pub(crate) struct Prepared {
     /// The splats in the order of their clouds, in which neighbours in space are neighbours in
     /// memory.
     pub(crate) splats: Vec<Splat>,
     /// Indices of the splats, nearest to the viewer first.
     pub(crate) by_depth: Vec<u32>,
-    /// Per placed cloud, the rotation from directions in pixels to directions of the cloud.
+    /// For each placed cloud, the rotation from directions in pixels to directions of the cloud.
     pub(crate) cloud_from_pixels: Vec<Mat3>,
 }
 
@@ -200,7 +202,7 @@ impl Prepared {
     }
 }
 
-/// Maps a float to an integer with the same order.
+/// Converts a float to an integer. A larger float gives a larger integer.
 pub(crate) fn sortable(value: f32) -> u32 {
     let bits = value.to_bits();
     if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }

@@ -12,8 +12,8 @@ use lumistack_scene::{Encoding, Scene};
 pub struct Space(pub(crate) Encoding);
 
 impl Space {
-    /// The space of a scene; `None` if the scene has no splats. A scene with clouds of both
-    /// encodings is blended in sRGB.
+    /// Returns the space of a scene's splats, or `None` if the scene has no splats. A scene with
+    /// clouds of both encodings is blended in sRGB.
     pub fn of(scene: &Scene) -> Option<Self> {
         let mut encodings = scene.placed_clouds.iter().map(|placed| scene.clouds[placed.cloud].encoding).peekable();
         encodings.peek()?;
@@ -21,8 +21,8 @@ impl Space {
         Some(Self(if all_linear { Encoding::Linear } else { Encoding::Srgb }))
     }
 
-    /// Blends splats `[r, g, b, T]` of this space over linear radiance, and returns linear
-    /// radiance.
+    /// Blends splats `[r, g, b, T]` of this space, with transmittance T, over linear radiance.
+    /// Returns linear radiance.
     pub fn over(self, splats: [f32; 4], behind: [f32; 3]) -> [f32; 3] {
         let [r, g, b, through] = splats;
         // without splats the radiance stays the same to the last bit
@@ -66,7 +66,7 @@ mod tests {
                 assert!((now - then).abs() < 1e-6, "{now} {then}");
             }
         }
-        // half a white splat over white is white; over black the two spaces differ
+        // a white splat of opacity one half over white is white; over black the two spaces differ
         let half = [0.5, 0.5, 0.5, 0.5];
         let [white, dark] = [[1.0; 3], [0.0; 3]].map(|behind| Space(Encoding::Srgb).over(half, behind)[0]);
         assert!((white - 1.0).abs() < 1e-6 && (dark - 0.214_04).abs() < 1e-4, "{white} {dark}");

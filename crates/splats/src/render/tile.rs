@@ -34,7 +34,8 @@ const ALONG: usize = TILE / EDGE;
 const BLOCKS: usize = ALONG * ALONG;
 /// Number of splats that are projected before any of them is blended.
 const CHUNK: usize = 384;
-/// Number of splats by which prefetching is ahead, since splats are scattered in memory.
+/// Number of splats between the prefetch of a splat and its use. Splats are prefetched because they
+/// are scattered in memory.
 const AHEAD: usize = 12;
 /// Number of values per pixel: red, green, blue, transmittance, depth in pixels.
 pub(crate) const VALUES: usize = 5;
@@ -78,7 +79,7 @@ impl<'a> Shared<'a> {
 
     /// Prefetches the harmonics of a splat.
     fn request(&self, splat: &Splat) {
-        // a cache line holds 16 floats
+        // prefetch each cache line, which holds 16 floats
         self.harmonics(splat).chunks(16).for_each(|line| prefetch(line.as_ptr()));
     }
 
@@ -91,7 +92,7 @@ impl<'a> Shared<'a> {
         self.cloud(splat).encoding == self.space
     }
 
-    /// Converts a splat's colour to the space in which splats are blended.
+    /// Converts a colour of the splat's cloud to the space in which splats are blended.
     fn in_space(&self, splat: &Splat, rgb: [f32; 3]) -> [f32; 3] {
         match (self.cloud(splat).encoding, self.space) {
             (Encoding::Linear, Encoding::Srgb) => rgb.map(srgb_encode),
@@ -101,7 +102,8 @@ impl<'a> Shared<'a> {
     }
 }
 
-/// Depths of the surfaces in a view, `[row][col][sample]`, in pixels; −∞ for a miss.
+/// Depths of the surfaces of meshes in one view, `[row][col][sample]`, in pixels. A ray that misses
+/// all surfaces has −∞.
 #[derive(Clone, Copy)]
 pub(crate) struct Cuts<'a> {
     pub(crate) z: &'a [f32],
@@ -110,22 +112,23 @@ pub(crate) struct Cuts<'a> {
     pub(crate) rows: usize,
 }
 
-/// The views of a block.
+/// A block of views that are rendered together.
 pub(crate) struct Views<'a> {
     pub(crate) eyes: Vec<Eye>,
     /// Two eyes whose projections bound the projections of all eyes.
     pub(crate) ends: Vec<Eye>,
     cuts: Vec<Option<Cuts<'a>>>,
     lanes: Eyes,
-    /// Per placed cloud, the harmonics of each view's direction, for parallel rays.
+    /// For each placed cloud, the basis functions Y_lm of each view's direction. They are used only
+    /// for parallel rays.
     bases: Vec<[Lane; MOST]>,
-    /// Per placed cloud, the columns of the map from directions in pixels to directions of the
+    /// For each placed cloud, the columns of the map from directions in pixels to directions of the
     /// cloud.
     cloud_from_pixels: Vec<[[f32; 3]; 3]>,
 }
 
 impl<'a> Views<'a> {
-    /// Makes 1 to [`VIEWS`] views.
+    /// Prepares a block of 1 to [`VIEWS`] views.
     pub(crate) fn new(eyes: Vec<Eye>, cuts: Vec<Option<Cuts<'a>>>, prepared: &Prepared) -> Self {
         let of_cloud = |map: &glam::Mat3| {
             let mut bases = [[0.0; VIEWS]; MOST];
@@ -142,14 +145,14 @@ impl<'a> Views<'a> {
     }
 }
 
-/// One view of a tile during blending.
+/// The state of one tile in one view while splats are blended.
 struct Canvas {
-    /// Sums, `[sample][block]`.
+    /// Colour, transmittance and depth so far, `[sample][block]`.
     sums: Vec<[Sums; BLOCKS]>,
     cuts: Vec<[[f32; PIXELS]; BLOCKS]>,
-    /// Per sample, one bit for each block with an unfinished pixel.
+    /// For each sample of a pixel, one bit for each block with an unfinished pixel.
     open: Vec<u16>,
-    /// Splats that are projected but not yet blended: key of the order, and index into `flats`.
+    /// Splats that are projected but not yet blended: [`key`] of the order, and index into `flats`.
     pending: Vec<(u64, u32)>,
     /// Projected splats, with a bit for each block that they cover; the first `used` are valid.
     flats: Vec<(Flat, u16)>,
@@ -183,12 +186,12 @@ impl Canvas {
         }
     }
 
-    /// Blocks in which a sample has an unfinished pixel.
+    /// One bit for each block in which a sample has an unfinished pixel.
     fn open(&self) -> u16 {
         self.open.iter().fold(0, |all, open| all | open)
     }
 
-    /// Closes the blocks whose surfaces hide all splats at depth `z` and farther.
+    /// Marks blocks as finished if their surfaces hide all splats at depth `z` and farther.
     fn close_behind(&mut self, z: f32) {
         for (open, cuts) in self.open.iter_mut().zip(&self.cuts) {
             for (block, cuts) in cuts.iter().enumerate() {
@@ -205,7 +208,7 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
     let origin = tile.map(|number| (number * TILE) as f32);
     let mut canvases: Vec<Canvas> = views.cuts.iter().map(|cuts| Canvas::new(*cuts, tile)).collect();
     let splat = |number: usize| &shared.prepared.splats[list[number] as usize];
-    // Compute per chunk the depth of its first splat, and its largest extent.
+    // For each chunk, find the depth of its first splat and its largest extent.
     let mut chunks = Vec::with_capacity(list.len().div_ceil(CHUNK));
     for first in (0..list.len()).step_by(CHUNK) {
         let mut most = 0.0f32;
@@ -217,7 +220,8 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
         }
         chunks.push((splat(first).centre[2], most));
     }
-    // Compute per chunk and view a lower bound of the distances in this chunk and all later ones.
+    // For each chunk and view, find a lower bound of the distances in this chunk and all later
+    // chunks.
     let mut least: Vec<[f32; VIEWS]> = vec![[f32::INFINITY; VIEWS]; chunks.len() + 1];
     for (number, (z, reach)) in chunks.iter().enumerate().rev() {
         for (v, eye) in views.eyes.iter().enumerate() {
@@ -312,10 +316,11 @@ fn take(
     origin: [f32; 2],
     same_space: bool,
 ) {
-    // Bits of the blocks, per axis, that have a pixel's centre within the splat's extent.
+    // Along each axis, set a bit for each row or column of blocks that has the centre of a pixel
+    // within the splat's extent.
     let blocks = |axis: usize| -> u32 {
         let (middle, reach) = (projected.at[axis][v] - origin[axis], projected.reach[axis][v]);
-        // the conversions to integers truncate
+        // conversions to integers truncate, so `last` is rounded down; `first` is rounded up
         let (low, last) = ((middle - reach).max(0.0), (middle + reach).min(TILE as f32 - 1.0) as i32);
         let first = low as i32 + i32::from(low > low as i32 as f32);
         if first > last || middle + reach < 0.0 {
@@ -332,7 +337,7 @@ fn take(
     if canvas.used == canvas.flats.len() {
         canvas.flats.push((Flat::default(), 0));
     }
-    // field by field, since a whole struct would be copied through memory
+    // write field by field, since a whole struct would be copied through memory
     let (flat, own) = &mut canvas.flats[canvas.used];
     *own = mask;
     (0..2).for_each(|axis| flat.at[axis] = projected.at[axis][v]);
@@ -347,7 +352,8 @@ fn take(
     canvas.used += 1;
 }
 
-/// Key of the blending order: by distance, then by depth.
+/// Returns the sort key of a splat. The order is by distance, then by `number`, the splat's
+/// position in the order by depth.
 fn key(distance: f32, number: u32) -> u64 {
     u64::from(sortable(distance)) << 32 | u64::from(number)
 }
@@ -355,16 +361,17 @@ fn key(distance: f32, number: u32) -> u64 {
 #[derive(Default)]
 struct Scratch {
     ordered: Vec<Flat>,
-    /// Per block, the splats that cover it, in blending order.
+    /// For each block, indices of the splats that cover it, in blending order.
     over: [Vec<u16>; BLOCKS],
     kept: Vec<(Flat, u16)>,
 }
 
-/// Blends the pending splats whose distance is less than `distance`.
+/// Blends the pending splats whose distance is less than `distance`, and keeps the others.
 fn blend_up_to(shared: &Shared<'_>, canvas: &mut Canvas, distance: f32, origin: [f32; 2], scratch: &mut Scratch) {
     canvas.pending.sort_unstable_by_key(|(key, _)| *key);
     let ready = canvas.pending.partition_point(|(found, _)| *found < key(distance, 0));
-    // Chunks keep the indices within 16 bits. Each splat is listed in the blocks that it covers.
+    // Blend at most 4096 splats at a time, so that their indices fit into 16 bits. Each splat is
+    // listed in the blocks that it covers.
     for part in canvas.pending[..ready].chunks(1 << 12) {
         scratch.ordered.clear();
         scratch.over.iter_mut().for_each(Vec::clear);
@@ -407,7 +414,7 @@ fn blend_up_to(shared: &Shared<'_>, canvas: &mut Canvas, distance: f32, origin: 
     canvas.flats[..canvas.used].copy_from_slice(&scratch.kept);
 }
 
-/// Appends a view's pixels, the means of their samples, to the output.
+/// Appends a tile's pixels to the output. A pixel is the mean of its samples.
 fn write(canvas: &Canvas, out: &mut Vec<f32>) {
     let first = out.len();
     out.resize(first + TILE * TILE * VALUES, 0.0);
@@ -424,7 +431,7 @@ fn write(canvas: &Canvas, out: &mut Vec<f32>) {
     }
 }
 
-/// Row and column of a block's pixel in the tile.
+/// Returns the row and column, within the tile, of a pixel of a block.
 fn place(block: usize, pixel: usize) -> [usize; 2] {
     [block / ALONG * EDGE + pixel / EDGE, block % ALONG * EDGE + pixel % EDGE]
 }

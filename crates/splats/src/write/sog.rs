@@ -30,7 +30,7 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
             Rgba(if i < cloud.len() { texel(i) } else { [0; 4] })
         }))
     };
-    // Positions are stored in a logarithmic scale, finer near the origin, with 16 bits between
+    // Store positions in a logarithmic scale, which is finer near the origin, in 16 bits between
     // their bounds.
     let places: Vec<[f32; 3]> =
         cloud.positions.iter().map(|at| at.to_array().map(|x| x.signum() * x.abs().ln_1p())).collect();
@@ -73,7 +73,7 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
         ("quats.webp", picture(&|i| smallest_three(cloud.rotations[i]))?),
         ("sh0.webp", picture(&colour)?),
     ];
-    // Harmonics above degree 0 become a palette, with a label per splat.
+    // Harmonics above degree 0 become a palette, and each splat has the label of its entry.
     if cloud.degree > 0 {
         let own = |i: usize| &cloud.harmonics[values * i + 3..values * (i + 1)];
         let book = Book::of((0..cloud.len()).flat_map(|i| own(i).iter().copied()));
@@ -92,11 +92,13 @@ pub fn sog(cloud: &Cloud) -> Result<Vec<(String, Vec<u8>)>> {
     Ok(std::iter::once(("meta.json".to_owned(), meta.to_string().into_bytes())).chain(named).collect())
 }
 
-/// A codebook: 256 values in increasing order.
+/// A codebook: 256 values in increasing order, one for each value of a byte. The last value may
+/// repeat.
 struct Book(Vec<f32>);
 
 impl Book {
-    /// The values themselves if there are at most 256; otherwise even steps between their bounds.
+    /// Makes a codebook of the given values. If more than 256 of them differ, the codebook has even
+    /// steps between the bounds.
     fn of(values: impl Iterator<Item = f32>) -> Self {
         let mut all: Vec<f32> = values.collect();
         all.sort_unstable_by(f32::total_cmp);
@@ -109,7 +111,7 @@ impl Book {
         Self((0..256).map(|i| low + (high - low) * i as f32 / 255.0).collect())
     }
 
-    /// Index of the nearest value.
+    /// Returns the index of the codebook's value that is nearest to `value`.
     fn byte(&self, value: f32) -> u8 {
         let above = self.0.partition_point(|known| *known < value).min(255);
         let below = above.saturating_sub(1);

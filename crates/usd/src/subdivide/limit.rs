@@ -1,7 +1,8 @@
 //! Limit positions and normals of a refined mesh's vertices.
 //!
 //! Weights apply to the control points of a level at which all faces are quadrilaterals (triangles
-//! for Loop). A vertex v has n neighbours e and n opposite corners f.
+//! for Loop). A vertex v has n neighbours e and n opposite corners f. In Loop's scheme, w is the
+//! weight of a neighbour in the refinement of v.
 //!
 //! ```text
 //! Catmull–Clark   position  (n v + Σ (4 e + f)/n) / (n + 5)
@@ -23,7 +24,7 @@ use super::scheme::Scheme;
 use super::stencils::{Stencils, loop_weight, other_end};
 use super::topology::{Edge, Fan, Rule, Topology};
 
-/// Limit positions of the vertices.
+/// Returns stencils that project a level's vertices to the limit surface.
 pub(super) fn positions(topology: &Topology, scheme: Scheme) -> Stencils {
     let mut stencils = Stencils::with_capacity(topology.vertex_count);
     for vertex in 0..topology.vertex_count as u32 {
@@ -56,14 +57,15 @@ pub(super) fn positions(topology: &Topology, scheme: Scheme) -> Stencils {
     stencils
 }
 
-/// The vertex of the quadrilateral that is opposite to a corner.
+/// Returns the vertex of a quadrilateral that is opposite to a corner.
 fn opposite(topology: &Topology, corner: u32) -> u32 {
     topology.corners[topology.next(topology.next(corner)) as usize]
 }
 
 /// Returns unit normals, and the index of the normal of each corner. `control` are the level's
-/// points, and `surface` their limit positions. The weights do not apply at level 0, at corners and
-/// to bilinear surfaces. There a normal is the mean of the faces' normals, weighted by angle.
+/// points, and `surface` their limit positions. At level 0, at corners and on bilinear surfaces the
+/// tangents of the file's head do not apply. In these cases a normal is the mean of the faces'
+/// normals, weighted by angle.
 pub(super) fn normals(
     topology: &Topology,
     scheme: Scheme,
@@ -75,7 +77,7 @@ pub(super) fn normals(
     let masks_hold = level > 0 && scheme != Scheme::Bilinear;
     for vertex in 0..topology.vertex_count as u32 {
         let rule = topology.rule(vertex, 0.0);
-        // a crease that ends at this vertex does not split the surface
+        // a crease that ends at this vertex leaves its rule smooth, and does not split the surface
         let splits = |edge: &Edge| scheme == Scheme::Bilinear || (edge.sharpness > 0.0 && rule != Rule::Smooth);
         for fan in topology.fans(vertex, splits) {
             let at = |vertex: u32| control[vertex as usize].as_dvec3();
@@ -153,9 +155,9 @@ fn crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -
     (at(first) - at(last)).cross(across)
 }
 
-/// Normal on one side of a crease of triangles (Hoppe et al. 1994). The tangent across the crease
-/// is −sin θ (e₀ + e_k) + (2 − 2 cos θ) Σ sin iθ e_i. A crease with fewer than four faces on this
-/// side has weights of its own.
+/// Normal on one side of a crease of triangles (Hoppe et al. 1994). The side has k faces, and its
+/// edges end at e₀ to e_k; θ is π/k. The tangent across the crease is −sin θ (e₀ + e_k) + (2 − 2
+/// cos θ) Σ sin iθ e_i. A crease with fewer than four faces on this side has weights of its own.
 fn triangle_crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -> DVec3) -> DVec3 {
     let points: Vec<DVec3> = spokes(topology, fan).into_iter().map(&at).collect();
     let here = at(vertex);
@@ -176,7 +178,7 @@ fn triangle_crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl 
     }
 }
 
-/// Mean of the corners' normals, weighted by angle.
+/// Returns the mean of the normals at a fan's corners, weighted by the corners' angles.
 fn mean_normal(topology: &Topology, fan: &Fan, surface: &[Vec3]) -> Option<DVec3> {
     let at = |corner: u32| surface[topology.corners[corner as usize] as usize].as_dvec3();
     let weighted = fan.corners.iter().filter_map(|&corner| {

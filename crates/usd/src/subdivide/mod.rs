@@ -7,8 +7,9 @@
 //! fractional sharpness blends two rules. The last level is projected to the limit surface, and the
 //! normals are perpendicular to its exact tangent planes.
 //!
-//! Face-varying data are vertex data of a second mesh. It has the same faces, and one vertex per
-//! distinct value at a vertex, so seams are its boundaries.
+//! Face-varying data are vertex data of a second mesh. It has the faces of the first mesh. Each of
+//! its vertices is a distinct value at a vertex of the first mesh. At a seam, two neighbouring
+//! faces have different values, so seams are boundaries of the second mesh.
 //!
 //! Source: the rules of OpenSubdiv 3 to which UsdGeomMesh refers (interpolateBoundary,
 //! faceVaryingLinearInterpolation, triangleSubdivisionRule). Limits and tangents: Halstead, Kass,
@@ -35,19 +36,20 @@ pub(crate) enum Boundary {
     None,
     /// The boundary is a smooth curve.
     EdgeOnly,
-    /// As `EdgeOnly`, but vertices with one face keep their positions.
+    /// The boundary is a smooth curve, but vertices with only one face keep their positions.
     #[default]
     EdgeAndCorner,
 }
 
-/// Rules that state where face-varying data are not smoothed (`faceVaryingLinearInterpolation`).
+/// Rules that state where face-varying data are not smoothed (`faceVaryingLinearInterpolation`). A
+/// seam is an edge whose two faces have different values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum FaceVarying {
     /// Data are smoothed everywhere, also at seams and their corners.
     None,
-    /// A value at a vertex is not smoothed if only one face has this value there.
+    /// A value at a vertex is not smoothed if only one face has this value at the vertex.
     CornersOnly,
-    /// As `CornersOnly`. Also, values are not smoothed at a vertex that has three or more of them.
+    /// As `CornersOnly`. Also, a vertex with three or more values has none of them smoothed.
     #[default]
     CornersPlus1,
     /// As `CornersPlus1`. Also, values are not smoothed at the end of a seam, or if one of two
@@ -70,7 +72,7 @@ pub(crate) struct Cage<'a> {
     pub(crate) hole_indices: &'a [i32],
     pub(crate) crease_indices: &'a [i32],
     pub(crate) crease_lengths: &'a [i32],
-    /// One value per crease, or one value per edge.
+    /// The list has one sharpness per crease, or one per edge of a crease.
     pub(crate) crease_sharpnesses: &'a [f32],
     pub(crate) corner_indices: &'a [i32],
     pub(crate) corner_sharpnesses: &'a [f32],
@@ -80,7 +82,7 @@ pub(crate) struct Cage<'a> {
     pub(crate) smooth_triangles: bool,
 }
 
-/// Number of levels of refinement for most meshes.
+/// Number of times that most meshes are refined.
 const LEVEL: u32 = 2;
 /// Largest number of triangles after [`LEVEL`] levels. A denser mesh is already smooth, so it is
 /// refined by fewer levels.
@@ -91,38 +93,39 @@ const SPARSE_LEVEL: u32 = 4;
 /// Largest number of triangles for which [`SPARSE_LEVEL`] applies.
 const SPARSE_TRIANGLES: usize = 8_000;
 
-/// The number of levels for a mesh, by the number of corners of its faces.
+/// Returns the number of levels for a mesh whose faces have `corner_count` corners in total.
 pub(crate) fn level_for(corner_count: usize) -> u32 {
     let usual = affordable_level(corner_count, LEVEL, MOST_TRIANGLES);
     usual.max(affordable_level(corner_count, SPARSE_LEVEL, SPARSE_TRIANGLES))
 }
 
-/// The largest number of levels, up to `wanted`, that gives at most `most_triangles` triangles.
+/// Returns the largest number of levels, up to `wanted`, that gives at most `most_triangles`
+/// triangles.
 fn affordable_level(corner_count: usize, wanted: u32, most_triangles: usize) -> u32 {
-    // a corner becomes a quadrilateral at the first level, and each quadrilateral four at the next
+    // a corner becomes a quadrilateral of two triangles; each further level makes four of each
     (1..=wanted).rev().find(|&level| corner_count.saturating_mul(2 << (2 * (level - 1))) <= most_triangles).unwrap_or(0)
 }
 
-/// A refined mesh, ready to interpolate values.
+/// A refined mesh. Its methods interpolate values of the control mesh.
 pub(crate) struct Refinement {
     cage: Topology,
-    /// Index of the corner of the input's faces, for each corner of `cage`.
+    /// For each corner of `cage`, the index of the same corner among the faces of the input.
     source_corners: Vec<u32>,
     source_corner_count: usize,
     scheme: Scheme,
     smooth_triangles: bool,
     level: u32,
     levels: Vec<Stencils>,
-    /// The topology of the last level, before the projection to the limit.
+    /// The topology of the last level, whose vertices are not yet projected to the limit surface.
     finest: Topology,
-    /// Index of the face of the input, for each face of `finest`; `None` in holes.
+    /// For each face of `finest`, the index of the input's face that contains it; `None` in holes.
     sources: Vec<Option<u32>>,
 }
 
-/// Values, and the index of the value for each corner of [`Refinement::faces`].
+/// Values, with an index of a value for each corner of [`Refinement::faces`].
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Indexed {
-    /// The values, with `width` numbers each.
+    /// The values, each with as many numbers as the input's values.
     pub(crate) values: Vec<f32>,
     pub(crate) indices: Vec<u32>,
 }
@@ -172,7 +175,7 @@ impl Refinement {
         }
     }
 
-    /// Indices of faces that are not holes.
+    /// Returns the indices of the last level's faces that are not in holes.
     fn shown(&self) -> impl Iterator<Item = u32> + Clone {
         (0..self.finest.face_count() as u32).filter(|&face| self.sources[face as usize].is_some())
     }
@@ -296,7 +299,8 @@ fn vectors(values: &[f32]) -> Vec<Vec3> {
     values.as_chunks::<3>().0.iter().map(|&value| Vec3::from(value)).collect()
 }
 
-/// The valid polygons of a control mesh.
+/// The polygons of a control mesh whose vertices exist. For Loop's scheme they are cut into
+/// triangles.
 struct Polygons {
     starts: Vec<u32>,
     corners: Vec<u32>,
@@ -331,7 +335,7 @@ impl Polygons {
     }
 }
 
-/// Sets the sharpness of creased edges.
+/// Sets the sharpness of edges that the control mesh lists as creases.
 fn crease(topology: &mut Topology, cage: &Cage<'_>) {
     let per_crease = cage.crease_sharpnesses.len() == cage.crease_lengths.len();
     let (mut first, mut edge) = (0usize, 0usize);
@@ -378,8 +382,8 @@ fn pin(topology: &mut Topology, rule: FaceVarying, values: Range<u32>, inside: b
     pinned.into_iter().for_each(|value| topology.vertex_sharpness[value as usize] = f32::INFINITY);
 }
 
-/// Refines a mesh. Returns the stencils of each level, the topology of the last level, and the
-/// index of the input's face for each of its faces.
+/// Refines a mesh. Returns the stencils of each level, and the topology of the last level. Also
+/// returns, for each face of the last level, the index of the input's face that contains it.
 fn refine(cage: &Topology, scheme: Scheme, smooth_triangles: bool, level: u32) -> (Vec<Stencils>, Topology, Vec<u32>) {
     let mut topology = cage.clone();
     let mut parents: Vec<u32> = (0..cage.face_count() as u32).collect();
@@ -398,7 +402,7 @@ fn refine(cage: &Topology, scheme: Scheme, smooth_triangles: bool, level: u32) -
     (levels, topology, parents)
 }
 
-/// Refines without smoothing.
+/// Refines a mesh without smoothing; returns the results of [`refine`].
 fn refine_linearly(cage: &Topology, scheme: Scheme, level: u32) -> (Vec<Stencils>, Topology, Vec<u32>) {
     let triangles = scheme == Scheme::Loop;
     let mut topology = cage.clone();

@@ -7,13 +7,15 @@ use std::f64::consts::TAU;
 
 use super::topology::{Edge, Rule, Topology, weaker};
 
-/// Weight of a triangle's midpoint for the child of an edge, with the triangle rule "smooth".
+/// Weight of the midpoint of a triangle in the value of an edge's child, with the triangle rule
+/// "smooth".
 const SMOOTH_TRIANGLE_WEIGHT: f64 = 0.47;
 
-/// Child values as weighted sums of parent values.
+/// Weights by which values of a level (the parents) give values of the next level (the children).
 #[derive(Clone, Debug, Default)]
 pub(super) struct Stencils {
-    /// Index of the first entry of each child, and the total number of entries.
+    /// For each child, the index of its first entry in `parents` and `weights`; then the number of
+    /// entries.
     starts: Vec<u32>,
     parents: Vec<u32>,
     weights: Vec<f32>,
@@ -31,18 +33,18 @@ impl Stencils {
         self.weights.push(weight as f32);
     }
 
-    /// Adds the midpoint of a face to the sum.
+    /// Adds the midpoint of a face, times `weight`, to the current child.
     fn add_face(&mut self, topology: &Topology, face: u32, weight: f64) {
         let vertices = topology.face_vertices(face);
         vertices.iter().for_each(|&vertex| self.add(vertex, weight / vertices.len() as f64));
     }
 
-    /// Completes the child to which parents have been added.
+    /// Ends the current child, whose parents were added. The next call adds to a new child.
     pub(super) fn end(&mut self) {
         self.starts.push(self.parents.len() as u32);
     }
 
-    /// Values of the children, with `width` numbers per child.
+    /// Computes the children's values from the parents' values, with `width` numbers each.
     pub(super) fn apply(&self, values: &[f32], width: usize) -> Vec<f32> {
         let mut children = vec![0.0; (self.starts.len() - 1) * width];
         for (child, range) in children.chunks_exact_mut(width.max(1)).zip(self.starts.windows(2)) {
@@ -57,14 +59,14 @@ impl Stencils {
     }
 }
 
-/// The weights of Catmull and Clark.
+/// Returns the stencils of one level of Catmull and Clark's scheme.
 pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Stencils {
     let children = topology.vertex_count + topology.edges.len() + topology.face_count();
     let mut stencils = Stencils::with_capacity(children);
     for vertex in 0..topology.vertex_count as u32 {
         child_vertex(&mut stencils, topology, vertex, |stencils, weight| {
-            // weights: (n − 2)/n for the vertex, 1/n² for each neighbour and for each face's
-            // midpoint
+            // A vertex with n neighbours has the weight (n − 2)/n in its child. Each neighbour and
+            // each face's midpoint has 1/n².
             let corners = topology.corners_at(vertex);
             let n = topology.edges_at(vertex).count() as f64;
             stencils.add(vertex, weight * (n - 2.0) / n);
@@ -102,7 +104,8 @@ pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Sten
     stencils
 }
 
-/// Loop's weights, with his own weights for extraordinary vertices.
+/// Returns the stencils of one level of Loop's scheme, with his own weights for vertices without
+/// six neighbours.
 pub(super) fn loop_scheme(topology: &Topology) -> Stencils {
     let mut stencils = Stencils::with_capacity(topology.vertex_count + topology.edges.len());
     for vertex in 0..topology.vertex_count as u32 {
@@ -136,7 +139,8 @@ pub(super) fn loop_weight(count: usize) -> f64 {
     (0.625 - beta * beta) / count as f64
 }
 
-/// Weights without smoothing: midpoints of edges and, except for triangles, midpoints of faces.
+/// Returns the stencils of one level without smoothing. New vertices are the midpoints of edges
+/// and, except for triangles, the midpoints of faces.
 pub(super) fn linear(topology: &Topology, triangles: bool) -> Stencils {
     let faces = if triangles { 0 } else { topology.face_count() };
     let mut stencils = Stencils::with_capacity(topology.vertex_count + topology.edges.len() + faces);
@@ -159,8 +163,8 @@ pub(super) fn other_end(edge: &Edge, vertex: u32) -> u32 {
     edge.ends[usize::from(edge.ends[0] == vertex)]
 }
 
-/// Adds the child of a vertex. If its sharpness ends between two levels, the rules of both levels
-/// are blended.
+/// Adds the child of a vertex. If a sharpness at the vertex ends within this level, the rules of
+/// this level and of the next are blended.
 fn child_vertex(stencils: &mut Stencils, topology: &Topology, vertex: u32, smooth: impl Fn(&mut Stencils, f64)) {
     let mut add = |rule: Rule, weight: f64| match rule {
         Rule::Smooth => smooth(stencils, weight),
@@ -185,7 +189,7 @@ fn child_vertex(stencils: &mut Stencils, topology: &Topology, vertex: u32, smoot
     stencils.end();
 }
 
-/// The topology after one level, and the index of the parent of each face.
+/// Returns the topology of the next level and, for each of its faces, the index of the parent face.
 pub(super) fn split(topology: &Topology, triangles: bool) -> (Topology, Vec<u32>) {
     let edge_child = |corner: u32| topology.vertex_count as u32 + topology.edge_of_corner[corner as usize];
     let face_child = |face: u32| (topology.vertex_count + topology.edges.len()) as u32 + face;

@@ -3,10 +3,10 @@ use lumistack_core::seed::Stream;
 
 use super::*;
 
-/// Tolerance for rounding: sums of f32 numbers over a few levels, for coordinates of size 1.
+/// Tolerance for rounding of sums of f32 numbers over a few levels. Coordinates are of size 1.
 const ROUNDING: f32 = 2e-6;
 
-/// A mesh with its own lists.
+/// A polygon mesh that owns its lists. A [`Cage`] borrows them.
 #[derive(Clone, Default)]
 struct Mesh {
     points: Vec<Vec3>,
@@ -67,7 +67,7 @@ fn limit(cage: &Cage<'_>, level: u32, points: &[f32]) -> Vec<Vec3> {
     vectors(&Refinement::new(cage, level).vertex(points, 3))
 }
 
-/// Control points of a level.
+/// Returns the points of a level before they are projected to the limit surface.
 fn control(cage: &Cage<'_>, level: u32, points: &[f32]) -> Vec<Vec3> {
     let refinement = Refinement::new(cage, level);
     vectors(&refinement.refine_values(&refinement.levels, points, 3))
@@ -82,7 +82,7 @@ fn a_cube_has_the_points_of_the_textbook() {
     let cube = Mesh::cube();
     let cage = cube.cage(Scheme::CatmullClark);
     let first = control(&cage, 1, &cube.flat());
-    // 8 vertices, 12 edges, 6 faces
+    // one child for each of 8 vertices, 12 edges and 6 faces
     assert_eq!(first.len(), 26);
     for (point, child) in cube.points.iter().zip(&first) {
         assert_near(*child, *point * (5.0 / 9.0), ROUNDING);
@@ -95,8 +95,8 @@ fn a_cube_has_the_points_of_the_textbook() {
     for face in &first[20..] {
         assert!((face.length() - 1.0).abs() < ROUNDING);
     }
-    // On the limit surface, corners are at half the cube's corners, since the weights also apply to
-    // the cube itself. Centres of faces are at 68/81.
+    // On the limit surface, the corners are at half of their coordinates. The centres of faces have
+    // the distance 68/81 from the middle. Both hold at every level.
     for level in 1..=4 {
         let surface = limit(&cage, level, &cube.flat());
         for (point, on_surface) in cube.points.iter().zip(&surface) {
@@ -106,8 +106,8 @@ fn a_cube_has_the_points_of_the_textbook() {
     }
 }
 
-/// Catmull and Clark's formulas, vertex by vertex, for closed meshes of quadrilaterals without
-/// creases.
+/// Refines a mesh once with the formulas of Catmull and Clark's paper, vertex by vertex. The mesh
+/// must be closed, of quadrilaterals, without creases.
 fn textbook(points: &[DVec3], faces: &[[usize; 4]]) -> Vec<DVec3> {
     let centre = |face: &[usize; 4]| face.iter().map(|&i| points[i]).sum::<DVec3>() / 4.0;
     (0..points.len())
@@ -199,7 +199,7 @@ fn a_regular_mesh_is_a_bicubic_b_spline() {
         }
     }
     assert!(checked > 1000);
-    // The outline is the cubic B-spline curve of the boundary's points.
+    // The outline of the surface is the cubic B-spline curve of the boundary's points.
     let at = |i: usize| mesh.points[i].z;
     assert_near(surface[3], Vec3::new(3.0, 0.0, (at(2) + 4.0 * at(3) + at(4)) / 6.0), ROUNDING);
     assert_near(surface[0], mesh.points[0], 0.0);
@@ -279,22 +279,22 @@ fn sharp_edges_stay_and_sharpness_falls_by_one_a_level() {
     for point in creased(&[10.0; 12], 3) {
         assert!((point.abs().max_element() - 1.0).abs() < ROUNDING, "on the cube: {point}");
     }
-    // for one level, sharpness 1 has the effect of infinite sharpness
+    // after one level, a crease of sharpness 1 is the same as an infinitely sharp crease
     assert_eq!(creased(&[1.0; 12], 1), creased(&[f32::INFINITY; 12], 1));
     assert!(creased(&[1.0; 12], 2)[0].x > -1.0 + 0.1);
     assert_eq!(creased(&[0.0; 12], 2), control(&cube.cage(Scheme::CatmullClark), 2, &cube.flat()));
-    // half the sharpness gives the midpoint of the smooth and the sharp result
+    // sharpness ½ gives the midpoint of the smooth and the sharp result
     let (smooth, half, sharp) = (creased(&[0.0; 12], 1), creased(&[0.5; 12], 1), creased(&[1.0; 12], 1));
     for ((smooth, half), sharp) in smooth.iter().zip(&half).zip(&sharp) {
         assert_near(*half, smooth.midpoint(*sharp), ROUNDING);
     }
-    // one sharpness per edge, instead of one per crease
+    // the list may have a sharpness per edge instead of one per crease
     let mut cage = cube.cage(Scheme::CatmullClark);
     (cage.crease_indices, cage.crease_lengths, cage.crease_sharpnesses) = (&[0, 1, 3], &[3], &[0.0, 10.0]);
     let points = control(&cage, 1, &cube.flat());
     let middle = |a: usize, b: usize| cube.points[a].midpoint(cube.points[b]);
     assert!(points[8..20].contains(&middle(1, 3)) && !points[8..20].contains(&middle(0, 1)));
-    // a sharp corner
+    // a vertex with a sharp corner keeps its position
     let mut cage = cube.cage(Scheme::CatmullClark);
     (cage.corner_indices, cage.corner_sharpnesses) = (&[5], &[10.0]);
     let surface = limit(&cage, 2, &cube.flat());
@@ -306,7 +306,7 @@ fn sharp_edges_stay_and_sharpness_falls_by_one_a_level() {
 fn creased_normals_part_at_the_crease_alone() {
     let cube = Mesh::cube();
     let mut cage = cube.cage(Scheme::CatmullClark);
-    // the four edges around the top face
+    // the crease consists of the four edges around the top face
     (cage.crease_indices, cage.crease_lengths, cage.crease_sharpnesses) = (&[4, 5, 7, 6, 4], &[5], &[10.0]);
     let refinement = Refinement::new(&cage, 2);
     let surface = vectors(&refinement.vertex(&cube.flat(), 3));
@@ -403,7 +403,7 @@ fn boundaries_follow_their_rule_and_holes_are_left_out() {
     assert_eq!(sources(&with(Boundary::None)), [5, 6, 9, 10]);
     let holes = Cage { hole_indices: &[0, 3, 77, -1], ..with(Boundary::EdgeOnly) };
     assert_eq!(sources(&holes).len(), 14);
-    // a hole still affects its neighbours
+    // a hole still affects the shape of its neighbours
     assert_eq!(limit(&holes, 2, &mesh.flat()), limit(&with(Boundary::EdgeOnly), 2, &mesh.flat()));
 }
 
@@ -454,7 +454,7 @@ fn face_varying_data_keep_their_seams() {
         let reaches_corner = uvs.contains(&Vec2::new(6.0, 6.0));
         assert_eq!(reaches_corner, rule != FaceVarying::None, "{rule:?}");
     }
-    // equal values with different indices are joined
+    // equal values with different indices are joined, so the result is the same
     let separate: Vec<f32> = indices.iter().flat_map(|&i| values[2 * i as usize..][..2].to_vec()).collect();
     let numbers: Vec<u32> = (0..indices.len() as u32).collect();
     let joined = refinement.face_varying(FaceVarying::CornersPlus1, &separate, &numbers, 2).unwrap();
@@ -486,8 +486,8 @@ fn face_varying_data_without_seams_are_vertex_data() {
     }
 }
 
-/// Random polygons over few vertices, with repeated vertices, edges of many faces, inconsistent
-/// orientation and invalid indices.
+/// Refines random polygons over few vertices. Vertices repeat, edges have many faces, the
+/// orientation is inconsistent, and some indices are invalid.
 #[test]
 fn broken_meshes_do_not_panic_and_stay_in_their_hull() {
     let mut stream = Stream::new(17);
@@ -529,13 +529,13 @@ fn broken_meshes_do_not_panic_and_stay_in_their_hull() {
 
 #[test]
 fn levels_stop_at_the_budget() {
-    // 1000 quadrilaterals: 8000 triangles at level 1, 32000 at level 2
+    // 1000 quadrilaterals give 8000 triangles at level 1, and 32000 at level 2
     assert_eq!(affordable_level(4000, 2, 32_000), 2);
     assert_eq!(affordable_level(4000, 2, 31_999), 1);
     assert_eq!(affordable_level(4000, 2, 7_999), 0);
     assert_eq!(affordable_level(usize::MAX, 9, 200_000), 0);
     assert_eq!(affordable_level(0, 3, 0), 3);
-    // numbers of corners: a cube, one more than level 4 allows, 1000 quadrilaterals, and three
-    // dense meshes
+    // The meshes have 24 corners (a cube), one corner more than level 4 allows, and 4000 corners
+    // (1000 quadrilaterals). The last three meshes are dense.
     assert_eq!([24, 63, 4000, 25_000, 30_000, 200_000].map(level_for), [4, 3, 2, 2, 1, 0]);
 }

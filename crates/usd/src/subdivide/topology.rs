@@ -2,13 +2,13 @@
 
 use std::ops::Range;
 
-/// Marks a corner that does not exist.
+/// Stands for a corner that does not exist.
 pub(super) const NONE: u32 = u32::MAX;
 
 /// From this sharpness on, USD treats a crease as infinitely sharp.
 const INFINITE: f32 = 10.0;
 
-/// Lists of numbers: one list per item.
+/// A list of numbers for each item.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Lists {
     starts: Vec<u32>,
@@ -42,8 +42,8 @@ impl Lists {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Edge {
     pub(super) ends: [u32; 2],
-    /// Two of the corners at which the edge starts. The second one is [`NONE`] if there is only
-    /// one.
+    /// Two of the corners at which the edge starts. If it starts at one corner only, the second is
+    /// [`NONE`].
     pub(super) corners: [u32; 2],
     /// True if the edge has exactly two faces that agree on the front side.
     pub(super) joined: bool,
@@ -51,16 +51,16 @@ pub(super) struct Edge {
     pub(super) sharpness: f32,
 }
 
-/// A polygon mesh without positions.
+/// The faces, edges and vertices of a polygon mesh, without positions.
 #[derive(Clone, Debug)]
 pub(super) struct Topology {
     pub(super) vertex_count: usize,
-    /// Index of the first corner of each face, and the total number of corners.
+    /// Index of the first corner of each face, then the number of all corners.
     starts: Vec<u32>,
-    /// Vertex of each corner.
+    /// For each corner, the index of its vertex.
     pub(super) corners: Vec<u32>,
     pub(super) face_of_corner: Vec<u32>,
-    /// The edge that leaves each corner.
+    /// For each corner, the index of the edge that leads to the face's next corner.
     pub(super) edge_of_corner: Vec<u32>,
     pub(super) edges: Vec<Edge>,
     corners_of_vertex: Lists,
@@ -69,18 +69,20 @@ pub(super) struct Topology {
     pub(super) vertex_sharpness: Vec<f32>,
 }
 
-/// Treatment of a vertex, which depends on the sharp edges around it.
+/// The rule by which the child of a vertex is computed. It depends on the sharpness of the vertex
+/// and of its edges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rule {
-    /// At most one sharp edge ends at the vertex.
+    /// The vertex is smoothed, since at most one sharp edge ends at it.
     Smooth,
-    /// Two sharp edges lead to these vertices: the vertex moves along the crease.
+    /// The vertex moves along the crease of two sharp edges, which lead to these vertices.
     Crease([u32; 2]),
-    /// The vertex keeps its position.
+    /// The vertex keeps its position, for example since it is sharp or has more than two sharp
+    /// edges.
     Corner,
 }
 
-/// Corners around a vertex, counter-clockwise, without a gap.
+/// Corners around a vertex, counter-clockwise. Each corner shares an edge with the next.
 pub(super) struct Fan {
     pub(super) corners: Vec<u32>,
     /// True if the last corner is next to the first, so that the fan surrounds the vertex.
@@ -153,19 +155,19 @@ impl Topology {
         &self.corners[self.face(face)]
     }
 
-    /// The next corner of the same face.
+    /// Returns the next corner of the same face.
     pub(super) fn next(&self, corner: u32) -> u32 {
         let face = self.face(self.face_of_corner[corner as usize]);
         if corner as usize + 1 == face.end { face.start as u32 } else { corner + 1 }
     }
 
-    /// The previous corner of the same face.
+    /// Returns the previous corner of the same face.
     pub(super) fn previous(&self, corner: u32) -> u32 {
         let face = self.face(self.face_of_corner[corner as usize]);
         if corner as usize == face.start { face.end as u32 - 1 } else { corner - 1 }
     }
 
-    /// Vertices of the edge that leaves a corner.
+    /// Returns the vertices at both ends of the edge that starts at a corner.
     fn ends(&self, corner: u32) -> (u32, u32) {
         (self.corners[corner as usize], self.corners[self.next(corner) as usize])
     }
@@ -182,19 +184,21 @@ impl Topology {
         &self.edges[self.edge_of_corner[corner as usize] as usize]
     }
 
-    /// True if a vertex is on an edge with a face on one side only.
+    /// True if a vertex is on an edge that does not join exactly two faces, as at the mesh's
+    /// boundary.
     pub(super) fn is_boundary(&self, vertex: u32) -> bool {
         self.edges_at(vertex).any(|edge| !edge.joined)
     }
 
-    /// The edge between two vertices.
+    /// Returns the edge between two vertices, or `None` if there is none.
     pub(super) fn edge_between(&mut self, a: u32, b: u32) -> Option<&mut Edge> {
         let ends = [a.min(b), a.max(b)];
         let found = self.edges_of_vertex.of(a).iter().copied().find(|&edge| self.edges[edge as usize].ends == ends)?;
         Some(&mut self.edges[found as usize])
     }
 
-    /// The rule of a vertex after `passed` levels.
+    /// Returns the rule of a vertex after `passed` further levels, each of which lowers the
+    /// sharpness by 1.
     pub(super) fn rule(&self, vertex: u32, passed: f32) -> Rule {
         let sharp = |sharpness: f32| weaker(sharpness, passed) > 0.0;
         if sharp(self.vertex_sharpness[vertex as usize]) || self.corners_at(vertex).is_empty() {

@@ -14,7 +14,7 @@ use tempfile::TempDir;
 
 use crate::common;
 
-/// The report of `walk_all.py` on a file.
+/// The report of the script `walk_all.py` on one file.
 #[derive(Debug, Deserialize)]
 struct Counted {
     opens: bool,
@@ -27,11 +27,11 @@ struct Counted {
     /// Number of visible meshes of render geometry that have faces.
     #[serde(default)]
     shown: usize,
-    /// The reason why there is no package.
+    /// The reason why the walker wrote no package; `None` if it wrote one.
     refused: Option<String>,
 }
 
-/// The reports on all files.
+/// The files of a folder, the report on each, and the folder of the packages.
 struct Walked {
     paths: Vec<PathBuf>,
     counted: Vec<Counted>,
@@ -46,7 +46,7 @@ fn assets() -> Option<PathBuf> {
 fn walk(folder: &str) -> Option<Walked> {
     let (assets, python) = (assets()?, common::python()?);
     let mut paths = Vec::new();
-    // Find the files.
+    // Find all USD files in the folder and its subfolders.
     let mut folders = vec![assets.join(folder)];
     while let Some(folder) = folders.pop() {
         let Ok(entries) = std::fs::read_dir(&folder) else {
@@ -84,7 +84,7 @@ fn walk(folder: &str) -> Option<Walked> {
 }
 
 impl Walked {
-    /// Runs `check` on all files in two threads, and fails with all errors that it returns.
+    /// Runs `check` on all files in two threads. Fails with all errors that it returns.
     fn check(&self, check: impl Fn(&str, &[u8], &Counted) -> Result<(), String> + Sync) {
         let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
         std::thread::scope(|scope| {
@@ -107,7 +107,8 @@ impl Walked {
     }
 }
 
-/// Expects a scene, or an error that agrees with OpenUSD's result for the file.
+/// Checks that the package gives a scene, or an error that agrees with OpenUSD's result for the
+/// file.
 fn opens_or_fails_by_design(name: &str, bytes: &[u8], counted: &Counted) -> Result<(), String> {
     if let Some(reason) = &counted.refused {
         return if counted.opens { Err(format!("refused: {reason}")) } else { Ok(()) };
@@ -154,14 +155,14 @@ fn composed_counts_are_those_of_openusd() {
     });
 }
 
-/// An arm that bends, compared with the same arm whose points OpenUSD baked for every time code.
+/// Compares an arm that bends with the same arm whose points OpenUSD computed for every time code.
 #[test]
 fn posed_points_are_those_that_openusd_baked() {
     let (Some(assets), Some(_)) = (assets(), common::python()) else { return };
     let folder = Path::new(&assets).join("usd/OpenUSD-UsdSkel");
     let mut heights = Vec::new();
-    // only at the baked time codes 1, 4 and 10, since the baked points move in straight lines
-    // between them
+    // Compare only at the baked time codes 1, 4 and 10. Between them baked points move in straight
+    // lines, and posed points do not.
     for time_s in [0.0, 0.125, 0.375] {
         let [posed, baked] = ["arm.usda", "arm_baked.usda"].map(|file| {
             let (warnings, cancel) = (Collector::default(), Cancel::default());

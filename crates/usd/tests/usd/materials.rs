@@ -49,7 +49,7 @@ fn preview(inputs: Value) -> (Scene, Material, Vec<Warning>) {
     shader("UsdPreviewSurface", inputs)
 }
 
-/// A texture that reads these channels of the picture.
+/// An input that reads these channels of the scene's first picture.
 fn texture(channels: &[usize], scale: f32, bias: f32, space: &str) -> Value {
     let list = |value: f32| vec![value; channels.len()];
     json!({"texture": {
@@ -105,7 +105,7 @@ fn opacity_cuts_or_blends_and_shares_the_texture_of_the_colour() {
     let (scene, material, _) =
         preview(json!({"diffuseColor": colour, "opacity": alpha, "opacityThreshold": {"value": [0.25]}}));
     assert_eq!(material.alpha_mode, AlphaMode::Mask { cutoff: 0.25 });
-    // the picture itself, since colours and alpha are where the slot reads them
+    // colours and alpha are where the slot reads them, so the texture is the picture itself
     assert_eq!(texels(&scene, material.base_color_texture.unwrap().texture), [[255, 0, 51, 255], [0, 102, 204, 128]]);
     // opacity comes from green and the colour is constant, so the texture is white with this alpha
     let (scene, material, _) = preview(json!({"opacity": texture(&[1], 1.0, 0.0, "raw")}));
@@ -143,7 +143,7 @@ trait Channels {
 }
 
 impl Channels for Vec<[u8; 4]> {
-    /// Roughness and metallic of every texel.
+    /// Returns the codes of roughness (green) and metallic (blue) of every texel.
     fn map_channels(&self) -> Vec<[u8; 2]> {
         self.iter().map(|&[_, g, b, _]| [g, b]).collect()
     }
@@ -185,7 +185,7 @@ fn normal_maps_are_decoded_as_the_shader_says() {
     let (scene, material, _) = preview(json!({"normal": flipped}));
     let image = &scene.images[scene.textures[material.normal_texture.unwrap().texture].image];
     let Pixels::Rgba16(texels) = &image.pixels else { panic!("{image:?}") };
-    // (1, 0.4, 0.8) · (2, −2, 2) + (−1, 1, −1) for the second texel (0, 0.4, 0.8), normalized
+    // the second texel (0, 0.4, 0.8) gives 2 · 0 − 1, 1 − 2 · 0.4 and 2 · 0.8 − 1, normalized
     let n = Vec3::new(-1.0, 0.2, 0.6).normalize();
     let found = Vec3::new(f32::from(texels[1][0]), f32::from(texels[1][1]), f32::from(texels[1][2])) / 32767.5 - 1.0;
     assert!((found - n).length() < 1e-3, "{found} {n}");
@@ -232,7 +232,7 @@ fn pictures_that_cannot_be_read_become_their_fallback() {
 
 #[test]
 fn large_shaders_keep_what_has_a_counterpart_and_name_the_rest() {
-    // standard_surface: every kind of parameter, and two without a counterpart
+    // test standard_surface with every kind of parameter, two of which have no counterpart
     let (_, material, warnings) = shader(
         "standard_surface",
         json!({
@@ -255,7 +255,7 @@ fn large_shaders_keep_what_has_a_counterpart_and_name_the_rest() {
         "{warnings:?}"
     );
 
-    // open_pbr_surface: a solid glass, and a thin window
+    // test open_pbr_surface with a solid glass, and with a thin window
     let (_, glass, warnings) = shader(
         "open_pbr_surface",
         json!({
@@ -276,7 +276,7 @@ fn large_shaders_keep_what_has_a_counterpart_and_name_the_rest() {
     );
     assert_eq!((window.solid, window.base_color), (false, Vec4::new(0.5, 1.0, 1.0, 0.5)));
 
-    // gltf_pbr: an alpha mask
+    // test gltf_pbr with an alpha mask
     let (_, gltf, _) = shader(
         "gltf_pbr",
         json!({"alpha_mode": {"value": [1]}, "alpha": {"value": [0.2]}, "metallic": {"value": [0]}}),
@@ -293,7 +293,7 @@ fn placed() -> Value {
     json!([2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 1, 2, 3, 1])
 }
 
-/// Emission, and power Σ L A π, of the light's mesh.
+/// Returns the radiance of the light's mesh, and its power: radiance times area times π.
 fn light_mesh(scene: &Scene) -> (Vec3, f64) {
     let mesh = &scene.meshes[1];
     let radiance = scene.materials[mesh.material].emission;
@@ -369,12 +369,12 @@ fn domes_look_the_way_openexr_does() {
     near(turn * Vec3::NEG_Z, Vec3::Z);
     near(turn * Vec3::X, Vec3::NEG_X);
     near(turn * Vec3::Y, Vec3::Y);
-    // the pole along z, as in DomeLight_1 of a stage with z up
+    // if the pole is along z, the top of the picture is +z, as in DomeLight_1 of a stage with z up
     near(
         dome(json!({"kind": "dome", "radiance": [1, 1, 1], "pole_z": true})).scene_from_environment * Vec3::Y,
         Vec3::Z,
     );
-    // rotated by 90° about y, and scaled
+    // a dome that is rotated by 90° about y and scaled shows the picture's centre at +x
     let matrix = json!([0, 0, -3, 0, 0, 3, 0, 0, 3, 0, 0, 0, 0, 0, 0, 1]);
     near(
         dome(json!({"kind": "dome", "radiance": [1, 1, 1], "matrix": matrix})).scene_from_environment * Vec3::NEG_Z,

@@ -5,7 +5,7 @@ use lumistack_scene::Scene;
 use lumistack_usd::{Package, UsdError, scene_from_package};
 use serde_json::{Value, json};
 
-/// Arrays, one after another as in a file.
+/// The arrays of a package, one after another as in a file.
 #[derive(Default)]
 struct Buffers {
     bytes: Vec<u8>,
@@ -35,7 +35,7 @@ impl Buffers {
     }
 }
 
-/// A file of a header and its arrays.
+/// Makes a package from a header and its arrays.
 fn file(header: &Value, data: &[u8]) -> Vec<u8> {
     let text = header.to_string();
     let mut bytes = b"LUMIPKG1".to_vec();
@@ -46,8 +46,8 @@ fn file(header: &Value, data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// A mesh of two squares, one of which is a subset; and a camera. An instancer has five copies,
-/// three of which are copies of this mesh. A second link doubles each copy.
+/// Returns a header and its arrays: a mesh of two squares, one of which is a subset, and a camera.
+/// An instancer has five copies, three of which are of this mesh. A second link doubles each copy.
 fn sample() -> (Value, Vec<u8>) {
     let mut buffers = Buffers::default();
     let header = json!({
@@ -95,12 +95,12 @@ fn a_package_becomes_a_scene() {
     let scene = load(&file(&header, &data)).unwrap().unwrap();
     assert_eq!((scene.meshes.len(), scene.instances.len(), scene.cameras.len()), (2, 12, 1));
     assert_eq!(scene.triangle_count(), 24);
-    // z points up, so 9 + 4 along z becomes 13 along y
+    // z points up, so the two moves of 9 and 4 along z become 13 along y
     assert!((scene.bounds().max.y - 13.0).abs() < 1e-5, "{:?}", scene.bounds());
     assert_eq!(scene.cameras[0].focus_distance, Some(2.0));
 }
 
-/// Replaces every number of the header, one at a time, with wrong values.
+/// Replaces each number of the header in turn with wrong values.
 #[test]
 fn numbers_that_lie_do_no_harm() {
     let (header, data) = sample();
@@ -164,7 +164,7 @@ fn arrays_that_lie_do_no_harm() {
     }
 }
 
-/// A few bytes that request 10^18 copies: the file is refused before any copy is made.
+/// A few bytes request 10^18 copies. The file is refused before any copy is made.
 #[test]
 fn copies_of_copies_are_counted_before_they_are_made() {
     let (mut header, data) = sample();

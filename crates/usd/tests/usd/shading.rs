@@ -8,7 +8,8 @@ use lumistack_usd::{LoadOptions, load};
 
 use crate::common;
 
-/// The scene of a stage that has pictures next to it; `None`, after a report, without a Python.
+/// Loads a stage that has pictures next to it. Without a Python, reports the test as skipped and
+/// returns `None`.
 fn scene(text: &str) -> Option<(Scene, Vec<Warning>)> {
     common::python()?;
     let folder = tempfile::tempdir().unwrap();
@@ -99,7 +100,7 @@ fn display_colours_are_read_where_a_reader_says_so() {
     assert!(warnings.is_empty(), "{warnings:?}");
     assert_eq!(found.base_color, Vec4::ONE, "the colours of the vertices multiply white");
     assert_eq!(scene.meshes[0].colors, [Vec4::new(1.0, 0.0, 0.0, 1.0); 4]);
-    // without a reader, vertex colours have no effect
+    // without a primvar reader in the shader, vertex colours have no effect
     let Some((scene, _, _)) = material(&format!("def Shader \"s\" {{ {SURFACE}\n }}")) else { return };
     assert!(scene.meshes[0].colors.is_empty());
 }
@@ -161,8 +162,8 @@ fn materialx_nodes_become_scale_and_bias() {
     assert_eq!(found.roughness, 0.625);
 }
 
-/// Other programs put nodes between a normal map and the surface. All of the nodes tested here keep
-/// the map.
+/// Checks normal maps behind nodes that other programs insert between a map and the surface. Every
+/// such node that is tested keeps the map.
 #[test]
 fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     const SHADERS: &str = r#"
@@ -219,7 +220,7 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
         through(&node("ND_transformnormal_vector3", "map", "string inputs:tospace = \"world\"")),
         Some(plain.clone())
     );
-    // decoded by arithmetic: 2 x − 1
+    // here the nodes decode the picture by arithmetic: 2 x − 1
     let ends = "float inputs:outlow = -1\n float inputs:outhigh = 1";
     let decoded = format!("{}\n{}", node("ND_normalize_vector3", "remapped", ""), {
         node("ND_remap_vector3FA", "tex", ends).replace("\"last\"", "\"remapped\"")
@@ -236,7 +237,7 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     assert_eq!(through(mixed), Some(plain.clone()));
     let half = through(&mixed.replace("mix = 1", "mix = 0.5")).unwrap();
     assert!(half != plain && half.len() == plain.len());
-    // the map with inverted green
+    // nodes that invert green reverse the y of the map's normals
     let flipped = through(&node("ND_normalmap", "flipped", "")).unwrap();
     let directions = |pixels: &Pixels| -> Vec<Vec3> {
         let texels: Vec<Vec3> = match pixels {
@@ -269,7 +270,7 @@ fn a_lamp_is_as_bright_in_every_syntax() {
              color3f inputs:in2 = (8, 4, 2)\n color3f outputs:out\n }}"
         )
     };
-    // the emission (8, 4, 2) from constants
+    // every shader states the emission (8, 4, 2) by constants
     let constant = [
         ("UsdPreviewSurface", "color3f inputs:emissiveColor = (8, 4, 2)"),
         ("ND_UsdPreviewSurface_surfaceshader", "color3f inputs:emissiveColor = (8, 4, 2)"),
@@ -290,7 +291,7 @@ fn a_lamp_is_as_bright_in_every_syntax() {
         assert_eq!(found.emission, Vec3::new(8.0, 4.0, 2.0), "{id}");
         assert!(scene.is_lit(), "{id}");
     }
-    // the same emission (8, 4, 2) from a picture
+    // every shader reads the same emission (8, 4, 2) from a picture
     let textured = [
         ("UsdPreviewSurface", "color3f inputs:emissiveColor.connect = </m/tinted.outputs:out>"),
         (
@@ -343,8 +344,8 @@ fn curves_and_points_without_widths_take_a_share_of_their_spacing() {
         let mesh = scene.meshes.iter().find(|mesh| mesh.place == place).unwrap();
         mesh.positions.iter().map(|p| p.x).fold(f32::INFINITY, f32::min)
     };
-    // the spacing is 1, and the bounds are 9 × 9 × 9 with the diagonal 15.6; the width is limited
-    // to 0.5 % of it
+    // The spacing is 1. The bounds are 9 × 9 × 9, so their diagonal is 15.6, and the width is
+    // limited to 0.5 % of it.
     assert!((lowest("/hair") + 0.5 * 0.005 * 243f32.sqrt()).abs() < 1e-4, "{}", lowest("/hair"));
     assert!((lowest("/alone") + 0.5 * 0.005 * 1000.0).abs() < 1e-2, "{}", lowest("/alone"));
     assert!((lowest("/dots") + 0.5 * 0.75 * 2.0).abs() < 1e-3, "{}", lowest("/dots"));
@@ -379,7 +380,7 @@ fn lights_have_the_radiance_of_their_inputs() {
         scene.materials[mesh.material].emission
     };
     let sphere = emission("/a");
-    // the radiance compensates for the mesh's missing area
+    // the mesh has a smaller area than the sphere, so its radiance is a little higher
     assert!((1.0..1.05).contains(&(sphere.x / 12.0)) && (sphere.x / sphere.z - 4.0).abs() < 1e-4, "{sphere}");
     let warm = emission("/b");
     assert!((warm - Vec3::ONE).abs().max_element() < 0.1, "6500 K is near white: {warm}");
@@ -421,8 +422,8 @@ fn shapes_other_than_meshes_are_there() {
     near(extent("/can"), Vec3::new(2.0, 1.0, 1.0));
     near(extent("/dots"), Vec3::new(1.0, 1.0, 10.0));
     assert!((extent("/hair").y - 5.0).abs() < 1e-5);
-    // on the limit surface of a cube, the middle of a face is at 68/81; four levels turn 6 faces
-    // into 3072 triangles
+    // On the limit surface of a cube, the middle of a face is at 68/81 of its distance. Four levels
+    // turn 6 faces into 3072 triangles.
     near(extent("/smooth"), Vec3::splat(68.0 / 81.0));
     let smooth = scene.meshes.iter().find(|mesh| mesh.place == "/smooth").unwrap();
     assert_eq!((smooth.triangles.len(), smooth.positions.len()), (3072, 1538));

@@ -8,7 +8,7 @@ use lumistack_usd::{LoadOptions, UsdError, load};
 
 use crate::common;
 
-/// The scene of a layer, and its warnings.
+/// Loads a layer. Returns its scene and its warnings.
 fn loaded(text: &str) -> (Result<Scene, UsdError>, Vec<String>) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.usda");

@@ -23,7 +23,7 @@ fn try_with(text: &str, options: &LoadOptions) -> (Result<Scene, UsdError>, Vec<
     (result, warnings.take())
 }
 
-/// Writes a layer; USD's grammar requires a line break after every statement.
+/// Writes a layer. USD's grammar requires a line break after every statement.
 fn write(path: &Path, text: &str) {
     let text = text.replace('{', "{\n").replace('}', "\n}\n");
     std::fs::write(path, format!("#usda 1.0\n{text}\n")).unwrap();
@@ -46,7 +46,7 @@ const TRIANGLE: &str = r#"
     uniform token subdivisionScheme = "none"
 "#;
 
-/// A material that shows the picture next to the layer, by texture coordinates.
+/// A blue material whose roughness comes from the picture `rough.png` next to the layer.
 const BLUE: &str = r#"
 def Material "blue" {
     token outputs:surface.connect = </blue/surface.outputs:surface>
@@ -70,7 +70,7 @@ def Material "blue" {
 }
 "#;
 
-/// The positions of the instances.
+/// Returns the positions of the instances, sorted by x, then y, then z.
 fn places(scene: &Scene) -> Vec<Vec3> {
     let mut places: Vec<Vec3> = scene.instances.iter().map(|i| i.scene_from_mesh.translation.into()).collect();
     places.sort_by(|a, b| a.to_array().partial_cmp(&b.to_array()).unwrap());
@@ -185,7 +185,8 @@ fn point_instancers_place_scale_turn_and_mask() {
         triangle_at("b", 1.0, "")
     );
     let scene = scene(&text);
-    // id 10 is scaled, 11 rotated by 90° about z, 12 invisible, 13 inactive, 14 unchanged
+    // id 10 is scaled, 11 is rotated by 90° about z, 12 is invisible, 13 is inactive, 14 is
+    // unchanged
     let found = places(&scene);
     let expected = [[0., 2., 7.], [1., 4., 7.], [2., 0., 7.]].map(Vec3::from);
     assert!(found.len() == 3 && found.iter().zip(&expected).all(|(a, b)| (*a - *b).length() < 2e-3), "{found:?}");

@@ -12,11 +12,11 @@ use crate::{Error, Model, err};
 
 /// Vertex shader of one triangle that covers the canvas.
 const FULL: &str = include_str!("../shaders/full.vert.glsl");
-/// Fragment shader, which computes the seen picture at every pixel of the field. A pixel is the
-/// mean light of its rays: one for every part of the pixel and every point of the pupil. The shader
-/// looks up where a ray hits each layer in the tables of `tables.rs`. Let M be the number of frames
-/// m, b the light of the backlight, and v the value that the ray hits on layer n. Then the ray's
-/// light is
+/// Fragment shader, which computes the seen picture at every pixel of the light field. A pixel is
+/// the mean light of its rays. There is a ray for every part of the pixel and every point of the
+/// viewer's pupil. The tables of `tables.rs` state where a ray hits each layer. Let M be the number
+/// of frames m, b the light of the backlight, and v the value that the ray hits on layer n. Then
+/// the ray's light is
 ///
 /// ```text
 /// attenuating    (1/M) Σ_m b ∏_n v
@@ -25,10 +25,10 @@ const FULL: &str = include_str!("../shaders/full.vert.glsl");
 /// ```
 ///
 /// [`defines`] puts macros in front of the text: `DECLARE_LAYERS`, `MEET_LAYERS` (`MEET(n,
-/// layer_n)` for every layer), `FORMATION` (0, 1 or 2, in the order above), `DIRECTIONAL` (0 or 1),
-/// `LAYERS`. Visitors load the text, so its comments are short.
+/// layer_n)` for every layer), `FORMATION` (0 attenuating, 1 additive, 2 polarization),
+/// `DIRECTIONAL` (0 or 1), `LAYERS`. Visitors load the text, so its comments are short.
 const DISPLAY: &str = include_str!("../shaders/display.frag.glsl");
-/// Number of texture units in addition to one per layer: two tables and the backlight's emission.
+/// Number of texture units apart from the layers' units: two tables and the backlight's emission.
 const OTHER_UNITS: usize = 3;
 
 /// A WebGL2 context with its objects, which draws a preview.
@@ -44,7 +44,7 @@ impl Gpu {
     /// Creates all objects and uploads the frames that are complete.
     ///
     /// # Errors
-    /// If the context is lost or too small for the preview.
+    /// If the context is lost, or its limits are too small for the preview.
     pub(crate) fn new(gl: Gl, model: &Model) -> Result<Self, Error> {
         // Prepare the context.
         check(&gl)?;
@@ -137,7 +137,8 @@ impl Gpu {
         Ok(())
     }
 
-    /// Draws the view from a slope to the canvas, with one canvas pixel per pixel of the field.
+    /// Draws the view from a slope to the canvas, with one canvas pixel for each pixel of the light
+    /// field.
     pub(crate) fn draw(&self, model: &Model, slope: [f64; 2]) -> Result<(), Error> {
         let gl = &self.gl;
         check(gl)?;

@@ -1,4 +1,4 @@
-//! Compares the emission, summed over frames, with the target for every ray.
+//! Tests the plugin `directional_sequence`: compares the emission along every ray with the target.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Backlight, Display, LensletBacklight, RayMap, Simulator};
@@ -20,8 +20,8 @@ fn conforms() {
     conformance(&PLUGIN).unwrap();
 }
 
-/// From the directions of one frame, the display shows the mean of their views. If every view has
-/// its own frame, the display shows each view unchanged.
+/// Views whose directions share a frame are all shown as the mean of these views. With one frame
+/// per view, the display shows each view unchanged.
 #[test]
 fn views_that_share_a_frame_share_its_picture() {
     for frames in [6, 3, 1] {

@@ -1,4 +1,4 @@
-//! Compares the light field of the lens array with the target for every ray.
+//! Tests the plugin `integral_imaging`: compares the emission along every ray with the target.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Backlight, Display, LensletBacklight, RayMap, Simulator};
@@ -8,7 +8,8 @@ use lumistack_plugin_testkit::{conformance, made_by, random_field};
 /// Tolerance of f32 rounding.
 const ROUNDING: f32 = 1e-6;
 
-/// A layer in the plane of the lenslets, 12 × 12 pixels, with `lenslets` per axis.
+/// Returns a display of one layer of 12 × 12 pixels, in the plane of `lenslets` × `lenslets`
+/// lenslets.
 fn display(lenslets: usize) -> Display {
     let mut display = Display::uniform([12, 12], 1.0, [3, 3], [20.0, 20.0], &[0.0], 2);
     let pitch = 12.0 / lenslets as f64;
@@ -37,7 +38,8 @@ fn with_a_lenslet_per_pixel_all_rays_are_right() {
     }
 }
 
-/// Lenslets larger than pixels: each shows the mean of the target over its area.
+/// A lenslet that is larger than a pixel shows, in every bin, the mean of the target over the
+/// lenslet's area.
 #[test]
 fn a_coarse_array_shows_means() {
     let display = display(4);

@@ -1,5 +1,5 @@
-//! Tests that tomography recovers the light fields of known stacks, and that its solution minimizes
-//! the error.
+//! Tests the plugin `log_tomography`: it must recover the light fields of known stacks, and its
+//! solution must minimize the objective.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::core::seed::Stream;
@@ -13,7 +13,7 @@ fn display(frames: usize) -> Display {
     Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 0.0, 12.0], frames)
 }
 
-/// The light field of a random static stack.
+/// Returns the light field that a random static stack shows.
 fn shown(display: &Display) -> LightField {
     let still = Display { frames: 1, ..display.clone() };
     let mut stack = LayerStack::filled(&still, 1.0);
@@ -49,8 +49,8 @@ fn a_light_field_of_a_static_stack_is_reproduced() {
     assert!(many > 40.0 && many > few + 6.0, "{few} {many}");
 }
 
-/// The objective is convex in the logarithms, so at its minimum no small change of a pixel lowers
-/// it.
+/// The objective is convex in the logarithms. So at the solution no small change of one pixel may
+/// lower the objective.
 #[test]
 fn the_optimum_is_one() {
     let display = display(1);

@@ -1,5 +1,5 @@
-//! Tests that every baseline computes the result of its method, and refuses displays for which the
-//! method is not made.
+//! Tests that every baseline computes the result of its method, and refuses displays that its
+//! method does not support.
 
 mod directional_sequence;
 mod integral_imaging;

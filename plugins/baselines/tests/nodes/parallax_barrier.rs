@@ -1,4 +1,5 @@
-//! Compares the masks and the emission along every ray with the definition of a parallax barrier.
+//! Tests the plugin `parallax_barrier`: compares the masks and the emission along every ray with
+//! the definition of a parallax barrier.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, RayMap, Simulator};
@@ -8,11 +9,11 @@ use lumistack_plugin_testkit::{conformance, made_by, random_field};
 /// Tolerance of sums of a few f32 values.
 const ROUNDING: f32 = 1e-5;
 
-/// Two layers with a disparity of one pixel from view to view: rays of neighbouring views through
-/// one slit hit neighbouring pixels of the rear layer.
+/// Returns a display of two layers, in which rays of neighbouring views through one slit hit
+/// neighbouring pixels of the rear layer.
 fn display(views: [usize; 2], frames: usize) -> Display {
-    // slopes of neighbouring views differ by 2·tan(10°)/views; the layers' distance turns that
-    // difference into a shift of one pixel
+    // Slopes of neighbouring views differ by `step`. The layers are 1/`step` apart, so this
+    // difference shifts the rear pixel by one.
     let step = 2.0 * 10f64.to_radians().tan() / views[0] as f64;
     Display::uniform(
         [24, 18],
@@ -42,7 +43,7 @@ fn with_a_frame_for_every_place_all_rays_are_right() {
         let shown = simulator.view(&map, field.geometry(), view);
         let taps = map.layers[0].x.of_view(view[1]);
         for (i, (shown, wanted)) in shown.radiance.data().iter().zip(field.view(view)).enumerate() {
-            // rays that miss the rear layer are not compared
+            // Rays that miss the rear layer are not compared, since they have no rear pixel.
             if taps[i / 3 % field.geometry().cols].is_missed() {
                 continue;
             }
@@ -62,7 +63,7 @@ fn one_frame_is_a_static_barrier() {
     for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
         assert_eq!(stack.layers[1].get([0, row, col, 1]), f32::from(col % 3 == 0), "row {row}, column {col}");
     }
-    // every ray through an open slit is exact, since it has a rear pixel of its own
+    // Every ray through an open slit is exact, since no other ray uses its rear pixel.
     let map = RayMap::new(&display, field.geometry());
     let mut through = 0;
     for view in field.geometry().grid.iter() {
@@ -85,7 +86,8 @@ fn views_that_share_a_pixel_are_averaged() {
     let display = display([3, 1], 1);
     let mut field = random_field(&display).unwrap();
     field.radiance_mut().data_mut().fill(0.25);
-    // with a period of 1 the whole mask is open, and a constant light field gives equal rear pixels
+    // With a period of 1 the whole mask is open, so a constant light field is shown exactly by
+    // equal rear pixels.
     let stack = made_by(&PLUGIN, r#"{"period_x": 1}"#, &display, &field).unwrap();
     assert_eq!(stack.brightness, 1.0);
     assert!(stack.layers[0].data().iter().all(|value| (value - 0.25).abs() < ROUNDING));

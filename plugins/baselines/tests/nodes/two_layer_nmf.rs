@@ -1,4 +1,5 @@
-//! Compares an iteration with the rule for matrices, and scores for different numbers of frames.
+//! Tests the plugin `two_layer_nmf`: compares an iteration with the rule for matrices, and the
+//! scores for different numbers of frames.
 
 use lumistack_plugin::PluginError;
 use lumistack_plugin::display::{Display, LayerStack, RayMap, Weights, score};
@@ -18,8 +19,8 @@ fn conforms() {
     conformance(&PLUGIN).unwrap();
 }
 
-/// Applies the equation in f64 to the plugin's result after one iteration, first to F, then to G.
-/// This gives the plugin's result after two iterations.
+/// The rule for matrices in f64, applied to the plugin's masks after one iteration, gives the
+/// plugin's masks after two iterations. The rule updates F first, then G.
 #[test]
 fn an_update_is_the_rule_of_the_matrix() {
     let display = display(2);
@@ -28,7 +29,7 @@ fn an_update_is_the_rule_of_the_matrix() {
     let second = made_by(&PLUGIN, r#"{"iterations": 2}"#, &display, &field).unwrap();
     let map = RayMap::new(&display, field.geometry());
     let (channel, rows, cols) = (1, 3, 12);
-    // the known entries of the matrix: (rear pixel, front pixel, target)
+    // List the known entries of the matrix as (rear pixel, front pixel, target).
     let mut rays = Vec::new();
     for (view, row, col) in (0..3).flat_map(|v| (0..rows).flat_map(move |r| (0..cols).map(move |c| (v, r, c)))) {
         let [rear, front] = [0, 1].map(|n| map.layers[n].x.of_view(view)[col]);

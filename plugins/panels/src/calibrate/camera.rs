@@ -1,24 +1,24 @@
-//! A camera that photographs a plane: homography and radial distortion, fitted by the
-//! Levenberg-Marquardt method.
+//! The model of a camera that photographs a plane: a homography and radial distortion. The
+//! Levenberg-Marquardt method fits them.
 
 use lumistack_plugin::display::Homography;
 
 /// A camera that photographs the plane z = 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
-    /// Maps millimetres on the plane to the undistorted photograph: the origin is its centre, the
-    /// unit is half its diagonal, y is down.
+    /// Maps millimetres on the plane to the undistorted photograph. There the origin is the
+    /// photograph's centre, the unit is half its diagonal, and y points down.
     pub homography: Homography,
-    /// Radial distortion k₁, k₂.
+    /// Radial distortion k₁, k₂: a point at radius r moves to r · (1 + k₁ r² + k₂ r⁴).
     pub distortion: [f64; 2],
     centre_px: [f64; 2],
     unit_px: f64,
 }
 
-/// Largest number of iterations; the fit ends earlier without improvement.
+/// Largest number of iterations. The fit ends earlier if an iteration brings no improvement.
 const STEPS: usize = 60;
-/// Number of fixed-point iterations of undistortion. For distortions of real lenses, each at least
-/// halves the error.
+/// Number of fixed-point iterations that remove the distortion. For the distortion of real lenses,
+/// each iteration at least halves the error.
 const UNDISTORT: usize = 40;
 
 impl Camera {
@@ -31,7 +31,7 @@ impl Camera {
         let undistorted: Vec<_> =
             pairs.iter().map(|(mm, px)| (*mm, [0, 1].map(|axis| (px[axis] - centre_px[axis]) / unit_px))).collect();
         let mut camera = Self { homography: homography(&undistorted), distortion: [0.0; 2], centre_px, unit_px };
-        // scale millimetres by the array's extent, so that all parameters are near 1
+        // Divide millimetres by the largest coordinate, so that all parameters are near 1.
         let extent = pairs.iter().flat_map(|(mm, _)| mm).fold(1e-9f64, |most, value| most.max(value.abs()));
         let mut parameters = camera.parameters(extent);
         let residuals = |parameters: &[f64; 10]| -> Vec<f64> {
@@ -111,7 +111,7 @@ impl Camera {
         Self { homography, distortion: [p[8], p[9]], ..self.clone() }
     }
 
-    /// Projects a point of the plane, millimetres, into the photograph, pixels.
+    /// Returns the position in the photograph, in pixels, of a point of the plane, in millimetres.
     pub fn see(&self, mm: [f64; 2]) -> [f64; 2] {
         let u = self.homography.apply(mm);
         let factor = self.factor(u);
@@ -123,8 +123,8 @@ impl Camera {
         1.0 + r2 * (self.distortion[0] + r2 * self.distortion[1])
     }
 
-    /// Returns the point of the plane, millimetres, that appears at a position of the photograph,
-    /// pixels.
+    /// Returns the point of the plane, in millimetres, that appears at a position in the
+    /// photograph, in pixels.
     pub fn on_plane(&self, px: [f64; 2]) -> [f64; 2] {
         let distorted = [0, 1].map(|axis| (px[axis] - self.centre_px[axis]) / self.unit_px);
         let mut u = distorted;
@@ -135,7 +135,7 @@ impl Camera {
         self.homography.inverse().apply(u)
     }
 
-    /// Root mean square reprojection error, pixels.
+    /// Returns the root mean square reprojection error of `pairs`, pixels.
     pub fn rms_px(&self, pairs: &[([f64; 2], [f64; 2])]) -> f64 {
         let sum: f64 = pairs
             .iter()
@@ -148,9 +148,9 @@ impl Camera {
     }
 }
 
-/// The homography from the first to the second point of each pair, by least squares. It starts from
-/// the linear solution in normalized coordinates (Hartley, 1997). Four rounds of reweighting then
-/// minimize the geometric error.
+/// Returns the homography that maps the first point of each pair to the second, by least squares.
+/// The first step is the linear solution in normalized coordinates (Hartley, 1997). Four further
+/// steps with new weights then minimize the geometric error.
 pub fn homography(pairs: &[([f64; 2], [f64; 2])]) -> Homography {
     let from = scaling(pairs.iter().map(|(from, _)| *from));
     let to = scaling(pairs.iter().map(|(_, to)| *to));
@@ -177,7 +177,8 @@ pub fn homography(pairs: &[([f64; 2], [f64; 2])]) -> Homography {
     to.inverse().after(&scaled.after(&from))
 }
 
-/// Normalization: moves the centroid to the origin and scales the mean distance from it to 1.
+/// Returns the map that moves the points' centroid to the origin, and scales the mean distance from
+/// it to 1.
 fn scaling(points: impl Iterator<Item = [f64; 2]> + Clone) -> Homography {
     let count = points.clone().count().max(1) as f64;
     let centre = points.clone().fold([0.0; 2], |sum, p| [sum[0] + p[0] / count, sum[1] + p[1] / count]);
@@ -186,8 +187,9 @@ fn scaling(points: impl Iterator<Item = [f64; 2]> + Clone) -> Homography {
     Homography([[s, 0.0, -s * centre[0]], [0.0, s, -s * centre[1]], [0.0, 0.0, 1.0]])
 }
 
-/// Solves rows [matrix | right side] by Gaussian elimination with partial pivoting. A singular
-/// matrix yields values that are not finite.
+/// Solves a system of linear equations by Gaussian elimination with partial pivoting. Each row is a
+/// row of the matrix, followed by the right side. A singular matrix gives values that are not
+/// finite.
 fn solve(mut rows: Vec<Vec<f64>>) -> Vec<f64> {
     let n = rows.len();
     for i in 0..n {

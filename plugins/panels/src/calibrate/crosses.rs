@@ -1,15 +1,15 @@
 //! Detects dark crosses on a bright ground.
 //!
-//! Pixels darker than their surroundings form connected components. Long thin components are
-//! crosses; a round component is the mark of the central cross. From that cross a search follows
-//! the steps of the array. The centre of a cross is the intersection of two lines, one fitted to
-//! each arm.
+//! Pixels that are darker than their surroundings form connected components. Components that fill
+//! little of their bounding box are crosses. A disc is the mark of the central cross. From the
+//! central cross a search proceeds from neighbour to neighbour. The centre of a cross is the
+//! intersection of two lines, each of which is fitted to two opposite arms.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use image::GrayImage;
 
-/// A detected cross.
+/// A cross that was detected in the photograph.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cross {
     /// [steps to the right, steps upwards] from the central cross to this cross.
@@ -18,7 +18,8 @@ pub struct Cross {
     pub at_px: [f64; 2],
 }
 
-/// Threshold of a component's pixels, as a fraction of the largest darkness.
+/// Smallest darkness of a component's pixels, as a fraction of the largest darkness in the
+/// photograph.
 const DARK: f32 = 0.4;
 /// Smallest number of pixels of a component.
 const MIN_PIXELS: usize = 12;
@@ -26,9 +27,11 @@ const MIN_PIXELS: usize = 12;
 /// that fills more than [`DISC_FILLS`] may be a disc.
 const CROSS_FILLS: f64 = 0.5;
 const DISC_FILLS: f64 = 0.62;
-/// Largest distance of a neighbour from its expected position, in steps of the array.
+/// Largest distance of a cross from its expected position, as a fraction of the distance between
+/// neighbouring crosses.
 const REACH: f64 = 0.35;
-/// Length of an arm in steps of the array, as [`crate::Pattern`] draws it.
+/// Length of an arm as [`crate::Pattern`] draws it, as a fraction of the distance between
+/// neighbouring crosses.
 const ARM_OF_STEP: f64 = 0.3;
 
 /// Darkness of every pixel, relative to the mean of its surroundings.
@@ -58,14 +61,16 @@ impl Component {
     }
 }
 
-/// All crosses of an array with `counts` crosses on each side of the central cross.
+/// Returns the crosses of an array that has `counts` = [columns, rows] of crosses on each side of
+/// the central cross.
 ///
 /// # Errors
-/// A description of the components found, if they are no array.
+/// If the photograph shows no such array: a description of the dark components that were found.
 pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cross>, String> {
     let dark = Darkness::new(photograph);
     let components = dark.components();
-    // Classify components: thin components of about the median size are crosses.
+    // Find the crosses: components that fill little of their bounding box, and have about the
+    // median size of such components.
     let mut sizes: Vec<f64> =
         components.iter().filter(|p| p.fills() < CROSS_FILLS).map(|p| p.size()[0].max(p.size()[1])).collect();
     if sizes.is_empty() {
@@ -89,7 +94,7 @@ pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cr
     let disc = components.iter().filter(is_disc).max_by_key(|component| component.count).map(Component::centre);
     let disc = disc.ok_or_else(|| format!("crosses: {}, but no mark", crosses.len()))?;
     let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
-    // the mark is above and right of its cross
+    // The central cross is the nearest cross that is below the mark and left of it.
     let middle = crosses
         .iter()
         .filter(|at| at[0] < disc[0] && at[1] > disc[1])
@@ -108,7 +113,8 @@ pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cr
             if outside || found.contains_key(&next) {
                 continue;
             }
-            // extrapolate from the opposite neighbour, if it is known
+            // Extrapolate from the neighbour on the opposite side, if it is known. Otherwise use
+            // the mean step.
             let back = found.get(&[index[0] - direction[0], index[1] - direction[1]]);
             let expected = back
                 .map_or([here[0] + step * f64::from(direction[0]), here[1] - step * f64::from(direction[1])], |back| {
@@ -130,7 +136,7 @@ pub fn find_crosses(photograph: &GrayImage, counts: [usize; 2]) -> Result<Vec<Cr
 impl Darkness {
     fn new(photograph: &GrayImage) -> Self {
         let (cols, rows) = (photograph.width() as usize, photograph.height() as usize);
-        // summed-area table
+        // Compute a summed-area table, for the mean around every pixel.
         let mut sums = vec![0.0f64; (cols + 1) * (rows + 1)];
         for row in 0..rows {
             let mut line = 0.0;
@@ -154,7 +160,7 @@ impl Darkness {
         Self { cols, rows, value: value.collect() }
     }
 
-    /// Connected components of dark pixels, by flood fill.
+    /// Returns the connected components of dark pixels.
     fn components(&self) -> Vec<Component> {
         // Smooth by a 3 × 3 box filter, which removes noise.
         let mut smooth = self.value.clone();
@@ -164,12 +170,14 @@ impl Darkness {
                 smooth[row * self.cols + col] = around.sum::<f32>() / 9.0;
             }
         }
-        // the 99.9 % quantile is the reference, since single pixels may be outliers
+        // The threshold refers to the 99.9 % quantile of the darkness, since single pixels may be
+        // outliers.
         let mut sorted = smooth.clone();
         let rank = (sorted.len() - 1) - sorted.len() / 1000;
         let (_, darkest, _) = sorted.select_nth_unstable_by(rank, f32::total_cmp);
         let limit = DARK * *darkest;
-        // Flood fill every component of pixels above the threshold, with 8 neighbours.
+        // Collect every component of pixels above the threshold by flood fill. Diagonal neighbours
+        // are connected, too.
         let mut open: Vec<bool> = smooth.iter().map(|value| *value > limit && limit > 0.0).collect();
         let mut components = Vec::new();
         for start in 0..open.len() {
@@ -201,10 +209,11 @@ impl Darkness {
         components
     }
 
-    /// Intersection of the lines of a cross's arms near `at`, pixels; `arm` is the arms' length.
-    /// Iterates until the shift is below 1e-4 pixels, at most six times.
+    /// Returns the centre of a cross near `at`, in pixels: the intersection of the lines through
+    /// its arms, which are `arm` pixels long. Iterates until the centre moves by less than 1e-4
+    /// pixels, at most six times.
     fn centre(&self, mut at: [f64; 2], arm: f64) -> Option<[f64; 2]> {
-        // slopes of the lines against the photograph's rows and columns
+        // `slope` holds the slopes of the two lines against the photograph's rows and columns.
         let mut slope = [0.0f64; 2];
         for _ in 0..6 {
             let mut line = [[0.0f64; 2]; 2];
@@ -224,8 +233,8 @@ impl Darkness {
         at.iter().all(|value| value.is_finite()).then_some(at)
     }
 
-    /// [offset, slope] of the arm along `axis` (0: columns), relative to `at`: a weighted line fit
-    /// to the centres of darkness across the arm.
+    /// Returns [offset, slope] of the line through the two arms along `axis` (0: x, 1: y), relative
+    /// to `at`. The line is a weighted fit to the centres of darkness across the arms.
     fn arm(&self, at: [f64; 2], arm: f64, axis: usize, slope: f64) -> Option<[f64; 2]> {
         let across = 0.3 * arm;
         let (near, far) = (0.3 * arm, 0.85 * arm);

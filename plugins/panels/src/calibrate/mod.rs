@@ -1,22 +1,23 @@
-//! Homographies from photographs of the crosshair array.
+//! Computes the panels' homographies from photographs of the crosshair array.
 //!
 //! There is one photograph per layer, all from one camera position e. A layer's photograph shows
-//! the array on this layer alone, drawn in perspective for e. The reference layer's photograph
-//! yields the camera model of the display plane:
+//! the array on this layer alone, drawn in perspective for e. From the reference layer's photograph
+//! the camera is computed, which maps a point P of the display plane to the photograph:
 //!
 //! ```text
 //! photograph = centre + size · distort(H(P)),   distort(u) = u · (1 + k₁ |u|² + k₂ |u|⁴)
 //! ```
 //!
-//! with a homography H, and half the photograph's diagonal as size. If a layer at d is misplaced,
-//! its cross for point P of the display plane appears at another point P'. The cross was drawn for
-//! point q of the layer, but is at point t; D is the distance of e from the display plane:
+//! H is a homography, and `size` is half the photograph's diagonal. If a layer at d is misplaced,
+//! its cross for point P of the display plane appears at another point P'. The cross was drawn at
+//! point q of the layer, but the real panel shows it at point t. With D the distance of e from the
+//! display plane:
 //!
 //! ```text
 //! q = e + (P − e) · (D − d) / D        t = e + (P' − e) · (D − d) / D
 //! ```
 //!
-//! The homography from q to t is the panel's calibration.
+//! The homography that maps q to t, for all crosses, is the panel's calibration.
 
 mod camera;
 mod crosses;
@@ -30,17 +31,17 @@ use crate::pattern;
 pub use camera::Camera;
 pub use crosses::{Cross, find_crosses};
 
-/// A photograph that yields no calibration.
+/// A photograph from which no calibration can be computed.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum CalibrationError {
     /// The array was not found.
     #[error("photograph of layer {layer}: expected {expected}, found {found}")]
     Array {
-        /// The photographed layer.
+        /// Index of the photographed layer.
         layer: usize,
-        /// The expected content.
+        /// The content that the photograph should have.
         expected: String,
-        /// The content found.
+        /// The content that was found in the photograph.
         found: String,
     },
     /// The camera model does not fit the crosses.
@@ -48,7 +49,7 @@ pub enum CalibrationError {
         "photograph of layer {layer}: expected crosses of an array in perspective (reprojection error of 3 pixels at most), found {rms_px:.1} pixels. Take a sharp photograph of the whole array"
     )]
     Fit {
-        /// The photographed layer.
+        /// Index of the photographed layer.
         layer: usize,
         /// Root mean square reprojection error, pixels of the photograph.
         rms_px: f64,
@@ -58,26 +59,26 @@ pub enum CalibrationError {
 /// Calibration of one layer's panel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {
-    /// The layer.
+    /// Index of the layer.
     pub layer: usize,
-    /// The homography for the panel's calibration; it includes the previous homography.
+    /// The panel's new homography. It includes the previous one, with which the array was drawn.
     pub homography: Homography,
     /// Number of crosses found.
     pub crosses: usize,
     /// Root mean square error of the crosses under the new homography, millimetres.
     pub rms_mm: f64,
-    /// Root mean square error of the crosses before the correction, millimetres.
+    /// Root mean square error of the crosses under the previous homography, millimetres.
     pub moved_mm: f64,
 }
 
 /// Smallest number of crosses from which a calibration is computed.
 const FEWEST: usize = 9;
-/// Largest reprojection error of an array, pixels of the photograph.
+/// Largest reprojection error with which a photograph is accepted, pixels of the photograph.
 const ROUGH_PX: f64 = 3.0;
 
-/// Calibrates the panels of all layers but the reference, each from one photograph. `eye_mm` is the
-/// camera position of the drawn array, display space. Returns the fitted camera and one result per
-/// layer.
+/// Calibrates the panels of all layers except the reference layer, each from one photograph.
+/// `eye_mm` is the camera's position in display space, for which the array was drawn. Returns the
+/// fitted camera and one result per layer.
 ///
 /// # Errors
 /// If a photograph does not show the array, or the camera model does not fit its crosses.
@@ -88,7 +89,8 @@ pub fn calibrate(
     others: &[(usize, &GrayImage)],
 ) -> Result<(Camera, Vec<Found>), CalibrationError> {
     let spacing = pattern::spacing_mm(display);
-    // Fit the camera to the reference layer, which defines the display plane.
+    // Fit the camera to the crosses of the reference layer, which are on the display plane by
+    // definition.
     let on_plane = |cross: &Cross| cross.index.map(|i| f64::from(i) * spacing);
     let found = array(display, reference)?;
     let pairs: Vec<_> = found.iter().map(|cross| (on_plane(cross), cross.at_px)).collect();
@@ -100,8 +102,8 @@ pub fn calibrate(
     }
     let mut all = Vec::new();
     for &(layer, photograph) in others {
-        // Project drawn and photographed crosses onto the layer, and fit the homography between
-        // them.
+        // Project the drawn and the photographed position of every cross onto the layer. Fit the
+        // homography from the drawn to the photographed positions.
         let found = array(display, (layer, photograph))?;
         let d_mm = display.layers[layer].d_mm;
         let share = (eye_mm[2] - d_mm) / eye_mm[2];
@@ -113,7 +115,8 @@ pub fn calibrate(
             (pairs.iter().map(|(q, t)| distance(*q, *t).powi(2)).sum::<f64>() / pairs.len() as f64).sqrt()
         };
         let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
-        // Compose with the previous calibration, normalized so that the last element is 1.
+        // Compose the new map with the panel's previous homography. Scale the result so that its
+        // last element is 1.
         let before = display.layers[layer].panel.as_ref().and_then(|panel| panel.homography);
         let mut homography = map.after(&before.map_or(Homography::IDENTITY, Homography));
         let scale = homography.0[2][2];

@@ -11,10 +11,11 @@ use rendered::Camera;
 
 const OUTPUT: [usize; 2] = [840, 525];
 const EYE: [f64; 3] = [12.0, -8.0, 2000.0];
-/// Largest error of the homographies, panel pixels.
+/// Largest allowed error of the homographies, panel pixels.
 const ERROR_PX: f64 = 0.1;
-/// Largest error at the corners of a rotated panel, panel pixels. It is larger, since the corners
-/// are outside the array and the lines of rotated crosses are staircases of panel pixels.
+/// Largest allowed error at the corners of a rotated panel, panel pixels. It is larger than
+/// [`ERROR_PX`], since the corners are outside the array. Moreover, lines of rotated crosses are
+/// staircases of panel pixels.
 const ASKEW_PX: f64 = 0.2;
 
 fn display() -> Display {
@@ -25,8 +26,8 @@ fn display() -> Display {
     display
 }
 
-/// A photograph of a layer whose panel is misplaced: point `q` of the panel is at `moved(q)` of the
-/// layer.
+/// Returns a photograph of a layer whose panel is misplaced: the homography `moved` maps a panel
+/// point's nominal position to its real position.
 fn photograph(
     camera: &Camera,
     display: &Display,
@@ -81,7 +82,8 @@ fn photographs_with_a_bent_lens_and_noise_say_where_panels_are() {
         assert_eq!(found.crosses, (2 * counts[0] + 1) * (2 * counts[1] + 1));
         let mut worst: f64 = 0.0;
         for (i, j) in (-10..=10).flat_map(|i| (-10..=10).map(move |j| (f64::from(i), f64::from(j)))) {
-            // the whole panel, corners included
+            // Compare the homographies at the points of a grid over the whole panel, corners
+            // included.
             let q = [i / 10.0 * 0.5 * 840.0 * 0.55, j / 10.0 * 0.5 * 525.0 * 0.55];
             let (a, b) = (truth.apply(q), found.homography.apply(q));
             worst = worst.max((a[0] - b[0]).hypot(a[1] - b[1]) / 0.55);
@@ -97,8 +99,8 @@ fn photographs_with_a_bent_lens_and_noise_say_where_panels_are() {
 
 #[test]
 fn a_calibrated_panel_is_found_where_it_is_and_stays() {
-    // the calibration is already in the display: the drawn array includes it, and the correction is
-    // zero
+    // The display already has the right calibration, with which the array is drawn. So the
+    // correction must be zero.
     let mut display = display();
     let truth = turned(0.5, [1.5, 0.7], [0.0, 0.0]);
     display.layers[0].panel.get_or_insert_default().homography = Some(truth.0);

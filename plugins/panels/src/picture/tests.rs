@@ -18,7 +18,8 @@ fn noise(display: &Display) -> LayerStack {
     stack
 }
 
-/// Oracle: the code of a value, as the display's documentation defines it.
+/// Returns the code of a value by the definition in the documentation of the display. This is the
+/// oracle of the tests.
 fn code(layer: &Layer, channel: usize, value: f32) -> u8 {
     let [low, high] = layer.range();
     let driven = ((value - low) / (high - low)).clamp(0.0, 1.0);
@@ -40,7 +41,8 @@ fn a_panel_of_twice_the_pixels_shows_every_mask_pixel_as_four() {
         assert_eq!(codes.len(), 4 * 20 * 12);
         for (row, col) in (0..12).flat_map(|row| (0..20).map(move |col| (row, col))) {
             let found = pixel(&codes, 20, row, col);
-            // 14 × 10 panel pixels in the centre of 20 × 12
+            // The mask covers 14 × 10 panel pixels in the centre of the 20 × 12 pixels of the
+            // panel.
             let inside = (1..11).contains(&row) && (3..17).contains(&col);
             let expected = if inside {
                 let value = stack.layers[0].block([frame, (row - 1) / 2, (col - 3) / 2]);
@@ -55,8 +57,9 @@ fn a_panel_of_twice_the_pixels_shows_every_mask_pixel_as_four() {
 
 #[test]
 fn equal_pitch_never_doubles_or_skips_a_pixel() {
-    // An odd mask on an even output, at a pitch that is no binary fraction: every position is
-    // half-way between two pixels.
+    // The mask has an odd number of columns and the output an even number. So every output pixel is
+    // half-way between two mask pixels. The pitch is no binary fraction, so positions have rounding
+    // errors.
     let mut display = Display::uniform([161, 3], 0.3, [1, 1], [10.0, 10.0], &[0.0], 1);
     display.layers[0].transfer = Transfer::Linear;
     let mut stack = LayerStack::filled(&display, 0.0);
@@ -105,7 +108,7 @@ fn limits_of_the_panel_and_beside_it() {
     assert_eq!(pixel(&Picture::new(&display, Shows::Layer(1), [9, 5]).codes(&stack, 0, None), 9, 0, 0), [255; 3]);
     display.formation = Formation::Additive;
     assert_eq!(pixel(&Picture::new(&display, Shows::Layer(1), [9, 5]).codes(&stack, 0, None), 9, 0, 0), [0; 3]);
-    // a panel of two bits has four codes, spread evenly over the output's codes
+    // A panel of two bits has four codes. They must be evenly spread over the output's codes.
     display.layers[1].bits = Some(2);
     display.layers[1].transfer = Transfer::Linear;
     let codes = Picture::new(&display, Shows::Layer(1), [7, 5]).codes(&stack, 0, None);
@@ -119,14 +122,14 @@ fn crosstalk_that_the_patterns_do_not_know_is_made_up_for() {
     let mix = [[0.9, 0.1, 0.0], [0.05, 0.9, 0.05], [0.0, 0.1, 0.9]];
     display.layers[0].panel = Some(Panel { crosstalk: Some(mix), ..Panel::default() });
     let mut stack = noise(&display);
-    // stay within the range that the panel can correct
+    // The values must be in the range in which the panel can compensate the crosstalk.
     stack.layers[0].data_mut().iter_mut().for_each(|value| *value = 0.3 + 0.4 * *value);
     let codes = Picture::new(&display, Shows::Layer(0), [7, 5]).codes(&stack, 2, None);
     for (i, wanted) in stack.layers[0].block([2]).chunks_exact(3).enumerate() {
         let shown = [0, 1, 2].map(|c| f64::from(codes[4 * i + c]) / 255.0);
         for c in 0..3 {
             let emitted: f64 = (0..3).map(|k| mix[c][k] * shown[k]).sum();
-            // tolerance: half a code per channel
+            // The tolerance is half a code per channel.
             assert!((emitted - f64::from(wanted[c])).abs() < 0.5 / 255.0 + 1e-4, "{i} {c}");
         }
     }
@@ -154,8 +157,8 @@ fn bilinear_reading_mixes_light_and_not_codes() {
     let codes = Picture::new(&display, Shows::Layer(0), [7, 5]).codes(&stack, 0, None);
     let value = |row: usize, col: usize, c: usize| stack.layers[0].block([0, row, col])[c];
     for (row, col) in (0..4).flat_map(|row| (1..7).map(move |col| (row, col))) {
-        // the position is a quarter of a mask pixel left of this mask pixel's centre, and half a
-        // mask pixel below
+        // Relative to the centre of mask pixel (row, col), the output pixel is a quarter of a mask
+        // pixel further left. It is also half a mask pixel lower.
         let expected = [0, 1, 2].map(|c| {
             let line = |row| 0.25 * value(row, col - 1, c) + 0.75 * value(row, col, c);
             0.5 * line(row) + 0.5 * line(row + 1)

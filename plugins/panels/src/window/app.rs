@@ -1,4 +1,5 @@
-//! The main thread: windows on outputs, keys, commands, and outputs that disappear.
+//! The main thread of a presentation. It handles windows, keys, commands, and outputs that
+//! disappear.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -25,28 +26,30 @@ use crate::fit::{fitted, misfits};
 use crate::presentation::{Command, Content, Event, Mode, Report, Settings};
 use crate::{Feed, Picture, Shows};
 
-/// Interval at which outputs, the duration and cancellation are checked.
+/// Interval of the checks for changed outputs, for the end of the duration, and for cancellation.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
-/// Longest time in which windows must reach the size of their outputs.
+/// Time in which every window must reach the size of its output.
 const RESIZE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Time for a thread to end. After this time the connection is closed: a hidden surface can block
-/// the present loop for ever.
+/// Time that a thread has to end. After this time the connection to the windowing system is closed,
+/// since a hidden surface can block the present loop for ever.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(2);
-/// Delay before a graphics failure is reported. Within this delay a lost output or session may be
-/// detected, which is the better error.
+/// Delay before a graphics failure is reported. Its cause may be a lost output or session, which is
+/// detected within this delay and then reported instead.
 const FAILURE_DELAY: Duration = Duration::from_millis(500);
-/// Time without a refresh after which a warning is emitted.
+/// Time without a refresh after which the user gets a warning.
 const STALL_TIMEOUT: Duration = Duration::from_secs(2);
-/// Title of the surface across all outputs; sway's rule matches it.
+/// Title of the surface across all outputs, by which sway's rule finds the window.
 const SPAN_TITLE: &str = "lumistack panels: span";
-/// Direction at the edge of the preview window, in units of half the field of view.
+/// Angle of the viewer when the pointer is at the edge of the preview window, in units of half the
+/// field of view.
 const REACH: f64 = 1.2;
 
 /// Runs a presentation until a key, a command, `cancelled` or the duration ends it. `emit` receives
-/// events from any thread. Call it once per process, on macOS on the main thread.
+/// events from any thread. Call this function once per process. On macOS it must run on the main
+/// thread.
 ///
 /// # Errors
-/// If there is no windowing system, no graphics driver or too few outputs. If an output is
+/// If there is no windowing system, no graphics driver or too few outputs. Also if an output is
 /// disconnected or changes.
 pub fn present(
     settings: Settings,
@@ -57,7 +60,7 @@ pub fn present(
     let event_loop = event_loop::<Command>().build().map_err(session)?;
     let proxy = event_loop.create_proxy();
     std::thread::spawn(move || {
-        // ends when the sender is dropped or the event loop exits
+        // This loop ends when the sender of commands is dropped, or when the event loop exits.
         for command in commands {
             if proxy.send_event(command).is_err() {
                 break;
@@ -82,12 +85,12 @@ pub fn present(
         result: None,
     };
     let ran = event_loop.run_app(&mut app).map_err(session);
-    // the reason of the end takes precedence over errors that follow it
+    // The reason of the end comes first, since errors of the event loop may only follow from it.
     app.result.unwrap_or(ran)
 }
 
 struct App<'a> {
-    /// Taken when the threads start.
+    /// The settings; `None` after the threads have started, which take them.
     settings: Option<Settings>,
     cancelled: &'a dyn Fn() -> bool,
     emit: Arc<dyn Fn(Event) + Send + Sync>,
@@ -97,9 +100,10 @@ struct App<'a> {
     watch: Option<Watch>,
     begun: Instant,
     shown_since: Option<Instant>,
-    /// The last progress count, its time, and whether its stall was reported.
+    /// The last progress count, the time of its last change, and whether the stall since then was
+    /// reported.
     progress: (u64, Instant, bool),
-    /// The last pointer position.
+    /// The last position of the pointer.
     pointer: Option<PhysicalPosition<f64>>,
     modifiers: ModifiersState,
     selected: usize,
@@ -113,9 +117,9 @@ struct Running {
     shared: Arc<SharedState>,
     work: Sender<Work>,
     report: Receiver<Report>,
-    /// Disconnected when the producer has ended.
+    /// Disconnects when the producer has ended.
     produced: Receiver<()>,
-    /// The present loop, and the thread that forwards the frame sets that it retires.
+    /// The present loop's thread, and the thread that forwards replaced frame sets to the producer.
     presenting: [JoinHandle<()>; 2],
     producing: JoinHandle<()>,
     failure: Arc<OnceLock<(Instant, String)>>,
@@ -156,7 +160,7 @@ impl ApplicationHandler<Command> for App<'_> {
                 }
             }
             WindowEvent::CursorMoved { position, .. } => {
-                // compositors also report the position of a pointer at rest
+                // Compositors also report a pointer at rest, which must not change the view.
                 if self.pointer.replace(position).is_none_or(|before| before == position) {
                     return;
                 }
@@ -178,7 +182,8 @@ impl ApplicationHandler<Command> for App<'_> {
     }
 
     fn exiting(&mut self, event_loop: &ActiveEventLoop) {
-        // the event loop exits without a request: the connection was lost
+        // This call has no effect after a requested end. Otherwise the event loop exits because the
+        // connection was lost.
         self.end(event_loop, Err(WindowError::Lost));
     }
 
@@ -200,7 +205,8 @@ impl ApplicationHandler<Command> for App<'_> {
         if over {
             return self.apply(event_loop, Command::Quit);
         }
-        // a lost output or session is reported within this delay, and is the better error
+        // Wait before the report of a graphics failure, since its cause may be a lost output, which
+        // is the better error.
         if let Some((_, found)) = running.failure.get().filter(|(when, _)| when.elapsed() >= FAILURE_DELAY) {
             let error = WindowError::Graphics { on: "the outputs".into(), found: found.trim().into() };
             return self.end(event_loop, Err(error));
@@ -246,7 +252,7 @@ impl App<'_> {
             let size = PhysicalSize::new((cols * scale) as u32, (rows * scale) as u32);
             return open(plain().with_inner_size(size), "the window", None);
         }
-        // Assign outputs to panels; each output gets a viewport on a surface.
+        // Assign outputs to panels. Each output gets a viewport, which is its area of a surface.
         let all: Vec<Output> = outputs.iter().map(|(output, _)| output.clone()).collect();
         let assigned = assign(display, &all)?;
         let viewport = |screen: usize, origin: [u32; 2], (shows, output): (Shows, Output)| {
@@ -258,8 +264,8 @@ impl App<'_> {
             if !is_x11 {
                 add_span_rule()?;
             }
-            // On Wayland a surface across outputs always covers all of them. On X11 a window may
-            // have any place, so it covers the assigned outputs alone.
+            // On Wayland a surface across outputs always covers all outputs. On X11 a window may
+            // have any position and size, so it covers only the assigned outputs.
             let (corner, size) = if is_x11 { bounds(assigned.iter().map(|(_, output)| output)) } else { bounds(&all) };
             let attributes = span_attributes(plain().with_title(SPAN_TITLE), corner, size);
             open(attributes, "across all outputs", Some(size))?;
@@ -305,11 +311,12 @@ impl App<'_> {
         let Settings { mut display, content, mode, fit, hold, duration, log } =
             self.settings.take().expect("not yet started");
         let windows = self.windows.iter().map(|(window, name, _)| (window.clone(), name.clone())).collect();
-        // Open the GPU, and in a preview use the window as the only output.
+        // Open the GPU. In a preview, use the window as the only output.
         let (gpu, screens) = gpu::open(event_loop, windows)?;
         if mode == Mode::Window {
             let size = self.windows[0].0.inner_size();
-            // a new window may not be on an output yet
+            // A new window may not be on an output yet. Then the first output's refresh rate is
+            // used.
             let monitor =
                 self.windows[0].0.current_monitor().or_else(|| Some(outputs_of(event_loop).into_iter().next()?.1));
             let refresh_hz = monitor.and_then(|monitor| monitor.refresh_rate_millihertz()).filter(|rate| *rate > 0);
@@ -334,7 +341,7 @@ impl App<'_> {
             }
             misfits(&display, &assigned).into_iter().for_each(|text| (self.emit)(Event::Warning(text)));
         }
-        // the slowest output sets the refresh rate
+        // All panels refresh at the rate of the slowest output.
         let reported = self.viewports.iter().filter_map(|viewport| viewport.output.refresh_hz).reduce(f64::min);
         let (refresh_hz, interval_from) = match reported {
             Some(reported) => (reported, "the platform"),
@@ -360,7 +367,7 @@ impl App<'_> {
         });
         let gpu = Arc::new(gpu);
         let failure = gpu.failure.clone();
-        // Forward retired frame sets to the producer, which frees them outside the present loop.
+        // Forward replaced frame sets to the producer, which frees them outside the present loop.
         let (work, works) = channel();
         let (retire, retired) = channel();
         let forward = work.clone();
@@ -441,7 +448,8 @@ impl App<'_> {
             duration,
         });
         self.shown_since = Some(Instant::now());
-        // take the focus before `Started`: a user may press keys from then on
+        // Take the keyboard focus before `Started`, since a user may press keys as soon as it is
+        // emitted.
         self.watch.insert(Watch::new(event_loop)).keep_focus(&self.windows[0].0, mode == Mode::Span);
         if mode != Mode::Window {
             for Viewport { shows: panel, output, .. } in &self.viewports {
@@ -453,7 +461,8 @@ impl App<'_> {
         Ok(())
     }
 
-    /// Warns when refreshes stop: every output waits for the output whose surface is blocked.
+    /// Warns if refreshes stop. The warning names the surface that is blocked, for which all
+    /// outputs wait.
     fn warn_if_stalled(&mut self) {
         let Some(running) = self.running.as_ref().filter(|running| running.mode != Mode::Window) else { return };
         let now = running.shared.progress.load(Ordering::Relaxed);
@@ -503,9 +512,10 @@ impl App<'_> {
         }
     }
 
-    /// Keys: Escape or q ends; space holds a frame or resumes; comma and full stop step. Tab
-    /// selects a panel; arrows shift it (Shift: 10 pixels, Control: 0.1); s saves the nudges; r
-    /// reports. In a preview arrows turn the view by one degree.
+    /// Executes the command of a key. Escape or q ends the presentation. Space holds a frame or
+    /// resumes, and comma and full stop step. Tab selects a panel, and arrows shift it by a pixel
+    /// (Shift: 10 pixels, Control: 0.1). The key s saves the nudges, and the key r requests a
+    /// report. In a preview, arrows turn the view by one degree.
     fn key(&mut self, event_loop: &ActiveEventLoop, key: &Key) {
         let Some(running) = &self.running else { return };
         let step = match (self.modifiers.shift_key(), self.modifiers.control_key()) {
@@ -513,7 +523,7 @@ impl App<'_> {
             (_, true) => 0.1,
             _ => 1.0,
         };
-        // Arrows turn the view of a preview, and shift the selected panel otherwise.
+        // In a preview arrows turn the view. Otherwise they shift the selected panel.
         let arrow = match key {
             Key::Named(NamedKey::ArrowLeft) => Some([-step, 0.0]),
             Key::Named(NamedKey::ArrowRight) => Some([step, 0.0]),
@@ -546,8 +556,8 @@ impl App<'_> {
         self.apply(event_loop, command);
     }
 
-    /// Stops all threads and emits the report. If there are several reasons, the first is kept as
-    /// the result.
+    /// Stops all threads and emits the report. `reason` becomes the result of the presentation,
+    /// unless an earlier call has set one.
     fn end(&mut self, event_loop: &ActiveEventLoop, reason: Result<(), WindowError>) {
         event_loop.exit();
         if self.result.is_some() {
@@ -559,11 +569,13 @@ impl App<'_> {
                 running.shared.stop.store(true, Ordering::Relaxed);
                 let report = running.report.recv_timeout(SHUTDOWN_TIMEOUT).or_else(|waits| {
                     self.windows.iter().take(1).for_each(|(window, ..)| outputs::disconnect(window));
-                    // without a connection the present loop unblocks, and its report follows
+                    // Without a connection the present loop is no longer blocked, so it sends its
+                    // report.
                     running.report.recv_timeout(SHUTDOWN_TIMEOUT).map_err(|_| waits)
                 });
-                // Join all threads that use the GPU: drivers crash if the process exits before
-                // these threads. A thread that has sent its report may still free resources.
+                // Join all threads that use the GPU, since drivers crash if the process exits
+                // before these threads. The present loop may still free resources after it has sent
+                // its report.
                 if report.is_ok() {
                     running.presenting.into_iter().for_each(|thread| drop(thread.join()));
                 }
@@ -581,7 +593,7 @@ impl App<'_> {
                 "the panels' nudges were not saved (save by key s, or the command `save`)".into(),
             ));
         }
-        // an error before the first refresh has no statistics
+        // After an error before the first refresh there are no statistics to report.
         if reason.is_ok() || report.refreshes > 0 {
             (self.emit)(Event::Report(Box::new(report)));
         }
@@ -593,7 +605,7 @@ fn thread_error(error: std::io::Error) -> WindowError {
     WindowError::Session(format!("cannot start a thread: {error}"))
 }
 
-/// A window of fixed position and size that window managers do not change.
+/// Sets the position and size of a window, and excludes it from the control of window managers.
 fn span_attributes(
     attributes: winit::window::WindowAttributes,
     [x, y]: [i32; 2],
@@ -611,9 +623,11 @@ fn span_attributes(
     attributes
 }
 
-/// Wayland shows a fullscreen surface on one output only; sway can extend it across all.
+/// Adds a rule to sway that extends the surface across all outputs. Wayland itself shows a
+/// fullscreen surface on one output only.
 fn add_span_rule() -> Result<(), WindowError> {
-    // sway knows a window only after its first frame, so this is a rule for later windows
+    // sway knows a window only after its first frame, so the command is a rule for windows that
+    // open later.
     let rule = format!("for_window [title=\"^{SPAN_TITLE}$\"] fullscreen enable global");
     let asked = std::env::var_os("SWAYSOCK").map(|_| std::process::Command::new("swaymsg").arg(&rule).output());
     match asked {

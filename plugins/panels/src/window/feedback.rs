@@ -1,8 +1,9 @@
-//! Presentation times, by Wayland's presentation-time protocol.
+//! Collects presentation times by Wayland's presentation-time protocol.
 //!
-//! A request is sent before each commit. The answer follows some refreshes later: the time of
-//! presentation, or that the frame was discarded. Answers arrive in a separate queue. The main
-//! thread reads the connection whenever data arrives, so nothing here blocks.
+//! A request is sent before each commit of a surface. The answer comes some refreshes later. It is
+//! the time at which the frame was presented, or states that the frame was discarded. Answers
+//! arrive in a separate queue. The main thread reads the connection whenever data arrive, so no
+//! function of this file blocks.
 
 use wayland_client::protocol::wl_registry::{self, WlRegistry};
 use wayland_client::protocol::wl_surface::WlSurface;
@@ -29,14 +30,15 @@ struct FeedbackState {
     skew: Skew,
 }
 
-/// The refresh and surface of a request.
+/// The surface and the refresh to which a request belongs.
 struct Request {
     screen: usize,
     index: u64,
 }
 
 impl Feedback {
-    /// `None` if the session is not Wayland, or lacks the protocol.
+    /// Begins the statistics. Returns `None` if the session is not Wayland, or if its compositor
+    /// lacks the protocol.
     pub(super) fn new(screens: &[Screen], interval_s: f64) -> Option<Self> {
         let connection = connection_of(&screens.first()?.window)?;
         let surfaces = screens.iter().map(|screen| surface_of(&connection, &screen.window));
@@ -55,17 +57,17 @@ impl Feedback {
         self.presentation.feedback(&self.surfaces[screen], &self.queue.handle(), Request { screen, index });
     }
 
-    /// Dispatches the answers that have arrived.
+    /// Adds the answers that have arrived to the statistics.
     pub(super) fn dispatch(&mut self) {
         let _ = self.queue.dispatch_pending(&mut self.state);
     }
 
-    /// Statistics per surface.
+    /// Returns the statistics of each surface.
     pub(super) fn tallies(&self) -> &[Tally] {
         &self.state.tallies
     }
 
-    /// Skew between surfaces.
+    /// Returns the statistics of the skew between surfaces.
     pub(super) fn skew(&self) -> &Skew {
         &self.state.skew
     }

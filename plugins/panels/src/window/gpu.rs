@@ -1,4 +1,5 @@
-//! The GPU: code values as textures, copied texel by texel so that outputs receive exact codes.
+//! Copies code values to outputs on the GPU. Codes are textures, which are copied texel by texel,
+//! so that outputs receive exact codes.
 
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
@@ -35,14 +36,14 @@ pub(super) struct Viewport {
     pub(super) screen: usize,
     /// [x, y] of the area's upper left pixel on the screen.
     pub(super) origin: [u32; 2],
-    /// [columns, rows] on the screen; `None` for the whole screen.
+    /// [columns, rows] of the area; `None` for the whole screen.
     pub(super) extent: Option<[u32; 2]>,
 }
 
-/// Uploaded frames of one period: `[position in the period][viewport]`.
+/// The uploaded frames of one period.
 pub(super) struct FrameSet {
     pub(super) pictures: Vec<Vec<wgpu::BindGroup>>,
-    /// Number of frame sets before this one.
+    /// Number of frame sets that were made before this one.
     pub(super) number: u64,
 }
 
@@ -52,7 +53,7 @@ const SHADER: &str = "
 
 @vertex
 fn corner(@builtin(vertex_index) i: u32) -> @builtin(position) vec4<f32> {
-    // one triangle that covers the whole target
+    // Return the corners of one triangle that covers the whole target.
     return vec4<f32>(f32(i32(i & 1u) * 4 - 1), f32(i32(i >> 1u) * 4 - 1), 0.0, 1.0);
 }
 
@@ -95,12 +96,13 @@ pub(super) fn open(
     let (device, queue) =
         pollster::block_on(adapter.request_device(&descriptor)).map_err(|error| failed(&first.1, error.to_string()))?;
 
-    // Configure every surface: Fifo, two frames of latency, one common format.
+    // Configure every surface for presentation at vertical blanks (Fifo), with two frames of
+    // latency. All surfaces have one format.
     let mut format = None;
     let mut screens = Vec::new();
     for (window, name, surface) in surfaces {
         let offered = surface.get_capabilities(&adapter).formats;
-        // unorm formats pass codes unchanged; sRGB formats would convert them
+        // Unorm formats pass codes unchanged. sRGB formats would convert them.
         let plain = [wgpu::TextureFormat::Bgra8Unorm, wgpu::TextureFormat::Rgba8Unorm];
         let chosen = plain.into_iter().find(|plain| offered.contains(plain) && format.is_none_or(|f| f == *plain));
         let chosen = chosen.ok_or_else(|| {
@@ -138,13 +140,13 @@ impl Screen {
 
 impl Gpu {
     fn new(device: wgpu::Device, queue: wgpu::Queue, format: wgpu::TextureFormat) -> Self {
-        // Keep the first uncaptured error; the main thread reports it.
+        // Keep the first uncaptured error, which the main thread reports.
         let failure = Arc::new(OnceLock::new());
         let first_error = failure.clone();
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             let _ = first_error.set((Instant::now(), error.to_string()));
         }));
-        // Bindings: the picture, and the viewport's origin.
+        // Declare two bindings: the picture, and the origin of its viewport.
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("picture"),
             entries: &[
@@ -170,7 +172,8 @@ impl Gpu {
                 },
             ],
         });
-        // The pipeline draws one triangle over the target, one texel per pixel.
+        // Make a pipeline that draws one triangle over the target, so that each pixel gets one
+        // texel.
         let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("texel by texel"),
             source: wgpu::ShaderSource::Wgsl(SHADER.into()),
@@ -204,8 +207,8 @@ impl Gpu {
         Self { device, queue, failure, pipeline, layout }
     }
 
-    /// Uploads the code values `[row][col][red, green, blue, 255]` of one output and submits the
-    /// copy immediately.
+    /// Uploads the code values `[row][col][red, green, blue, 255]` of one output. The upload is
+    /// submitted immediately.
     pub(super) fn load(&self, codes: &[u8], [cols, rows]: [usize; 2], origin: [u32; 2]) -> wgpu::BindGroup {
         let size = wgpu::Extent3d { width: cols as u32, height: rows as u32, depth_or_array_layers: 1 };
         let texture = self.device.create_texture(&wgpu::TextureDescriptor {
@@ -229,8 +232,7 @@ impl Gpu {
         });
         let bytes: Vec<u8> = [origin[0], origin[1], 0, 0].into_iter().flat_map(u32::to_ne_bytes).collect();
         self.queue.write_buffer(&place, 0, &bytes);
-        // submit the upload of each picture alone, so that no refresh waits for all uploads of a
-        // period
+        // Submit each picture's upload at once, so that a refresh waits for at most one upload.
         self.queue.submit([]);
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("picture"),
@@ -266,13 +268,14 @@ impl Gpu {
         pass.set_pipeline(&self.pipeline);
         for (viewport, picture) in viewports {
             let [x, y] = viewport.origin;
-            // the surface may have shrunk
+            // The surface may have shrunk since the frame was encoded, so limit the viewport to the
+            // target.
             let (width, height) = (target.width().saturating_sub(x), target.height().saturating_sub(y));
             if width == 0 || height == 0 {
                 continue;
             }
-            // in a span, viewports are next to one another; in a preview the viewport grows with
-            // the window
+            // Clip to the viewport, since other viewports of the surface may be next to it. The
+            // viewport of a preview is the whole window.
             let [cols, rows] = viewport.extent.unwrap_or([width, height]);
             pass.set_scissor_rect(x, y, cols.min(width), rows.min(height));
             pass.set_bind_group(0, picture, &[]);

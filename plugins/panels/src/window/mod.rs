@@ -1,4 +1,5 @@
-//! The windows: one borderless fullscreen surface per output, or one surface across all of them.
+//! The windows of a presentation: one borderless fullscreen surface per output, or one surface
+//! across all outputs.
 //!
 //! ```text
 //! main thread   windows, keys, outputs that appear and disappear  (winit requires this thread)
@@ -7,13 +8,13 @@
 //!               at the start of a period
 //! ```
 //!
-//! The present loop never waits for the producer. It waits for the display alone: Fifo surfaces are
-//! presented at vertical blanks, so the slowest output sets the rate. The loop keeps the outputs in
-//! step: none is more than one refresh ahead of another.
+//! The present loop never waits for the producer, only for the outputs. Fifo surfaces are presented
+//! at vertical blanks, so the slowest output sets the rate. No output is more than one refresh
+//! ahead of another.
 //!
-//! Where the platform reports presentation times (Wayland's presentation-time), they define late
-//! refreshes and the skew between outputs. Elsewhere the times of submission define late refreshes,
-//! and the skew is unknown.
+//! If the platform reports presentation times (Wayland's presentation-time), late refreshes and the
+//! skew between outputs are computed from these times. Otherwise late refreshes are computed from
+//! the times of submission, and the skew is unknown.
 
 #[cfg(feature = "window")]
 mod app;
@@ -69,15 +70,15 @@ pub enum WindowError {
         "graphics: expected a Vulkan or OpenGL driver that can present on {on} (Mesa's llvmpipe needs no graphics card), found {found}"
     )]
     Graphics {
-        /// The output.
+        /// The name of the output, or `the outputs`.
         on: String,
-        /// The driver's error.
+        /// The error of the graphics driver.
         found: String,
     },
     /// A window did not reach the size of its output.
     #[error("output {output}: expected a surface of {expected:?} pixels, found {found:?}: set the output's scale to 1")]
     Size {
-        /// The output's name.
+        /// The name of the output.
         output: String,
         /// [columns, rows] of the output.
         expected: [usize; 2],
@@ -93,7 +94,7 @@ pub enum WindowError {
     /// An output was disconnected.
     #[error("output {name}: disconnected while it showed {shows}: check that it is plugged in and switched on")]
     Gone {
-        /// The output's name.
+        /// The name of the output.
         name: String,
         /// The panel that it showed.
         shows: Shows,
@@ -104,13 +105,13 @@ pub enum WindowError {
         was.size[0], was.size[1], was.position[0], was.position[1], is.size[0], is.size[1], is.position[0], is.position[1]
     )]
     Changed {
-        /// The output's name.
+        /// The name of the output.
         name: String,
         /// The panel that it showed.
         shows: Shows,
-        /// The output at the start.
+        /// The output's state at the start.
         was: Box<Output>,
-        /// The output now.
+        /// The output's state after the change.
         is: Box<Output>,
     },
 }

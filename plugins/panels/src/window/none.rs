@@ -1,4 +1,4 @@
-//! Replaces the windows in a build without the feature `window`.
+//! The functions of the windows in a build without the feature `window`. They return errors.
 
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;

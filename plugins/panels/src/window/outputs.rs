@@ -1,13 +1,14 @@
 //! Lists outputs, detects their changes, and keeps the keyboard focus on X11.
 //!
-//! On Wayland winit's list follows the registry. On X11 winit's list never changes: RandR's events
+//! On Wayland winit updates its list of outputs. On X11 winit's list never changes: RandR's events
 //! reach winit through Xlib, and Xlib drops events of extensions that it did not initialize.
 //! Therefore a second connection queries the X server.
 //!
-//! X11 sends keys to the focused window. If the focus is the root window or none, keys go to the
-//! window under the pointer, and winit drops them. A window manager focuses new windows. Without a
-//! window manager no client sets the focus. When a client exits, the focus reverts to the window
-//! that the client requested: for winit's fullscreen windows, the root window.
+//! X11 sends keys to the focused window. If the focus is the root window or no window, X11 sends
+//! keys to the window under the pointer, and winit drops these keys. A window manager focuses new
+//! windows. Without a window manager no client sets the focus. When a client exits, the focus
+//! reverts to the window that the client requested: for winit's fullscreen windows, the root
+//! window.
 
 use winit::application::ApplicationHandler;
 use winit::event::WindowEvent;
@@ -19,7 +20,7 @@ use super::WindowError;
 use super::session::{event_loop, session};
 use crate::assign::Output;
 
-/// The outputs of this session, from left to right.
+/// Returns the outputs of this session, from left to right.
 ///
 /// # Errors
 /// Without a windowing system.
@@ -37,7 +38,7 @@ pub fn outputs() -> Result<Vec<Output>, WindowError> {
     Ok(lister.0)
 }
 
-/// The outputs of this session, from left to right, with winit's handles.
+/// Returns the outputs of this session, from left to right, with winit's handles.
 pub(super) fn outputs_of(event_loop: &ActiveEventLoop) -> Vec<(Output, MonitorHandle)> {
     let monitors = event_loop.available_monitors().enumerate().map(|(i, monitor)| {
         let (position, size) = (monitor.position(), monitor.size());
@@ -57,15 +58,15 @@ pub(super) fn outputs_of(event_loop: &ActiveEventLoop) -> Vec<(Output, MonitorHa
 
 /// Detects changes of outputs during a presentation.
 pub(super) enum Watch {
-    /// By winit's list.
+    /// Compares winit's lists of outputs.
     Winit,
-    /// By queries to the X server, repeated after each change event.
+    /// Queries the X server after each event that reports a change.
     #[cfg(all(unix, not(target_os = "macos")))]
     X11(Box<x11::Server>),
 }
 
 impl Watch {
-    /// Connects to the X server, if the session is X11.
+    /// Connects to the X server if the session is X11. Otherwise uses winit's list.
     pub(super) fn new(event_loop: &ActiveEventLoop) -> Self {
         #[cfg(all(unix, not(target_os = "macos")))]
         if is_x11(event_loop)
@@ -77,27 +78,27 @@ impl Watch {
         Self::Winit
     }
 
-    /// Sets the keyboard focus to `window` on an X server without a window manager: at the start,
-    /// and whenever the focus was lost. `unmanaged` states that window managers ignore this window.
-    /// Then its focus is also set at the start if there is a window manager. Returns immediately if
-    /// nothing changed.
+    /// Sets the keyboard focus to `window` on an X server without a window manager, at the start
+    /// and whenever the focus was lost. If `unmanaged` is true, window managers ignore this window.
+    /// Then the focus is set at the start even if there is a window manager.
     pub(super) fn keep_focus(&mut self, window: &Window, unmanaged: bool) {
         #[cfg(all(unix, not(target_os = "macos")))]
         if let Self::X11(server) = self {
-            // fails while the window is not mapped; the next call retries
+            // The call fails while the window is not mapped. The next call tries again.
             let _ = server.keep_focus(window, unmanaged);
         }
         #[cfg(not(all(unix, not(target_os = "macos"))))]
         let _ = (window, unmanaged);
     }
 
-    /// The outputs at this time: names, positions and sizes.
+    /// Returns the names, positions and sizes of the outputs at this time.
     pub(super) fn outputs(&mut self, event_loop: &ActiveEventLoop) -> Vec<Output> {
         #[cfg(all(unix, not(target_os = "macos")))]
         if let Self::X11(server) = self {
             match server.outputs() {
                 Ok(outputs) => return outputs.to_vec(),
-                // the X server is gone, and the windows close with it
+                // An error means that the X server has ended. The windows close with it, so winit's
+                // list suffices.
                 Err(_) => *self = Self::Winit,
             }
         }
@@ -121,15 +122,15 @@ mod x11 {
 
     use crate::assign::Output;
 
-    /// Time without change events before a query, since the server switches outputs off and on to
-    /// change them.
+    /// Time without change events before the server is queried. The server switches outputs off and
+    /// on to change them, so an earlier query might miss an output.
     const SETTLE_TIME: Duration = Duration::from_millis(200);
 
     /// A second connection to the X server, and the state of its events.
     pub(in crate::window) struct Server {
         connection: RustConnection,
         root: u32,
-        /// Outputs with a monitor at the start.
+        /// Names of the outputs that had a monitor at the start.
         plugged: Vec<String>,
         outputs: Vec<Output>,
         /// Time of the last change event; `None` after a query has read the changes.
@@ -140,11 +141,11 @@ mod x11 {
     /// State of the keyboard focus.
     #[derive(Clone, Copy, PartialEq)]
     enum Focus {
-        /// Not set yet.
+        /// The focus is not set yet.
         NotSet,
-        /// Set to our window, and possibly moved by another client.
+        /// The focus is set to our window. Another client may have moved it.
         Set,
-        /// Possibly reverted to the root window or to none.
+        /// The focus may have reverted to the root window or to no window, which a query must show.
         Reverted,
     }
 
@@ -152,15 +153,15 @@ mod x11 {
         pub(super) fn connect() -> Result<Self, Box<dyn std::error::Error>> {
             let (connection, screen) = x11rb::connect(None)?;
             let root = connection.setup().roots[screen].root;
-            // version 1.3 has GetScreenResourcesCurrent
+            // Version 1.3 of RandR is the first with GetScreenResourcesCurrent.
             connection.randr_query_version(1, 3)?.reply()?;
             let all = NotifyMask::SCREEN_CHANGE | NotifyMask::CRTC_CHANGE | NotifyMask::OUTPUT_CHANGE;
             connection.randr_select_input(root, all)?.check()?;
-            // a focus that reverts generates events on the root window
+            // If the focus reverts, the server sends events on the root window.
             let focus = ChangeWindowAttributesAux::new().event_mask(EventMask::FOCUS_CHANGE);
             connection.change_window_attributes(root, &focus)?.check()?;
-            // outputs stay on while this connection is open; without the extension the server's
-            // settings apply
+            // Keep outputs on while this connection is open. Without the extension, the server's
+            // settings apply.
             let _ = connection.screensaver_suspend(1);
             let (plugged, outputs) = (Vec::new(), Vec::new());
             let mut server = Self { connection, root, plugged, outputs, changed_at: None, focus_state: Focus::NotSet };
@@ -185,12 +186,13 @@ mod x11 {
                 RawWindowHandle::Xcb(handle) => handle.window.get(),
                 _ => return Ok(()),
             };
-            // a window manager selects SubstructureRedirect on the root window
+            // There is a window manager if a client selects SubstructureRedirect on the root
+            // window.
             let redirected = self.connection.get_window_attributes(self.root)?.reply()?.all_event_masks;
             let managed = redirected.contains(EventMask::SUBSTRUCTURE_REDIRECT);
             let take = match self.focus_state {
                 Focus::NotSet => unmanaged || !managed,
-                // focus 0 is none, 1 is the window under the pointer
+                // The focus 0 means no window, and 1 means the window under the pointer.
                 _ => !managed && [0, 1, self.root].contains(&self.connection.get_input_focus()?.reply()?.focus),
             };
             if take {
@@ -200,7 +202,7 @@ mod x11 {
             Ok(())
         }
 
-        /// Reads pending events, without blocking.
+        /// Reads the events that have arrived, without blocking.
         fn poll_events(&mut self) -> Result<(), ConnectionError> {
             while let Some(event) = self.connection.poll_for_event()? {
                 match event {
@@ -212,12 +214,13 @@ mod x11 {
             Ok(())
         }
 
-        /// Queries the server only after a change; returns the known outputs otherwise.
+        /// Returns the outputs. Queries the server only after a change event, and otherwise returns
+        /// the outputs of the last query.
         pub(super) fn outputs(&mut self) -> Result<&[Output], ReplyError> {
             self.poll_events()?;
             if self.changed_at.is_some_and(|changed_at| changed_at.elapsed() >= SETTLE_TIME) {
-                // The server keeps an unplugged output, so unplugged outputs are left out. Outputs
-                // that never had a monitor are kept.
+                // The server still lists an output after its monitor was unplugged, so drop such
+                // outputs. Keep outputs that had no monitor at the start.
                 let is = |(output, plugged): &(Output, bool)| *plugged || !self.plugged.contains(&output.name);
                 let there = self.query()?.into_iter().filter(is).map(|(output, _)| output).collect();
                 (self.outputs, self.changed_at) = (there, None);
@@ -225,7 +228,8 @@ mod x11 {
             Ok(&self.outputs)
         }
 
-        /// Every output with a CRTC, and whether a monitor is connected.
+        /// Returns every active output (every output with a CRTC), and true if a monitor is
+        /// connected to it.
         fn query(&self) -> Result<Vec<(Output, bool)>, ReplyError> {
             let resources = self.connection.randr_get_screen_resources_current(self.root)?.reply()?;
             let when = resources.config_timestamp;
@@ -234,7 +238,7 @@ mod x11 {
             for cookie in requests.collect::<Result<Vec<_>, ConnectionError>>()? {
                 let sent = cookie.reply()?;
                 for output in &sent.outputs {
-                    // the output disappeared in the meantime
+                    // Skip an output that has disappeared since the list was read.
                     let Ok(info) = self.connection.randr_get_output_info(*output, when)?.reply() else { continue };
                     let output = Output {
                         name: String::from_utf8_lossy(&info.name).into_owned(),
@@ -256,7 +260,7 @@ pub(super) fn is_x11(event_loop: &ActiveEventLoop) -> bool {
     event_loop.is_x11()
 }
 
-/// Other platforms place windows anywhere, as X11 does.
+/// Returns true, since other platforms let windows choose their position, as X11 does.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
 pub(super) fn is_x11(_: &ActiveEventLoop) -> bool {
     true
@@ -265,10 +269,10 @@ pub(super) fn is_x11(_: &ActiveEventLoop) -> bool {
 #[cfg(all(unix, not(target_os = "macos")))]
 pub(super) use super::wayland::{disconnect, inhibit_idle};
 
-/// Only Wayland surfaces block on a compositor.
+/// Does nothing, since only Wayland surfaces block on a compositor.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
 pub(super) fn disconnect(_: &Window) {}
 
-/// Other platforms follow the system's settings.
+/// Does nothing on other platforms, where the system's settings apply.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
 pub(super) fn inhibit_idle<'a>(_: impl IntoIterator<Item = &'a Window>) {}

@@ -1,4 +1,4 @@
-//! The present loop: one frame per surface and refresh, on its own thread.
+//! The present loop, which presents one frame per surface and refresh, on its own thread.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, AtomicUsize, Ordering};
@@ -12,33 +12,36 @@ use crate::{Feed, Tally};
 /// State shared with the present loop, which reads it without blocking.
 pub(super) struct SharedState {
     pub(super) stop: AtomicBool,
-    /// Position in the period to hold, or −1 to show all positions in turn.
+    /// The position in the period that all refreshes show; −1 if all positions are shown in turn.
     pub(super) hold: AtomicI64,
-    /// Number of positions in a period: frames, times three in a colour sequence.
+    /// Number of positions in a period: the number of frames, times three in a colour sequence.
     pub(super) places: AtomicU64,
-    /// A report is requested.
+    /// True if a report is requested.
     pub(super) report: AtomicBool,
-    /// A window changed its size.
+    /// True if a window has changed its size.
     pub(super) resized: AtomicBool,
-    /// Number of refreshes and swaps; 0 before the first frame set.
+    /// Sum of the numbers of refreshes and of swaps; 0 before the first frame set. It grows as long
+    /// as the loop is not blocked.
     pub(super) progress: AtomicU64,
-    /// Index of the screen whose image is acquired or presented; reported in a stall.
+    /// Index of the screen whose image is being acquired or presented. If the loop stalls, this
+    /// screen is reported.
     pub(super) blocked_screen: AtomicUsize,
     pub(super) feed: Feed<FrameSet>,
 }
 
 /// Largest number of log entries.
 const LOG_LIMIT: usize = 1 << 20;
-/// Pause before a retry when no surface has an image, as on sleeping outputs.
+/// Pause before a retry if no frame set is ready, or if no surface has a free image, as on sleeping
+/// outputs.
 const RETRY_PAUSE: Duration = Duration::from_millis(5);
 
-/// The present loop and all that it uses.
+/// The data of the present loop.
 pub(super) struct PresentLoop {
     pub(super) gpu: Arc<Gpu>,
     pub(super) screens: Vec<Screen>,
     pub(super) viewports: Vec<Viewport>,
     pub(super) shared: Arc<SharedState>,
-    /// Receives replaced frame sets, since freeing them takes time.
+    /// Channel for replaced frame sets. Another thread frees them, since that takes time.
     pub(super) retired: Sender<FrameSet>,
     pub(super) interval_s: f64,
     pub(super) interval_from: &'static str,
@@ -48,8 +51,8 @@ pub(super) struct PresentLoop {
 }
 
 impl PresentLoop {
-    /// Presents frames until `stop` is set. Emits swaps and requested reports; returns the final
-    /// report.
+    /// Presents frames until `stop` is set. Emits an event for each swap and each requested report.
+    /// Returns the final report.
     pub(super) fn run(mut self, emit: &(dyn Fn(Event) + Sync)) -> Report {
         let mut report = Report {
             interval_s: self.interval_s,
@@ -64,8 +67,8 @@ impl PresentLoop {
             if hold >= 0 {
                 place = hold as usize % count;
             }
-            // Swap only at the start of a period, so that no period mixes two stacks. A held frame
-            // may be swapped at any refresh.
+            // Take a new frame set only at the start of a period, so that no period mixes two
+            // stacks. While a frame is held, a new set may be taken at any refresh.
             if (hold >= 0 || place == 0)
                 && let Some(new) = self.shared.feed.take()
             {
@@ -78,7 +81,7 @@ impl PresentLoop {
                 }
             }
             let Some(showing) = &frame_set else {
-                // the first frame set is not ready
+                // The producer has not made the first frame set yet.
                 std::thread::sleep(RETRY_PAUSE);
                 continue;
             };
@@ -112,7 +115,7 @@ impl PresentLoop {
     /// Presents one frame on all surfaces; returns false if no surface had an image.
     fn refresh(&mut self, pictures: &[wgpu::BindGroup], index: u64, missed: &mut u64) -> bool {
         let resized = self.shared.resized.swap(false, Ordering::Relaxed);
-        // Acquire an image of every surface; this blocks until one is free.
+        // Acquire an image of every surface. Each call blocks until the surface has a free image.
         let mut textures = Vec::with_capacity(self.screens.len());
         for (number, screen) in self.screens.iter_mut().enumerate() {
             if resized {
@@ -140,7 +143,8 @@ impl PresentLoop {
             self.gpu.draw(&mut encoder, &texture.texture, viewports);
         }
         self.gpu.queue.submit([encoder.finish()]);
-        // Present, and request the presentation time before each commit.
+        // Present every surface. Request its presentation time before `present`, which commits the
+        // surface.
         for (number, texture) in textures {
             #[cfg(all(unix, not(target_os = "macos")))]
             if let Some(feedback) = &mut self.feedback {
@@ -154,7 +158,7 @@ impl PresentLoop {
         true
     }
 
-    /// Collects the platform's presentation times, without blocking.
+    /// Adds the presentation times that have arrived to the report, without blocking.
     fn collect_feedback(&mut self, report: &mut Report) {
         #[cfg(all(unix, not(target_os = "macos")))]
         if let Some(feedback) = &mut self.feedback {
@@ -188,8 +192,8 @@ impl PresentLoop {
             let viewports = self.viewports.iter().filter(|viewport| viewport.screen == screen);
             viewports.map(|viewport| viewport.output.name.as_str()).collect::<Vec<_>>().join(" + ")
         };
-        // a platform that announced presentation times but reported none is treated like a platform
-        // without presentation times
+        // If the platform offers presentation times but has reported none, leave the report without
+        // them.
         if feedback.tallies().iter().all(|tally| tally.shown == 0) {
             return;
         }

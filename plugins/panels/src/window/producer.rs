@@ -21,11 +21,11 @@ pub(super) enum Work {
     ViewAngle([f64; 2]),
     /// The preview window changed its size.
     Resized([usize; 2]),
-    /// A frame set to free.
+    /// A replaced frame set, which the producer frees.
     Retired(FrameSet),
 }
 
-/// The producer's state.
+/// The state of the thread that makes the frame sets.
 pub(super) struct Producer {
     pub(super) display: Display,
     pub(super) content: Content,
@@ -33,20 +33,21 @@ pub(super) struct Producer {
     pub(super) gpu: Arc<Gpu>,
     pub(super) shared: Arc<SharedState>,
     pub(super) work: Receiver<Work>,
-    /// Encoders of all outputs, reused until the calibration changes.
+    /// The encoders of all outputs. An encoder is made again if its panel's calibration changes.
     pub(super) pictures: Vec<Picture>,
     pub(super) number: u64,
 }
 
 impl Producer {
-    /// Runs until all senders are dropped.
+    /// Runs the producer until all senders of work are dropped.
     pub(super) fn run(mut self, emit: &(dyn Fn(Event) + Sync)) {
         if let Err(error) = self.make_frames() {
             emit(Event::Warning(error.to_string()));
         }
         while let Ok(first) = self.work.recv() {
             let mut changed = false;
-            // handle all pending work first, so that only the newest state is encoded
+            // Apply all pending work before frames are encoded, so that only the newest state is
+            // encoded.
             for work in
                 std::iter::once(first).chain(std::iter::from_fn(|| self.work.try_recv().ok())).collect::<Vec<_>>()
             {
@@ -75,7 +76,8 @@ impl Producer {
             }
             Work::Nudge(shows, by) => {
                 let Some(nudge) = nudge_of(&mut self.display, shows) else { return Ok(false) };
-                // round to thousandths of a pixel, which removes accumulated rounding errors
+                // Round to thousandths of a pixel, since rounding errors of many small nudges
+                // accumulate.
                 *nudge = [0, 1].map(|axis| ((nudge[axis] + by[axis]) * 1000.0).round() / 1000.0);
                 emit(Event::Nudged { panel: shows, nudge_px: *nudge });
                 for (viewport, picture) in
@@ -111,8 +113,8 @@ impl Producer {
         let mut frame_set = FrameSet { pictures: Vec::new(), number: self.number };
         match &self.content {
             Content::Stack(stack) => {
-                // Make a picture for each frame of the stack, and in a colour sequence for each
-                // frame and colour.
+                // Encode a picture for each frame of the stack. In a colour sequence encode one for
+                // each frame and colour.
                 let colours: Vec<Option<usize>> = match self.display.colour_sequence {
                     ColourSequence::Simultaneous => vec![None],
                     ColourSequence::Field => self.display.colour_order.0.map(Some).to_vec(),
@@ -123,7 +125,7 @@ impl Producer {
                 }
             }
             Content::Pattern { pattern, only, eye_mm } => {
-                // A test pattern is one frame, encoded per panel.
+                // Encode the test pattern for every panel. It is the only frame of its period.
                 let codes = self
                     .viewports
                     .iter()
@@ -139,7 +141,8 @@ impl Producer {
                 frame_set.pictures.push(self.load(codes));
             }
             Content::Preview { stack, from_deg } => {
-                // Simulate the view and scale it to the exposure of an adapted viewer.
+                // Simulate the view, and divide it by the stack's brightness, to which the viewer
+                // is adapted.
                 let slope = from_deg.map(|angle| angle.to_radians().tan());
                 let preview = Simulator::new(&self.display, stack).from_slope(slope).radiance;
                 let [rows, cols, _] = preview.shape();
@@ -149,7 +152,8 @@ impl Producer {
                 frame_set.pictures.push(self.load(windows));
             }
         }
-        // Publish the frame set; an unused one is dropped here, outside the present loop.
+        // Put the frame set into the feed. A previous set that was not taken is dropped on this
+        // thread, not in the present loop.
         self.number += 1;
         self.shared.places.store(frame_set.pictures.len() as u64, std::sync::atomic::Ordering::Relaxed);
         drop(self.shared.feed.put(frame_set));
@@ -162,7 +166,7 @@ impl Producer {
     }
 }
 
-/// The nudge of a panel; adds a calibration if there is none.
+/// Returns the nudge of a panel, for changes. Adds a calibration to a panel that has none.
 fn nudge_of(display: &mut Display, shows: Shows) -> Option<&mut [f64; 2]> {
     let panel = match (shows, &mut display.backlight) {
         (Shows::Layer(n), _) => &mut display.layers.get_mut(n)?.panel,

@@ -1,13 +1,13 @@
-//! The connection to the windowing system, and its errors.
+//! Opens the connection to the windowing system, and converts its errors.
 
 use winit::event_loop::{EventLoop, EventLoopBuilder};
 
 use super::WindowError;
 
-/// A builder of an event loop for the calling thread.
+/// Makes a builder of an event loop that runs on the calling thread.
 ///
-/// winit permits the main thread alone, for the sake of macOS. The Python package executes the
-/// command on another thread, and only macOS forbids that.
+/// By default winit permits an event loop only on the main thread, as macOS requires. The Python
+/// package runs the command on another thread, so this builder permits any thread on other systems.
 pub(super) fn event_loop<T: 'static>() -> EventLoopBuilder<T> {
     #[allow(unused_mut)]
     let mut builder = EventLoop::with_user_event();
@@ -21,10 +21,10 @@ pub(super) fn event_loop<T: 'static>() -> EventLoopBuilder<T> {
     builder
 }
 
-/// The windowing system refused the connection, or closed it.
+/// Makes the error for a windowing system that refused or closed the connection.
 pub(super) fn session(error: winit::error::EventLoopError) -> WindowError {
     let said = error.to_string();
-    // remove the position in winit's sources, which winit puts at the start
+    // Remove the position in winit's source code, with which winit's message starts.
     let found =
         said.split_once(".rs:").and_then(|(_, rest)| rest.split_once(": ")).map_or(said.as_str(), |(_, found)| found);
     WindowError::Session(found.trim_end_matches('.').to_owned())

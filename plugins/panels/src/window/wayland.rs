@@ -1,4 +1,4 @@
-//! Requests to Wayland in addition to winit's: inhibit idling, and disconnect.
+//! Requests to Wayland that winit does not offer: keep outputs on, and close the connection.
 
 use std::net::Shutdown;
 use std::os::unix::net::UnixStream;
@@ -12,7 +12,7 @@ use wayland_protocols::wp::idle_inhibit::zv1::client::zwp_idle_inhibitor_v1::Zwp
 use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle, RawDisplayHandle, RawWindowHandle};
 use winit::window::Window;
 
-/// The connection of a window; `None` if the session is not Wayland.
+/// Returns the connection of a window; `None` if the session is not Wayland.
 pub(super) fn connection_of(window: &Window) -> Option<Connection> {
     let RawDisplayHandle::Wayland(handle) = window.display_handle().ok()?.as_raw() else { return None };
     // SAFETY: the pointer is the windows' connection, which outlives them and all objects created
@@ -21,7 +21,7 @@ pub(super) fn connection_of(window: &Window) -> Option<Connection> {
     Some(Connection::from_backend(backend))
 }
 
-/// The surface of a window of this connection.
+/// Returns the surface of a window that uses this connection; `None` if the session is not Wayland.
 pub(super) fn surface_of(connection: &Connection, window: &Window) -> Option<WlSurface> {
     let RawWindowHandle::Wayland(handle) = window.window_handle().ok()?.as_raw() else { return None };
     // SAFETY: the pointer is that of a live window's surface.
@@ -30,7 +30,7 @@ pub(super) fn surface_of(connection: &Connection, window: &Window) -> Option<WlS
 }
 
 /// Closes a window's connection, which unblocks every thread that waits for the compositor. A
-/// compositor never answers about a hidden surface.
+/// thread may wait for ever otherwise, since a compositor sends no answers for a hidden surface.
 pub(super) fn disconnect(window: &Window) {
     if let Some(connection) = connection_of(window)
         && let Ok(socket) = connection.backend().poll_fd().try_clone_to_owned()
@@ -39,8 +39,8 @@ pub(super) fn disconnect(window: &Window) {
     }
 }
 
-/// Inhibits idling of outputs that show these windows. Compositors without the protocol follow the
-/// session's settings.
+/// Keeps outputs on while they show these windows. For compositors without the protocol, the
+/// session's settings apply.
 pub(super) fn inhibit_idle<'a>(windows: impl IntoIterator<Item = &'a Window>) {
     let mut windows = windows.into_iter().peekable();
     let Some(connection) = windows.peek().and_then(|window| connection_of(window)) else { return };
@@ -52,7 +52,7 @@ pub(super) fn inhibit_idle<'a>(windows: impl IntoIterator<Item = &'a Window>) {
     }
     let Some(manager) = globals.0 else { return };
     for surface in windows.filter_map(|window| surface_of(&connection, window)) {
-        // the inhibitor lasts as long as the surface
+        // The inhibitor is never destroyed, so it lasts as long as the surface.
         manager.create_inhibitor(&surface, &queue.handle(), ());
     }
     let _ = connection.flush();

@@ -6,8 +6,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use glam::{DMat4, DQuat, DVec3};
 use serde_json::Value;
 
-/// Unit normals and rotations, stored as 32-bit floats or with nine decimals, are this close to
-/// length one.
+/// Largest difference between 1 and the length of a unit vector, which is stored as 32-bit floats
+/// or with nine decimals.
 const UNIT_TOLERANCE: f64 = 1e-5;
 
 /// A triangle in world axes.
@@ -19,8 +19,8 @@ pub(super) struct Triangle {
 }
 
 impl Triangle {
-    /// Distance along a ray, in units of `direction`, to its intersection with the triangle from
-    /// either side (Möller and Trumbore 1997).
+    /// Returns the distance along a ray to its intersection with the triangle, in units of
+    /// `direction` (Möller and Trumbore 1997). The ray may hit the front or the back.
     pub(super) fn hit(&self, origin: DVec3, direction: DVec3) -> Option<f64> {
         let [a, b, c] = self.corners;
         let (ab, ac) = (b - a, c - a);
@@ -49,7 +49,7 @@ impl Scene {
         Self { files, document }
     }
 
-    /// A top-level array; empty if the document lacks it.
+    /// Returns a top-level array of the document; empty if the document lacks it.
     pub(super) fn list(&self, section: &str) -> &[Value] {
         self.document[section].as_array().map_or(&[], Vec::as_slice)
     }
@@ -88,7 +88,8 @@ impl Scene {
         triangles
     }
 
-    /// Checks all that glTF 2.0 demands of this generator's output; panics at the first fault.
+    /// Checks every rule of glTF 2.0 that applies to the generator's files. Panics at the first
+    /// violation.
     pub(super) fn check_structure(&self) {
         assert_eq!(self.document["asset"]["version"], "2.0");
         assert!(self.document.get("extensionsRequired").is_none());
@@ -104,7 +105,7 @@ impl Scene {
                 assert!((DQuat::from_array(rotation).length() - 1.0).abs() < UNIT_TOLERANCE, "{node}");
             }
         }
-        // Every node has exactly one parent; every mesh and material is used.
+        // Every node has exactly one parent or is a root, and every mesh and material is used.
         let mut parents = vec![0; self.list("nodes").len()];
         let roots = self.document["scenes"][0]["nodes"].as_array().expect("a scene");
         let children = self.list("nodes").iter().filter_map(|node| node["children"].as_array()).flatten();
@@ -151,7 +152,7 @@ impl Scene {
         }
     }
 
-    /// Every file except the document is named in the document, and can be decoded.
+    /// Checks that the document names every other file, and that every file can be decoded.
     fn check_files(&self) {
         let mut named: BTreeSet<String> = BTreeSet::new();
         let buffers = self.list("buffers").iter().chain(self.list("images"));

@@ -17,8 +17,8 @@ impl Context<'_> {
     pub(super) fn check(&mut self) -> Result<(), PipelineError> {
         let plan = self.plan;
         for (number, part) in plan.parts.iter().enumerate() {
-            // Skip time steps, whose settings are checked with the sequence. Skip the nodes of all
-            // time steps but the first, which have the settings of the first time step's nodes.
+            // Skip time steps, since their settings are checked with the sequence. Skip the nodes
+            // of later time steps, since they have the settings of the first time step's nodes.
             // Skip sweeps, since `Designs` checks their designs.
             let job = &part.job;
             match (&part.kind, part.parent) {

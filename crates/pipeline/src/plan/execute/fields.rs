@@ -45,7 +45,8 @@ impl Context<'_> {
         let cache = self.cache(part);
         let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
         let samples = match self.plan.time(part) {
-            // All time steps are rendered with the same number of samples.
+            // All time steps are rendered with the number of samples that the sequence has
+            // measured.
             Some((_, sequence)) => self.states[sequence].samples,
             None => samples::measured(&job, &ingested, &placement, &display, &cache, task)?,
         };
@@ -70,7 +71,8 @@ impl Context<'_> {
         trace::run_block(of.shot(), &views, block, task)
     }
 
-    /// Renders a block of the pictures for the zone score, which does not need the exposure.
+    /// Renders a block of the pictures for the zone score. The pictures are cached before exposure,
+    /// so they need no exposure.
     pub(super) fn score_block(&mut self, part: usize, block: Block, task: Task<'_>) -> Result<bool, PipelineError> {
         let of = self.shot(part)?;
         let zone = score::zone_of(&of.job, &of.display, &of.geometry);

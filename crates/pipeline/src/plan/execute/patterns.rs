@@ -62,7 +62,8 @@ impl Context<'_> {
         write_display(&dir.join("display.toml"), &display)?;
         let mut above = (!cached).then_some(part);
         while let Some(part) = above {
-            // Reports in these folders belong to older patterns.
+            // Remove the reports of the part and of the parts around it, since they describe older
+            // patterns.
             remove_reports(&self.dir(part))?;
             above = plan.parts[part].parent;
         }
@@ -158,7 +159,8 @@ impl Context<'_> {
         }
     }
 
-    /// Removes the warm start from the jobs of a part and of the part around it.
+    /// Removes the warm start from the job of a part and, for a node, from the job that has the
+    /// node.
     fn drop_warm_start(&mut self, part: usize, fresh: FactorizeJob) -> Result<Arc<Job>, PipelineError> {
         let of_field = self.plan.field_part(part);
         if let Some(id) = self.plan.node(part).map(|node| node.id.clone()) {

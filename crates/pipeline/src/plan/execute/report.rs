@@ -115,7 +115,8 @@ impl Context<'_> {
     pub(super) fn report_sequence(&mut self, part: usize) -> Result<bool, PipelineError> {
         let (plan, job) = (self.plan, self.job(part));
         write_job(&job, &self.dir(part))?;
-        // Make one series per display: one for a still, or one for each node.
+        // Make one series of time steps per display: one series without nodes, or one for each
+        // node.
         let ids = job.nodes.iter().map(|node| Some(node.id.clone()));
         let ids: Vec<Option<String>> = if job.nodes.is_empty() { vec![None] } else { ids.collect() };
         let all: Vec<(Option<String>, Vec<SequenceTime>, f64)> = ids

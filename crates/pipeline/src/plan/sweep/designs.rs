@@ -51,7 +51,7 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
                     if of.window.fit_depth == FitDepth::Auto {
                         of.window.fit_depth = FitDepth::Off;
                     }
-                    // The zone score needs the pictures that the report of each time step needs.
+                    // Time steps render the pictures for the zone score only if they have reports.
                     of.sequence.iter_mut().for_each(|sequence| sequence.reports = true);
                     fields.push((display.clone(), of));
                     fields.len() - 1
@@ -139,8 +139,8 @@ mod tests {
         };
         assert_eq!(sweep.count(), 24);
         let (found, fields) = all(&job(sweep.clone()), &sweep).unwrap();
-        // a uniform backlight has no lenslets, so combinations that differ only in lenslets are
-        // equal
+        // A uniform backlight has no lenslets, so combinations that differ only in lenslets are
+        // equal.
         assert_eq!((found.len(), fields.len()), (6 + 12, 1));
         assert_eq!(found[5].design.layers, 3);
         assert!(found.iter().all(|candidate| candidate.field == 0 && candidate.display.field.resolution == [16, 10]));

@@ -18,8 +18,8 @@ const LEAST: usize = 6;
 /// Designs whose scores differ by less than this, dB, are regarded as equally good. Among them, the
 /// cheapest is preferred.
 const EQUAL_DB: f64 = 0.3;
-/// After few iterations, a design's PSNR may be lower than the requested PSNR by this, dB. Designs
-/// with a lower PSNR are kept last.
+/// A design is kept last if its PSNR after few iterations is lower than the requested PSNR by more
+/// than this, dB.
 const DROP_DB: f64 = 8.0;
 
 /// Returns the candidates that satisfy the constraints.
@@ -93,7 +93,7 @@ pub(super) fn run(
                 });
             }
         }
-        // The kept candidates stay in their order.
+        // Sort by number, so that the kept candidates stay in their original order.
         let mut chosen: Vec<usize> = order.into_iter().take(goes_on).collect();
         chosen.sort_unstable();
         candidates = chosen.into_iter().map(|i| candidates[i].clone()).collect();

@@ -16,7 +16,7 @@ use crate::store::files::write;
 /// Python code that prints the path of the program in the package.
 const ASK_PYTHON: &str = "import importlib.util as u, os; print(os.path.join(os.path.dirname(u.find_spec('pyoidn').origin), 'oidn', 'bin', 'oidnDenoise'))";
 
-/// The program. A successful call has shown that it works.
+/// The program of Open Image Denoise. A successful call has shown that it works.
 pub(crate) struct Oidn {
     program: PathBuf,
     /// Version, from the first line of the program's help.
@@ -128,7 +128,7 @@ mod tests {
         let values: Vec<f32> = (0..18).map(|i| i as f32 - 3.5).collect();
         let bytes = pfm(&values, 3, 2);
         assert!(bytes.starts_with(b"PF\n2 3\n-1.0\n"));
-        // a PFM file begins with the lowest row
+        // A PFM file begins with the lowest row, so its first value is value 12.
         assert_eq!(bytes[12..16], values[12].to_le_bytes());
         assert_eq!(parse_pfm(&bytes), Some(([3, 2], values)));
         for cut in 0..bytes.len() {

@@ -61,7 +61,8 @@ mod tests {
 
     use super::*;
 
-    /// Four splats in a row along x, placed twice: at the origin, and ten units above.
+    /// Returns a scene of four splats in a row along x. They are placed twice: at the origin, and
+    /// ten units above.
     fn scene() -> Scene {
         let mut cloud = Cloud::default();
         for x in 0..4 {
@@ -90,7 +91,7 @@ mod tests {
     #[test]
     fn each_placement_is_cropped_where_it_stands() {
         assert_eq!(left(&PoseJob::default()).unwrap().len(), 8);
-        // the two corners are given in any order
+        // The two corners of the box may be in any order.
         let crop_box = Some([[2.5, 11.0, 1.0], [0.5, 9.0, -1.0]]);
         assert_eq!(left(&PoseJob { crop_box, ..PoseJob::default() }).unwrap(), [[1.0, 10.0], [2.0, 10.0]]);
         let crop_sphere = Some([0.0, 0.0, 0.0, 2.0]);

@@ -17,14 +17,14 @@ use lumistack_splats::{Renderer, Space, Wanted};
 
 use crate::error::PipelineError;
 
-/// Pixels along an edge of a face.
+/// Pixels along an edge of a face of the cube.
 const FACE: usize = 96;
-/// Width and height of the map, pixels.
+/// Width and height of the environment map, pixels.
 const SIZE: [usize; 2] = [256, 128];
-/// Distance of a face from the eye, as a fraction of the scene's diagonal. It is small, so that
-/// splats near the eye are seen.
+/// Distance of a face of the cube from the eye, as a fraction of the scene's diagonal. It is small,
+/// so that splats near the eye are seen.
 const NEAR: f64 = 1e-3;
-/// View directions of the faces, each with its up direction.
+/// View directions of the cube's faces, each with its up direction.
 const FACES: [[DVec3; 2]; 6] = [
     [DVec3::X, DVec3::Y],
     [DVec3::NEG_X, DVec3::Y],
@@ -51,7 +51,7 @@ pub(crate) fn panorama(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<Imag
     // Render six views of 90° around the centre of the meshes.
     let centre = meshes.centre().as_dvec3();
     let scale = NEAR * f64::from(scene.bounds().size().length());
-    // a face of 2 × 2 mm, 1 mm in front of the eye
+    // Each face of the cube is a window of 2 × 2 mm, 1 mm in front of the eye.
     let grid = ViewGrid::single(Projection::Perspective { distance_mm: 1.0 }, [0.0; 2]);
     let geometry = FieldGeometry { rows: FACE, cols: FACE, pitch_mm: 2.0 / FACE as f64, grid };
     let turns = FACES.map(|[forward, up]| DMat3::from_cols(forward.cross(up), up, -forward));

@@ -58,7 +58,8 @@ pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result
     let Some(image) = panorama else { return Ok(scene) };
     edited(scene, task, |parts| {
         set_environment(parts, image, Vec3::splat(strength), Quat::IDENTITY);
-        // The background shows the splats themselves, not the map.
+        // The map only lights the meshes. The background behind the splats is black, so that the
+        // map is not visible.
         parts.backdrop = Some(Vec3::ZERO);
         Ok(())
     })
@@ -73,8 +74,8 @@ mod tests {
     /// farther to the right.
     #[test]
     fn environment_files_lie_as_in_blender() {
-        // direction of a column; before the rotation the central column is −z, and columns to its
-        // right turn to +x
+        // Returns the direction of the column at the fraction `u` of the map's width. Before the
+        // rotation the central column is −z, and columns to its right turn to +x.
         let column = |u: f32| {
             let azimuth = (u - 0.5) * std::f32::consts::TAU;
             as_in_blender() * Vec3::new(azimuth.sin(), 0.0, -azimuth.cos())

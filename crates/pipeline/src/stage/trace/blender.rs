@@ -63,7 +63,8 @@ fn chosen(
             contents.unfit.as_ref().map(|reason| format!("the file's own engine cannot render it here ({reason})"))
         }
     };
-    // If our path tracer renders the converted scene, report the lost features.
+    // If there is no reason against the file's own engine, that engine renders. Otherwise our path
+    // tracer renders the converted scene, and the lost features are reported.
     let Some(reason) = why_not else {
         let engine = &contents.engine;
         let lost = contents.lost.join("; ");

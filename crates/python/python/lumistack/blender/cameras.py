@@ -1,15 +1,15 @@
 """The window in a scene, and Blender's camera for every view through it.
 
-A view of slope s shows at the point (x, y) of the plane z = 0 the content on the line (x, y, 0) + z
-(s, 1).
+The view of slope s shows, at the point (x, y) of the plane z = 0, the content on the line (x, y, 0)
++ z (s, 1).
 
     oblique        all rays of a view have its slope: an orthographic camera with a sheared matrix,
                    (x, y, z) -> (x + z s_x, y + z s_y, z)
     perspective    a pinhole at the eye (D s_x, D s_y, D) that looks straight ahead; its picture is
                    shifted to the window: shift = -D s / width, in widths of the picture
 
-A shear is no product of location, rotation and scale, so it is set as the camera's
-`matrix_parent_inverse`.
+Blender composes a camera's matrix from location, rotation and scale, which cannot express a shear.
+So the shear is set as the camera's `matrix_parent_inverse`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ Matrix = tuple[tuple[float, ...], ...]
 
 #: Blender's limit on the shift of a camera.
 MOST_SHIFT = 10.0
-#: Width of the film of a perspective camera, millimetres; any value would do.
+#: Width of the film of a perspective camera, millimetres. The picture does not depend on this
+#: value, since the focal length is scaled with it.
 SENSOR_MM = 36.0
 #: Distance of the near clipping plane. It is a fraction of the distance from the camera to the
 #: window in perspective views, and to the farthest content in oblique views.
@@ -32,7 +33,7 @@ NEAREST = 1e-4
 
 
 class WindowError(ValueError):
-    """No window or camera of Blender fits the settings; the message names the setting."""
+    """The settings define no valid window or camera; the message names the wrong setting."""
 
 
 @dataclass(frozen=True)
@@ -61,15 +62,16 @@ class Window:
         return (x, y, z)
 
     def moved_back(self, by_mm: float, distance_mm: float | None = None) -> Window:
-        """Moves the window so that depth -by_mm comes to the display plane. The view from the
-        middle stays the same, so with an eye the window grows with its distance from the eye."""
+        """Moves the window along its normal so that the depth -by_mm comes to the display plane. The view
+        from the middle stays the same. So if views are of eyes at `distance_mm`, the window grows with
+        its distance from the eye."""
         factor = 1.0 if distance_mm is None else (distance_mm + by_mm) / distance_mm
         centre = self.point((0.0, 0.0, -by_mm))
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
 
     def resized(self, factor: float, shift: Sequence[float] = (0.0, 0.0)) -> Window:
-        """Scales the window by a factor, and moves it in its plane by a shift to the right and up, in
-        widths of the window."""
+        """Scales the window by a factor, and moves it in its plane. The shift is to the right and up, in
+        widths of the window before it is scaled."""
         width = self.size_mm[0]
         centre = self.point((shift[0] * width, shift[1] * width, 0.0))
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
@@ -129,7 +131,7 @@ def window_of_camera(
 
 
 def window_of_job(job: dict[str, object], size_mm: tuple[float, float]) -> Window:
-    """The inverse of `Window.as_job`."""
+    """Returns the window of the table [window] of a job, the inverse of `Window.as_job`."""
     centre, forward, up = (z_up(job[key]) for key in ("centre", "forward", "up"))  # type: ignore[arg-type]
     back = _unit(_times(forward, -1.0))
     right = _unit(_cross(up, back))
@@ -137,10 +139,10 @@ def window_of_job(job: dict[str, object], size_mm: tuple[float, float]) -> Windo
 
 
 def view_camera(window: Window, slope: Sequence[float], distance_mm: float | None, depth_mm: Sequence[float]) -> ViewCamera:
-    """The camera of a view.
+    """Returns the camera of a view.
 
-    slope: to the right and up; distance_mm: of the eye, None for oblique views; depth_mm: farthest
-    and nearest content, millimetres along z.
+    slope: of the view, to the right and up; distance_mm: distance of the eye, None for oblique views;
+    depth_mm: farthest and nearest depth of content, millimetres along z.
     """
     farthest, nearest = min(depth_mm), max(depth_mm)
     scale, (s_x, s_y) = window.scale, slope
@@ -174,8 +176,8 @@ def view_camera(window: Window, slope: Sequence[float], distance_mm: float | Non
 
 
 def seen_at_mm(camera: ViewCamera, window: Window, point: Sequence[float]) -> tuple[float, float]:
-    """The position on the window where a camera of this module shows a point of the scene. For
-    tests, and for pictures drawn without Blender."""
+    """Returns the position on the window at which `camera` shows a point of the scene, without
+    Blender. Tests use this function."""
     columns = [tuple(camera.matrix[row][column] for row in range(3)) for column in range(4)]
     offset = tuple(a - b for a, b in zip(point, columns[3], strict=True))
     x, y, z = _solve(columns[0], columns[1], columns[2], offset)

@@ -7,12 +7,12 @@ import argparse
 from dataclasses import dataclass, field
 from typing import Any, NoReturn, TextIO
 
-#: Progress after which another line is printed, as a fraction of the stage.
+#: A line is printed whenever the progress has grown by this fraction of the stage.
 WORTH_A_LINE = 0.02
 
 
 class Usage(Exception):
-    """Wrong words (code 2), or a request for help (code 0)."""
+    """The command line is wrong (code 2), or requests help (code 0). The text is the message."""
 
     def __init__(self, text: str, code: int) -> None:
         super().__init__(text)
@@ -27,7 +27,7 @@ class Asked:
     what: str
     blend: str | None
     scene: str | None
-    #: "move" or "compress", or nothing.
+    #: "move" or "compress"; None if depth is not fitted.
     fit_depth: str | None
     #: Values of the extension's settings `Scene.lumistack`, and of Blender's own settings of the
     #: scene (`scene_settings`).
@@ -62,7 +62,7 @@ def _frames(text: str) -> tuple[int, int]:
 
 
 def parse(words: list[str]) -> Asked:
-    """Parses the words. Raises `Usage`."""
+    """Parses the words of the command line. Raises `Usage`."""
     parser = _Parser(prog="blender -b FILE.blend --command lumistack", description="Makes patterns of a scene. Settings without a flag are taken from the file.")
     parser.add_argument("what", nargs="?", choices=["make", "views"], default="make", help="patterns and outputs (make), or the views alone (views)")
     parser.add_argument("--blend", metavar="FILE", help="another .blend file to open")
@@ -107,7 +107,7 @@ def parse(words: list[str]) -> Asked:
     ):
         if value is not None:
             settings[name] = value
-    # If a setting has a switch in the extension, the flag also turns the switch on.
+    # Some settings have an effect only if a switch of the extension is on. Their flags turn it on.
     if found.display is not None:
         is_file = found.display.endswith(".toml")
         settings["display_from"] = "FILE" if is_file else "PRESET"
@@ -127,7 +127,8 @@ def parse(words: list[str]) -> Asked:
 
 
 class ProgressPrinter:
-    """Prints progress: a line for every stage, and a line after every few per cent of a stage."""
+    """Prints progress: a line at the beginning of every stage, then a line after every two per cent
+    of it (`WORTH_A_LINE`)."""
 
     def __init__(self, file: TextIO) -> None:
         self._file, self._last = file, ("", -1.0)

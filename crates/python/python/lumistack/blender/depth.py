@@ -1,12 +1,13 @@
 """Compares the depth of a scene with the display's depth of field, and fits it.
 
 The window moves along its normal; if that is not enough, parallax is scaled. Neither changes the
-view from the middle. Content at z appears at
+view from the middle. If the window moves back by t, and slopes are scaled by k, then content at
+depth z appears at the depth
 
-    oblique        k (z + t)
-    perspective    z' with z'/(D - z') = k y/(D - y),   y = (z + t) D/(D + t)
+oblique        k (z + t)
+perspective    z' with z'/(D - z') = k y/(D - y),   y = (z + t) D/(D + t)
 
-after the window has moved back by t and slopes are scaled by k, as in `pipeline/src/fit.rs`.
+for eyes at the distance D, as in `crates/shot/src/place.rs`.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-#: Quantiles of the visible depths that are fitted: a few stray surfaces have no effect.
+#: The depths between these two quantiles are fitted, so that a few stray surfaces have no effect.
 ENDS = (0.02, 0.98)
 #: Smallest factor on parallax.
 LEAST_SCALE = 0.01
-#: A larger fraction of the picture outside the range causes a warning.
+#: A warning appears if a larger fraction of the picture lies outside the sharp depths.
 WORTH_SAYING = 0.05
 
 
@@ -32,7 +33,8 @@ class Fit:
 
 
 def outside(depths_mm: Sequence[float], range_mm: Sequence[float]) -> float:
-    """Fraction of the visible content outside the depths that the display shows sharply."""
+    """Returns the fraction of the visible content that lies outside `range_mm`, the depths that the
+    display shows sharply."""
     if not depths_mm:
         return 0.0
     low, high = range_mm
@@ -40,7 +42,8 @@ def outside(depths_mm: Sequence[float], range_mm: Sequence[float]) -> float:
 
 
 def sentence(depths_mm: Sequence[float], range_mm: Sequence[float] | None) -> str | None:
-    """The warning for a scene that is too deep; None if it fits, or nothing is visible."""
+    """Returns the warning for a scene that is too deep; None if the scene fits, or has no visible
+    content."""
     if not depths_mm:
         return None
     if range_mm is None:
@@ -56,7 +59,7 @@ def sentence(depths_mm: Sequence[float], range_mm: Sequence[float] | None) -> st
 
 
 def shown_at(depth_mm: float, fit: Fit, distance_mm: float | None) -> float:
-    """Depth at which content appears after the fit."""
+    """Returns the depth at which content at `depth_mm` appears after the fit."""
     if distance_mm is None:
         return fit.depth_scale * (depth_mm + fit.moved_back_mm)
     moved = (depth_mm + fit.moved_back_mm) * distance_mm / (distance_mm + fit.moved_back_mm)
@@ -65,21 +68,21 @@ def shown_at(depth_mm: float, fit: Fit, distance_mm: float | None) -> float:
 
 
 def in_scene(range_mm: Sequence[float] | None, depth_scale: float, distance_mm: float | None) -> tuple[float, float] | None:
-    """Depths, before parallax is scaled, that appear within a range."""
+    """Returns the range of depths that appear within `range_mm` after parallax is scaled."""
     if range_mm is None:
         return None
     if distance_mm is None:
         low, high = (depth / depth_scale for depth in range_mm)
         return low, high
-    # parallax tends to -1 for content infinitely far behind the window
+    # parallax z / (D - z) tends to -1 for content infinitely far behind the window
     parallax = (-1.0 if depth == -math.inf else _parallax(depth, distance_mm) / depth_scale for depth in range_mm)
     low, high = (-math.inf if part <= -1.0 else distance_mm * part / (1.0 + part) for part in parallax)
     return low, high
 
 
 def best_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm: float | None, compress: bool) -> Fit:
-    """The movement that brings most of the depths into the range, and with `compress` the scale
-    that brings in the rest."""
+    """Returns the movement of the window that brings most of the depths into the range. With
+    `compress` it also returns the scale of parallax that brings in the remaining depths."""
     ordered = sorted(depth for depth in depths_mm if math.isfinite(depth))
     if not ordered:
         return Fit(0.0, 1.0)
@@ -89,8 +92,8 @@ def best_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm:
     if distance_mm is None:
         fit = Fit(wanted - (far + near) / 2, 1.0)
     else:
-        # Bisect for the movement after which the middle of both ends is the middle of the range.
-        # The middle of both ends grows with the movement.
+        # The wanted movement brings the mean of the nearest and farthest depth to the middle of the
+        # range. This mean grows with the movement, so bisection finds it.
         least, most = -0.9 * distance_mm, 100.0 * (abs(far) + abs(near) + abs(wanted) + distance_mm)
         for _ in range(200):
             by = (least + most) / 2

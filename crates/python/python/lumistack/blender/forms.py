@@ -1,5 +1,5 @@
-"""Parameters of output plugins as Blender's properties. The same schema serves the command line,
-Python, the browser and Blender's panel."""
+"""Describes parameters of output plugins as properties of Blender's panel. The description comes
+from the schema with which the command line and Python also check the parameters."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-#: Largest value of Blender's whole numbers.
+#: Largest value of an integer property of Blender.
 MOST_INT = 2**31 - 1
 
 
 @dataclass(frozen=True)
 class Field:
-    """A property for one parameter."""
+    """The property of Blender for one parameter of a plugin."""
 
     #: Name of the parameter.
     name: str
@@ -64,7 +64,7 @@ def identifier(plugin: str, name: str) -> str:
 
 
 def given(fields: Sequence[Field], values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values for the plugin: all that differ from their defaults."""
+    """Returns the parameters for the plugin: the values that differ from their defaults."""
     changed = {}
     for each in fields:
         value = values[each.identifier]

@@ -60,7 +60,7 @@ class Glb:
         return scene
 
     def add_node(self, name: str, matrix: Sequence[Sequence[float]] | None = None, **parts: Any) -> None:
-        """Adds a node; matrix: four rows, in glTF's axes."""
+        """Adds a node to the scene. `matrix` has four rows, in glTF's axes."""
         node: dict[str, Any] = {"name": name, **parts}
         if matrix is not None:
             node["matrix"] = [float(matrix[row][column]) for column in range(4) for row in range(4)]
@@ -81,9 +81,9 @@ class Glb:
         radiance: Sequence[float],
         seen: bool = True,
     ) -> None:
-        """Adds a black surface that emits this radiance from its front; seen: true if cameras see
-        it."""
-        # A material with emission alone.
+        """Adds a black surface that emits this radiance from its front; `seen` is true if the surface is
+        visible to cameras."""
+        # Add a black material with emission.
         strength = max(max(radiance), 1e-30)
         self._use(STRENGTH)
         material = self._append(
@@ -97,7 +97,7 @@ class Glb:
             },
         )
         self._use("KHR_materials_specular")
-        # The mesh.
+        # Add the mesh and its node.
         flat = [float(value) for position in positions for value in position]
         accessor = {
             "min": [min(flat[axis::3]) for axis in range(3)],
@@ -113,14 +113,14 @@ class Glb:
         self.add_node(name, matrix, mesh=mesh)
 
     def add_camera(self, name: str, matrix: Sequence[Sequence[float]], camera: dict[str, Any], focus_distance: float | None) -> None:
-        """Adds a camera; cameras are numbered in the order of these calls."""
+        """Adds a camera. The order of these calls is the order of cameras in the file."""
         if focus_distance is not None:
             camera = {**camera, "extras": {"lumistack": {"focus_distance": focus_distance}}}
         self.add_node(name, matrix, camera=self._append("cameras", {"name": name, **camera}))
 
     def set_environment(self, width: int, height: int, texels: Sequence[Sequence[float]], strength: float = 1.0) -> None:
-        """Sets the environment; texels: linear RGB, row by row from the top. The middle column is
-        glTF's -z, and columns to the right turn towards +x."""
+        """Sets the environment. `texels` are linear RGB, row by row from the top. The middle column of the
+        picture looks along glTF's -z, and columns to the right turn towards +x."""
         uri = "data:image/vnd.radiance;base64," + base64.b64encode(radiance_hdr(width, height, texels)).decode()
         extras = self.scene.setdefault("extras", {})
         extras.setdefault("lumistack", {})["environment"] = {"image": uri, "strength": strength}
@@ -154,7 +154,8 @@ def _rgbe(rgb: Sequence[float]) -> bytes:
     brightest = max(rgb)
     if not brightest > 1e-32:
         return b"\0\0\0\0"
-    # brightest = mantissa 2^exponent; the mantissa is rounded to 8 bits.
+    # brightest = mantissa 2^exponent. Rounding the mantissa to 8 bits may give 256, which does not
+    # fit into a byte; then the exponent grows.
     mantissa, exponent = math.frexp(brightest)
     if mantissa >= 255.5 / 256:
         exponent += 1

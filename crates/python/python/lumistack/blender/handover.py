@@ -36,8 +36,8 @@ Rows = list[list[float]]
 
 
 def export_scene(bpy: Any, path: str | Path, warn: Warn, scene: Any = None) -> None:
-    """Writes a scene, by default the active one, at the current frame. warn(place, message)
-    receives content that is left out."""
+    """Writes a scene, by default the active scene, at the current frame. Calls warn(place, message)
+    for content that is left out."""
     scene = scene or bpy.context.scene
     with in_window(bpy, scene), _as_rendered(bpy):
         _export_meshes(bpy, path)
@@ -57,8 +57,8 @@ def export_scene(bpy: Any, path: str | Path, warn: Warn, scene: Any = None) -> N
 
 @contextlib.contextmanager
 def in_window(bpy: Any, scene: Any) -> Iterator[None]:
-    """Gives exporters a context with a window that shows the scene. They need a window, which the
-    context of a command (`blender --command`) lacks."""
+    """Gives exporters a context with a window that shows the scene. Exporters need a window, and the
+    context of a command (`blender --command`) has none."""
     window = bpy.context.window
     if window is not None and bpy.context.screen is not None and bpy.context.scene == scene:
         yield
@@ -87,7 +87,7 @@ def files_of(bpy: Any) -> tuple[list[str], list[str]]:
     missing: set[str] = set()
     for data, library in named:
         name = data.filepath
-        # Blender's own font is no file.
+        # Blender's built-in font has a name in angle brackets, and no file.
         if name and not name.startswith("<") and not getattr(data, "packed_file", None):
             path = Path(bpy.path.abspath(name, library=library))
             (found if path.is_file() else missing).add(str(path))
@@ -95,8 +95,8 @@ def files_of(bpy: Any) -> tuple[list[str], list[str]]:
 
 
 def untracked(bpy: Any) -> str | None:
-    """Input that `files_of` does not list, so its changes cannot be detected; None for most scenes.
-    """
+    """Returns a description of input that `files_of` does not list, so that its changes cannot be
+    detected. Returns None for most scenes."""
     for image in bpy.data.images:
         if image.users and image.source in ("SEQUENCE", "TILED"):
             return f"{image.name}: a picture of many files"
@@ -114,8 +114,8 @@ def untracked(bpy: Any) -> str | None:
 
 @contextlib.contextmanager
 def _as_rendered(bpy: Any) -> Iterator[None]:
-    """Copies the settings of modifiers for renders to their settings for the viewport, which the
-    exporter reads."""
+    """Shows the scene in the viewport as a render would show it, since the exporter reads the settings
+    for the viewport. Restores these settings at the end."""
     changed: list[tuple[Any, str, Any]] = []
     added: list[tuple[Any, Any]] = []
 
@@ -128,7 +128,8 @@ def _as_rendered(bpy: Any) -> Iterator[None]:
     try:
         for held in bpy.context.scene.objects:
             if is_volume_alone(held):
-                # A domain of smoke is invisible, but would be exported as a white box.
+                # The domain of a smoke simulation is invisible, but would be exported as a white
+                # box.
                 change(held, "hide_render", True)
             for modifier in held.modifiers:
                 change(modifier, "show_viewport", modifier.show_render)
@@ -136,8 +137,9 @@ def _as_rendered(bpy: Any) -> Iterator[None]:
                     change(modifier, "levels", modifier.render_levels)
             if held.mode == "EDIT":
                 held.update_from_editmode()
-                # In Edit Mode the exporter finds no texture coordinates in a mesh, but it finds
-                # them in the mesh's evaluated copy. It exports this copy if there is a modifier.
+                # In Edit Mode a mesh has no texture coordinates, but its evaluated copy has them.
+                # The exporter uses the copy if the object has a modifier. So add one without
+                # effect.
                 modifier = held.modifiers.new(TEMPORARY, "DISPLACE") if held.type == "MESH" else None
                 if modifier is not None:
                     modifier.strength = 0.0
@@ -174,7 +176,7 @@ def _export_meshes(bpy: Any, path: str | Path) -> None:
         "will_save_settings": False,
     }
     known = bpy.ops.export_scene.gltf.get_rna_type().properties.keys()
-    # The exporter would end the edit mode of an active object.
+    # The exporter ends the Edit Mode of the active object, so hide this object from it.
     with bpy.context.temp_override(active_object=None, object=None):
         bpy.ops.export_scene.gltf(filepath=str(path), **{name: value for name, value in settings.items() if name in known})
 
@@ -204,7 +206,7 @@ def _add_light(held: Any, matrix: Any, file: Glb, warn: Warn) -> None:
     if not max(power) > 0.0:
         return
     seen = getattr(held, "visible_camera", True)
-    # Without `normalize`, Cycles takes the power as power per area.
+    # Without `normalize`, Cycles interprets the power as power per area.
     area = light.area(matrix_world=matrix) if hasattr(light, "area") else None
     if not getattr(light, "normalize", True) and light.type != "SUN" and area:
         power = [value * area for value in power]
@@ -261,7 +263,8 @@ def _strength(power: Sequence[float], over: float = 1.0) -> dict[str, object]:
 
 
 def ball(radius: float) -> tuple[list[list[float]], list[list[int]]]:
-    """A ball of triangles with the area of a sphere, so that it emits the same power."""
+    """Returns a ball of triangles. Its area is that of the exact sphere, so that it emits the same
+    power."""
     columns = 2 * RINGS
     positions = [[0.0, 0.0, radius]]
     for ring in range(1, RINGS):
@@ -285,7 +288,8 @@ def ball(radius: float) -> tuple[list[list[float]], list[list[int]]]:
 
 
 def panel(width: float, height: float, is_round: bool) -> tuple[list[list[float]], list[list[int]]]:
-    """A rectangle or an ellipse with its exact area in the plane z = 0, facing -z."""
+    """Returns triangles of a rectangle or an ellipse in the plane z = 0, facing -z. Their area is the
+    exact area of the shape."""
     if not is_round:
         x, y = width / 2, height / 2
         return [[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]], [[0, 2, 1], [0, 3, 2]]
@@ -353,7 +357,7 @@ def _add_world(bpy: Any, scene: Any, file: Glb, warn: Warn) -> None:
 
 
 def plain_colour(world: Any) -> list[float] | None:
-    """The radiance of a uniform world; None for any other."""
+    """Returns the radiance of a uniform world; None for a world whose radiance is not uniform."""
     if not world.use_nodes or world.node_tree is None:
         return [float(channel) for channel in world.color]
     outputs = [node for node in world.node_tree.nodes if node.type == "OUTPUT_WORLD" and node.is_active_output]
@@ -368,8 +372,8 @@ def plain_colour(world: Any) -> list[float] | None:
 
 
 def _picture_of_world(bpy: Any, scene: Any) -> tuple[int, int, list[list[float]]]:
-    """Renders the world with Cycles in its own scene: rows from the top, the middle column along
-    Blender's +y."""
+    """Renders the world with Cycles in a temporary scene. Returns width, height and texels, with rows
+    from the top; the middle column looks along Blender's +y."""
     import tempfile
 
     import numpy
@@ -407,7 +411,7 @@ def _picture_of_world(bpy: Any, scene: Any) -> tuple[int, int, list[list[float]]
             image = bpy.data.images.load(render.filepath)
             values = numpy.empty(width * height * 4, dtype=numpy.float32)
             image.pixels.foreach_get(values)
-        # Blender's first row is the lowest.
+        # Blender stores the lowest row first, so reverse the rows.
         texels: list[list[float]] = values.reshape(height, width, 4)[::-1, :, :3].reshape(-1, 3).tolist()
         return width, height, texels
     finally:

@@ -2,7 +2,7 @@
 
     files ──▶ {"set": {"scene": FILE, ...}} ──▶ the program ──▶ {"event": "state", ...} ──▶ State
 
-Every scene is a file with a new name, so the program never reads one that is being written.
+Every scene is a file with a new name, so the program never reads a file that is being written.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-#: Number of the newest files that are kept, of scenes and of displays: the program may still read
-#: them.
+#: Number of files that are kept, of scenes and of displays. Only the newest files are kept, since
+#: the program may still read them.
 KEPT = 4
 #: Longest text of a message.
 LONGEST = 400
@@ -30,15 +30,15 @@ class State:
 
     #: Address of the page; empty before the first picture.
     address: str = ""
-    #: Number of states, and number of contents: every change of the scene or the display makes a
-    #: new content.
+    #: Number of the shown state, and number of its content. Every change of the scene or the
+    #: display makes a new content.
     states: int = 0
     content: int = 0
     #: PSNR of the last state at the solver's views, dB.
     psnr: float | None = None
     #: Seconds from the last change to the first state that shows it.
     latency_s: float | None = None
-    #: The last warning or error; empty while there is none.
+    #: The last warning or error; empty without one.
     problem: str = ""
     #: Path of the report, after the end.
     report: str = ""
@@ -47,7 +47,7 @@ class State:
 
 
 class Live:
-    """The program, from its start to its end."""
+    """A process `lumistack live`, from its start to its end."""
 
     def __init__(self, words: Sequence[str], environment: Mapping[str, str]) -> None:
         """Starts the program with the words of its command line. Raises OSError."""
@@ -55,18 +55,19 @@ class Live:
         self._process = subprocess.Popen(words, env=dict(environment), stdin=pipe, stdout=pipe, stderr=pipe)
         self._lock = threading.Lock()
         self._state = State()
-        #: Time of the change whose state is awaited, and the content before this change.
+        #: Time of the last change, and the number of the content before it; None once a state shows
+        #: the change.
         self._sent: tuple[float, int] | None = None
         self._error = b""
         self._threads = [threading.Thread(target=each, name="lumistack live", daemon=True) for each in (self._read, self._read_errors)]
         for thread in self._threads:
             thread.start()
-        # So the program also ends if its caller crashes.
+        # With this setting the program also ends if its caller crashes.
         self.send(stop_at_end=True)
 
     @property
     def state(self) -> State:
-        """The state; its `code` is set after the end."""
+        """The newest state of the program. Its `code` is set after the program has ended."""
         code = self._process.poll()
         if code is not None:
             for thread in self._threads:
@@ -77,7 +78,7 @@ class Live:
 
     @property
     def is_shown(self) -> bool:
-        """True if the last change has a state."""
+        """True if a state shows the last change."""
         with self._lock:
             return self._sent is None
 
@@ -89,7 +90,8 @@ class Live:
         self.send(set=dict(keys))
 
     def send(self, **entries: Any) -> None:
-        """Sends a line. Without effect after the end of the program, which `state` reports."""
+        """Sends a line to the program. After the end of the program, which `state` reports, this has no
+        effect."""
         stdin = self._process.stdin
         if stdin is not None:
             with contextlib.suppress(OSError, ValueError):
@@ -101,7 +103,7 @@ class Live:
         self.send(stop=True)
 
     def end(self, patience_s: float) -> None:
-        """Stops the program and waits; kills it if it takes longer."""
+        """Stops the program and waits for its end; kills it after `patience_s` seconds."""
         self.stop()
         try:
             self._process.wait(patience_s)
@@ -136,7 +138,7 @@ class Live:
                         latency_s, self._sent = time.monotonic() - self._sent[0], None
                     state = replace(state, states=event["number"], content=content, psnr=event["psnr_view"], latency_s=latency_s)
                 case "refused":
-                    # The display stays as it is.
+                    # After an error the display keeps its state, so no state will show this change.
                     state, self._sent = replace(state, problem=event["message"][:LONGEST]), None
                 case "warning":
                     state = replace(state, problem=f"{event['place']}: {event['message']}"[:LONGEST])
@@ -154,7 +156,7 @@ class Live:
 
 
 class Files:
-    """Numbered files of one folder, of which only the last few stay."""
+    """Numbered files of one folder. Only the newest (`KEPT`) stay."""
 
     def __init__(self, folder: Path, stem: str, suffix: str) -> None:
         """Makes the folder, and removes the files of earlier sessions. Raises OSError."""
@@ -165,7 +167,7 @@ class Files:
             path.unlink()
 
     def next(self) -> Path:
-        """The path of a new file; removes an old one."""
+        """Returns the path of a new file, and removes the oldest file."""
         self._path(self._number - KEPT).unlink(missing_ok=True)
         self._number += 1
         return self._path(self._number)
@@ -180,7 +182,7 @@ class Files:
 
 
 def toml_of(job: Mapping[str, Any]) -> str:
-    """A job of plain values and of tables of such values, as TOML."""
+    """Returns a job as TOML. Its values are plain, or tables of plain values."""
     plain = [f"{key} = {_value(value)}" for key, value in job.items() if not isinstance(value, Mapping)]
     tables = [
         f"\n[{name}]\n" + "\n".join(f"{key} = {_value(value)}" for key, value in table.items())

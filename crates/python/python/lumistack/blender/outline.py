@@ -11,26 +11,27 @@ Line = tuple[Point, Point]
 
 #: Length of the drawn part of the viewing cone, in widths of the window.
 CONE = 0.9
-#: Depths of field are drawn up to this depth, in widths of the window.
+#: The depth of field is drawn up to this depth in front of and behind the window, in widths of the
+#: window.
 MOST_DEPTH = 2.0
 
 
 def frame(size_mm: Sequence[float], z_mm: float = 0.0, spread: Sequence[float] = (1.0, 1.0)) -> list[Line]:
-    """The window's edge at a depth."""
+    """Returns the four edges of the window, moved to a depth and scaled by `spread` (x, y)."""
     x, y = size_mm[0] / 2 * spread[0], size_mm[1] / 2 * spread[1]
     corners: list[Point] = [(-x, y, z_mm), (x, y, z_mm), (x, -y, z_mm), (-x, -y, z_mm)]
     return list(zip(corners, corners[1:] + corners[:1], strict=True))
 
 
 def spread_at(z_mm: float, distance_mm: float | None) -> float:
-    """Visible width at a depth from the middle, in widths of the window: 1 in parallel projection,
-    (D - z)/D before an eye."""
+    """Returns the width that the middle view shows at a depth z, in widths of the window: 1 in
+    parallel projection, (D - z)/D for an eye at the distance D."""
     return 1.0 if distance_mm is None else max((distance_mm - z_mm) / distance_mm, 0.0)
 
 
 def depth_box(size_mm: Sequence[float], depth_mm: Sequence[float] | None, distance_mm: float | None) -> list[Line]:
-    """The depths that the display shows sharply: a frame at either end, and lines between their
-    corners. Empty for a display without such depths."""
+    """Returns the outline of the depths that the display shows sharply: a frame at the nearest and at
+    the farthest depth, and lines between their corners. Empty if no depth is sharp."""
     if depth_mm is None:
         return []
     most = MOST_DEPTH * size_mm[0]
@@ -43,8 +44,8 @@ def depth_box(size_mm: Sequence[float], depth_mm: Sequence[float] | None, distan
 
 
 def cone(size_mm: Sequence[float], fov_deg: Sequence[float]) -> list[Line]:
-    """The viewing zone: planes through the window's edges that lean outwards by half the field of
-    view."""
+    """Returns the outline of the viewing zone. Its planes go through the window's edges and lean
+    outwards by half the field of view."""
     reach = CONE * size_mm[0]
     x, y = size_mm[0] / 2, size_mm[1] / 2
     out_x, out_y = (reach * math.tan(math.radians(angle) / 2) for angle in fov_deg)
@@ -62,29 +63,32 @@ def slope_of_mouse(mouse_px: Sequence[float], size_px: Sequence[float], fov_deg:
 
 
 def cage(size: float, shift: Sequence[float], width: float) -> list[float]:
-    """The matrix of a frame that the user drags, column by column; `width`: width of the camera's
-    picture in the window's plane, scene units."""
+    """Returns the matrix of the frame that the user drags in the 3D view, column by column. `width` is
+    the width of the camera's picture in the window's plane, scene units."""
     x, y = (part * width for part in shift)
     return [size, 0.0, 0.0, 0.0, 0.0, size, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, x, y, 0.0, 1.0]
 
 
 def of_cage(matrix: Sequence[float], width: float) -> tuple[float, tuple[float, float]]:
-    """The inverse of `cage`: size and shift."""
+    """Returns size and shift of the window from the matrix of the dragged frame, the inverse of
+    `cage`."""
     return abs(matrix[0]), (matrix[12] / width, matrix[13] / width)
 
 
 def is_in_front(eye_mm: Sequence[float], size_mm: Sequence[float]) -> bool:
-    """True if an eye is in front of the window, farther than a hundredth of its width."""
+    """True if an eye is in front of the window, at a distance of more than a hundredth of the window's
+    width."""
     return eye_mm[2] > 0.01 * size_mm[0]
 
 
 def in_cone(eye_mm: Sequence[float], fov_deg: Sequence[float]) -> bool:
-    """True if an eye is in the viewing zone, seen from the window's centre."""
+    """True if the direction from the window's centre to an eye lies in the field of view."""
     if eye_mm[2] <= 0.0:
         return False
     return all(abs(place) <= eye_mm[2] * math.tan(math.radians(angle) / 2) for place, angle in zip(eye_mm, fov_deg, strict=False))
 
 
 def turned(value: float, step: float, low: float, high: float) -> float:
-    """A value that a gizmo changes, clamped to its range."""
+    """Returns a value after a gizmo (a handle in the 3D view) changed it by `step`, clamped to its
+    range."""
     return min(max(value + step, low), high)

@@ -1,5 +1,5 @@
-"""Renders views with Blender's engines: a camera per view, and comparable settings, which are
-restored afterwards."""
+"""Renders views with Blender's engines. It sets a camera for each view, and render settings that
+make the views comparable. Afterwards it restores the scene's settings."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Any
 
 from .cameras import SENSOR_MM, ViewCamera, Window, window_of_camera
 
-#: Name of temporary objects in a file.
+#: Name of the objects that this module adds to a scene for a render.
 TEMPORARY = "Lumistack view"
 
 
-#: Time after which drawing a picture of 4 × 4 pixels is stopped, seconds.
+#: Longest time of the test that draws a picture of 4 × 4 pixels, seconds.
 LONGEST_S = 120.0
 
 
@@ -28,7 +28,7 @@ class NoOpenGL(RuntimeError):
     """The engine draws with OpenGL, which is not available."""
 
 
-#: The child's test: the cheapest picture that OpenGL draws.
+#: Program of the child process: it draws a picture of 4 × 4 pixels with OpenGL.
 _DRAW = """
 import bpy, os
 render = bpy.context.scene.render
@@ -42,7 +42,7 @@ _can_draw: list[bool] = []
 
 
 def check_engine(bpy: Any, scene: Any) -> None:
-    """Tests OpenGL in a child: without a window Blender crashes if its engine finds no OpenGL.
+    """Tests OpenGL in a child process, since without a window Blender crashes if there is no OpenGL.
     Raises `NoOpenGL`."""
     engine = scene.render.engine
     if not bpy.app.background or not engine.startswith(("BLENDER_EEVEE", "BLENDER_WORKBENCH")):
@@ -54,7 +54,7 @@ def check_engine(bpy: Any, scene: Any) -> None:
             quiet = subprocess.DEVNULL
             drew = b"LUMISTACK DREW" in subprocess.run(words, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, timeout=LONGEST_S).stdout
         except subprocess.TimeoutExpired:
-            # Drawing is slow, but works.
+            # The child drew until the time was over, so OpenGL works, but slowly.
             drew = True
         _can_draw.append(drew)
     if not _can_draw[0]:
@@ -63,8 +63,8 @@ def check_engine(bpy: Any, scene: Any) -> None:
 
 
 class Rig:
-    """A camera with any matrix, and render settings: linear OpenEXR at the display's resolution.
-    `with Rig(...) as rig: rig.aim(...)`."""
+    """A temporary camera that accepts any matrix, and render settings for linear OpenEXR pictures at
+    the display's resolution. Usage: `with Rig(...) as rig: rig.aim(...)`."""
 
     def __init__(self, bpy: Any, scene: Any, resolution: Sequence[int]) -> None:
         self._bpy, self._scene, self._resolution = bpy, scene, resolution
@@ -118,14 +118,14 @@ class Rig:
         setattr(held, name, value)
 
     def set(self, held: Any, name: str, value: Any) -> None:
-        """Changes a setting until `close`."""
+        """Changes a setting; `close` restores its value."""
         if hasattr(held, name):
             self._set(held, name, value)
 
     def aim(self, camera: ViewCamera, path: str | Path) -> None:
         """Sets the camera to a view and the output to a file."""
         data, held = self._camera.data, self._camera
-        # A plain list would be read column by column.
+        # Blender reads a flat list column by column, and a `Matrix` row by row.
         held.matrix_parent_inverse = type(held.matrix_world)([list(row) for row in camera.matrix])
         if camera.ortho_scale is not None:
             data.type, data.ortho_scale = "ORTHO", camera.ortho_scale
@@ -136,13 +136,13 @@ class Rig:
         self._scene.render.filepath = str(path)
 
     def close(self) -> None:
-        """Restores everything; a second call has no effect."""
+        """Restores all settings and removes the camera; a second call has no effect."""
         while self._old:
             held, name, value = self._old.pop()
             try:
                 setattr(held, name, value)
             except (AttributeError, ReferenceError, TypeError):
-                # The scene was deleted in between.
+                # The scene was deleted during the render, so its settings need not be restored.
                 pass
         for held in (self._camera, self._holder):
             if held is None:
@@ -172,8 +172,8 @@ def render_views(
     todo: Iterable[tuple[ViewCamera, Path, Callable[[], object]]],
     prepare: Callable[[Rig], None] = lambda _: None,
 ) -> None:
-    """Renders views one after the other, and calls each view's function when its file is complete.
-    Blocks; runs on the thread of Blender's Python."""
+    """Renders views one after another, on the thread of Blender's Python. Calls the function
+    `finished` of a view when the view's file is complete. Returns after the last view."""
     with Rig(bpy, scene, resolution) as rig:
         prepare(rig)
         for camera, path, finished in todo:
@@ -198,8 +198,8 @@ def focus_of(bpy: Any, camera: Any) -> float | None:
 
 
 def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: float | None = None, camera: Any = None) -> Window:
-    """The window of the scene's camera: at the given distance, at its plane of focus, or at the
-    middle of its visible depths."""
+    """Returns the window in front of the scene's camera: at the given distance, otherwise at the
+    camera's plane of focus, otherwise at the middle of the visible depths."""
     camera = camera or scene.camera
     if camera is None:
         raise NoWindow("the scene has no camera: add one (Add > Camera, then View > Cameras > Set Active Object as Camera)")
@@ -217,8 +217,8 @@ def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: floa
 
 
 def middle_of_view(bpy: Any, scene: Any, camera: Any, columns: int = 15, rows: int = 11) -> float | None:
-    """The middle of the depths that a camera sees, without the nearest and the farthest tenth, scene
-    units; None if it sees nothing."""
+    """Returns the middle of the visible depths of a camera, scene units. The nearest and the farthest
+    tenth are ignored. None if no content is visible."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     matrix = camera.evaluated_get(depsgraph).matrix_world.normalized()
     frame = [corner.copy() for corner in camera.data.view_frame(scene=scene)]
@@ -239,14 +239,14 @@ def middle_of_view(bpy: Any, scene: Any, camera: Any, columns: int = 15, rows: i
                 depths.append(float(-(matrix.inverted() @ point).z))
     if not depths:
         return None
-    # Ignore stray surfaces and the far end of the ground.
+    # Omit a tenth at either end, which contains stray surfaces and the far end of the ground.
     depths.sort()
     low, high = depths[len(depths) // 10], depths[len(depths) - 1 - len(depths) // 10]
     return (low + high) / 2
 
 
 def depths_through(bpy: Any, scene: Any, window: Window, distance_mm: float | None, columns: int = 40, rows: int = 25) -> list[float]:
-    """Depths of the content that is visible through the window from the middle, millimetres."""
+    """Returns depths of the content that the middle view shows in the window, millimetres."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     vector = type(scene.cursor.location)
     nearest = depth_range(bpy, scene, window)[1]
@@ -265,8 +265,8 @@ def depths_through(bpy: Any, scene: Any, window: Window, distance_mm: float | No
 
 
 def depth_range(bpy: Any, scene: Any, window: Window) -> tuple[float, float]:
-    """Farthest and nearest depth of all content of a render, millimetres along the window's normal.
-    """
+    """Returns the farthest and nearest depth of all content that a render shows, millimetres along the
+    window's normal."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     depths = [0.0]
     for instance in depsgraph.object_instances:

@@ -1,4 +1,4 @@
-"""Finds content of a Blender scene that glTF cannot express: materials of unsupported nodes, hair,
+"""Finds content of a Blender scene that glTF cannot express: materials with unsupported nodes, hair,
 volumes.
 
 The export reduces a material to constants and pictures of a Principled BSDF. Blender's exporter
@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-#: Names in one line; further ones are counted.
+#: Largest number of names in one line; the line states the number of further names.
 MOST_NAMES = 8
-#: Nodes that the exporter supports, or that have no effect.
+#: Types of nodes that the exporter supports, or that do not change the picture.
 FOLLOWED = frozenset(
     "OUTPUT_MATERIAL BSDF_PRINCIPLED EMISSION BACKGROUND BSDF_TRANSPARENT LIGHT_PATH TEX_IMAGE UVMAP TEX_COORD MAPPING NORMAL_MAP"
     " SEPARATE_COLOR SEPRGB VERTEX_COLOR ATTRIBUTE VALUE RGB REROUTE FRAME GROUP GROUP_INPUT GROUP_OUTPUT".split()
@@ -33,8 +33,8 @@ LINES = {
 
 
 def unshown(bpy: Any, scene: Any, depsgraph: Any = None) -> list[str]:
-    """A line per kind of content that a render by Blender shows and the export loses; empty for
-    most scenes."""
+    """Returns a line for each kind of content that a render by Blender shows and the export loses;
+    empty for most scenes."""
     found: dict[str, dict[str, None]] = {kind: {} for kind in LINES}
     judged: set[str] = set()
     # Check every visible object: its type, modifiers and materials.
@@ -68,8 +68,8 @@ def unshown(bpy: Any, scene: Any, depsgraph: Any = None) -> list[str]:
 
 
 def is_volume_alone(held: Any) -> bool:
-    """True if only the inside of an object is rendered, as for a smoke domain; its box must not be
-    exported."""
+    """True if an object has a volume and no surface, such as a smoke domain. The box around such a
+    volume must not be exported."""
     outputs = [_output(slot.material) for slot in held.material_slots if slot.material is not None]
     return bool(outputs) and all(
         output is not None and output.inputs["Volume"].is_linked and not output.inputs["Surface"].is_linked for output in outputs
@@ -87,13 +87,13 @@ def _listed(names: list[str]) -> str:
 
 
 def _rendered(bpy: Any, scene: Any, depsgraph: Any) -> Iterator[tuple[Any, Any]]:
-    """Objects that a render shows, each with its evaluated object, including instances and results
-    of geometry nodes."""
+    """Yields the objects that a render shows, each with its evaluated object. Instances and results
+    of geometry nodes are included."""
     depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
     visited: set[tuple[str, str]] = set()
     for instance in depsgraph.object_instances:
         shown = instance.object
-        # The result of geometry nodes is an instance with another type.
+        # The result of geometry nodes is an instance whose type may differ from its object's type.
         held = (instance.parent if instance.is_instance and shown.original.name not in scene.objects else shown).original
         key = (held.name, shown.name + shown.type)
         if key not in visited and is_rendered(held):
@@ -135,12 +135,14 @@ def _output(material: Any) -> Any:
 
 
 def _reasons(output: Any) -> Iterator[str]:
-    """Names the nodes and settings before an output that the exporter does not support."""
+    """Yields the names of the nodes and settings that an output depends on and the exporter does not
+    support."""
     if output.inputs["Displacement"].is_linked:
         yield "displacement"
     nodes = list(_behind(output.inputs["Surface"], ()))
     kinds = {node.type for node, _ in nodes}
-    # A node Light Path without a BSDF is the usual way to make a surface that ignores light.
+    # A node Light Path without a BSDF is the usual way to make a surface that ignores light,
+    # which the exporter supports. So its mixed shaders are not reported.
     shadeless = "LIGHT_PATH" in kinds and not any(kind.startswith("BSDF") and kind != "BSDF_TRANSPARENT" for kind in kinds)
     for node, socket in nodes:
         if node.type in MIXED_SHADERS and shadeless:
@@ -179,7 +181,8 @@ def _is_factor(node: Any) -> bool:
 
 
 def _behind(socket: Any, groups: tuple[Any, ...]) -> Iterator[tuple[Any, Any]]:
-    """All nodes that a socket depends on, each with the output that is used; groups are entered."""
+    """Returns all nodes that a socket depends on, each with its used output. Nodes inside of groups
+    are included."""
     todo, visited = [(socket, groups)], set()
     while todo:
         socket, groups = todo.pop()
@@ -190,7 +193,7 @@ def _behind(socket: Any, groups: tuple[Any, ...]) -> Iterator[tuple[Any, Any]]:
                 continue
             visited.add(key)
             if node.mute:
-                # A muted node passes some of its inputs on.
+                # A muted node returns one of its inputs unchanged, so follow all inputs.
                 todo += [(each, groups) for each in node.inputs]
                 continue
             if node.type == "GROUP" and node.node_tree is not None and len(groups) < 16:

@@ -13,13 +13,13 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-#: Characters of a key in the name of its folder.
+#: Number of characters of a key that the name of its folder contains.
 NAMED_BY = 16
 View = tuple[int, int]
 
 
 def key_of(parts: object) -> str:
-    """A digest of settings; all values of JSON are allowed."""
+    """Returns a digest of settings, which may be any values that JSON can express."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True, ensure_ascii=False).encode()).hexdigest()
 
 
@@ -34,7 +34,7 @@ class Views:
         self.folder.mkdir(parents=True, exist_ok=True)
 
     def all(self) -> Iterator[View]:
-        """[view_y, view_x], row by row: (0, 0) is the leftmost and topmost."""
+        """Returns the indices (view_y, view_x) of all views, row by row. View (0, 0) is at the top left."""
         return ((row, column) for row in range(self.rows) for column in range(self.columns))
 
     def path(self, view: View) -> Path:
@@ -48,7 +48,8 @@ class Views:
         return [view for view in self.all() if not self.is_there(view)]
 
     def begin(self, view: View) -> Path:
-        """The path for writing a view; a part that an interrupted run left there is removed."""
+        """Returns the path to which a view is written until it is complete. Removes a file that an
+        interrupted run left at this path."""
         path = self.folder / f"unfinished_{self.path(view).name}"
         path.unlink(missing_ok=True)
         return path

@@ -13,11 +13,11 @@ class Stopped(Exception):
 
 
 class Work:
-    """One piece of work on its own thread.
+    """Work on a thread of its own.
 
     make(report) does the work. It must call report(stage, fraction) regularly, which raises Stopped
-    after a request to stop. report can also be the callback of the package's functions, which then
-    stop too.
+    after a request to stop. make may pass report as the callback to functions of the package; these
+    functions then also stop.
     """
 
     def __init__(self, make: Callable[[Callable[[str, float], None]], Any]) -> None:
@@ -34,11 +34,11 @@ class Work:
         return self
 
     def stop(self) -> None:
-        """Requests that the work stops, which happens at its next report."""
+        """Requests that the work stops; it stops when it calls `report` the next time."""
         self._stop.set()
 
     def wait(self, seconds: float | None = None) -> bool:
-        """Waits for the end, at most this long; returns true if the work has ended."""
+        """Waits at most `seconds` for the end of the work; returns true if the work has ended."""
         self._thread.join(seconds)
         return self.is_done()
 
@@ -50,7 +50,7 @@ class Work:
 
     @property
     def progress(self) -> tuple[str, float]:
-        """Name of the stage, and its finished fraction."""
+        """Returns the name of the current stage, and the finished fraction of the stage."""
         with self._lock:
             return self._progress
 

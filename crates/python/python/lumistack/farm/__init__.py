@@ -6,9 +6,9 @@
     tls = ("ca.pem", "me.pem", "me-key.pem")
     lumistack.farm.run("job.toml", "/mnt/shots/one", address="tls://head:8786", tls=tls)
 
-A run is split into units of work; each is a call of the command `lumistack farm unit`. Data is
-passed through the run folder, which all workers share. Dask transfers only ids of units and a line
-of JSON about each. `pip install 'lumistack[farm]'` installs Dask.
+A run is split into units of work. A worker executes a unit by the command `lumistack farm unit`.
+Workers exchange data through the run folder, which they share. Dask transfers only the id of a unit
+and a line of JSON about its result. `pip install 'lumistack[farm]'` installs Dask.
 """
 
 from lumistack.farm._engine import FarmError, Outcome, Unit, execute, plan, run

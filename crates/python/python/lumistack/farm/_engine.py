@@ -1,5 +1,5 @@
-"""The client: submits units that are ready, reads their results, and continues with the units that
-depend on them."""
+"""The client of a farm. It submits units whose inputs are finished, reads the results of units, and
+continues with the units that depend on these."""
 
 from __future__ import annotations
 
@@ -26,16 +26,17 @@ MOST_FAILURES = 3
 # Number of times that a unit may be lost with its worker before it is abandoned. The limit is high,
 # since preempted workers are not the unit's fault.
 MOST_LOSSES = 50
-# Time to wait for workers if there is none, seconds.
+# Longest time to wait for the first worker, seconds.
 WORKER_SECONDS = 60.0
-# Interval of checks of the workers while all units run, seconds.
+# Interval between checks of the workers while no unit ends, seconds.
 TEND_SECONDS = 2.0
 # Name of the resource by which workers may offer memory; its unit is bytes.
 MEMORY = "memory"
 
 
 class FarmError(Exception):
-    """A run did not finish. Finished units are kept, and a repeated call continues after them."""
+    """A run did not finish. The results of finished units are kept, and a repeated call continues with
+    the remaining units."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def run(
     program: Sequence[str] | None = None,
     **engine: Any,
 ) -> Outcome:
-    """Plans a job and executes it; `engine` are further arguments of `execute`."""
+    """Plans a job and executes the plan; `engine` are further arguments of `execute`."""
     return execute(plan(job, folder, options=options, program=program), program=program, **engine)
 
 
@@ -124,17 +125,18 @@ def execute(
 ) -> Outcome:
     """Executes the units of a plan.
 
-    * `address`: of a Dask scheduler. Without one, and without a `client` of Dask, `workers` processes
-      are started on this machine.
+    * `address`: address of a Dask scheduler. Without `address` and `client`, this function starts
+    `workers` processes on this machine.
     * `threads`: number of threads of a unit; by default the machine's cores divided by the worker's
     threads.
     * `maps`: texts "/here=/there".
-    * `tls`: files of authority, certificate and key.
+    * `tls`: files of the certificate authority, of the certificate and of its key.
     * `worker_program`: command that starts lumistack on workers; by default the package of the
       worker's Python.
     * `store`: object store through which workers exchange files if they share no folder, such as
       "s3://bucket/shots".
-    * `send`: folders of this machine whose files go to the store too, such as the scene's folder.
+    * `send`: folders of this machine whose files are also copied to the store, such as the scene's
+    folder.
 
     Raises FarmError if units were abandoned or no worker can be used; finished units are kept.
     """
@@ -172,7 +174,7 @@ def check_address(address: str, has_tls: bool, insecure: bool) -> None:
 
 @contextmanager
 def connected(address: str | None, client: Any, workers: int, tls: tuple[str, str, str] | None) -> Iterator[Any]:
-    """A client of Dask, with a cluster of this machine if no scheduler is named."""
+    """Yields a client of Dask. If no scheduler is named, it starts a cluster on this machine."""
     if client is not None:
         yield client
         return
@@ -180,7 +182,7 @@ def connected(address: str | None, client: Any, workers: int, tls: tuple[str, st
     # Results are read as text. A result that needs pickle is refused, since pickles can run code.
     readers: dict[str, Any] = {"deserializers": ["msgpack", "error"]}
     settings = {
-        # The engine itself counts lost workers.
+        # The class `Engine` counts lost workers, so Dask must not abandon a task earlier.
         "distributed.scheduler.allowed-failures": MOST_LOSSES,
         "distributed.worker.daemon": False,
         "distributed.logging.distributed": "error",
@@ -231,7 +233,7 @@ def _memory_bytes() -> float:
 
 
 class Engine:
-    """The state of a run: the units that wait, run, are done or abandoned."""
+    """The state of a run: which units wait, run, are done or are abandoned."""
 
     def __init__(
         self, dask: Any, planned: dict[str, Any], maps: list[str], threads: int | None, program: list[str] | None, tell: Tell
@@ -303,10 +305,10 @@ class Engine:
             raise
         return self.end()
 
-    # workers
+    # The next methods check workers.
 
     def check_workers(self, wait: bool) -> list[str]:
-        """Addresses of the usable workers; each unusable one is reported once."""
+        """Returns the addresses of the usable workers. Reports each unusable worker once."""
         deadline = time.monotonic() + (WORKER_SECONDS if wait else 0.0)
         while True:
             known = list(self.dask.scheduler_info(n_workers=-1)["workers"])
@@ -333,7 +335,7 @@ class Engine:
         for address in addresses:
             text = found.get(address) if isinstance(found, dict) else None
             if _json(text) is None:
-                # The worker was lost meanwhile, or will be checked again.
+                # The worker did not answer: it was lost, or the next call checks it again.
                 continue
             reason = self.objection(text)
             self.checked[address] = reason
@@ -341,7 +343,7 @@ class Engine:
                 self.refuse(address, reason)
 
     def objection(self, text: object) -> str | None:
-        """The reason why a worker cannot be used."""
+        """Returns the reason why a worker cannot be used, given its description; None if it can be used."""
         about = _json(text) or {}
         if "code" not in about:
             return f"lumistack does not start there: {about.get('error')}"
@@ -360,7 +362,7 @@ class Engine:
         self.outcome.refused[worker] = reason
         self.tell({"event": "refused", "worker": worker, "reason": reason})
 
-    # units
+    # The next methods submit units and handle their results.
 
     def ready(self) -> list[Unit]:
         busy = set(self.running.values()) | self.done | set(self.outcome.failed)
@@ -368,7 +370,8 @@ class Engine:
         return sorted(found, key=lambda unit: -unit.to_end_seconds)
 
     def tend(self) -> None:
-        """Releases tasks that wait for lost workers: a worker that restarts has another address."""
+        """Cancels tasks that may run only on lost workers. A worker that restarts has another address, so
+        such a task would wait forever."""
         usable = self.check_workers(wait=False)
         for future, workers in list(self.bound.items()):
             if not future.done() and usable and not set(workers) & set(usable):
@@ -379,7 +382,7 @@ class Engine:
     def submit(self) -> None:
         if self.unwritable is not None:
             return
-        # Find the usable workers, and the memory that they offer.
+        # Find the usable workers, and the largest memory that one of them offers.
         ready = self.ready()
         if not ready:
             return
@@ -415,8 +418,8 @@ class Engine:
             future.add_done_callback(self.ended.put)
 
     def of_store(self, unit: Unit) -> dict[str, Any] | None:
-        """Data with which a worker executes a unit through a store: all units on which it depends, directly
-        or through others."""
+        """Returns the data with which a worker executes a unit through a store. It names all units on
+        which the unit depends, directly or through other units. None without a store."""
         if self.store is None:
             return None
         needs: dict[str, None] = {}
@@ -426,7 +429,8 @@ class Engine:
             if name not in needs:
                 needs[name] = None
                 waiting += self.units[name].inputs
-        # The order is the plan's: if several units write a file, the last version is used.
+        # The units have the order of the plan. If several units write a file, the last one's
+        # version is used.
         ordered = [name for name in self.units if name in needs]
         return {"url": self.store.store.url, "plan": self.plan, "needs": ordered, "sent": self.sent}
 
@@ -458,7 +462,7 @@ class Engine:
             # The worker is gone, or the scheduler has given the task to another worker.
             self.lose(unit)
         elif outcome == "refused":
-            # The worker came or changed after the check of the workers.
+            # The worker appeared or changed after the last check of workers, so check it again.
             self.checked.pop(str(answer.get("worker")), None)
             self.lose(unit)
         else:
@@ -475,7 +479,7 @@ class Engine:
         self.tell({"event": "failed_unit", "id": unit, "attempt": self.failures[unit], "message": message})
         if self.failures[unit] >= MOST_FAILURES:
             if of_store:
-                # Every other unit would fail too.
+                # No unit can write its results, so all other units would fail too.
                 self.unwritable = message
             self.give_up(unit, message)
 

@@ -3,11 +3,12 @@ the files of units through it.
 
     URL/files/SHA256                 contents of files, by their hash: written once, never changed
     URL/PLAN/units/ID.json           files that a unit wrote: path, hash and size of each; written last, so the store has all files of a unit or none
-    URL/PLAN/start.json              files of the run folder before the first unit, the plan among them
+    URL/PLAN/start.json              files of the run folder before the first unit, including the plan
     URL/PLAN/sent/N.json             files of a folder that the client sends
 
-Each worker has its own run folder, the mirror. A unit first takes the files of the units on which
-it depends. Then it is executed as in any run folder, and publishes the files that it has written.
+Each worker has its own run folder, the mirror. For a unit the worker first copies the files of the
+units on which the unit depends into its mirror. Then it executes the unit in the mirror, and copies
+the files that the unit has written to the store.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-# Files of a run folder that belong to one machine.
+# Files of a run folder that belong to one machine, and so are not copied.
 OWN = {"lumistack.lock"}
-# Number of attempts to fetch a file that arrives with another hash.
+# Number of attempts to fetch a file whose content does not have the stated hash.
 MOST_FETCHES = 3
 
 
@@ -54,7 +55,8 @@ class Store:
         path = f"{self.root}/{name}"
         try:
             if self.is_local:
-                # object stores replace an object atomically, folders do not
+                # An object store replaces an object atomically, but a write to a file is not
+                # atomic. So write another file and rename it.
                 os.makedirs(os.path.dirname(path), exist_ok=True)
                 part = f"{path}.{uuid.uuid4().hex}.part"
                 self._write(part, content)
@@ -113,7 +115,8 @@ class Store:
         self.put(name, json.dumps({"files": entries}).encode())
 
     def entries(self, name: str) -> list[dict[str, Any]] | None:
-        """Returns the files that a list names, or None if the list does not exist."""
+        """Returns the entries of a list of files, or None if the list does not exist. Raises StoreError if
+        the list is damaged."""
         text = self.read(name)
         if text is None:
             return None
@@ -132,8 +135,8 @@ class Store:
     def pull(self, names: Iterable[str], folder: Path) -> list[str]:
         """Copies the files that lists name into a folder; returns the lists that do not exist.
 
-        A file that already has the content that its list states is not written again. If several lists name a file, such as
-        the run's bookkeeping, the version of the last list is used.
+        A file that already has the content that its list states is not written again. Several lists may
+        name a file, such as the plan's notes. Then the version of the last list is used.
         """
         wanted: dict[str, dict[str, Any]] = {}
         missing = []
@@ -160,8 +163,8 @@ class Run:
         return f"{self.plan}/units/{unit}.json"
 
     def begin(self, folder: Path, sent: list[Path]) -> None:
-        """Publishes the plan, the content of the run folder, and the files of folders that workers
-        need."""
+        """Copies the plan, the content of the run folder, and the files of the folders `sent` to the
+        store."""
         for number, source in enumerate(sent):
             self.store.publish(f"{self.plan}/sent/{number}.json", source, _files(source))
         # start.json is written last, since it marks the beginning of the run
@@ -181,7 +184,7 @@ class Run:
 class Mirror:
     """The run folder of one thread of a worker."""
 
-    # The mirrors of this worker, by run and thread.
+    # The mirrors of this worker: one for each run and thread.
     known: dict[tuple[str, str, int], Mirror] = {}
 
     def __init__(self, run: Run) -> None:
@@ -221,7 +224,7 @@ class Mirror:
         return maps
 
     def publish(self, unit: str) -> None:
-        """Publishes the files that a unit wrote since `take`."""
+        """Copies the files that changed since `take`, which the unit wrote, to the store."""
         states = _states(self.folder)
         changed = [path for path, state in states.items() if self.before.get(path) != state]
         self.run.store.publish(self.run.unit(unit), self.folder, changed)
@@ -243,7 +246,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _states(folder: Path) -> dict[Path, tuple[int, int, int]]:
-    """Files with the attributes that change when they are written."""
+    """Returns the files of a folder. Each has the attributes that change when the file is written."""
     found = {}
     for path in _files(folder):
         state = path.stat()

@@ -12,21 +12,21 @@ from typing import Any
 
 from lumistack.farm import _store
 
-# Interval at which a running unit checks that its task still exists, seconds.
+# Interval between checks that the client still waits for a running unit, seconds.
 LOOK_SECONDS = 0.2
-# Longest time for a unit to stop, seconds.
+# Longest time that a unit has to stop before it is killed, seconds.
 STOP_SECONDS = 10.0
-# Characters that are kept of a child's output.
+# Number of characters that are kept from the end of a child's output.
 MOST_SAID = 4000
 
 
 def _program(words: list[str] | None) -> list[str]:
-    """The command that starts the program here."""
+    """Returns the command that starts the program on this worker."""
     return words or [sys.executable, "-m", "lumistack"]
 
 
 def _answer(text: str, event: str) -> dict[str, Any] | None:
-    """Returns the last line of JSON with this event."""
+    """Returns the last line of JSON in `text` whose `event` has this name."""
     for line in reversed(text.splitlines()):
         if line.startswith("{"):
             try:
@@ -59,8 +59,8 @@ def probe(words: list[str] | None, folder: str, store: dict[str, Any] | None = N
 
 
 def _is_wanted() -> bool:
-    """Returns whether the client still waits for the task of this thread. The client may be gone, or
-    may have cancelled the task."""
+    """Returns true if the client still waits for the task of this thread. It does not wait if it has
+    ended or has cancelled the task."""
     try:
         from distributed import get_worker
 
@@ -72,7 +72,7 @@ def _is_wanted() -> bool:
 
 
 def _address() -> str:
-    """This worker's address; the client names the worker by it."""
+    """Returns this worker's address, by which the client's messages name the worker."""
     try:
         from distributed import get_worker
 
