@@ -20,6 +20,7 @@ mod live;
 mod looks;
 mod outputs;
 mod plugins;
+mod published;
 mod seen;
 mod sequence;
 mod show;

@@ -64,9 +64,10 @@ first_job() {
     small "$@" | grep PSNR
 }
 
-# small PROGRAM SCENES [FOLDER]: runs the job of the still life with few pixels, views and iterations
+# small PROGRAM SCENES [FOLDER]: runs the job of the still life with few pixels, views and iterations;
+# SMALL is another number of pixels
 small() {
-    "$1" run "$2/still-life/job.toml" --resolution 96x60 --views 3x3 --iterations 4 -o "${3:-$WORK/run}"
+    "$1" run "$2/still-life/job.toml" --resolution "${SMALL:-96x60}" --views 3x3 --iterations 4 -o "${3:-$WORK/run}"
 }
 
 # same_quality RUN OTHER: fails if the PSNR of two runs over the viewing zone differs by more than

@@ -6,6 +6,32 @@ use serde_json::Value;
 
 use crate::tools::{Outcome, command, output_of, run};
 
+/// The crates for users of registries. Each has its own README, with an example, and settings for
+/// docs.rs. The other published crates share `crates/README.md`.
+const FOR_USERS: [&str; 8] = ["plugin-abi", "core", "display", "plugin", "gltf", "pathtracer", "factorizer", "cli"];
+
+/// The largest number of lines of a README for users.
+const SCREEN: usize = 75;
+
+/// The largest number of keywords, and of categories, that crates.io accepts.
+const MOST_WORDS: usize = 5;
+
+/// The categories in use, which exist on crates.io.
+const CATEGORIES: [&str; 12] = [
+    "algorithms",
+    "command-line-utilities",
+    "data-structures",
+    "development-tools::ffi",
+    "graphics",
+    "multimedia::images",
+    "no-std",
+    "rendering",
+    "rendering::data-formats",
+    "science",
+    "simulation",
+    "visualization",
+];
+
 /// Packages every published crate without compiling it. Fails if a key that registries need is
 /// missing, or if a package lacks a file.
 pub fn check() -> Outcome {
@@ -25,6 +51,10 @@ pub fn check() -> Outcome {
             }
         }
         let manifest = package["manifest_path"].as_str().unwrap_or_default();
+        words(package, name, &mut problems);
+        if FOR_USERS.iter().any(|user| name.strip_prefix("lumistack-") == Some(user)) {
+            front(package, name, Path::new(manifest), &mut problems)?;
+        }
         outside(&Path::new(manifest).with_file_name("src"), &mut problems)?;
     }
     if !problems.is_empty() {
@@ -37,6 +67,53 @@ pub fn check() -> Outcome {
     }
     run(&mut package)?;
     println!("package: {} crates in target/package, {} are not published", published.len(), kept.len());
+    Ok(())
+}
+
+/// Checks the keywords and categories of a package by the rules of crates.io.
+fn words(package: &Value, name: &str, problems: &mut Vec<String>) {
+    for key in ["keywords", "categories"] {
+        let words: Vec<&str> = package[key].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+        if words.is_empty() || words.len() > MOST_WORDS {
+            problems.push(format!("{name} has {} {key}, expected 1 to {MOST_WORDS}", words.len()));
+        }
+        let known = |word: &str| match key {
+            "categories" => CATEGORIES.contains(&word),
+            _ => {
+                let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
+                word.len() <= 20 && word.starts_with(|c: char| c.is_ascii_alphanumeric()) && word.chars().all(plain)
+            }
+        };
+        problems.extend(words.iter().filter(|word| !known(word)).map(|word| format!("{name}: {key}: found `{word}`")));
+    }
+}
+
+/// Checks the README and the settings for docs.rs of a crate for users.
+fn front(package: &Value, name: &str, manifest: &Path, problems: &mut Vec<String>) -> Outcome {
+    if package["readme"] != "README.md" {
+        problems.push(format!("{name}: readme: expected a README.md of its own, found {}", package["readme"]));
+        return Ok(());
+    }
+    let path = manifest.with_file_name("README.md");
+    let text = std::fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+    let lines = text.lines().count();
+    if lines > SCREEN {
+        problems.push(format!("{}: expected at most {SCREEN} lines, found {lines}", path.display()));
+    }
+    for part in ["\n```", "**Units and conventions:**", "\nLicence: MIT OR Apache-2.0."] {
+        if !text.contains(part) {
+            problems.push(format!("{}: has no `{}`", path.display(), part.trim_start()));
+        }
+    }
+    if !package["metadata"]["docs"]["rs"]["targets"].is_array() {
+        problems.push(format!("{name}: expected `targets` in [package.metadata.docs.rs]"));
+    }
+    // the example is tested with the crate's documentation; the command's example has its own test
+    let code = manifest.with_file_name("src").join("lib.rs");
+    let code = std::fs::read_to_string(&code).map_err(|error| format!("{}: {error}", code.display()))?;
+    if text.contains("```rust") && !code.contains("doc = include_str!(\"../README.md\")") {
+        problems.push(format!("{name}: src/lib.rs does not test the example of README.md"));
+    }
     Ok(())
 }
 

@@ -3,6 +3,9 @@
 //!
 //! The crate uses no file system, no clock and no threads, so that it also compiles to wasm32.
 
+// the example of README.md is a test
+#![cfg_attr(doctest, doc = include_str!("../README.md"))]
+
 pub mod bytes;
 pub mod colour;
 pub mod config;

@@ -12,6 +12,9 @@
 //!                                                                       against a LightField
 //! ```
 
+// the example of README.md is a test
+#![cfg_attr(doctest, doc = include_str!("../README.md"))]
+
 mod adapt;
 mod area;
 mod backlight;

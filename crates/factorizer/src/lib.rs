@@ -26,6 +26,9 @@
 //! mapped file. [`ChannelRun`] solves one colour channel whose target stays in its file. For a
 //! given seed and instruction set, results are the same bytes on any number of threads.
 
+// the example of README.md is a test
+#![cfg_attr(doctest, doc = include_str!("../README.md"))]
+
 mod aligned;
 mod bands;
 mod between;

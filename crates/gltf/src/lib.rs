@@ -37,6 +37,9 @@
 //! assert_eq!(error.to_string(), "a.gltf: /nodes/0/mesh: expected an index below 0, found 0");
 //! ```
 
+// the example of README.md is a test
+#![cfg_attr(doctest, doc = include_str!("../README.md"))]
+
 mod accessor;
 mod animation;
 mod attributes;

@@ -22,6 +22,9 @@
 //! Any number of threads gives the same bytes. The crate uses no file system and no clock, so it
 //! compiles to wasm32.
 
+// the example of README.md is a test
+#![cfg_attr(doctest, doc = include_str!("../README.md"))]
+
 mod bsdf;
 mod bvh;
 mod clamp;

@@ -17,15 +17,15 @@
 #include <stdint.h>
 
 /**
- * Version of the existing structs and functions. It stays 0 until every plugin of this repository
- * has used the boundary for a while.
+ * Version of the existing structs and functions; the same on both sides. See the crate's page for
+ * the promises of versions 1.x.
  */
-#define LUMISTACK_ABI_MAJOR 0
+#define LUMISTACK_ABI_MAJOR 1
 
 /**
- * Version of the additions at the ends of structs.
+ * Version of the additions: members at the ends of structs, constants and keys of JSON.
  */
-#define LUMISTACK_ABI_MINOR 4
+#define LUMISTACK_ABI_MINOR 0
 
 /**
  * IEEE 754 binary32, native byte order.
@@ -327,7 +327,7 @@ typedef struct LumistackData {
                                 const struct LumistackErrorSink *error);
   /**
    * Weights `[row][col][1]`, at least 0, of the rays of one view, if `weights` of the
-   * description is `"per_ray"`. Since version 0.3.
+   * description is `"per_ray"`.
    */
   LumistackStatus (*weight_plane)(const void *context,
                                   size_t view_y,
@@ -428,12 +428,12 @@ typedef struct LumistackHostServices {
                               const struct LumistackErrorSink *error);
   /**
    * Sends an event of a presenter to the program that runs the presentation. The plugin defines
-   * the form of the JSON. Since version 0.4.
+   * the form of the JSON.
    */
   void (*tell)(const void *context, struct LumistackStr event_json);
   /**
    * Port whose data the output will receive, a bit of `port`; 0 if the host does
-   * not know it. Since version 0.4.
+   * not know it.
    */
   uint32_t port;
 } LumistackHostServices;
@@ -504,7 +504,7 @@ typedef struct LumistackOutputVtable {
   void (*close)(void *instance);
   /**
    * For presenters with commands, else null. Executes a command while `run` runs; any thread may
-   * call it. The plugin defines the form of `command_json`. Since version 0.4.
+   * call it. The plugin defines the form of `command_json`.
    */
   LumistackStatus (*command)(void *instance, struct LumistackStr command_json, const struct LumistackErrorSink *error);
 } LumistackOutputVtable;
@@ -666,7 +666,7 @@ typedef struct LumistackStackSink {
    * Reports the progress of an iterative method. `objective` is the value that the method
    * minimizes, after `iteration` iterations; iteration 0 is the start. `psnr_view_db` is the
    * PSNR of the emitted light field against the target, dB; NaN if it is unknown. Optional;
-   * `iteration` must increase from call to call. Since version 0.3.
+   * `iteration` must increase from call to call.
    */
   LumistackStatus (*step)(void *context,
                           uint32_t iteration,
@@ -675,12 +675,12 @@ typedef struct LumistackStackSink {
                           const struct LumistackErrorSink *error);
   /**
    * Reports the result of an iterative method: `{"solver", "start", "coarse_levels",
-   * "kkt_residual", "levels"}`. Optional; called at most once. Since version 0.3.
+   * "kkt_residual", "levels"}`. Optional; called at most once.
    *
    * * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
    *   solved first.
    * * `kkt_residual`: root mean square, over all values, of the emission's change by a further
-   *   exact update of that value. The older key `unsettled` is accepted too.
+   *   exact update of that value.
    * * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
    *   bits, or null.
    */

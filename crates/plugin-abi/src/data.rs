@@ -137,7 +137,7 @@ pub struct Data {
         error: *const ErrorSink,
     ) -> Status,
     /// Weights `[row][col][1]`, at least 0, of the rays of one view, if `weights` of the
-    /// description is `"per_ray"`. Since version 0.3.
+    /// description is `"per_ray"`.
     pub weight_plane: unsafe extern "C" fn(
         context: *const c_void,
         view_y: usize,

@@ -111,7 +111,7 @@ pub struct OutputVtable {
     /// earlier `finish` the output is discarded.
     pub close: Option<unsafe extern "C" fn(instance: *mut c_void)>,
     /// For presenters with commands, else null. Executes a command while `run` runs; any thread may
-    /// call it. The plugin defines the form of `command_json`. Since version 0.4.
+    /// call it. The plugin defines the form of `command_json`.
     pub command:
         Option<unsafe extern "C" fn(instance: *mut c_void, command_json: Str, error: *const ErrorSink) -> Status>,
 }

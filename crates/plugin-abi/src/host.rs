@@ -63,9 +63,9 @@ pub struct HostServices {
         error: *const ErrorSink,
     ) -> Status,
     /// Sends an event of a presenter to the program that runs the presentation. The plugin defines
-    /// the form of the JSON. Since version 0.4.
+    /// the form of the JSON.
     pub tell: unsafe extern "C" fn(context: *const c_void, event_json: Str),
     /// Port whose data the output will receive, a bit of [`port`](crate::port); 0 if the host does
-    /// not know it. Since version 0.4.
+    /// not know it.
     pub port: u32,
 }

@@ -26,16 +26,29 @@
 //!
 //! Rules for both sides:
 //! * Every struct begins with its size in bytes ([`Descriptor`] begins with the version numbers).
-//!   New members are added only at the end. A side that reads a struct of the other side reads at
-//!   most that size. A caller that requests a filled struct sets its `size` first.
-//! * Any other change raises [`ABI_MAJOR`], which must be the same on both sides. New members at
-//!   the end raise [`ABI_MINOR`].
+//!   A side that reads a struct of the other side reads at most that size. A caller that requests
+//!   a filled struct sets its `size` first.
 //! * Text is UTF-8, never null-terminated. JSON may gain keys; readers ignore unknown keys.
 //! * Lent data are valid until the call returns, unless their documentation says otherwise. No side
 //!   frees the other's memory: the call's [`ErrorSink`] copies error texts, and planes have a
 //!   release function.
 //! * No unwinding crosses the boundary: each side catches its panics.
+//!
+//! # Versions
+//!
+//! The version is [`ABI_MAJOR`].[`ABI_MINOR`]. Both sides must have the same major version. All
+//! versions 1.x keep these promises:
+//! * A plugin of version 1.a works unchanged in every program of version 1.b with b ≥ a. No member,
+//!   function or constant of version 1.0 moves, disappears or changes its type or meaning.
+//! * Additions raise the minor version: members at the ends of structs, constants, and keys of JSON
+//!   texts. A reader accepts every struct that has all members of version 1.0, and regards missing
+//!   later members as null or zero.
+//! * A plugin of version 1.b is also loaded by an older program of version 1.a. It reads `size`
+//!   before it uses a later member. It refuses only work that needs a service that the program
+//!   lacks.
 
+// the example of README.md is a test
+#![cfg_attr(doctest, doc = include_str!("../README.md"))]
 #![cfg_attr(not(test), no_std)]
 
 mod data;
@@ -50,12 +63,12 @@ pub use makers::{Assets, ByteSink, FieldSink, ImporterVtable, NodeVtable, Source
 
 use core::ffi::c_void;
 
-/// Version of the existing structs and functions. It stays 0 until every plugin of this repository
-/// has used the boundary for a while.
-pub const ABI_MAJOR: u32 = 0;
+/// Version of the existing structs and functions; the same on both sides. See the crate's page for
+/// the promises of versions 1.x.
+pub const ABI_MAJOR: u32 = 1;
 
-/// Version of the additions at the ends of structs.
-pub const ABI_MINOR: u32 = 4;
+/// Version of the additions: members at the ends of structs, constants and keys of JSON.
+pub const ABI_MINOR: u32 = 0;
 
 /// Prefix of a plugin's entry symbol; its id follows. See [`Entry`].
 pub const ENTRY_PREFIX: &str = "lumistack_plugin_entry_";

@@ -145,7 +145,7 @@ pub struct StackSink {
     /// Reports the progress of an iterative method. `objective` is the value that the method
     /// minimizes, after `iteration` iterations; iteration 0 is the start. `psnr_view_db` is the
     /// PSNR of the emitted light field against the target, dB; NaN if it is unknown. Optional;
-    /// `iteration` must increase from call to call. Since version 0.3.
+    /// `iteration` must increase from call to call.
     pub step: unsafe extern "C" fn(
         context: *mut c_void,
         iteration: u32,
@@ -154,12 +154,12 @@ pub struct StackSink {
         error: *const ErrorSink,
     ) -> Status,
     /// Reports the result of an iterative method: `{"solver", "start", "coarse_levels",
-    /// "kkt_residual", "levels"}`. Optional; called at most once. Since version 0.3.
+    /// "kkt_residual", "levels"}`. Optional; called at most once.
     ///
     /// * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
     ///   solved first.
     /// * `kkt_residual`: root mean square, over all values, of the emission's change by a further
-    ///   exact update of that value. The older key `unsettled` is accepted too.
+    ///   exact update of that value.
     /// * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
     ///   bits, or null.
     pub solution: unsafe extern "C" fn(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status,

@@ -68,6 +68,9 @@
 //! The host's side is `lumistack-plugin-host`; tests of a plugin use it through
 //! `lumistack-plugin-testkit`. [`wire`] contains the code shared by both sides.
 
+// the example of README.md is a test
+#![cfg_attr(doctest, doc = include_str!("../README.md"))]
+
 pub mod encoding;
 mod error;
 pub mod expects;

@@ -41,8 +41,7 @@ pub struct Solution {
     /// resolution.
     pub coarse_levels: u32,
     /// KKT residual: root mean square, over all values of the factors, of the change in emission by
-    /// one more exact update of the value. The older key `unsettled` is accepted too.
-    #[serde(alias = "unsettled")]
+    /// one more exact update of the value.
     pub kkt_residual: f64,
     /// For panels of few bits, the PSNR in dB with continuous masks, with rounded masks, and with
     /// masks that are optimized again after the rounding. `None` for panels of many bits.

@@ -112,8 +112,18 @@ fn builders() -> Outcome<PathBuf> {
 ///
 /// Cargo compiles every dependency again if the path of the linker changes. cargo-zigbuild and
 /// maturin would use linkers at different paths. So this function writes one linker file, which
-/// both use.
+/// both use. Builds for all targets link the macros and build scripts, which run on this machine,
+/// by this machine's file.
 fn link_by_zig(builder: &mut Command, python: &Path, target: &Target) -> Outcome {
+    let host = host()?;
+    if host.is_linux() {
+        link_for(builder, python, &host)?;
+    }
+    if target.is_linux() { link_for(builder, python, target) } else { Ok(()) }
+}
+
+/// Writes the linker file of a target, and sets it up.
+fn link_for(builder: &mut Command, python: &Path, target: &Target) -> Outcome {
     let zigbuild = python.with_file_name("cargo-zigbuild");
     let (zigbuild, python_path) = (zigbuild.display(), python.display());
     let machine = target.triple.split('-').next().unwrap_or_default();
@@ -144,9 +154,10 @@ pub fn program(target: &Target) -> Outcome<PathBuf> {
     let words = [&["--release", "--locked", "--bin", "lumistack"][..], &PACKAGES, &["--target"]].concat();
     let mut cargo = command("cargo");
     paths::replace(&mut cargo)?;
-    if target.is_linux() {
+    if cfg!(target_os = "linux") {
         link_by_zig(&mut cargo, &builders()?, target)?;
-    } else if target.triple == MINGW && cfg!(target_os = "linux") {
+    }
+    if target.triple == MINGW && cfg!(target_os = "linux") {
         mingw()?;
     }
     run(cargo.arg("build").args(words).arg(target.triple))?;
@@ -199,8 +210,10 @@ pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf>
     maturin.args(["build", "--release", "--locked", "--features", "panels", "--target"]);
     maturin.arg(target.triple).arg("--out").arg(&out).arg("--interpreter").arg(&python);
     paths::replace(&mut maturin)?;
-    if target.is_linux() {
+    if cfg!(target_os = "linux") {
         link_by_zig(&mut maturin, &python, target)?;
+    }
+    if target.is_linux() {
         maturin.args(["--compatibility", &format!("manylinux_{}", GLIBC.replace('.', "_"))]);
     }
     run(&mut maturin)?;

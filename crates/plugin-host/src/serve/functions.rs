@@ -91,9 +91,7 @@ pub(crate) enum Vtable {
     Importer(&'static ImporterVtable),
     Source(&'static SourceVtable),
     Node(&'static NodeVtable),
-    /// A copy of the plugin's table. An older plugin's table is shorter, so the copy has null for
-    /// functions that it lacks.
-    Output(OutputVtable),
+    Output(&'static OutputVtable),
 }
 
 impl Vtable {

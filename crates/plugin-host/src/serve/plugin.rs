@@ -1,7 +1,6 @@
 //! A plugin, from the host's side.
 
 use std::fmt;
-use std::mem::offset_of;
 use std::sync::Arc;
 
 use lumistack_plugin::abi::{
@@ -228,12 +227,9 @@ unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), Str
             let found = unsafe { &*table.cast::<NodeVtable>() };
             found.make.map(|_| (PluginKind::Node, Vtable::Node(found))).ok_or_else(|| missing(PluginKind::Node))
         }
-        kind::OUTPUT if size >= offset_of!(OutputVtable, command) => {
-            let (open, submit, run, finish, close, command) = (None, None, None, None, None, None);
-            let mut found = OutputVtable { size: 0, open, submit, run, finish, close, command };
-            let own = size_of::<OutputVtable>().min(size);
-            // SAFETY: as above; a table is plain memory, and only its existing part is copied.
-            unsafe { std::ptr::copy_nonoverlapping(table.cast::<u8>(), (&raw mut found).cast::<u8>(), own) };
+        kind::OUTPUT if size >= size_of::<OutputVtable>() => {
+            // SAFETY: as above.
+            let found = unsafe { &*table.cast::<OutputVtable>() };
             let whole =
                 found.open.is_some() && found.submit.is_some() && found.finish.is_some() && found.close.is_some();
             whole.then_some((PluginKind::Output, Vtable::Output(found))).ok_or_else(|| missing(PluginKind::Output))

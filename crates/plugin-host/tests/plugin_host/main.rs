@@ -6,5 +6,7 @@ mod common;
 mod hostile;
 mod loaded;
 mod loading;
+#[cfg(unix)]
+mod old;
 mod outputs;
 mod present;
