@@ -92,7 +92,8 @@ impl<T: AsRef<[u8]> + AsMut<[u8]> + Send + Sync> MappedBytes for T {}
 impl Pages {
     /// Takes a mapping of which about `limit` bytes may be in memory.
     ///
-    /// # Safety The conditions of [`Window::new`] hold for `mapped`. The mapping begins at a page.
+    /// # Safety
+    /// The conditions of [`Window::new`] hold for `mapped`. The mapping begins at a page.
     pub unsafe fn new(mapped: Box<dyn MappedBytes>, limit: usize) -> Self {
         // SAFETY: the caller guarantees the conditions; the box does not move the mapping
         let window = unsafe { Window::new((*mapped).as_ref(), limit) };

@@ -121,6 +121,6 @@ mod tests {
         assert_eq!(Sheet::new(&wide, 10.0, None).unwrap().page_mm, [244.0, 144.0]);
         let large = [Layer::new(0.0, [400, 300], 1.0)];
         let error = Sheet::new(&large, 10.0, Some([210.0, 297.0])).unwrap_err().to_string();
-        assert!(error.contains("420.0 × 320.0 mm need pages of 444.0 × 344.0 mm"), "{error}");
+        assert!(error.contains("films of 420.0 × 320.0 mm: expected pages of at least 444.0 × 344.0 mm"), "{error}");
     }
 }

@@ -41,9 +41,9 @@ pub(crate) fn rippled_plate(document: &mut Document, material: usize) -> Value {
     })
 }
 
-/// Returns height and slope of the rings at the distance r from the middle. The height is h = a (1
-/// - q²)² (1 + cos 2πnq)/2 with q = r/R, where a is [`RIPPLE_HEIGHT`], n is [`RIPPLES`] and R is
-/// [`RIPPLE_RADIUS`].
+/// Returns height and slope of the rings at the distance r from the middle. With q = r/R, the
+/// height is h = a (1 − q²)² (1 + cos 2πnq)/2. Here a is [`RIPPLE_HEIGHT`], n is [`RIPPLES`] and R
+/// is [`RIPPLE_RADIUS`].
 fn ripple(radius: f64) -> (f64, f64) {
     let q = radius / RIPPLE_RADIUS;
     if q >= 1.0 {
