@@ -23,7 +23,7 @@ export declare class LumistackViewer extends HTMLElement {
     private readonly loader;
     private state;
     private content;
-    /** Small views in which the user looks around until the patterns have arrived. */
+    /** Small views that the viewer shows until the patterns have arrived. */
     private around;
     private resting;
     private frameClockS;
@@ -43,21 +43,21 @@ export declare class LumistackViewer extends HTMLElement {
     /** The kind of comparison in the mode "compare". */
     get comparison(): Comparison;
     set comparison(comparison: Comparison);
-    /** The slope of the view. A new value ends swing and inertia. */
+    /** The slope of the view. Setting it ends the swing and the inertia of the view. */
     get slope(): Slope;
     set slope(slope: Slope);
     /** The renderer: "webgl2" or "cpu". */
     get path(): Path;
     /**
-     * RGBA bytes of the current picture, in the light field's size. In the side-by-side comparison
-     * this is the display's picture, without the target's.
-     */
+    * RGBA bytes of the current picture, in the light field's size. In the side-by-side comparison
+    * they are those of the display's picture alone, without the target.
+    */
     pixels(): Promise<ImageData>;
     /** The current picture as PNG. */
     screenshot(): Promise<Blob>;
     /** Saves a quilt of 8 × 6 views for lenticular displays: a PNG, `TITLE_qs8x6aASPECT.png`. */
     saveQuilt(): Promise<void>;
-    /** Records one turn around the zone and saves it as a video. */
+    /** Records one turn around the viewing zone and saves it as a video. */
     saveTurn(): Promise<void>;
     /** Shows files, given by path: a preview, a quilt, or the views of a light field. */
     open(files: ReadonlyMap<string, File>): Promise<void>;
@@ -81,7 +81,7 @@ export declare class LumistackViewer extends HTMLElement {
     private show;
     /** Called when the simulator of the new content has started. */
     private opened;
-    /** The poster that the page puts into the element; without one, the image of the preview's. */
+    /** The poster that the page puts into the element, or else the image element for the preview's poster. */
     private get poster();
     private showPoster;
     private watchPoster;
@@ -105,12 +105,12 @@ export declare class LumistackViewer extends HTMLElement {
     private layOut;
     /** The picture to show; undefined while no frame is complete. */
     private shot;
-    /** The seen pictures for other displays; undefined without patterns. */
+    /** The seen pictures that other displays (headset, lenticular panel) show; undefined without patterns. */
     private views;
     /**
-     * True while the poster or small views replace the picture: the mean of only a few frames is
-     * noisy.
-     */
+    * True while the poster or small views replace the picture. The mean of only a few frames is
+    * noisy, so the picture appears when all frames are complete.
+    */
     private get isEarly();
     private draw;
     /** Called when a picture is on the canvas. */

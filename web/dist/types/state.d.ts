@@ -4,7 +4,7 @@ export type Mode = "perceived" | "slow" | "exploded" | "compare" | "layers";
 export type Comparison = "slider" | "side" | "error";
 /** The renderer of the display's views. */
 export type Path = "webgl2" | "cpu";
-/** Slope of the view: x to the right of the display's normal, y above it. */
+/** Slope of the view: x is above 0 to the right of the display's normal, y is above 0 above it. */
 export type Slope = readonly [x: number, y: number];
 export declare const MODES: readonly Mode[];
 export declare const COMPARISONS: readonly Comparison[];
@@ -26,13 +26,13 @@ export interface State {
     pupilMm: number;
     /** Distance of the eye, mm. Null stands for the projection of the target's views. */
     eyeMm: number | null;
-    /** The selected frame (of the modes "slow", "exploded" and "layers"), and the selected layer. */
+    /** The frame that the modes "slow", "exploded" and "layers" show, and the layer that "layers" shows. */
     frame: number;
     layer: number;
     /** Frames per second of slow motion. */
     rate: number;
     playing: boolean;
-    /** Separation of the layers in the mode "exploded", 0..1. */
+    /** Separation of the layers in the mode "exploded", which draws them apart, 0..1. */
     spread: number;
     yaw: number;
     pitch: number;
