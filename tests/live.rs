@@ -246,8 +246,8 @@ fn the_mouse_in_the_window_acts_as_a_tracked_head() {
         let events = std::iter::from_fn(|| live.events.recv_timeout(time).ok());
         events.filter_map(|event| event["zone"].as_f64()).last()
     };
-    // Move the pointer until an event reports a tracked viewer. The window opens some time after the
-    // first event, so the first moves may have no effect.
+    // Move the pointer until an event reports a tracked viewer. The window opens some time after
+    // the first event, so the first moves may have no effect.
     let followed = (0..300).any(|turn| {
         poke.point([100 + 10 * (turn % 2), 100]);
         zone_within(Duration::from_millis(100)) == Some(0.0)

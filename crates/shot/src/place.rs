@@ -129,8 +129,8 @@ pub fn place<S: Subject>(
         let found = format!("a depth of field from {low} to {high} mm");
         return Err(ShotError::job("window.fit_depth", expected, found).into());
     }
-    // Fit the scene's depths, as seen from straight ahead, to the depth of field. Tracing the depths
-    // is slow, so `subject` caches them.
+    // Fit the scene's depths, as seen from straight ahead, to the depth of field. Tracing the
+    // depths is slow, so `subject` caches them.
     let projection = geometry.grid.projection;
     let of = format!("{window:?} {projection:?} {low} {high} {means:?} {}", job.depth_scale);
     let fit: Fit = subject.remembered("fit", &of, || {

@@ -35,7 +35,7 @@ pub struct BarrierParams {
 }
 
 impl NodePlugin for ParallaxBarrier {
-    const DOC: &'static str = "Shows a time-multiplexed parallax barrier on displays of two layers: the front layer shows slits that move from \
+    const DOC: &'static str = "Shows a time-multiplexed parallax barrier on displays of two layers. The front layer shows slits that move from \
         frame to frame, and the rear layer shows the picture behind the slits. This is the baseline of tensor displays.";
     type Params = BarrierParams;
 

@@ -111,8 +111,8 @@ impl Camera {
         Self { homography, distortion: [p[8], p[9]], ..self.clone() }
     }
 
-    /// Maps a point of the photographed plane, in millimetres, to its position in the photograph, in
-    /// pixels.
+    /// Maps a point of the photographed plane, in millimetres, to its position in the photograph,
+    /// in pixels.
     pub fn see(&self, mm: [f64; 2]) -> [f64; 2] {
         let u = self.homography.apply(mm);
         let factor = self.factor(u);
