@@ -67,6 +67,11 @@ impl Live {
     /// Ends the display by a command. Returns the last event.
     pub(crate) fn stop(mut self) -> Value {
         self.command(&json!({"stop": true}));
+        self.end()
+    }
+
+    /// Waits for the end of a display that stops. Returns the last event.
+    fn end(mut self) -> Value {
         let done = self.event(|event| event["event"] == "done");
         assert!(self.process.wait().unwrap().success());
         done
@@ -284,6 +289,7 @@ impl Attached {
         (!line.is_empty()).then(|| serde_json::from_str(&line).unwrap())
     }
 
+    #[track_caller]
     fn event(&mut self, fits: impl Fn(&Value) -> bool) -> Value {
         std::iter::from_fn(|| self.next()).find(fits).expect("an event before the end")
     }
@@ -336,7 +342,9 @@ fn another_program_attaches_by_a_token_and_leaves_the_display_running() {
     });
     let again = again.as_mut().expect("a place for the next program");
     assert_eq!(again.event(|event| event["event"] == "state")["content"], 2);
-    let done = live.stop();
+    // a program that stops the display receives the last event, too
+    again.send(&json!({"stop": true}));
+    let done = live.end();
     assert_eq!(again.event(|event| event["event"] == "done"), done);
     assert_eq!(again.next(), None);
     assert!(!run.join("cache/live.json").exists());

@@ -179,7 +179,10 @@ impl Door {
         // a thread that waits for a line cannot be ended, so it is detached
         std::thread::spawn(move || {
             follow_lines(lines, &requests, |error| events.send(&refused(&error)));
-            events.detach(number);
+            // a display that stops sends its last event first
+            if !requests.is_stopped() {
+                events.detach(number);
+            }
         });
         Ok(())
     }
