@@ -93,7 +93,7 @@ for (const [name, preset] of [
       const device = await solved(`${display}&device=gpu`);
       const processor = await solved(`${display}&device=cpu`);
       assert.match(device.status, /^Finished\. .* On the graphics processor\.$/);
-      assert.match(processor.status, /On the processor: the address of this page asks for it\.$/);
+      assert.match(processor.status, /On the processor: the address of this page chooses the processor\.$/);
       assert.doesNotMatch(device.warnings, /processor/);
       const { values, squares, codes } = apart(device.patterns, processor.patterns);
       console.log(`${name}, ${iterations} iterations: patterns differ by at most ${values.toExponential(1)}, ${squares.toExponential(1)} in the mean, codes by ${codes}`);

@@ -319,8 +319,8 @@ impl Brightness {
         };
         let (white, black) = match display.formation {
             Formation::Attenuating => (peaks.product(), blacks.product::<f64>() * lamp),
-            // In formations other than attenuation, one layer alone can make the display fully
-            // bright. So every layer must be at its black level for the darkest state.
+            // Other layers do not multiply their light: one layer alone can make the display fully
+            // bright, so the darkest state needs every layer at its black level.
             _ => (1.0, blacks.fold(0.0, f64::max)),
         };
         Self { beta: display.brightness, white, black }

@@ -128,12 +128,13 @@ pub(crate) struct LineRays<'a> {
     pub(crate) others_per_view: usize,
     /// For each other factor, the distance from one frame to the next frame, in values.
     pub(crate) strides: Vec<usize>,
-    /// For each view, the line of the factor under update that its rays read, with all frames.
-    /// Empty if all views read the same columns of that line.
+    /// The line of the factor under update as the rays of each view read it, with all frames; one
+    /// entry per view. Empty if all views read the same columns of that line.
     pub(crate) own: Vec<Place<'a, f32>>,
     pub(crate) own_stride: usize,
-    /// For each view, the weight of the second pixel in every other factor, then in the factor
-    /// under update. Empty if no ray reads between columns.
+    /// A ray that hits a factor between two columns interpolates two pixels. For each view, this
+    /// lists the second pixel's weight in every other factor, then in the factor under update.
+    /// Empty if no ray hits between columns.
     pub(crate) fractions: Vec<f32>,
     /// Rows to prefetch, as pointers to x = 0: the line's own rows, and the other factors' rows.
     /// Views of a view row read the same rows at neighbouring columns, so only the pointer of the
@@ -332,8 +333,8 @@ impl<'a> Left<'a> {
     }
 }
 
-/// Distance from one frame to the next frame in the values that the rays of a view column read from
-/// factor `k`.
+/// Distance from one frame to the next frame in the row that rays of a view column read from factor
+/// `k`: the factor's own distance, or that of an expanded row if the view column needs one.
 fn stride_of(plan: &Plan, k: usize, view_x: usize) -> usize {
     if plan.maps[k].x[view_x].shift.is_some() { plan.maps[k].layout.stride } else { expanded_stride(plan) }
 }

@@ -105,7 +105,8 @@ impl StepLine<'_, '_> {
     }
 }
 
-/// Sets the three channels of tied values to their mean, since they are one value.
+/// Sets the three channels of a factor to their mean. The display drives them by one value, so they
+/// are tied.
 pub(crate) fn tie(stored: &mut Factor) {
     let (left, right) = stored.values.split_at_mut(stored.layout.stored_lines() * stored.layout.line_len());
     let (middle, right) = right.split_at_mut(left.len());

@@ -63,8 +63,8 @@ pub trait Run {
     /// Number of rays with w > 0 that hit all layers.
     fn rays(&self) -> u64;
 
-    /// Checks that the patterns still exist, since a device may be lost. If they exist, the values
-    /// that this run returned last are valid.
+    /// Checks that the patterns still exist; a lost device loses them. The numbers that this run
+    /// returned last are valid only if the patterns exist.
     ///
     /// # Errors
     /// If the patterns are lost.

@@ -114,8 +114,8 @@ pub(crate) struct Block {
     before: Aligned,
     /// The change of the values by the step, divided by the number of frames.
     change: Aligned,
-    /// Decrease of the objective by the last step, per lane, with weights relative to the largest.
-    /// The multiplicative rule does not compute it and leaves 0.
+    /// Decrease of the objective by the last step, per lane. The rays' weights are divided by the
+    /// largest weight. The multiplicative rule does not compute it and leaves 0.
     pub(crate) gain: Vector,
 }
 
@@ -171,8 +171,8 @@ impl Block {
                 let curvature = get::<V>(&self.gram, (m * M + m) * n).max(V::splat(LEAST_CURVATURE));
                 put(V::splat(M as f32).div(curvature), &mut self.emitted, m * n);
             }
-            // make sweeps of coordinate steps: each moves a frame's value to its clamped minimum,
-            // then updates the residual sums
+            // Make sweeps of coordinate steps. Each step sets the value of one frame to its clamped
+            // minimum, then updates the residual sums.
             let start: [V; M] = std::array::from_fn(|m| get::<V>(&self.values, m * n));
             let before: [V; M] = std::array::from_fn(|m| get::<V>(&self.residual, m * n));
             let (mut values, mut residual) = (start, before);

@@ -203,9 +203,9 @@ mod tests {
         }
     }
 
-    /// If the number n of samples is a power of two, both numbers of every pair put one sample into
-    /// each of n equal parts. For another n, each of the parts holds one or two samples; the number
-    /// of parts is the next smaller power of two.
+    /// Each of the two numbers of a pair is stratified by itself. If n, the number of samples, is a
+    /// power of two, each of n equal parts of [0, 1) holds one sample. For another n, the number of
+    /// parts is the next smaller power of two, and each part holds one or two samples.
     #[test]
     fn every_number_is_stratified() {
         for samples in [16u32, 48, 64] {

@@ -99,7 +99,7 @@ impl Lights {
                 return task.warn(
                     place,
                     format!(
-                        "expected an entry of the walker, found an unreadable one ({error}); the light is left out"
+                        "expected a light as the Python walker writes it, found an unreadable one ({error}); the light is left out"
                     ),
                 );
             }

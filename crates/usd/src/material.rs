@@ -48,7 +48,7 @@ pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, t
             task.warn(
                 place,
                 format!(
-                    "expected an entry of the walker, found an unreadable one ({error}); the display colour is used"
+                    "expected a material as the Python walker writes it, found an unreadable one ({error}); the display colour is used"
                 ),
             );
             return None;

@@ -18,7 +18,7 @@ type Gpu = { requestAdapter(): Promise<{ info: { isFallbackAdapter: boolean } } 
 
 /** Returns the reason why no graphics processor can solve; undefined if a graphics processor can solve. */
 async function obstacleOf(): Promise<string | undefined> {
-  if (DEVICE === "cpu") return "the address of this page asks for it";
+  if (DEVICE === "cpu") return "the address of this page chooses the processor";
   const { gpu } = navigator as { gpu?: Gpu };
   if (!gpu) return "this browser has no WebGPU";
   // The browser must be able to suspend the module while it waits for the graphics processor.

@@ -41,8 +41,8 @@ const LEAST_COSINE: f32 = 0.8;
 /// be shared.
 const LEAST_REFLECTANCE: f32 = 0.02;
 
-/// Data of a pixel for the filter. It has only 20 bytes, since the filter needs the pixels of all
-/// views.
+/// Data of a pixel for the filter. It is kept small, 20 bytes, since the pixels of all views are in
+/// memory at once.
 #[derive(Clone, Copy, Default)]
 #[repr(C)]
 struct Point {

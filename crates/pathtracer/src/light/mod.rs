@@ -35,8 +35,8 @@ const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
 /// Deviation from a parallelogram that is tolerated, as a fraction of its size: about the rounding
 /// of its corners.
 const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
-/// Number of choices of lights that are prepared. Choice k is for 2ᵏ [`Parts`]; for more parts than
-/// the last choice, the last choice is used.
+/// Number of prepared distributions for the choice of a light. Distribution k is used from 2ᵏ
+/// [`Parts`] on, until the next distribution; the last one has no end.
 const PART_POWERS: u32 = 13;
 /// Marks a triangle that is no light.
 const NONE: u32 = u32::MAX;

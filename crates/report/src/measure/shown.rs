@@ -39,7 +39,7 @@ pub(super) struct Shown {
     pub(super) simulated: Linear,
     /// Signed error of each pixel; see [`picture::signed_error`].
     pub(super) errors: Option<Vec<Option<f32>>>,
-    /// FLIP error of every pixel; `None` for rays that scores exclude.
+    /// FLIP error of every pixel; `None` for pixels whose rays the scores exclude.
     flip: Option<Vec<Option<f32>>>,
 }
 
