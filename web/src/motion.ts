@@ -2,7 +2,7 @@
 // the swing of an idle view set the goal.
 import type { Slope } from "./state.js";
 
-/** Stiffness of the spring per mass, s⁻², and its damping as a fraction of critical damping. */
+/** Stiffness of the spring divided by the mass, s⁻², and damping of the spring as a fraction of critical damping. */
 const STIFFNESS = 130;
 const DAMPING = 0.92;
 /** Largest slope of the view, in half widths of the zone. */

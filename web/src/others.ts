@@ -1,5 +1,5 @@
-// The dialog for other displays: headset, lenticular panel, Looking Glass Bridge. The code for each
-// is loaded when the user chooses it.
+// The dialog for other displays: headset, lenticular panel, Looking Glass Bridge. The code for a
+// display is loaded when the user chooses the display.
 import { download, fileName, toPng } from "./capture.js";
 import type { Face } from "./face.js";
 import type { Info } from "./info.js";

@@ -102,8 +102,8 @@ enum What {
         #[command(flatten)]
         cut: CutArgs,
         /// Folder to write into. If the format writes a single file, this may be the path of the
-        /// file. It is a path with an extension, or with the format's own file name, such as
-        /// Makefile
+        /// file. A path counts as the path of the file if it has an extension, or ends with the
+        /// format's own file name, such as Makefile
         #[arg(long, value_name = "FILE|DIR", default_value = ".")]
         to: PathBuf,
         /// Command line that starts the program on a worker; spaces separate its words [default:

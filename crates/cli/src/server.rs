@@ -85,8 +85,8 @@ pub(crate) struct Site<'a> {
 pub(crate) trait Feed: Sync {
     /// Returns the script that requests states.
     fn script(&self) -> &'static str;
-    /// Waits for a state newer than the query's, or for a timeout. Returns the response, or `None`
-    /// if there is no such state.
+    /// Waits for a state that is newer than the state in the query, or for a timeout. Returns the
+    /// response, or `None` if no newer state has come by then.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
     /// Returns the word that a query of [`look`](Self::look) must have; `None` where pages move no
     /// viewer.
@@ -626,7 +626,7 @@ mod tests {
         assert!(took < Duration::from_secs(3), "{case}: {took:?}");
     }
 
-    /// Sends these bytes to the server, and returns the whole response.
+    /// Sends bytes to the server, and returns the whole response.
     fn response_to(port: u16, bytes: &[u8]) -> String {
         let mut stream = connect(port);
         // The server may refuse the request before all bytes are written, so ignore errors of the

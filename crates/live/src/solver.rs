@@ -102,11 +102,11 @@ impl Solver {
         let fresh = Settings { iterations: updates, report_every: u32::MAX, ..self.settings.clone() };
         let rule = if fresh.solver == AUTO { WARM_SOLVER.into() } else { fresh.solver.clone() };
         let warm = Settings { solver: rule, ..fresh.clone() };
-        // If the display has other shapes, the previous patterns cannot be used.
+        // The previous patterns can be used only if they have the shapes of the target's display.
         let last = self.last.take_if(|last| last.stack.check(&target.display).is_err());
         drop(last);
-        // Choose the start. If the content is unchanged, it is the previous patterns. For new
-        // content, possible starts are compared.
+        // Choose the start. If the content is unchanged, the start is the previous patterns. For
+        // new content, possible starts are compared.
         let same_content = self.last.as_ref().is_some_and(|last| last.target.content == target.content);
         let planes = match &mut self.last {
             Some(last) if same_content => last.planes.clone(),

@@ -6,8 +6,11 @@
 //! w(ray) = s + (1 − s) · (floor + Σ exp(−½ (r/σ)²))
 //! ```
 //!
-//! `latency` is the time from the tracker's measurement to the patterns on the display. `s` is the
-//! weight of the whole zone: 0 while viewers are tracked, 1 without viewers.
+//! `seen` is the time of the tracker's last report, and `eye` and `velocity` are the position and
+//! the velocity at that time. `latency` is the time from the tracker's measurement to the patterns
+//! on the display. `s` is the weight of the whole zone: 0 while viewers are tracked, 1 without
+//! viewers. `r` is the distance of the ray from the point midway between a viewer's eyes,
+//! measured parallel to the display. The sum runs over the viewers.
 
 use std::time::Duration;
 
@@ -137,8 +140,8 @@ impl Boxes {
         Weights::eye_boxes(geometry, &boxes.collect::<Vec<_>>(), floor as f32)
     }
 
-    /// Returns true if the weights of `other` can be used in place of these: every viewer's
-    /// position differs by at most `tolerance_mm` along each axis.
+    /// Returns true if the weights of `other` can be used in place of the weights of `self`: every
+    /// viewer's position differs by at most `tolerance_mm` along each axis.
     pub fn is_like(&self, other: &Self, tolerance_mm: f64) -> bool {
         let close = |(a, b): (&[f64; 3], &[f64; 3])| (0..3).all(|i| (a[i] - b[i]).abs() <= tolerance_mm);
         self.zone == other.zone

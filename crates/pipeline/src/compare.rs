@@ -143,7 +143,7 @@ pub fn compare_runs(
     })
 }
 
-/// Samples of a pupil per axis; samples outside of the pupil's disc are skipped.
+/// Number of samples of a pupil per axis; samples outside of the pupil's disc are skipped.
 const PUPIL_SAMPLES: usize = 7;
 
 /// Returns the picture for an eye at `eye_mm` with a pupil of diameter `pupil_mm` that focuses on

@@ -95,8 +95,8 @@ impl FarmPlan {
     }
 
     /// Returns the graph of units in a run folder. The command line of a unit is `command`, the
-    /// folder and the unit's id. Units that are done have their measured time, the others an
-    /// estimate.
+    /// folder and the unit's id. Units that are done have their measured time, all other units have
+    /// an estimate.
     pub fn graph(&self, dir: &Path, command: Vec<String>) -> Graph {
         let folder = std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()).to_string_lossy().into_owned();
         let mut units = self.units.clone();

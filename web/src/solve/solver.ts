@@ -63,7 +63,7 @@ export class Solver {
   private worker: Worker | undefined;
   /** Resolves when the thread has sent its presets. */
   private ready: Promise<void> = Promise.resolve();
-  /** The reason why no graphics processor solves; undefined if one solves, or before the start. */
+  /** The reason why no graphics processor solves; undefined if a graphics processor solves, or before the start. */
   obstacle: string | undefined;
 
   constructor(private readonly receive: (what: SolverMessage) => void) {}

@@ -10,9 +10,9 @@
 //!     a page's viewer, as a tracked head; without x and y it leaves
 //! ```
 //!
-//! The files are those that preview.json lists, in its order. An edition is a version of
-//! preview.json. The response contains the text of preview.json if the page has another edition. A
-//! response without a newer state has no files.
+//! `files` has the length of each file that preview.json lists, in its order. `said` is the number
+//! of the newest message. An edition is a version of preview.json. The response contains the text
+//! of preview.json if the page has another edition. A response without a newer state has no files.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};

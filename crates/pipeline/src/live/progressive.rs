@@ -21,8 +21,8 @@ use crate::stage::fields::{FieldJob, Shot};
 
 /// Paths per pixel that measure the fraction of a pixel where the background is visible.
 const MISSED_SAMPLES: u32 = 4;
-/// Indices of the hit surface's normal (three values) and depth among the values of a pixel of a
-/// [`SplitView`]. These values are 0 without a hit.
+/// Indices, among the values of a pixel of a [`SplitView`], of the hit surface's normal (three
+/// values) and depth (one value). These values are 0 without a hit.
 const SURFACE: std::ops::Range<usize> = 9..13;
 
 /// Views in progress.
@@ -37,7 +37,8 @@ pub(super) struct Progressive {
 #[derive(Default)]
 struct View {
     place: [usize; 2],
-    /// Means of all passes so far; `None` before the first pass, or if the scene needs no paths.
+    /// Mean of the values of all passes so far; `None` before the first pass, or if the scene needs
+    /// no paths.
     split: Option<SplitView>,
     samples: u32,
     /// Splats in front of the surfaces, `[row][col][r, g, b, T]`; empty without splats.

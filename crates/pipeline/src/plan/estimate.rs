@@ -44,10 +44,10 @@ use crate::store::stamps::Stamps;
 
 /// File with the [`Record`] of every executed step, relative to the run folder.
 const FILE: &str = "cache/steps.json";
-/// Number of hexadecimal digits of a key that is shown.
+/// Number of hexadecimal digits that a plan shows of a key.
 const DIGITS: usize = 16;
-/// Mean number of rays per pixel for a direction of the zone score. It is the sum over the two
-/// renders of the direction.
+/// Mean number of rays per pixel that the zone score traces for a direction. The number counts the
+/// rays of both renders of the direction.
 const SCORE_SAMPLES: f64 = 6.5;
 
 /// Record of an executed step.

@@ -40,8 +40,8 @@ pub(crate) struct Executor<'a> {
     ends: Vec<LastSteps>,
     done: Vec<bool>,
     records: BTreeMap<String, Record>,
-    /// The part of the unit, and how the unit locks the part's folder. `None` if this value
-    /// executes a whole plan or a single step.
+    /// The part of the executed unit of work, and how the unit locks the part's folder. `None` if
+    /// this value executes a whole plan or a single step.
     unit: Option<(usize, Hold)>,
 }
 

@@ -80,8 +80,8 @@ impl Shot<'_> {
     /// are in a folder inside `cache_dir`. `blender` is true if Blender renders the views.
     pub(crate) fn fields(&self, cache_dir: &Path, blender: bool) -> Vec<FieldJob> {
         let (job, geometry, settings) = (self.job, self.geometry, self.settings());
-        // Views for the report are averaged over slopes as wide as the bins of the target, not over
-        // the bins of their own grids.
+        // Views for the report are averaged over a range of slopes that is as wide as a bin of the
+        // target's grid, not as a bin of their own grid.
         let settings_of_others = Settings {
             angular_filter: match settings.angular_filter {
                 lumistack_pathtracer::AngularFilter::Bin => {

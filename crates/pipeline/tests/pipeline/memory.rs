@@ -19,7 +19,7 @@ const JOB: &str = "LUMISTACK_TEST_MEMORY_JOB";
 /// Columns, rows, and views per axis, of the given light field and of the jobs with fixed views.
 const SIZE: [usize; 3] = [208, 140, 17];
 
-/// Peak of a run, and the bound of its plan, bytes.
+/// Peak of the memory of a run, and the bound that its plan states for this memory, bytes.
 #[derive(Clone, Copy, Debug)]
 struct Peak {
     found: u64,
@@ -61,8 +61,8 @@ fn peak_of(folder: &Path, name: &str, mib: u64, tables: &str, step: Option<&str>
     (path.with_extension(""), peak)
 }
 
-/// Checks a run that may keep only `mib` of a light field in memory. It must have the results of a
-/// run that keeps everything, and use less memory.
+/// Checks a run that may keep only `mib` MiB of a light field in memory. It must have the results
+/// of a run that keeps everything, and use less memory.
 fn check(tables: &str, mib: u64, step: Option<&str>) {
     let folder = tempfile::tempdir().unwrap();
     let (held_dir, held) = peak_of(folder.path(), "held", 4096, tables, step);
