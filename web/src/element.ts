@@ -234,8 +234,8 @@ export class LumistackViewer extends HTMLElement {
 
   /**
    * Shows patterns that are being computed. `json` is the text of their preview.json. `codes`
-   * contains the pictures of all its files in their order, [row][col][rgb] each. If `json` is the
-   * current preview, only the patterns are replaced, all at once.
+   * contains the pictures of all files that `json` lists, in this order, [row][col][rgb] each. If
+   * `json` is the current preview, only the patterns are replaced, all at once.
    */
   async showStack(json: string, codes: Uint8Array<ArrayBuffer>): Promise<void> {
     const { content } = this;

@@ -7,10 +7,10 @@
 //! ```
 //!
 //! L is the light field, and P_n is its content as layer n sees it: content near the layer is
-//! sharp. The factor λ penalizes long motions. The motion v_n is found for each block of pixels,
-//! and is interpolated between blocks. The sum runs over the pixels x' in and around the block.
-//! Then the patterns f_n of every frame are moved. A pixel whose source x − v_n is outside the
-//! layer gets the value of fresh patterns.
+//! sharp. P_n_before is P_n of the previous light field. The factor λ penalizes long motions. The
+//! motion v_n is found for each block of pixels, and is interpolated between blocks. The sum runs
+//! over the pixels x' in and around the block. Then the patterns f_n of every frame are moved. A
+//! pixel whose source x − v_n is outside the layer gets its value from patterns of a fresh start.
 //!
 //! The method needs only light fields, so it works for scenes and for given light fields. Content
 //! that turns or moves in depth has a different motion on every layer and at every place.

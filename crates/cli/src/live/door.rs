@@ -2,12 +2,12 @@
 //!
 //! ```text
 //! RUN/cache/live.json   {"port": PORT, "token": WORD}, readable by this user alone
-//! program ──▶ {"token": WORD}, then the lines of standard input
-//!         ◀── {"event": "attached"}, then the lines of standard output with --json
+//! program ──▶ {"token": WORD}, then commands in lines, as on standard input
+//!         ◀── {"event": "attached"}, then events in lines, as on standard output with --json
 //! ```
 //!
-//! The socket listens on the loopback interface. One program at a time is attached. After its last
-//! line the display keeps its state.
+//! The socket listens on the loopback interface. One program at a time is attached. When the
+//! program has sent its last line, the display keeps its state.
 
 use std::io::{self, BufReader, Cursor, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};

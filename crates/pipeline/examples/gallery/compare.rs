@@ -1,9 +1,9 @@
 //! Compares two renders of one view, by scores in linear light and by pictures. The pictures have
 //! the exposure and tone curve that a job would choose for our render by default.
 //!
-//! Each render has two halves a and b with independent noise. Therefore the mean of the product
-//! (o_a − p_a)(o_b − p_b) contains no noise. It is the squared difference of the expected pictures
-//! o (ours) and p (the other).
+//! Our render o and the other render p have two halves a and b each, with independent noise.
+//! Therefore the noise cancels in the mean of the product (o_a − p_a)(o_b − p_b). This mean is the
+//! squared difference of the two renders without noise.
 
 use std::path::Path;
 

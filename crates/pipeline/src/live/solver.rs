@@ -55,7 +55,7 @@ impl LiveSolver {
     ///
     /// # Errors
     /// If target, weights and settings do not match, if a device that the job names fails, or when
-    /// cancelled. After an error the next step starts from the same patterns as this one.
+    /// cancelled. After an error the next step starts from the same patterns as this step.
     pub fn step(
         &mut self,
         target: &Arc<Target>,

@@ -1,8 +1,8 @@
 //! Executes plans step by step. Each step finds the results of its inputs in memory.
 //!
 //! A result is dropped from memory after the last step that reads it. If an input's result is not
-//! in memory, the input's step is executed first. If the run folder has that step's current result,
-//! the step only reads it. So a process can execute any single step.
+//! in memory, the input's step is executed first. If the run folder has the current result of the
+//! input's step, this step only reads the result. So a process can execute any single step.
 
 mod check;
 pub(crate) mod context;

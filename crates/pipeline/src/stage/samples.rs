@@ -17,7 +17,7 @@
 //!
 //! D contains no noise, since all seeds are independent. V contains only noise that a viewer sees.
 //! A pixel of a layer averages over all rays through it, so the noise in the target's views is
-//! larger.
+//! larger than V.
 
 use std::path::Path;
 
