@@ -84,8 +84,8 @@ fn check_with_numpy(python: &Path, field: &Path, run: &Path, geometry: [&str; 4]
     }
 }
 
-/// Largest difference between the scores of the NumPy model, which traces 2000 × 2000 rays per
-/// pixel, and of our exact integration over pixels' areas, dB.
+/// Largest difference between the score of the NumPy model, which traces 2000 × 2000 rays per
+/// pixel, and the score of our exact integration over pixels' areas, dB.
 const ZONE_AGREEMENT_DB: f64 = 0.02;
 
 /// The score psnr_zone of the report agrees with the score of a NumPy model. This holds for three
@@ -142,8 +142,8 @@ fn a_directional_backlight_follows_a_foreign_light_field() {
     let folder = tempfile::tempdir().unwrap();
     let field = folder.path().join("views.npy");
     write_test_field(&field, [5, 5, 50, 80], 20.0, 3.0);
-    // The backlight follows the views. With the backlights of the presets (3 × 3 bins, 48 degrees)
-    // the PSNR would only be 30.2 and 27.5 dB.
+    // The backlight is adapted to the views. With the backlights of the presets (3 × 3 bins, 48
+    // degrees) the PSNR would only be 30.2 and 27.5 dB.
     for (display, least) in [("fig7-directional", 35.0), ("paper-directional", 32.0)] {
         let run = folder.path().join(display);
         let flags = ["--fov", "20x20", "--pitch-mm", "3", "--iterations", "30", "--display", display];

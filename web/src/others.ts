@@ -116,7 +116,7 @@ export class Others {
   }
 }
 
-/** Waits for code that is loaded on demand. A page in a single file does not contain this code, which gives an error. */
+/** Waits for code that is loaded on demand. A page in a single file does not contain this code, so the load fails. */
 async function code<T>(loading: Promise<T>): Promise<T> {
   try {
     return await loading;

@@ -96,7 +96,7 @@ test("in a headset both eyes see every depth where it is, at true scale", async 
   const before = await pixels(page, [0.1, 0.05]);
   await page.waitForFunction(() => !document.querySelector("lumistack-viewer").shadowRoot.querySelector("#headset").disabled, undefined, { timeout: 10_000 }).catch(() => assert.deepEqual(page.trouble, []));
   await page.click("#headset");
-  // the display stands in front of the head, at a distance of one and a half of its width
+  // the display stands in front of the head, at a distance of one and a half times its width
   await page.waitForFunction(() => first.right);
   const { left, right } = await page.evaluate(() => first);
   const centre = [0, 1, 2].map((i) => (left.at[i] + right.at[i]) / 2 - (i === 2 ? 1.5 * (SCENE.cols / 100) : 0));

@@ -69,7 +69,7 @@ enum What {
         /// The run folder
         dir: PathBuf,
         /// Numbers of workers, separated by commas. The total time is predicted for each, from the
-        /// measured times of finished units and the estimated times of others
+        /// measured times of finished units and the estimated times of all other units
         #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
         workers: Vec<usize>,
     },
@@ -352,8 +352,8 @@ fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
     say!("{count} units in {folder}; predicted time by number of workers: {predicted}");
 }
 
-/// Ends the process when standard input ends, since then the worker that started it is gone. This
-/// is safe at any time, since files appear only when they are complete.
+/// Ends the process when standard input ends. Then the worker that started this process is gone.
+/// The end is safe at any time, since files appear only when they are complete.
 fn end_with_input() {
     std::thread::spawn(|| {
         let mut rest = [0; 64];

@@ -170,9 +170,9 @@ struct Connection {
 }
 
 impl Connections {
-    /// Adds a connection and returns its number. If there are too many, it closes the oldest one
-    /// without a complete request, or the oldest one if all requests are complete. `None` after
-    /// [`Connections::end`].
+    /// Adds a connection and returns its number. If there are too many connections, the function
+    /// closes the oldest connection without a complete request, or the oldest connection if all
+    /// requests are complete. `None` after [`Connections::end`].
     fn add(&self, stream: &TcpStream) -> Option<u64> {
         let stream = stream.try_clone().ok()?;
         let mut open = locked(&self.0);
@@ -387,8 +387,8 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
     if !matches!(method, "GET" | "HEAD") {
         return Reply::text(405, "only GET and HEAD\n");
     }
-    // Against DNS rebinding: a foreign page whose name resolves to this machine sends its own name
-    // as the host, and is refused.
+    // This check prevents DNS rebinding: a foreign page whose name resolves to this machine sends
+    // its own name as the host, and is refused.
     let name = host.unwrap_or_default();
     let name =
         name.rsplit_once(':').filter(|(_, port)| port.bytes().all(|b| b.is_ascii_digit())).map_or(name, |(n, _)| n);

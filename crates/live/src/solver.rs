@@ -19,8 +19,8 @@ use lumistack_factorizer::{AUTO, FactorizeError, Problem, Settings, factorize_on
 use crate::Target;
 use crate::motion::{Flow, Planes, moved};
 
-/// The solver of a warm start if the settings have the solver `auto`. With few iterations from
-/// patterns of another target, extrapolation would overshoot.
+/// The solver of a warm start if the settings have the solver `auto`. It does not extrapolate,
+/// since with few iterations from patterns of another target an extrapolation would overshoot.
 const WARM_SOLVER: &str = "block-exact";
 
 /// A warm start with at least this PSNR, dB, is used without a comparison with a fresh start. The

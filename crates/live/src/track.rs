@@ -88,8 +88,9 @@ impl Tracker {
         Ok(())
     }
 
-    /// Predicts the positions of the viewers at the time `now` + `latency`. Returns the whole zone
-    /// if there is no viewer, or if the tracker has been silent for long.
+    /// Predicts the positions of the viewers at the time `now` + `latency`. Returns no positions,
+    /// and the weight 1 of the whole zone, if there is no viewer or the tracker has been silent for
+    /// long.
     pub fn boxes(&self, now: Duration, latency: Duration) -> Boxes {
         let Some(seen) = self.seen else { return Boxes { heads_mm: Vec::new(), zone: 1.0 } };
         let silent = now.saturating_sub(seen);

@@ -71,8 +71,8 @@ pub fn compare_runs(
         let of = |g: &FieldGeometry| format!("{} × {} pixels of {} mm", g.cols, g.rows, g.pitch_mm);
         return Err(PipelineError::value(second, "field", of(&own), of(&other)));
     }
-    // Views and directions come from the target of the first run or, without a target, from its
-    // display.
+    // Views and directions come from the target of the first run or, without a target, from the
+    // display of the first run.
     let target = target_of(first)?;
     let geometry = match &target {
         Some(target) => target.geometry().clone(),

@@ -27,7 +27,8 @@ use crate::console::say;
 const FIRST_TIME: Duration = Duration::from_secs(1);
 /// Largest length of the first line, bytes.
 const FIRST: usize = 1 << 10;
-/// Time limit for a program to read an event; then it is detached, since the solver waits for it.
+/// Time limit for a program to read an event. A slower program is detached, since the solver waits
+/// for it.
 const WRITE_TIME: Duration = Duration::from_secs(1);
 /// Interval at which the socket is checked for a program.
 const TICK: Duration = Duration::from_millis(20);

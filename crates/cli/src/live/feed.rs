@@ -177,8 +177,8 @@ impl Feed for PageFeed<'_> {
         let asked = Asked::of(query);
         let deadline = now() + PATIENCE;
         while !self.stopped.load(Ordering::SeqCst) && now() < deadline {
-            // A page of an earlier run may send a number above the newest one. Every state is then
-            // new to the page.
+            // A page of an earlier run may send a number above the number of the newest state.
+            // Every state is then new to the page.
             let known = self.states.after(0).is_some_and(|(newest, _)| newest < asked.number);
             let is_newer = self.states.wait_after(if known { 0 } else { asked.number }, LOOK).is_some();
             let message = self.messages.newest();

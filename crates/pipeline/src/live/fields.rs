@@ -141,7 +141,7 @@ impl LiveFields {
         let before = self.scene.take_if(|(key, _)| *key != key_of_scene);
         if self.scene.is_none() {
             // An animation may switch lights off. A scene that began without automatic studio light
-            // does not get it while it moves.
+            // does not get studio light while it moves.
             let is_motion = |key: &Value| key[0] == key_of_scene[0] && key[1] == key_of_scene[1];
             let stays_dark = before.as_ref().is_some_and(|(key, scene)| is_motion(key) && !scene.studio);
             match self.load(&path, stays_dark, registry, task) {

@@ -55,8 +55,8 @@ pub(super) struct Radiance {
 }
 
 impl Progressive {
-    /// Prepares the target's views. Renders all that has no noise: the splats, and the fraction of
-    /// each pixel that shows the background.
+    /// Prepares the target's views. Renders everything without noise: the splats, and the fraction
+    /// of each pixel that shows the background.
     ///
     /// # Errors
     /// If the scene cannot be rendered, or when cancelled.
@@ -82,7 +82,7 @@ impl Progressive {
     }
 
     /// Traces another pass. Returns false if all samples have been traced. If the pass is
-    /// cancelled, views keep the paths that it traced.
+    /// cancelled, views keep the paths that the pass has traced.
     ///
     /// # Errors
     /// If rendering fails or is cancelled.
@@ -166,7 +166,7 @@ impl View {
 }
 
 /// Averages the values of two renders of a view. The render `new` has the weight `share`. If only
-/// one of the two hits a surface at a pixel, that render's normal and depth are kept.
+/// one of the renders hits a surface at a pixel, the normal and depth of this render are kept.
 fn mean(before: SplitView, new: &SplitView, share: f32) -> SplitView {
     let mut values: Tensor<3> = before.values().clone();
     let pixels =

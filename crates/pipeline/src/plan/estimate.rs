@@ -65,8 +65,8 @@ pub(crate) struct Record {
 
 impl Record {
     pub(crate) fn new(seconds: f64, cached: bool, files: Vec<(PathBuf, String)>) -> Self {
-        // The list of files also has entries for importers, Blender and scenes in memory. Their
-        // paths are only names, so these paths stay as they are.
+        // The list of files also has entries for importers, Blender and scenes in memory. The paths
+        // of these entries are only names, so they are not made absolute.
         let place = |path: PathBuf| match path.is_file() {
             true => std::path::absolute(&path).unwrap_or(path),
             false => path,
@@ -468,8 +468,8 @@ fn memory(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> u64 {
     sizes[step.part].as_ref().map_or(0, |sizes| bytes(step.kind, job, sizes))
 }
 
-/// Returns an upper bound of the memory of a step, bytes. The tree over a scene, a plugin's own
-/// memory and pictures of an output are estimates.
+/// Returns an upper bound of the memory of a step, bytes. Only the memory of three things is
+/// estimated: the search tree over a scene, a plugin's own data, and the pictures of an output.
 fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     let (memory, threads) = (&sizes.memory, rayon::current_num_threads() as f64);
     // Memory of a scene as a multiple of the size of its file. The factor for splats is larger,

@@ -41,7 +41,7 @@ pub(crate) struct Executor<'a> {
     done: Vec<bool>,
     records: BTreeMap<String, Record>,
     /// The part of the executed unit of work, and how the unit locks the part's folder. `None` if
-    /// this value executes a whole plan or a single step.
+    /// the executor executes a whole plan or a single step.
     unit: Option<(usize, Hold)>,
 }
 

@@ -71,7 +71,8 @@ fn check(tables: &str, mib: u64, step: Option<&str>) {
     for peak in [held, streamed] {
         assert!(peak.found <= peak.said, "more than the plan said: {peak:?}");
     }
-    // The test is useful only if a light field in memory exceeds the bound of the streamed run.
+    // The test is useful only if a run with the whole light field in memory exceeds the bound of
+    // the run that streams the light field.
     assert!(held.found > streamed.said, "held {held:?}, streamed {streamed:?}");
     let (expected, found) = (results(&held_dir), results(&dir));
     assert!(expected.len() > 3 && expected.keys().eq(found.keys()), "{:?}", found.keys());

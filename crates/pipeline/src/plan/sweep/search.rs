@@ -25,7 +25,7 @@ const DROP_DB: f64 = 8.0;
 /// Returns the candidates that satisfy the constraints.
 ///
 /// # Errors
-/// If no candidate does. The message states the best value of each constrained quantity.
+/// If no candidate satisfies them. The message states the best value of each constrained quantity.
 pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<Vec<Candidate>, PipelineError> {
     let fits = |d: &Design| {
         // A single frame does not flicker at any refresh rate, so its `refresh_hz` is 0.
