@@ -116,9 +116,9 @@ fn display(head: &str, every_layer: &str, front: &str, backlight: &str, layers: 
     text
 }
 
-/// A display is solved for its native views, the automatic ones, or for 3 × 3 views. With native
-/// views it scores higher over its zone. This holds for any hardware, brightness and number of
-/// frames.
+/// A display is solved once for its native views (the automatic number) and once for 3 × 3 views.
+/// With native views its score over its zone is higher. This holds for any hardware, brightness and
+/// number of frames.
 #[test]
 fn native_views_pay_with_any_hardware() {
     let three = [-40.0, 0.0, 40.0];

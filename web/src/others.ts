@@ -12,7 +12,7 @@ export interface Views {
   readonly info: Info;
   /**
   * Returns the picture for an eye, in the light field's size. Without `eyeMm` the eye's distance is
-  * the one that the viewer's options set.
+  * the distance that the viewer's options set.
   */
   picture(slope: Slope, eyeMm?: number): Promise<ImageBitmap>;
   /** Called after the last picture. */

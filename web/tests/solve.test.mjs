@@ -82,7 +82,7 @@ async function savedQuilt(at) {
   }
 }
 
-/** Saves a turn as a video that plays. */
+/** Saves a video of a turn, and checks that the video plays. */
 async function savedTurn(at) {
   const [download] = await Promise.all([at.waitForEvent("download"), at.click("#turn")]);
   assert.match(download.suggestedFilename(), /^letters_turn\.(webm|mp4)$/);

@@ -279,8 +279,8 @@ fn serve_page(
     serve(server, Site { root: feed.root(), live: Some(feed) }, || (!shared.is_stopped()).then(String::new));
 }
 
-/// Watches the files of the job, and requests to read them again when they have changed. The job
-/// file was read after `begun`.
+/// Watches the files of the job, and lets the renderer read them again when they have changed. The
+/// job file was read after `begun`.
 fn watch_files(args: &Live, begun: SystemTime, shared: &Shared, task: Task<'_>) {
     let mut watched = Watched::default();
     let mut of_job = Watched::default();

@@ -207,7 +207,7 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
         PlotsArg::All => Plots::All,
     });
     change_search(&mut table.search, &args.search);
-    // Run the sweep, and print the proposed designs or the best one.
+    // Run the sweep, and print the proposed designs or the best design.
     let folder = args.output.clone().unwrap_or_else(|| Path::new("sweeps").join(&job.name));
     if args.plan {
         return crate::plan::print(&job, &folder, registry, json);

@@ -195,7 +195,7 @@ pub struct ReportOn<'a> {
     pub references: Option<&'a References>,
     /// Weights of the target's rays.
     pub weights: &'a Weights,
-    /// Settings and convergence of a solver, if one made the patterns.
+    /// Settings and convergence of a solver, if a solver made the patterns.
     pub solution: Option<(&'a Solution, &'a [lumistack_report::Iteration])>,
     /// Table of settings in the report.
     pub settings: &'a Value,

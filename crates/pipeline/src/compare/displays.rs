@@ -13,7 +13,7 @@ use crate::job::Job;
 use crate::simulate::RunFolder;
 use crate::store::files::write;
 
-/// Quality of the sheet's JPEG. A PNG would be four times as large.
+/// JPEG quality of `displays.jpg`. A PNG would be four times as large.
 const JPEG_QUALITY: u8 = 92;
 
 /// A display of the run, compared with the target.

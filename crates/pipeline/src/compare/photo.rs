@@ -46,7 +46,7 @@ pub enum Pose {
 /// Comparison of a photograph with the simulation.
 #[derive(Clone, Debug, Serialize)]
 pub struct PhotoComparison {
-    /// Photograph compared with the simulation, after its exposure is adapted.
+    /// Photograph compared with the simulation, after the photograph's exposure is adapted.
     pub likeness: Likeness,
     /// Factor g on the photograph's linear values.
     pub gain: f64,

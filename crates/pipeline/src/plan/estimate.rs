@@ -173,7 +173,8 @@ fn settings(plan: &Plan, part: usize) -> Job {
     job
 }
 
-/// Adds the content of the files that a step reads. Returns `None` if they are not known.
+/// Adds the content of the files that a step reads to its key. Returns `None` if the files are not
+/// known.
 fn add_content(
     key: &mut KeyBuilder,
     plan: &Plan,

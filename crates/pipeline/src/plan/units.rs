@@ -127,8 +127,8 @@ impl<'a> Cutter<'a> {
         self.push(step, unit);
     }
 
-    /// Adds no unit. Units that read the result of this step wait for the inputs of this step
-    /// instead.
+    /// Adds no unit for this step. Units that read the result of this step wait for the inputs of
+    /// this step instead.
     fn pass(&mut self, step: &'a Step) {
         let inputs = self.inputs(&step.inputs);
         self.made_by.insert(&step.id, inputs);
