@@ -68,7 +68,7 @@ export class Bridge {
   }
 }
 
-/** Returns the panel that a device of Bridge describes; an empty list for an ordinary monitor. */
+/** Returns a list with the panel that a device of Bridge describes; an empty list for an ordinary monitor. */
 function panelOf({ value }: Value): Panel[] {
   const device = value as Record<string, Value> | undefined;
   const kind = device?.["hardwareVersion"]?.value;

@@ -53,7 +53,7 @@ pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb        
 
 /// Interval at which files are checked for changes.
 const LOOK: Duration = Duration::from_millis(100);
-/// Interval at which threads check for the end.
+/// Interval at which threads check whether the display has stopped.
 const TICK: Duration = Duration::from_millis(20);
 
 #[derive(Debug, ClapArgs)]

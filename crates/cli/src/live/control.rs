@@ -100,7 +100,7 @@ fn commands_of(line: &str) -> Result<Vec<Command>, String> {
 pub(super) fn read_packets(socket: &UdpSocket, centre_mm: [f64; 3], requests: &Requests, task: Task<'_>) {
     let mut packet = [0; 512];
     while !(requests.is_stopped() || task.cancel.is_cancelled()) {
-        // The socket has a timeout, so that the loop notices the end.
+        // The socket has a timeout, so that the loop notices when the display stops.
         let Ok(length) = socket.recv(&mut packet) else { continue };
         let seen = head_of_packet(&packet[..length], centre_mm).and_then(|head_mm| requests.see(&[head_mm]));
         if let Err(error) = seen {

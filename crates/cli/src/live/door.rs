@@ -160,7 +160,7 @@ impl Door {
 
     /// Attaches the program if its first line has the token; else sends it one message.
     fn greet(&self, program: &TcpStream, requests: &Arc<Requests>, events: &Arc<Events>) -> io::Result<()> {
-        // some systems take over this setting from the listening socket
+        // on some systems, a connection inherits this setting from the listening socket
         program.set_nonblocking(false)?;
         program.set_write_timeout(Some(WRITE_TIME))?;
         program.set_nodelay(true)?;

@@ -207,7 +207,7 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Locks the folder of a part, since another run may use only that folder.
+    /// Locks the folder of a part, since a run of the part alone may use that folder.
     fn enter(&mut self, part: usize) -> Result<(), PipelineError> {
         let of_part = &self.context.plan.parts[part];
         let Some(parent) = of_part.parent else { return Ok(()) };
