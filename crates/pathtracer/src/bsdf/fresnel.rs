@@ -70,8 +70,8 @@ pub(crate) fn metal_rise(cosine: f32) -> f32 {
 }
 
 /// The rise s of a dielectric's reflectance, seen from outside; see the top of the file. For an
-/// index below 1 (`KHR_materials_ior` allows 0), only the specular colour is known, so the result
-/// is that of [`metal_rise`].
+/// index below 1 (`KHR_materials_ior` allows 0), only the specular colour is known, so the function
+/// returns [`metal_rise`].
 #[inline]
 pub(crate) fn dielectric_rise(cosine: f32, ior: f32) -> f32 {
     if ior < 1.0 { metal_rise(cosine) } else { rise(dielectric(cosine, ior).0, normal_reflectance(ior)) }

@@ -1,4 +1,5 @@
-//! Data of a view's first surfaces: they guide a denoiser, and make layers of pictures.
+//! Data of a view's first surfaces. They guide a denoiser, and picture files can store them as
+//! layers.
 //!
 //! Every value is a mean over the paths of a pixel that hit a surface. They are the paths that give
 //! the pixel's light. [`Renderer::render_view_and_features`] records the surfaces while it renders.
@@ -61,8 +62,8 @@ impl Features {
     /// Number of values per pixel.
     pub const VALUES: usize = FEATURES;
 
-    /// Makes features from the tensor that [`values`](Self::values) returns; `None` for another
-    /// number of values per pixel.
+    /// Makes features from the tensor that [`values`](Self::values) returns; `None` if the tensor
+    /// has a different number of values per pixel.
     pub fn from_values(values: Tensor<3>) -> Option<Self> {
         (values.shape()[2] == FEATURES).then_some(Self { values })
     }
