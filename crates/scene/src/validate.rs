@@ -125,7 +125,8 @@ impl SceneParts {
             [(place, dropped, before)] => {
                 task.warn(place, format!("triangles without area: {dropped} of {before}; they are left out"));
             }
-            // files from CAD often have such triangles in many meshes, so they share one warning
+            // files from CAD often have triangles without area in many meshes, so all of these
+            // meshes share one warning
             many => {
                 let dropped: usize = many.iter().map(|(_, dropped, _)| dropped).sum();
                 let message = format!("triangles without area: {dropped} in {} meshes; they are left out", many.len());

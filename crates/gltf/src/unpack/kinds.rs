@@ -1,4 +1,4 @@
-//! Packed content, and what comes out of it.
+//! Packed content, and the results of decoding it.
 
 use gltf::json::accessor::ComponentType;
 use lumistack_scene::Pixels;
