@@ -27,8 +27,8 @@ const OBJECTIVE_TOLERANCE: f64 = 1e-4;
 const OBJECTIVE_PER_VALUE: f64 = 1e-11;
 /// Largest relative difference of an objective whose terms are summed in another order.
 const SUM_TOLERANCE: f64 = 1e-5;
-/// Two values of a pattern are compared only if their influence on the emission is at least this.
-/// Rounding decides a value with less influence.
+/// The device's value of a pattern is compared with the processor's only if its influence on the
+/// emission is at least this. Rounding decides a value with less influence.
 const DETERMINED: f32 = 0.1;
 /// Number of iterations whose updates are compared one by one.
 const ROUNDS: usize = 4;

@@ -160,7 +160,7 @@ fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, F
     Ok(used)
 }
 
-/// Reads every mesh that the scene shows once, and places it for each node that shows it.
+/// Reads each mesh of the scene once per shape, and places it for each node that shows it.
 fn place_meshes(
     document: &Document<'_>,
     nodes: &Nodes,

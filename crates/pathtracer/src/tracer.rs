@@ -57,7 +57,8 @@ const VERTEX_PAIRS: u64 = 3;
 /// First of the pairs that decide whether a surface with alpha is there. There is one pair for each
 /// bounce and triangle, so that successive surfaces decide independently.
 const ALPHA_PAIRS: u64 = 1 << 62;
-/// Odd step that spreads the instances over the pairs from [`ALPHA_PAIRS`] on.
+/// Odd factor on the index of an instance, so that different instances use different pairs of
+/// random numbers.
 const INSTANCE_STEP: u64 = 0x2545_f491_4f6c_dd1d;
 /// The pair that chooses a wavelength.
 const WAVE_PAIR: u64 = ALPHA_PAIRS - 1;

@@ -43,7 +43,7 @@ impl Scene {
         self.seen_bounds
     }
 
-    /// True if the viewer can see an instance: unless it is an [unseen lamp](Lamp::Unseen).
+    /// True if the viewer can see an instance. Only an [unseen lamp](Lamp::Unseen) is invisible.
     pub fn is_seen(&self, instance: &crate::Instance) -> bool {
         self.materials[self.meshes[instance.mesh].material].lamp != Lamp::Unseen
     }

@@ -271,7 +271,7 @@ impl<V: Lanes> Sheared<V> {
                     V::from_array(eight(&directions[1], at)),
                     V::from_array(eight(&directions[2], at)),
                 ];
-                // a shear per lane that turns its ray into the z axis
+                // each lane has a shear that turns the lane's ray into the z axis
                 let along = V::splat(1.0).div(z);
                 sheared.shear[vector] = [x.mul(along), y.mul(along), along];
                 sheared.origin[vector] = [

@@ -106,7 +106,7 @@ impl Bvh {
     fn add_tree(&mut self, input: &Input<'_>, range: Range<usize>, instances: &[Aabb]) -> Tree {
         let triangles = &input.triangles[range.clone()];
         let flags = &input.flags[range.clone()];
-        // boxes of triangles and of instances; large triangles are cut into several boxes
+        // make the boxes of triangles and of instances; large triangles are cut into several boxes
         let mut boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::from_points(&t.map(Vec3A::from))).collect();
         let mut primitives: Vec<u32> = (0..boxes.len() as u32).collect();
         let bounds = boxes.iter().chain(instances).fold(Aabb::INVALID, |all, one| all.union(one));

@@ -63,7 +63,7 @@ pub(crate) struct Emitter {
     pub(crate) normal_angle: f32,
     /// Largest angle between a normal and light that leaves.
     pub(crate) falloff_angle: f32,
-    /// True if light also leaves around the opposite of the axis.
+    /// True if light also leaves around the direction opposite to the axis.
     pub(crate) two_sided: bool,
 }
 

@@ -53,8 +53,8 @@ pub struct Feature {
     pub gloss: f32,
     /// Width of the lobe that depends on the viewer's direction: squared roughness, 0..1.
     pub alpha: f32,
-    /// Depth in display space of the first hit of one path, in millimetres: the path that is
-    /// nearest to the pixel's centre. `None` if that path hits nothing.
+    /// Depth of the first hit of the path that is nearest to the pixel's centre, in display space,
+    /// in millimetres. `None` if this path hits nothing.
     pub central_z_mm: Option<f32>,
 }
 
