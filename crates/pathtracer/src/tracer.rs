@@ -23,15 +23,15 @@
 //! * Tracing rays takes half of the time. The other half is spent on waiting for memory and on
 //!   branches rather than on arithmetic. The whole program compiled for AVX2 with FMA was no
 //!   faster.
-//! * Nearly all variance of a diffuse scene comes from the first scattered direction. Four jointly
-//!   stratified points of lights at the first hit instead of one lowered the squared error by 7 %
-//!   and cost 80 % more time.
+//! * Nearly all variance of a diffuse scene comes from the first scattered direction. The first hit
+//!   was given four jointly stratified points of lights instead of one. The squared error fell by 7
+//!   %, but the time rose by 80 %.
 //! * Between rays, paths wait for chains of roots and quotients, and for results that are read in
 //!   larger pieces than they were written in. So directions around normals and primary rays are
 //!   computed for all paths together, as vectors. Hits are written where they are read, and a
 //!   light's density is kept as its inverse. Together this gave 9 % more samples.
-//! * A loop over all paths for each step of a vertex (surface, light, scattered direction) cost 3
-//!   %. The steps' results have to be stored.
+//! * With a separate loop over all paths for each step of a vertex (surface, light, scattered
+//!   direction), the time rose by 3 %. The results of the steps then have to be stored.
 //! * The shadow rays of first hits, traced as beams, took 1.6 times as long as single rays. These
 //!   beams tested the bounds of every block with eight rays together.
 
