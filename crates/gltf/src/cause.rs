@@ -50,7 +50,7 @@ pub(crate) fn nothing_to_show(document: &Document<'_>, nodes: &Nodes) -> Fault {
     Fault::new(nodes.place(), EXPECTED, format!("{found}{defect}"))
 }
 
-/// Adds causes to the message for a scene whose triangles have no area.
+/// Appends the reasons to the message about a scene whose triangles have no area.
 pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) -> String {
     let left_out = left_out(document).map(|reason| format!("; {reason}")).unwrap_or_default();
     match triangles {

@@ -121,8 +121,8 @@ fn rotations_take_the_shorter_arc_at_constant_speed() {
 
 #[test]
 fn rotations_come_in_every_width() {
-    // the keys are no rotation and half a turn about z; at a time halfway between the keys, the
-    // node has made a quarter turn
+    // The first key is no rotation, and the second is half a turn about z. At a time halfway
+    // between the keys, the node has made a quarter turn.
     let cases: [(u32, Vec<u8>); 5] = [
         (F32, [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect()),
         (I8, vec![0, 0, 0, 127, 0, 0, 127, 0]),

@@ -42,7 +42,7 @@ struct Way {
 
 /// Errors of the pictures that one way of rendering makes, over all views.
 struct Errors {
-    /// Mean squared error with bias, of all views (`all`) and of the worst view (`worst`).
+    /// Mean squared error, bias included, over all views (`all`) and over the worst view (`worst`).
     all: f64,
     worst: f64,
     /// Part of the squared error that is not noise; it remains at any number of samples.

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! E = D / ρ_d                            of the first surface (see SplitView): view-independent
-//! E'(v, p) = Σ_u w E(u, p_u) / Σ_u w     over the views u of a row, then over those of a column
+//! E'(v, p) = Σ_u w E(u, p_u) / Σ_u w     over the views u of a row, then of a column
 //! L' = G + ρ_d E'
 //! ```
 //!

@@ -59,8 +59,8 @@ impl SplitView {
     /// Number of values per pixel.
     pub const VALUES: usize = PARTS;
 
-    /// A view from the tensor that [`values`](Self::values) returns; `None` for another number of
-    /// values per pixel.
+    /// A view from the tensor that [`values`](Self::values) returns; `None` if the tensor has a
+    /// different number of values per pixel.
     pub fn from_values(values: Tensor<3>) -> Option<Self> {
         (values.shape()[2] == PARTS).then_some(Self { values })
     }
