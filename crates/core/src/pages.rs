@@ -1,4 +1,5 @@
-//! Pages of large arrays: large pages, and arrays in files of which few pages are in memory.
+//! Memory of large arrays: pages of a large size, and arrays in files, of which only a few pages
+//! are in memory at a time.
 //!
 //! With small pages random reads also wait for address translation, and new memory takes longer to
 //! map.
@@ -136,8 +137,8 @@ impl<T: Plain> Array<T> {
         storage(count * size_of::<T>()).map(Self::Paged)
     }
 
-    /// All values. If they are in a file, also its window, to which callers announce the bytes that
-    /// they use next.
+    /// Returns all values. If the values are in a file, also returns the file's window, to which
+    /// callers announce the bytes that they use next.
     #[inline(always)]
     pub fn all(&self) -> (&[T], Option<&Window>) {
         match self {

@@ -135,7 +135,7 @@ pub struct Brightness {
     pub beta: f64,
     /// Largest transmittance of all layers together, which is the largest possible β.
     pub white: f64,
-    /// Light of the darkest state divided by the light of the brightest.
+    /// Light of the darkest state divided by the light of the brightest state.
     pub black: f64,
 }
 

@@ -98,7 +98,7 @@ pub enum Achieved {
     AtTheViews,
     /// Over the whole emission into the viewing zone.
     InBetween,
-    /// Over the whole emission, solved for more views.
+    /// Over the whole emission, for patterns that are solved for more views.
     WithMoreViews,
 }
 
@@ -432,8 +432,8 @@ mod tests {
     }
 
     /// The paper's Figure 11, over the whole emission: a layer in front of integral imaging
-    /// improves the display plane with a single frame. Off that plane the layer needs more than one
-    /// frame.
+    /// improves the contrast on the display plane even with a single frame. Off the display plane
+    /// the layer needs more than one frame.
     #[test]
     fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();

@@ -114,8 +114,8 @@ impl Display {
         let slopes = if axis == 0 { &geometry.grid.slope_x } else { &geometry.grid.slope_y };
         let outermost = slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
         // The rays of a perspective view have other slopes at the field's edges than at its centre.
-        // So dark bins must reach farther by this difference. Bins that repeat need not reach
-        // farther.
+        // If the backlight is dark outside its bins, the bins must also cover this difference. Bins
+        // that repeat cover all slopes anyway.
         let fan = match (geometry.grid.projection, own.outside_bins) {
             (Projection::Perspective { distance_mm }, OutsideBins::Dark) => {
                 0.5 * geometry.size_mm()[axis] / distance_mm

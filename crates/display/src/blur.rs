@@ -32,7 +32,7 @@ const LANES: usize = 32;
 /// The weights of a point spread, which are the same along both axes.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PointSpread {
-    /// The weights, whose number is odd and whose sum is 1. Without blur it is a single 1.
+    /// The weights, whose number is odd and whose sum is 1. Without blur the only weight is 1.
     taps: Vec<f32>,
     /// Entry i is the sum of the first i taps.
     sums: Vec<f32>,
@@ -111,8 +111,8 @@ impl PointSpread {
         }
     }
 
-    /// Returns 1 / Σ_k w_k over the weights of pixel `i` that reach no pixel outside an axis of
-    /// `count` pixels.
+    /// Returns 1 / Σ_k w_k for pixel `i` of an axis of `count` pixels. The sum leaves out the
+    /// weights that would reach pixels outside the axis.
     #[inline]
     fn border_scale(&self, i: usize, count: usize) -> f32 {
         let radius = self.radius();

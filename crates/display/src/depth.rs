@@ -180,7 +180,7 @@ mod tests {
             close(display.spatial_cutoff(z), if near { barrier + own } else { 0.5 / (f64::abs(z) * step) });
         }
         // The depth of field of pixels of pitch 0.5 mm ends where content shifts by one pixel per
-        // view. That is half a cycle of the finest detail.
+        // view. This shift is half a cycle of the finest detail.
         let [low, high] = display.depth_of_field(0.5).unwrap();
         close(high, 0.5 / step);
         close(low, -0.5 / step);

@@ -34,7 +34,7 @@ pub struct EmittedView {
 /// A picture as an eye sees it: every pixel is the mean over its area.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenView {
-    /// Mean of the emitted radiance L̃ over the area of the pixel with valid rays,
+    /// Mean of the emitted radiance L̃ over the part of the pixel's area whose rays are valid,
     /// `[row][col][rgb]`. It is 0 if no ray of the pixel is valid. An adapted viewer sees the
     /// radiance divided by the stack's brightness.
     pub radiance: Tensor<3>,
@@ -260,7 +260,7 @@ impl<'a> Reads<'a> {
 const SHORT_RUN: usize = 4;
 
 /// Combines each `formed[col][rgb]` with the layer's value at the ray. If the ray misses the layer,
-/// the value stays, since invalid rays are set to 0 later.
+/// the value stays: the layer counts as clear, or the ray is invalid and is set to 0 later.
 fn combine_layer(
     formed: &mut [f32],
     values: &Tensor<4>,

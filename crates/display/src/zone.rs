@@ -147,7 +147,7 @@ fn mean(values: &[f64]) -> Option<f64> {
 }
 
 /// Returns the PSNR with peak 1, dB. Errors below the square of a tenth of a 16-bit step are raised
-/// to it, since noise may make an error 0 or negative.
+/// to this square, since noise may make an error 0 or negative.
 fn psnr(mse: f64) -> f64 {
     const LEAST: f64 = 1.5e-6 * 1.5e-6;
     -10.0 * mse.max(LEAST).log10()

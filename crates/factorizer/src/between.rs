@@ -1,8 +1,8 @@
-//! Updates lines of one factor that rays read between pixels, at a constant distance for each view
-//! column.
+//! Updates lines of one factor that rays read between pixels. For all rays of a view column, the
+//! position that a ray reads is at one distance from the ray's own column.
 //!
-//! As in [`scatter`](crate::scatter), each ray adds its sums to four pixels, by shares. Here all
-//! rays of a view column read at the same distance, so pixels gather:
+//! As in [`scatter`](crate::scatter), each ray adds its sums to four pixels, by shares. But at a
+//! constant distance, a pixel's rays are known from its column, so each pixel collects its sums:
 //!
 //! ```text
 //! for every part of line j, some columns x:
@@ -14,10 +14,10 @@
 //!     step the pixels by low, keep high for line j + 1
 //! ```
 //!
-//! The terms a_m and e of a ray are computed once, with one ray per lane. The rays that read a
-//! pixel second are the rays of the pixel before. Their vector is the same vector, moved up by a
-//! lane. Its lane 0 is the last lane of the block before. Shares are applied like weights: the
-//! terms are multiplied by the root of the share, as by √w.
+//! The terms a_m and e of a ray are computed once, with one ray per lane. A ray that reads pixel x
+//! − 1 with the share 1 − t_x reads pixel x with the share t_x. So a second vector has the terms of
+//! the first vector, moved up by one lane. Its lane 0 is the last lane of the previous block.
+//! Shares are applied like weights: the terms are multiplied by the root of the share, as by √w.
 //!
 //! At a border, a ray reads the border pixel twice. So the lines that rays read are copies whose
 //! border pixels are repeated once, and a border pixel gets both shares. Copies and mixtures of
@@ -72,8 +72,8 @@ pub(crate) struct Scratch {
     windows: Windows,
     /// For each row of rays, the index at which its entries end in the list of rows to prefetch.
     ahead: Vec<usize>,
-    /// For each factor k, the smallest and the largest distance between the pixels of k and of the
-    /// factor under update that a ray reads.
+    /// For each factor k, the smallest and the largest difference between two columns that a ray
+    /// reads: its column of factor k minus its column of the factor under update.
     spread: Vec<[isize; 2]>,
     /// The sums for the pixels of a part of the line under update, `[quantity][column]`.
     low: Aligned,
@@ -117,8 +117,8 @@ impl Scratch {
     }
 }
 
-/// For each factor k, the smallest and the largest distance between the pixels of k and of factor
-/// `n` that a ray reads.
+/// For each factor k, the smallest and the largest difference between two columns that a ray reads:
+/// its column of factor k minus its column of factor `n`.
 fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     let distances = |k: usize| {
         let both = plan.maps[k].x.iter().zip(&plan.maps[n].x);
@@ -167,7 +167,8 @@ impl BetweenBand<'_> {
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
         let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);
-        // If the line before was not updated here, the rays that start at it are summed again.
+        // If the previous line was not updated here, the rays between it and this line are summed
+        // again.
         if !follows {
             self.scratch.high.fill(0.0);
             self.scratch.high_error = 0.0;

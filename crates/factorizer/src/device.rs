@@ -235,7 +235,7 @@ impl Plan {
         [self.maps[n].layout.lines(), self.maps[n].layout.cols()]
     }
 
-    /// Returns the value of rays that miss factor `n`.
+    /// Returns the value that rays read if they miss factor `n`.
     pub fn outside(&self, n: usize) -> f32 {
         self.maps[n].layout.outside
     }
@@ -297,7 +297,8 @@ impl Plan {
 
 /// Values for executors in other crates.
 impl Factor {
-    /// Allocates factor `n` of a plan; all values are the value of a miss.
+    /// Allocates factor `n` of a plan; every value is the value that rays read if they miss the
+    /// factor.
     pub fn of(plan: &Plan, n: usize) -> Self {
         Self::blank(&plan.maps[n].layout, plan.target.channels)
     }

@@ -105,7 +105,7 @@ impl Factor {
         factor
     }
 
-    /// Allocates a factor; all values are the value of a miss.
+    /// Allocates a factor; every value is the value that rays read if they miss the factor.
     pub(crate) fn blank(layout: &Layout, channels: usize) -> Self {
         let values = Aligned::filled(layout.outside, channels * layout.stored_lines() * layout.line_len());
         Self { layout: layout.clone(), values }

@@ -8,11 +8,11 @@ use lumistack_display::Tap;
 use crate::aligned::LINE;
 use crate::factor::{Layout, PAD};
 
-/// A weight below this is treated as 0 in a mixture of two neighbouring pixels. The mixture changes
-/// by no more than this number, since values are in 0..1.
+/// A weight below this number is treated as 0 in a mixture of two neighbouring pixels. The mixture
+/// changes by no more than this number, since values are in 0..1.
 const SAME_WEIGHT: f32 = 1e-6;
-/// Smallest length of a piece of equal shift that has a separate loop. Shorter pieces are read
-/// through the tables of pixel indices.
+/// Smallest number of columns of a [`Piece`] that inner loops read by its constant shift. Shorter
+/// pieces are read through the tables of pixel indices.
 const SHORTEST_PIECE: usize = 8;
 /// Number of rays, weighted by their shares, up to which a pixel's sums stay in f32.
 ///
@@ -32,7 +32,7 @@ pub(crate) struct FactorMap {
     /// Per view row, the field rows whose rays read each line.
     rays: Vec<RaysOfLine>,
     /// Per view row and line, the field rows whose rays read between this line and the next line,
-    /// with the share of the next line.
+    /// with the share of their sums that the next line gets.
     after: Vec<RaysOfLine>,
     /// True if so few rays read each pixel that sums in f32 are precise.
     pub(crate) short_sums: bool,
@@ -102,19 +102,19 @@ pub(crate) struct LineTap {
 struct RaysOfLine {
     /// Line j has `entries[starts[j]..starts[j + 1]]`.
     starts: Vec<u32>,
-    /// Field row, and the share of the line in that row's rays.
+    /// Field row, and the share with which this row's rays read the line.
     entries: Vec<(u32, f32)>,
 }
 
 impl FactorMap {
-    /// Valid field rows whose rays read `line`, with the share of `line` in these rays.
+    /// Valid field rows whose rays read `line`, with the share with which they read it.
     #[inline(always)]
     pub(crate) fn rays_of_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.rays[view_y].of_line(line)
     }
 
-    /// Valid field rows whose rays read between `line` and the next line, with the share of the
-    /// next line.
+    /// Valid field rows whose rays read between `line` and the next line, with the share of their
+    /// sums that the next line gets.
     #[inline(always)]
     pub(crate) fn rays_after_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.after[view_y].of_line(line)
@@ -246,8 +246,9 @@ impl ColumnTaps {
     }
 }
 
-/// A tap that reads one pixel alone if the weight of its second pixel is only rounding. Without
-/// this, rays that hit pixels exactly would read single pixels in some columns and pairs in others.
+/// Returns a tap that reads one pixel alone if the weight of the other pixel is only rounding.
+/// Without this, rays that hit pixels exactly would read single pixels in some columns and pairs in
+/// others.
 pub(crate) fn snapped(tap: Tap) -> Tap {
     match tap.t {
         t if t < SAME_WEIGHT => Tap { t: 0.0, ..tap },
@@ -331,7 +332,7 @@ pub(crate) struct RawMap {
 /// Pixel index minus field column, if it is the same for all rays of the runs that hit the factor.
 ///
 /// `None` if it differs between rays, or if with this shift a ray that misses the factor would read
-/// inside of it.
+/// inside the factor.
 fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<isize> {
     let mut counted = runs.iter().flat_map(Clone::clone);
     let shift = counted.clone().find_map(|c| taps[c].map(|tap| tap.first as isize - c as isize))?;

@@ -172,8 +172,8 @@ impl LineRays<'_> {
         &self.others[view * self.others_per_view..(view + 1) * self.others_per_view]
     }
 
-    /// Prefetches the values at x of listed rows: of the rows that are assigned to no view if
-    /// `by_views` is true, otherwise of all rows.
+    /// Prefetches the values at x of all listed rows. If `by_views` is true, leaves out the rows
+    /// that are assigned to views.
     #[inline(always)]
     pub(crate) fn prefetch_rest(&self, x: usize, by_views: bool) {
         for row in &self.ahead[if by_views { (PREFETCHED * self.views.len()).min(self.ahead.len()) } else { 0 }..] {
@@ -334,7 +334,8 @@ impl<'a> Left<'a> {
 }
 
 /// Distance from one frame to the next frame in the row that rays of a view column read from factor
-/// `k`: the factor's own distance, or that of an expanded row if the view column needs one.
+/// `k`: the factor's own distance, or the distance in an expanded row if the view column needs such
+/// a row.
 fn stride_of(plan: &Plan, k: usize, view_x: usize) -> usize {
     if plan.maps[k].x[view_x].shift.is_some() { plan.maps[k].layout.stride } else { expanded_stride(plan) }
 }

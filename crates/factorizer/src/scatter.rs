@@ -90,8 +90,8 @@ pub(crate) struct Scratch {
     buffers: Buffers,
     rays: LineRays<'static>,
     spare: Spare,
-    /// The sums of one view column by field columns, `[quantity][x]`: those for this line and those
-    /// for the next line.
+    /// The sums of one view column by field columns, `[quantity][x]`: first the sums for this line,
+    /// then the sums for the next line.
     columns: [Vec<f32>; 2],
     /// The sums of this line and of the next line.
     lines: [LineSums; 2],
@@ -133,7 +133,8 @@ impl ScatterBand<'_> {
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
         let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);
-        // If the line before was not updated here, the rays that start at it are summed again.
+        // If the previous line was not updated here, the rays between it and this line are summed
+        // again.
         if !follows {
             self.scratch.lines.iter_mut().for_each(LineSums::clear);
             if at.line > 0 {
@@ -234,7 +235,8 @@ struct ColumnBlock<'a> {
     field_stride: usize,
 }
 
-/// Sums a block's rays by their shares in the line and in the next line. Returns Σ w e² for each.
+/// Sums a block's rays by their shares in the line and in the next line. Returns Σ w e² for each of
+/// the two lines.
 struct Apart;
 
 impl Kernel for Apart {

@@ -41,7 +41,8 @@ const VERSION: u32 = 1;
 /// Largest difference between the slope in a view's entry and the slope of the view's row and
 /// column.
 const SLOPE_TOLERANCE: f64 = 1e-6;
-/// An index with more views than this along an axis is regarded as damaged.
+/// Largest plausible number of views along an axis. An index with more views is regarded as
+/// damaged.
 const VIEW_LIMIT: usize = 1 << 14;
 
 #[derive(Serialize)]

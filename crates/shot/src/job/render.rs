@@ -36,8 +36,9 @@ pub struct RenderJob {
     /// `point`: rays at the view's slope. `bin`: rays spread over the view's bin. `display`: rays
     /// spread over a range of slopes that the display cannot resolve far from itself.
     pub angular_filter: AngularFilter,
-    /// Aperture of a lens that is focused on the display plane: the full angle seen from there,
-    /// degrees; 0 for a pinhole. Content off the plane blurs. It excludes `angular_filter`.
+    /// Aperture of a lens that is focused on the display plane: the full angle, in degrees, at
+    /// which a point of the plane sees the lens; 0 for a pinhole. Content off the plane blurs. It
+    /// excludes `angular_filter`.
     pub lens_deg: f64,
     /// Filter that removes noise from finished views, at the price of a bias that the report
     /// states.
@@ -254,8 +255,8 @@ impl Default for RenderJob {
 }
 
 impl RenderJob {
-    /// Largest memory of a ray, bytes: shared light while views are denoised, or three channels as
-    /// `f32` twice while patterns are solved.
+    /// Largest memory per ray, bytes. While views are denoised, a ray has shared light. While
+    /// patterns are solved, it has two copies of its three channels as `f32`.
     pub const BYTES_PER_RAY: u64 = 32;
     /// Greatest number of rays for which a display chooses its views: 625 views of 840 × 525
     /// pixels. More would take hours.
