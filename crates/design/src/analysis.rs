@@ -95,8 +95,8 @@ pub struct Zone {
     /// Difference of slope between neighbouring views.
     pub step: [f64; 2],
     /// Smallest distance at which an eye on the axis sees the whole display within the zone,
-    /// millimetres. For pinhole views, which are made for eyes at one distance, it is this
-    /// distance.
+    /// millimetres. Pinhole views are made for eyes at one distance; for such views this is the
+    /// value.
     pub whole_from_mm: f64,
     /// Width and height of the zone at the distance `at_mm`, millimetres.
     pub width_mm: [f64; 2],

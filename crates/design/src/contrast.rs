@@ -25,9 +25,10 @@
 //!   A display may be exact at these rays and yet show nothing of the grating elsewhere.
 //! * *In between*: over rays of the whole zone, with [`POINTS`] rays per pixel and at least two
 //!   slopes per view. This covers the whole emission, including the pixels' shape.
-//! * *With more views*: over the same rays, for patterns that are solved for more views: one per
-//!   [`angular_footprint`](Display::angular_footprint), as many as the bound can use. This measures
-//!   the hardware; *in between* measures the display with its own number of views.
+//! * *With more views*: over the same rays, for patterns that are solved for more views. There is
+//!   one view per [`angular_footprint`](Display::angular_footprint), which is as many as the bound
+//!   can use. This measures the hardware; *in between* measures the display with its own number of
+//!   views.
 //!
 //! Contrast over rays in between obeys the bound, except in narrow zones, over which a grating
 //! moves by at most [`HALF_SINC`] periods. There, even a picture that is the same for all slopes
@@ -453,9 +454,9 @@ mod tests {
         assert!(many[0] > 0.9 && many[1] > SHOWN, "six frames: {many:?}");
     }
 
-    /// Over the whole emission no display exceeds its bound, except by the term `alike`. In narrow
-    /// zones, even a picture that is alike for all slopes has contrast. At the target views, each
-    /// of these displays exceeds its bound.
+    /// Over the whole emission no display exceeds its bound by more than the frequency `alike`. Up
+    /// to this frequency, even a picture that is the same for all slopes has half contrast in a
+    /// narrow zone. At the target views, each of these displays exceeds its bound.
     #[test]
     fn the_bound_holds_for_all_that_is_emitted() {
         // The half-contrast frequency is interpolated between two measured frequencies, which

@@ -14,9 +14,9 @@
 //! The simple version makes two passes over the plane, with a loop over the weights for each pixel.
 //! Departures from the simple version:
 //!
-//! 1. The rows are summed into one line with zeros on both sides, and the second pass runs along
-//!    that line immediately. So the plane is read and written once, and no pixel tests for the
-//!    border.
+//! 1. For each output row, the weighted input rows are summed into one line that has zeros on both
+//!    sides. The second pass runs along this line immediately. So the plane is read and written
+//!    once, and no pixel needs a test for the border.
 //! 2. Sums of [`LANES`] neighbouring pixels stay in registers during the loop over the weights.
 //!
 //! 840 × 525 pixels take 0.3 ms at σ = 1 and 1.9 ms at σ = 8 on a Zen 5 core. Two variants are not

@@ -6,9 +6,9 @@
 //! number of views.
 //!
 //! The simple version reads four pixels of a layer for every ray. The fast version combines whole
-//! runs of rays that read neighbouring single pixels (`Reads::Runs`), with the same bits as a
-//! result. Rays form such runs under nearest sampling at equal pitch, and in views whose rays hit
-//! the layer's pixel centres. The rays of a seen picture also form runs.
+//! runs (`Reads::Runs`). In a run, neighbouring rays read neighbouring pixels, one pixel per ray.
+//! Both versions give the same bits. Rays form such runs under nearest sampling at equal pitch, and
+//! in views whose rays hit the layer's pixel centres. The rays of a seen picture also form runs.
 
 use std::borrow::Cow;
 
@@ -326,8 +326,8 @@ fn combine_backlight(
 /// error is below 1e-6 for x ≤ 8. With `f32::sin` this function would take most of the time of a
 /// view.
 fn sin2_of_quarter_turns(x: f32) -> f32 {
-    // An `f32` near 1.5 · 2²³ has no bits for a fraction. So the addition rounds to the nearest
-    // whole number of half turns.
+    // An `f32` near 1.5 · 2²³ has no bits for a fraction. So the addition of `ROUND` rounds to the
+    // nearest whole number of half turns.
     const ROUND: f32 = 12_582_912.0;
     let half_turns = (0.5 * x + ROUND) - ROUND;
     let angle = std::f32::consts::FRAC_PI_2 * (x - 2.0 * half_turns);

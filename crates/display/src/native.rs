@@ -17,11 +17,12 @@ const VIEWS_PER_BIN: f64 = 3.0;
 /// * p / max |Δd|, which moves some layer by one pixel against the light field or the next layer,
 /// * the change that moves the rays by one bin of the backlight.
 ///
-/// Suppose that all layers have one pitch. At multiples of this step, a layer or a gap with the
-/// largest distance is shifted by whole pixels. If every layer is in the display plane or at ± the
-/// largest distance, this applies to all layers, and one ray per pixel is exact for the pixel's
-/// area. Between two neighbouring multiples, two neighbouring layers combine only pairs of pixels
-/// that they also combine at one of the two multiples.
+/// Suppose that all layers have one pitch, and the first change is the smallest. Then every
+/// multiple of the step shifts the farthest layer, or the layers at the largest gap, by whole
+/// pixels. If every layer is in the display plane or at the distance max |Δd| from it, all layers
+/// shift by whole pixels. One ray per pixel is then exact for the pixel's area. At slopes between
+/// two neighbouring multiples, two neighbouring layers combine only pairs of pixels that they also
+/// combine at one of these multiples.
 pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
     let gaps =

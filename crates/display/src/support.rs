@@ -63,7 +63,7 @@ impl Display {
 
     /// Returns the width of slopes δs per axis (x, y) over which light may be averaged. An average
     /// over this width loses no detail that the display can show far from the display plane. The
-    /// width is at most the whole field of view, which it is for a single layer.
+    /// width is at most the whole field of view. For a single layer it is the whole field of view.
     pub fn angular_footprint(&self) -> [f64; 2] {
         [0, 1].map(|axis| {
             let generators = self.generators(axis);

@@ -86,8 +86,8 @@ pub(crate) struct Scratch {
     before: Aligned,
 }
 
-/// Roots of the shares that pixel x gets from rays of a view column. `first` is for the ray that
-/// reads x first, `second` for the ray that reads x second.
+/// Roots of the shares that pixel x gets from rays of a view column. `first` is for the ray whose
+/// first pixel is x, `second` for the ray whose second pixel is x.
 struct ColumnShares {
     first: Vec<f32>,
     /// Empty if no ray reads a second pixel.
@@ -350,8 +350,8 @@ impl Kernel for SumsBetween {
     }
 }
 
-/// Adds the sum at index `at` of `from` to quantity `q`. The line under update gets the fraction 1
-/// − t, and the next line gets t.
+/// Adds the sum at index `at` of `from` to quantity `q` of two lines. The line under update gets
+/// the fraction 1 − t of the sum, and the next line gets the fraction t.
 #[inline(always)]
 unsafe fn share<V: Lanes>(
     from: &[f32],
@@ -373,7 +373,7 @@ unsafe fn share<V: Lanes>(
 }
 
 /// Buffers the terms of one view's rays, times the roots of their shares. The first entry is for
-/// the rays that read the block's pixels first, the second for the rays that read them second.
+/// rays whose first pixel is in the block, the second for rays whose second pixel is in the block.
 /// Returns the number of entries, and their Σ w (βL − L̃)² per lane.
 #[inline(always)]
 unsafe fn add_view<V: Lanes>(

@@ -151,8 +151,9 @@ pub trait Updater {
         known.then(|| objective_of(plan, self.display(), ErrorSum { weighted: left, plain: left }))
     }
 
-    /// Computes the KKT residual: the root mean square, over all values, of the change of the
-    /// emission by an exact coordinate step within the box. It is 0 at a first-order (KKT) point.
+    /// Computes the KKT residual. For every value, an exact coordinate step within the box would
+    /// change the emission by some amount. The residual is the root mean square of these amounts
+    /// over all values. It is 0 at a first-order (KKT) point.
     fn kkt_residual(&mut self) -> f64 {
         self.over_all(Rule::KktResidual)
     }

@@ -4,8 +4,9 @@
 //! contiguous. A thread thus gets successive lines as one slice, and a ray's values of all frames
 //! are near one another.
 //!
-//! Lines are padded by at least [`PAD`] values on both sides, and an extra line follows the last.
-//! Padding holds the value of a miss, so inner loops have no branch for misses.
+//! Lines are padded by at least [`PAD`] values on both sides, and an extra line follows the last
+//! line. The padding and the extra line hold the value that a ray reads if it misses the factor, so
+//! inner loops have no branch for misses.
 //!
 //! The backlight has R × C lenslets per angular bin. Its line is bin_y·R + lenslet row, and its
 //! column is bin_x·C + lenslet column. So its map is separable into lines and columns, like the map

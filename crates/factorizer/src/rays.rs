@@ -518,7 +518,7 @@ impl Windows {
 }
 
 /// Lists the rays between a line and the next line; `spare.rows` has the rows of rays. The factor
-/// under update must be [`between`](crate::map::FactorMap::between). `windows` are the lines of
+/// under update must be [`between`](crate::map::FactorMap::between). `windows` returns the lines in
 /// [`Windows`].
 ///
 /// Views without valid rays are left out, as in [`rays_through`]. For each row of rays, `ahead`

@@ -45,9 +45,9 @@ pub trait Run {
 
     /// Computes the KKT residual: the distance of the patterns from the first-order conditions.
     ///
-    /// It is the root mean square, over all values, of the change of the emission by an exact
-    /// coordinate step within the box. A step's change of the emission is √Σ w ΔL̃² over the rays
-    /// through the pixel, with weights w relative to the largest weight.
+    /// For every value, an exact coordinate step within the box would change the emission by √Σ w
+    /// ΔL̃², summed over the rays through the pixel. The residual is the root mean square of these
+    /// changes over all values. The weights w are relative to the largest weight.
     fn kkt_residual(&mut self) -> f64;
 
     /// Ends a run: sets unlit values to the darkest value that the hardware shows. Returns the KKT

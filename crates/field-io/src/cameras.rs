@@ -5,7 +5,7 @@
 //! not by row and column, since the direction of CC relative to X differs between scenes. Renderers
 //! with this scheme may append focal length and sensor width in millimetres; such cameras are
 //! parallel, and their pictures are not shifted. Row and column numbers may have gaps, for example
-//! in every third camera of a larger set.
+//! if only every third camera of a larger set is kept.
 //!
 //! `RR_CC.png`: names without centres; row 0 is the topmost, column 0 the leftmost.
 

@@ -149,9 +149,9 @@ fn write_view_as(
 /// field.
 ///
 /// A selection of whole rows and columns is a complete light field. Its index has the slopes of
-/// these rows and columns only. `info.part_of` lists these rows and columns, and the total number
-/// of each. For another selection, the index has the slopes of all views and `"partial": true`, and
-/// readers refuse the folder.
+/// these rows and columns only. `info.part_of` lists these rows and columns, and the numbers of all
+/// rows and all columns. For another selection, the index has the slopes of all views and
+/// `"partial": true`, and readers refuse the folder.
 ///
 /// # Errors
 /// If a value is not finite, or the files cannot be written.

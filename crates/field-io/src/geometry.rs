@@ -307,8 +307,8 @@ fn slopes(
     if counts == [1, 1] {
         return Ok((filled([vec![0.0], vec![0.0]]), false));
     }
-    // If the files state neither, use the default angles, with a warning. If there are no default
-    // angles, use the cameras' own slopes.
+    // If neither flags nor files state angles, use the default angles, with a warning. If there are
+    // no default angles, use the cameras' own slopes.
     if let Some(fov_deg) = defaults.fov_deg {
         let [x, y] = fov_deg;
         let mut message = format!("its views are spread over {x}° × {y}° (--fov sets the angles)");

@@ -16,8 +16,9 @@
 //! stays in place, and depth is compressed about it: content in the display plane remains there.
 //!
 //! Scaling the slopes is the same as moving all viewpoints closer together: every displacement
-//! between views shrinks by k. In oblique views it is an affine compression along the window's
-//! normal. In perspective views it is a projective one, which keeps straight lines straight.
+//! between views shrinks by k. In oblique views the effect is an affine compression along the
+//! window's normal. In perspective views it is a projective compression, which keeps straight lines
+//! straight.
 
 pub(crate) mod side;
 mod window;

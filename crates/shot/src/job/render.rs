@@ -269,8 +269,8 @@ impl RenderJob {
     }
 
     /// Number of bytes of each file of a light field that may be in memory: a quarter of
-    /// `field_mib`. At most two files are in use at a time. The other half is for views and rows
-    /// that are being processed.
+    /// `field_mib`. At most two files are in use at a time. The other half of `field_mib` is for
+    /// views and rows that are being processed.
     pub fn window_bytes(&self) -> usize {
         (self.field_mib << 18) as usize
     }
