@@ -51,7 +51,7 @@ pub struct Window {
 }
 
 impl Window {
-    /// Bytes that the system may map together with a byte that is read.
+    /// Number of bytes that the system may map together with a byte that is read.
     pub const NEIGHBOURS: usize = 64 << 10;
 
     /// Limits a mapping to `limit` bytes.
@@ -188,7 +188,7 @@ fn advise(address: usize, length: usize) {
     }
 }
 
-/// Releases all pages of a shared mapping of a file, which keeps their values.
+/// Releases all pages of a shared mapping of a file. The file keeps their values.
 fn release(start: usize, length: usize) {
     const MADV_DONTNEED: i32 = 4;
     // SAFETY: the caller of `Window::new` has promised a shared mapping

@@ -51,7 +51,7 @@ use lumistack_plot::{self as plot, Axes, Curve, PlotError};
 const MOST_COLS: usize = 96;
 /// Smallest contrast at which a grating is regarded as shown.
 pub const SHOWN: f64 = 0.5;
-/// Rays per pixel of the measures over the whole zone.
+/// Number of rays per pixel with which contrast over the whole zone is measured.
 pub const POINTS: usize = 3;
 /// The x at which sin(πx)/(πx) = ½.
 pub const HALF_SINC: f64 = 0.603;
@@ -97,9 +97,9 @@ pub struct Contrast {
 pub enum Achieved {
     /// At the rays of the target.
     AtTheViews,
-    /// Over the whole emission into the viewing zone.
+    /// The contrast over the whole emission into the viewing zone.
     InBetween,
-    /// Over the whole emission, for patterns that are solved for more views.
+    /// The contrast over the whole emission, for patterns that are solved for more views.
     WithMoreViews,
 }
 
@@ -265,8 +265,8 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     }
     if let Backlight::Lenslets(backlight) = &mut strip.backlight {
         let needed = ((width_mm + 2.0 * backlight.d_mm.abs() * half) / backlight.pitch_mm).ceil() as usize + 2;
-        // Keep the count odd or even, since a lenslet's centre lies on the axis only if the count
-        // is odd.
+        // Keep an odd count odd and an even count even, since a lenslet's centre lies on the axis
+        // only if the count is odd.
         let count = needed.min(backlight.lenslets[axis]);
         let same_parity = count + (backlight.lenslets[axis] - count) % 2;
         backlight.lenslets = [same_parity.max(1), 1];
@@ -455,8 +455,8 @@ mod tests {
     }
 
     /// Over the whole emission no display exceeds its bound by more than the frequency `alike`. Up
-    /// to this frequency, even a picture that is the same for all slopes has half contrast in a
-    /// narrow zone. At the target views, each of these displays exceeds its bound.
+    /// to this frequency, even a picture that is the same for all slopes has at least half of the
+    /// grating's contrast. At the target views, each of these displays exceeds its bound.
     #[test]
     fn the_bound_holds_for_all_that_is_emitted() {
         // The half-contrast frequency is interpolated between two measured frequencies, which

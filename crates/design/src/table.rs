@@ -292,8 +292,8 @@ pub enum Plots {
     All,
 }
 
-/// The content of a plot: a map over two axes, or curves along the first axis, one per value of the
-/// second.
+/// The content of a plot: a map over two axes, or curves along the first axis, with one curve per
+/// value of the second axis.
 enum View {
     Map(Axis, Axis),
     Curves(Axis, Option<Axis>),

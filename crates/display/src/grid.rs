@@ -5,7 +5,7 @@ use thiserror::Error;
 /// Projection of the rays of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {
-    /// Every view is a parallel projection (the paper's): one slope for all its rays.
+    /// Every view is a parallel projection, as in the paper: all its rays have one slope.
     Oblique,
     /// Every view of slope s is a pinhole at eye position e = D·s. Its ray through position x on z
     /// = 0 has slope (e − x)/D.

@@ -14,8 +14,9 @@ const VIEWS_PER_BIN: f64 = 3.0;
 /// Returns a display's native step of slopes per axis (x, y); `None` for an axis without parallax.
 /// The native step is the smallest of these changes of slope:
 ///
-/// * p / max |Δd|, which moves some layer by one pixel against the light field or the next layer,
-/// * the change that moves the rays by one bin of the backlight.
+/// * p / max |Δd|, where p is the pitch, and |Δd| a layer's distance from the display plane or from
+///   the next layer. It moves a layer by one pixel against the light field or the next layer.
+/// * The change that moves the rays by one bin of the backlight.
 ///
 /// Suppose that all layers have one pitch, and the first change is the smallest. Then every
 /// multiple of the step shifts the farthest layer, or the layers at the largest gap, by whole

@@ -24,7 +24,7 @@ use crate::depth::{cross, cutoff, width};
 
 impl Display {
     /// ω(z) along one axis (0: x, 1: y), cycles per millimetre.
-    /// [`spatial_cutoff`](Self::spatial_cutoff) returns the value of the coarser axis.
+    /// [`spatial_cutoff`](Self::spatial_cutoff) returns the smaller value of the two axes.
     pub fn spatial_cutoff_along(&self, axis: usize, z_mm: f64) -> f64 {
         cutoff(&self.generators(axis), z_mm)
     }

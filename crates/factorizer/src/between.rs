@@ -66,9 +66,10 @@ pub(crate) struct Scratch {
     spare: Spare,
     /// For each row of rays, the share of its sums that the next line gets.
     t: Vec<f32>,
-    /// The shares of every view column that has valid rays.
+    /// For every view column that has valid rays, the shares that pixels get from these rays.
     shares: Vec<ColumnShares>,
-    /// The lines of all factors that rays read, mixed to one row per row of rays.
+    /// Copies of the lines that a row of rays reads. If the rays read between two lines of a
+    /// factor, the copy is a mixture of the two lines.
     windows: Windows,
     /// For each row of rays, the index at which its entries end in the list of rows to prefetch.
     ahead: Vec<usize>,
@@ -92,7 +93,7 @@ struct ColumnShares {
     first: Vec<f32>,
     /// Empty if no ray reads a second pixel.
     second: Vec<f32>,
-    /// Range of the pixels x that valid rays read first.
+    /// Range of the pixels x that are the first pixels of valid rays.
     valid: Range<usize>,
 }
 
@@ -128,7 +129,7 @@ fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     (0..plan.maps.len()).map(of).collect()
 }
 
-/// The shares of every view column with valid rays; see [`ColumnShares`].
+/// For every view column that has valid rays, the shares that pixels get from these rays.
 fn shares(plan: &Plan, n: usize) -> Vec<ColumnShares> {
     let map = &plan.maps[n];
     let (pad, cols) = (map.layout.pad as isize, map.layout.cols());
@@ -158,7 +159,8 @@ pub(crate) struct BetweenBand<'a> {
     pub(crate) factors: &'a [Factor],
     pub(crate) functions: &'a BetweenFunctions,
     pub(crate) scratch: &'a mut Scratch,
-    /// The line that was updated last, if the rays after it have added sums for the next line.
+    /// The line that was updated last, if the rays between it and the next line have added their
+    /// sums for the next line.
     pub(crate) before: Option<LineOf>,
 }
 
@@ -211,7 +213,7 @@ impl BetweenBand<'_> {
         before[..count].fill(0.0);
         let params = SumParams { brightness: plan.target.brightness, sums: needed };
         let mut outcome = Outcome { error: std::mem::take(high_error), gain: 0.0 };
-        // If a ray reads its first pixel in the padding and pixel 0 second, begin one block
+        // If a ray's first pixel is in the padding and its second pixel is pixel 0, begin one block
         // earlier.
         let outside = shares.iter().any(|column| !column.second.is_empty() && column.valid.start < layout.pad);
         let first = if outside { layout.pad - lanes } else { layout.pad };
@@ -511,7 +513,8 @@ impl Reads<'_> {
     }
 }
 
-/// Interpolates between the values at `from` and the values one further, at the fraction `t`.
+/// Interpolates, at the fraction `t`, between the values from `from` on and the values one place
+/// further.
 #[inline(always)]
 unsafe fn between_pixels<V: Lanes>(from: *const f32, t: f32) -> V {
     // SAFETY: guaranteed by the caller

@@ -31,7 +31,9 @@ pub struct Layout {
     pub(crate) pad: usize,
     /// Distance of the rows of successive frames, in values.
     pub(crate) stride: usize,
-    /// Value of rays that miss the factor: 1 for a layer, 0 for a backlight's bins.
+    /// Value that rays read if they miss the factor:
+    /// [`Formation::neutral`](lumistack_display::Formation::neutral) for a layer, 0 for a
+    /// backlight.
     pub(crate) outside: f32,
 }
 

@@ -238,8 +238,8 @@ pub(crate) struct RowOfRays {
 }
 
 impl Spare {
-    /// For every listed row of rays, mixes the two lines of each factor that it reads between
-    /// lines. `mixes` selects the factors.
+    /// For every listed row of rays, and every factor that these rays read between two lines, mixes
+    /// the two lines. `mixes` selects the factors.
     pub(crate) fn mix_lines(&mut self, plan: &Plan, factors: &[Factor], channel: usize, mixes: impl Fn(usize) -> bool) {
         let mut end = 0;
         for &RowOfRays { view_y, row } in &self.rows {

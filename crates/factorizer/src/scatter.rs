@@ -124,7 +124,8 @@ pub(crate) struct ScatterBand<'a> {
     pub(crate) factors: &'a [Factor],
     pub(crate) functions: &'a ScatterFunctions,
     pub(crate) scratch: &'a mut Scratch,
-    /// The line that was updated last, if the rays after it have added sums for the next line.
+    /// The line that was updated last, if the rays between it and the next line have added their
+    /// sums for the next line.
     pub(crate) before: Option<LineOf>,
 }
 

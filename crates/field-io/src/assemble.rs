@@ -44,7 +44,7 @@ pub struct LeftOut {
 pub struct Reading<'a> {
     /// The display's footprint. It is needed only if [`GeometryFlags::prefilter`] is set.
     pub footprint: Option<Footprint<'a>>,
-    /// Greatest number of views, among those between the kept ones, that are read too.
+    /// Largest number of views between the kept views that are read too.
     pub most_left_out: usize,
     /// Decides whether the light field is kept in a file. `None` keeps every light field in memory.
     pub paging: Option<Paging<'a>>,
@@ -150,7 +150,7 @@ pub(crate) fn assemble(
     Ok((all.finish(&path)?, left_out))
 }
 
-/// Up to `most` views between the kept ones, with their slopes, evenly spread.
+/// Returns up to `most` evenly spread views between the kept views, with their slopes.
 fn left_out(
     source: &Source,
     picks: &[Vec<usize>; 2],

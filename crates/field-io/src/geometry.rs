@@ -360,8 +360,8 @@ fn differ(own: f64, given: f64) -> bool {
     (own - given).abs() > 1e-6 * own.abs().max(given.abs()) + 1e-9
 }
 
-/// Full angle of the views, including half a bin outside of the first and of the last; 0 for one
-/// view.
+/// Full angle of the views, including half a bin past the first view and past the last view; 0 for
+/// one view.
 pub(crate) fn full_angle_deg(slopes: &[f64]) -> f64 {
     match slopes {
         [first, .., last] => {

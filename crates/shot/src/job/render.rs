@@ -54,7 +54,8 @@ pub struct RenderJob {
 /// Paths per pixel, summed over all views: `"auto"` or a number in files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ZoneSamples {
-    /// As many as improve the display's picture, measured on small regions of it.
+    /// As many paths as improve the display's picture. The number is measured on small regions of
+    /// the picture.
     #[default]
     Auto,
     /// A fixed number, 1 to 2²⁴.
