@@ -432,7 +432,7 @@ mod tests {
         assert!((many.bound - 2.0 * 40.0 / (40.0 + 80.0)).abs() < 1e-9);
     }
 
-    /// The paper's Figure 11, over the whole emission: a layer in front of integral imaging
+    /// The paper's Figure 11, over the whole emission. A layer in front of integral imaging
     /// improves the contrast on the display plane even with a single frame. Off the display plane
     /// the layer needs more than one frame.
     #[test]

@@ -2,8 +2,8 @@
 //! assumptions about a display.
 //!
 //! Directions are slopes (d_r = 1). A layer's highest frequency is ω0 = 1/(2p), and one of A
-//! angular bins has the width Δs = (2/A) tan(α/2). Δd is the distance of neighbouring layers, and z
-//! is the depth.
+//! angular bins has the width Δs = (2/A) tan(α/2). Neighbouring layers are Δd apart, and z is the
+//! depth.
 //!
 //! ```text
 //! (23) lens array               1/(2Δx)          if |z| ≤ Δx/Δs,                  else 1/(2|z|Δs)

@@ -73,8 +73,8 @@ pub(crate) struct Scratch {
     windows: Windows,
     /// For each row of rays, the index at which its entries end in the list of rows to prefetch.
     ahead: Vec<usize>,
-    /// For each factor k, the smallest and the largest difference between two columns that a ray
-    /// reads: its column of factor k minus its column of the factor under update.
+    /// A ray reads a column of every factor. For each factor k, this has the smallest and the
+    /// largest value of its column minus the column of the factor under update.
     spread: Vec<[isize; 2]>,
     /// The sums for the pixels of a part of the line under update, `[quantity][column]`.
     low: Aligned,
@@ -118,8 +118,8 @@ impl Scratch {
     }
 }
 
-/// For each factor k, the smallest and the largest difference between two columns that a ray reads:
-/// its column of factor k minus its column of factor `n`.
+/// A ray reads a column of every factor. For each factor k, returns the smallest and the largest
+/// value of its column minus the column of factor `n`.
 fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     let distances = |k: usize| {
         let both = plan.maps[k].x.iter().zip(&plan.maps[n].x);

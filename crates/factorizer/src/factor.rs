@@ -5,7 +5,7 @@
 //! are near one another.
 //!
 //! Lines are padded by at least [`PAD`] values on both sides, and an extra line follows the last
-//! line. The padding and the extra line hold the value that a ray reads if it misses the factor, so
+//! line. The padding and the extra line hold the value that rays read if they miss the factor. So
 //! inner loops have no branch for misses.
 //!
 //! The backlight has R × C lenslets per angular bin. Its line is bin_y·R + lenslet row, and its

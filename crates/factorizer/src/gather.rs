@@ -49,9 +49,9 @@
 //! * The sums of one view in a block take 45 to 54 cycles. If no load straddles cache lines, they
 //!   take 48 instead of 54. If in addition all view rows read one line, they take 38. With
 //!   everything in the first-level cache they would take 26.
-//! * Three other versions took longer per view and block: 63 cycles with aligned loads and a
-//!   permutation, and 58 to 75 cycles with sums over one to three view rows at a time. Lines in the
-//!   order of a view's shift took 60 cycles.
+//! * Three other versions took longer per view and block. Aligned loads with a permutation took 63
+//!   cycles. Sums over one to three view rows at a time took 58 to 75 cycles. Lines in the order of
+//!   a view's shift took 60 cycles.
 //! * These changes had no effect: tiles of fewer columns, vectors of AVX2 with the registers of
 //!   AVX-512, and two independent chains of additions for the sum over frames.
 //! * A single function for all cases, inlined, was 400 kB of code and took four times as long to

@@ -334,8 +334,8 @@ impl<'a> Left<'a> {
 }
 
 /// Distance from one frame to the next frame in the row that rays of a view column read from factor
-/// `k`: the factor's own distance, or the distance in an expanded row if the view column needs such
-/// a row.
+/// `k`. If the view column needs an expanded row, it is the distance in this row. Otherwise it is
+/// the factor's own distance.
 fn stride_of(plan: &Plan, k: usize, view_x: usize) -> usize {
     if plan.maps[k].x[view_x].shift.is_some() { plan.maps[k].layout.stride } else { expanded_stride(plan) }
 }
@@ -517,13 +517,13 @@ impl Windows {
     }
 }
 
-/// Lists the rays between a line and the next line; `spare.rows` has the rows of rays. The factor
-/// under update must be [`between`](crate::map::FactorMap::between). `windows` returns the lines in
-/// [`Windows`].
+/// Lists the rays between a line and the next line, for every row of rays in `spare.rows`. The
+/// factor under update must be [`between`](crate::map::FactorMap::between). Views without valid
+/// rays are left out, as in [`rays_through`].
 ///
-/// Views without valid rays are left out, as in [`rays_through`]. For each row of rays, `ahead`
-/// gets the index at which its entries end in the list of rows to prefetch. Lines in windows have
-/// no entries.
+/// `windows(k)` points to the line of factor `k` in [`Windows`]. One list has the rows to prefetch
+/// for all rows of rays. For each row of rays, `ahead` gets the index at which its part of this
+/// list ends. Lines in [`Windows`] are not in the list.
 pub(crate) fn rays_between<'a>(
     mut rays: LineRays<'a>,
     plan: &'a Plan,

@@ -36,9 +36,9 @@ pub struct RenderJob {
     /// `point`: rays at the view's slope. `bin`: rays spread over the view's bin. `display`: rays
     /// spread over a range of slopes that the display cannot resolve far from itself.
     pub angular_filter: AngularFilter,
-    /// Aperture of a lens that is focused on the display plane: the full angle, in degrees, at
-    /// which a point of the plane sees the lens; 0 for a pinhole. Content off the plane blurs. It
-    /// excludes `angular_filter`.
+    /// Aperture of a lens that is focused on the display plane: the full angle at which a point of
+    /// the plane sees the lens, degrees. 0 is a pinhole. Content off the plane blurs. It excludes
+    /// `angular_filter`.
     pub lens_deg: f64,
     /// Filter that removes noise from finished views, at the price of a bias that the report
     /// states.
@@ -63,8 +63,8 @@ pub enum ZoneSamples {
 }
 
 impl ZoneSamples {
-    /// Number of paths if it is not measured: for filters that compare halves, views by Blender,
-    /// and estimates.
+    /// Number of paths if the number is not measured. It is not measured for filters that compare
+    /// two halves of the paths, for views that Blender renders, and for estimates.
     const UNMEASURED: u32 = 800;
     /// Largest allowed number of paths.
     const MOST: u32 = 1 << 24;
