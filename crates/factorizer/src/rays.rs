@@ -172,8 +172,8 @@ impl LineRays<'_> {
         &self.others[view * self.others_per_view..(view + 1) * self.others_per_view]
     }
 
-    /// Prefetches the values at x of listed rows: of the rows that are assigned to no view if
-    /// `by_views` is true, otherwise of all rows.
+    /// Prefetches the values at x of all listed rows. If `by_views` is true, leaves out the rows
+    /// that are assigned to views.
     #[inline(always)]
     pub(crate) fn prefetch_rest(&self, x: usize, by_views: bool) {
         for row in &self.ahead[if by_views { (PREFETCHED * self.views.len()).min(self.ahead.len()) } else { 0 }..] {
@@ -238,8 +238,8 @@ pub(crate) struct RowOfRays {
 }
 
 impl Spare {
-    /// For every listed row of rays, mixes the two lines of each factor that it reads between
-    /// lines. `mixes` selects the factors.
+    /// For every listed row of rays, and every factor that these rays read between two lines, mixes
+    /// the two lines. `mixes` selects the factors.
     pub(crate) fn mix_lines(&mut self, plan: &Plan, factors: &[Factor], channel: usize, mixes: impl Fn(usize) -> bool) {
         let mut end = 0;
         for &RowOfRays { view_y, row } in &self.rows {
@@ -334,7 +334,8 @@ impl<'a> Left<'a> {
 }
 
 /// Distance from one frame to the next frame in the row that rays of a view column read from factor
-/// `k`: the factor's own distance, or that of an expanded row if the view column needs one.
+/// `k`. If the view column needs an expanded row, it is the distance in this row. Otherwise it is
+/// the factor's own distance.
 fn stride_of(plan: &Plan, k: usize, view_x: usize) -> usize {
     if plan.maps[k].x[view_x].shift.is_some() { plan.maps[k].layout.stride } else { expanded_stride(plan) }
 }
@@ -516,13 +517,13 @@ impl Windows {
     }
 }
 
-/// Lists the rays between a line and the next line; `spare.rows` has the rows of rays. The factor
-/// under update must be [`between`](crate::map::FactorMap::between). `windows` are the lines of
-/// [`Windows`].
+/// Lists the rays between a line and the next line, for every row of rays in `spare.rows`. The
+/// factor under update must be [`between`](crate::map::FactorMap::between). Views without valid
+/// rays are left out, as in [`rays_through`].
 ///
-/// Views without valid rays are left out, as in [`rays_through`]. For each row of rays, `ahead`
-/// gets the index at which its entries end in the list of rows to prefetch. Lines in windows have
-/// no entries.
+/// `windows(k)` points to the line of factor `k` in [`Windows`]. One list has the rows to prefetch
+/// for all rows of rays. For each row of rays, `ahead` gets the index at which its part of this
+/// list ends. Lines in [`Windows`] are not in the list.
 pub(crate) fn rays_between<'a>(
     mut rays: LineRays<'a>,
     plan: &'a Plan,

@@ -108,8 +108,8 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                     // curvature. Add the rest of the curvature to the diagonal.
                     if !bounded {
                         if local {
-                            // with u = f/M, the second term of the curvature is at most (π²/2) M
-                            // |e|, since |cos| ≤ 1
+                            // with u = f/M, the part of the curvature that contains e is at most
+                            // (π²/2) M |e|, since |cos| ≤ 1
                             let most = FRAC_PI_2 * PI * frames as f32;
                             curvature.iter_mut().zip(&*e).for_each(|(value, e)| *value = most * e.abs());
                         }
