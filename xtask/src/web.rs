@@ -19,7 +19,7 @@ struct Module {
     package: &'static str,
     /// Features of the package.
     features: &'static str,
-    /// Name of the module and of the files around it.
+    /// Name of the module. The names of the module's files begin with it.
     name: &'static str,
     profile: &'static str,
     /// True if the standard library is compiled for this module without the messages of panics,

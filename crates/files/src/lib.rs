@@ -2,9 +2,9 @@
 //!
 //! A name may stand for anything: a device that never ends, a pipe without a writer, a file of
 //! terabytes, a secret in another folder. Here only regular files are opened, and their size is
-//! compared with a limit before the first byte is read. A [`Folder`] keeps the names that a file
-//! contains inside the folder of that file. Every reader of the workspace that has a path goes
-//! through this crate.
+//! compared with a limit before the first byte is read. A file may contain names of other files. A
+//! [`Folder`] refuses names that lead out of the folder of the file that contains them. Every
+//! reader of the workspace that has a path goes through this crate.
 //!
 //! A web page has no file system. Files that were dropped on the page are held in memory (`hold`),
 //! and the same readers read them.
@@ -55,14 +55,16 @@ pub fn is_file(path: &Path) -> bool {
 
 /// Returns whether the path leads to a folder.
 ///
-/// # Errors If no file or folder has this path.
+/// # Errors
+/// If no file or folder has this path.
 pub fn is_folder(path: &Path) -> io::Result<bool> {
     system::is_folder(path)
 }
 
 /// Paths of all entries of a folder, sorted.
 ///
-/// # Errors If the folder cannot be listed.
+/// # Errors
+/// If the folder cannot be listed.
 pub fn list(folder: &Path) -> io::Result<Vec<PathBuf>> {
     system::list(folder)
 }

@@ -41,7 +41,7 @@ pub(crate) struct Measured {
     pub(crate) has_dropped_rays: bool,
 }
 
-/// SSIM and FLIP over those directions of the zone that have reference pictures.
+/// SSIM and FLIP over the directions of the zone that have reference pictures.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ZoneLooks {
     pub(crate) ssim: Mean,
@@ -117,7 +117,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     })
 }
 
-/// Returns the scores of those directions of the zone that have reference pictures. Adds the worst
+/// Returns the scores of the directions of the zone that have reference pictures. Adds the worst
 /// direction and then the median direction to `shown`.
 fn zone_looks(judge: &Judge, zone: &ZoneFigures, shown: &mut Vec<Shown>) -> ZoneLooks {
     let mut views: Vec<_> = zone.views.par_iter().map(|view| (view, judge.zone_view(view))).collect();

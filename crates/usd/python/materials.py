@@ -251,7 +251,8 @@ class Graph:
             "bias": [0.0] * count,
             "fallback": back,
             "wrap": [ADDRESS_MODES.get(mode, "repeat") for mode in modes],
-            # MaterialX converts a picture only if the input names a colour space, and only colours.
+            # MaterialX converts only colours, and converts them only if the input names a colour
+            # space.
             "color_space": self.color_space(shader, "raw") if "color" in kind else "raw",
         }
         texture["primvar"], transform = self.coordinates(shader.GetInput("texcoord"), 0)
@@ -280,8 +281,8 @@ class Graph:
         return {"texture": rescaled(texture, [scale[0], scale[1], 1.0], [0.0] * 3)}
 
     def operation(self, shader, kind, output):
-        """Arithmetic of MaterialX on constants, and on textures if the result is a scale and a
-        bias."""
+        """Computes the result of a MaterialX node of arithmetic. Its inputs may be constants. They
+        may be textures if the result is a texture with another scale and bias."""
         parts = kind[3:].split("_")
         name, count = parts[0], SIZES.get(parts[-1].replace("FA", ""), 3)
         if name == "convert":

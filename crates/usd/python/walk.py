@@ -156,7 +156,7 @@ def choose_variants(stage, wanted, writer):
 
 
 def contents(stage):
-    """Returns the choices that the file offers, and the size of its content."""
+    """Returns the choices that the file offers, and its numbers of prims, meshes and points."""
     sets = [
         {"place": "%s{%s}" % (prim.GetPath(), name), "choices": list(choices), "selected": selection}
         for prim, name, choices, selection in variant_sets(stage)
@@ -231,8 +231,8 @@ class Walker:
     # Prims
 
     def frame(self, root, predicate, children_only=False):
-        """All visible content of a prim and its descendants: (kind, payload, links). The links lead
-        to the space of the prim's parent."""
+        """Returns all visible content of a prim and its descendants, each piece as (kind, payload,
+        links). The links transform the piece to the space of the prim's parent."""
         placed = []
         info = UsdGeom.Imageable(root).ComputePurposeInfo() if not root.IsPseudoRoot() else None
         todo = [(root, IDENTITY, info)]
@@ -376,8 +376,8 @@ class Walker:
         return self.frames[key]
 
     def is_unlike_others(self, prim):
-        """True if instances of one prototype may have different content: by collection bindings of
-        an ancestor, or by a skeleton outside of the prototype."""
+        """True if instances of one prototype may have different content. They may, if a collection
+        of an ancestor binds materials, or if a skeleton is outside of the prototype."""
         while prim and not prim.IsPseudoRoot():
             if prim.IsA(UsdSkel.Root) or any("material:binding:collection" in name for name in prim.GetPropertyNames()):
                 return True
@@ -424,7 +424,8 @@ class Walker:
         return placed
 
     def put_preferred_camera_first(self):
-        """Moves the camera that some programs record as preferred to the start of the list."""
+        """Moves the preferred camera, which some programs record in the file, to the start of the
+        list."""
         settings = self.stage.GetRootLayer().customLayerData.get("cameraSettings")
         preferred = settings.get("boundCamera") if isinstance(settings, dict) else None
         self.writer.cameras.sort(key=lambda entry: entry["place"] != preferred)

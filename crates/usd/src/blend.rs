@@ -85,7 +85,8 @@ pub struct BlendAccount {
     pub files: Vec<PathBuf>,
     /// Files to which the scene refers, but which do not exist.
     pub missing: Vec<PathBuf>,
-    /// Input of the scene, other than `files`, whose changes cannot be detected.
+    /// Description of an input of the scene that is not in `files`, so that its changes cannot be
+    /// detected. `None` if all inputs are files.
     pub untracked: Option<String>,
     /// Content that could not be exported: place and message.
     pub warnings: Vec<(String, String)>,

@@ -7,9 +7,9 @@
 //!
 //! Each call of [`Work::advance`] computes one piece, such as a view or an iteration of the solver.
 //! The first pieces compute noisy views of a few directions, and patterns for these views. Later
-//! pieces render all views with all their samples; three times meanwhile they solve for the views
-//! that exist. The last views and patterns are those that the command computes for the same job.
-//! [`patterns`] encodes patterns for the viewer, and as a zip for the command.
+//! pieces render all views with all their samples. Meanwhile, three times, they solve for the views
+//! that are already rendered. The last views and patterns are those that the command computes for
+//! the same job. [`patterns`] encodes patterns for the viewer, and as a zip for the command.
 
 mod decoders;
 mod error;

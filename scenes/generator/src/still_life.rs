@@ -20,7 +20,7 @@ pub(crate) const WINDOW: Window = Window { pitch_rad: 24.0 * std::f64::consts::P
 
 /// Height of the floor, metres.
 const FLOOR_Y: f64 = -0.09;
-/// Depth of the edge between floor and wall, on the display, metres.
+/// Depth at which a display shows the edge between floor and wall, metres.
 const WALL_DEPTH: f64 = -0.17;
 /// Side of one check of the floor.
 const CHECK_M: f64 = 0.032;

@@ -37,8 +37,8 @@ const fn target(triple: &'static str, debian: Option<&'static str>) -> Target {
     Target { triple, debian }
 }
 
-/// The target of Windows that Linux can build, with the linker of mingw. Releases have Microsoft's
-/// instead, which needs Windows; this one is for tests with Wine.
+/// The target of Windows that Linux can build, with the linker of mingw. This target is for tests
+/// with Wine. Releases are for Microsoft's target, whose linker needs Windows.
 pub const MINGW: &str = "x86_64-pc-windows-gnu";
 
 /// All targets.
@@ -112,8 +112,8 @@ fn builders() -> Outcome<PathBuf> {
 ///
 /// Cargo compiles every dependency again if the path of the linker changes. cargo-zigbuild and
 /// maturin would use linkers at different paths. So this function writes one linker file, which
-/// both use. Builds for all targets link the macros and build scripts, which run on this machine,
-/// by this machine's file.
+/// both use. Macros and build scripts run on this machine, so builds for every target link them by
+/// the linker file of this machine.
 fn link_by_zig(builder: &mut Command, python: &Path, target: &Target) -> Outcome {
     let host = host()?;
     if host.is_linux() {

@@ -45,7 +45,8 @@ pub fn replace(builder: &mut Command) -> Outcome {
 /// Checks files, which are given by name and content.
 ///
 /// # Errors
-/// If a file contains the path of one of the folders; the message quotes the first.
+/// If a file contains a path inside one of the folders; the message quotes the first path that is
+/// found.
 pub fn check<'a>(mut files: impl Iterator<Item = (&'a str, &'a [u8])>) -> Outcome {
     let folders = folders()?;
     files.try_for_each(|(name, bytes)| check_bytes(name, bytes, &folders))

@@ -102,7 +102,8 @@ pub(crate) fn level_for(corner_count: usize) -> u32 {
 /// Returns the largest number of levels, up to `wanted`, that gives at most `most_triangles`
 /// triangles.
 fn affordable_level(corner_count: usize, wanted: u32, most_triangles: usize) -> u32 {
-    // a corner becomes a quadrilateral of two triangles; each further level makes four of each
+    // each corner becomes a quadrilateral of two triangles; each further level cuts a quadrilateral
+    // into four
     (1..=wanted).rev().find(|&level| corner_count.saturating_mul(2 << (2 * (level - 1))) <= most_triangles).unwrap_or(0)
 }
 

@@ -7,8 +7,8 @@ use std::f64::consts::TAU;
 
 use super::topology::{Edge, Rule, Topology, weaker};
 
-/// Weight of the midpoint of a triangle in the value of an edge's child, with the triangle rule
-/// "smooth".
+/// Weight that the midpoint of a triangle has in the child vertex of one of its edges, if the mesh
+/// has the triangle rule "smooth".
 const SMOOTH_TRIANGLE_WEIGHT: f64 = 0.47;
 
 /// Weights by which values of a level (the parents) give values of the next level (the children).
@@ -79,8 +79,8 @@ pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Sten
             }
         });
     }
-    // Add the children of edges. On a crease, a child is the edge's midpoint. Elsewhere the
-    // midpoints of the two faces are averaged in.
+    // Add the children of edges. On a crease, a child is the edge's midpoint. Elsewhere the child
+    // is a weighted mean of the edge's ends and the midpoints of its two faces.
     for edge in &topology.edges {
         let crease = if edge.joined { f64::from(edge.sharpness.min(1.0)) } else { 1.0 };
         let faces = edge.corners.map(|corner| topology.face_of_corner.get(corner as usize));
@@ -104,8 +104,8 @@ pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Sten
     stencils
 }
 
-/// Returns the stencils of one level of Loop's scheme, with his own weights for vertices without
-/// six neighbours.
+/// Returns the stencils of one level of Loop's scheme, with the weights of Loop's thesis for
+/// vertices that do not have six neighbours.
 pub(super) fn loop_scheme(topology: &Topology) -> Stencils {
     let mut stencils = Stencils::with_capacity(topology.vertex_count + topology.edges.len());
     for vertex in 0..topology.vertex_count as u32 {

@@ -162,8 +162,8 @@ fn materialx_nodes_become_scale_and_bias() {
     assert_eq!(found.roughness, 0.625);
 }
 
-/// Checks normal maps behind nodes that other programs insert between a map and the surface. Every
-/// such node that is tested keeps the map.
+/// Other programs insert nodes between a normal map and the surface. The test checks that the map
+/// still arrives at the surface through each kind of node.
 #[test]
 fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     const SHADERS: &str = r#"

@@ -77,8 +77,8 @@ class Window:
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
 
     def as_job(self) -> dict[str, object]:
-        """The window as [window] of a job, in the coordinates of an exported glTF file: there,
-        Blender's point (x, y, z) is (x, z, -y)."""
+        """Returns the window as the table [window] of a job. Coordinates are those of an exported
+        glTF file, in which Blender's point (x, y, z) is (x, z, -y)."""
         forward = _times(self.back, -1.0)
         return {
             "from": "given",

@@ -263,7 +263,7 @@ def _strength(power: Sequence[float], over: float = 1.0) -> dict[str, object]:
 
 
 def ball(radius: float) -> tuple[list[list[float]], list[list[int]]]:
-    """Returns a ball of triangles. Its area is that of the exact sphere, so that it emits the same
+    """Returns a ball of triangles. It has the area of the exact sphere, so it emits the same
     power."""
     columns = 2 * RINGS
     positions = [[0.0, 0.0, radius]]
