@@ -155,13 +155,14 @@ impl From<io::Error> for Refusal {
 }
 
 impl Folder {
-    /// The folder of `file`, for names that may leave it.
+    /// Returns the folder of `file`. Names in the file may lead out of this folder.
     pub fn anywhere(file: &Path) -> Self {
         Self { base: file.parent().unwrap_or(Path::new("")).to_owned(), inside: Vec::new() }
     }
 
-    /// The folder of `file`, for names that may not leave it, neither by `..` nor by a link. If the
-    /// file is a link, names may also lead into the folder of its target.
+    /// Returns the folder of `file`. Names in the file may not lead out of this folder, neither by
+    /// `..` nor by a link. If the file is a link, names may also lead into the folder of its
+    /// target.
     ///
     /// # Errors
     /// If the file does not exist.
@@ -177,12 +178,12 @@ impl Folder {
         Ok(Self { inside, ..anywhere })
     }
 
-    /// The path of a name, without a check.
+    /// Returns the path to which a name leads. The path may be outside of the folder.
     pub fn path_of(&self, name: impl AsRef<Path>) -> PathBuf {
         self.base.join(name)
     }
 
-    /// The path of a name, after a check that it does not leave the folder.
+    /// Returns the path to which a name leads, after a check that the path is inside the folder.
     ///
     /// # Errors
     /// If the name leads out of the folder, or to no file.

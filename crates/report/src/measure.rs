@@ -89,8 +89,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let held_out = others(input.held_out, between)?;
     let outside = others(input.outside, grid.outside(1))?;
     let errors = |views: &[Shown]| picture::amplification(views.iter().flat_map(|view| view.errors.iter().flatten()));
-    // Held-out views are often far worse than target views. They have a scale of their own, since a
-    // common scale would hide differences of target views.
+    // Held-out views are often far worse than target views. So the pictures of their errors have an
+    // amplification of their own. A common amplification would hide the errors of target views.
     let (amplification, other_amplification) = (errors(&shown[..targets]), errors(&shown[targets..]));
     let sizes: Vec<_> = shown.iter().flat_map(|view| [(view.simulated.rows, view.simulated.cols); 4]).collect();
     let (headline_shrunk, rows_shrunk) =

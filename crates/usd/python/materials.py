@@ -116,7 +116,8 @@ def widened(values, count):
 
 
 def fallback(found, count):
-    """The replacement for an unknown calculation: its input if this is constant, or else None."""
+    """Returns the replacement for a calculation that is not supported: its input if the input is
+    constant, otherwise None."""
     return None if found is None or "value" not in found else constant(widened(found["value"], count))
 
 
@@ -131,7 +132,9 @@ class Graph:
     # Inputs
 
     def producer(self, given):
-        """Source of an input: (constant attribute, None, None) or (None, shader, output name)."""
+        """Returns the source of an input as (attribute, shader, output name). A constant has only
+        the attribute. A connected shader has only shader and output name. All are None without a
+        source."""
         if not given:
             return None, None, None
         found = UsdShade.Utils.GetValueProducingAttributes(given)
@@ -391,7 +394,7 @@ class Graph:
             values = widened(found["value"], count)
             length = math.sqrt(sum(value * value for value in values))
             return constant([value / length for value in values] if length > 0.0 else values)
-        # Only the direction of a normal map matters, not its length.
+        # The map needs no change, since its length is ignored and only its direction has an effect.
         return found
 
     def do_transformnormal(self, shader, count, output):
@@ -448,8 +451,8 @@ class Graph:
         textures = [found["texture"] for found in parts if "texture" in found]
         if not textures:
             return constant([found["value"][0] for found in parts]) if all("value" in found for found in parts) else None
-        # Channels of one picture with the same texture coordinates become one texture. An example
-        # is a normal map with inverted green.
+        # If all channels come from one picture with equal texture coordinates, they become one
+        # texture. An example is a normal map whose green channel is inverted.
         first = textures[0]
         shared = ("image", "wrap", "color_space", "primvar", "transform")
         if any(texture[key] != first[key] for texture in textures for key in shared):

@@ -1,9 +1,9 @@
 """Converts a stage to a scene package: visible prims at a time, their transforms and materials.
 
 Prototypes of native instancing and of point instancers are read once. A placement is a chain of
-links, innermost first: a point is transformed by the links from left to right (`p' = p · M`, row
-vectors as in USD). A link is one matrix, or an array of matrices, which makes one copy per matrix.
-"""
+links, the innermost first. The links transform a point one after another, from left to right (`p' =
+p · M`, row vectors as in USD). A link is one matrix, or an array of matrices, which makes one copy
+per matrix. """
 
 import array
 import os
@@ -221,7 +221,8 @@ class Walker:
         self.writer.instances.append({"geometry": index, "materials": list(bound), "chain": chain})
 
     def single(self, kind, entry, links):
-        """Adds a light or a camera. One inside a point instancer is left out with a warning."""
+        """Adds a light or a camera. A light or camera inside a point instancer is left out with a
+        warning."""
         if len(links) != 1:
             self.writer.warn(entry["place"], "a %s inside a point instancer is left out" % kind)
             return
@@ -302,7 +303,8 @@ class Walker:
         return ("light", light) if light else None
 
     def geometry(self, prim):
-        """Index of a shape, and its subsets with materials; a shape in a prototype is read once."""
+        """Returns the index of a shape in the package, and the shape's subsets of faces that have
+        their own materials. A shape in a prototype is read once."""
         key = (source(prim).GetPath(), self.inherited_primvars(prim), self.skeletons.key(prim))
         if key not in self.geometries:
             if prim.IsA(UsdGeom.Mesh):

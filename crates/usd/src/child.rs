@@ -35,7 +35,7 @@ pub const MODULES: [(&str, &str); 9] = [
 const BOOT: &str = include_str!("../python/boot.py");
 /// Time between two checks of a running child process.
 const POLL: Duration = Duration::from_millis(5);
-/// Number of bytes that are kept of a child's standard error. They are the last ones.
+/// Number of bytes at the end of a child's standard error that are kept.
 const SAID: usize = 16 << 10;
 
 /// The task of the walker, which it reads as JSON.

@@ -23,8 +23,8 @@ use crate::polygons::{self, Corner, Interpolation, Polygons, UvNames};
 use crate::texture::Textures;
 use crate::{mesh, refine, shapes, splats};
 
-/// Largest number of instances of meshes and clouds. Nested copies in a small file can request any
-/// number.
+/// Largest number of instances of meshes and clouds. Nested copies in a small file could request
+/// any number, so the number is limited.
 const MOST_INSTANCES: usize = 1 << 26;
 /// Albedo of a surface without a material and without a display colour, as in UsdPreviewSurface.
 const GREY: f32 = 0.18;

@@ -273,7 +273,8 @@ impl Document {
 
     fn add_index_view(&mut self, indices: &[u32], target: Option<u32>) -> (usize, u32) {
         let short: Option<Vec<u16>> = indices.iter().map(|&i| u16::try_from(i).ok()).collect();
-        // glTF reserves the 16-bit index 65535 (primitive restart), so with it use 32 bits.
+        // glTF reserves the 16-bit index 65535 (primitive restart), so a list that contains 65535
+        // has 32-bit indices.
         match short.filter(|values| !values.contains(&u16::MAX)) {
             Some(values) => {
                 let bytes = values.into_iter().flat_map(u16::to_le_bytes).collect();

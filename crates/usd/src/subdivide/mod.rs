@@ -123,7 +123,7 @@ pub(crate) struct Refinement {
     sources: Vec<Option<u32>>,
 }
 
-/// Values, with an index of a value for each corner of [`Refinement::faces`].
+/// A list of values. Each corner of [`Refinement::faces`] has the index of its value in the list.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Indexed {
     /// The values, each with as many numbers as the input's values.
@@ -181,7 +181,8 @@ impl Refinement {
         (0..self.finest.face_count() as u32).filter(|&face| self.sources[face as usize].is_some())
     }
 
-    /// Vertices of each refined face, with the face of the input that contains it.
+    /// Returns, for each refined face, the index of the input's face that contains it, and the
+    /// refined face's vertices.
     pub(crate) fn faces(&self) -> impl Iterator<Item = (u32, &[u32])> {
         self.shown().filter_map(|face| Some((self.sources[face as usize]?, self.finest.face_vertices(face))))
     }

@@ -163,8 +163,8 @@ pub(super) fn other_end(edge: &Edge, vertex: u32) -> u32 {
     edge.ends[usize::from(edge.ends[0] == vertex)]
 }
 
-/// Adds the child of a vertex. If a sharpness at the vertex ends within this level, the rules of
-/// this level and of the next are blended.
+/// Adds the child of a vertex. If a sharpness at the vertex falls to 0 within this level, the rules
+/// of this level and of the next level are blended.
 fn child_vertex(stencils: &mut Stencils, topology: &Topology, vertex: u32, smooth: impl Fn(&mut Stencils, f64)) {
     let mut add = |rule: Rule, weight: f64| match rule {
         Rule::Smooth => smooth(stencils, weight),

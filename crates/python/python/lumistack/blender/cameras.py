@@ -1,6 +1,6 @@
 """The window in a scene, and Blender's camera for every view through it.
 
-The view of slope s shows, at the point (x, y) of the plane z = 0, the content on the line (x, y, 0)
+At the point (x, y) of the plane z = 0, the view of slope s shows the content on the line (x, y, 0)
 + z (s, 1).
 
     oblique        all rays of a view have its slope: an orthographic camera with a sheared matrix,

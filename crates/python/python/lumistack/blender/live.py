@@ -145,7 +145,7 @@ class Live(Program):
         self._threads = [threading.Thread(target=each, args=args, name="lumistack live", daemon=True) for each, args in reads]
         for thread in self._threads:
             thread.start()
-        # So the program also ends if its caller crashes.
+        # The end of the program's standard input stops it, so it also ends if its caller crashes.
         self.send(stop_at_end=True)
 
     @property
