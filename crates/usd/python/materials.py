@@ -274,8 +274,8 @@ class Graph:
         found = self.get(shader, "in")
         if found is None or "texture" not in found:
             return None
-        # With the space "object" the node only decodes the picture. UsdPreviewSurface expects that
-        # decoded vector in tangent space, so for it both spaces mean the same.
+        # With the space "object" the node only decodes the picture. UsdPreviewSurface reads a
+        # decoded vector as tangent space, so for this shader the two spaces do not differ.
         if self.text(shader, "space", "tangent") != "tangent" and self.model != "UsdPreviewSurface":
             self.writer.warn(shader.GetPath(), "normal maps in object space are not supported; this one is left out")
             return None

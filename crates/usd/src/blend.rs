@@ -236,7 +236,7 @@ struct Failure {
 
 /// The failure of one Blender, or of one Python with bpy.
 enum Failed {
-    /// This program cannot read the file, so the next one is tried, if there is one.
+    /// This program cannot read the file. The next program is tried, if one remains.
     Unfit(String),
     Final(UsdError),
 }

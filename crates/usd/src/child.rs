@@ -67,7 +67,7 @@ impl Answer {
 
 /// The failure of one Python.
 enum Failed {
-    /// This Python cannot read USD files, so the next one is tried, if there is one.
+    /// This Python cannot read USD files. The next Python is tried, if one remains.
     Unfit(String),
     Final(UsdError),
 }

@@ -93,7 +93,7 @@ const ROUNDING: f32 = 1e-5;
 struct Sample {
     /// Pairs of the index of a control point within the curve, and the weight of its value.
     points: Vec<(usize, f32)>,
-    /// Pairs of the index of a segment's end within the curve, and the weight of the value there.
+    /// Pairs of the index of a segment's end within the curve, and the weight of its value.
     ends: Vec<(usize, f32)>,
 }
 

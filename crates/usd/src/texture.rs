@@ -163,7 +163,7 @@ impl<'a> Textures<'a> {
     /// Returns a texture with these channels, for the coordinate set `uv_set`. `None` if no channel
     /// has a picture, or if a picture cannot be read; callers then use the shader's fallback. All
     /// channels use the primvar, transform and wrap rules of the first component; a warning reports
-    /// channels with others.
+    /// if other channels differ.
     pub(crate) fn slot(
         &mut self,
         channels: [Channel<'_>; 4],

@@ -67,8 +67,8 @@ impl Document {
             root_nodes: Vec::new(),
             files: Vec::new(),
         };
-        // Add one sampler for each variant of `Wrap`, in their order. Both filter linearly with
-        // mipmaps.
+        // Add one sampler for each variant of `Wrap`, in their order. Both samplers filter linearly
+        // with mipmaps.
         for wrap in [10497, 33071] {
             document.push("samplers", json!({ "magFilter": 9729, "minFilter": 9987, "wrapS": wrap, "wrapT": wrap }));
         }

@@ -2,7 +2,7 @@
 //! differ between machines, so the same sources would give files with other bytes.
 //!
 //! The compiler writes the paths of source files into messages of panics. A flag replaces the
-//! beginning of these paths, and a check finds paths that come another way.
+//! beginning of these paths, and a check finds paths that remain.
 
 use std::io::Read as _;
 use std::path::Path;
@@ -16,8 +16,8 @@ struct Folder {
     name: &'static str,
 }
 
-/// Returns the folders that contain sources. If one is within another, the outer one is first,
-/// since the compiler uses the last of its flags that matches.
+/// Returns the folders that contain sources. If a folder is within another folder, the outer folder
+/// is first, since the compiler uses the last flag that matches a path.
 fn folders() -> Outcome<Vec<Folder>> {
     let home = std::env::home_dir().ok_or("this user has no home folder")?;
     let cargo = std::env::var("CARGO_HOME").map_or_else(|_| home.join(".cargo"), Into::into);

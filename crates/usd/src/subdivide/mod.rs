@@ -49,7 +49,7 @@ pub(crate) enum FaceVarying {
     None,
     /// A value at a vertex is not smoothed if only one face has this value at the vertex.
     CornersOnly,
-    /// As `CornersOnly`. Also, a vertex with three or more values has none of them smoothed.
+    /// As `CornersOnly`. Also, no value is smoothed at a vertex with three or more values.
     #[default]
     CornersPlus1,
     /// As `CornersPlus1`. Also, values are not smoothed at the end of a seam, or if one of two
@@ -62,8 +62,8 @@ pub(crate) enum FaceVarying {
 }
 
 /// A control mesh and its rules, named as in UsdGeomMesh. Faces with fewer than three vertices, or
-/// with vertices that do not exist, are treated as holes. Creases and corners with such vertices
-/// are ignored.
+/// with vertices that do not exist, are treated as holes. Creases and corners with vertices that do
+/// not exist are ignored.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Cage<'a> {
     pub(crate) vertex_count: usize,
@@ -301,8 +301,8 @@ fn vectors(values: &[f32]) -> Vec<Vec3> {
     values.as_chunks::<3>().0.iter().map(|&value| Vec3::from(value)).collect()
 }
 
-/// The polygons of a control mesh whose vertices exist. For Loop's scheme they are cut into
-/// triangles.
+/// The polygons of a control mesh that have at least three vertices, all of which exist. For Loop's
+/// scheme they are cut into triangles.
 struct Polygons {
     starts: Vec<u32>,
     corners: Vec<u32>,

@@ -77,7 +77,7 @@ class Window:
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
 
     def as_job(self) -> dict[str, object]:
-        """Returns the window as the table [window] of a job. Coordinates are those of an exported
+        """Returns the window as the table [window] of a job. It has the coordinates of an exported
         glTF file, in which Blender's point (x, y, z) is (x, z, -y)."""
         forward = _times(self.back, -1.0)
         return {
@@ -108,7 +108,8 @@ class ViewCamera:
 def window_of_camera(
     matrix: Sequence[Sequence[float]], frame: Sequence[Sequence[float]], orthographic: bool, focus: float, size_mm: tuple[float, float]
 ) -> Window:
-    """Returns the window in a camera's plane of focus, as wide as the camera's frustum there.
+    """Returns the window in a camera's plane of focus. In this plane it is as wide as the camera's
+    frustum.
 
     matrix: world matrix, rows; frame: corners of the picture in camera space, from
     `Camera.view_frame`; focus: distance, scene units.

@@ -3,8 +3,7 @@ volumes.
 
 The export reduces a material to constants and pictures of a Principled BSDF. Blender's exporter
 drops all other nodes without a warning. This module visits the nodes that a render evaluates and
-lists the dropped ones.
-"""
+lists the dropped nodes. """
 
 from __future__ import annotations
 
