@@ -228,7 +228,8 @@ fn rustflags() -> Vec<String> {
 /// Options of the optimizer that allow the WebAssembly instructions that the compiler uses.
 const FEATURES: [&str; 8] = [
     "--enable-bulk-memory",
-    // only the module with WebGPU uses exceptions, since its exports can be suspended
+    // only the module with WebGPU needs exceptions, since its functions can be suspended while they
+    // wait for the GPU
     "--enable-exception-handling",
     "--enable-nontrapping-float-to-int",
     "--enable-sign-ext",

@@ -41,7 +41,7 @@ const BOOT: &str = include_str!("../python/blend.py");
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct BlendContents {
-    /// Names of the file's scenes; the active scene is read.
+    /// Names of the file's scenes. An export reads the active scene.
     pub scenes: Vec<String>,
     /// First and last frame of the active scene.
     pub frames: [i32; 2],

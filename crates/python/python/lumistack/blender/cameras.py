@@ -62,9 +62,9 @@ class Window:
         return (x, y, z)
 
     def moved_back(self, by_mm: float, distance_mm: float | None = None) -> Window:
-        """Moves the window along its normal so that the depth -by_mm comes to the display plane. The view
-        from the middle stays the same. So if views are of eyes at `distance_mm`, the window grows with
-        its distance from the eye."""
+        """Moves the window along its normal, so that content at the depth -by_mm comes to the
+        display plane. The view from the middle does not change. So for eyes at `distance_mm`, the
+        window grows with its distance from the eye."""
         factor = 1.0 if distance_mm is None else (distance_mm + by_mm) / distance_mm
         centre = self.point((0.0, 0.0, -by_mm))
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)

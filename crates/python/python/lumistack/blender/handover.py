@@ -26,7 +26,7 @@ from .glb import Glb
 from .rig import TEMPORARY, focus_of
 from .unshown import is_rendered, is_volume_alone
 
-#: Size of the picture of a world that is not a plain colour.
+#: Width and height, in pixels, of the picture of a world that is not a plain colour.
 SKY = (512, 256)
 SKY_SAMPLES = 32
 #: Rings of a ball and corners of a disk that emit light.

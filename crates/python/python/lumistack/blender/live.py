@@ -45,9 +45,9 @@ class State:
     latency_s: float | None = None
     #: The last warning or error; empty without one.
     problem: str = ""
-    #: Path of the report, after the end.
+    #: Path of the report, after the end of the program.
     report: str = ""
-    #: Exit status, after the end.
+    #: Exit status, after the end of the program; None before.
     code: int | None = None
 
 
@@ -66,7 +66,7 @@ class Program:
 
     @property
     def state(self) -> State:
-        """The state; its `code` is set after the end."""
+        """The state. Its `code` is set after the end of the program or of the connection."""
         raise NotImplementedError
 
     @property
@@ -150,7 +150,7 @@ class Live(Program):
 
     @property
     def state(self) -> State:
-        """The state; its `code` is the exit status, after the end."""
+        """The state. After the end of the program, its `code` is the exit status."""
         code = self._process.poll()
         if code is not None:
             for thread in self._threads:
@@ -164,7 +164,7 @@ class Live(Program):
         self.send(stop=True)
 
     def end(self, patience_s: float) -> None:
-        """Stops the program and waits; kills it if it takes longer."""
+        """Stops the program and waits for its end. Kills the program after `patience_s`."""
         self.stop()
         try:
             self._process.wait(patience_s)
