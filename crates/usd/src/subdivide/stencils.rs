@@ -1,7 +1,7 @@
 //! One level of refinement: the weights of each child vertex, and the topology of the children.
 //!
-//! Child vertices are numbered in the order of the parent's vertices, edges and faces. In triangle
-//! meshes faces have no child vertices.
+//! Child vertices are numbered in the order of the parent's vertices, edges and faces. In Loop's
+//! scheme faces have no child vertices.
 
 use std::f64::consts::TAU;
 

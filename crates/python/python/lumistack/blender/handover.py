@@ -138,7 +138,7 @@ def _as_rendered(bpy: Any) -> Iterator[None]:
             if held.mode == "EDIT":
                 held.update_from_editmode()
                 # In Edit Mode a mesh has no texture coordinates, but its evaluated copy has them.
-                # The exporter uses the copy if the object has a modifier. So add one without
+                # The exporter uses the copy if the object has a modifier. So add a modifier without
                 # effect.
                 modifier = held.modifiers.new(TEMPORARY, "DISPLACE") if held.type == "MESH" else None
                 if modifier is not None:
