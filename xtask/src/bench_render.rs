@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use crate::tools::{self, Outcome, absolute, command, example, output_of, text};
 
-/// The renderers that are compared with ours, called peers. Each has the package for pip, the
-/// Python module, and the script that renders with it.
+/// The renderers with which the path tracer is compared, called peers. Each has the package for
+/// pip, the Python module, and the script that renders with it.
 const MITSUBA: [&str; 3] = ["mitsuba==3.*", "mitsuba", "render_mitsuba.py"];
 const CYCLES: [&str; 3] = ["bpy==5.0.1", "bpy", "render_cycles.py"];
 const EMBREE: [&str; 2] = ["embreex==4.*", "embreex"];
@@ -57,8 +57,8 @@ pub fn render(options: &[&str]) -> Option<Outcome> {
     Some(run())
 }
 
-/// Compares converged pictures of FlightHelmet and OpenChessSet with those of Mitsuba and Cycles.
-/// All surfaces are diffuse, with the textures of the files.
+/// Compares converged pictures of FlightHelmet and OpenChessSet with pictures by Mitsuba and
+/// Cycles. All surfaces are diffuse, with the textures of the files.
 pub fn agree(samples: &str) -> Outcome {
     let scenes: Vec<String> = [FLIGHT_HELMET, CHESS_SET].into_iter().filter_map(asset).collect();
     if scenes.is_empty() {
@@ -92,8 +92,8 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
 }
 
 /// The measured light fields: number of views, viewing zone in degrees, and samples per pixel. The
-/// first has the views of the paper's prototypes, the second the views that a display chooses, and
-/// the third those of a quilt.
+/// first has the views of the paper's prototypes. The second has the views that a display chooses.
+/// The third has the views of a quilt.
 const FIELDS: [[&str; 3]; 3] = [["5x5", "20", "16"], ["13x13", "20", "2"], ["1x45", "35", "4"]];
 
 /// Renders light fields view by view, and with light that all views share. The scenes have diffuse

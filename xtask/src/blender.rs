@@ -83,8 +83,8 @@ fn fetch_program() -> Outcome {
 }
 
 /// Tests the extension's command without a window. This needs a `blender` process, since
-/// `bpy.context` of the module bpy always has a window. Uses the program on `PATH`, otherwise
-/// that of Debian's package.
+/// `bpy.context` of the module bpy always has a window. Uses the program on `PATH`, otherwise the
+/// program of Debian's package.
 fn program(python: &Path, wheel: &Path) -> Outcome {
     if let Err(error) = fetch_program() {
         tools::skipped("blender's program", &error);

@@ -19,7 +19,7 @@ use crate::words;
 use crate::workflows;
 
 /// The Rust version whose lints must pass. A newer compiler may have further lints that the code
-/// does not satisfy yet, so with it lints only warn.
+/// does not satisfy yet, so with a newer compiler lints only warn.
 const LINTED_WITH: &str = "1.95";
 
 /// The finished steps, with the seconds that each took.

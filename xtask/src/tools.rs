@@ -25,8 +25,8 @@ pub const EVERYTHING: [&str; 3] = ["--workspace", "--features", "lumistack-plugi
 /// include the libraries of plugins.
 ///
 /// Examples may use development dependencies, as tests do. So if a build includes examples, cargo
-/// selects the same features as for `cargo test`. If it did not, cargo would compile a third of the
-/// workspace again.
+/// selects the same features as for `cargo test`. With other features, cargo would compile a third
+/// of the workspace again.
 pub fn build_everything() -> Outcome {
     cargo(&[&["build", "--quiet"], &EVERYTHING[..], &["--lib", "--bins", "--examples"]].concat())
 }
@@ -79,7 +79,7 @@ pub fn account_of_skipped() -> Outcome {
     account(&std::fs::read_to_string(skip_list()).unwrap_or_default(), is_ci())
 }
 
-/// Prints a list of skipped checks, one on each line; on CI this is an error.
+/// Prints a list of skipped checks, one on each line. On CI a list with any check is an error.
 fn account(list: &str, is_ci: bool) -> Outcome {
     let mut lines: Vec<&str> = list.lines().collect();
     lines.sort_unstable();
@@ -149,8 +149,8 @@ fn describe(command: &Command) -> String {
     words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ")
 }
 
-/// Reference implementations of image metrics, as packages for pip. Without them their tests are
-/// skipped.
+/// Reference implementations of image metrics, as packages for pip. Without these packages the
+/// tests of the metrics are skipped.
 const METRICS: [&str; 3] = ["--only-binary=:all:", "scikit-image", "flip-evaluator==1.*"];
 
 /// Readers of pictures, which check the files that Lumistack writes.

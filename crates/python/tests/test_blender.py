@@ -97,7 +97,7 @@ def test_a_window_is_scaled_and_moved_in_its_plane() -> None:
         size, shift = chance.uniform(0.2, 3.0), (chance.uniform(-1, 1), chance.uniform(-1, 1))
         moved = window.resized(size, shift)
         width = window.size_mm[0]
-        # Scale and shift, applied to the upper right corner of the original window, give that
+        # Scale and shift map the upper right corner of the original window to the upper right
         # corner of the new window.
         x, y = 0.5 * size * width + shift[0] * width, 0.5 * size * window.size_mm[1] + shift[1] * width
         assert moved.point((width / 2, window.size_mm[1] / 2, 0.0)) == pytest.approx(window.point((x, y, 0.0)))

@@ -159,8 +159,8 @@ pub(crate) fn curves(
     }))
 }
 
-/// Returns the middle point of every curve. The spacing of curves is measured there, since many
-/// curves may begin at the same point.
+/// Returns the middle point of every curve. The spacing of curves is measured at their middle
+/// points, since many curves may begin at the same point.
 fn middles(points: &[Vec3], counts: &[i32]) -> Vec<Vec3> {
     let mut first = 0usize;
     let middle = |&count: &i32| {

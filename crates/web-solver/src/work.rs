@@ -389,8 +389,9 @@ fn plan_field(iterations: u32) -> VecDeque<Piece> {
     pieces
 }
 
-/// Plans the pieces after the scene is placed: noisy views of a few directions, noisy views of all
-/// directions, views with all their samples, and the last solve.
+/// Plans the pieces after the scene is placed. The first pieces render noisy views of a few
+/// directions, then of all directions. Then follow views with all their samples, and the last
+/// solve.
 fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
     let (first, all) = (Picked::some(views.grid(), FIRST), Picked::all(views.grid()));
     let mut pieces = VecDeque::new();

@@ -128,7 +128,7 @@ def parse(words: list[str]) -> Asked:
 
 class ProgressPrinter:
     """Prints progress: a line at the beginning of every stage, then a line after every two per cent
-    of it (`WORTH_A_LINE`)."""
+    of the stage (`WORTH_A_LINE`)."""
 
     def __init__(self, file: TextIO) -> None:
         self._file, self._last = file, ("", -1.0)
