@@ -116,8 +116,8 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     display.layers[2].panel_pitch_mm = Some(0.25);
     display.layers[2].panel = Some(Panel { flip: Flip::Horizontal, ..Panel::default() });
     std::fs::write(folder.path().join("display.toml"), display.to_toml()).unwrap();
-    // The third panel and the picture have 640 × 360 pixels, and a pixel of the panel's mask has 2
-    // × 2 of these. The panel is mirrored and has linear codes.
+    // The third panel and the picture have 640 × 360 pixels. A mask pixel covers 2 × 2 panel
+    // pixels. The panel is mirrored and has linear codes.
     let mut random = Stream::new(5);
     let picture = image::RgbImage::from_fn(640, 360, |x, y| {
         let ring = (f64::from(x) - 320.0).hypot(f64::from(y) - 180.0) < 120.0;

@@ -88,8 +88,8 @@ fn check_with_numpy(python: &Path, field: &Path, run: &Path, geometry: [&str; 4]
 /// pixel, and of our exact integration over pixels' areas, dB.
 const ZONE_AGREEMENT_DB: f64 = 0.02;
 
-/// The score psnr_zone of the report agrees with that of a NumPy model. This holds for three layers
-/// with oblique and with perspective views, and for a directional backlight.
+/// The score psnr_zone of the report agrees with the score of a NumPy model. This holds for three
+/// layers with oblique and with perspective views, and for a directional backlight.
 #[test]
 fn a_numpy_model_of_the_seen_picture_gives_the_reports_zone() {
     let Some(python) = python() else { return };

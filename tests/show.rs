@@ -415,7 +415,7 @@ fn late_frames_and_skew_follow_from_reported_presentation_times() {
     assert!((0.0..1.0).contains(&skew), "{report}");
 }
 
-/// Without a window manager, a key press reaches the presentation, for every window that had the
+/// Without a window manager, a key press reaches the presentation, no matter which window had the
 /// keyboard focus before.
 #[test]
 fn a_bare_x_server_sends_keys_to_the_presentation() {
@@ -508,8 +508,8 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
             }
         }
         let (status, errors) = show.ended();
-        // SIGTERM ends the program, since it has no handler for it. SIGINT also ends it by the
-        // signal, if it arrives before the handler is installed.
+        // SIGTERM ends the program, since the program has no handler for this signal. SIGINT also
+        // ends it by the signal, if SIGINT arrives before its handler is installed.
         let fine = match way {
             "interrupt" => matches!((status.code(), status.signal()), (Some(0 | 130), _) | (_, Some(2))),
             "terminate" => status.signal() == Some(15),

@@ -285,8 +285,8 @@ def result_of(work: Work):
 
 
 def text_of(error: BaseException) -> str:
-    """Returns the message of an error. An operator's error contains a whole traceback; then it is
-    the last line."""
+    """Returns the message of an error. An operator's error contains a whole traceback, whose last
+    line is the message."""
     lines = [line for line in str(error).splitlines() if line.strip()]
     is_trace = any(line.startswith("Traceback") or "Python: Traceback" in line for line in lines)
     if not lines:

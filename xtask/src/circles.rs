@@ -35,7 +35,8 @@ struct Source {
 pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let mut files = BTreeMap::new();
     read(root, Vec::new(), &mut files)?;
-    // For every file, find the files that it uses. Store one used item of each as an example.
+    // For every file, find the files that it uses. For each used file, store one used item as an
+    // example.
     let edges: BTreeMap<&Names, BTreeMap<Names, String>> = files
         .iter()
         .map(|(module, source)| {

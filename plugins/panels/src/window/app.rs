@@ -30,8 +30,8 @@ use crate::{Feed, Picture, Shows};
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Time in which every window must reach the size of its output.
 const RESIZE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Time that a thread has to end. After this time the connection to the windowing system is closed,
-/// since a hidden surface can block the present loop for ever.
+/// Time in which a thread must end. After this time the connection to the windowing system is
+/// closed, since a hidden surface can block the present loop for ever.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(2);
 /// Delay before a graphics failure is reported. Its cause may be a lost output or session, which is
 /// detected within this delay and then reported instead.
