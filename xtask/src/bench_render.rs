@@ -92,8 +92,8 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
 }
 
 /// The measured light fields: number of views, viewing zone in degrees, and samples per pixel. The
-/// first has the views of the paper's prototypes, the second the views that a display chooses, and
-/// the third those of a quilt.
+/// first has the views of the paper's prototypes, the second has the views that a display chooses,
+/// and the third has the views of a quilt.
 const FIELDS: [[&str; 3]; 3] = [["5x5", "20", "16"], ["13x13", "20", "2"], ["1x45", "35", "4"]];
 
 /// Renders light fields view by view, and with light that all views share. The scenes have diffuse

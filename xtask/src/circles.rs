@@ -30,8 +30,8 @@ struct Source {
     defined: BTreeSet<String>,
 }
 
-/// Finds the cycles of the crate with the root file `root`. A cycle is given by the list of its
-/// files, and by a list with a line for every use of one of them by another.
+/// Finds the cycles of the crate with the root file `root`. A cycle has two lists: its files, and a
+/// line for every use of one of its files by another of its files.
 pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let mut files = BTreeMap::new();
     read(root, Vec::new(), &mut files)?;

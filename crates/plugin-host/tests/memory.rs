@@ -2,10 +2,11 @@
 //! than four.
 //!
 //! Each output and number of frames is measured in its own process, by two numbers. `alive` is the
-//! peak of allocated bytes, counted by the allocator; it is exact and reproducible. `resident` is
-//! the kernel's `VmHWM` of `/proc/self/status`, which includes memory that the allocator has not
-//! returned. Both peaks are reached within the first frames. The layers are black: zeroed memory
-//! that is never written is not resident, so both numbers measure the output and not the stack.
+//! peak of the bytes that the output allocates, counted by the allocator; it is exact and
+//! reproducible. `resident` is the kernel's `VmHWM` of `/proc/self/status`, which includes memory
+//! that the allocator has not returned. Both peaks are reached within the first frames. The layers
+//! are black: zeroed memory that is never written is not resident. So `resident` does not contain
+//! the stack either.
 
 #![cfg(target_os = "linux")]
 

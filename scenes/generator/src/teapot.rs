@@ -18,8 +18,8 @@ use crate::teapot_data::{CONTROL_POINTS, PATCHES};
 /// Derivatives shorter than this, in units of the data set, are treated as zero.
 const DEGENERATE_LENGTH: f64 = 1e-9;
 
-/// Patches of the rim, whose first row of control points is the rim's inner edge. Patches of the
-/// lid whose last row is the lid's outer edge.
+/// The patches of the rim; their first row of control points is the rim's inner edge. Then the
+/// patches of the lid whose last row is the lid's outer edge.
 const RIM_PATCHES: std::ops::Range<usize> = 0..4;
 const LID_EDGE_PATCHES: std::ops::Range<usize> = 24..28;
 

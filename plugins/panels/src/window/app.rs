@@ -513,9 +513,9 @@ impl App<'_> {
     }
 
     /// Executes the command of a key. Escape or q ends the presentation. Space holds a frame or
-    /// resumes, and comma and full stop step. Tab selects a panel, and arrows shift it by a pixel
-    /// (Shift: 10 pixels, Control: 0.1). The key s saves the nudges, and the key r requests a
-    /// report. In a preview, arrows turn the view by one degree.
+    /// resumes. Comma and full stop show the previous and the next frame. Tab selects a panel, and
+    /// arrows shift it by a pixel (Shift: 10 pixels, Control: 0.1). The key s saves the nudges, and
+    /// the key r requests a report. In a preview, arrows turn the view by one degree.
     fn key(&mut self, event_loop: &ActiveEventLoop, key: &Key) {
         let Some(running) = &self.running else { return };
         let step = match (self.modifiers.shift_key(), self.modifiers.control_key()) {
