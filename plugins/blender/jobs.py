@@ -123,7 +123,7 @@ class Job:
 
     def _time(self, folder: Path, before: lumistack.LayerStack | None, start: float, part: float):
         """Makes views, light field, patterns and outputs of one time step."""
-        # Render the views by every renderer; those of the first one are the target.
+        # Render the views by every renderer; the views of the first renderer are the target.
         scene, settings = self.scene, self.scene.lumistack
         display = display_of(settings)
         window = window_of(scene, display)

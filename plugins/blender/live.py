@@ -148,7 +148,7 @@ class Session:
         display = jobs.display_of(settings)
         window = jobs.window_of(scene, display)
         is_linear = settings.look == "LINEAR"
-        # Fix the exposure. An automatic one would darken all other objects if a lamp became
+        # Fix the exposure. An automatic exposure would darken all other objects if a lamp became
         # brighter.
         light = {
             "automatic": False,

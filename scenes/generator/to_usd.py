@@ -45,7 +45,7 @@ def main(path):
         dome = UsdLux.DomeLight.Define(stage, root + "/sky")
         dome.CreateTextureFileAttr("./" + environment["image"])
         dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
-        # the centre of an environment map of USD looks along +z, that of this project along -z
+        # the centre of an environment map looks along +z in USD, and along -z in this project
         dome.AddRotateYOp().Set(180.0)
         dome.CreateIntensityAttr(float(environment.get("strength", 1.0)))
     stage.GetRootLayer().Save()

@@ -57,8 +57,8 @@ pub fn render(options: &[&str]) -> Option<Outcome> {
     Some(run())
 }
 
-/// Compares converged pictures of FlightHelmet and OpenChessSet with those of Mitsuba and Cycles.
-/// All surfaces are diffuse, with the textures of the files.
+/// Compares converged pictures of FlightHelmet and OpenChessSet with pictures by Mitsuba and
+/// Cycles. All surfaces are diffuse, with the textures of the files.
 pub fn agree(samples: &str) -> Outcome {
     let scenes: Vec<String> = [FLIGHT_HELMET, CHESS_SET].into_iter().filter_map(asset).collect();
     if scenes.is_empty() {

@@ -18,7 +18,7 @@
 
 use lumistack_display::LensletBacklight;
 
-/// A panel behind a lens array. All lengths are those of the built device, after calibration.
+/// A panel behind a lens array. All lengths are lengths of the built device, after calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LensletPanel {
     /// [columns, rows] of the panel.

@@ -7,8 +7,8 @@ const BOX: usize = 8;
 /// Largest number of boxes along a side, so that even a large frame needs little memory.
 const ACROSS: usize = 64;
 
-/// Reduces the picture that one frame shows to the middle of the zone to the means over boxes of
-/// pixels.
+/// Reduces a picture to its means over boxes of pixels. The picture is the view that one frame
+/// shows to the middle of the viewing zone.
 pub(crate) fn coarse(linear: &[f32], cols: usize) -> Vec<f32> {
     let rows = linear.len() / (3 * cols);
     let side = rows.max(cols).div_ceil(ACROSS).max(BOX);

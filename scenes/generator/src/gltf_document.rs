@@ -151,7 +151,7 @@ impl Document {
             .collect();
         let values: Vec<u8> =
             changed.iter().flat_map(|&index| rows[index as usize]).flat_map(f32::to_le_bytes).collect();
-        // The bounds of a sparse accessor are those of its final values, `rows`.
+        // The bounds of a sparse accessor are the bounds of its final values, `rows`.
         let accessor = self.add_floats(base, true);
         let (indices_view, component) = self.add_index_view(&changed, None);
         let values_view = self.add_view(values, None);
