@@ -8,10 +8,10 @@
 //!
 //! 1. Some random dots are placed. Then the tightest cluster is moved to the largest void,
 //!    repeatedly, until the move returns the dot to its old position.
-//! 2. The dots of step 1 get the low ranks, the highest of these first: the tightest cluster gets
-//!    the next lower rank and is removed, repeatedly.
-//! 3. All other positions get the high ranks, the lowest of these first. Starting from the dots of
-//!    step 1, the largest void gets the next higher rank and a dot, repeatedly.
+//! 2. The dots of step 1 get the low ranks, from the highest down: the tightest cluster gets the
+//!    next lower rank and is removed, repeatedly.
+//! 3. All other positions get the high ranks, from the lowest up. Starting from the dots of step 1,
+//!    the largest void gets the next higher rank and a dot, repeatedly.
 
 use std::sync::OnceLock;
 
