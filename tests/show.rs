@@ -415,7 +415,7 @@ fn late_frames_and_skew_follow_from_reported_presentation_times() {
     assert!((0.0..1.0).contains(&skew), "{report}");
 }
 
-/// Without a window manager, a key press reaches the presentation, for every window that had the
+/// Without a window manager, a key press reaches the presentation, no matter which window had the
 /// keyboard focus before.
 #[test]
 fn a_bare_x_server_sends_keys_to_the_presentation() {

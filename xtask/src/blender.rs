@@ -279,7 +279,7 @@ fn cases(python: &Path, zip: &Path, version: &str, names: &str) -> Outcome {
     let place = folder().join(format!("cases-{version}"));
     let mut cases = command(python);
     cases.arg("plugins/blender/tests/cases.py").arg(names).arg(zip).arg(&place);
-    // for versions of Blender without OpenUSD, the tests read USD by this Python, which has it
+    // this Python has OpenUSD, which the tests use to read USD if the version of Blender has none
     run(cases.env("LUMISTACK_PYTHON", tools::python()?))
 }
 

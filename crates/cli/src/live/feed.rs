@@ -10,11 +10,11 @@
 //!     moves a page's viewer, who counts as a tracked head; without x and y the viewer leaves
 //! ```
 //!
-//! An edition is a version of preview.json. The query states the page's state (`after`), its edition
-//! and its message (`said`). In the response, `files` has the length of each file that preview.json
-//! lists, in its order, and `said` is the number of the newest message. The response contains the
-//! text of preview.json if the page has another edition. A response without a newer state has no
-//! files.
+//! An edition is a version of preview.json. The query states the page's state (`after`), its
+//! edition and its message (`said`). In the response, `files` has the length of each file that
+//! preview.json lists, in its order, and `said` is the number of the newest message. The response
+//! contains the text of preview.json if the page has another edition. A response without a newer
+//! state has no files.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -24,7 +24,7 @@ use super::requests::{HOST, Lending, Lent, forward, is_cancelled};
 
 /// Interval of the checks during a wait.
 const TICK: Duration = Duration::from_millis(20);
-/// Time that a child has to end after its input was closed.
+/// Time in which a child must end after its input was closed.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Time to read the last messages and prints of a child that has ended.
 const DRAIN_TIMEOUT: Duration = Duration::from_millis(300);

@@ -30,8 +30,8 @@ use crate::{Feed, Picture, Shows};
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Time in which every window must reach the size of its output.
 const RESIZE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Time that a thread has to end. After this time the connection to the windowing system is closed,
-/// since a hidden surface can block the present loop for ever.
+/// Time in which a thread must end. After this time the connection to the windowing system is
+/// closed, since a hidden surface can block the present loop for ever.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(2);
 /// Delay before a graphics failure is reported. Its cause may be a lost output or session, which is
 /// detected within this delay and then reported instead.
@@ -513,9 +513,9 @@ impl App<'_> {
     }
 
     /// Executes the command of a key. Escape or q ends the presentation. Space holds a frame or
-    /// resumes, and comma and full stop step. Tab selects a panel, and arrows shift it by a pixel
-    /// (Shift: 10 pixels, Control: 0.1). The key s saves the nudges, and the key r requests a
-    /// report. In a preview, arrows turn the view by one degree.
+    /// resumes. Comma and full stop show the previous and the next frame. Tab selects a panel, and
+    /// arrows shift it by a pixel (Shift: 10 pixels, Control: 0.1). The key s saves the nudges, and
+    /// the key r requests a report. In a preview, arrows turn the view by one degree.
     fn key(&mut self, event_loop: &ActiveEventLoop, key: &Key) {
         let Some(running) = &self.running else { return };
         let step = match (self.modifiers.shift_key(), self.modifiers.control_key()) {
