@@ -1,6 +1,7 @@
 //! `lumistack farm`: a run on many machines.
 
 use std::io::Read;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::str::FromStr;
@@ -166,7 +167,7 @@ struct CutArgs {
     /// Number of blocks into which the views of every light field are divided, instead of
     /// --block-seconds
     #[arg(long, value_name = "N", conflicts_with = "block_seconds")]
-    blocks: Option<usize>,
+    blocks: Option<NonZeroUsize>,
 }
 
 impl CutArgs {
@@ -177,7 +178,7 @@ impl CutArgs {
             let found = block_seconds.to_string();
             return Err(PipelineError::option("--block-seconds", "SECONDS", "a time above 0", found));
         }
-        Ok(BlockSize { block_seconds, blocks: self.blocks })
+        Ok(BlockSize { block_seconds, blocks: self.blocks.map(NonZeroUsize::get) })
     }
 }
 
@@ -529,7 +530,7 @@ mod tests {
             (run.input.as_deref(), run.job.output.as_deref()),
             (Some(Path::new("a.toml")), Some(Path::new("runs/a")))
         );
-        assert_eq!((run.cut.blocks, run.engine.dask.as_deref()), (Some(2), Some("tls://a:1")));
+        assert_eq!((run.cut.blocks.map(NonZeroUsize::get), run.engine.dask.as_deref()), (Some(2), Some("tls://a:1")));
         assert!(run.what.is_none() && farm(&["a.toml"]).input.is_some());
         assert!(matches!(farm(&["plan", "a.toml"]).what, Some(What::Plan { .. })));
         assert!(matches!(farm(&["export", "openjd", "a.toml"]).what, Some(What::Export { .. })));

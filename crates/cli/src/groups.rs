@@ -330,6 +330,10 @@ pub(crate) fn job_or_scene(path: &Path) -> Result<Job, PipelineError> {
         let expected = "a scene (.gltf, .glb, USD, .blend, .obj) or a job file (.toml); `lumistack factorize` takes folders of views";
         return Err(PipelineError::value(path, "input", expected, "a folder"));
     }
+    if path.extension().is_none() && !path.exists() {
+        let expected = "a scene (.gltf, .glb, USD, .blend, .obj) or a job file (.toml)";
+        return Err(PipelineError::value(path, "input", expected, "no such file"));
+    }
     let mut job = Job::new(DisplayJob { preset: Some(DEFAULT_DISPLAY.into()), ..DisplayJob::default() });
     job.name = stem(path);
     job.scene = Some(path.to_owned());

@@ -149,6 +149,8 @@ def choose_variants(stage, wanted, writer):
                     changed = True
             if not changed:
                 break
+        else:
+            writer.warn(text, "the selection added variant sets eight times; later ones may keep their own selections")
         if not found:
             shown = list(known.values())
             listed = "; ".join(shown[:12]) + ("; and %d more" % (len(shown) - 12) if len(shown) > 12 else "")

@@ -117,6 +117,14 @@ pub(crate) fn curves(
         None => Vec::new(),
     };
     let counts: Vec<i32> = counts.into_iter().map(|count| i32::try_from(count).unwrap_or(0)).collect();
+    let wanted = counts.iter().fold(0usize, |sum, &count| sum.saturating_add(usize::try_from(count).unwrap_or(0)));
+    if wanted > points.len() {
+        let message = format!(
+            "curveVertexCounts: expected counts of {} points in all, found {wanted}; the last curves are left out",
+            points.len()
+        );
+        task.warn(place, message);
+    }
     let cubic = |name: &str| match name {
         "bezier" => Ok(Basis::Bezier),
         "bspline" => Ok(Basis::BSpline),

@@ -354,6 +354,22 @@ fn curves_and_points_without_widths_take_a_share_of_their_spacing() {
 }
 
 #[test]
+fn curves_without_points_are_left_out_with_a_warning() {
+    let text = r#"
+        def BasisCurves "hair" {
+            uniform token type = "linear"
+            point3f[] points = [(0, 0, 0), (0, 5, 0), (1, 0, 0)]
+            int[] curveVertexCounts = [2, 2]
+            float[] widths = [0.5] (interpolation = "constant")
+        }"#;
+    let Some((scene, warnings)) = scene(text) else { return };
+    let most = scene.meshes[0].positions.iter().fold(f32::NEG_INFINITY, |most, p| most.max(p.x));
+    assert!(most < 0.5, "the second curve has only one point: {most}");
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
+    assert!(warnings[0].message.contains("expected counts of 3 points in all, found 4"), "{warnings:?}");
+}
+
+#[test]
 fn lights_have_the_radiance_of_their_inputs() {
     let text = r#"
         def Plane "p" {}
