@@ -150,14 +150,14 @@ fn default_scenes() -> Vec<String> {
     scenes
 }
 
-/// Returns the path of a file in the folder LUMISTACK_ASSETS; prints a message if it is missing.
+/// Returns the path of a file of another project; prints a message if it is missing.
 pub fn asset(file: &str) -> Option<String> {
-    let path = std::env::var_os("LUMISTACK_ASSETS").map(|assets| Path::new(&assets).join(file));
-    let found = path.filter(|path| path.is_file());
-    if found.is_none() {
-        println!("bench: {file} is skipped: the folder in LUMISTACK_ASSETS does not have it");
+    let path = tools::assets().join(file);
+    if !path.is_file() {
+        println!("bench: {} is missing, so it is skipped; LUMISTACK_ASSETS sets the folder", path.display());
+        return None;
     }
-    found.map(|path| text(&path))
+    Some(text(&path))
 }
 
 /// Returns a Python for the peers. The first call makes its environment.

@@ -12,6 +12,11 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask is a folder of the workspace").to_owned()
 }
 
+/// The folder of scenes of other projects: LUMISTACK_ASSETS, or its default.
+pub fn assets() -> PathBuf {
+    std::env::var_os("LUMISTACK_ASSETS").map_or_else(|| root().join("../shared/scenes"), PathBuf::from)
+}
+
 /// Runs cargo in the workspace.
 pub fn cargo(arguments: &[&str]) -> Outcome {
     run(command("cargo").args(arguments))
