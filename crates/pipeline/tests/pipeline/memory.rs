@@ -6,7 +6,8 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use lumistack_field_io::npy;
+use lumistack_display::{FieldGeometry, Projection, ViewGrid};
+use lumistack_field_io::{npy, write_index, write_view};
 use lumistack_pipeline::{Job, Registry, plan, run, run_step};
 
 use crate::compose::{results, with_task};
@@ -85,22 +86,43 @@ fn display([cols, rows]: [usize; 2], views: &str) -> String {
     format!("[display]\npreset = \"paper-three-layer\"\nresolution = [{cols}, {rows}]\nframes = 2\n{views}")
 }
 
+/// Value `i` of a light field of the size [`SIZE`]: squares that shift from view to view.
+fn value(i: usize) -> f32 {
+    let [cols, rows, views] = SIZE;
+    let (channel, pixel) = (i % 3, i / 3);
+    let (x, y, view) = (pixel % cols, pixel / cols % rows, pixel / (cols * rows));
+    let (x, y) = (x + view % views, y + view / views);
+    if (x / 16 + y / 12 + channel).is_multiple_of(2) { 0.25 } else { 0.625 }
+}
+
 #[test]
 fn a_given_light_field_is_read_and_solved_within_its_bound() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("field.npy");
     let [cols, rows, views] = SIZE;
-    let value = |i: usize| {
-        let (channel, pixel) = (i % 3, i / 3);
-        let (x, y, view) = (pixel % cols, pixel / cols % rows, pixel / (cols * rows));
-        let (x, y) = (x + view % views, y + view / views);
-        if (x / 16 + y / 12 + channel).is_multiple_of(2) { 0.25 } else { 0.625 }
-    };
     let data: Vec<f32> = (0..views * views * rows * cols * 3).map(value).collect();
     npy::write(&path, &[views, views, rows, cols, 3], &data).unwrap();
     drop(data);
     let geometry = "[geometry]\ngrid = \"oblique\"\nfov_deg = [10.0, 10.0]\npitch_mm = 1.0\n";
     check(&format!("light_field = {path:?}\n{}{geometry}[render]\n", display([cols, rows], "")), 24, None);
+}
+
+/// A folder of views has one file per view, so a run reads them one by one.
+#[test]
+fn a_folder_of_views_is_read_and_solved_within_its_bound() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("views");
+    std::fs::create_dir(&path).unwrap();
+    let [cols, rows, views] = SIZE;
+    let grid = ViewGrid::uniform(Projection::Oblique, [views, views], [10.0, 10.0]).unwrap();
+    let geometry = FieldGeometry { rows, cols, pitch_mm: 1.0, grid };
+    for (number, view) in geometry.grid.iter().enumerate() {
+        let size = rows * cols * 3;
+        let rgb: Vec<f32> = (number * size..(number + 1) * size).map(value).collect();
+        write_view(&path, &geometry, view, &rgb).unwrap();
+    }
+    write_index(&path, &geometry, &serde_json::Map::new()).unwrap();
+    check(&format!("light_field = {path:?}\n{}[render]\n", display([cols, rows], "")), 24, Some("factorize"));
 }
 
 fn scene() -> PathBuf {
