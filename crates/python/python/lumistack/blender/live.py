@@ -85,10 +85,16 @@ class Program:
     def send(self, **entries: Any) -> None:
         """Sends a line to the program. After the end of the program, which `state` reports, this has no
         effect."""
-        if self._commands is not None:
-            with contextlib.suppress(OSError, ValueError):
-                self._commands.write(json.dumps(entries).encode() + b"\n")
-                self._commands.flush()
+        if self._commands is None or self._commands.closed:
+            return
+        try:
+            self._commands.write(json.dumps(entries).encode() + b"\n")
+            self._commands.flush()
+        except OSError:
+            # The stream still holds the line, and would write it again when Python destroys the
+            # stream. So close the stream here, where the error is expected.
+            with contextlib.suppress(OSError):
+                self._commands.close()
 
     def stop(self) -> None:
         """Requests the end; does not wait."""
