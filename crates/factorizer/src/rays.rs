@@ -142,7 +142,22 @@ pub(crate) struct LineRays<'a> {
     ahead: Vec<*const f32>,
 }
 
-impl LineRays<'_> {
+impl<'a> LineRays<'a> {
+    /// Adds a view: the valid range of x, the weights and the target of its row of rays. Column c of
+    /// the row is at x = c + [`PAD`] − `offset`.
+    fn push_view(&mut self, plan: &'a Plan, rays: &Rays<'_>, offset: isize) {
+        let (view, x_of_0) = (plan.view(rays.view[0], rays.view[1]), PAD as isize - offset);
+        let x = |column: usize| (column as isize + x_of_0) as usize;
+        self.views.push(View {
+            valid: x(rays.run.start)..x(rays.run.end),
+            weights: plan.target.weights(view, rays.row).map(|weights| Place::new(weights, offset)),
+        });
+        self.targets.push(match plan.target.row(rays.channel, view, rays.row) {
+            Row::Half(row) => TargetRow::Half(Place::new(row, offset)),
+            Row::Float(row) => TargetRow::Float(Place::new(row, offset)),
+        });
+    }
+
     /// The range of x in which the rays of every view are valid and have weight 1.
     pub(crate) fn inner(&self) -> Range<usize> {
         if self.views.iter().any(|view| view.weights.is_some()) {
@@ -359,16 +374,8 @@ pub(crate) fn rays_of_column<'a>(
     let (mut left, rows) = Left::of(spare, plan, (0..factors.len()).filter(|&k| !is_there(k)).count());
     for (index, &row_of) in rows.iter().enumerate() {
         let RowOfRays { view_y, row } = row_of;
-        let view = plan.view(view_y, view_x);
         let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
-        rays.views.push(View {
-            valid: PAD + run.start..PAD + run.end,
-            weights: plan.target.weights(view, row).map(|weights| Place::new(weights, 0)),
-        });
-        rays.targets.push(match plan.target.row(at.channel, view, row) {
-            Row::Half(row) => TargetRow::Half(Place::new(row, 0)),
-            Row::Float(row) => TargetRow::Float(Place::new(row, 0)),
-        });
+        rays.push_view(plan, &part, 0);
         // neighbouring field rows often read the same lines; then they share the expanded values
         for k in 0..factors.len() {
             let line = left.line(plan, factors, k, at.channel, row_of);
@@ -426,17 +433,9 @@ pub(crate) fn rays_through<'a>(
         // other factors
         for view_x in 0..plan.views[1] {
             let ([run], Some(own)) = (plan.runs[view_x].as_slice(), map.x[view_x].shift) else { continue };
-            let view = plan.view(view_y, view_x);
             let offset = PAD as isize - own;
-            rays.views.push(View {
-                valid: (run.start as isize + own) as usize..(run.end as isize + own) as usize,
-                weights: plan.target.weights(view, row).map(|weights| Place::new(weights, offset)),
-            });
-            rays.targets.push(match plan.target.row(at.channel, view, row) {
-                Row::Half(row) => TargetRow::Half(Place::new(row, offset)),
-                Row::Float(row) => TargetRow::Float(Place::new(row, offset)),
-            });
             let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
+            rays.push_view(plan, &part, offset);
             for k in others() {
                 rays.others.push(left.place(plan, lines[k], k, &part, is_there(k), offset));
             }
@@ -556,17 +555,9 @@ pub(crate) fn rays_between<'a>(
         for view_x in 0..plan.views[1] {
             let own = plan.maps[at.factor].x[view_x].between;
             let ([run], Some((own, _))) = (plan.runs[view_x].as_slice(), own) else { continue };
-            let view = plan.view(view_y, view_x);
             let offset = PAD as isize - own;
-            rays.views.push(View {
-                valid: (run.start as isize + own) as usize..(run.end as isize + own) as usize,
-                weights: plan.target.weights(view, row).map(|weights| Place::new(weights, offset)),
-            });
-            rays.targets.push(match plan.target.row(at.channel, view, row) {
-                Row::Half(row) => TargetRow::Half(Place::new(row, offset)),
-                Row::Float(row) => TargetRow::Float(Place::new(row, offset)),
-            });
             let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
+            rays.push_view(plan, &part, offset);
             for k in others().chain([at.factor]) {
                 let list = if k == at.factor { &mut rays.own } else { &mut rays.others };
                 let between = plan.maps[k].x[view_x].between.filter(|_| is_there(k));
