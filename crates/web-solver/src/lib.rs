@@ -9,6 +9,9 @@
 //! The first pieces compute noisy views of a few directions, and patterns for these views. Later
 //! pieces render all views with all their samples; three times meanwhile they solve for the views
 //! that exist. The last views and patterns are those that the command computes for the same job.
+//! Other threads may trace views: [`Work::give`] names a view, a copy of the work traces it
+//! ([`Work::trace`]), and [`Work::take`] receives its values.
+//!
 //! [`patterns`] encodes patterns for the viewer, and as a zip for the command.
 
 mod decoders;

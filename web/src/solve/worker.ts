@@ -148,10 +148,9 @@ async function turn(): Promise<void> {
   else turns.port2.postMessage(undefined);
 }
 
-/** A solver with its place in the module's memory. The types of wasm-bindgen omit these two members. */
-interface Placed {
-  __wbg_ptr: number;
-}
+// The types of wasm-bindgen omit two members: the address of a solver in the module's memory, and
+// the function that makes an object for such an address.
+const addressOf = (solver: Solver | DeviceSolver): number => (solver as unknown as { __wbg_ptr: number }).__wbg_ptr;
 const { __wrap: solverAt } = Solver as unknown as { __wrap(pointer: number): Solver };
 
 /** Lets other threads trace views. The solver itself continues to trace, from the other end of its plan. */
@@ -161,8 +160,7 @@ function share(solver: Solver | DeviceSolver): void {
     if (solver.shown() === 0) return;
     const view = solver.give();
     if (view === undefined) return;
-    const { __wbg_ptr: pointer } = solver as unknown as Placed;
-    const own: Pool = (pool = new Pool(threads, memory, { module, slots: objects.length, pointer }, [view], ({ view, values, warnings: found }) =>
+    const own: Pool = (pool = new Pool(threads, memory, { module, slots: objects.length, pointer: addressOf(solver) }, [view], ({ view, values, warnings: found }) =>
       enqueue(() => {
         if (own !== pool) return;
         solver.take(view, values);
