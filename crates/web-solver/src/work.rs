@@ -249,7 +249,8 @@ impl Work {
     }
 
     /// Traces a view with all its samples for another work, which gave its number. That work must
-    /// have the same scene and settings. Returns the values of a [`SplitView`].
+    /// have the same scene and settings. Returns the values of a
+    /// [`lumistack_pathtracer::SplitView`].
     ///
     /// # Errors
     /// If the scene is not placed yet, or there is no such view.
