@@ -9,7 +9,10 @@
 //! The first pieces compute noisy views of a few directions, and patterns for these views. Later
 //! pieces render all views with all their samples. Meanwhile, three times, they solve for the views
 //! that are already rendered. The last views and patterns equal the results of the command for the
-//! same job. [`patterns`] encodes patterns for the viewer, and as a zip for the command.
+//! same job. Other threads may trace views: [`Work::give`] names a view, a copy of the work traces
+//! it ([`Work::trace`]), and [`Work::take`] receives its values.
+//!
+//! [`patterns`] encodes patterns for the viewer, and as a zip for the command.
 
 mod decoders;
 mod error;
