@@ -75,7 +75,8 @@ impl Gpu {
         &self.adapter
     }
 
-    /// Lowers the limit of a binding, so that tests can divide small problems into bands.
+    /// Lowers the device's limit for the size of a storage buffer's binding, so that tests can
+    /// divide small problems into bands.
     #[must_use]
     pub fn with_binding_bytes(mut self, bytes: u64) -> Self {
         self.limits.max_storage_buffer_binding_size = self.limits.max_storage_buffer_binding_size.min(bytes);

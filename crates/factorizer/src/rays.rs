@@ -60,7 +60,7 @@ impl<'a, T> Place<'a, T> {
     }
 }
 
-/// The rays of one view through the line under update.
+/// One view's rays through the line that the solver updates: their valid range and their weights.
 pub(crate) struct View<'a> {
     /// Range of x in which the view's rays are valid.
     valid: Range<usize>,
@@ -143,8 +143,8 @@ pub(crate) struct LineRays<'a> {
 }
 
 impl<'a> LineRays<'a> {
-    /// Adds a view: the valid range of x, the weights and the target of its row of rays. Column c of
-    /// the row is at x = c + [`PAD`] − `offset`.
+    /// Adds a view: the valid range of x, the weights and the target of its row of rays. Column c
+    /// of the row is at x = c + [`PAD`] − `offset`.
     fn push_view(&mut self, plan: &'a Plan, rays: &Rays<'_>, offset: isize) {
         let (view, x_of_0) = (plan.view(rays.view[0], rays.view[1]), PAD as isize - offset);
         let x = |column: usize| (column as isize + x_of_0) as usize;

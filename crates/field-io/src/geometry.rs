@@ -149,7 +149,7 @@ pub(crate) struct Pixels {
     pub(crate) size: [usize; 2],
     /// Width of the rectangle that is read from a file's view, in pixels of the file.
     pub(crate) window_cols: f64,
-    /// Disparity that was moved to z = 0, in pixels of the file.
+    /// Disparity, per camera step, of the content that is now at z = 0; in pixels of the file.
     pub(crate) focus_px: f64,
 }
 

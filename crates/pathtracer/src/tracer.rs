@@ -686,8 +686,9 @@ impl Vertex<'_> {
         First { is_there: true, diffuse: Vec3::ZERO, reflectance, position, normal, guide }
     }
 
-    /// The receiver by which a light is chosen. If `horizon` is true and the triangle approximates
-    /// a smooth opaque surface, light may also arrive from below the triangle's plane.
+    /// Returns this vertex as a [`Receiver`], which the choice of a light reads. If `horizon` is
+    /// true and the triangle approximates a smooth opaque surface, lights below the triangle's
+    /// plane count, too.
     #[inline(always)]
     fn receiver(&self, surface: &Surface, horizon: bool) -> Receiver {
         let tilt = if horizon && self.may_bulge(surface) {

@@ -356,7 +356,7 @@ impl Job {
         if !(1..=1 << 20).contains(&self.importer.picture_mib) {
             return fail("importer.picture_mib", "1 to 1048576 MiB", self.importer.picture_mib.to_string());
         }
-        // Check tables that have their own checks, and combinations of tables.
+        // Check the tables of the job file that have their own checks, then combinations of tables.
         self.render.check()?;
         self.window.check()?;
         self.light.check()?;

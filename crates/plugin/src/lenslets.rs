@@ -241,8 +241,8 @@ mod tests {
         }
     }
 
-    /// The ray from a pixel's centre through the centre of its lens must have the pixel's value in
-    /// the display model's tables.
+    /// The display model's tables must give a ray from a pixel's centre through the centre of its
+    /// lens the same lenslet and angular bin as `panel.spot`.
     #[test]
     fn the_display_s_tables_agree_at_every_pixel() {
         let display = display();

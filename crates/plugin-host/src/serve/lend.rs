@@ -321,7 +321,10 @@ unsafe fn give(plane: *mut Plane, values: &[f32], shape: [usize; 3]) -> Result<(
     // SAFETY: guaranteed by the caller.
     let size = unsafe { (*plane).size };
     if size < size_of::<Plane>() {
-        return Err(PluginError::Refused(format!("the plane's `size` is {size} bytes, too few for this ABI version")));
+        return Err(PluginError::Refused(format!(
+            "the plane's `size`: expected at least {} bytes, found {size}",
+            size_of::<Plane>()
+        )));
     }
     // SAFETY: guaranteed by the caller. A newer plugin's `Plane` is longer; the bytes after this
     // version's members stay unchanged.

@@ -23,8 +23,8 @@ pub struct RenderJob {
     /// Paths per pixel, summed over all views. The solver averages all rays through a layer's
     /// pixel, so more views need fewer paths each.
     pub zone_samples: ZoneSamples,
-    /// Memory of the light field while it is rendered, read and solved, MiB. A larger one is kept
-    /// in files, of which parts are in memory.
+    /// Largest memory of the light field while it is rendered, read and solved, MiB. A light field
+    /// that needs more is kept in files, and only parts of it are in memory.
     pub field_mib: u64,
     /// Largest number of bounces of a path, the one at the first hit included. 0 shows emission
     /// only.

@@ -421,7 +421,7 @@ impl App<'_> {
                 producer.run(&*emit);
                 drop(ends);
             })
-            .map_err(thread_error)?;
+            .map_err(WindowError::Thread)?;
         let (done, report) = channel();
         let emit = self.emit.clone();
         let presenting = std::thread::Builder::new()
@@ -429,7 +429,7 @@ impl App<'_> {
             .spawn(move || {
                 let _ = done.send(present_loop.run(&*emit));
             })
-            .map_err(thread_error)?;
+            .map_err(WindowError::Thread)?;
         if mode != Mode::Window {
             outputs::inhibit_idle(self.windows.iter().map(|(window, ..)| &**window));
         }
@@ -599,10 +599,6 @@ impl App<'_> {
         }
         self.result = Some(reason);
     }
-}
-
-fn thread_error(error: std::io::Error) -> WindowError {
-    WindowError::Session(format!("cannot start a thread: {error}"))
 }
 
 /// Sets the position and size of a window, and excludes it from the control of window managers.
