@@ -137,9 +137,9 @@ pub fn field(options: &[&str]) -> Option<Outcome> {
 /// Prints the head of the table of light fields; `last` is the name of its last column.
 fn head(last: &str) {
     println!(
-        "\n| scene | views, zone | samples | light | CPU s | squared error | worst view | bias in it | mean | {last} |"
+        "\n| scene | views, zone | samples | light | CPU s | squared error | worst view | bias in it | mean | mean view's variance | {last} |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
 }
 
 fn default_scenes() -> Vec<String> {

@@ -11,9 +11,14 @@ use lumistack_pathtracer::{RenderError, Renderer, Settings};
 use crate::case::{Case, Outcome};
 use crate::{BOUNCES, Options};
 
-/// Fraction of the values that are at most white. Brighter values are cut to white before errors
-/// are computed: no display shows them, and a few of them would hide all other errors.
+/// Fraction of the values that are at most white. Errors are fractions of white.
 const BELOW_WHITE: f64 = 0.99;
+/// Number of samples per pixel of the view from which white is computed.
+const OF_WHITE: u32 = 16;
+/// Largest value of a path, as a multiple of white. All ways dim brighter paths to this value,
+/// since a few of them would hide all other errors. Pictures are not cut to white, since this would
+/// darken pictures with more noise.
+const CLAMP: f32 = 8.0;
 /// Unit of the times in `/proc/self/stat`, in milliseconds.
 const TICK_MS: u64 = 10;
 /// Numbers of samples per pixel of filtered views (`FILTERED`) and of views rendered one by one
@@ -49,6 +54,9 @@ struct Errors {
     bias: f64,
     /// Mean of the pictures divided by the mean of the truth, minus 1.
     change: f64,
+    /// Variance of the mean of all views, without shifts. The solver averages views in about this
+    /// way, so it is the noise that a display shows.
+    of_mean: f64,
 }
 
 /// The scene and the views of a bench.
@@ -56,6 +64,8 @@ struct Bench {
     case: Case,
     geometry: FieldGeometry,
     renderer: Renderer,
+    /// The radiance that counts as white.
+    white: f32,
 }
 
 /// Renders the views of a case one by one and with shared light, and prints a table row per way.
@@ -67,8 +77,7 @@ pub fn measure(options: &Options) -> Outcome {
         let mut ways = [Kind::Alone, Kind::Shared].map(|kind| Way::new(kind, samples));
         render(&bench, &mut ways, task)?;
         let [alone, shared] = &ways;
-        let white = white(&alone.pictures[0]);
-        let errors = [Errors::of_noise(alone, white), Errors::new(shared, alone, white)];
+        let errors = [Errors::of_noise(alone, bench.white), Errors::new(shared, alone, bench.white)];
         for (way, error) in ways.iter().zip(&errors) {
             let ratio = alone.seconds * errors[0].all / (way.seconds * error.all);
             row(&bench.case, options, way, error, ratio);
@@ -89,7 +98,7 @@ pub fn filters(options: &Options) -> Outcome {
     let mut ways: Vec<Way> = alone.chain(filtered).map(|(kind, samples)| Way::new(kind, samples)).collect();
     render(&bench, &mut ways, task)?;
     let truth = &ways[ALONE.len() - 1];
-    let white = white(&truth.pictures[0]);
+    let white = bench.white;
     let of =
         |way: &Way| if way.kind == Kind::Alone { Errors::of_noise(way, white) } else { Errors::new(way, truth, white) };
     let errors: Vec<Errors> = ways.iter().map(of).collect();
@@ -106,7 +115,10 @@ impl Bench {
         let case = Case::load(&options.scene, options.copies, options.size, options.own_materials, task)?;
         let geometry = field_of(&case, options.views, options.fov_deg)?;
         let renderer = Renderer::new(case.scene.clone(), task)?;
-        Ok(Self { case, geometry, renderer })
+        let middle = geometry.grid.views().map(|count| count / 2);
+        let settings = Settings { samples: OF_WHITE, max_bounces: BOUNCES, ..Settings::default() };
+        let white = white(&renderer.render_view(&case.window, &geometry, middle, &settings, task)?);
+        Ok(Self { case, geometry, renderer, white })
     }
 }
 
@@ -121,7 +133,7 @@ impl Kind {
 
     /// Renders all views of a bench.
     fn render(self, bench: &Bench, settings: Settings, task: Task<'_>) -> Result<Vec<Tensor<3>>, RenderError> {
-        let Bench { case, geometry, renderer } = bench;
+        let Bench { case, geometry, renderer, .. } = bench;
         match self {
             Self::Alone => {
                 let view = |view| renderer.render_view(&case.window, geometry, view, &settings, task);
@@ -165,7 +177,8 @@ fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
     for round in 0..2 {
         for (number, way) in ways.iter_mut().enumerate() {
             let seed = count * round as u64 + number as u64;
-            let settings = Settings { samples: way.samples, max_bounces: BOUNCES, seed, ..Settings::default() };
+            let (samples, clamp) = (way.samples, Some(CLAMP * bench.white));
+            let settings = Settings { samples, max_bounces: BOUNCES, seed, clamp, ..Settings::default() };
             let start = spent()?;
             way.pictures[round] = way.kind.render(bench, settings, task)?;
             way.seconds += 0.5 * (spent()? - start).as_secs_f64();
@@ -192,8 +205,8 @@ fn spent() -> Outcome<Duration> {
 }
 
 /// The radiance that counts as white: the fraction [`BELOW_WHITE`] of all values is at most this.
-fn white(pictures: &[Tensor<3>]) -> f32 {
-    let mut values: Vec<f32> = pictures.iter().flat_map(|picture| picture.data().iter().copied()).collect();
+fn white(picture: &Tensor<3>) -> f32 {
+    let mut values = picture.data().to_vec();
     let place = ((values.len() - 1) as f64 * BELOW_WHITE) as usize;
     *values.select_nth_unstable_by(place, f32::total_cmp).1
 }
@@ -204,14 +217,14 @@ impl Errors {
     fn of_noise(way: &Way, white: f32) -> Self {
         let variances = variances(way, white);
         let worst = variances.iter().copied().fold(0.0, f64::max);
-        Self { all: mean(&variances), worst, bias: 0.0, change: 0.0 }
+        Self { all: mean(&variances), worst, bias: 0.0, change: 0.0, of_mean: of_mean(way, white) }
     }
 
     /// Errors against `truth`, a way that has no bias. Each value of a picture is compared with two
     /// independent pictures of `truth`. The product of the two differences has the picture's
     /// squared error as its mean; the noise of `truth` does not add to it.
     fn new(way: &Way, truth: &Way, white: f32) -> Self {
-        let shown = |value: f32| f64::from((value / white).min(1.0));
+        let shown = |value: f32| f64::from(value / white);
         let of_view = |view: usize| {
             let [a, b] = [0, 1].map(|half: usize| truth.pictures[half][view].data());
             let of_half = |half: usize| {
@@ -231,19 +244,32 @@ impl Errors {
             worst: errors.iter().copied().fold(0.0, f64::max),
             bias: (all - mean(&variances(way, white))).max(0.0),
             change: sum(way) / sum(truth) - 1.0,
+            of_mean: of_mean(way, white),
         }
     }
 }
 
 /// Variance of every view.
 fn variances(way: &Way, white: f32) -> Vec<f64> {
-    let shown = |value: f32| f64::from((value / white).min(1.0));
+    let shown = |value: f32| f64::from(value / white);
     let [first, second] = &way.pictures;
     let of_view = |(a, b): (&Tensor<3>, &Tensor<3>)| {
         let pairs = a.data().iter().zip(b.data());
         pairs.map(|(a, b)| 0.5 * (shown(*a) - shown(*b)).powi(2)).sum::<f64>() / a.data().len() as f64
     };
     first.iter().zip(second).map(of_view).collect()
+}
+
+/// Variance of the mean of all views.
+fn of_mean(way: &Way, white: f32) -> f64 {
+    let [first, second] = way.pictures.each_ref().map(|views| {
+        let mut sum = vec![0.0f64; views[0].data().len()];
+        for view in views {
+            sum.iter_mut().zip(view.data()).for_each(|(sum, value)| *sum += f64::from(value / white));
+        }
+        sum.iter().map(|sum| sum / views.len() as f64).collect::<Vec<f64>>()
+    });
+    first.iter().zip(&second).map(|(a, b)| 0.5 * (a - b).powi(2)).sum::<f64>() / first.len() as f64
 }
 
 fn mean(values: &[f64]) -> f64 {
@@ -262,7 +288,7 @@ fn row(case: &Case, options: &Options, way: &Way, error: &Errors, ratio: f64) {
     let [rows, cols] = options.views;
     let materials = if options.own_materials { "own materials" } else { "diffuse" };
     println!(
-        "| {}, {materials} | {rows} × {cols}, {}° | {} | {} | {:.2} | {:.2e} | {:.2e} | {:.2e} | {:+.2} % | {ratio:.2} |",
+        "| {}, {materials} | {rows} × {cols}, {}° | {} | {} | {:.2} | {:.2e} | {:.2e} | {:.2e} | {:+.2} % | {:.2e} | {ratio:.2} |",
         case.name,
         options.fov_deg,
         way.samples,
@@ -272,5 +298,6 @@ fn row(case: &Case, options: &Options, way: &Way, error: &Errors, ratio: f64) {
         error.worst,
         error.bias,
         100.0 * error.change,
+        error.of_mean,
     );
 }

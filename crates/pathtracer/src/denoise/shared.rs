@@ -20,6 +20,22 @@
 //! one shift and one comparison. Averages over rows and then over columns take as many steps as the
 //! grid has rows and columns together. One average over all views would take the product of these
 //! numbers.
+//!
+//! Further paths for noisy pixels (edges, mirrored light) and further first hits for textures were
+//! built and taken out. They do not help a display, whose solver already averages that noise over
+//! the views. The table has 13 × 13 views of still-life with its own materials, 70 × 44 pixels. Its
+//! variance is that of the mean of all views, as a fraction of white squared.
+//!
+//! | samples | further paths | CPU seconds | variance |
+//! |---|---|---|---|
+//! | 1 | no | 1.16 | 3.8e-4 |
+//! | 1 | yes | 2.19 | 1.5e-4 |
+//! | 2 | no | 1.79 | 1.5e-4 |
+//!
+//! The README's job confirms this. With further paths and 1 path per view it scored 26.2 dB after
+//! 72 s of rendering. Without them and with 2 paths per view it scored 26.0 dB in about 60 s. Views
+//! that are seen one by one do gain. Their time at equal error fell by a factor of 1.7 to 1.8, for
+//! 5 × 5 views and 4 samples.
 
 use std::io;
 
