@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use crate::tools::{self, Outcome, absolute, command, example, output_of, text};
 
-/// The renderers with which the path tracer is compared, called peers. Each has the package for
-/// pip, the Python module, and the script that renders with it.
+/// Programs with which the path tracer is compared, called peers. Each entry has the package for
+/// pip and the Python module. Mitsuba and Cycles also have a script that renders with them.
 const MITSUBA: [&str; 3] = ["mitsuba==3.*", "mitsuba", "render_mitsuba.py"];
 const CYCLES: [&str; 3] = ["bpy==5.0.1", "bpy", "render_cycles.py"];
 const EMBREE: [&str; 2] = ["embreex==4.*", "embreex"];

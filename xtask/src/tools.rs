@@ -181,7 +181,7 @@ pub fn python() -> Outcome<PathBuf> {
     if !imports("PIL, OpenEXR") {
         println!("fetching: Pillow and OpenEXR, in target/python (used only to check pictures that we write)");
         if let Err(error) = install(&python, &READERS) {
-            skipped("pictures", &format!("readers of other projects cannot be installed: {error}"));
+            skipped("pictures", &format!("Pillow and OpenEXR cannot be installed into target/python: {error}"));
         }
     }
     if !imports("skimage, flip_evaluator") {

@@ -33,7 +33,8 @@ pub(crate) struct SumLine<'a, 'b> {
 }
 
 impl SumLine<'_, '_> {
-    /// Sums the line's rays and steps its pixels.
+    /// Sums the line's rays, and updates its pixels by a step. Returns the error of the rays and
+    /// the gain of the step.
     pub(crate) fn update(self) -> Outcome {
         let Self { plan, factors, at, local, functions, mut step, scratch } = self;
         scratch.sums.fill(0.0);

@@ -285,8 +285,8 @@ fn of_view(
                 if !there.is_lit() || normal.dot(there.normal()) < LEAST_COSINE {
                     continue;
                 }
-                // Up to a pixel's rounding both points are on the ray of this pixel, so they differ
-                // only in depth.
+                // `point` and `there` are on the ray of one pixel, apart from the rounding to whole
+                // pixels. So they differ only in depth.
                 let off = normal.z * (there.z_mm - point.z_mm) / pitch as f32;
                 let nearness = (1.0 - off * off * (0.25 / (PLANE_SCALE * PLANE_SCALE))).max(0.0);
                 let weight = (nearness * nearness) * (nearness * nearness);

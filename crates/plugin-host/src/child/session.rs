@@ -119,8 +119,8 @@ impl std::ops::Deref for Owner {
 
 impl Drop for Owner {
     fn drop(&mut self) {
-        // The host's table is valid only until the output ends. The lock waits for requests that
-        // use the table.
+        // The plugin may use the objects that the host lends only while this output exists.
+        // `all_mut` waits until no request uses them. Then they are removed.
         self.lending.all_mut().clear();
         self.shut_down();
     }
