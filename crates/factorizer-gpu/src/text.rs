@@ -36,7 +36,7 @@ pub(crate) struct Program<'a> {
 }
 
 /// An update of a factor.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 pub(crate) struct Update {
     pub(crate) own: usize,
     pub(crate) rule: Rule,
