@@ -1,5 +1,5 @@
-//! The producer thread: encodes new stacks, nudges and viewer directions into codes, uploads them,
-//! and puts them into the feed.
+//! The producer thread. It encodes new stacks, nudges (shifts of a panel's picture) and viewer
+//! directions into codes. It uploads the codes and puts them into the feed.
 
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
