@@ -85,11 +85,11 @@ pub(crate) struct Site<'a> {
 pub(crate) trait Feed: Sync {
     /// Returns the script that requests states.
     fn script(&self) -> &'static str;
+    /// Waits for a state that is newer than the state in the query, or for a timeout. Returns the
+    /// response, or `None` if no newer state has come by then.
+    fn frame(&self, query: &str) -> Option<Vec<u8>>;
     /// Returns the secret that a query of [`look`](Self::look) must contain. `None` if pages may
     /// not move a viewer.
-    fn frame(&self, query: &str) -> Option<Vec<u8>>;
-    /// Returns the word that a query of [`look`](Self::look) must have; `None` where pages move no
-    /// viewer.
     fn word(&self) -> Option<&str>;
     /// Moves the viewer of a page. Returns whether the query is valid.
     fn look(&self, query: &str) -> bool;
@@ -411,7 +411,7 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
                     .map_or_else(|| Reply::text(204, ""), |frame| bytes("application/octet-stream", frame));
             }
             LOOK if feed.look(query) => return Reply::text(204, ""),
-            LOOK => return Reply::text(403, "expected the page's own word and a slope\n"),
+            LOOK => return Reply::text(403, "expected the page's own secret and a slope\n"),
             _ => {}
         }
     }

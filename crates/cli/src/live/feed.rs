@@ -58,7 +58,7 @@ pub(super) struct PageFeed<'a> {
 
 /// A viewer whose position comes from the page instead of a tracker.
 pub(super) struct Guest<'a> {
-    /// Random word that requests must contain, so that a page of another origin cannot move the
+    /// The secret that requests must contain, so that a page of another origin cannot move the
     /// viewer.
     word: String,
     /// Distance of the head, mm.
@@ -73,7 +73,8 @@ impl<'a> Guest<'a> {
         Ok(Self { word: random_word()?, distance_mm, requests })
     }
 
-    /// Moves the viewer to the slope of a query. Returns whether word and slope are valid.
+    /// Moves the viewer to the slope of a query. Returns whether the query has the secret and a
+    /// valid slope.
     fn look(&self, query: &str) -> bool {
         let Some(slope) = slope_of(query).filter(|_| value(query, "viewer") == Some(&self.word)) else {
             return false;

@@ -382,8 +382,9 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
     (lights, emitters)
 }
 
-/// Weights for the choice of a light: by power, mixed with an equal weight for each kind that
-/// exists.
+/// Returns the chance of every light. The chance is a mixture: a part in proportion to the light's
+/// power, and a part [`EQUAL_SHARE`] that is divided equally among the kinds of lights that exist,
+/// and within a kind by power.
 fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
     let sums = kinds.each_ref().map(|powers| powers.iter().sum::<f64>());
     let total: f64 = sums.iter().sum();
