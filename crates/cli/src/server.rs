@@ -102,7 +102,7 @@ const PRELOAD: &str = "<link rel=\"preload\" as=\"fetch\" crossorigin href=\"sta
 const SCRIPT: &str = "/.live.js";
 /// Path of the states that the script requests.
 const STATES: &str = "/.live";
-/// Path to which the script sends its viewing position.
+/// Path to which the script sends the position of the page's viewer.
 const LOOK: &str = "/.look";
 /// The beginning of the element that shows a preview. A live display replaces the first text, which
 /// the page contains, by the second, which names no preview.

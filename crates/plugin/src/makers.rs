@@ -20,7 +20,7 @@ use crate::{Host, PluginError, Schema};
 pub trait ImporterPlugin: 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
-    /// File extensions that it reads: lower case, without the dot.
+    /// Extensions of the files that the plugin reads: lower case, without the dot.
     const EXTENSIONS: &'static [&'static str];
 
     /// A struct with one field per parameter of the schema; a field has its parameter's name.

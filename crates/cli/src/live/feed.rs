@@ -154,7 +154,7 @@ impl<'a> PageFeed<'a> {
         Ok(Made { number, edition, files: Arc::new(files.ok_or_else(unknown)?) })
     }
 
-    /// Writes the page for a state's display, and reads the list of its pictures.
+    /// Writes the page for a state's display, and reads the list of the page's pictures.
     fn edition(&self, number: u64, key: String, state: &State) -> Result<Edition, PipelineError> {
         let title = ("title".into(), json!(self.title));
         let params = Map::from_iter([title, ("target".into(), json!(false)), ("single_file".into(), json!(false))]);
