@@ -41,9 +41,9 @@ const ROUGHNESSES: usize = 32;
 const SAMPLES: u32 = 987;
 /// Step of the Fibonacci lattice of [`SAMPLES`] points.
 const LATTICE_STEP: u32 = 610;
-/// Numbers of nodes of the table for stretched lobes, one per coordinate: the root of the cosine,
-/// the azimuth, √α along the stretch, and √α across the stretch. The next two constants are the
-/// number of samples per node, and the step of the lattice that the samples form.
+/// Numbers of nodes of the table for stretched lobes, one per coordinate. The coordinates are the
+/// root of the cosine, the azimuth, √α along the stretch, and √α across the stretch. The next two
+/// constants are the number of samples per node, and the step of the lattice that the samples form.
 const STRETCHED: [usize; 4] = [16, 6, 13, 13];
 const STRETCHED_SAMPLES: u32 = 377;
 const STRETCHED_STEP: u32 = 233;
@@ -52,9 +52,9 @@ const SMALLEST: f32 = 1e-3;
 /// The index of refraction for which the tables of E also hold B: glTF's default, and the index of
 /// clear coats. The top of the file defines E and B.
 pub(crate) const COMMON_IOR: f32 = 1.5;
-/// Numbers of nodes of the table for other indices of refraction, one per coordinate: the root of
-/// the cosine, √α, and the root of (n − 1)/(n + 1). The next two constants are the number of
-/// samples per node, and the step of the lattice that the samples form.
+/// Numbers of nodes of the table for other indices of refraction, one per coordinate. The
+/// coordinates are the root of the cosine, √α, and the root of (n − 1)/(n + 1). The next two
+/// constants are the number of samples per node, and the step of the lattice that the samples form.
 const INDICES: [usize; 3] = [40, 16, 20];
 const INDICES_SAMPLES: u32 = 377;
 const INDICES_STEP: u32 = 233;

@@ -382,8 +382,8 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
     (lights, emitters)
 }
 
-/// Returns the chance of every light. The chance is a mixture: a part in proportion to the light's
-/// power, and a part [`EQUAL_SHARE`] that is divided equally among the kinds of lights that exist,
+/// Returns the chance of every light, a sum of two parts. One part is in proportion to the light's
+/// power. The other part, [`EQUAL_SHARE`], is divided equally among the kinds of lights that exist,
 /// and within a kind by power.
 fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
     let sums = kinds.each_ref().map(|powers| powers.iter().sum::<f64>());
