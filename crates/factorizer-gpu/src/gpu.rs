@@ -1,4 +1,4 @@
-//! An open device: its buffers and programs, and the first failure that it reported.
+//! An open device: its buffers and compiled shaders, and the first failure that it reported.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -194,7 +194,7 @@ impl Gpu {
         floats
     }
 
-    /// Returns the layout of bindings that all programs for a number of factors share.
+    /// Returns the layout of bindings that all shaders for a number of factors share.
     pub(crate) fn layout(&self, factors: usize) -> wgpu::BindGroupLayout {
         let binding = |binding: usize| {
             let ty = match binding {
@@ -213,7 +213,7 @@ impl Gpu {
         self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries })
     }
 
-    /// Compiles a program, or returns it from the cache.
+    /// Compiles a shader, or returns it from the cache.
     pub(crate) fn program(&self, program: &Program, layout: &wgpu::BindGroupLayout) -> wgpu::ComputePipeline {
         let text = program.text();
         let mut programs = self.programs.lock().unwrap_or_else(PoisonError::into_inner);

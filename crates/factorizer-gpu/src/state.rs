@@ -149,7 +149,7 @@ impl State {
         })
     }
 
-    /// Runs a program over all bands and channels, and leaves the results in `sums`.
+    /// Runs a shader over all bands and channels, and leaves the results in `sums`.
     fn dispatch(&mut self, update: Option<Update>, extrapolation: f32) {
         let plan = self.plan.clone();
         // all bands use one program with different parameters
@@ -251,7 +251,7 @@ impl State {
             window(&self.target.channels[channel], &band.target),
             self.target.weights.as_ref().map_or(weights.as_entire_binding(), |weights| window(weights, &band.weights)),
         ];
-        // outputs that this program does not write are bound to unused buffers
+        // outputs that this shader does not write are bound to unused buffers
         let moving =
             update.filter(|update| update.rule != Rule::KktResidual).map(|update| (&self.factors[update.own], update));
         resources.push(match moving {

@@ -73,9 +73,9 @@ impl Solve<'_> {
             .map_err(factorize_error)
     }
 
-    /// Returns true if `solver` reaches a smaller error from the patterns `warm` than from a fresh
-    /// start. The processor computes the errors for every device, so all machines make the same
-    /// choice.
+    /// Returns true if the patterns `warm` have a smaller error than a fresh start. Also returns
+    /// true if they lead by 1 dB after one iteration of `solver` from each. The processor computes
+    /// the errors for every device, so all machines make the same choice.
     ///
     /// # Errors
     /// The errors of [`factorize`](Self::factorize).
