@@ -73,9 +73,9 @@ impl Solve<'_> {
             .map_err(factorize_error)
     }
 
-    /// Returns true if the patterns `warm` are a better start of `solver` than a fresh start, by the
-    /// rule of [`lumistack_factorizer::warm_start_pays`]. The processor computes the objectives for
-    /// every device, so all machines make the same choice.
+    /// Returns true if the patterns `warm` are a better start of `solver` than a fresh start, by
+    /// the rule of [`lumistack_factorizer::warm_start_pays`]. The processor computes the objectives
+    /// for every device, so all machines make the same choice.
     ///
     /// # Errors
     /// The errors of [`factorize`](Self::factorize).
