@@ -98,7 +98,7 @@ pub(crate) enum Kind {
     Normal,
 }
 
-/// An image of a package, as the walker writes it.
+/// An image of a scene package, in the form in which the USD script (Python) writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Entry {
