@@ -195,7 +195,10 @@ fn problems_of_block(path: &str, block: &Block, banned: &[Banned], found: &mut V
         }
         for Banned { phrase, instead } in banned {
             if words.windows(phrase.len()).any(|window| window == phrase) {
-                found.push((sentence.line, format!("\"{}\": the glossary has {instead}", phrase.join(" "))));
+                found.push((
+                    sentence.line,
+                    format!("\"{}\" is not a word of the glossary: use {instead}", phrase.join(" ")),
+                ));
             }
         }
     }
@@ -238,9 +241,12 @@ mod tests {
 
     #[test]
     fn banned_words_are_found_in_comments_alone() {
-        assert_eq!(problems("// the triangle that is met\nlet met = 1;\n"), ["1: \"met\": the glossary has hit"]);
+        assert_eq!(
+            problems("// the triangle that is met\nlet met = 1;\n"),
+            ["1: \"met\" is not a word of the glossary: use hit"]
+        );
         let across = problems("/// Applies the\n/// look.\nfn look() {}\n");
-        assert_eq!(across, ["1: \"the look\": the glossary has exposure and tone curve"]);
+        assert_eq!(across, ["1: \"the look\" is not a word of the glossary: use exposure and tone curve"]);
         assert!(problems("// the meeting of `met` and metre\n").is_empty());
     }
 

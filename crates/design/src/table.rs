@@ -283,8 +283,8 @@ const GOOD_DB: f64 = 40.0;
 pub enum Plots {
     /// No plots.
     None,
-    /// Maps over one pair of the axes layers, frames and brightness, and curves along every other
-    /// axis.
+    /// Maps over one pair of axes: the first of (frames, layers), (frames, brightness) and (layers,
+    /// brightness) that the sweep varies. Curves along every other axis.
     #[default]
     Few,
     /// Maps over every pair of the axes layers, frames and brightness, and curves along every axis.

@@ -20,7 +20,8 @@ pub(crate) struct Scratch {
     pub(crate) curvature: Vec<f32>,
     /// Another row of this struct (error, emission, a_m or curvature), times the weights.
     pub(crate) weighted: Vec<f32>,
-    /// The sums r and G (upper triangle) of `step.rs`, or n and d: `[quantity][x]`.
+    /// The sums of `step.rs`: r and G (upper triangle), or the numerator n and the denominator d of
+    /// the paper's rule: `[quantity][x]`.
     pub(crate) sums: Vec<f32>,
     /// The sums in f64, if a pixel may get so many rays that f32 is too coarse; otherwise empty.
     pub(crate) long_sums: Vec<f64>,

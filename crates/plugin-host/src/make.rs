@@ -1,5 +1,5 @@
-//! Runs importers, sources and nodes. Messages, progress and cancellation go to the task; files are
-//! refused.
+//! Runs importers, sources and nodes. Messages, progress and cancellation go to the task. These
+//! plugins cannot write files.
 
 use lumistack_core::Task;
 use lumistack_display::{Display, LightField};

@@ -111,7 +111,7 @@ pub struct Output {
     pub label: String,
     /// Path relative to the report, with `/` between folders.
     pub path: String,
-    /// The reason why nothing was written; `None` if it was written.
+    /// The reason why the file or folder was not written; `None` if it was written.
     pub failed: Option<String>,
 }
 

@@ -165,9 +165,9 @@ pub struct BlendWindow {
     pub width: f64,
 }
 
-/// Renders views at a time, with the file's own engine and settings. When a view is complete, calls
-/// `finished` with the view's number and its file (OpenEXR, linear). Removes the file after the
-/// call.
+/// Renders the views of a .blend file at one time of its animation, with the file's own engine and
+/// settings. When a view is complete, `finished` receives the view's number and its file (OpenEXR,
+/// linear). The file is removed after this call.
 ///
 /// # Errors
 /// The errors of [`hand_over`].

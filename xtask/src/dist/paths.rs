@@ -109,7 +109,7 @@ mod tests {
         let error = check("\0/home/user/.cargo/lib.rs\0").unwrap_err();
         assert_eq!(error, "a file: contains the path `/home/user/.cargo/lib.rs` of this machine at byte 1");
         assert!(check(r"/home/user\x").is_err());
-        // a folder at the root has no name that could be searched for
+        // the root folder `/` has no name to search for, so nothing is found
         assert_eq!(find(b"/usr/lib", "/"), None);
     }
 }

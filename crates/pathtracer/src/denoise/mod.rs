@@ -20,17 +20,18 @@
 //! s'. In an epipolar picture, this is a line. Views thus share their samples, and the remaining
 //! noise is similar in all views.
 //!
-//! Every pixel has three answers: its radiance as rendered, filtered by guides and colours, and
-//! filtered by guides alone. The result is a mean of the answers, in which answers with smaller
-//! squared errors have more weight. The halves estimate these errors without bias if the weights
-//! for F_a come from a itself, since F_a and u_b are then independent:
+//! Every pixel has three candidates: its radiance as rendered, filtered by guides and colours, and
+//! filtered by guides alone. The result is their mean, in which candidates with smaller squared
+//! errors have more weight. Each error is estimated by a comparison of F_a with u_b. This estimate
+//! has no bias if F_a does not depend on u_b:
 //!
 //! ```text
 //! E[(F_a − u_b)²] = E[(F_a − truth)²] + Var(u_b)
 //! ```
 //!
-//! Answers with weights from their own half serve only for this estimate. The errors of the result
-//! are measured with [pixels that the filter never used](crate::Checks).
+//! But weights from colours depend on u_b. So, for the estimate alone, F_a is computed a second
+//! time, with weights from u_a. The errors of the result are measured with
+//! [pixels that the filter never used](crate::Checks).
 //!
 //! Sources:
 //!

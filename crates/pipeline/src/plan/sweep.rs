@@ -111,11 +111,11 @@ fn shared(executor: &mut Executor<'_>, parts: &[usize], job: &Job) -> Result<Opt
     if times.is_empty() { Ok(None) } else { Shared::new(times, references, job).map(Some) }
 }
 
-/// Designs of a sweep, and the parts of their light fields.
+/// Designs of a sweep, and the parts of the plan that make their light fields.
 #[derive(Default)]
 pub(crate) struct Designs {
     candidates: Vec<Candidate>,
-    /// For each light field, the parts of its time steps.
+    /// For each light field, one part of the plan per time step.
     fields: Vec<Vec<usize>>,
 }
 

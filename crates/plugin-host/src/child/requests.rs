@@ -296,7 +296,11 @@ unsafe fn give_to_sink(
         unsafe {
             write_error(
                 error,
-                &format!("expected a plane of shape {:?}, found {} bytes", [rows, cols, channels], body.len()),
+                &format!(
+                    "expected a plane of shape {:?} with {element} bytes per value, found {} bytes",
+                    [rows, cols, channels],
+                    body.len()
+                ),
             )
         };
         return Status::REFUSED;

@@ -171,7 +171,7 @@ fn numbers(sample: &Sample, time: Time) -> Vec<f64> {
     expected
 }
 
-/// A host in memory that states the port of the data.
+/// A host in memory that states before `open` which data the output will receive: a layer stack.
 struct WithPort(MemoryHost);
 
 impl Services for WithPort {
