@@ -11,9 +11,13 @@ use lumistack_pathtracer::{RenderError, Renderer, Settings};
 use crate::case::{Case, Outcome};
 use crate::{BOUNCES, Options};
 
-/// Fraction of the values that are at most white. Brighter values are cut to white before errors
-/// are computed: no display shows them, and a few of them would hide all other errors.
+/// Fraction of the values that are at most white. Errors are fractions of white.
 const BELOW_WHITE: f64 = 0.99;
+/// Number of samples per pixel of the view that white is found in.
+const OF_WHITE: u32 = 16;
+/// Largest value of a path, as a multiple of white. All ways dim brighter paths to this value, since
+/// a few of them would hide all other errors. Pictures are not cut: that would darken noisy ones.
+const CLAMP: f32 = 8.0;
 /// Unit of the times in `/proc/self/stat`, in milliseconds.
 const TICK_MS: u64 = 10;
 /// Numbers of samples per pixel of filtered views (`FILTERED`) and of views rendered one by one
@@ -56,6 +60,8 @@ struct Bench {
     case: Case,
     geometry: FieldGeometry,
     renderer: Renderer,
+    /// The radiance that counts as white.
+    white: f32,
 }
 
 /// Renders the views of a case one by one and with shared light, and prints a table row per way.
@@ -67,8 +73,7 @@ pub fn measure(options: &Options) -> Outcome {
         let mut ways = [Kind::Alone, Kind::Shared].map(|kind| Way::new(kind, samples));
         render(&bench, &mut ways, task)?;
         let [alone, shared] = &ways;
-        let white = white(&alone.pictures[0]);
-        let errors = [Errors::of_noise(alone, white), Errors::new(shared, alone, white)];
+        let errors = [Errors::of_noise(alone, bench.white), Errors::new(shared, alone, bench.white)];
         for (way, error) in ways.iter().zip(&errors) {
             let ratio = alone.seconds * errors[0].all / (way.seconds * error.all);
             row(&bench.case, options, way, error, ratio);
@@ -89,7 +94,7 @@ pub fn filters(options: &Options) -> Outcome {
     let mut ways: Vec<Way> = alone.chain(filtered).map(|(kind, samples)| Way::new(kind, samples)).collect();
     render(&bench, &mut ways, task)?;
     let truth = &ways[ALONE.len() - 1];
-    let white = white(&truth.pictures[0]);
+    let white = bench.white;
     let of =
         |way: &Way| if way.kind == Kind::Alone { Errors::of_noise(way, white) } else { Errors::new(way, truth, white) };
     let errors: Vec<Errors> = ways.iter().map(of).collect();
@@ -106,7 +111,10 @@ impl Bench {
         let case = Case::load(&options.scene, options.copies, options.size, options.own_materials, task)?;
         let geometry = field_of(&case, options.views, options.fov_deg)?;
         let renderer = Renderer::new(case.scene.clone(), task)?;
-        Ok(Self { case, geometry, renderer })
+        let middle = geometry.grid.views().map(|count| count / 2);
+        let settings = Settings { samples: OF_WHITE, max_bounces: BOUNCES, ..Settings::default() };
+        let white = white(renderer.render_view(&case.window, &geometry, middle, &settings, task)?.data());
+        Ok(Self { case, geometry, renderer, white })
     }
 }
 
@@ -121,13 +129,14 @@ impl Kind {
 
     /// Renders all views of a bench.
     fn render(self, bench: &Bench, settings: Settings, task: Task<'_>) -> Result<Vec<Tensor<3>>, RenderError> {
-        let Bench { case, geometry, renderer } = bench;
+        let Bench { case, geometry, renderer, .. } = bench;
         match self {
             Self::Alone => {
                 let view = |view| renderer.render_view(&case.window, geometry, view, &settings, task);
                 geometry.grid.iter().map(view).collect()
             }
             Self::Shared => {
+                let settings = Settings { further_paths: true, ..settings };
                 let split = |view| renderer.render_split(&case.window, geometry, view, &settings, task);
                 let splits: Vec<_> = geometry.grid.iter().map(split).collect::<Result<_, _>>()?;
                 let mut light = SharedLight::new(geometry);
@@ -165,7 +174,13 @@ fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
     for round in 0..2 {
         for (number, way) in ways.iter_mut().enumerate() {
             let seed = count * round as u64 + number as u64;
-            let settings = Settings { samples: way.samples, max_bounces: BOUNCES, seed, ..Settings::default() };
+            let settings = Settings {
+                samples: way.samples,
+                max_bounces: BOUNCES,
+                seed,
+                clamp: Some(CLAMP * bench.white),
+                ..Settings::default()
+            };
             let start = spent()?;
             way.pictures[round] = way.kind.render(bench, settings, task)?;
             way.seconds += 0.5 * (spent()? - start).as_secs_f64();
@@ -192,8 +207,8 @@ fn spent() -> Outcome<Duration> {
 }
 
 /// The radiance that counts as white: the fraction [`BELOW_WHITE`] of all values is at most this.
-fn white(pictures: &[Tensor<3>]) -> f32 {
-    let mut values: Vec<f32> = pictures.iter().flat_map(|picture| picture.data().iter().copied()).collect();
+fn white(values: &[f32]) -> f32 {
+    let mut values = values.to_vec();
     let place = ((values.len() - 1) as f64 * BELOW_WHITE) as usize;
     *values.select_nth_unstable_by(place, f32::total_cmp).1
 }
@@ -211,7 +226,7 @@ impl Errors {
     /// independent pictures of `truth`. The product of the two differences has the picture's
     /// squared error as its mean; the noise of `truth` does not add to it.
     fn new(way: &Way, truth: &Way, white: f32) -> Self {
-        let shown = |value: f32| f64::from((value / white).min(1.0));
+        let shown = |value: f32| f64::from(value / white);
         let of_view = |view: usize| {
             let [a, b] = [0, 1].map(|half: usize| truth.pictures[half][view].data());
             let of_half = |half: usize| {
@@ -237,7 +252,7 @@ impl Errors {
 
 /// Variance of every view.
 fn variances(way: &Way, white: f32) -> Vec<f64> {
-    let shown = |value: f32| f64::from((value / white).min(1.0));
+    let shown = |value: f32| f64::from(value / white);
     let [first, second] = &way.pictures;
     let of_view = |(a, b): (&Tensor<3>, &Tensor<3>)| {
         let pairs = a.data().iter().zip(b.data());

@@ -2,19 +2,23 @@
 //! the light comes.
 //!
 //! ```text
-//! E = D / ρ_d                            of the first surface (see SplitView): view-independent
+//! E = D / ρ_p                            of the first surface (see SplitView): view-independent
 //! E'(v, p) = Σ_u w E(u, p_u) / Σ_u w     over the views u of a row, then over those of a column
 //! L' = G + ρ_d E'
 //! ```
 //!
-//! D is the light that the first surface scatters diffusely, ρ_d the reflectance for it, and G all
-//! other light.
+//! D is the light that the first surface scatters diffusely, and G all other light. ρ_p is the
+//! reflectance of the surfaces that the pixel's paths hit, and ρ_d that of the surfaces that all its
+//! rays hit. There are more rays than paths inside of textures, see
+//! [`Settings::further_paths`](crate::Settings::further_paths).
 //!
 //! View u sees the surface point of pixel p at the pixel p_u. Between two views with the slopes s
 //! and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface at
 //! p_u, and falls to 0 if it sees another surface. It follows from the distance of u's point from
-//! the plane of p's point. Nothing is averaged over neighbouring pixels, so shadows and textures
-//! stay sharp up to a pixel's rounding. E is read at the pixel nearest to p_u. G stays as rendered.
+//! the plane of p's point. It is multiplied by u's ρ_p, so that light from dark surfaces, which is
+//! noisy once it is divided, counts little. Nothing is averaged over neighbouring pixels, so
+//! shadows and textures stay sharp up to a pixel's rounding. E is read at the pixel nearest to p_u.
+//! G stays as rendered, and so does D where no other view sees the surface.
 //!
 //! So a point that hundreds of views see has the samples of all of them. Each of these views costs
 //! one shift and one comparison. Averages over rows and then over columns take as many steps as the
@@ -41,13 +45,13 @@ const LEAST_COSINE: f32 = 0.8;
 /// be shared.
 const LEAST_REFLECTANCE: f32 = 0.02;
 
-/// Data of a pixel for the filter. It is kept small, 20 bytes, since the pixels of all views are in
+/// Data of a pixel for the filter. It is kept small, 24 bytes, since the pixels of all views are in
 /// memory at once.
 #[derive(Clone, Copy, Default)]
 #[repr(C)]
 struct Point {
-    /// E: the light at the point divided by its reflectance, from the pixel's own samples.
-    light: [f32; 3],
+    /// E from the pixel's own samples, and in the second pass from those of its row of views.
+    light: Light,
     z_mm: f32,
     /// Unit normal, times 127.
     normal: [i8; 3],
@@ -55,10 +59,24 @@ struct Point {
     lit: u8,
 }
 
-// SAFETY: sixteen bytes of floats and four single bytes, without gaps
+// SAFETY: twenty bytes of floats and four single bytes, without gaps
 unsafe impl Plain for Point {}
 
-/// Light that the views of a light field are to share. It takes 32 bytes for every ray.
+/// Light at the point of a pixel.
+#[derive(Clone, Copy, Default)]
+#[repr(C)]
+struct Light {
+    /// E: the light divided by the reflectance.
+    rgb: [f32; 3],
+    /// Weight of E: the mean reflectance of the paths, 0 if they hit nothing. It is negative if no
+    /// other view sees the surface.
+    weight: f32,
+}
+
+// SAFETY: four floats, without gaps
+unsafe impl Plain for Light {}
+
+/// Light that the views of a light field are to share. It takes 40 bytes for every ray.
 pub struct SharedLight<'a> {
     geometry: &'a FieldGeometry,
     /// Number of views added.
@@ -66,18 +84,18 @@ pub struct SharedLight<'a> {
     /// Data of every pixel, `[view][row][col]`.
     points: Array<Point>,
     /// Mean over the views of [`Point::light`], `[view][row][col]`, once it is computed.
-    light: Array<[f32; 3]>,
+    light: Array<Light>,
 }
 
 /// The mean light of every view.
 pub struct MeanLight {
     /// Mean over the views of [`Point::light`], `[view][row][col]`.
-    light: Array<[f32; 3]>,
+    light: Array<Light>,
 }
 
 impl<'a> SharedLight<'a> {
     /// Number of bytes that a ray takes.
-    pub const BYTES_PER_RAY: u64 = (size_of::<Point>() + size_of::<[f32; 3]>()) as u64;
+    pub const BYTES_PER_RAY: u64 = (size_of::<Point>() + size_of::<Light>()) as u64;
 
     /// Starts without any view, in memory.
     pub fn new(geometry: &'a FieldGeometry) -> Self {
@@ -126,7 +144,7 @@ impl<'a> SharedLight<'a> {
         let [view_rows, view_cols] = self.geometry.grid.views();
         assert_eq!(self.added, view_rows * view_cols, "every view of the grid");
         if let Array::Held(light) = &mut self.light {
-            *light = vec![[0.0; 3]; self.added * self.geometry.rows * self.geometry.cols];
+            *light = vec![Light::default(); self.added * self.geometry.rows * self.geometry.cols];
         }
         let of_row = |index: usize| (0..view_cols).map(|x| index / view_cols * view_cols + x).collect::<Vec<usize>>();
         let of_col = |index: usize| (0..view_rows).map(|y| y * view_cols + index % view_cols).collect::<Vec<usize>>();
@@ -152,7 +170,10 @@ impl MeanLight {
         let light = self.light.part(number * rows * cols..(number + 1) * rows * cols);
         for (i, (rgb, light)) in radiance.data_mut().chunks_exact_mut(3).zip(light).enumerate() {
             let pixel = view.at(i / cols, i % cols);
-            rgb.copy_from_slice(&(pixel.other + divisor(pixel.reflectance) * Vec3::from_array(*light)).to_array());
+            let is_shared = light.weight > 0.0;
+            let mean = divisor(pixel.reflectance) * Vec3::from_array(light.rgb);
+            let diffuse = if is_shared { mean } else { pixel.diffuse };
+            rgb.copy_from_slice(&(pixel.other + diffuse).to_array());
         }
         radiance
     }
@@ -166,7 +187,10 @@ impl Point {
     fn of(view: &SplitView, row: usize, col: usize) -> Self {
         let pixel = view.at(row, col);
         Self {
-            light: (pixel.diffuse / divisor(pixel.reflectance)).to_array(),
+            light: Light {
+                rgb: (pixel.diffuse / divisor(pixel.path_reflectance)).to_array(),
+                weight: -pixel.path_reflectance.max_element(),
+            },
             z_mm: pixel.z_mm,
             normal: pixel.normal.to_array().map(|n| (127.0 * n).round() as i8),
             lit: u8::from(pixel.reflectance.max_element() > 0.0),
@@ -192,11 +216,11 @@ fn pass(
     geometry: &FieldGeometry,
     points: &Array<Point>,
     partners: impl Fn(usize) -> Vec<usize> + Sync,
-    light: &mut Array<[f32; 3]>,
+    light: &mut Array<Light>,
     task: Task<'_>,
 ) -> Result<(), Cancelled> {
     let (light, of_light) = light.all_mut();
-    let one = |(index, light): (usize, &mut [[f32; 3]])| {
+    let one = |(index, light): (usize, &mut [Light])| {
         task.cancel.check()?;
         announce(of_light, size_of_val(light));
         match points.all() {
@@ -224,7 +248,7 @@ fn of_view(
     announce: &impl Fn(usize),
     index: usize,
     partners: &[usize],
-    light: &mut [[f32; 3]],
+    light: &mut [Light],
 ) {
     let (rows, cols, pitch) = (geometry.rows, geometry.cols, geometry.pitch_mm);
     let grid = &geometry.grid;
@@ -232,13 +256,16 @@ fn of_view(
     let slope_of = |view: usize| DVec2::new(grid.slope_x[view % view_cols], grid.slope_y[view / view_cols]);
     let of_view = |view: usize| &points[view * rows * cols..][..rows * cols];
     let own = of_view(index);
+    let share = 1.0 / partners.len() as f32;
     let (mut sums, mut weights) = (vec![Vec3::ZERO; cols], vec![0.0f32; cols]);
+    let mut met = vec![false; cols];
     for (row, light) in light.chunks_exact_mut(cols).enumerate() {
         let line = &own[row * cols..][..cols];
         announce(cols);
         // begin with the view's own light
-        for ((sum, weight), point) in sums.iter_mut().zip(&mut weights).zip(line) {
-            (*sum, *weight) = (Vec3::from_array(point.light), 1.0);
+        for (((sum, weight), met), point) in sums.iter_mut().zip(&mut weights).zip(&mut met).zip(line) {
+            let own = point.light.weight.abs();
+            (*sum, *weight, *met) = (own * Vec3::from_array(point.light.rgb), own, point.light.weight > 0.0);
         }
         for &other in partners.iter().filter(|other| **other != index) {
             // add the light of every other view that sees the same point
@@ -273,14 +300,16 @@ fn of_view(
                 // only in depth.
                 let off = normal.z * (there.z_mm - point.z_mm) / pitch as f32;
                 let nearness = (1.0 - off * off * (0.25 / (PLANE_SCALE * PLANE_SCALE))).max(0.0);
-                let weight = (nearness * nearness) * (nearness * nearness);
-                sums[col] += weight * Vec3::from_array(there.light);
+                let weight = (nearness * nearness) * (nearness * nearness) * there.light.weight.abs();
+                sums[col] += weight * Vec3::from_array(there.light.rgb);
                 weights[col] += weight;
+                met[col] |= weight > 0.0;
             }
             announce((last + 1).saturating_sub(first));
         }
-        for ((light, sum), weight) in light.iter_mut().zip(&sums).zip(&weights) {
-            *light = (*sum / *weight).to_array();
+        for (((light, sum), weight), met) in light.iter_mut().zip(&sums).zip(&weights).zip(&met) {
+            let rgb = if *weight > 0.0 { *sum / *weight } else { Vec3::ZERO };
+            *light = Light { rgb: rgb.to_array(), weight: if *met { 1.0 } else { -1.0 } * share * weight };
         }
     }
 }

@@ -26,9 +26,10 @@ use crate::settings::Settings;
 /// over the samples that hit a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SplitView {
-    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm]`. The normal is in
-    /// display space, and z_mm is the depth in display space towards the viewer. Both are 0 if no
-    /// surface is seen.
+    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm, paths' reflectance
+    /// rgb]`. The normal is in display space, and z_mm is the depth in display space towards the
+    /// viewer. Both are 0 if no surface is seen. The reflectance is a mean over all rays of the
+    /// pixel, and the last one over those that continue as paths.
     values: Tensor<3>,
 }
 
@@ -51,6 +52,8 @@ pub(crate) struct SplitPixel {
     pub(crate) diffuse: Vec3,
     pub(crate) other: Vec3,
     pub(crate) reflectance: Vec3,
+    /// Reflectance of the surfaces whose light `diffuse` is.
+    pub(crate) path_reflectance: Vec3,
     pub(crate) normal: Vec3,
     pub(crate) z_mm: f32,
 }
@@ -65,8 +68,9 @@ impl SplitView {
         (values.shape()[2] == PARTS).then_some(Self { values })
     }
 
-    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`. Light is radiance,
-    /// normals are in display space, z is in millimetres.
+    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm, paths' reflectance
+    /// rgb]`. Light is radiance, normals are in display space, z is in millimetres. The last
+    /// reflectance is a mean over the paths alone, whose light is the diffuse light.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }
@@ -95,14 +99,21 @@ impl SplitView {
     pub(crate) fn at(&self, row: usize, col: usize) -> SplitPixel {
         let v = self.values.block([row, col]);
         let vector = |first: usize| Vec3::from_slice(&v[first..first + 3]);
-        SplitPixel { diffuse: vector(0), other: vector(3), reflectance: vector(6), normal: vector(9), z_mm: v[12] }
+        SplitPixel {
+            diffuse: vector(0),
+            other: vector(3),
+            reflectance: vector(6),
+            path_reflectance: vector(13),
+            normal: vector(9),
+            z_mm: v[12],
+        }
     }
 }
 
 impl Renderer {
     /// One view with its diffuse and other light separate, from the samples of
-    /// [`render_view`](Self::render_view) with the same settings. Advances the progress as that
-    /// function does.
+    /// [`render_view`](Self::render_view) with the same settings, and from the
+    /// [further paths](Settings::further_paths). Advances the progress as that function does.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).
@@ -115,9 +126,10 @@ impl Renderer {
         task: Task<'_>,
     ) -> Result<SplitView, RenderError> {
         let split = |pixel: &PixelMean, first: &FirstSums| {
-            first.split(pixel.mean, settings.samples - pixel.not_finite, settings.samples)
+            first.split(pixel.mean, settings.samples - pixel.not_finite, [settings.samples; 2])
         };
-        let values = self.view_of::<true, PARTS>(window, geometry, view, settings, task, split, both_parts)?;
+        let values = self.view_of::<true, { PARTS + 3 }>(window, geometry, view, settings, task, split, all_parts)?;
+        let values = self.with_further_paths(window, geometry, view, settings, task, &values, None)?;
         Ok(SplitView { values })
     }
 
@@ -137,15 +149,16 @@ impl Renderer {
     ) -> Result<GuidedSplit, RenderError> {
         let all = |pixel: &PixelMean, first: &FirstSums| {
             let finite = settings.samples - pixel.not_finite;
-            let mut values = [0.0; PARTS + 3 + FEATURES];
-            values[..PARTS].copy_from_slice(&first.split(pixel.mean, finite, settings.samples));
-            values[PARTS..PARTS + 3].copy_from_slice(&pixel.variance.to_array());
-            values[PARTS + 3..].copy_from_slice(&first.features(settings.samples));
+            let mut values = [0.0; PARTS + 6 + FEATURES];
+            values[..PARTS + 3].copy_from_slice(&first.split(pixel.mean, finite, [settings.samples; 2]));
+            values[PARTS + 3..PARTS + 6].copy_from_slice(&pixel.variance.to_array());
+            values[PARTS + 6..].copy_from_slice(&first.features(settings.samples));
             values
         };
         let all =
-            self.view_of::<true, { PARTS + 3 + FEATURES }>(window, geometry, view, settings, task, all, both_parts)?;
-        let [values, variance, features] = ranges(&all, [("part", PARTS), ("rgb", 3), ("feature", FEATURES)]);
+            self.view_of::<true, { PARTS + 6 + FEATURES }>(window, geometry, view, settings, task, all, all_parts)?;
+        let [values, mut variance, features] = ranges(&all, [("part", PARTS + 3), ("rgb", 3), ("feature", FEATURES)]);
+        let values = self.with_further_paths(window, geometry, view, settings, task, &values, Some(&mut variance))?;
         Ok(GuidedSplit { split: SplitView { values }, variance, features: Features { values: features } })
     }
 }
@@ -153,4 +166,9 @@ impl Renderer {
 /// Radiance of a pixel whose first six values are its diffuse and its other light.
 fn both_parts(values: &[f32]) -> [f32; 3] {
     [0, 1, 2].map(|c| values[c] + values[3 + c])
+}
+
+/// Radiance of a pixel of [`FirstSums::split`], which has the light that its rays see last.
+fn all_parts(values: &[f32]) -> [f32; 3] {
+    [0, 1, 2].map(|c| values[c] + values[3 + c] + values[PARTS + c])
 }

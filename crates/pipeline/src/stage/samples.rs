@@ -361,6 +361,7 @@ fn settings(shot: Shot<'_>) -> Settings {
     Settings {
         max_bounces: shot.job.render.max_bounces,
         clamp: shot.job.render.clamp,
+        further_paths: shot.denoise() == Denoise::Shared,
         hide_environment,
         ..Settings::default()
     }

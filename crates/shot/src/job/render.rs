@@ -256,7 +256,7 @@ impl Default for RenderJob {
 impl RenderJob {
     /// Largest memory of a ray, bytes: shared light while views are denoised, or three channels as
     /// `f32` twice while patterns are solved.
-    pub const BYTES_PER_RAY: u64 = 32;
+    pub const BYTES_PER_RAY: u64 = 40;
     /// Greatest number of rays for which a display chooses its views: 625 views of 840 × 525
     /// pixels. More would take hours.
     const MOST_RAYS: usize = 625 * 840 * 525;
@@ -307,6 +307,7 @@ impl RenderJob {
             samples,
             max_bounces: self.max_bounces,
             seed,
+            further_paths: self.denoise == Denoise::Shared,
             clamp: self.clamp,
             angular_filter: match self.angular_filter {
                 _ if self.lens_deg > 0.0 => Filter::Lens(depth_scale * 2.0 * (0.5 * self.lens_deg.to_radians()).tan()),
