@@ -8,7 +8,7 @@ use crate::common::{assets, lumistack, number, report, succeed};
 const COVERAGE: f64 = 0.13;
 /// Smallest difference between the 1st and the 99th percentile of the target's values.
 const SPAN: f64 = 0.3;
-/// Smallest PSNR over the whole zone at β = 0.2, dB.
+/// Smallest PSNR over the whole zone at the brightness β = 0.2, dB.
 const PSNR_DB: f64 = 23.0;
 
 /// Files that need no settings except the display.

@@ -116,8 +116,8 @@ fn a_flat_picture_has_all_pixels_of_its_panel() {
     display.layers[2].panel_pitch_mm = Some(0.25);
     display.layers[2].panel = Some(Panel { flip: Flip::Horizontal, ..Panel::default() });
     std::fs::write(folder.path().join("display.toml"), display.to_toml()).unwrap();
-    // The third panel and the picture have 640 × 360 pixels, and a pixel of the panel's mask has 2
-    // × 2 of these. The panel is mirrored and has linear codes.
+    // The third panel and the picture have 640 × 360 pixels, and a pixel of the panel's mask covers
+    // 2 × 2 of the panel's pixels. The panel is mirrored and has linear codes.
     let mut random = Stream::new(5);
     let picture = image::RgbImage::from_fn(640, 360, |x, y| {
         let ring = (f64::from(x) - 320.0).hypot(f64::from(y) - 180.0) < 120.0;
@@ -269,8 +269,8 @@ fn photographs_correct_the_pose_of_panels() {
         let options = ["--pattern", "crosshairs", "--only", &only, "--eye-mm", "12,-8,2000"];
         let mut show = Show::start(&session, &file, &options);
         show.event("swapped");
-        // The panel shows dark crosses on light. The picture is complete when most of it is light
-        // and two screenshots are equal.
+        // The panel shows dark crosses on a light background. The picture is complete when most of
+        // it is light and two screenshots are equal.
         let name = OUTPUTS[n].0;
         let shot = wait_for("the crosses", || {
             let shot = session.grim(name)?;
@@ -326,8 +326,8 @@ fn photographs_correct_the_pose_of_panels() {
         keep(&shot, &format!("spots_{n}"));
         let mut worst: f64 = 0.0;
         for [col, row] in &spots {
-            // a spot is 12 pixels wide, so its middle is half a pixel left of and above its pixel
-            // [col, row]
+            // a spot is 12 pixels wide, so its middle is half a pixel to the left of its pixel
+            // [col, row], and half a pixel above this pixel
             let wanted = [(*col as f64 - 0.5 - 209.5) * 1.1, (130.5 - (*row as f64 - 0.5)) * 1.1];
             let around = standing[n].pixel(wanted);
             let (mut sum, mut count) = ([0.0; 2], 0.0);

@@ -165,8 +165,8 @@ fn all_displays_of_a_run_stand_side_by_side() {
         let own = report(&run.join("nodes").join(id))["psnr_view"].as_f64().unwrap();
         assert!((display["likeness"]["psnr_db"].as_f64().unwrap() - own).abs() < 0.01, "{display}, report {own}");
     }
-    // The sheet has rows for the target and for two displays, each with three views. A view of
-    // 64 × 40 pixels is enlarged four times.
+    // The sheet has a column for the target and for each of two displays. Each column has three
+    // views. A view of 64 × 40 pixels is enlarged four times.
     let sheet = image::open(out.join("displays.jpg")).unwrap();
     assert!(sheet.width() > 3 * 4 * 64 && sheet.height() > 3 * 4 * 40, "{} × {}", sheet.width(), sheet.height());
     let printed = succeed(lumistack().arg("compare").arg(&run));

@@ -6,7 +6,7 @@ use std::process::Command;
 use crate::common::{cached, fail, lumistack, number, report, succeed, write_test_field};
 use crate::live::{Live, write_job};
 
-/// Largest difference of a device's score from the processor's, dB.
+/// Largest difference between the score of a device and the score of the processor, dB.
 const SAME_DB: f64 = 0.01;
 /// Largest difference of the scores in a live display, dB. It is larger than [`SAME_DB`], since the
 /// number of iterations per step depends on the time that an iteration takes.

@@ -10,11 +10,11 @@ use crate::common::{fail, files, light_fields, lumistack, number, python, report
 /// Largest difference between the report's PSNR and the PSNR of an independent forward model, dB.
 const PSNR_AGREEMENT_DB: f64 = 0.01;
 
-/// A case may be this much worse than the PSNR in its file, dB. Other instruction sets round
-/// differently, which also changes the noise.
+/// Largest loss of PSNR that a case may have against the PSNR in its file, dB. Other instruction
+/// sets round differently, which also changes the noise.
 const MAY_LOSE_DB: f64 = 0.3;
-/// A case may be this much better than the PSNR in its file, dB. If it is even better, the file
-/// must be written again, since an outdated value would hide a later loss.
+/// Largest gain of PSNR that a case may have against the PSNR in its file, dB. If the gain is
+/// larger, the file must be written again, since an outdated value would hide a later loss.
 const MAY_GAIN_DB: f64 = 1.0;
 
 /// Each folder of `tests/cases` has a job and `expected.json`, which has the expected PSNR and the
@@ -84,12 +84,12 @@ fn check_with_numpy(python: &Path, field: &Path, run: &Path, geometry: [&str; 4]
     }
 }
 
-/// Largest difference between the scores of the NumPy model, which traces 2000 × 2000 rays per
-/// pixel, and of our exact integration over pixels' areas, dB.
+/// Largest difference between the score of the NumPy model, which traces 2000 × 2000 rays per
+/// pixel, and the score of our exact integration over pixels' areas, dB.
 const ZONE_AGREEMENT_DB: f64 = 0.02;
 
-/// The score psnr_zone of the report agrees with that of a NumPy model. This holds for three layers
-/// with oblique and with perspective views, and for a directional backlight.
+/// The score psnr_zone of the report agrees with the score of a NumPy model. This holds for three
+/// layers with oblique and with perspective views, and for a directional backlight.
 #[test]
 fn a_numpy_model_of_the_seen_picture_gives_the_reports_zone() {
     let Some(python) = python() else { return };
@@ -142,8 +142,8 @@ fn a_directional_backlight_follows_a_foreign_light_field() {
     let folder = tempfile::tempdir().unwrap();
     let field = folder.path().join("views.npy");
     write_test_field(&field, [5, 5, 50, 80], 20.0, 3.0);
-    // The backlight follows the views. With the backlights of the presets (3 × 3 bins, 48 degrees)
-    // the PSNR would only be 30.2 and 27.5 dB.
+    // The backlight is adapted to the views. With the backlights of the presets (3 × 3 bins, 48
+    // degrees) the PSNR would only be 30.2 and 27.5 dB.
     for (display, least) in [("fig7-directional", 35.0), ("paper-directional", 32.0)] {
         let run = folder.path().join(display);
         let flags = ["--fov", "20x20", "--pitch-mm", "3", "--iterations", "30", "--display", display];
@@ -289,8 +289,8 @@ fn a_rerun_takes_everything_from_the_cache() {
         assert_eq!(stage["cached"], true, "{name} ran again");
     }
     assert!(before == files(&run.join("layers")));
-    // a change of the factorizer's settings does not change the views, so these are not rendered
-    // again
+    // a change of the factorizer's settings does not change the views, so the views are not
+    // rendered again
     succeed(small_run(&run).args(["--iterations", "11"]));
     let stages = report(&run)["stages"].clone();
     let cached = |name: &str| stages.as_array().unwrap().iter().find(|s| s["name"] == name).unwrap()["cached"].clone();

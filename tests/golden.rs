@@ -1,6 +1,6 @@
-//! Compares pictures of the renderer with earlier pictures of it, the golden pictures. There is a
-//! z-test for each pixel, for each block of pixels, and for the whole picture. So a change of the
-//! random numbers passes, but a change of the mean fails.
+//! Compares pictures of the renderer with the golden pictures, which the renderer made earlier.
+//! There is a z-test for each pixel, for each block of pixels, and for the whole picture. So a
+//! change of the random numbers passes, but a change of the mean fails.
 //!
 //! `golden.exr` in a case's folder is a view of the case's scene with many samples per pixel. It
 //! has the linear mean μ of the samples, and the variance of this mean. A picture x of the same

@@ -51,7 +51,7 @@ def picture(formula, shape):
         return smooth(number, rows, cols)
     if kind == "grainy":  # seven eighths of a smooth picture, one eighth of noise
         return (7 * smooth(number, rows, cols) + noise(number + 100, rows, cols)) // 8
-    if kind == "shifted":  # smooth:1, moved to the left by `number` pixels
+    if kind == "shifted":  # the picture "smooth:1", moved to the left by `number` pixels
         return smooth(1, rows, range(number, shape[1] + number))
     if kind == "checks":
         r, c = np.meshgrid(rows, cols, indexing="ij")

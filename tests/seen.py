@@ -2,8 +2,9 @@
 
 usage: seen.py RUN [RAYS_PER_PIXEL_AND_AXIS]
 
-RUN is the folder of a run of a scene with tone = "linear", nearest sampling, and rays that miss a layer ignored ("drop"). Pitch,
-offset, projection and backlight may have any values. Prints psnr_zone and psnr_zone_worst_tenth of this model.
+RUN is the folder of a run of a scene. The job must have tone = "linear", and its display must have nearest sampling and ignore rays
+that miss a layer ("drop"). Pitch, offset, projection and backlight may have any values.
+Prints psnr_zone and psnr_zone_worst_tenth of this model.
 """
 import glob
 import json

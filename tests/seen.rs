@@ -9,8 +9,8 @@ use serde_json::{Value, json};
 
 use crate::common::{lumistack, number};
 
-/// Returns a scene of cards of 2 × 2 units. The front of a card faces +z; then its translation
-/// (x, y, z) and rotation (x, y, z, w) of glTF are applied.
+/// Returns a scene of cards of 2 × 2 units. The front of a card faces +z, before its translation
+/// (x, y, z) and its rotation (x, y, z, w), as in glTF, are applied.
 fn scene(cards: &[([f64; 3], [f64; 4])], change: impl FnOnce(&mut Value)) -> String {
     use base64::Engine as _;
     let mut bytes = Vec::new();

@@ -9,11 +9,11 @@ use serde_json::Value;
 
 use crate::common::{fail, files, lumistack, number, report, root, succeed, write_test_field};
 
-/// The PSNR after 5 iterations from a warm start may be this much below the PSNR after 30
-/// iterations from a fresh start, dB. This applies to the solver `multiplicative`.
+/// Largest difference, dB, by which the PSNR after 5 iterations from a warm start may be below the
+/// PSNR after 30 iterations from a fresh start. This applies to the solver `multiplicative`.
 const WARM_LOSS_DB: f64 = 1.0;
-/// The PSNR after 5 iterations from a warm start must exceed the PSNR after 5 iterations from a
-/// fresh start by this much, dB. This applies to all solvers.
+/// Smallest difference, dB, by which the PSNR after 5 iterations from a warm start must exceed the
+/// PSNR after 5 iterations from a fresh start. This applies to all solvers.
 const WARM_GAIN_DB: f64 = 1.0;
 /// Largest relative difference between the exposures of the time steps of a sequence.
 const SAME_EXPOSURE: f64 = 1e-9;

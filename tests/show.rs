@@ -142,8 +142,8 @@ fn frames_run_in_order_and_late_ones_are_counted() {
     let interval = report["interval_s"].as_f64().unwrap();
     let late = rows.windows(2).filter(|pair| pair[1][3] - pair[0][3] > 1.5 * interval).count() as i64;
     // Count the late frames in the log, and compare the number with the report. The log rounds
-    // times to microseconds, so a frame near the limit may count in only one of the two. One such
-    // frame is allowed.
+    // times to microseconds, so a frame near the limit may count as late in only one of the two. So
+    // a difference of one frame is allowed.
     assert!((report["submitted"]["late"].as_i64().unwrap() - late).abs() <= 1, "{late} gaps in the log");
     // if the compositor reports presentation times, the times must rise and the skew must be known
     if report["presented"].as_object().is_some_and(|presented| !presented.is_empty()) {
@@ -415,7 +415,7 @@ fn late_frames_and_skew_follow_from_reported_presentation_times() {
     assert!((0.0..1.0).contains(&skew), "{report}");
 }
 
-/// Without a window manager, a key press reaches the presentation, for every window that had the
+/// Without a window manager, a key press reaches the presentation, no matter which window had the
 /// keyboard focus before.
 #[test]
 fn a_bare_x_server_sends_keys_to_the_presentation() {
@@ -508,8 +508,8 @@ fn starts_and_stops(session: &Session, name: &str, turns: usize, key: &mut dyn F
             }
         }
         let (status, errors) = show.ended();
-        // SIGTERM ends the program, since it has no handler for it. SIGINT also ends it by the
-        // signal, if it arrives before the handler is installed.
+        // SIGTERM ends the program, which does not handle this signal. SIGINT also ends the program
+        // by the signal, if it arrives before the handler is installed.
         let fine = match way {
             "interrupt" => matches!((status.code(), status.signal()), (Some(0 | 130), _) | (_, Some(2))),
             "terminate" => status.signal() == Some(15),

@@ -399,7 +399,7 @@ fn unneeded_files_are_removed_and_reported() {
     };
     let is_left = || left.iter().any(|name| run.join(name).exists());
     leave();
-    // another run removes these files, and the views of the earlier settings
+    // another run removes the left-overs of the killed run, and the views of the earlier settings
     succeed(render(&run).args(["--seed", "5"]));
     assert!(!is_left() && !run.join("outputs/tensor-display/.images.partial").exists());
     let second = views_of(&run);

@@ -115,9 +115,9 @@ fn layers_agree_with_views() {
     assert!(text.contains("--layers: expected at least 2 samples"), "{text}");
 }
 
-/// The layers come from the first hits of the paths that make the light, which are cached with the
-/// views. If these first hits are deleted, the same rays are traced again and hit the same
-/// surfaces.
+/// The additional channels come from the first hits of the paths that make the light. These first
+/// hits are cached with the views. If they are deleted, the same rays are traced again and hit the
+/// same surfaces.
 #[test]
 fn surfaces_are_those_of_the_paths_of_the_light() {
     let folder = tempfile::tempdir().unwrap();

@@ -143,6 +143,8 @@ fn errors_name_types_and_places_as_the_file_does() {
     }
     let text = fail(lumistack().arg("run").arg(folder.path()));
     assert!(text.contains("expected a scene") && text.contains("found a folder"), "{text}");
+    let text = fail(lumistack().arg("run").arg(folder.path().join("missing")));
+    assert!(text.contains("expected a scene") && text.contains("found no such file"), "{text}");
     let text = fail(lumistack().args(["info", "paper-three-layr"]));
     assert!(text.contains("did you mean `paper-three-layer`"), "{text}");
     let text = succeed(lumistack().arg("plugins"));

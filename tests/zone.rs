@@ -116,8 +116,9 @@ fn display(head: &str, every_layer: &str, front: &str, backlight: &str, layers: 
     text
 }
 
-/// A display that is solved for its native views scores higher over its zone than a display solved
-/// for 3 × 3 views. This holds for any hardware, brightness and number of frames.
+/// A display is solved once for its native views (the automatic number) and once for 3 × 3 views.
+/// With native views its score over its zone is higher. This holds for any hardware, brightness and
+/// number of frames.
 #[test]
 fn native_views_pay_with_any_hardware() {
     let three = [-40.0, 0.0, 40.0];
@@ -158,7 +159,7 @@ fn native_views_pay_with_any_hardware() {
             let views = target["slope_x"].as_array().unwrap().len();
             let psnr = number(&report(&out)["psnr_zone"]);
             // All cases use the same two run folders. If two displays need the same rays, the
-            // second case uses the views that the first has cached.
+            // second case uses the views that the first case has cached.
             (psnr, views)
         };
         let ((native, views), (few, _)) = (zone("", "native"), zone("views = [3, 3]", "few"));

@@ -7,7 +7,7 @@ import { join, resolve } from "node:path";
 import { gzipSync } from "node:zlib";
 
 const MODULES = ["lumistack_web_bg.wasm", "lumistack_web_solver_bg.wasm", "lumistack_web_solver_gpu_bg.wasm", "lumistack_web_decoders_bg.wasm"];
-/** Scripts that the viewer loads when somebody chooses such a display. */
+/** Scripts that the viewer loads when the user chooses a headset, a lenticular panel or Looking Glass Bridge. */
 const OTHERS = ["headset", "lenticular", "bridge"];
 for (const name of MODULES) {
   if (existsSync(`pkg/${name}`)) continue;
@@ -30,7 +30,7 @@ await build({
       setup({ onResolve, onLoad }) {
         onResolve({ filter: /^worker:/ }, ({ path, resolveDir }) => ({ path: join(resolveDir, path.slice("worker:".length)), namespace: "worker" }));
         onLoad({ filter: /.*/, namespace: "worker" }, async ({ path }) => {
-          // The page compiles the WebAssembly module and passes it on, since the thread has no address relative to which it could fetch it.
+          // The page compiles the WebAssembly module and passes it to the thread. The thread has no address of its own, so it could not resolve a relative address of the module.
           const { outputFiles } = await build({ ...BROWSERS, entryPoints: [path], format: "iife", define: { "import.meta.url": '""' }, write: false });
           return { contents: outputFiles[0].text.trim(), loader: "text" };
         });

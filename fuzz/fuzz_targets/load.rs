@@ -8,8 +8,8 @@ use libfuzzer_sys::fuzz_target;
 use lumistack_core::{Cancel, Collector, Task};
 use lumistack_gltf::{AssetResolver, LoadOptions, contents, load_with};
 
-/// The memory that the reader may use for a scene. libFuzzer's own limit is much larger. A
-/// reader exceeds it only if it uses much memory that it does not count.
+/// The memory that the reader may use for a scene. libFuzzer's own limit is much larger. A reader
+/// exceeds libFuzzer's limit only if it uses much memory that the reader itself does not count.
 const MAX_DECODED_BYTES: u64 = 64 << 20;
 
 /// Resolves the name of every other file to the same content.

@@ -75,8 +75,8 @@ class _Hasher:
             self.sha.update(struct.pack("<d", value))
 
     def plain(self, held, only: set[str] | None = None) -> None:
-        """Adds the properties of `held` that are booleans, numbers, texts or enums; with `only`, the
-        properties with these names alone."""
+        """Adds the properties of `held` that are booleans, numbers, texts or enums. If `only` is
+        given, it skips properties whose names are not in `only`."""
         for prop in held.bl_rna.properties:
             name = prop.identifier
             if prop.type not in _PLAIN or name in _SKIP or (only is not None and name not in only):

@@ -123,7 +123,7 @@ class Job:
 
     def _time(self, folder: Path, before: lumistack.LayerStack | None, start: float, part: float):
         """Makes views, light field, patterns and outputs of one time step."""
-        # Render the views by every renderer; those of the first one are the target.
+        # Render the views by every renderer; the views of the first renderer are the target.
         scene, settings = self.scene, self.scene.lumistack
         display = display_of(settings)
         window = window_of(scene, display)
@@ -285,8 +285,8 @@ def result_of(work: Work):
 
 
 def text_of(error: BaseException) -> str:
-    """Returns the message of an error. An operator's error contains a whole traceback; then it is
-    the last line."""
+    """Returns the message of an error. An operator's error contains a whole traceback, whose last
+    line is the message."""
     lines = [line for line in str(error).splitlines() if line.strip()]
     is_trace = any(line.startswith("Traceback") or "Python: Traceback" in line for line in lines)
     if not lines:

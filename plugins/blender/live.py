@@ -27,8 +27,8 @@ from . import jobs, operators, overlay, settings as settings_of
 
 #: Interval of the timer, seconds.
 TICK_S = 0.05
-#: Longest wait for a state that shows the last export, seconds. A scene that cannot be shown never
-#: gives one.
+#: Longest wait for a state that shows the last export, seconds. If the scene cannot be shown, this
+#: state never arrives.
 PATIENCE_S = 2.0
 #: Wait after an error, such as a missing camera, before the next attempt, seconds.
 RETRY_S = 0.5
@@ -148,7 +148,7 @@ class Session:
         display = jobs.display_of(settings)
         window = jobs.window_of(scene, display)
         is_linear = settings.look == "LINEAR"
-        # Fix the exposure. An automatic one would darken all other objects if a lamp became
+        # Fix the exposure. An automatic exposure would darken all other objects if a lamp became
         # brighter.
         light = {
             "automatic": False,

@@ -311,7 +311,7 @@ class LUMISTACK_OT_preview(bpy.types.Operator):
 
 
 def finished_folder(scene) -> Path | None:
-    """Returns the finished run folder of the scene, or that of its first time step; else None."""
+    """Returns the finished run folder of the scene or of its first time step; else None."""
     folder = jobs.output_folder(scene)
     return next((each for each in (folder, folder / "t0001") if (each / "layers" / "stack.json").is_file()), None)
 

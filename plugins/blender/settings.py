@@ -26,7 +26,8 @@ def fields(plugin: str) -> list[forms.Field]:
     return next((forms.fields_of(each) for each in plugins() if each["id"] == plugin), [])
 
 
-#: Places of a live display. The others than the page need a package that can open windows.
+#: Places where a live display is shown. All places except the page need a package that can open
+#: windows.
 _SHOWN = [("PAGE", "Page", "In the browser")]
 if lumistack.HAS_PANELS:
     _SHOWN += [

@@ -1,6 +1,6 @@
 """Writes a glTF scene of the generator as USD.
 
-`python to_usd.py still-life.gltf` makes still-life.usda in the same folder, with its meshes in still-life.usdc. It also makes still-life.usdz, which contains both and the pictures.
+`python to_usd.py still-life.gltf` makes still-life.usda in the same folder, with its meshes in still-life.usdc. It also makes still-life.usdz, which contains both files and the pictures.
 
 Needs usd-core. Both formats must render to the same picture, so every value is copied unchanged. Features that the generator's scenes do not use are not converted.
 """
@@ -45,7 +45,7 @@ def main(path):
         dome = UsdLux.DomeLight.Define(stage, root + "/sky")
         dome.CreateTextureFileAttr("./" + environment["image"])
         dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
-        # the centre of an environment map of USD looks along +z, that of this project along -z
+        # the centre of an environment map looks along +z in USD, and along -z in this project
         dome.AddRotateYOp().Set(180.0)
         dome.CreateIntensityAttr(float(environment.get("strength", 1.0)))
     stage.GetRootLayer().Save()

@@ -23,8 +23,8 @@ pub fn lumistack() -> Command {
     Command::new(env!("CARGO_BIN_EXE_lumistack"))
 }
 
-/// Runs a command line that must succeed, and returns its standard output. If the command fails, it
-/// panics with the command's messages.
+/// Runs a command line that must succeed, and returns its standard output. If the command fails,
+/// the function panics with the command's messages.
 pub fn succeed(command: &mut Command) -> String {
     let output = command.output().expect("lumistack starts");
     let text = String::from_utf8_lossy(&output.stdout).into_owned();

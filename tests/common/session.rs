@@ -30,7 +30,7 @@ pub const ON_X: [Screen; 3] =
     [("X11-1", [320, 240], [0, 0]), ("X11-2", [400, 300], [320, 0]), ("X11-3", [640, 360], [720, 0])];
 
 /// Longest time that a test waits for a condition.
-const PATIENCE: Duration = Duration::from_secs(20);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A running session.
 pub struct Session {
@@ -63,8 +63,8 @@ impl Session {
     }
 }
 
-/// Returns true if a session can be started. Other programs on the machine would disturb sessions,
-/// so they start only if an environment variable permits them.
+/// Returns true if a session can be started. Sessions of tests that run at the same time disturb
+/// each other, so sessions start only if an environment variable permits them.
 fn has(program: &str) -> bool {
     if std::env::var_os("LUMISTACK_SESSIONS").is_none() {
         lumistack_testkit::skip::runs_in("panels");

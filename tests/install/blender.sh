@@ -1,8 +1,8 @@
 #!/bin/sh
 # On a clean Debian, installs the extension (which contains the wheel) with Blender's own command.
 # Then runs the operator of the extension's button (press.py), and its command `lumistack make`. On
-# a machine that is not clean, it uses the module bpy of $BLENDER_PYTHON, which `cargo xtask
-# blender` fetches.
+# a machine that is not clean, this script uses the module bpy of $BLENDER_PYTHON, which `cargo
+# xtask blender` fetches.
 . "$(dirname "$0")/common.sh"
 case $(uname -m) in x86_64) platform=linux_x64 ;; *) platform=linux_arm64 ;; esac
 zip=$(one "lumistack-blender-*-$platform.zip")

@@ -1,6 +1,6 @@
 #!/bin/sh
-# On a clean Debian, installs, uses and removes the Debian package. On other machines it only
-# unpacks and uses the package.
+# On a clean Debian, installs, uses and removes the Debian package. On other machines this script
+# only unpacks and uses the package.
 . "$(dirname "$0")/common.sh"
 no_rust
 deb=$(one "lumistack_*_$(dpkg --print-architecture).deb")

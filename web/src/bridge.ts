@@ -15,7 +15,7 @@ export interface Panel {
   rows: number;
 }
 
-/** A value in an answer. Values are nested: each has a name, a type, and a value that may contain others. */
+/** A value in an answer. Values are nested: each has a name, a type, and a value that may contain further values. */
 interface Value {
   value?: unknown;
 }
@@ -68,7 +68,7 @@ export class Bridge {
   }
 }
 
-/** Returns the panel that a device of Bridge describes; an empty list for an ordinary monitor. */
+/** Returns a list with the panel that a device of Bridge describes; an empty list for an ordinary monitor. */
 function panelOf({ value }: Value): Panel[] {
   const device = value as Record<string, Value> | undefined;
   const kind = device?.["hardwareVersion"]?.value;
@@ -79,7 +79,7 @@ function panelOf({ value }: Value): Panel[] {
   return [{ name: String(device["hwid"]?.value ?? kind), columns: tileX, rows: tileY }];
 }
 
-/** Sends a request. With `refusable`, Bridge may refuse the request, for example since its list does not exist. */
+/** Sends a request. With `refusable`, Bridge may refuse the request, for example since the named list does not exist. */
 async function ask(what: string, content: object, refusable = false): Promise<Answer> {
   let answer: Answer;
   try {

@@ -45,7 +45,7 @@ export interface LumistackErrorDetail {
   fatal: boolean;
 }
 
-/** If the element is at most this wide, its parts are arranged one below another, CSS pixels. */
+/** Largest width of the element at which its parts are arranged one below another, CSS pixels. */
 const NARROW_PX = 860;
 /** Shortest time between two updates of the text that describes the viewing position, milliseconds. */
 const WORDS_MS = 90;
@@ -194,7 +194,7 @@ export class LumistackViewer extends HTMLElement {
 
   /**
   * RGBA bytes of the current picture, in the light field's size. In the side-by-side comparison
-  * they are those of the display's picture alone, without the target.
+  * they are the bytes of the display's picture alone, without the target.
   */
   async pixels(): Promise<ImageData> {
     const shot = this.shot();
@@ -234,8 +234,8 @@ export class LumistackViewer extends HTMLElement {
 
   /**
    * Shows patterns that are being computed. `json` is the text of their preview.json. `codes`
-   * contains the pictures of all its files in their order, [row][col][rgb] each. If `json` is the
-   * current preview, only the patterns are replaced, all at once.
+   * contains the pictures of all files that `json` lists, in this order, [row][col][rgb] each. If
+   * `json` is the current preview, only the patterns are replaced, all at once.
    */
   async showStack(json: string, codes: Uint8Array<ArrayBuffer>): Promise<void> {
     const { content } = this;

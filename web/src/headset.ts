@@ -41,7 +41,7 @@ interface Place {
   cosine: number;
 }
 
-/** Opens a session; resolves when it has ended. */
+/** Opens a session. The promise resolves when the session has ended. */
 export async function enter(views: Views): Promise<void> {
   const xr = navigator.xr!;
   // In mixed reality the display stands in the user's own room.

@@ -37,7 +37,7 @@ export function listenToPointer(stage: HTMLElement, motion: Motion, target: Inpu
       target.moved();
     }
   });
-  // Move: a drag turns the stack or the view; a mouse without a button sets the view.
+  // Move: a drag turns the stack or the view; a mouse without a pressed button sets the view.
   stage.addEventListener("pointermove", (event) => {
     const [zoneX, zoneY] = target.zone();
     const box = stage.getBoundingClientRect();

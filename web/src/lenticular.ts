@@ -115,9 +115,9 @@ export function calibrationOf(text: string, name: string): Calibration {
 }
 
 /**
-* Returns the slopes of the views, from the left. They are those of the panel's cone. If the viewing
-* zone is narrower than the cone, the slopes are scaled to the zone, so that no view is outside of
-* it. The panel spreads these views over the cone, which makes depth flatter.
+* Returns the slopes of the views, from the left. They are the slopes of the panel's cone. If the
+* viewing zone is narrower than the cone, the slopes are scaled to the zone, so that no view is
+* outside of the zone. The panel spreads these views over the cone, which makes depth flatter.
 */
 export function slopesOf(info: Pick<Info, "zone">, { coneRad }: Pick<Calibration, "coneRad">, count: number): Slope[] {
   const half = Math.tan(coneRad / 2);

@@ -2,7 +2,7 @@
 // the swing of an idle view set the goal.
 import type { Slope } from "./state.js";
 
-/** Stiffness of the spring per mass, s⁻², and its damping as a fraction of critical damping. */
+/** Stiffness of the spring divided by the mass, s⁻², and damping of the spring as a fraction of critical damping. */
 const STIFFNESS = 130;
 const DAMPING = 0.92;
 /** Largest slope of the view, in half widths of the zone. */
@@ -81,7 +81,7 @@ export class Motion {
     this.settle();
   }
 
-  /** Called when a finger or a mouse button is pressed. The view does not swing until it is released. */
+  /** Called when a finger or a mouse button is pressed. The view does not swing until the release. */
   hold(): void {
     this.held = true;
     this.input();
@@ -92,7 +92,7 @@ export class Motion {
     if (fling && !this.calm) this.lookTo([this.at[0] + this.speed[0] * FLING_S, this.at[1] + this.speed[1] * FLING_S]);
   }
 
-  /** Called after input that moves the view: it ends a swing or a turn, and restarts the idle time. */
+  /** Called after input that moves the view. Ends a swing or a turn, and restarts the idle time. */
   input(): void {
     this.fresh = false;
     this.quietS = 0;
@@ -100,7 +100,7 @@ export class Motion {
     this.turnS = undefined;
   }
 
-  /** Called after input that does not move the view: it ends a swing, and restarts the idle time. */
+  /** Called after input that does not move the view. Ends a swing, and restarts the idle time. */
   touched(): void {
     this.fresh = false;
     this.quietS = 0;

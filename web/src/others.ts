@@ -1,5 +1,5 @@
-// The dialog for other displays: headset, lenticular panel, Looking Glass Bridge. The code for each
-// is loaded when the user chooses it.
+// The dialog for other displays: headset, lenticular panel, Looking Glass Bridge. The code for a
+// display is loaded when the user chooses the display.
 import { download, fileName, toPng } from "./capture.js";
 import type { Face } from "./face.js";
 import type { Info } from "./info.js";
@@ -12,7 +12,7 @@ export interface Views {
   readonly info: Info;
   /**
   * Returns the picture for an eye, in the light field's size. Without `eyeMm` the eye's distance is
-  * the one that the viewer's options set.
+  * the distance that the viewer's options set.
   */
   picture(slope: Slope, eyeMm?: number): Promise<ImageBitmap>;
   /** Called after the last picture. */
@@ -116,7 +116,7 @@ export class Others {
   }
 }
 
-/** Waits for code that is loaded on demand. A page in a single file does not contain this code, which gives an error. */
+/** Waits for code that is loaded on demand. A page in a single file does not contain this code, so the load fails. */
 async function code<T>(loading: Promise<T>): Promise<T> {
   try {
     return await loading;

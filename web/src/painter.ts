@@ -31,7 +31,7 @@ export interface PathChange {
   why?: string;
 }
 
-/** If WebGL2 needs more time for a picture, the processor's time is also measured, milliseconds. */
+/** Time of WebGL2 for a picture, milliseconds. If it is exceeded, the processor's time is also measured. */
 const SLOW_MS = 60;
 /** Number of pictures whose time through WebGL2 is measured. */
 const TESTS = 2;
@@ -194,8 +194,8 @@ export class Painter {
 }
 
 /**
- * Returns true if the driver's name shows that it draws in software. Some browsers give such a
- * context in spite of `failIfMajorPerformanceCaveat`.
+ * Returns true if the driver's name shows that it draws in software. Some browsers give a context
+ * in software in spite of `failIfMajorPerformanceCaveat`.
  */
 function isSoftware(context: WebGL2RenderingContext): boolean {
   let name = String(context.getParameter(context.RENDERER));

@@ -141,7 +141,7 @@ export function sizeOf(info: Info, layer: number): [number, number] {
   return [found.cols, found.rows];
 }
 
-/** Index of the last row of masks: the backlight's row if it is directional, otherwise the last layer's. */
+/** Index of the last row of masks: the backlight's row if it is directional, otherwise the row of the last layer. */
 export function lastMask(info: Info): number {
   return Math.max(info.layers.length - (info.directional && info.backlight ? 0 : 1), 0);
 }

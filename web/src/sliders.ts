@@ -1,5 +1,5 @@
-// The sliders for the eye and for errors of the display's construction. Their ranges depend on the
-// display.
+// The sliders for the eye, and for errors of the display's construction, such as wrong gaps. Their
+// ranges depend on the display.
 import type { Info } from "./info.js";
 import { DEFAULTS, type State } from "./state.js";
 

@@ -85,7 +85,7 @@ export class Stage {
     return shot.kind === "between" ? this.engine.call("between", [shot.u, shot.v]) : this.engine.call("pixels", [shot, this.size]);
   }
 
-  /** Draws a picture. For the side-by-side comparison it draws two: the display's and the target's. */
+  /** Draws a picture. For the side-by-side comparison it draws two pictures, of the display and of the target. */
   async pictures(shot: Shot): Promise<ImageBitmap[]> {
     return this.engine ? paint(this.engine, shot, this.size) : [];
   }

@@ -31,7 +31,7 @@ const box = (page, selector) =>
     return { x: x + width / 2, y: y + height / 2, width, height };
   }, selector);
 
-/** Drags one finger from a place by (dx, dy) in steps. Without `fling` it rests before its release, so that no inertia follows. */
+/** Drags one finger from a place by (dx, dy) in steps. Without `fling` the finger rests before its release, so that no inertia follows. */
 async function drag(page, from, [dx, dy], fling = false) {
   const touch = await page.context().newCDPSession(page);
   const send = (type, points) => touch.send("Input.dispatchTouchEvent", { type, touchPoints: points });

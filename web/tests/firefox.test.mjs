@@ -11,7 +11,7 @@ import { stripes } from "./stripes.mjs";
 
 const FIREFOX = [process.env.LUMISTACK_FIREFOX, "/usr/bin/firefox-esr", "/usr/bin/firefox"].find((path) => path && existsSync(path));
 const skip = !FIREFOX && "there is no Firefox: install it (Debian: apt-get install firefox-esr) or name one in LUMISTACK_FIREFOX";
-const HASH = "#scene=letters&preset=paper-three-layer&cols=96&frames=2&zone_samples=60&iterations=2";
+const HASH = "#scene=letters&preset=paper-three-layer&cols=96&frames=2&zone_samples=600&iterations=2";
 
 let server;
 let firefox;
@@ -37,14 +37,15 @@ async function solved(page, wait) {
   return { psnr: await page.evaluate(() => document.documentElement.dataset.psnr), seen: await pixels(page, [0.05, -0.03]) };
 }
 
-test("the page that solves computes the same patterns in Firefox and in Chromium", { skip }, async () => {
+test("the page that solves computes the same patterns on three threads in Firefox and on one in Chromium", { skip }, async () => {
   const page = await firefox.newPage();
   page.setDefaultTimeout(120_000);
   const trouble = [];
   page.on("pageerror", (error) => trouble.push(error.message));
   page.on("console", (message) => ["error", "warn"].includes(message.type()) && trouble.push(message.text()));
   await page.setViewport({ width: 1440, height: 900 });
-  await page.goto(`${server.url}/solve.html${HASH}`);
+  await page.goto(`${server.url}/solve.html${HASH}&threads=3`);
+  await page.waitForFunction(() => /on 3 threads/.test(document.querySelector("#status").textContent));
   const theirs = await solved(page, (done) => page.waitForFunction(done));
   await page.screenshot({ path: join(SHOTS, "firefox-done.png") });
   await page.click("#closer");
@@ -52,7 +53,7 @@ test("the page that solves computes the same patterns in Firefox and in Chromium
   await page.screenshot({ path: join(SHOTS, "firefox-phone.png") });
   assert.deepEqual(trouble, []);
   // Compare with Chromium: a WebAssembly module gives the same results in every browser.
-  const other = await open(chromium, `${server.url}/solve.html${HASH}`);
+  const other = await open(chromium, `${server.url}/solve.html${HASH}&threads=1`);
   const ours = await solved(other, (done) => other.waitForFunction(done));
   assert.equal(theirs.psnr, ours.psnr);
   assert.ok(Number(theirs.psnr) > 20, theirs.psnr);
@@ -61,22 +62,36 @@ test("the page that solves computes the same patterns in Firefox and in Chromium
   assert.equal(far, 0, `${far} values of the seen picture differ`);
 });
 
-test("Firefox solves a light field, and reports a broken one", { skip }, async () => {
+test("Firefox solves a light field from the file dialog and from a drop, and reports a broken one", { skip }, async () => {
   const folder = mkdtempSync(join(tmpdir(), "lumistack-firefox-"));
   try {
     const page = await firefox.newPage();
     page.setDefaultTimeout(120_000);
     await page.goto(`${server.url}/solve.html#preset=paper-three-layer&cols=96&frames=2&iterations=2`);
     await page.waitForFunction(() => document.querySelector("#preset").options.length > 0);
-    const files = await page.$("#files");
+    const choose = async (name) => {
+      const [chooser] = await Promise.all([page.waitForFileChooser(), page.click("#choose")]);
+      await chooser.accept([join(folder, name)]);
+    };
     stripes(join(folder, "stripes.npy"));
-    await files.uploadFile(join(folder, "stripes.npy"));
+    const bytes = readFileSync(join(folder, "stripes.npy"));
+    await choose("stripes.npy");
     const { psnr, seen } = await solved(page, (done) => page.waitForFunction(done));
     assert.ok(Number(psnr) > 15, psnr);
     assert.deepEqual([seen.width, seen.height], [64, 40]);
-    writeFileSync(join(folder, "cut.npy"), readFileSync(join(folder, "stripes.npy")).subarray(0, 5000));
-    await files.uploadFile(join(folder, "cut.npy"));
+    writeFileSync(join(folder, "cut.npy"), bytes.subarray(0, 5000));
+    await choose("cut.npy");
     await page.waitForFunction(() => document.querySelector("#problem").textContent.includes("cut.npy: values of shape"));
+    // Drop the whole light field under another name.
+    await page.evaluate((content) => {
+      document.documentElement.dataset.stage = "";
+      const dataTransfer = new DataTransfer();
+      dataTransfer.items.add(new File([Uint8Array.from(atob(content), (c) => c.charCodeAt(0))], "dropped.npy"));
+      document.querySelector("#drop").dispatchEvent(new DragEvent("drop", { dataTransfer, bubbles: true, cancelable: true }));
+    }, bytes.toString("base64"));
+    const dropped = await solved(page, (done) => page.waitForFunction(done));
+    assert.equal(dropped.psnr, psnr);
+    assert.ok(await page.evaluate(() => document.querySelector("#problem").hidden && document.title.startsWith("dropped")));
   } finally {
     rmSync(folder, { recursive: true });
   }

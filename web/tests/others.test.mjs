@@ -96,7 +96,7 @@ test("in a headset both eyes see every depth where it is, at true scale", async 
   const before = await pixels(page, [0.1, 0.05]);
   await page.waitForFunction(() => !document.querySelector("lumistack-viewer").shadowRoot.querySelector("#headset").disabled, undefined, { timeout: 10_000 }).catch(() => assert.deepEqual(page.trouble, []));
   await page.click("#headset");
-  // the display stands in front of the head, at a distance of one and a half of its width
+  // the display stands in front of the head, at a distance of one and a half times its width
   await page.waitForFunction(() => first.right);
   const { left, right } = await page.evaluate(() => first);
   const centre = [0, 1, 2].map((i) => (left.at[i] + right.at[i]) / 2 - (i === 2 ? 1.5 * (SCENE.cols / 100) : 0));
@@ -160,7 +160,7 @@ test("in a headset both eyes see every depth where it is, at true scale", async 
 });
 
 const value = (number) => ({ value: number });
-/** The calibration of a panel with stripes of colours. Its values are similar to those of real panels, for a smaller screen. */
+/** The calibration of a panel with stripes of colours. Its values are similar to the values of real panels, for a smaller screen. */
 const STRIPES = { configVersion: "1.0", serial: "LKG-TEST", pitch: value(49.8), slope: value(-6.9), center: value(0.41), viewCone: value(40), invView: value(1), verticalAngle: value(0), DPI: value(491), screenW: value(240), screenH: value(150), flipImageX: value(0), flipImageY: value(0), flipSubp: value(0) };
 /** The calibration of a panel with two kinds of pixels. It is higher than wide, and its cone is wider than the viewing zone. */
 const CELLS = {

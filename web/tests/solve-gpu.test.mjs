@@ -1,4 +1,5 @@
-// The page that solves on a graphics processor by WebGPU: its patterns agree with the processor's, and the processor solves if there is no device.
+// The page that solves on a graphics processor by WebGPU: its patterns agree with the patterns of the processor, and the processor solves if there is
+// no device.
 import assert from "node:assert/strict";
 import { mkdirSync, mkdtempSync, readFileSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
@@ -15,7 +16,7 @@ const WEBGPU = ["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader"];
 const SAME = 1e-4;
 
 let browser;
-/** A browser without these options, which has no adapter for WebGPU. */
+/** A browser without the options `WEBGPU`. It has no adapter for WebGPU. */
 let plain;
 let server;
 let folder;
@@ -122,7 +123,7 @@ test("the processor continues when the device is lost", async () => {
   assert.match(await at.textContent("#warnings"), /the device (was lost|does not answer).*the processor solves instead/);
   assert.match(await status(at), /^Finished\. .* On the processor\.$/);
   await at.screenshot({ path: join(SHOTS, "solve-gpu-lost.png"), fullPage: true });
-  // The processor starts this solve again, so its patterns are those of a solve without a device.
+  // The processor starts this solve again, so its patterns equal the patterns of a solve without a device.
   const processor = await solved(`${display}&device=cpu`);
   assert.deepEqual(apart(found, processor.patterns), { values: 0, codes: 0, squares: 0 });
   assert.deepEqual(at.trouble, []);

@@ -1,4 +1,4 @@
-// The page that solves: its patterns, its saved files, and its errors agree with those of the command.
+// The page that solves: its patterns, its saved files, and its errors agree with the patterns, files and errors of the command.
 import assert from "node:assert/strict";
 import { execFileSync, spawnSync } from "node:child_process";
 import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
@@ -16,11 +16,11 @@ const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.mi
 const SCENES = join(dirname(fileURLToPath(import.meta.url)), "../../scenes");
 const BIN = process.env.LUMISTACK_BIN;
 /**
-* Largest root mean square difference between the patterns of the page and of the command. It is above 0, since the two use different instructions of
+* Largest root mean square difference between the patterns of the page and of the command. It is above 0, since page and command use different instructions of
 * the processor, and the command rounds views when it caches them.
 */
 const SAME = 2e-3;
-/** Largest difference between the PSNR that the page reports and the command's, dB. */
+/** Largest difference between the PSNR that the page reports and the PSNR that the command reports, dB. */
 const SAME_DB = 0.01;
 /** Largest difference of a seen picture in codes, since the page shows patterns of 8 bits and the command simulates unrounded patterns. */
 const ROUNDING = 3;
@@ -82,7 +82,7 @@ async function savedQuilt(at) {
   }
 }
 
-/** Saves a turn as a video that plays. */
+/** Saves a video of a turn, and checks that the video plays. */
 async function savedTurn(at) {
   const [download] = await Promise.all([at.waitForEvent("download"), at.click("#turn")]);
   assert.match(download.suggestedFilename(), /^letters_turn\.(webm|mp4)$/);

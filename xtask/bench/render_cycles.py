@@ -155,8 +155,8 @@ def timed(samples, seed):
 
 
 def render(sampler, samples, seed):
-    # The time of a render with one sample is that of the fixed work, such as preparing the scene
-    # and writing the file. Its difference from the time of a longer render is the time of the
+    # The time of a render with one sample is the time of the fixed work, such as preparing the
+    # scene and writing the file. Its difference from the time of a longer render is the time of the
     # paths.
     start, _ = timed(1, seed)
     seconds, picture = timed(samples, seed)

@@ -1,4 +1,4 @@
-"""Compares views of Gaussian splats with those of Mitsuba 3 (`ellipsoids`, `volprim_rf_basic`), along the same rays.
+"""Compares views of Gaussian splats with views by Mitsuba 3 (`ellipsoids`, `volprim_rf_basic`), along the same rays.
 
 splats_mitsuba.py FOLDER
 

@@ -1,5 +1,5 @@
-//! Measures release builds, and compares parts of them with other programs, for example the
-//! factorizer and the path tracer.
+//! Measures release builds. Compares their parts, such as the factorizer and the path tracer, with
+//! other programs.
 
 use std::path::{Path, PathBuf};
 

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use crate::tools::{self, Outcome, absolute, command, example, output_of, text};
 
-/// The renderers that are compared with ours, called peers. Each has the package for pip, the
-/// Python module, and the script that renders with it.
+/// Programs with which the path tracer is compared, called peers. Each entry has the package for
+/// pip and the Python module. Mitsuba and Cycles also have a script that renders with them.
 const MITSUBA: [&str; 3] = ["mitsuba==3.*", "mitsuba", "render_mitsuba.py"];
 const CYCLES: [&str; 3] = ["bpy==5.0.1", "bpy", "render_cycles.py"];
 const EMBREE: [&str; 2] = ["embreex==4.*", "embreex"];
@@ -57,8 +57,8 @@ pub fn render(options: &[&str]) -> Option<Outcome> {
     Some(run())
 }
 
-/// Compares converged pictures of FlightHelmet and OpenChessSet with those of Mitsuba and Cycles.
-/// All surfaces are diffuse, with the textures of the files.
+/// Compares converged pictures of FlightHelmet and OpenChessSet with pictures by Mitsuba and
+/// Cycles. All surfaces are diffuse, with the textures of the files.
 pub fn agree(samples: &str) -> Outcome {
     let scenes: Vec<String> = [FLIGHT_HELMET, CHESS_SET].into_iter().filter_map(asset).collect();
     if scenes.is_empty() {
@@ -92,8 +92,8 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
 }
 
 /// The measured light fields: number of views, viewing zone in degrees, and samples per pixel. The
-/// first has the views of the paper's prototypes, the second the views that a display chooses, and
-/// the third those of a quilt.
+/// first has the views of the paper's prototypes. The second has the views that a display chooses.
+/// The third has the views of a quilt.
 const FIELDS: [[&str; 3]; 3] = [["5x5", "20", "16"], ["13x13", "20", "2"], ["1x45", "35", "4"]];
 
 /// Renders light fields view by view, and with light that all views share. The scenes have diffuse
@@ -137,9 +137,9 @@ pub fn field(options: &[&str]) -> Option<Outcome> {
 /// Prints the head of the table of light fields; `last` is the name of its last column.
 fn head(last: &str) {
     println!(
-        "\n| scene | views, zone | samples | light | CPU s | squared error | worst view | bias in it | mean | {last} |"
+        "\n| scene | views, zone | samples | light | CPU s | squared error | worst view | bias in it | mean | mean view's variance | {last} |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
 }
 
 fn default_scenes() -> Vec<String> {
@@ -150,14 +150,14 @@ fn default_scenes() -> Vec<String> {
     scenes
 }
 
-/// Returns the path of a file in the folder LUMISTACK_ASSETS; prints a message if it is missing.
+/// Returns the path of a file of another project; prints a message if it is missing.
 pub fn asset(file: &str) -> Option<String> {
-    let path = std::env::var_os("LUMISTACK_ASSETS").map(|assets| Path::new(&assets).join(file));
-    let found = path.filter(|path| path.is_file());
-    if found.is_none() {
-        println!("bench: {file} is skipped: the folder in LUMISTACK_ASSETS does not have it");
+    let path = tools::assets().join(file);
+    if !path.is_file() {
+        println!("bench: {} is missing, so it is skipped; LUMISTACK_ASSETS sets the folder", path.display());
+        return None;
     }
-    found.map(|path| text(&path))
+    Some(text(&path))
 }
 
 /// Returns a Python for the peers. The first call makes its environment.

@@ -83,8 +83,8 @@ fn fetch_program() -> Outcome {
 }
 
 /// Tests the extension's command without a window. This needs a `blender` process, since
-/// `bpy.context` of the module bpy always has a window. Uses the program on `PATH`, otherwise
-/// that of Debian's package.
+/// `bpy.context` of the module bpy always has a window. Uses the program on `PATH`, otherwise the
+/// program of Debian's package.
 fn program(python: &Path, wheel: &Path) -> Outcome {
     if let Err(error) = fetch_program() {
         tools::skipped("blender's program", &error);
@@ -279,7 +279,7 @@ fn cases(python: &Path, zip: &Path, version: &str, names: &str) -> Outcome {
     let place = folder().join(format!("cases-{version}"));
     let mut cases = command(python);
     cases.arg("plugins/blender/tests/cases.py").arg(names).arg(zip).arg(&place);
-    // for versions of Blender without OpenUSD, the tests read USD by this Python, which has it
+    // this Python has OpenUSD, which the tests use to read USD if the version of Blender has none
     run(cases.env("LUMISTACK_PYTHON", tools::python()?))
 }
 

@@ -19,7 +19,7 @@ use crate::words;
 use crate::workflows;
 
 /// The Rust version whose lints must pass. A newer compiler may have further lints that the code
-/// does not satisfy yet, so with it lints only warn.
+/// does not satisfy yet, so with a newer compiler lints only warn.
 const LINTED_WITH: &str = "1.95";
 
 /// The finished steps, with the seconds that each took.
@@ -76,24 +76,30 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     )?;
     steps.step("tests", || {
         let mut tests = command("cargo");
-        // skip the tests of presentations: they run in the step `panels`, when no other step runs
+        // skip the tests of presentations, which run in the step `panels`
         run(tests.arg("test").args(EVERYTHING).args(["--", "--skip", "show::"]).env("LUMISTACK_PYTHON", &python))
     })?;
     beside(
         || {
-            steps.step("web (beside the next three)", web::check)?;
+            steps.step("web (beside the next steps)", web::check)?;
             steps.step("USD versions", usd::check)?;
             steps.step("workflows", workflows::check)?;
             steps.step("site", site::docs)
         },
         || {
-            steps.step("plugins", || plugins::run(false))?;
-            steps.step("python", python::check)?;
+            // programs of panels wait for compositors, so the processors have time for both
+            beside(
+                || steps.step("panels (beside the next two)", || panels::sessions(full)),
+                || {
+                    steps.step("plugins", || plugins::run(false))?;
+                    steps.step("python", python::check)
+                },
+            )?;
             steps.step("blender", || blender::check(full))
         },
     )?;
     // run this step alone, since it counts refreshes, and other steps would delay these
-    steps.step("panels", || panels::check(full))?;
+    steps.step("stalls", || panels::stalls(full))?;
     if full {
         steps.step("slow tests", || {
             let mut tests = command("cargo");

@@ -30,12 +30,13 @@ struct Source {
     defined: BTreeSet<String>,
 }
 
-/// Finds the cycles of the crate with the root file `root`. A cycle is given by the list of its
-/// files, and by a list with a line for every use of one of them by another.
+/// Finds the cycles of the crate with the root file `root`. Each cycle has two lists: its files,
+/// and one line for every use of a file of the cycle by another file of the cycle.
 pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let mut files = BTreeMap::new();
     read(root, Vec::new(), &mut files)?;
-    // For every file, find the files that it uses. Store one used item of each as an example.
+    // For every file, find the files that it uses. Store one used item of every used file as an
+    // example.
     let edges: BTreeMap<&Names, BTreeMap<Names, String>> = files
         .iter()
         .map(|(module, source)| {

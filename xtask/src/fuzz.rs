@@ -77,8 +77,7 @@ fn fuzz(target: &Target, minutes: f64, cargo_fuzz: &Path, nightly: bool) -> Outc
         make(folder)?;
     }
     // Collect the seeds.
-    let assets = std::env::var_os("LUMISTACK_ASSETS").map(PathBuf::from);
-    let assets = assets.unwrap_or_else(|| tools::root().join("../shared/scenes"));
+    let assets = tools::assets();
     let own = target.own.iter().map(|folder| tools::root().join(folder));
     let folders = own.chain(target.assets.iter().map(|folder| assets.join(folder)));
     let mut count: usize = folders.map(|folder| copy_seeds(&folder, &seeds, target.extensions)).sum();

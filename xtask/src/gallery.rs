@@ -29,8 +29,7 @@ const BLENDER: [&str; 2] = ["bpy==5.0.1", "numpy"];
 /// Runs the task with the words after `gallery`; `None` if they are wrong.
 pub fn gallery(arguments: &[&str]) -> Option<Outcome> {
     let root = tools::root();
-    let assets = std::env::var_os("LUMISTACK_ASSETS").map_or_else(|| root.join("../shared/scenes"), PathBuf::from);
-    let (mut scenes, mut out) = (assets.join("gltf"), root.join("target/gallery"));
+    let (mut scenes, mut out) = (tools::assets().join("gltf"), root.join("target/gallery"));
     let (mut passed, mut threads) = (Vec::new(), "0");
     let mut words = arguments.iter();
     while let Some(&word) = words.next() {

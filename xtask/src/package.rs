@@ -84,7 +84,12 @@ fn words(package: &Value, name: &str, problems: &mut Vec<String>) {
                 word.len() <= 20 && word.starts_with(|c: char| c.is_ascii_alphanumeric()) && word.chars().all(plain)
             }
         };
-        problems.extend(words.iter().filter(|word| !known(word)).map(|word| format!("{name}: {key}: found `{word}`")));
+        let expected = match key {
+            "categories" => "a category of the list in package.rs",
+            _ => "at most 20 lower-case letters, digits and hyphens, a letter or digit first",
+        };
+        let unknown = words.iter().filter(|word| !known(word));
+        problems.extend(unknown.map(|word| format!("{name}: {key}: expected {expected}, found `{word}`")));
     }
 }
 

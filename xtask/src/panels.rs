@@ -27,24 +27,33 @@ const FULL_TURNS: [&str; 2] = ["50", "5"];
 /// Builds and tests the windows. With `full` it repeats tests that would fail only rarely, which
 /// takes some minutes more.
 pub fn check(full: bool) -> Outcome {
+    sessions(full)?;
+    stalls(full)
+}
+
+/// Tests windows in windowing sessions, one session at a time. Other programs may run meanwhile.
+pub fn sessions(full: bool) -> Outcome {
     if let Err(error) = fetch() {
         skipped("panels", &format!("not tested on every compositor: {error}"));
     }
+    tests("end_to_end", &["show::", "calibrate::"], full.then_some(FULL_TURNS[0]))
+}
+
+/// Tests that a solver that stalls delays no refresh. Other programs would delay refreshes too, so
+/// none may run meanwhile.
+pub fn stalls(full: bool) -> Outcome {
+    tests("solver", &[], full.then_some(FULL_TURNS[1]))
+}
+
+fn tests(binary: &str, names: &[&str], turns: Option<&str>) -> Outcome {
     build_everything()?;
-    for (binary, tests, turns) in
-        [("end_to_end", &["show::", "calibrate::"][..], FULL_TURNS[0]), ("solver", &[], FULL_TURNS[1])]
-    {
-        let mut cargo = command("cargo");
-        cargo.arg("test").args(EVERYTHING).args(["--test", binary]);
-        // Run one session at a time, since some tests count refreshes, which other sessions would
-        // delay.
-        cargo.args(["--", "--nocapture", "--test-threads=1"]).args(tests).env("LUMISTACK_SESSIONS", "1");
-        if full {
-            cargo.env("LUMISTACK_PANELS_TURNS", turns);
-        }
-        run(&mut cargo)?;
+    let mut cargo = command("cargo");
+    cargo.arg("test").args(EVERYTHING).args(["--test", binary]);
+    cargo.args(["--", "--nocapture", "--test-threads=1"]).args(names).env("LUMISTACK_SESSIONS", "1");
+    if let Some(turns) = turns {
+        cargo.env("LUMISTACK_PANELS_TURNS", turns);
     }
-    Ok(())
+    run(&mut cargo)
 }
 
 /// Fetches missing packages. Without them the tests of panels are skipped.

@@ -22,10 +22,9 @@ pub fn build() -> Outcome {
     cargo(&["build", "--quiet", "--package", "lumistack-cli"])?;
     let program = target_folder()?.join("debug").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX));
     let root = tools::root();
-    let assets = std::env::var_os("LUMISTACK_ASSETS").map_or_else(|| root.join("../shared/scenes"), PathBuf::from);
     let mut displays = command(tools::python()?);
     displays.arg("xtask/site/displays.py").arg(program);
-    run(displays.args([root.join("target/site-displays"), folder(), root.join("scenes"), assets]))
+    run(displays.args([root.join("target/site-displays"), folder(), root.join("scenes"), tools::assets()]))
 }
 
 fn folder() -> PathBuf {

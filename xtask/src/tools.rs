@@ -12,6 +12,11 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask is a folder of the workspace").to_owned()
 }
 
+/// The folder of scenes of other projects: LUMISTACK_ASSETS, or its default.
+pub fn assets() -> PathBuf {
+    std::env::var_os("LUMISTACK_ASSETS").map_or_else(|| root().join("../shared/scenes"), PathBuf::from)
+}
+
 /// Runs cargo in the workspace.
 pub fn cargo(arguments: &[&str]) -> Outcome {
     run(command("cargo").args(arguments))
@@ -25,8 +30,8 @@ pub const EVERYTHING: [&str; 3] = ["--workspace", "--features", "lumistack-plugi
 /// include the libraries of plugins.
 ///
 /// Examples may use development dependencies, as tests do. So if a build includes examples, cargo
-/// selects the same features as for `cargo test`. If it did not, cargo would compile a third of the
-/// workspace again.
+/// selects the same features as for `cargo test`. With other features, cargo would compile a third
+/// of the workspace again.
 pub fn build_everything() -> Outcome {
     cargo(&[&["build", "--quiet"], &EVERYTHING[..], &["--lib", "--bins", "--examples"]].concat())
 }
@@ -79,7 +84,7 @@ pub fn account_of_skipped() -> Outcome {
     account(&std::fs::read_to_string(skip_list()).unwrap_or_default(), is_ci())
 }
 
-/// Prints a list of skipped checks, one on each line; on CI this is an error.
+/// Prints a list of skipped checks, one on each line. On CI a list with any check is an error.
 fn account(list: &str, is_ci: bool) -> Outcome {
     let mut lines: Vec<&str> = list.lines().collect();
     lines.sort_unstable();
@@ -149,8 +154,8 @@ fn describe(command: &Command) -> String {
     words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ")
 }
 
-/// Reference implementations of image metrics, as packages for pip. Without them their tests are
-/// skipped.
+/// Reference implementations of image metrics, as packages for pip. Without these packages the
+/// tests of the metrics are skipped.
 const METRICS: [&str; 3] = ["--only-binary=:all:", "scikit-image", "flip-evaluator==1.*"];
 
 /// Readers of pictures, which check the files that Lumistack writes.
@@ -176,7 +181,7 @@ pub fn python() -> Outcome<PathBuf> {
     if !imports("PIL, OpenEXR") {
         println!("fetching: Pillow and OpenEXR, in target/python (used only to check pictures that we write)");
         if let Err(error) = install(&python, &READERS) {
-            skipped("pictures", &format!("readers of other projects cannot be installed: {error}"));
+            skipped("pictures", &format!("Pillow and OpenEXR cannot be installed into target/python: {error}"));
         }
     }
     if !imports("skimage, flip_evaluator") {

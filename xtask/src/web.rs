@@ -3,9 +3,9 @@
 //!
 //! `web/dist` is committed, so that the program can write previews on machines without a
 //! WebAssembly toolchain. It contains three hashes: of the modules' sources, of the other sources,
-//! and of its own files. If a hash differs from that of the present files, the page was not rebuilt
-//! after a change, or was changed by hand. If all hashes agree, tests use the committed files,
-//! since a build of the same sources would take minutes and give the same bytes.
+//! and of its own files. If a hash differs from the hash of the present files, the page was not
+//! rebuilt after a change, or was changed by hand. If all hashes agree, tests use the committed
+//! files, since a build of the same sources would take minutes and give the same bytes.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ struct Module {
     package: &'static str,
     /// Features of the package.
     features: &'static str,
-    /// Name of the module and of the files around it.
+    /// Name of the module. The names of the module's files begin with this name.
     name: &'static str,
     profile: &'static str,
     /// True if the standard library is compiled for this module without the messages of panics,
@@ -228,7 +228,8 @@ fn rustflags() -> Vec<String> {
 /// Options of the optimizer that allow the WebAssembly instructions that the compiler uses.
 const FEATURES: [&str; 8] = [
     "--enable-bulk-memory",
-    // only the module with WebGPU uses exceptions, since its exports can be suspended
+    // only the module with WebGPU needs exceptions, since its functions can be suspended while they
+    // wait for the GPU
     "--enable-exception-handling",
     "--enable-nontrapping-float-to-int",
     "--enable-sign-ext",

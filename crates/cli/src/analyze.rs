@@ -228,8 +228,8 @@ fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<V
     displays.iter().zip(all).map(measure).collect()
 }
 
-/// Formats the highest frequencies with a contrast of at least ½ at some depths, in one line per
-/// [`Achieved`].
+/// Formats one line per [`Achieved`]. The line states, for some depths, the highest frequency of a
+/// grating that is shown with a contrast of at least ½.
 fn achieved(found: &[Contrast]) -> [String; 3] {
     let at = |[z, frequency]: &[f64; 2]| format!("{frequency:.2} at {z:.0} mm").replace('-', "−");
     let line = |head: &str, of: &str, achieved| {

@@ -1,6 +1,7 @@
 //! `lumistack farm`: a run on many machines.
 
 use std::io::Read;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::str::FromStr;
@@ -69,7 +70,7 @@ enum What {
         /// The run folder
         dir: PathBuf,
         /// Numbers of workers, separated by commas. The total time is predicted for each, from the
-        /// measured times of finished units and the estimated times of others
+        /// measured times of finished units and the estimated times of all other units
         #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
         workers: Vec<usize>,
     },
@@ -102,8 +103,8 @@ enum What {
         #[command(flatten)]
         cut: CutArgs,
         /// Folder to write into. If the format writes a single file, this may be the path of the
-        /// file. It is a path with an extension, or with the format's own file name, such as
-        /// Makefile
+        /// file. A path counts as the path of the file if it has an extension, or ends with the
+        /// format's own file name, such as Makefile
         #[arg(long, value_name = "FILE|DIR", default_value = ".")]
         to: PathBuf,
         /// Command line that starts the program on a worker; spaces separate its words [default:
@@ -166,7 +167,7 @@ struct CutArgs {
     /// Number of blocks into which the views of every light field are divided, instead of
     /// --block-seconds
     #[arg(long, value_name = "N", conflicts_with = "block_seconds")]
-    blocks: Option<usize>,
+    blocks: Option<NonZeroUsize>,
 }
 
 impl CutArgs {
@@ -177,7 +178,7 @@ impl CutArgs {
             let found = block_seconds.to_string();
             return Err(PipelineError::option("--block-seconds", "SECONDS", "a time above 0", found));
         }
-        Ok(BlockSize { block_seconds, blocks: self.blocks })
+        Ok(BlockSize { block_seconds, blocks: self.blocks.map(NonZeroUsize::get) })
     }
 }
 
@@ -352,8 +353,8 @@ fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
     say!("{count} units in {folder}; predicted time by number of workers: {predicted}");
 }
 
-/// Ends the process when standard input ends, since then the worker that started it is gone. This
-/// is safe at any time, since files appear only when they are complete.
+/// Ends the process when standard input ends. Then the worker that started this process is gone.
+/// The end is safe at any time, since files appear only when they are complete.
 fn end_with_input() {
     std::thread::spawn(|| {
         let mut rest = [0; 64];
@@ -529,7 +530,7 @@ mod tests {
             (run.input.as_deref(), run.job.output.as_deref()),
             (Some(Path::new("a.toml")), Some(Path::new("runs/a")))
         );
-        assert_eq!((run.cut.blocks, run.engine.dask.as_deref()), (Some(2), Some("tls://a:1")));
+        assert_eq!((run.cut.blocks.map(NonZeroUsize::get), run.engine.dask.as_deref()), (Some(2), Some("tls://a:1")));
         assert!(run.what.is_none() && farm(&["a.toml"]).input.is_some());
         assert!(matches!(farm(&["plan", "a.toml"]).what, Some(What::Plan { .. })));
         assert!(matches!(farm(&["export", "openjd", "a.toml"]).what, Some(What::Export { .. })));

@@ -298,8 +298,8 @@ pub(crate) struct GeometryArgs {
     /// Reduce every view to this many columns and rows
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
-    /// Number of pixels by which a point of the display plane moves to the left from one view to
-    /// the next view on its right
+    /// Number of pixels by which a point of the display plane moves to the left between one view
+    /// and the next view to the right
     #[arg(long, value_name = "PX", allow_hyphen_values = true)]
     pub(crate) focus_px: Option<f64>,
     /// Reverse the order of views from left to right
@@ -329,6 +329,10 @@ pub(crate) fn job_or_scene(path: &Path) -> Result<Job, PipelineError> {
     if path.is_dir() {
         let expected = "a scene (.gltf, .glb, USD, .blend, .obj) or a job file (.toml); `lumistack factorize` takes folders of views";
         return Err(PipelineError::value(path, "input", expected, "a folder"));
+    }
+    if path.extension().is_none() && !path.exists() {
+        let expected = "a scene (.gltf, .glb, USD, .blend, .obj) or a job file (.toml)";
+        return Err(PipelineError::value(path, "input", expected, "no such file"));
     }
     let mut job = Job::new(DisplayJob { preset: Some(DEFAULT_DISPLAY.into()), ..DisplayJob::default() });
     job.name = stem(path);

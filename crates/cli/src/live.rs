@@ -53,7 +53,7 @@ pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb        
 
 /// Interval at which files are checked for changes.
 const LOOK: Duration = Duration::from_millis(100);
-/// Interval at which threads check for the end.
+/// Interval at which threads check whether the display has stopped.
 const TICK: Duration = Duration::from_millis(20);
 
 #[derive(Debug, ClapArgs)]
@@ -181,7 +181,8 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     // A thread that waits for a line of input cannot be ended, so it is detached.
     let requests = shared.requests.clone();
     std::thread::spawn(move || read_commands(std::io::stdin().lock(), &requests, json));
-    // The page may move the viewer only if neither a tracker nor the mouse in the window does so.
+    // The page may move the viewer only if neither a tracker nor the mouse in the window moves the
+    // viewer.
     let is_tracked = args.opentrack.is_some() || args.mouse;
     let guest = (!is_tracked).then(|| Guest::new(&shared.requests, args.head_mm.0[2])).transpose()?;
     let feed = PageFeed::new(&shared.states, &shared.messages, (&site, &title), guest, registry, work);
@@ -218,8 +219,8 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
     let _ = std::fs::remove_dir_all(&site);
     let dropped = ended.map_err(in_input)?;
     let Some((number, state)) = shared.states.after(0) else { return Err(PipelineError::Cancelled) };
-    // Ctrl-C may have set the flag of `task`, which would stop these last steps too. So they get a
-    // flag of their own.
+    // Ctrl-C may have set the cancel flag of `task`, which would stop these last steps too. So
+    // these steps get another flag.
     let cancel = Cancel::default();
     let report = folder.finish(
         &shared.requests.job(),
@@ -278,8 +279,8 @@ fn serve_page(
     serve(server, Site { root: feed.root(), live: Some(feed) }, || (!shared.is_stopped()).then(String::new));
 }
 
-/// Watches the files of the job, and requests to read them again when they have changed. The job
-/// file was read after `begun`.
+/// Watches the files of the job, and lets the renderer read them again when they have changed. The
+/// job file was read after `begun`.
 fn watch_files(args: &Live, begun: SystemTime, shared: &Shared, task: Task<'_>) {
     let mut watched = Watched::default();
     let mut of_job = Watched::default();

@@ -9,7 +9,7 @@ fn main() -> ExitCode {
     let words: Vec<_> = std::env::args_os().collect();
     #[cfg(feature = "dynamic")]
     {
-        // This process does not handle Ctrl-C, since its parent process does.
+        // This process does not handle Ctrl-C, since its parent process handles it.
         if words.get(1).is_some_and(|word| word == lumistack_cli::PLUGIN_CHILD) {
             return ExitCode::from(lumistack_cli::plugin_child(&words[2..]));
         }

@@ -85,8 +85,8 @@ pub(crate) struct Site<'a> {
 pub(crate) trait Feed: Sync {
     /// Returns the script that requests states.
     fn script(&self) -> &'static str;
-    /// Waits for a state newer than the query's, or for a timeout. Returns the response, or `None`
-    /// if there is no such state.
+    /// Waits for a state that is newer than the state in the query, or for a timeout. Returns the
+    /// response, or `None` if no newer state has come by then.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
     /// Returns the word that a query of [`look`](Self::look) must have; `None` where pages move no
     /// viewer.
@@ -170,9 +170,9 @@ struct Connection {
 }
 
 impl Connections {
-    /// Adds a connection and returns its number. If there are too many, it closes the oldest one
-    /// without a complete request, or the oldest one if all requests are complete. `None` after
-    /// [`Connections::end`].
+    /// Adds a connection and returns its number. If there are too many connections, the function
+    /// closes the oldest connection without a complete request, or the oldest connection if all
+    /// requests are complete. `None` after [`Connections::end`].
     fn add(&self, stream: &TcpStream) -> Option<u64> {
         let stream = stream.try_clone().ok()?;
         let mut open = locked(&self.0);
@@ -387,8 +387,8 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
     if !matches!(method, "GET" | "HEAD") {
         return Reply::text(405, "only GET and HEAD\n");
     }
-    // Against DNS rebinding: a foreign page whose name resolves to this machine sends its own name
-    // as the host, and is refused.
+    // This check prevents DNS rebinding: a foreign page whose name resolves to this machine sends
+    // its own name as the host, and is refused.
     let name = host.unwrap_or_default();
     let name =
         name.rsplit_once(':').filter(|(_, port)| port.bytes().all(|b| b.is_ascii_digit())).map_or(name, |(n, _)| n);
@@ -626,7 +626,7 @@ mod tests {
         assert!(took < Duration::from_secs(3), "{case}: {took:?}");
     }
 
-    /// Sends these bytes to the server, and returns the whole response.
+    /// Sends bytes to the server, and returns the whole response.
     fn response_to(port: u16, bytes: &[u8]) -> String {
         let mut stream = connect(port);
         // The server may refuse the request before all bytes are written, so ignore errors of the

@@ -40,9 +40,9 @@ pub(crate) struct Sweep {
     #[arg(long)]
     plan: bool,
     /// Number of plots of PSNR [default: few]. With few, there are at most six: maps over one pair
-    /// of axes, and curves along every other axis. The pair is the first of these of which the
-    /// sweep varies both: frames and layers, frames and brightness, layers and brightness. With
-    /// all, there are maps over each of these pairs, and curves along every axis
+    /// of axes, and curves along every other axis. The pair is the first in this list whose two
+    /// axes the sweep varies: frames and layers, frames and brightness, layers and brightness. With
+    /// all, there are maps over each pair of the list, and curves along every axis
     #[arg(long, value_enum)]
     plots: Option<PlotsArg>,
     #[command(flatten)]
@@ -207,7 +207,7 @@ pub(crate) fn run(args: &Sweep, registry: &Registry, json: bool, task: Task<'_>)
         PlotsArg::All => Plots::All,
     });
     change_search(&mut table.search, &args.search);
-    // Run the sweep, and print the proposed designs or the best one.
+    // Run the sweep, and print the proposed designs or the best design.
     let folder = args.output.clone().unwrap_or_else(|| Path::new("sweeps").join(&job.name));
     if args.plan {
         return crate::plan::print(&job, &folder, registry, json);

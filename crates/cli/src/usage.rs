@@ -23,7 +23,7 @@ pub(crate) fn print(error: &Error) {
     };
 }
 
-/// Replaces the messages of Rust's number parsers by plain ones.
+/// Replaces the messages of Rust's number parsers by plain messages.
 fn in_words(text: &str) -> String {
     let unit = match text.split_once(" <").and_then(|(_, rest)| rest.split_once('>')) {
         Some(("MM", _)) => " in millimetres",

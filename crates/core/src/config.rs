@@ -49,7 +49,8 @@ pub fn plain(message: &str, key: &str) -> String {
         return message.into();
     };
     let Some((found, expected)) = rest.rsplit_once(", expected ") else { return message.into() };
-    // messages about JSON state the position behind the expected type; keep it for the end
+    // a message about JSON has the position after the expected type; keep the position for the end
+    // of the new message
     let (expected, place) = expected.find(" at line ").map_or((expected, ""), |at| expected.split_at(at));
     let unit = UNITS.iter().find(|(ending, _)| key.ends_with(ending)).map_or("", |(_, unit)| *unit);
     let expected = match expected {

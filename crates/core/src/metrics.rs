@@ -94,7 +94,7 @@ pub struct MetricMap {
 }
 
 impl MetricMap {
-    /// The metric of the whole picture: the mean of its values.
+    /// The metric of the whole picture, which is the mean over all pixels inside the margin.
     pub fn mean(&self) -> Mean {
         self.mean_where(|_| true)
     }

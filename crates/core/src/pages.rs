@@ -1,4 +1,5 @@
-//! Pages of large arrays: large pages, and arrays in files of which few pages are in memory.
+//! Memory of large arrays: pages of a large size, and arrays in files, of which only a few pages
+//! are in memory at a time.
 //!
 //! With small pages random reads also wait for address translation, and new memory takes longer to
 //! map.
@@ -50,7 +51,7 @@ pub struct Window {
 }
 
 impl Window {
-    /// Bytes that the system may map together with a byte that is read.
+    /// Number of bytes that the system may map together with a byte that is read.
     pub const NEIGHBOURS: usize = 64 << 10;
 
     /// Limits a mapping to `limit` bytes.
@@ -136,8 +137,8 @@ impl<T: Plain> Array<T> {
         storage(count * size_of::<T>()).map(Self::Paged)
     }
 
-    /// All values. If they are in a file, also its window, to which callers announce the bytes that
-    /// they use next.
+    /// Returns all values. If the values are in a file, also returns the file's window, to which
+    /// callers announce the bytes that they use next.
     #[inline(always)]
     pub fn all(&self) -> (&[T], Option<&Window>) {
         match self {
@@ -187,7 +188,7 @@ fn advise(address: usize, length: usize) {
     }
 }
 
-/// Releases all pages of a shared mapping of a file, which keeps their values.
+/// Releases all pages of a shared mapping of a file. The file keeps their values.
 fn release(start: usize, length: usize) {
     const MADV_DONTNEED: i32 = 4;
     // SAFETY: the caller of `Window::new` has promised a shared mapping

@@ -1,9 +1,9 @@
 //! Paths in TOML and JSON, which hold Unicode only, while names on disk may be any bytes.
 //!
 //! A path that is UTF-8 is a text. Any other path is a table `{ percent = "m%F6bel.glb" }`, in
-//! which `%` and two hexadecimal digits stand for a byte. So a job that was written leads to the
-//! same file when it is read back. In paths that are only shown, U+FFFD replaces bytes that are not
-//! UTF-8.
+//! which `%` and two hexadecimal digits stand for a byte. So a path in a job still names the same
+//! file after the job is written and read back. In paths that are only shown, U+FFFD replaces bytes
+//! that are not UTF-8.
 
 use std::path::{Path, PathBuf};
 

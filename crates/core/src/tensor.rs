@@ -31,7 +31,8 @@ pub trait Lend: Send + Sync {
         None
     }
 
-    /// Creates arrays of similar size in files, if the values themselves are in a file.
+    /// The storage that creates arrays of similar size in files, if the values themselves are in a
+    /// file.
     fn storage(&self) -> Option<&Storage> {
         None
     }
@@ -149,8 +150,8 @@ impl<const N: usize> Tensor<N> {
         self.data.as_slice()
     }
 
-    /// Some values, row-major. Values in a file are in memory only in parts, so large tensors are
-    /// read in parts.
+    /// Returns the values of a range, row-major. If the values are in a file, only parts of it are
+    /// in memory, so callers read a large tensor in parts.
     #[inline]
     pub fn part(&self, range: std::ops::Range<usize>) -> &[f32] {
         if let Some(window) = self.lender().and_then(|lender| lender.window()) {
@@ -159,7 +160,8 @@ impl<const N: usize> Tensor<N> {
         &self.data()[range]
     }
 
-    /// Creates arrays of similar size in files, if the values themselves are in a file.
+    /// The storage that creates arrays of similar size in files, if the values themselves are in a
+    /// file.
     pub fn storage(&self) -> Option<&Storage> {
         self.lender()?.storage()
     }

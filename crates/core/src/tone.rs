@@ -72,7 +72,8 @@ const INSET: Matrix = [
     [0.137_318_97, 0.761_242, 0.101_439_04],
     [0.111_898_21, 0.076_799_42, 0.811_302_4],
 ];
-/// AgX's outset matrix, which spreads colours again. It is the inverse of another inset matrix.
+/// AgX's outset matrix, which spreads colours again. It is not the inverse of [`INSET`], but of
+/// another inset matrix.
 const OUTSET: Matrix = [
     [1.127_100_6, -0.110_606_64, -0.016_493_94],
     [-0.141_329_76, 1.157_823_7, -0.016_493_94],
@@ -282,8 +283,8 @@ mod tests {
             for i in 1..=60_000 {
                 let exposed = i as f32 / 10_000.0;
                 let shown = curve.apply([exposed; 3]);
-                // exposures are 1e-4 apart, and the slope of a curve is at most 2, except for
-                // rounding
+                // exposures are 1e-4 apart and the slope of a curve is at most 2, so neighbouring
+                // values differ by at most 2e-4 and by rounding
                 let step = shown[1] - last[1];
                 assert!((-1e-6..=2.1e-4).contains(&step), "{name}: from {last:?} to {shown:?} at {exposed}");
                 assert!(shown.iter().all(|v| (v - shown[1]).abs() < 2e-3), "{name}: a grey stays grey: {shown:?}");

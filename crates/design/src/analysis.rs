@@ -95,8 +95,8 @@ pub struct Zone {
     /// Difference of slope between neighbouring views.
     pub step: [f64; 2],
     /// Smallest distance at which an eye on the axis sees the whole display within the zone,
-    /// millimetres. For pinhole views, which are made for eyes at one distance, it is this
-    /// distance.
+    /// millimetres. Pinhole views are made for eyes at one distance; for such views this is the
+    /// value.
     pub whole_from_mm: f64,
     /// Width and height of the zone at the distance `at_mm`, millimetres.
     pub width_mm: [f64; 2],
@@ -135,7 +135,7 @@ pub struct Brightness {
     pub beta: f64,
     /// Largest transmittance of all layers together, which is the largest possible β.
     pub white: f64,
-    /// Light of the darkest state divided by the light of the brightest.
+    /// Light of the darkest state divided by the light of the brightest state.
     pub black: f64,
 }
 
@@ -228,8 +228,8 @@ impl Analysis {
     }
 }
 
-/// Returns the fraction of the hits between two depths. A bar that the limits cut contributes in
-/// proportion.
+/// Returns the fraction of the hits between two depths. A bar that crosses a limit contributes in
+/// proportion to its part between the limits.
 fn share_between(bars: &[[f64; 3]], low: f64, high: f64) -> Option<f64> {
     let all: f64 = bars.iter().map(|bar| bar[2]).sum();
     let inside =

@@ -25,9 +25,10 @@
 //!   A display may be exact at these rays and yet show nothing of the grating elsewhere.
 //! * *In between*: over rays of the whole zone, with [`POINTS`] rays per pixel and at least two
 //!   slopes per view. This covers the whole emission, including the pixels' shape.
-//! * *With more views*: over the same rays, for patterns that are solved for more views: one per
-//!   [`angular_footprint`](Display::angular_footprint), as many as the bound can use. This measures
-//!   the hardware; *in between* measures the display with its own number of views.
+//! * *With more views*: over the same rays, for patterns that are solved for more views. There is
+//!   one view per [`angular_footprint`](Display::angular_footprint), which is as many as the bound
+//!   can use. This measures the hardware; *in between* measures the display with its own number of
+//!   views.
 //!
 //! Contrast over rays in between obeys the bound, except in narrow zones, over which a grating
 //! moves by at most [`HALF_SINC`] periods. There, even a picture that is the same for all slopes
@@ -50,7 +51,7 @@ use lumistack_plot::{self as plot, Axes, Curve, PlotError};
 const MOST_COLS: usize = 96;
 /// Smallest contrast at which a grating is regarded as shown.
 pub const SHOWN: f64 = 0.5;
-/// Rays per pixel of the measures over the whole zone.
+/// Number of rays per pixel with which contrast over the whole zone is measured.
 pub const POINTS: usize = 3;
 /// The x at which sin(πx)/(πx) = ½.
 pub const HALF_SINC: f64 = 0.603;
@@ -96,9 +97,9 @@ pub struct Contrast {
 pub enum Achieved {
     /// At the rays of the target.
     AtTheViews,
-    /// Over the whole emission into the viewing zone.
+    /// The contrast over the whole emission into the viewing zone.
     InBetween,
-    /// Over the whole emission, solved for more views.
+    /// The contrast over the whole emission, for patterns that are solved for more views.
     WithMoreViews,
 }
 
@@ -264,8 +265,8 @@ fn strip(display: &Display, axis: usize, views: usize) -> Result<Display, Contra
     }
     if let Backlight::Lenslets(backlight) = &mut strip.backlight {
         let needed = ((width_mm + 2.0 * backlight.d_mm.abs() * half) / backlight.pitch_mm).ceil() as usize + 2;
-        // Keep the count odd or even, since a lenslet's centre lies on the axis only if the count
-        // is odd.
+        // Keep an odd count odd and an even count even, since a lenslet's centre lies on the axis
+        // only if the count is odd.
         let count = needed.min(backlight.lenslets[axis]);
         let same_parity = count + (backlight.lenslets[axis] - count) % 2;
         backlight.lenslets = [same_parity.max(1), 1];
@@ -431,9 +432,9 @@ mod tests {
         assert!((many.bound - 2.0 * 40.0 / (40.0 + 80.0)).abs() < 1e-9);
     }
 
-    /// The paper's Figure 11, over the whole emission: a layer in front of integral imaging
-    /// improves the display plane with a single frame. Off that plane the layer needs more than one
-    /// frame.
+    /// The paper's Figure 11, over the whole emission. A layer in front of integral imaging
+    /// improves the contrast on the display plane even with a single frame. Off the display plane
+    /// the layer needs more than one frame.
     #[test]
     fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();
@@ -453,9 +454,9 @@ mod tests {
         assert!(many[0] > 0.9 && many[1] > SHOWN, "six frames: {many:?}");
     }
 
-    /// Over the whole emission no display exceeds its bound, except by the term `alike`. In narrow
-    /// zones, even a picture that is alike for all slopes has contrast. At the target views, each
-    /// of these displays exceeds its bound.
+    /// Over the whole emission no display exceeds its bound by more than the frequency `alike`. Up
+    /// to this frequency, even a picture that is the same for all slopes has at least half of the
+    /// grating's contrast. At the target views, each of these displays exceeds its bound.
     #[test]
     fn the_bound_holds_for_all_that_is_emitted() {
         // The half-contrast frequency is interpolated between two measured frequencies, which

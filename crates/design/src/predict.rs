@@ -11,7 +11,8 @@
 //!
 //! The constants were fitted by least squares to 80 random designs on one scene ([`COEFFICIENTS`]).
 //! Another scene mainly changes c_0, so use the ranking, not the value. `cargo xtask bench design`
-//! prints the rank correlation of predicted and solved designs that the fit did not use.
+//! prints the rank correlation between the predicted and the solved quality of designs that the fit
+//! did not use.
 
 use lumistack_display::Display;
 

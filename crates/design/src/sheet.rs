@@ -1,6 +1,6 @@
 //! A contact sheet: pictures of one size in rows and columns, with text. Text uses the font of the
-//! plots. Pixels of the pictures stay unchanged; small pictures are enlarged by a whole
-//! number, so that their captions fit.
+//! plots. Pixels of the pictures stay unchanged; small pictures are enlarged by a whole number, so
+//! that their captions fit.
 
 use std::fmt::Write as _;
 

@@ -31,8 +31,7 @@ pub struct Design {
     /// Lowest refresh rate at which the display does not flicker, hertz; 0 for a static display.
     pub refresh_hz: f64,
     /// Values of the patterns per ray of the light field: the degrees of freedom. With 1 or more,
-    /// each
-    /// ray could have a value of its own.
+    /// each ray could have a value of its own.
     pub values_per_ray: f64,
 }
 
@@ -289,12 +288,12 @@ pub enum Plots {
     #[default]
     Few,
     /// Maps over every pair of the axes layers, frames and brightness, and curves along every axis.
-    /// Values of further axes have plots of their own.
+    /// Each combination of values on the remaining axes has plots of its own.
     All,
 }
 
-/// The content of a plot: a map over two axes, or curves along the first axis, one per value of the
-/// second.
+/// The content of a plot: a map over two axes, or curves along the first axis, with one curve per
+/// value of the second axis.
 enum View {
     Map(Axis, Axis),
     Curves(Axis, Option<Axis>),

@@ -104,8 +104,8 @@ impl Display {
             Views::Auto | Views::Step(_) => own_bins,
         };
         let (own_reach, bins_reach) = (half(self.field.fov_deg[axis]), half(own.fov_deg[axis]));
-        // Keep the display's number of bins per view. Also keep the ratio of the largest slope of
-        // its bins to the largest slope of its field of view.
+        // Keep the display's number of bins per view. Also keep the ratio between the largest slope
+        // of the bins and the largest slope of the field of view.
         let (fineness, spread) = if own_reach > 0.0 {
             (own_reach / own_views * own_bins / bins_reach, bins_reach / own_reach)
         } else {
@@ -114,8 +114,8 @@ impl Display {
         let slopes = if axis == 0 { &geometry.grid.slope_x } else { &geometry.grid.slope_y };
         let outermost = slopes.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
         // The rays of a perspective view have other slopes at the field's edges than at its centre.
-        // So dark bins must reach farther by this difference. Bins that repeat need not reach
-        // farther.
+        // If the backlight is dark outside its bins, the bins must also cover this difference. Bins
+        // that repeat cover all slopes anyway.
         let fan = match (geometry.grid.projection, own.outside_bins) {
             (Projection::Perspective { distance_mm }, OutsideBins::Dark) => {
                 0.5 * geometry.size_mm()[axis] / distance_mm
@@ -124,8 +124,8 @@ impl Display {
         };
         let width = geometry.grid.bin_width()[axis];
         if width == 0.0 {
-            // A single view gets the number of bins that the display has per view. They spread over
-            // the slopes of all rays of the view.
+            // A single view gets the number of bins that the display has per view. These bins
+            // spread over the slopes of all rays of the view.
             let bins = (own_bins / own_views).round().max(1.0) as usize;
             let reach = outermost + fan;
             let fov_deg = if reach < bins_reach { own.fov_deg[axis] } else { full_angle_deg(reach * 1.001) };

@@ -19,8 +19,8 @@ const SLIVER: f64 = 1e-9;
 /// pixel.
 #[derive(Clone, Debug)]
 pub struct AreaMap {
-    /// The intersections of one ray per part. Its columns are the parts `x`, and its rows the parts
-    /// `y`.
+    /// The intersections of one ray per part. The map's columns are the parts `x`, and its rows are
+    /// the parts `y`.
     pub map: RayMap,
     /// Parts along x: the first parts of all pixels, then the second parts, and so on. So
     /// neighbouring parts in the list read neighbouring pixels of a layer.

@@ -34,8 +34,8 @@ pub struct LensletBacklight {
     /// [x, y] of the grid's centre, millimetres.
     #[serde(default)]
     pub offset_mm: [f64; 2],
-    /// Emission of the darkest state relative to the brightest, 0 to less than 1: the lower bound
-    /// of the optimized emission.
+    /// Emission of the darkest state relative to the brightest state, 0 to less than 1: the lower
+    /// bound of the optimized emission.
     #[serde(default)]
     pub black_level: f64,
     /// Value that a ray outside the bins reads.

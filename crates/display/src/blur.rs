@@ -14,9 +14,9 @@
 //! The simple version makes two passes over the plane, with a loop over the weights for each pixel.
 //! Departures from the simple version:
 //!
-//! 1. The rows are summed into one line with zeros on both sides, and the second pass runs along
-//!    that line immediately. So the plane is read and written once, and no pixel tests for the
-//!    border.
+//! 1. For each output row, the weighted input rows are summed into one line that has zeros on both
+//!    sides. The second pass runs along this line immediately. So the plane is read and written
+//!    once, and no pixel needs a test for the border.
 //! 2. Sums of [`LANES`] neighbouring pixels stay in registers during the loop over the weights.
 //!
 //! 840 × 525 pixels take 0.3 ms at σ = 1 and 1.9 ms at σ = 8 on a Zen 5 core. Two variants are not
@@ -32,7 +32,7 @@ const LANES: usize = 32;
 /// The weights of a point spread, which are the same along both axes.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PointSpread {
-    /// The weights, whose number is odd and whose sum is 1. Without blur it is a single 1.
+    /// The weights, whose number is odd and whose sum is 1. Without blur the only weight is 1.
     taps: Vec<f32>,
     /// Entry i is the sum of the first i taps.
     sums: Vec<f32>,
@@ -111,8 +111,8 @@ impl PointSpread {
         }
     }
 
-    /// Returns 1 / Σ_k w_k over the weights of pixel `i` that reach no pixel outside an axis of
-    /// `count` pixels.
+    /// Returns 1 / Σ_k w_k for pixel `i` of an axis of `count` pixels. The sum leaves out the
+    /// weights that would reach pixels outside the axis.
     #[inline]
     fn border_scale(&self, i: usize, count: usize) -> f32 {
         let radius = self.radius();

@@ -1,8 +1,9 @@
 //! The paper's closed forms of the bound on depth of field, eqs. (23) to (26), with their
 //! assumptions about a display.
 //!
-//! With slopes (d_r = 1), ω0 = 1/(2p), Δs = (2/A) tan(α/2), Δd the distance of neighbouring layers
-//! and z the depth:
+//! Directions are slopes (d_r = 1). A layer's highest frequency is ω0 = 1/(2p), and one of A
+//! angular bins has the width Δs = (2/A) tan(α/2). Neighbouring layers are Δd apart, and z is the
+//! depth.
 //!
 //! ```text
 //! (23) lens array               1/(2Δx)          if |z| ≤ Δx/Δs,                  else 1/(2|z|Δs)

@@ -3,8 +3,8 @@
 //!
 //! A diffuse plane at z occupies the line of direction u = (1, z) in the plane of spatial frequency
 //! and frequency per slope. N layers and a backlight cover the Minkowski sum of segments ±g (the
-//! paper's spectral support, eqs. 21 to 26, in one form). So the highest spatial frequency at depth
-//! z, in cycles per millimetre, is
+//! paper's spectral support; this one form covers eqs. 21 to 26). So the highest spatial frequency
+//! at depth z, in cycles per millimetre, is
 //!
 //! ```text
 //! ω(z) = min over i with g_i × u ≠ 0 of  Σ_j |g_i × g_j| / |g_i × u|,
@@ -13,8 +13,9 @@
 //! lenslets:   g = (1, d_b)/(2 Δx)  and  g = (0, 1)/(2 Δs),   Δs = (2/A) tan(α/2)
 //! ```
 //!
-//! The paper's bounds (23) to (26) are special cases of ω(z) with d_b = 0. They assume continuous,
-//! band-limited layers and many frames, so ω(z) is a guide and not a strict ceiling.
+//! The paper's bounds (23) to (26) are special cases of ω(z) with d_b = 0. Like these bounds, ω(z)
+//! assumes continuous, band-limited layers and many frames, so it is a guide and not a strict
+//! limit.
 
 use crate::{Backlight, Display, FieldGeometry};
 
@@ -114,8 +115,8 @@ fn range(generators: &[[f64; 2]], least: f64) -> Option<[f64; 2]> {
 
 impl FieldGeometry {
     /// Returns the shift of content at depth `z_mm` between two views whose slopes differ by
-    /// `step`, in field pixels on z = 0. A positive shift is opposite to the step. The shift is
-    /// infinite at the eyes of perspective views. With Δs = `step` and pixel pitch p:
+    /// `step`, in field pixels on z = 0. A positive shift is opposite to the step. In perspective
+    /// views the shift is infinite at the distance of the eyes. With Δs = `step` and pixel pitch p:
     ///
     /// ```text
     /// parallel projections        z·Δs/p
@@ -180,7 +181,7 @@ mod tests {
             close(display.spatial_cutoff(z), if near { barrier + own } else { 0.5 / (f64::abs(z) * step) });
         }
         // The depth of field of pixels of pitch 0.5 mm ends where content shifts by one pixel per
-        // view. That is half a cycle of the finest detail.
+        // view. This shift is half a cycle of the finest detail.
         let [low, high] = display.depth_of_field(0.5).unwrap();
         close(high, 0.5 / step);
         close(low, -0.5 / step);

@@ -6,9 +6,9 @@
 //! number of views.
 //!
 //! The simple version reads four pixels of a layer for every ray. The fast version combines whole
-//! runs of rays that read neighbouring single pixels (`Reads::Runs`), with the same bits as a
-//! result. Rays form such runs under nearest sampling at equal pitch, and in views whose rays hit
-//! the layer's pixel centres. The rays of a seen picture also form runs.
+//! runs (`Reads::Runs`). In a run, neighbouring rays read neighbouring pixels, one pixel per ray.
+//! Both versions give the same bits. Rays form such runs under nearest sampling at equal pitch, and
+//! in views whose rays hit the layer's pixel centres. The rays of a seen picture also form runs.
 
 use std::borrow::Cow;
 
@@ -34,7 +34,7 @@ pub struct EmittedView {
 /// A picture as an eye sees it: every pixel is the mean over its area.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenView {
-    /// Mean of the emitted radiance L̃ over the area of the pixel with valid rays,
+    /// Mean of the emitted radiance L̃ over the part of the pixel's area whose rays are valid,
     /// `[row][col][rgb]`. It is 0 if no ray of the pixel is valid. An adapted viewer sees the
     /// radiance divided by the stack's brightness.
     pub radiance: Tensor<3>,
@@ -260,7 +260,7 @@ impl<'a> Reads<'a> {
 const SHORT_RUN: usize = 4;
 
 /// Combines each `formed[col][rgb]` with the layer's value at the ray. If the ray misses the layer,
-/// the value stays, since invalid rays are set to 0 later.
+/// the value stays: the layer counts as clear, or the ray is invalid and is set to 0 later.
 fn combine_layer(
     formed: &mut [f32],
     values: &Tensor<4>,
@@ -326,8 +326,8 @@ fn combine_backlight(
 /// error is below 1e-6 for x ≤ 8. With `f32::sin` this function would take most of the time of a
 /// view.
 fn sin2_of_quarter_turns(x: f32) -> f32 {
-    // An `f32` near 1.5 · 2²³ has no bits for a fraction. So the addition rounds to the nearest
-    // whole number of half turns.
+    // An `f32` near 1.5 · 2²³ has no bits for a fraction. So the addition of `ROUND` rounds to the
+    // nearest whole number of half turns.
     const ROUND: f32 = 12_582_912.0;
     let half_turns = (0.5 * x + ROUND) - ROUND;
     let angle = std::f32::consts::FRAC_PI_2 * (x - 2.0 * half_turns);

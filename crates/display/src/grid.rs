@@ -5,7 +5,7 @@ use thiserror::Error;
 /// Projection of the rays of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {
-    /// Every view is a parallel projection (the paper's): one slope for all its rays.
+    /// Every view is a parallel projection, as in the paper: all its rays have one slope.
     Oblique,
     /// Every view of slope s is a pinhole at eye position e = D·s. Its ray through position x on z
     /// = 0 has slope (e − x)/D.
@@ -255,7 +255,7 @@ impl FieldGeometry {
 }
 
 /// Returns at most `most` ≥ 2 evenly spread indices below `count`. The first and the last index are
-/// among them. If `count` and `most` are odd, so is the middle index.
+/// among them. If `count` and `most` are odd, the middle index is also among them.
 pub fn spread(count: usize, most: usize) -> Vec<usize> {
     if count <= most {
         return (0..count).collect();
@@ -306,8 +306,9 @@ mod tests {
         }
     }
 
-    /// From slopes multiplied by a factor, a point appears where a point at the scaled depth
-    /// appears from the original slopes. From slope 0 the two points appear at the same position.
+    /// A point, seen along the multiplied slopes, appears at the same positions as a point at the
+    /// scaled depth, seen along the original slopes. The second point is chosen so that both appear
+    /// at one position along slope 0.
     #[test]
     fn scaled_slopes_are_scaled_depths() {
         for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 400.0 }] {

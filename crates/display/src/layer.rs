@@ -34,7 +34,7 @@ pub struct Layer {
     /// open pixel transmits.
     #[serde(default = "default_peak")]
     pub peak: f64,
-    /// Value of the darkest state relative to the brightest, 0 to less than 1: one over the
+    /// Value of the darkest state relative to the brightest state, 0 to less than 1: one over the
     /// contrast.
     #[serde(default)]
     pub black_level: f64,

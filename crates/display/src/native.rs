@@ -14,14 +14,16 @@ const VIEWS_PER_BIN: f64 = 3.0;
 /// Returns a display's native step of slopes per axis (x, y); `None` for an axis without parallax.
 /// The native step is the smallest of these changes of slope:
 ///
-/// * p / max |Δd|, which moves some layer by one pixel against the light field or the next layer,
-/// * the change that moves the rays by one bin of the backlight.
+/// * p / max |Δd|, where p is the pitch, and |Δd| a layer's distance from the display plane or from
+///   the next layer. It moves a layer by one pixel against the light field or the next layer.
+/// * The change that moves the rays by one bin of the backlight.
 ///
-/// Suppose that all layers have one pitch. At multiples of this step, a layer or a gap with the
-/// largest distance is shifted by whole pixels. If every layer is in the display plane or at ± the
-/// largest distance, this applies to all layers, and one ray per pixel is exact for the pixel's
-/// area. Between two neighbouring multiples, two neighbouring layers combine only pairs of pixels
-/// that they also combine at one of the two multiples.
+/// Suppose that all layers have one pitch, and the first change is the smallest. Then every
+/// multiple of the step shifts the farthest layer, or the layers at the largest gap, by whole
+/// pixels. If every layer is in the display plane or at the distance max |Δd| from it, all layers
+/// shift by whole pixels. One ray per pixel is then exact for the pixel's area. At slopes between
+/// two neighbouring multiples, two neighbouring layers combine only pairs of pixels that they also
+/// combine at one of these multiples.
 pub fn native_step(display: &Display) -> [Option<f64>; 2] {
     let against_field = display.layers.iter().map(|layer| (layer.d_mm.abs(), layer.pitch_mm));
     let gaps =
@@ -63,9 +65,10 @@ impl Display {
     }
 
     /// Returns the step of slopes (x, y) of [`Views::Auto`]. It is the smaller of the
-    /// [native](native_step) step and a third of a bin of a directional backlight. If this gives
-    /// more than `most_views` views, it is a multiple of that step. An axis with parallax keeps at
-    /// least three views, since a display that is solved for one direction is wrong in all others.
+    /// [native](native_step) step and a third of a bin of a directional backlight. If this step
+    /// gives more than `most_views` views, the function returns a multiple of it. An axis with
+    /// parallax keeps at least three views, since a display that is solved for one direction is
+    /// wrong in all others.
     pub fn auto_step(&self, most_views: usize) -> [f64; 2] {
         let half = self.field.fov_deg.map(half_width);
         let mut native = native_step(self);

@@ -103,7 +103,7 @@ mod unread {
 }
 
 /// A matrix counts as singular if its determinant, relative to the size of its entries, is below
-/// this.
+/// this limit.
 const SINGULAR: f64 = 1e-9;
 
 impl Panel {

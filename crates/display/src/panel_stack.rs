@@ -58,7 +58,7 @@ impl LensArray {
 }
 
 impl PanelStack {
-    /// Largest number of frames per period for which the period does not flicker at a refresh rate;
+    /// Largest number of frames in a period that does not flicker at the refresh rate `refresh_hz`;
     /// at least 1.
     pub fn steady_frames(refresh_hz: f64) -> usize {
         ((refresh_hz / Display::FLICKER_HZ + 1e-6).floor() as usize).max(1)

@@ -14,7 +14,7 @@
 use crate::{Backlight, Display, FieldGeometry, Layer, LensletBacklight, OutsideBins, Sampling};
 
 /// Intersection of a ray with a layer, along one axis. The ray reads the value (1 − t)·f(first) +
-/// t·f(second) of the pixels f.
+/// t·f(second), where f is the value of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tap {
     /// Index of the first pixel that the ray reads, or [`Tap::MISSED`].

@@ -24,7 +24,7 @@ use crate::depth::{cross, cutoff, width};
 
 impl Display {
     /// ω(z) along one axis (0: x, 1: y), cycles per millimetre.
-    /// [`spatial_cutoff`](Self::spatial_cutoff) returns the value of the coarser axis.
+    /// [`spatial_cutoff`](Self::spatial_cutoff) returns the smaller value of the two axes.
     pub fn spatial_cutoff_along(&self, axis: usize, z_mm: f64) -> f64 {
         cutoff(&self.generators(axis), z_mm)
     }
@@ -63,7 +63,7 @@ impl Display {
 
     /// Returns the width of slopes δs per axis (x, y) over which light may be averaged. An average
     /// over this width loses no detail that the display can show far from the display plane. The
-    /// width is at most the whole field of view, which it is for a single layer.
+    /// width is at most the whole field of view. For a single layer it is the whole field of view.
     pub fn angular_footprint(&self) -> [f64; 2] {
         [0, 1].map(|axis| {
             let generators = self.generators(axis);

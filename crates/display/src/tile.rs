@@ -207,7 +207,7 @@ impl AxisCut {
     }
 
     /// Returns the smallest range that holds `middle` and all field pixels whose rays hit a pixel
-    /// of `ranges`. These are one range per layer, and one for the lenslets.
+    /// of `ranges`. `ranges` has one range per layer, and one for the lenslets.
     fn rays(&self, ranges: &[Range<usize>], middle: &Range<usize>) -> Range<usize> {
         self.parts.iter().zip(ranges).fold(middle.clone(), |all, (part, range)| hull(&all, &part.rays(range)))
     }

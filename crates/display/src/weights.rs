@@ -17,7 +17,7 @@ pub enum Weights {
     PerRay(Tensor<4>),
 }
 
-/// Weights of a wrong shape, or with invalid values.
+/// The error of weights that have a wrong shape or invalid values.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("weights: expected {expected}, found {found}")]
 pub struct WeightError {

@@ -7,8 +7,8 @@
 //! The score `psnr_zone` is −10 log₁₀ of the mean squared error between seen picture / β and the
 //! scene's picture. The mean is over directions that are spread over the whole zone and that the
 //! solver did not use. The scene's pictures are noisy, so each is rendered twice, with independent
-//! noise n₁ and n₂. With e the true error, the two measured errors are e + n₁ and e + n₂. The score
-//! is the mean of their product, since E[(e + n₁)(e + n₂)] = e².
+//! noise n₁ and n₂. With e the true error, the two measured errors are e + n₁ and e + n₂. The mean
+//! squared error is the mean of their product, since E[(e + n₁)(e + n₂)] = e².
 
 use crate::{EyeBox, LEAST_SHARE, Projection, SeenView, ViewGrid};
 
@@ -147,7 +147,7 @@ fn mean(values: &[f64]) -> Option<f64> {
 }
 
 /// Returns the PSNR with peak 1, dB. Errors below the square of a tenth of a 16-bit step are raised
-/// to it, since noise may make an error 0 or negative.
+/// to this square, since noise may make an error 0 or negative.
 fn psnr(mse: f64) -> f64 {
     const LEAST: f64 = 1.5e-6 * 1.5e-6;
     -10.0 * mse.max(LEAST).log10()

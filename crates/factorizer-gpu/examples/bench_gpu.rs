@@ -54,7 +54,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let quick = arguments.iter().any(|argument| argument == "--quick");
     arguments.retain(|argument| argument != "--quick");
     let name = arguments.first().map(String::as_str);
-    // list the adapters, and open the requested one, or any if none is requested
+    // list the adapters, and open one: the requested one, or, without a request, a graphics
+    // processor if there is one
     for adapter in adapters() {
         println!("{} ({}, {}, {})", adapter.name, adapter.kind, adapter.backend, adapter.driver);
     }
@@ -69,7 +70,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if !adapter.is_hardware {
         println!("no graphics processor: the device measured below is the processor, through a software driver");
     }
-    // measure the limits of this adapter, below which every update stays
+    // measure the adapter's limits; no update can be faster than they allow
     let limits = device.measured_limits();
     println!(
         "on {}: copies {:.1} GB/s, {:.1} G multiply-adds/s",
@@ -85,8 +86,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let target = scene::light_field(&display)?;
     let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
     let start = random_start(&display, 1);
-    // the numbers of values and rays, from which the smallest traffic of an update follows (see the
-    // top of this file)
+    // count values and rays; they give the bytes that an update must at least read and write (see
+    // the top of this file)
     let (factors, frames) = (3.0, FRAMES as f64);
     let values = 3.0 * (resolution[0] * resolution[1]) as f64;
     let rays = 25.0 * values;

@@ -1,15 +1,17 @@
 //! Divides the lines of a factor (its rows of pixels) into bands, so that the data of a dispatch
 //! fit into the device's bindings.
 //!
-//! Buffers hold whole channels. A dispatch writes the lines of one band. For these lines it binds
-//! windows of the buffers that it reads. They hold the field rows whose rays read the lines, and
-//! the lines of other factors that these rays read. A band whose windows are too large is halved.
+//! A buffer holds a whole channel. A dispatch writes the lines of one band, and binds only parts of
+//! the buffers, called windows. The windows of the target and the weights hold the field rows whose
+//! rays read the lines of the band. The windows of the factors hold all lines that these rays read.
+//! A band whose windows exceed the device's limits is halved.
 
 use std::ops::Range;
 
 use crate::tables::Tables;
 
-/// The windows of one dispatch; ranges are in 4-byte words of a channel's buffers.
+/// The parts of buffers that one dispatch binds (windows). Except for `lines`, the ranges count
+/// 4-byte words of a channel's buffers.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Band {
     /// The band's lines of a factor. For the program that computes errors, the band's field rows.

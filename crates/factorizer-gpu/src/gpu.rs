@@ -1,4 +1,4 @@
-//! An open device: its buffers and programs, and the first failure.
+//! An open device: its buffers and programs, and the first failure that it reported.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -21,8 +21,8 @@ pub struct Gpu {
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
     pub(crate) limits: wgpu::Limits,
-    /// Number of results of a workgroup: its largest number of subgroups, or 1 if shaders do not
-    /// sum by subgroups.
+    /// Largest number of results that a workgroup writes. It writes one per subgroup, or a single
+    /// one if shaders do not sum by subgroups.
     pub(crate) parts: usize,
     programs: Mutex<HashMap<String, wgpu::ComputePipeline>>,
     failure: Arc<Mutex<Option<String>>>,
@@ -38,7 +38,8 @@ impl Gpu {
         let failed = |device: &str, why: String| FactorizeError::Device { device: device.into(), why };
         let (adapter, found) = adapters::choose(name).map_err(|why| failed(name.unwrap_or("gpu"), why))?;
         let limits = found.limits();
-        // A browser needs another line in the shader, which wgpu's own parser does not know.
+        // A page uses no subgroups: there the shader would need one more line, which wgpu's own
+        // parser does not know.
         let offered = if cfg!(target_arch = "wasm32") { wgpu::Features::empty() } else { found.features() };
         let features = offered & wgpu::Features::SUBGROUP;
         let least = found.get_info().subgroup_min_size.max(1) as usize;
@@ -74,7 +75,8 @@ impl Gpu {
         &self.adapter
     }
 
-    /// Lowers the limit of a binding, so that tests can divide small problems into bands.
+    /// Lowers the device's limit for the size of a storage buffer's binding, so that tests can
+    /// divide small problems into bands.
     #[must_use]
     pub fn with_binding_bytes(mut self, bytes: u64) -> Self {
         self.limits.max_storage_buffer_binding_size = self.limits.max_storage_buffer_binding_size.min(bytes);

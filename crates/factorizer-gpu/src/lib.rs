@@ -16,8 +16,8 @@
 //!
 //! Targets of half floats stay half floats. A buffer holds one channel. A shader binds windows of
 //! buffers, in bands of lines that fit the device (`bands.rs`). Layers with blur, crosstalk, colour
-//! filters or tied channels are an error. Patterns for panels of few bits are re-optimized on the
-//! processor.
+//! filters or one value for all channels are an error. Patterns for panels of few bits are
+//! re-optimized on the processor.
 
 mod adapters;
 mod bands;

@@ -167,8 +167,8 @@ impl State {
             found += groups_x * band.lines.len();
             calls.push((self.bind(update, channel, band, at), band.lines.len()));
         }
-        // Wait for the update before, so that at most one update runs on the device while the next
-        // is prepared.
+        // Wait for the previous update, so that at most one update runs on the device while the
+        // next is prepared.
         if let Some(index) = self.submitted.take() {
             let waiting = wgpu::PollType::Wait { submission_index: Some(index), timeout: None };
             if let Err(error) = self.gpu.device.poll(waiting) {

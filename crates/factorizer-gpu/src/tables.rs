@@ -24,11 +24,12 @@ pub(crate) struct FactorTables {
     pub(crate) y: u32,
     /// Offset, in taps, of the table `[view column][field column]`: the columns that rays read.
     pub(crate) x: u32,
-    /// Offset in `words` of the table `[view row][line]` of the offsets of lists: the field rows
-    /// that read the line. A list ends at the next entry's offset.
+    /// Offset in `words` of the table `[view row][line]`. An entry is the offset of a list, which
+    /// names the field rows that read the line. The list ends at the next entry's offset.
     pub(crate) own_lines: u32,
-    /// Offset in `words` of the table `[view column][column]` of the offsets of lists: the field
-    /// columns that read the column. A list ends at the next entry's offset.
+    /// Offset in `words` of the table `[view column][column]`. An entry is the offset of a list,
+    /// which names the field columns that read the column. The list ends at the next entry's
+    /// offset.
     pub(crate) own_columns: u32,
     /// For each line, the first and the last field row whose rays read it in any view; `None` if
     /// there are none.
@@ -107,8 +108,8 @@ impl Tables {
         at as u32
     }
 
-    /// Appends, for every view and every line or column of a factor, the rays that read it, each
-    /// with its weight. A table of the lists' offsets precedes them.
+    /// Appends a list for every view and every line or column of a factor: the rays that read it,
+    /// each with its weight. Before the lists, appends a table of their offsets.
     fn readers(&mut self, views: usize, places: usize, taps: impl Fn(usize) -> Vec<(usize, Tap)>) -> u32 {
         let at = self.words.len();
         self.words.resize(at + views * (places + 1), 0);

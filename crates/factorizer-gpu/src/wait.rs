@@ -1,8 +1,8 @@
 //! Waits for answers of the device.
 //!
 //! In a page the answers are promises. There the module suspends until they settle (JavaScript
-//! Promise Integration), so that solvers need no second, asynchronous form. All calls then come
-//! from an export with the attribute `jspi`.
+//! Promise Integration), so that solvers need no second, asynchronous form. For this, every call
+//! must come from an exported function with the attribute `jspi`.
 
 #[cfg(not(target_arch = "wasm32"))]
 pub(crate) use native::{answer, block_on};
@@ -24,7 +24,8 @@ mod native {
 
     pub(crate) use pollster::block_on;
 
-    /// Returns the answer for which `ask` waits; `None` if there is none.
+    /// Calls `ask` with a callback, and returns the answer that the callback receives; `None` if no
+    /// answer comes.
     pub(crate) fn answer<T: Send + 'static>(ask: impl FnOnce(Reply<T>)) -> Option<T> {
         let (sender, receiver) = channel();
         ask(Box::new(move |answer| drop(sender.send(answer))));
@@ -61,7 +62,8 @@ mod page {
         }
     }
 
-    /// Returns the answer to `ask`; `None` if there is none.
+    /// Calls `ask` with a callback, and returns the answer that the callback receives; `None` if no
+    /// answer comes.
     pub(crate) fn answer<T: Send + 'static>(ask: impl FnOnce(Reply<T>)) -> Option<T> {
         let (sender, receiver) = channel();
         let waiting = Arc::new(Mutex::new(None::<Waker>));

@@ -1,5 +1,5 @@
-//! Compares the results of a device with those of the processor. The device is any adapter, also a
-//! software one. Without an adapter the tests are skipped.
+//! Compares the results of a device with the results of the processor. Any adapter may be the
+//! device, also a software adapter. Without an adapter the tests are skipped.
 
 use std::sync::{Mutex, OnceLock};
 
@@ -25,9 +25,10 @@ const EMISSION_TOLERANCE: f32 = 1e-5;
 const OBJECTIVE_TOLERANCE: f64 = 1e-4;
 /// Largest allowed difference of an objective near 0, divided by the number of rays and channels.
 const OBJECTIVE_PER_VALUE: f64 = 1e-11;
-/// Largest relative difference of an objective by another order of its sum.
+/// Largest relative difference of an objective whose terms are summed in another order.
 const SUM_TOLERANCE: f64 = 1e-5;
-/// Smallest influence of a value on the emission at which the value is taken as determined.
+/// The device's value of a pattern is compared with the processor's only if its influence on the
+/// emission is at least this. Rounding decides a value with less influence.
 const DETERMINED: f32 = 0.1;
 /// Number of iterations whose updates are compared one by one.
 const ROUNDS: usize = 4;
@@ -37,7 +38,7 @@ const UPDATES: usize = 10;
 const SEED: u64 = 4;
 /// The processor's own difference is the difference of emission between runs whose starts and
 /// targets differ by rounding. The device's emission may differ from the processor's by this
-/// multiple of it.
+/// multiple of the own difference.
 const OWN_ROUNDING: f32 = 4.0;
 /// Number of runs of the processor by which its own difference is measured.
 const NUDGES: u32 = 4;
@@ -83,8 +84,8 @@ fn largest<'a>(a: impl IntoIterator<Item = &'a f32>, b: impl IntoIterator<Item =
     a.into_iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
-/// Returns the largest change of a ray's emission per change of one value, found by a change of the
-/// value.
+/// Returns the influence of one value: the largest change of a ray's emission, divided by the
+/// change of the value.
 fn influence(owned: &Owned, stack: &LayerStack, tensor: usize, index: usize) -> f32 {
     let mut moved = stack.clone();
     let layers = moved.layers.iter_mut().map(|layer| layer.data_mut());
@@ -138,8 +139,8 @@ fn begin_of(name: &str, problem: &Problem, start: LayerStack) -> Begin {
     catch.0.into_inner().unwrap().unwrap()
 }
 
-/// Returns true if two results `a` and `b` are equal within the tolerance. The tolerance depends on
-/// the sum `sum` of `values` terms, of which the results are parts.
+/// Returns true if `a` and `b` are equal within the tolerance. Both are parts of a sum of `values`
+/// terms, and the tolerance is relative to that whole sum, `sum`.
 fn are_near(a: f64, b: f64, sum: f64, values: usize) -> bool {
     (a - b).abs() <= OBJECTIVE_TOLERANCE * sum + OBJECTIVE_PER_VALUE * values as f64
 }

@@ -5,7 +5,7 @@
 
 /// Calls `work(scratch, index, chunk)` for every chunk of `data`.
 ///
-/// `init` makes a `scratch` value, which any later chunks may reuse.
+/// `init` makes a `scratch` value, which later chunks may reuse.
 pub(crate) fn for_each_chunk<T: Send, S>(
     data: &mut [T],
     chunk: usize,

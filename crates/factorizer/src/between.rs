@@ -1,8 +1,8 @@
-//! Updates lines of one factor that rays read between pixels, at a constant distance for each view
-//! column.
+//! Updates lines of one factor that rays read between pixels. For all rays of a view column, the
+//! position that a ray reads is at one distance from the ray's own column.
 //!
-//! As in [`scatter`](crate::scatter), each ray adds its sums to four pixels, by shares. Here all
-//! rays of a view column read at the same distance, so pixels gather:
+//! As in [`scatter`](crate::scatter), each ray adds its sums to four pixels, by shares. But at a
+//! constant distance, a pixel's rays are known from its column, so each pixel collects its sums:
 //!
 //! ```text
 //! for every part of line j, some columns x:
@@ -14,10 +14,10 @@
 //!     step the pixels by low, keep high for line j + 1
 //! ```
 //!
-//! The terms a_m and e of a ray are computed once, with one ray per lane. The rays that read a
-//! pixel second are the rays of the pixel before. Their vector is the same vector, moved up by a
-//! lane. Its lane 0 is the last lane of the block before. Shares are applied like weights: the
-//! terms are multiplied by the root of the share, as by √w.
+//! The terms a_m and e of a ray are computed once, with one ray per lane. A ray that reads pixel x
+//! − 1 with the share 1 − t_x reads pixel x with the share t_x. So a second vector has the terms of
+//! the first vector, moved up by one lane. Its lane 0 is the last lane of the previous block.
+//! Shares are applied like weights: the terms are multiplied by the root of the share, as by √w.
 //!
 //! At a border, a ray reads the border pixel twice. So the lines that rays read are copies whose
 //! border pixels are repeated once, and a border pixel gets both shares. Copies and mixtures of
@@ -66,14 +66,15 @@ pub(crate) struct Scratch {
     spare: Spare,
     /// For each row of rays, the share of its sums that the next line gets.
     t: Vec<f32>,
-    /// The shares of every view column that has valid rays.
+    /// For every view column that has valid rays, the shares that pixels get from these rays.
     shares: Vec<ColumnShares>,
-    /// The lines of all factors that rays read, mixed to one row per row of rays.
+    /// Copies of the lines that a row of rays reads. If the rays read between two lines of a
+    /// factor, the copy is a mixture of the two lines.
     windows: Windows,
     /// For each row of rays, the index at which its entries end in the list of rows to prefetch.
     ahead: Vec<usize>,
-    /// For each factor k, the smallest and the largest distance between the pixels of k and of the
-    /// factor under update that a ray reads.
+    /// A ray reads a column of every factor. For each factor k, this has the smallest and the
+    /// largest value of its column minus the column of the factor under update.
     spread: Vec<[isize; 2]>,
     /// The sums for the pixels of a part of the line under update, `[quantity][column]`.
     low: Aligned,
@@ -86,13 +87,13 @@ pub(crate) struct Scratch {
     before: Aligned,
 }
 
-/// Roots of the shares that pixel x gets from rays of a view column. `first` is for the ray that
-/// reads x first, `second` for the ray that reads x second.
+/// Roots of the shares that pixel x gets from rays of a view column. `first` is for the ray whose
+/// first pixel is x, `second` for the ray whose second pixel is x.
 struct ColumnShares {
     first: Vec<f32>,
     /// Empty if no ray reads a second pixel.
     second: Vec<f32>,
-    /// Range of the pixels x that valid rays read first.
+    /// Range of the pixels x that are the first pixels of valid rays.
     valid: Range<usize>,
 }
 
@@ -117,8 +118,8 @@ impl Scratch {
     }
 }
 
-/// For each factor k, the smallest and the largest distance between the pixels of k and of factor
-/// `n` that a ray reads.
+/// A ray reads a column of every factor. For each factor k, returns the smallest and the largest
+/// value of its column minus the column of factor `n`.
 fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     let distances = |k: usize| {
         let both = plan.maps[k].x.iter().zip(&plan.maps[n].x);
@@ -128,7 +129,7 @@ fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     (0..plan.maps.len()).map(of).collect()
 }
 
-/// The shares of every view column with valid rays; see [`ColumnShares`].
+/// For every view column that has valid rays, the shares that pixels get from these rays.
 fn shares(plan: &Plan, n: usize) -> Vec<ColumnShares> {
     let map = &plan.maps[n];
     let (pad, cols) = (map.layout.pad as isize, map.layout.cols());
@@ -158,7 +159,8 @@ pub(crate) struct BetweenBand<'a> {
     pub(crate) factors: &'a [Factor],
     pub(crate) functions: &'a BetweenFunctions,
     pub(crate) scratch: &'a mut Scratch,
-    /// The line that was updated last, if the rays after it have added sums for the next line.
+    /// The line that was updated last, if the rays between it and the next line have added their
+    /// sums for the next line.
     pub(crate) before: Option<LineOf>,
 }
 
@@ -167,7 +169,8 @@ impl BetweenBand<'_> {
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
         let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);
-        // If the line before was not updated here, the rays that start at it are summed again.
+        // If the previous line was not updated here, the rays between it and this line are summed
+        // again.
         if !follows {
             self.scratch.high.fill(0.0);
             self.scratch.high_error = 0.0;
@@ -210,7 +213,7 @@ impl BetweenBand<'_> {
         before[..count].fill(0.0);
         let params = SumParams { brightness: plan.target.brightness, sums: needed };
         let mut outcome = Outcome { error: std::mem::take(high_error), gain: 0.0 };
-        // If a ray reads its first pixel in the padding and pixel 0 second, begin one block
+        // If a ray's first pixel is in the padding and its second pixel is pixel 0, begin one block
         // earlier.
         let outside = shares.iter().any(|column| !column.second.is_empty() && column.valid.start < layout.pad);
         let first = if outside { layout.pad - lanes } else { layout.pad };
@@ -349,8 +352,8 @@ impl Kernel for SumsBetween {
     }
 }
 
-/// Adds the sum at index `at` of `from` to quantity `q`. The line under update gets the fraction 1
-/// − t, and the next line gets t.
+/// Adds the sum at index `at` of `from` to quantity `q` of two lines. The line under update gets
+/// the fraction 1 − t of the sum, and the next line gets the fraction t.
 #[inline(always)]
 unsafe fn share<V: Lanes>(
     from: &[f32],
@@ -372,7 +375,7 @@ unsafe fn share<V: Lanes>(
 }
 
 /// Buffers the terms of one view's rays, times the roots of their shares. The first entry is for
-/// the rays that read the block's pixels first, the second for the rays that read them second.
+/// rays whose first pixel is in the block, the second for rays whose second pixel is in the block.
 /// Returns the number of entries, and their Σ w (βL − L̃)² per lane.
 #[inline(always)]
 unsafe fn add_view<V: Lanes>(
@@ -510,7 +513,8 @@ impl Reads<'_> {
     }
 }
 
-/// Interpolates between the values at `from` and the values one further, at the fraction `t`.
+/// Interpolates, at the fraction `t`, between the values from `from` on and the values one place
+/// further.
 #[inline(always)]
 unsafe fn between_pixels<V: Lanes>(from: *const f32, t: f32) -> V {
     // SAFETY: guaranteed by the caller

@@ -276,7 +276,7 @@ pub(crate) struct Group {
 }
 
 /// Adds the terms of a group of views to the sums. If `SHARED` is true, the terms of each view are
-/// multiplied by the share of the line under update in the view's rays.
+/// multiplied by the share with which the view's rays read the line under update.
 ///
 /// # Safety
 /// The machine has `V`'s instruction set, and the buffers hold as many views as the group.
@@ -327,7 +327,8 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
 /// The buffers of a block's views, to be summed.
 pub(crate) struct Tiles<'a, const SHARED: bool> {
     pub(crate) group: Group,
-    /// For each view, the share of the line under update in its rays; empty if `SHARED` is false.
+    /// For each view, the share with which its rays read the line under update; empty if `SHARED`
+    /// is false.
     pub(crate) shares: &'a [f32],
     pub(crate) products: &'a [f32],
     pub(crate) errors: &'a [f32],
@@ -335,7 +336,7 @@ pub(crate) struct Tiles<'a, const SHARED: bool> {
 }
 
 impl<const SHARED: bool> Tiles<'_, SHARED> {
-    /// Returns `value` times the share of the line under update in the view's rays.
+    /// Returns `value` times the share with which the view's rays read the line under update.
     #[inline(always)]
     unsafe fn shared<V: Lanes>(&self, view: usize, value: V) -> V {
         // SAFETY: guaranteed by the caller

@@ -1,9 +1,9 @@
 //! A problem at half the resolution, whose solution is a start for the whole problem.
 //!
 //! Low frequencies converge at half the resolution at a quarter of the cost. Field and layers keep
-//! half their pixels per axis. The parallax between two views is half as many coarse pixels, so
-//! fewer views suffice: if there are many views, every second view is kept. Lenslets, angular bins
-//! and frames stay the same.
+//! half their pixels per axis. The parallax between two views is half as many coarse pixels as fine
+//! pixels, so fewer views suffice. If there are many views, every second view is kept. Lenslets,
+//! angular bins and frames stay the same.
 //!
 //! A coarse pixel is the area-weighted mean of the fine pixels that it covers. A coarse solution is
 //! interpolated linearly at the centres of the fine pixels. All values stay in the layout of the

@@ -151,8 +151,9 @@ pub trait Updater {
         known.then(|| objective_of(plan, self.display(), ErrorSum { weighted: left, plain: left }))
     }
 
-    /// Computes the KKT residual: the root mean square, over all values, of the change of the
-    /// emission by an exact coordinate step within the box. It is 0 at a first-order (KKT) point.
+    /// Computes the KKT residual. For every value, an exact coordinate step within the box would
+    /// change the emission by some amount. The residual is the root mean square of these amounts
+    /// over all values. It is 0 at a first-order (KKT) point.
     fn kkt_residual(&mut self) -> f64 {
         self.over_all(Rule::KktResidual)
     }
@@ -235,7 +236,7 @@ impl Plan {
         [self.maps[n].layout.lines(), self.maps[n].layout.cols()]
     }
 
-    /// Returns the value of rays that miss factor `n`.
+    /// Returns the value that rays read if they miss factor `n`.
     pub fn outside(&self, n: usize) -> f32 {
         self.maps[n].layout.outside
     }
@@ -297,7 +298,8 @@ impl Plan {
 
 /// Values for executors in other crates.
 impl Factor {
-    /// Allocates factor `n` of a plan; all values are the value of a miss.
+    /// Allocates factor `n` of a plan; every value is the value that rays read if they miss the
+    /// factor.
     pub fn of(plan: &Plan, n: usize) -> Self {
         Self::blank(&plan.maps[n].layout, plan.target.channels)
     }

@@ -4,8 +4,9 @@
 //! contiguous. A thread thus gets successive lines as one slice, and a ray's values of all frames
 //! are near one another.
 //!
-//! Lines are padded by at least [`PAD`] values on both sides, and an extra line follows the last.
-//! Padding holds the value of a miss, so inner loops have no branch for misses.
+//! Lines are padded by at least [`PAD`] values on both sides, and an extra line follows the last
+//! line. The padding and the extra line hold the value that rays read if they miss the factor. So
+//! inner loops have no branch for misses.
 //!
 //! The backlight has R × C lenslets per angular bin. Its line is bin_y·R + lenslet row, and its
 //! column is bin_x·C + lenslet column. So its map is separable into lines and columns, like the map
@@ -30,7 +31,9 @@ pub struct Layout {
     pub(crate) pad: usize,
     /// Distance of the rows of successive frames, in values.
     pub(crate) stride: usize,
-    /// Value of rays that miss the factor: 1 for a layer, 0 for a backlight's bins.
+    /// Value that rays read if they miss the factor:
+    /// [`Formation::neutral`](lumistack_display::Formation::neutral) for a layer, 0 for a
+    /// backlight.
     pub(crate) outside: f32,
 }
 
@@ -105,7 +108,7 @@ impl Factor {
         factor
     }
 
-    /// Allocates a factor; all values are the value of a miss.
+    /// Allocates a factor; every value is the value that rays read if they miss the factor.
     pub(crate) fn blank(layout: &Layout, channels: usize) -> Self {
         let values = Aligned::filled(layout.outside, channels * layout.stored_lines() * layout.line_len());
         Self { layout: layout.clone(), values }

@@ -171,7 +171,8 @@ pub fn factorize_on(
 /// `problem` consists of [`Tile::display`] and [`Tile::light_field`]. `whole` maps the rays of the
 /// whole display. With `fixed`, the pixels of `warm` around the tile's free pixels keep their
 /// values, except that black is lifted as in every warm start. Without `fixed`, all pixels of the
-/// tile are solved. A start by the settings is the tile's part of the start of the whole display.
+/// tile are solved. If the settings determine the start, it is the tile's part of the whole
+/// display's start.
 ///
 /// # Errors
 /// The errors of [`factorize`], and [`FactorizeError::NoRays`] if no ray of the tile has a weight
@@ -364,8 +365,8 @@ impl Ongoing {
 ///
 /// If the warm start has the lower objective, the answer is yes. Otherwise both starts take one
 /// iteration of `warm_solver`, and the answer is yes if the warm start then leads by 1 dB. The
-/// objectives of the starts themselves mislead: patterns of moved content begin far off and improve
-/// quickly. The cost is a fresh start, and sometimes two iterations.
+/// objectives of the starts themselves mislead: patterns of moved content have a high objective at
+/// first, which falls quickly. The cost is a fresh start, and sometimes two iterations.
 ///
 /// This was measured on a plane of waves and on a striped card, moved by 0 to 20 of 64 pixels (5 ×
 /// 3 views, 4 frames). A start that led by 1 dB after one iteration was never more than 1.4 dB

@@ -27,10 +27,10 @@
 //!    6 frames. Then the sums are made tile by tile, each in registers. So any number of frames
 //!    runs the same code, and 12 frames spill as little as 6. Groups leave room in the first-level
 //!    cache.
-//! 4. **Prefetch.** An update reads frames × layers × view rows rows of factors, and all views'
-//!    rows of the target, side by side. Hardware prefetchers do not follow so many rows. So each
-//!    view prefetches a few rows of factors two vectors ahead. It prefetches its row of the target
-//!    into the second-level cache only.
+//! 4. **Prefetch.** An update reads many rows side by side: frames × layers × view rows of them in
+//!    the factors, and one in the target for each view. Hardware prefetchers do not follow so many
+//!    rows. So each view prefetches a few rows of factors two vectors ahead. It prefetches its row
+//!    of the target into the second-level cache only.
 //! 5. **Target.** The target is read in 16 bits if half floats hold it exactly. √w multiplies a_m
 //!    and e, so that no sum needs w.
 //! 6. **Masks.** A block is masked if it crosses the border of the valid rays or if rays have
@@ -49,10 +49,11 @@
 //! * The sums of one view in a block take 45 to 54 cycles. If no load straddles cache lines, they
 //!   take 48 instead of 54. If in addition all view rows read one line, they take 38. With
 //!   everything in the first-level cache they would take 26.
-//! * Three variants took longer. Aligned loads with a permutation took 63 cycles, and groups of one
-//!   to three view rows 58 to 75. Lines in steps of a view's shift took 60.
+//! * Three other versions took longer per view and block. Aligned loads with a permutation took 63
+//!   cycles. Sums over one to three view rows at a time took 58 to 75 cycles. Lines in the order of
+//!   a view's shift took 60 cycles.
 //! * These changes had no effect: tiles of fewer columns, vectors of AVX2 with the registers of
-//!   AVX-512, and two chains for the sum over frames.
+//!   AVX-512, and two independent chains of additions for the sum over frames.
 //! * A single function for all cases, inlined, was 400 kB of code and took four times as long to
 //!   compile.
 
@@ -146,7 +147,8 @@ impl GatherLine<'_, '_> {
         let own = [Some(step.values.as_ptr()), latest].into_iter().flatten();
         let own = own.flat_map(|line| (0..frames).map(move |frame| line.wrapping_add(frame * stride)));
         let list = rays_through(std::mem::take(rays), plan, factors, at, own, spare);
-        // blocks begin on whole vectors from the line's first column that any ray reads
+        // blocks begin at multiples of a vector's length; the first block holds the first column
+        // that any ray reads
         let (outer, inner) = (list.outer(), list.inner());
         let first = layout.pad + (outer.start.max(layout.pad) - layout.pad) / lanes * lanes;
         let end = outer.end.min(layout.pad + layout.cols());

@@ -1,7 +1,7 @@
 //! Weighted nonnegative tensor factorization of a light field into the patterns of a layer stack.
 //!
-//! Minimizes, over the box of values that the hardware allows, the objective (eqs. 18 and 27 of
-//! Wetzstein et al. 2012)
+//! The crate minimizes this objective over the box of values that the hardware allows (eqs. 18 and
+//! 27 of Wetzstein et al. 2012):
 //!
 //! ```text
 //! Σ_r w (βL − L̃)²,   L̃ = (1/M) Σ_m b_m Π_n f_m^(n)

@@ -8,11 +8,11 @@ use lumistack_display::Tap;
 use crate::aligned::LINE;
 use crate::factor::{Layout, PAD};
 
-/// A weight below this is treated as 0 in a mixture of two neighbouring pixels. The mixture changes
-/// by no more than this number, since values are in 0..1.
+/// A weight below this number is treated as 0 in a mixture of two neighbouring pixels. The mixture
+/// changes by no more than this number, since values are in 0..1.
 const SAME_WEIGHT: f32 = 1e-6;
-/// Smallest length of a piece of equal shift that has a separate loop. Shorter pieces are read
-/// through the tables of pixel indices.
+/// Smallest number of columns of a [`Piece`] that inner loops read by its constant shift. Shorter
+/// pieces are read through the tables of pixel indices.
 const SHORTEST_PIECE: usize = 8;
 /// Number of rays, weighted by their shares, up to which a pixel's sums stay in f32.
 ///
@@ -31,8 +31,8 @@ pub(crate) struct FactorMap {
     pub(crate) y: Vec<Vec<LineTap>>,
     /// Per view row, the field rows whose rays read each line.
     rays: Vec<RaysOfLine>,
-    /// Per view row and line, the field rows whose rays read between this line and the next line,
-    /// with the share of the next line.
+    /// Per view row and line, the field rows whose rays read between this line and the next line.
+    /// Each entry also has the share of the rays' sums that the next line gets.
     after: Vec<RaysOfLine>,
     /// True if so few rays read each pixel that sums in f32 are precise.
     pub(crate) short_sums: bool,
@@ -61,11 +61,12 @@ pub(crate) struct ColumnTaps {
     pub(crate) t: Vec<f32>,
     /// The taps as pieces for the inner loops; together the pieces cover all field columns.
     pub(crate) pieces: Vec<Piece>,
-    /// Index in the padded line minus field column, if it is the same for every valid ray and every
-    /// `t` is 0.
+    /// The index in the padded line minus the field column. `None` if this shift differs between
+    /// valid rays, or if a `t` is not 0.
     pub(crate) shift: Option<isize>,
-    /// Index of the first pixel minus field column, and the weight of the second pixel, if these
-    /// are the same for every valid ray. A ray at the border reads the border pixel alone.
+    /// The index of the first pixel minus the field column, and the weight of the second pixel.
+    /// `None` if these two values differ between valid rays. A ray at the border reads the border
+    /// pixel alone.
     pub(crate) between: Option<(isize, f32)>,
 }
 
@@ -102,19 +103,19 @@ pub(crate) struct LineTap {
 struct RaysOfLine {
     /// Line j has `entries[starts[j]..starts[j + 1]]`.
     starts: Vec<u32>,
-    /// Field row, and the share of the line in that row's rays.
+    /// Field row, and the share with which this row's rays read the line.
     entries: Vec<(u32, f32)>,
 }
 
 impl FactorMap {
-    /// Valid field rows whose rays read `line`, with the share of `line` in these rays.
+    /// Valid field rows whose rays read `line`, with the share with which they read it.
     #[inline(always)]
     pub(crate) fn rays_of_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.rays[view_y].of_line(line)
     }
 
-    /// Valid field rows whose rays read between `line` and the next line, with the share of the
-    /// next line.
+    /// Valid field rows whose rays read between `line` and the next line. Each entry also has the
+    /// share of the rays' sums that the next line gets.
     #[inline(always)]
     pub(crate) fn rays_after_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.after[view_y].of_line(line)
@@ -246,8 +247,9 @@ impl ColumnTaps {
     }
 }
 
-/// A tap that reads one pixel alone if the weight of its second pixel is only rounding. Without
-/// this, rays that hit pixels exactly would read single pixels in some columns and pairs in others.
+/// Returns a tap that reads one pixel alone if the weight of the other pixel is only rounding.
+/// Without this, rays that hit pixels exactly would read single pixels in some columns and pairs in
+/// others.
 pub(crate) fn snapped(tap: Tap) -> Tap {
     match tap.t {
         t if t < SAME_WEIGHT => Tap { t: 0.0, ..tap },
@@ -328,10 +330,10 @@ pub(crate) struct RawMap {
     pub(crate) y: Vec<Vec<Option<Tap>>>,
 }
 
-/// Pixel index minus field column, if it is the same for all rays of the runs that hit the factor.
+/// Returns the pixel index minus the field column.
 ///
-/// `None` if it differs between rays, or if with this shift a ray that misses the factor would read
-/// inside of it.
+/// Returns `None` if this shift differs between rays of the runs, or if a ray reads two pixels.
+/// Also returns `None` if with this shift a ray that misses the factor would read inside it.
 fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<isize> {
     let mut counted = runs.iter().flat_map(Clone::clone);
     let shift = counted.clone().find_map(|c| taps[c].map(|tap| tap.first as isize - c as isize))?;
@@ -343,8 +345,9 @@ fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> O
         .then_some(shift)
 }
 
-/// First pixel minus field column, and the weight of the second pixel, if these two values are the
-/// same for all rays of the run. At the borders, rays read the border pixel alone.
+/// Returns the first pixel minus the field column, and the weight of the second pixel. Returns
+/// `None` if these two values differ between rays of the run. At the borders, rays read the border
+/// pixel alone.
 fn constant_between(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<(isize, f32)> {
     let [run] = runs else { return None };
     let distance = |c: usize| taps[c].map(|tap| (tap.first as isize - c as isize, tap.t));

@@ -8,9 +8,9 @@ use crate::bands;
 
 /// A display, its target light field, and the weight of every ray.
 ///
-/// The display defines brightness β, sampling, the number of frames M, and the values of rays that
-/// miss a layer. The target defines the rays; its resolution and views may differ from the
-/// display's.
+/// The display defines brightness β, sampling, the number of frames M, and the value that a ray
+/// reads if it misses a layer. The target defines the rays; its resolution and views may differ
+/// from the display's.
 #[derive(Clone, Copy, Debug)]
 pub struct Problem<'a> {
     /// The display that shows the target.

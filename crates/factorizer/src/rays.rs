@@ -60,7 +60,7 @@ impl<'a, T> Place<'a, T> {
     }
 }
 
-/// The rays of one view through the line under update.
+/// One view's rays through the line that the solver updates: their valid range and their weights.
 pub(crate) struct View<'a> {
     /// Range of x in which the view's rays are valid.
     valid: Range<usize>,
@@ -142,7 +142,22 @@ pub(crate) struct LineRays<'a> {
     ahead: Vec<*const f32>,
 }
 
-impl LineRays<'_> {
+impl<'a> LineRays<'a> {
+    /// Adds a view: the valid range of x, the weights and the target of its row of rays. Column c
+    /// of the row is at x = c + [`PAD`] − `offset`.
+    fn push_view(&mut self, plan: &'a Plan, rays: &Rays<'_>, offset: isize) {
+        let (view, x_of_0) = (plan.view(rays.view[0], rays.view[1]), PAD as isize - offset);
+        let x = |column: usize| (column as isize + x_of_0) as usize;
+        self.views.push(View {
+            valid: x(rays.run.start)..x(rays.run.end),
+            weights: plan.target.weights(view, rays.row).map(|weights| Place::new(weights, offset)),
+        });
+        self.targets.push(match plan.target.row(rays.channel, view, rays.row) {
+            Row::Half(row) => TargetRow::Half(Place::new(row, offset)),
+            Row::Float(row) => TargetRow::Float(Place::new(row, offset)),
+        });
+    }
+
     /// The range of x in which the rays of every view are valid and have weight 1.
     pub(crate) fn inner(&self) -> Range<usize> {
         if self.views.iter().any(|view| view.weights.is_some()) {
@@ -172,8 +187,8 @@ impl LineRays<'_> {
         &self.others[view * self.others_per_view..(view + 1) * self.others_per_view]
     }
 
-    /// Prefetches the values at x of listed rows: of the rows that are assigned to no view if
-    /// `by_views` is true, otherwise of all rows.
+    /// Prefetches the values at x of all listed rows. If `by_views` is true, leaves out the rows
+    /// that are assigned to views.
     #[inline(always)]
     pub(crate) fn prefetch_rest(&self, x: usize, by_views: bool) {
         for row in &self.ahead[if by_views { (PREFETCHED * self.views.len()).min(self.ahead.len()) } else { 0 }..] {
@@ -238,8 +253,8 @@ pub(crate) struct RowOfRays {
 }
 
 impl Spare {
-    /// For every listed row of rays, mixes the two lines of each factor that it reads between
-    /// lines. `mixes` selects the factors.
+    /// For every listed row of rays, and every factor that these rays read between two lines, mixes
+    /// the two lines. `mixes` selects the factors.
     pub(crate) fn mix_lines(&mut self, plan: &Plan, factors: &[Factor], channel: usize, mixes: impl Fn(usize) -> bool) {
         let mut end = 0;
         for &RowOfRays { view_y, row } in &self.rows {
@@ -334,7 +349,8 @@ impl<'a> Left<'a> {
 }
 
 /// Distance from one frame to the next frame in the row that rays of a view column read from factor
-/// `k`: the factor's own distance, or that of an expanded row if the view column needs one.
+/// `k`. If the view column needs an expanded row, it is the distance in this row. Otherwise it is
+/// the factor's own distance.
 fn stride_of(plan: &Plan, k: usize, view_x: usize) -> usize {
     if plan.maps[k].x[view_x].shift.is_some() { plan.maps[k].layout.stride } else { expanded_stride(plan) }
 }
@@ -358,16 +374,8 @@ pub(crate) fn rays_of_column<'a>(
     let (mut left, rows) = Left::of(spare, plan, (0..factors.len()).filter(|&k| !is_there(k)).count());
     for (index, &row_of) in rows.iter().enumerate() {
         let RowOfRays { view_y, row } = row_of;
-        let view = plan.view(view_y, view_x);
         let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
-        rays.views.push(View {
-            valid: PAD + run.start..PAD + run.end,
-            weights: plan.target.weights(view, row).map(|weights| Place::new(weights, 0)),
-        });
-        rays.targets.push(match plan.target.row(at.channel, view, row) {
-            Row::Half(row) => TargetRow::Half(Place::new(row, 0)),
-            Row::Float(row) => TargetRow::Float(Place::new(row, 0)),
-        });
+        rays.push_view(plan, &part, 0);
         // neighbouring field rows often read the same lines; then they share the expanded values
         for k in 0..factors.len() {
             let line = left.line(plan, factors, k, at.channel, row_of);
@@ -425,17 +433,9 @@ pub(crate) fn rays_through<'a>(
         // other factors
         for view_x in 0..plan.views[1] {
             let ([run], Some(own)) = (plan.runs[view_x].as_slice(), map.x[view_x].shift) else { continue };
-            let view = plan.view(view_y, view_x);
             let offset = PAD as isize - own;
-            rays.views.push(View {
-                valid: (run.start as isize + own) as usize..(run.end as isize + own) as usize,
-                weights: plan.target.weights(view, row).map(|weights| Place::new(weights, offset)),
-            });
-            rays.targets.push(match plan.target.row(at.channel, view, row) {
-                Row::Half(row) => TargetRow::Half(Place::new(row, offset)),
-                Row::Float(row) => TargetRow::Float(Place::new(row, offset)),
-            });
             let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
+            rays.push_view(plan, &part, offset);
             for k in others() {
                 rays.others.push(left.place(plan, lines[k], k, &part, is_there(k), offset));
             }
@@ -516,13 +516,13 @@ impl Windows {
     }
 }
 
-/// Lists the rays between a line and the next line; `spare.rows` has the rows of rays. The factor
-/// under update must be [`between`](crate::map::FactorMap::between). `windows` are the lines of
-/// [`Windows`].
+/// Lists the rays between a line and the next line, for every row of rays in `spare.rows`. The
+/// factor under update must be [`between`](crate::map::FactorMap::between). Views without valid
+/// rays are left out, as in [`rays_through`].
 ///
-/// Views without valid rays are left out, as in [`rays_through`]. For each row of rays, `ahead`
-/// gets the index at which its entries end in the list of rows to prefetch. Lines in windows have
-/// no entries.
+/// `windows(k)` points to the line of factor `k` in [`Windows`]. One list has the rows to prefetch
+/// for all rows of rays. For each row of rays, `ahead` gets the index at which its part of this
+/// list ends. Lines in [`Windows`] are not in the list.
 pub(crate) fn rays_between<'a>(
     mut rays: LineRays<'a>,
     plan: &'a Plan,
@@ -555,17 +555,9 @@ pub(crate) fn rays_between<'a>(
         for view_x in 0..plan.views[1] {
             let own = plan.maps[at.factor].x[view_x].between;
             let ([run], Some((own, _))) = (plan.runs[view_x].as_slice(), own) else { continue };
-            let view = plan.view(view_y, view_x);
             let offset = PAD as isize - own;
-            rays.views.push(View {
-                valid: (run.start as isize + own) as usize..(run.end as isize + own) as usize,
-                weights: plan.target.weights(view, row).map(|weights| Place::new(weights, offset)),
-            });
-            rays.targets.push(match plan.target.row(at.channel, view, row) {
-                Row::Half(row) => TargetRow::Half(Place::new(row, offset)),
-                Row::Float(row) => TargetRow::Float(Place::new(row, offset)),
-            });
             let part = Rays { channel: at.channel, view: [view_y, view_x], row, run };
+            rays.push_view(plan, &part, offset);
             for k in others().chain([at.factor]) {
                 let list = if k == at.factor { &mut rays.own } else { &mut rays.others };
                 let between = plan.maps[k].x[view_x].between.filter(|_| is_there(k));

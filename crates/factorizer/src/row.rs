@@ -26,7 +26,7 @@ impl<'a> Row<'a> {
 }
 
 /// A coarse pixel as a mean over three neighbouring fine pixels: the index of the first fine pixel,
-/// and the share of each.
+/// and the share of each fine pixel.
 pub(crate) type Cover = (usize, [f32; 3]);
 
 /// A row to be written.

@@ -90,8 +90,8 @@ pub(crate) struct Scratch {
     buffers: Buffers,
     rays: LineRays<'static>,
     spare: Spare,
-    /// The sums of one view column by field columns, `[quantity][x]`: those for this line and those
-    /// for the next line.
+    /// The sums of one view column by field columns, `[quantity][x]`: first the sums for this line,
+    /// then the sums for the next line.
     columns: [Vec<f32>; 2],
     /// The sums of this line and of the next line.
     lines: [LineSums; 2],
@@ -124,7 +124,8 @@ pub(crate) struct ScatterBand<'a> {
     pub(crate) factors: &'a [Factor],
     pub(crate) functions: &'a ScatterFunctions,
     pub(crate) scratch: &'a mut Scratch,
-    /// The line that was updated last, if the rays after it have added sums for the next line.
+    /// The line that was updated last, if the rays between it and the next line have added their
+    /// sums for the next line.
     pub(crate) before: Option<LineOf>,
 }
 
@@ -133,7 +134,8 @@ impl ScatterBand<'_> {
     pub(crate) fn update(&mut self, at: LineOf, mut step: LineStep) -> Outcome {
         let needed = step.rule.sums();
         let follows = self.before.is_some_and(|before| before.channel == at.channel && before.line + 1 == at.line);
-        // If the line before was not updated here, the rays that start at it are summed again.
+        // If the previous line was not updated here, the rays between it and this line are summed
+        // again.
         if !follows {
             self.scratch.lines.iter_mut().for_each(LineSums::clear);
             if at.line > 0 {
@@ -234,7 +236,8 @@ struct ColumnBlock<'a> {
     field_stride: usize,
 }
 
-/// Sums a block's rays by their shares in the line and in the next line. Returns Σ w e² for each.
+/// Sums a block's rays by their shares in the line and in the next line. Returns Σ w e² for each of
+/// the two lines.
 struct Apart;
 
 impl Kernel for Apart {

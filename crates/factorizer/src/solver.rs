@@ -45,26 +45,28 @@ pub trait Run {
 
     /// Computes the KKT residual: the distance of the patterns from the first-order conditions.
     ///
-    /// It is the root mean square, over all values, of the change of the emission by an exact
-    /// coordinate step within the box. A step's change of the emission is √Σ w ΔL̃² over the rays
-    /// through the pixel, with weights relative to the largest.
+    /// For every value, an exact coordinate step within the box would change the emission by √Σ w
+    /// ΔL̃², summed over the rays through the pixel. The residual is the root mean square of these
+    /// changes over all values. The weights w are relative to the largest weight.
     fn kkt_residual(&mut self) -> f64;
 
     /// Ends a run: sets unlit values to the darkest value that the hardware shows. Returns the KKT
     /// residual, see [`kkt_residual`](Self::kkt_residual).
     ///
-    /// Almost no light reaches an unlit value, so the objective does not determine it. A real layer
-    /// is not quite black, and would leak light at this value. The light of a value is the light
-    /// that the other layers transmit to its pixel in its frame. A value is unlit if the root mean
-    /// square of its light over its rays is at most 10⁻⁴ of the brightness. Pixels without a
-    /// weighted ray keep their values, since views between the target's views may see them.
+    /// Almost no light reaches an unlit value, so the objective does not determine it. On real
+    /// hardware the other layers are not quite black, so a bright unlit value would leak light. The
+    /// light of a value is the light that the other layers transmit to its pixel in its frame. A
+    /// value is unlit if the root mean square of its light over its rays is at most 10⁻⁴ of the
+    /// brightness. Pixels without a weighted ray keep their values, since views between the
+    /// target's views may see them.
     fn darken_unlit(&mut self) -> f64;
 
     /// Number of rays with w > 0 that hit all layers.
     fn rays(&self) -> u64;
 
-    /// Checks that the patterns still exist; a lost device loses them. The numbers that this run
-    /// returned last are valid only if the patterns exist.
+    /// Checks that the patterns still exist; a lost device loses them. The results of
+    /// [`objective`](Self::objective), [`kkt_residual`](Self::kkt_residual) and
+    /// [`darken_unlit`](Self::darken_unlit) are valid only if a check after them succeeds.
     ///
     /// # Errors
     /// If the patterns are lost.

@@ -128,7 +128,7 @@ pub fn random_start(display: &Display, seed: u64) -> LayerStack {
     noise(display, seed, None)
 }
 
-/// Returns patterns of [`StartKind::Random`]. For a tile, they are its region of the whole
+/// Returns patterns of [`StartKind::Random`]. For a tile, these are the tile's region of the whole
 /// display's patterns.
 fn noise(display: &Display, seed: u64, tile: Option<&TilePlace>) -> LayerStack {
     let mut stack = LayerStack::filled(display, 0.0);

@@ -171,8 +171,8 @@ impl Block {
                 let curvature = get::<V>(&self.gram, (m * M + m) * n).max(V::splat(LEAST_CURVATURE));
                 put(V::splat(M as f32).div(curvature), &mut self.emitted, m * n);
             }
-            // Make sweeps of coordinate steps. Each step sets the value of one frame to its clamped
-            // minimum, then updates the residual sums.
+            // Make sweeps of coordinate steps. Each step sets the value of one frame to the minimum
+            // of the quadratic, clamped to the box. It then updates the residual sums.
             let start: [V; M] = std::array::from_fn(|m| get::<V>(&self.values, m * n));
             let before: [V; M] = std::array::from_fn(|m| get::<V>(&self.residual, m * n));
             let (mut values, mut residual) = (start, before);

@@ -33,7 +33,8 @@ pub(crate) struct SumLine<'a, 'b> {
 }
 
 impl SumLine<'_, '_> {
-    /// Sums the line's rays and steps its pixels.
+    /// Sums the line's rays, and updates its pixels by a step. Returns the error of the rays and
+    /// the gain of the step.
     pub(crate) fn update(self) -> Outcome {
         let Self { plan, factors, at, local, functions, mut step, scratch } = self;
         scratch.sums.fill(0.0);
@@ -108,8 +109,8 @@ fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bo
                     // curvature. Add the rest of the curvature to the diagonal.
                     if !bounded {
                         if local {
-                            // with u = f/M, the second term of the curvature is at most (π²/2) M
-                            // |e|, since |cos| ≤ 1
+                            // with u = f/M, the part of the curvature that contains e is at most
+                            // (π²/2) M |e|, since |cos| ≤ 1
                             let most = FRAC_PI_2 * PI * frames as f32;
                             curvature.iter_mut().zip(&*e).for_each(|(value, e)| *value = most * e.abs());
                         }

@@ -48,8 +48,8 @@ impl Kind {
 /// A unit of work.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Unit {
-    /// Id that is unique in the graph. If the unit is a block of a step, it ends with `N-of-COUNT`,
-    /// where N counts from 1.
+    /// Id that is unique in the graph. If the unit is a block of a step, the id ends with
+    /// `N-of-COUNT`, where N counts from 1.
     pub id: String,
     /// Kind of work.
     pub kind: Kind,
@@ -57,11 +57,12 @@ pub struct Unit {
     pub inputs: Vec<String>,
     /// Ids of the plan's steps that this unit executes.
     pub steps: Vec<String>,
-    /// If the unit is one block of a divided step: [number of this block from 1, number of blocks].
+    /// Only for a unit that is one block of a divided step: [number of this block, from 1; number
+    /// of blocks].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub block: Option<[usize; 2]>,
-    /// If the unit is a tile: number of the round over all tiles, from 1. Tiles exchange their
-    /// borders between rounds.
+    /// Only for a unit that solves a tile: the number of the round over all tiles, from 1. Tiles
+    /// exchange their borders between rounds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub round: Option<usize>,
     /// Files and folders that this unit publishes, relative to the run folder.

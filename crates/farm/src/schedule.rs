@@ -4,8 +4,8 @@
 //! length of a path = Σ (seconds + overhead) from a unit to the end
 //! a free worker takes the ready unit with the longest path
 //! ```
-//! With many workers, the makespan approaches the length of the longest path. With one worker, it
-//! is the sum over all units.
+//! The makespan is the time from the first unit's start to the last unit's end. With many workers,
+//! it approaches the length of the longest path. With one worker, it is the sum over all units.
 //!
 //! Memory and transfers are not modelled. The measured time of a unit includes its reads from the
 //! shared folder.

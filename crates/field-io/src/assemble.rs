@@ -44,7 +44,7 @@ pub struct LeftOut {
 pub struct Reading<'a> {
     /// The display's footprint. It is needed only if [`GeometryFlags::prefilter`] is set.
     pub footprint: Option<Footprint<'a>>,
-    /// Greatest number of views, among those between the kept ones, that are read too.
+    /// Largest number of views between the kept views that are read too.
     pub most_left_out: usize,
     /// Decides whether the light field is kept in a file. `None` keeps every light field in memory.
     pub paging: Option<Paging<'a>>,
@@ -150,7 +150,7 @@ pub(crate) fn assemble(
     Ok((all.finish(&path)?, left_out))
 }
 
-/// Up to `most` views between the kept ones, with their slopes, evenly spread.
+/// Returns up to `most` evenly spread views between the kept views, with their slopes.
 fn left_out(
     source: &Source,
     picks: &[Vec<usize>; 2],
@@ -190,8 +190,8 @@ fn left_out(
 /// The golden ratio's fraction, (√5 − 1)/2.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// The views that are averaged into every kept view, with their weights. The first list has a row
-/// for every kept view row, the second list one for every kept view column.
+/// The views that are averaged into every kept view, with their weights. The first list has an
+/// entry for every kept view row, and the second list has an entry for every kept view column.
 fn averaged(
     source: &Source,
     flags: &GeometryFlags,
@@ -323,9 +323,9 @@ fn positions(source: &Source) -> [Vec<f64>; 2] {
     [centred(source.views[1], 1.0), centred(source.views[0], -1.0)]
 }
 
-/// Disparity of the plane that becomes z = 0, for pictures that may be unsheared. If all content
-/// has a disparity of the same sign, the result is the median disparity in whole pixels; otherwise
-/// 0.
+/// Returns the disparity of the plane that becomes z = 0, for pictures whose plane of zero
+/// disparity is unknown. If all content moves in one direction, the result is the median disparity,
+/// rounded to whole pixels; otherwise it is 0.
 fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
     if !source.hints.cameras.as_ref().is_some_and(|cameras| cameras.plane_unknown) {
         return Ok(0.0);

@@ -103,7 +103,8 @@ pub fn is_abandoned(path: &Path) -> bool {
     is_old && File::options().write(true).open(path).is_ok_and(|file| file.try_lock().is_ok())
 }
 
-/// Creates a temporary file like those of [`fn@write`], for callers that write it step by step.
+/// Creates a temporary file like the temporary files of [`fn@write`], for callers that write it
+/// step by step.
 pub(crate) fn temporary_beside(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);

@@ -4,8 +4,8 @@
 //! camera's centre. X increases to the right and Y downwards. Views are ordered by these centres,
 //! not by row and column, since the direction of CC relative to X differs between scenes. Renderers
 //! with this scheme may append focal length and sensor width in millimetres; such cameras are
-//! parallel and unsheared. Row and column numbers may have gaps (every third camera of a larger
-//! set).
+//! parallel, and their pictures are not shifted. Row and column numbers may have gaps, for example
+//! if only every third camera of a larger set is kept.
 //!
 //! `RR_CC.png`: names without centres; row 0 is the topmost, column 0 the leftmost.
 
@@ -153,7 +153,7 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
     };
     let mut rows = distinct(|key| key.0);
     let mut cols = distinct(|key| key.1);
-    // Refuse a grid in which a row and a column have no picture.
+    // Refuse a grid in which some pair of a row and a column has no picture.
     for &row in &rows {
         for &col in &cols {
             if !by_index.contains_key(&(row, col)) {

@@ -41,7 +41,8 @@ const VERSION: u32 = 1;
 /// Largest difference between the slope in a view's entry and the slope of the view's row and
 /// column.
 const SLOPE_TOLERANCE: f64 = 1e-6;
-/// An index with more views than this along an axis is regarded as damaged.
+/// Largest plausible number of views along an axis. An index with more views is regarded as
+/// damaged.
 const VIEW_LIMIT: usize = 1 << 14;
 
 #[derive(Serialize)]
@@ -148,9 +149,9 @@ fn write_view_as(
 /// field.
 ///
 /// A selection of whole rows and columns is a complete light field. Its index has the slopes of
-/// these rows and columns only. `info.part_of` lists these rows and columns, and the total number
-/// of each. For another selection, the index has the slopes of all views and `"partial": true`, and
-/// readers refuse the folder.
+/// these rows and columns only. `info.part_of` lists these rows and columns, and the numbers of all
+/// rows and all columns. For another selection, the index has the slopes of all views and
+/// `"partial": true`, and readers refuse the folder.
 ///
 /// # Errors
 /// If a value is not finite, or the files cannot be written.

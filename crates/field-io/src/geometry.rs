@@ -149,7 +149,7 @@ pub(crate) struct Pixels {
     pub(crate) size: [usize; 2],
     /// Width of the rectangle that is read from a file's view, in pixels of the file.
     pub(crate) window_cols: f64,
-    /// Disparity that was moved to z = 0, in pixels of the file.
+    /// Disparity, per camera step, of the content that is now at z = 0; in pixels of the file.
     pub(crate) focus_px: f64,
 }
 
@@ -254,7 +254,7 @@ fn pitch(
     Ok(width_mm / cols)
 }
 
-/// Slopes along x and along y, and true if they come from the cameras.
+/// Returns the slopes along x and along y, and true if the slopes come from the cameras.
 fn slopes(
     path: &Path,
     flags: &GeometryFlags,
@@ -266,7 +266,7 @@ fn slopes(
 ) -> Result<([Vec<f64>; 2], bool), FieldError> {
     let counts = [picks[1].len(), picks[0].len()];
     let spread = |fov_deg: [f64; 2]| spread(path, fov_deg, hints, picks);
-    // The angles of the flags come first. Warn if they differ from the files' angles.
+    // Angles in the flags override all others. Warn if they differ from the files' angles.
     if let Some(fov_deg) = flags.fov_deg {
         let slopes = spread(fov_deg)?;
         let of_file = |axis: usize| {
@@ -287,7 +287,8 @@ fn slopes(
         }
         return Ok((slopes, false));
     }
-    // Next come slopes in the files, and then full angles in the files.
+    // Without angles in the flags, use the slopes in the files, or else the full angles in the
+    // files.
     let explicit = [0, 1].map(|axis| {
         let all = hints.slopes[axis].as_ref()?;
         Some(picks[1 - axis].iter().map(|&view| all[view]).collect::<Vec<f64>>())
@@ -306,7 +307,8 @@ fn slopes(
     if counts == [1, 1] {
         return Ok((filled([vec![0.0], vec![0.0]]), false));
     }
-    // Then come the default angles, with a warning. The cameras' own slopes come last.
+    // If neither flags nor files state angles, use the default angles, with a warning. If there are
+    // no default angles, use the cameras' own slopes.
     if let Some(fov_deg) = defaults.fov_deg {
         let [x, y] = fov_deg;
         let mut message = format!("its views are spread over {x}° × {y}° (--fov sets the angles)");
@@ -358,8 +360,8 @@ fn differ(own: f64, given: f64) -> bool {
     (own - given).abs() > 1e-6 * own.abs().max(given.abs()) + 1e-9
 }
 
-/// Full angle of the views, including half a bin outside of the first and of the last; 0 for one
-/// view.
+/// Full angle of the views, including half a bin past the first view and past the last view; 0 for
+/// one view.
 pub(crate) fn full_angle_deg(slopes: &[f64]) -> f64 {
     match slopes {
         [first, .., last] => {

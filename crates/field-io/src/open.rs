@@ -30,9 +30,9 @@ pub fn open(
     open_for(path, flags, defaults, Reading::default(), task).map(|(field, _)| field)
 }
 
-/// As [`open`], for a display. With [`GeometryFlags::prefilter`] every kept view is averaged with
-/// its neighbours over the display's footprint. Also returns views between the kept ones, at most
-/// [`Reading::most_left_out`].
+/// Does the same as [`open`], for a display. With [`GeometryFlags::prefilter`] every kept view is
+/// averaged with its neighbours over the display's footprint. Also returns views between the kept
+/// ones, at most [`Reading::most_left_out`].
 ///
 /// # Errors
 /// The errors of [`open`]. Also if a prefilter is requested without a footprint, or if the file of

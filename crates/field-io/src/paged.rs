@@ -139,8 +139,8 @@ impl Paged {
     }
 }
 
-/// Returns a [`Storage`] that creates arrays in files on the disk of a folder. At most `limit`
-/// bytes of each array are in memory.
+/// Returns a [`Storage`] that keeps each array in an unnamed temporary file in `folder`. At most
+/// `limit` bytes of each array are in memory.
 pub fn storage(folder: &Path, limit: usize) -> Storage {
     let folder = folder.to_owned();
     Arc::new(move |bytes| {

@@ -2,9 +2,9 @@
 //!
 //! A name may stand for anything: a device that never ends, a pipe without a writer, a file of
 //! terabytes, a secret in another folder. Here only regular files are opened, and their size is
-//! compared with a limit before the first byte is read. A [`Folder`] keeps the names that a file
-//! contains inside the folder of that file. Every reader of the workspace that has a path goes
-//! through this crate.
+//! compared with a limit before the first byte is read. A file may contain names of other files. A
+//! [`Folder`] refuses names that lead out of the folder of the file that contains them. Every
+//! reader of the workspace that has a path goes through this crate.
 //!
 //! A web page has no file system. Files that were dropped on the page are held in memory (`hold`),
 //! and the same readers read them.
@@ -55,14 +55,16 @@ pub fn is_file(path: &Path) -> bool {
 
 /// Returns whether the path leads to a folder.
 ///
-/// # Errors If no file or folder has this path.
+/// # Errors
+/// If no file or folder has this path.
 pub fn is_folder(path: &Path) -> io::Result<bool> {
     system::is_folder(path)
 }
 
 /// Paths of all entries of a folder, sorted.
 ///
-/// # Errors If the folder cannot be listed.
+/// # Errors
+/// If the folder cannot be listed.
 pub fn list(folder: &Path) -> io::Result<Vec<PathBuf>> {
     system::list(folder)
 }
@@ -153,13 +155,14 @@ impl From<io::Error> for Refusal {
 }
 
 impl Folder {
-    /// The folder of `file`, for names that may leave it.
+    /// Returns the folder of `file`. Names in the file may lead out of this folder.
     pub fn anywhere(file: &Path) -> Self {
         Self { base: file.parent().unwrap_or(Path::new("")).to_owned(), inside: Vec::new() }
     }
 
-    /// The folder of `file`, for names that may not leave it, neither by `..` nor by a link. If the
-    /// file is a link, names may also lead into the folder of its target.
+    /// Returns the folder of `file`. Names in the file may not lead out of this folder, neither by
+    /// `..` nor by a link. If the file is a link, names may also lead into the folder of its
+    /// target.
     ///
     /// # Errors
     /// If the file does not exist.
@@ -175,12 +178,12 @@ impl Folder {
         Ok(Self { inside, ..anywhere })
     }
 
-    /// The path of a name, without a check.
+    /// Returns the path to which a name leads. The path may be outside of the folder.
     pub fn path_of(&self, name: impl AsRef<Path>) -> PathBuf {
         self.base.join(name)
     }
 
-    /// The path of a name, after a check that it does not leave the folder.
+    /// Returns the path to which a name leads, after a check that the path is inside the folder.
     ///
     /// # Errors
     /// If the name leads out of the folder, or to no file.

@@ -225,8 +225,8 @@ impl<'a> Accessor<'a> {
         if self.normalized { (value / largest).max(-1.0) } else { value }
     }
 
-    /// Treats integers as normalized. glTF requires `normalized` for every attribute that is opened
-    /// in this way, but some writers do not set it.
+    /// Treats integers as normalized. glTF requires `normalized` for all attributes for which this
+    /// function is called, but some writers do not set it.
     pub(crate) fn assume_normalized(mut self) -> Self {
         self.normalized = true;
         self
@@ -314,7 +314,7 @@ impl<'a> Sparse<'a> {
         let raw = elements(indices.buffer_view, "indices", indices.byte_offset.0, index_size)?;
         let values = elements(values.buffer_view, "values", values.byte_offset.0, size)?;
         document.spend(&place, count, size_of::<u32>())?;
-        // check only the last index, since indices increase
+        // the indices must increase, so only the last one is compared with the number of elements
         let indices: Vec<u32> = (0..count).map(|i| unsigned(raw.get(i))).collect();
         let place = format!("{place}/indices");
         if let Some(at) = indices.windows(2).position(|pair| pair[0] >= pair[1]) {

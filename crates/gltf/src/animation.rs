@@ -127,7 +127,8 @@ pub(crate) fn sample(document: &Document<'_>, options: &LoadOptions) -> Result<H
     Ok(poses)
 }
 
-/// All animations if no two of them move the same property of a node; otherwise the first.
+/// Returns all animations if no two of them move the same property of a node, otherwise the first
+/// animation of the file.
 fn together(document: &Document<'_>, names: &[Option<&str>]) -> Result<Vec<Vec<Channel>>, Fault> {
     let mut all = Vec::new();
     let mut moved = HashSet::new();
@@ -137,7 +138,7 @@ fn together(document: &Document<'_>, names: &[Option<&str>]) -> Result<Vec<Vec<C
         if !fresh {
             let list: Vec<String> = names.iter().enumerate().map(|(i, name)| label(i, *name)).collect();
             let message = format!(
-                "two or more animations move the same property of a node; only the first is played (animations: {})",
+                "two or more animations move the same property of a node; only the first animation of the file is played ({})",
                 list.join(", ")
             );
             document.task.warn("/animations", message);

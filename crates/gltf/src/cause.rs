@@ -1,9 +1,9 @@
-//! Finds the reason why a file has no visible triangle. It reports the first reason in the file's
-//! structure, and the first defect of data that the scene does not use.
+//! Finds the reason why a file has no visible triangle. The message has two parts: what the scene's
+//! structure lacks, and the first defect in data that the scene does not use.
 //!
-//! A file that ends early, or whose scene has lost its nodes, may have no defect in the data that
-//! its scene uses. A defect in other data then helps to find out why the scene is empty. Reading
-//! that data takes at most the memory that any scene may take.
+//! If a file is truncated, or its scene has lost its nodes, all data that the scene uses may be
+//! valid. A defect in the unused data then helps to explain why the scene is empty. The unused data
+//! is read within the memory limit that applies to scenes.
 
 use std::collections::HashSet;
 
@@ -50,7 +50,7 @@ pub(crate) fn nothing_to_show(document: &Document<'_>, nodes: &Nodes) -> Fault {
     Fault::new(nodes.place(), EXPECTED, format!("{found}{defect}"))
 }
 
-/// Adds causes to the message for a scene whose triangles have no area.
+/// Appends the reasons to the message about a scene whose triangles have no area.
 pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) -> String {
     let left_out = left_out(document).map(|reason| format!("; {reason}")).unwrap_or_default();
     match triangles {

@@ -28,8 +28,8 @@ pub(crate) struct Document<'a> {
     pub(crate) variant: Option<usize>,
     raw: Value,
     bin: Option<&'a [u8]>,
-    /// Whole content of every buffer's file or data URI, stored at the first buffer with the same
-    /// URI.
+    /// Content of every buffer's file or data URI. Buffers with the same URI share the entry of the
+    /// first of them.
     buffers: Vec<OnceCell<Cow<'a, [u8]>>>,
     /// For every buffer, the index of the first buffer with the same URI.
     first_buffer: Vec<usize>,
@@ -42,8 +42,8 @@ pub(crate) struct Document<'a> {
     decoded_bytes: Cell<u64>,
     max_picture_bytes: u64,
     picture_bytes: Cell<u64>,
-    /// Primitives that were left out: the first reason with its place, and the number of such
-    /// primitives.
+    /// Primitives that were left out: the reason and the place of the first one, and the number of
+    /// all.
     pub(crate) left_out: RefCell<(Option<String>, usize)>,
 }
 
@@ -146,8 +146,8 @@ impl<'a> Document<'a> {
         self.max_decoded_bytes.saturating_sub(self.decoded_bytes.get())
     }
 
-    /// Decodes the packed content at `place`. `wanted` takes the result, and returns `None` for a
-    /// result of another kind.
+    /// Decodes the packed content at `place`. `wanted` extracts the value from a result of the
+    /// expected kind, and returns `None` for every other kind.
     pub(crate) fn unpack<T>(
         &self,
         place: &str,

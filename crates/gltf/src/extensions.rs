@@ -124,8 +124,8 @@ mod tests {
             let source = &sources.iter().find(|(stem, _)| stem == file).unwrap_or_else(|| panic!("{test}")).1;
             let body = source.split(&format!("#[test]\nfn {name}()")).nth(1);
             let body = body.unwrap_or_else(|| panic!("{extension}: no test {test}")).split("\n}\n").next().unwrap();
-            // the test names the extension, or another part of its file does, such as a list or a
-            // helper
+            // the file of the test must contain the name of the extension, in the test itself or in
+            // a list or helper
             let plain = extension.trim_matches('`');
             assert!(body.contains(plain) || source.contains(plain), "{extension}: {test} does not mention it");
         }

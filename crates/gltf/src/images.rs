@@ -137,7 +137,8 @@ fn read(document: &Document<'_>, uri: &str, place: &str) -> Result<Vec<u8>, Faul
     Ok(bytes)
 }
 
-/// Reads the size of a picture from its header, and adds the memory of its texels to the scene's.
+/// Reads the size of a picture from its header, and adds the memory of its texels to the sum of all
+/// pictures.
 fn size(document: &Document<'_>, usage: Use, bytes: &[u8], place: &str) -> Result<[usize; 2], Fault> {
     document.task.cancel.check()?;
     let header = document.unpack(place, &Packed::Size(usage, bytes), |unpacked| match unpacked {
@@ -149,7 +150,7 @@ fn size(document: &Document<'_>, usage: Use, bytes: &[u8], place: &str) -> Resul
     Ok(size)
 }
 
-/// Adds the memory of a picture to the scene's before the picture is decoded.
+/// Adds the memory of a picture to the sum of all pictures, before the picture is decoded.
 fn spend(document: &Document<'_>, place: &str, size: [usize; 2], texel_bytes: usize) -> Result<(), Fault> {
     let [width, height] = size;
     let bytes = width as u64 * height as u64 * texel_bytes as u64;

@@ -26,9 +26,10 @@ use crate::{
 /// `name` is the file's name in messages, `bytes` is its content, and `resolver` reads the files to
 /// which it refers. Only objects that the default scene uses are read.
 ///
-/// # Errors [`GltfError`] with the place in the file. The file may be broken, refer to a missing
-/// file, or require an extension that is not supported. It may have no object that can be rendered.
-/// The task may have been cancelled.
+/// # Errors
+/// [`GltfError`] with the place in the file. The file may be broken, refer to a missing file, or
+/// require an extension that is not supported. It may have no object that can be rendered. The task
+/// may have been cancelled.
 pub fn load(name: &str, bytes: &[u8], resolver: &dyn AssetResolver, task: Task<'_>) -> Result<Scene, GltfError> {
     load_with(name, bytes, resolver, &LoadOptions::default(), task)
 }
@@ -118,7 +119,8 @@ fn load_scene(
     };
     place_meshes(&document, &nodes, &mut materials, &mut parts)?;
     if parts.instances.is_empty() && parts.placed_clouds.is_empty() {
-        // without meshes there is nothing to validate, so [`cause`] finds the reason
+        // without meshes there is nothing to validate; [`cause`] finds the reason why there are
+        // none
         return Err(cause::nothing_to_show(&document, &nodes));
     }
     materials.images.decode(&document)?;
@@ -158,15 +160,15 @@ fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, F
     Ok(used)
 }
 
-/// Reads every mesh that the scene shows once, and places it for each node that shows it.
+/// Reads each mesh of the scene once per shape, and places it for each node that shows it.
 fn place_meshes(
     document: &Document<'_>,
     nodes: &Nodes,
     materials: &mut Materials,
     parts: &mut SceneParts,
 ) -> Result<(), Fault> {
-    // the key is a mesh; it has a node too if the node's skin or weights give the mesh another
-    // shape
+    // The key is a mesh. If a node's skin or weights give the mesh a shape of its own, the key has
+    // that node too.
     let mut loaded: HashMap<(usize, Option<usize>), Range<usize>> = HashMap::new();
     let mut loaded_splats: HashMap<usize, Vec<(usize, DAffine3)>> = HashMap::new();
     let mut default_material = None;
@@ -240,7 +242,8 @@ fn read_splats(
     Ok(found)
 }
 
-/// A mesh with one shape, in which one node shows it, or all nodes that share the mesh.
+/// A mesh in one shape. A node with a skin or with weights has a shape of its own. All other nodes
+/// that show the mesh share one shape.
 struct Shape<'a> {
     /// The node's weights of morph targets, if the node has its own.
     weights: Option<&'a [f32]>,

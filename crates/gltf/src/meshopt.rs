@@ -14,8 +14,8 @@ use gltf::json;
 
 const NAMES: [&str; 2] = ["KHR_meshopt_compression", "EXT_meshopt_compression"];
 
-/// Largest ratio of compression. A block of 256 vertices takes at least one byte for every four
-/// columns of bytes, which are 1024 bytes unpacked.
+/// Largest ratio of unpacked to packed bytes. A block of 256 vertices takes at least one packed
+/// byte for every four bytes of a vertex. These are 4 · 256 = 1024 unpacked bytes.
 const MAX_RATIO: u64 = 1024;
 
 /// A buffer view that is compressed by meshopt.

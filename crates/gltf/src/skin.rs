@@ -97,8 +97,8 @@ impl Pose {
             }
         }
         for (i, (matrix, weight)) in sums.into_iter().enumerate() {
-            // divide by the sum of weights, which may be any; without weights a vertex follows its
-            // first joint
+            // divide by the sum of weights, which need not be 1; without weights a vertex follows
+            // its first joint
             let matrix = if weight > 0.0 {
                 Affine3A { matrix3: matrix.matrix3 * weight.recip(), translation: matrix.translation / weight }
             } else {
@@ -117,7 +117,7 @@ impl Pose {
     }
 }
 
-/// det(M) · M⁻ᵀ, which maps normals and exists for singular M too.
+/// Returns det(M) · M⁻ᵀ. This matrix maps normals, and exists even if M is singular.
 fn cofactors(m: &Mat3A) -> Mat3A {
     let (x, y, z): (Vec3A, Vec3A, Vec3A) = (m.x_axis, m.y_axis, m.z_axis);
     Mat3A::from_cols(y.cross(z), z.cross(x), x.cross(y))

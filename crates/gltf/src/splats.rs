@@ -55,7 +55,7 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
     if mode != 0 {
         return Err(Fault::new(format!("{place}/mode"), "0 (POINTS), as splats have", mode));
     }
-    // replace a value that is not known by the value that is named here, with a warning
+    // the value that each warning names replaces an unknown value
     let text = |key: &str| document.json(&format!("{here}/{key}")).and_then(serde_json::Value::as_str);
     let encoding = match text("colorSpace") {
         Some("srgb_rec709_display") => Encoding::Srgb,

@@ -136,7 +136,7 @@ pub(crate) fn untyped_transform(value: &Value, place: &str) -> Result<TextureTra
 
 /// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v,
 /// which is counter-clockwise on the picture, since v points down. The extension's text does not
-/// define the sense, but its test scene and all common viewers agree.
+/// define the direction of rotation, but its test scene and all common viewers agree.
 fn affine(transform: &TextureTransform) -> Affine2 {
     let (scale, offset) = (Vec2::from(transform.scale.0), Vec2::from(transform.offset.0));
     Affine2::from_scale_angle_translation(scale, -transform.rotation.0, offset)

@@ -19,10 +19,10 @@ use std::panic::AssertUnwindSafe;
 
 use lumistack_splats::read;
 
-/// Decodes packed content, within the limits in it.
+/// Decodes packed content, within the limits that `packed` states.
 ///
 /// # Errors
-/// When the content is broken, or its library panics on it.
+/// If the content is broken, or if the library that decodes it panics.
 pub fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
     let decode = || match *packed {
         Packed::Size(usage, bytes) => pictures::size(usage, bytes),

@@ -7,9 +7,9 @@
 //!
 //! A [`Mailbox`] holds only the newest value, so no thread works on an old value, and values do not
 //! accumulate. A [`State`] is numbered and complete, and never changes. A [`Solver`] starts from
-//! the previous patterns, or from patterns that are moved with the content if these are closer
-//! ([`motion`]). A [`Tracker`] converts positions of viewers to weights. A [`Player`] schedules the
-//! time steps of a video.
+//! the previous patterns, or from patterns that are moved with the content if their error is
+//! smaller ([`motion`]). A [`Tracker`] converts positions of viewers to weights. A [`Player`]
+//! schedules the time steps of a video.
 //!
 //! The crate reads no clock and no file: times are arguments.
 

@@ -7,9 +7,10 @@
 //! ```
 //!
 //! L is the light field, and P_n is its content as layer n sees it: content near the layer is
-//! sharp. The motion v_n is found for each block of pixels, and is interpolated between blocks. The
-//! sum runs over the pixels x' in and around the block. Then the patterns f_n of every frame are
-//! moved. A pixel whose source x − v_n is outside the layer gets the value of fresh patterns.
+//! sharp. P_n_before is P_n of the previous light field. The factor λ penalizes long motions. The
+//! motion v_n is found for each block of pixels, and is interpolated between blocks. The sum runs
+//! over the pixels x' in and around the block. Then the patterns f_n of every frame are moved. A
+//! pixel whose source x − v_n is outside the layer gets its value from patterns of a fresh start.
 //!
 //! The method needs only light fields, so it works for scenes and for given light fields. Content
 //! that turns or moves in depth has a different motion on every layer and at every place.
@@ -20,8 +21,9 @@ use lumistack_display::{BacklightTap, Display, FieldGeometry, LayerStack, LightF
 const VIEWS: usize = 5;
 /// Edge of a block, pixels.
 const BLOCK: usize = 16;
-/// Width of the border around a block whose pixels are compared together with the block's, pixels.
-/// The border helps, since a block with a single edge shows no motion along this edge.
+/// Width of the border around a block, pixels. Pixels of the border are compared together with the
+/// pixels of the block. Without the border, a block that contains a single straight edge would show
+/// no motion along this edge.
 const AROUND: usize = 4;
 /// Longest motion along an axis, pixels. It is a multiple of [`COARSE`].
 const FARTHEST: i32 = 32;
@@ -29,8 +31,8 @@ const FARTHEST: i32 = 32;
 const COARSE: i32 = 2;
 /// Number of best matches of the first search that the second search refines.
 const KEPT: usize = 8;
-/// The factor λ: each pixel of motion must reduce the mean squared difference by at least this
-/// much.
+/// The factor λ of the penalty on long motions: each pixel of motion must reduce the mean squared
+/// difference by at least this value.
 const COST: f32 = 2e-6;
 
 /// The content as every layer sees it. If the backlight is directional, the last plane is the
@@ -58,7 +60,7 @@ pub struct Flow {
 }
 
 impl Planes {
-    /// Averages a light field over the rays through every pixel of every layer.
+    /// Averages a light field over the rays through each pixel of each layer.
     pub fn of(display: &Display, field: &LightField) -> Self {
         let map = RayMap::new(display, field.geometry());
         let layer = |n: usize| {
@@ -186,8 +188,8 @@ fn best_shift(before: &Plane, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2]
         every(far, step).flat_map(move |d| every(far, step).map(move |r| [right + r, down + d]))
     };
     let still = ([0, 0], error([0, 0], f32::INFINITY));
-    // Search with coarse steps, and keep several matches. Waves match in several places, and a
-    // coarse step next to the true motion may match worse than a wrong motion.
+    // Search with coarse steps, and keep several matches. Content that repeats itself matches at
+    // several motions. A coarse step next to the true motion may match worse than a wrong motion.
     let mut near = vec![still];
     for shift in around([0, 0], FARTHEST, COARSE) {
         let worst = if near.len() < KEPT { f32::INFINITY } else { near[KEPT - 1].1 };
@@ -197,7 +199,7 @@ fn best_shift(before: &Plane, after: &Plane, [row, col]: [usize; 2]) -> [i32; 2]
             near.truncate(KEPT);
         }
     }
-    // Search with fine steps around each of these matches.
+    // Search with fine steps around each kept match.
     let mut best = still;
     for shift in near.iter().flat_map(|(shift, _)| around(*shift, COARSE - 1, 1)) {
         let found = error(shift, best.1);

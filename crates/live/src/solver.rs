@@ -1,10 +1,13 @@
 //! Factorization that starts from the previous patterns.
 //!
 //! ```text
-//! new content:   start = the best of: previous patterns, previous patterns moved along, fresh ones
-//! moved along:   strips that content has entered ──a few updates of the strips──▶ start
-//! every step:    start ──a few updates──▶ patterns, the next start
+//! new content:     start = the best of: previous patterns, moved patterns, fresh patterns
+//! moved patterns:  strips that content has entered ──a few updates of the strips──▶ start
+//! every step:      start ──a few updates──▶ patterns, the next start
 //! ```
+//!
+//! Moved patterns are the previous patterns, moved along with the content. Fresh patterns do not
+//! depend on the previous patterns.
 
 use std::sync::Arc;
 
@@ -16,8 +19,8 @@ use lumistack_factorizer::{AUTO, FactorizeError, Problem, Settings, factorize_on
 use crate::Target;
 use crate::motion::{Flow, Planes, moved};
 
-/// The solver of a warm start if the settings have the solver `auto`. With few iterations from
-/// patterns of another target, extrapolation would overshoot.
+/// The solver of a warm start if the settings have the solver `auto`. It does not extrapolate,
+/// since with few iterations from patterns of another target an extrapolation would overshoot.
 const WARM_SOLVER: &str = "block-exact";
 
 /// A warm start with at least this PSNR, dB, is used without a comparison with a fresh start. The
@@ -32,9 +35,9 @@ const STRIP: usize = 16;
 /// its pixels.
 const NEW: f64 = 0.25;
 
-/// Number of iterations of a strip, before the whole display is solved. Measured for content that
-/// moves by 10 pixels per time step on 160 columns: four iterations gain 1 dB, and eight another
-/// 0.4 dB. Four cost less than one iteration of the whole display.
+/// Number of iterations of a strip, before the whole display is solved. In a measurement, content
+/// moved by 10 pixels per time step on 160 columns. Four iterations gained 1 dB, and eight
+/// iterations 0.4 dB more. Four iterations cost less than one iteration of the whole display.
 const AHEAD: u32 = 4;
 
 /// The patterns from which a step starts.
@@ -89,7 +92,7 @@ impl Solver {
     ///
     /// # Errors
     /// If target, weights and settings do not match, if the executor fails, or when cancelled.
-    /// After an error, the next step starts from the same patterns as this one.
+    /// After an error, the next step starts from the same patterns as this step.
     pub fn step(
         &mut self,
         executor: &dyn Executor,
@@ -102,11 +105,11 @@ impl Solver {
         let fresh = Settings { iterations: updates, report_every: u32::MAX, ..self.settings.clone() };
         let rule = if fresh.solver == AUTO { WARM_SOLVER.into() } else { fresh.solver.clone() };
         let warm = Settings { solver: rule, ..fresh.clone() };
-        // If the display has other shapes, the previous patterns cannot be used.
+        // The previous patterns can be used only if they have the shapes of the target's display.
         let last = self.last.take_if(|last| last.stack.check(&target.display).is_err());
         drop(last);
-        // Choose the start. If the content is unchanged, it is the previous patterns. For new
-        // content, possible starts are compared.
+        // Choose the start. If the content is unchanged, the start is the previous patterns. For
+        // new content, possible starts are compared.
         let same_content = self.last.as_ref().is_some_and(|last| last.target.content == target.content);
         let planes = match &mut self.last {
             Some(last) if same_content => last.planes.clone(),

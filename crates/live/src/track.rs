@@ -6,8 +6,11 @@
 //! w(ray) = s + (1 − s) · (floor + Σ exp(−½ (r/σ)²))
 //! ```
 //!
-//! `latency` is the time from the tracker's measurement to the patterns on the display. `s` is the
-//! weight of the whole zone: 0 while viewers are tracked, 1 without viewers.
+//! `seen` is the time of the tracker's last report, and `eye` and `velocity` are the position and
+//! the velocity at that time. `latency` is the time from the tracker's measurement to the patterns
+//! on the display. `s` is the weight of the whole zone: 0 while viewers are tracked, 1 without
+//! viewers. `r` is the distance of the ray from the point midway between a viewer's eyes,
+//! measured parallel to the display. The sum runs over the viewers.
 
 use std::time::Duration;
 
@@ -85,8 +88,9 @@ impl Tracker {
         Ok(())
     }
 
-    /// Predicts the positions of the viewers at the time `now` + `latency`. Returns the whole zone
-    /// if there is no viewer, or if the tracker has been silent for long.
+    /// Predicts the positions of the viewers at the time `now` + `latency`. Returns no positions,
+    /// and the weight 1 of the whole zone, if there is no viewer or the tracker has been silent for
+    /// long.
     pub fn boxes(&self, now: Duration, latency: Duration) -> Boxes {
         let Some(seen) = self.seen else { return Boxes { heads_mm: Vec::new(), zone: 1.0 } };
         let silent = now.saturating_sub(seen);
@@ -137,8 +141,8 @@ impl Boxes {
         Weights::eye_boxes(geometry, &boxes.collect::<Vec<_>>(), floor as f32)
     }
 
-    /// Returns true if the weights of `other` can be used in place of these: every viewer's
-    /// position differs by at most `tolerance_mm` along each axis.
+    /// Returns true if the weights of `other` can be used in place of the weights of `self`: every
+    /// viewer's position differs by at most `tolerance_mm` along each axis.
     pub fn is_like(&self, other: &Self, tolerance_mm: f64) -> bool {
         let close = |(a, b): (&[f64; 3], &[f64; 3])| (0..3).all(|i| (a[i] - b[i]).abs() <= tolerance_mm);
         self.zone == other.zone

@@ -291,8 +291,8 @@ impl Geometry {
         prefetch(record.wrapping_add(64));
     }
 
-    /// The point of a loose triangle with these vertex weights, in the vertices' order in render
-    /// space.
+    /// The point of a loose triangle where its three corners have the weights `barycentric`. The
+    /// corners are in the order of the triangle's record.
     #[inline]
     pub(crate) fn point(&self, triangle: u32, barycentric: [f32; 3]) -> SurfacePoint<'_> {
         let record = &self.records[triangle as usize];

@@ -485,8 +485,8 @@ fn rgb(values: &[f32]) -> [f32; 3] {
     [values[0], values[1], values[2]]
 }
 
-/// Divides the values of pixels, `[row][col][k]`, into successive ranges of k with a name and a
-/// length each.
+/// Divides the values of pixels, `[row][col][k]`, into successive ranges of k. Each range has a
+/// name and a length.
 fn ranges<const N: usize>(values: &Tensor<3>, lengths: [(&'static str, usize); N]) -> [Tensor<3>; N] {
     let [rows, cols, all] = values.shape();
     let mut first = 0;

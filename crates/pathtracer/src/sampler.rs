@@ -252,7 +252,7 @@ mod tests {
             sums[3] += a[1];
         }
         // The bound is five standard errors. A product of two numbers in ±0.5 has the standard
-        // deviation 1/12, and one such number has 0.289.
+        // deviation 1/12, and one such number has the standard deviation 0.289.
         let bound = 5.0 / (pixels as f64).sqrt();
         for (sum, deviation) in sums.iter().zip([1.0 / 12.0, 1.0 / 12.0, 1.0 / 12.0, 0.289]) {
             assert!((sum / pixels as f64).abs() < bound * deviation, "{sums:?}");

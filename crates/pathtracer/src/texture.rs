@@ -33,7 +33,8 @@ pub(crate) struct Textures {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Slot {
     pub(crate) source: TextureUse,
-    /// Texels of the finest level per length in the mesh's texture space: √ of the ratio of areas.
+    /// Texels of the finest level per length in the mesh's texture space: the root of the ratio of
+    /// the areas.
     pub(crate) texels_per_uv: f32,
     texture: Texture,
     pyramid: usize,

@@ -7,8 +7,9 @@
 //!
 //! T is the throughput, f the scattering function, and E the emission of the hit surface. The
 //! second term is one sampled light with the radiance L_l and the visibility V. The density of
-//! scattered directions is p_b, the density of light sampling is p_l. In the power heuristic w, the
-//! numerator is the squared density of the technique that made the sample.
+//! scattered directions is p_b, the density of light sampling is p_l. The weights w_b and w_l
+//! follow the power heuristic w. Its numerator is the squared density of the technique that made
+//! the sample: p_b² for w_b, p_l² for w_l.
 //!
 //! Alpha of mode `Blend` is decided by chance along scattered rays, and multiplied along shadow
 //! rays. Both ways have the right mean.
@@ -19,19 +20,20 @@
 //!
 //! Measured on FlightHelmet with 16 samples per pixel:
 //!
-//! * Rays take half of the time. The rest is spent on waiting for memory and on branches rather
-//!   than on arithmetic. The whole program compiled for AVX2 with FMA was no faster.
-//! * Nearly all variance of a diffuse scene comes from the first scattered direction. Four jointly
-//!   stratified points of lights at the first hit instead of one lowered the squared error by 7 %
-//!   and cost 80 % more time.
+//! * Tracing rays takes half of the time. The other half is spent on waiting for memory and on
+//!   branches rather than on arithmetic. The whole program compiled for AVX2 with FMA was no
+//!   faster.
+//! * Nearly all variance of a diffuse scene comes from the first scattered direction. The first hit
+//!   was given four jointly stratified points of lights instead of one. The squared error fell by 7
+//!   %, but the time rose by 80 %.
 //! * Between rays, paths wait for chains of roots and quotients, and for results that are read in
 //!   larger pieces than they were written in. So directions around normals and primary rays are
 //!   computed for all paths together, as vectors. Hits are written where they are read, and a
 //!   light's density is kept as its inverse. Together this gave 9 % more samples.
-//! * A loop over all paths for each step of a vertex (surface, light, scattered direction) cost 3
-//!   %. The steps' results have to be stored.
-//! * Traced as a beam, the shadow rays of first hits took 1.6 times as long as one by one. The beam
-//!   tested the bounds of every block with eight rays together.
+//! * With a separate loop over all paths for each step of a vertex (surface, light, scattered
+//!   direction), the time rose by 3 %. The results of the steps then have to be stored.
+//! * The shadow rays of first hits, traced as beams, took 1.6 times as long as single rays. These
+//!   beams tested the bounds of every block with eight rays together.
 
 use glam::Vec3;
 use lumistack_scene::{Lamp, Material};
@@ -48,13 +50,15 @@ use crate::shading::Materials;
 /// Number of pairs of random numbers that the primary ray uses: position in the pixel, slope in the
 /// bin.
 pub(crate) const PRIMARY_PAIRS: u64 = 2;
-/// Number of pairs of random numbers per vertex of a path. They choose the scattered direction; the
-/// point of a light; roulette, and reflection or refraction.
+/// Number of pairs of random numbers per vertex of a path. The first pair chooses the scattered
+/// direction, and the second chooses the point of a light. The third decides about roulette, and
+/// about reflection or refraction.
 const VERTEX_PAIRS: u64 = 3;
 /// First of the pairs that decide whether a surface with alpha is there. There is one pair for each
 /// bounce and triangle, so that successive surfaces decide independently.
 const ALPHA_PAIRS: u64 = 1 << 62;
-/// Odd step that spreads the instances over the pairs from [`ALPHA_PAIRS`] on.
+/// Odd factor on the index of an instance, so that different instances use different pairs of
+/// random numbers.
 const INSTANCE_STEP: u64 = 0x2545_f491_4f6c_dd1d;
 /// The pair that chooses a wavelength.
 const WAVE_PAIR: u64 = ALPHA_PAIRS - 1;
@@ -452,8 +456,9 @@ impl Tracer<'_> {
         // next-event estimation: one sampled light, whose shadow ray is traced later
         let [u_roulette, u_fresnel] = pairs[2].of(index);
         if surface.is_smooth() && self.lights.can_be_sampled() {
-            // `u_roulette` may serve two purposes, the light's sample and the roulette. The sampled
-            // light is only added to the rest of the path, so its mean does not change.
+            // `u_roulette` may be used twice: for the light's sample and for the roulette. The
+            // light's sample is only added to the rest of the path, so the mean of the sum does not
+            // change.
             self.direct(
                 &vertex,
                 &surface,
@@ -722,8 +727,9 @@ impl Vertex<'_> {
         First { is_there: true, reflectance, position, normal, guide, ..First::default() }
     }
 
-    /// The receiver by which a light is chosen. If `horizon` is true and the triangle approximates
-    /// a smooth opaque surface, light may also arrive from below the triangle's plane.
+    /// Returns this vertex as a [`Receiver`], which the choice of a light reads. If `horizon` is
+    /// true and the triangle approximates a smooth opaque surface, lights below the triangle's
+    /// plane count, too.
     #[inline(always)]
     fn receiver(&self, surface: &Surface, horizon: bool) -> Receiver {
         let tilt = if horizon && self.may_bulge(surface) {

@@ -71,8 +71,8 @@ pub fn compare_runs(
         let of = |g: &FieldGeometry| format!("{} × {} pixels of {} mm", g.cols, g.rows, g.pitch_mm);
         return Err(PipelineError::value(second, "field", of(&own), of(&other)));
     }
-    // Views and directions come from the target of the first run or, without a target, from its
-    // display.
+    // Views and directions come from the target of the first run or, without a target, from the
+    // display of the first run.
     let target = target_of(first)?;
     let geometry = match &target {
         Some(target) => target.geometry().clone(),
@@ -143,7 +143,7 @@ pub fn compare_runs(
     })
 }
 
-/// Samples of a pupil per axis; samples outside of the pupil's disc are skipped.
+/// Number of samples of a pupil per axis; samples outside of the pupil's disc are skipped.
 const PUPIL_SAMPLES: usize = 7;
 
 /// Returns the picture for an eye at `eye_mm` with a pupil of diameter `pupil_mm` that focuses on

@@ -1,5 +1,5 @@
-//! Errors between a job file and its outputs. Every message contains the file, the position in it,
-//! the expected value and the found value.
+//! Errors of the pipeline, from the job file to the outputs. Every message contains the file, the
+//! position in the file, the expected value and the found value.
 
 use std::path::{Path, PathBuf};
 

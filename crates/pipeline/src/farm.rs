@@ -95,8 +95,8 @@ impl FarmPlan {
     }
 
     /// Returns the graph of units in a run folder. The command line of a unit is `command`, the
-    /// folder and the unit's id. Units that are done have their measured time, the others an
-    /// estimate.
+    /// folder and the unit's id. Units that are done have their measured time, all other units have
+    /// an estimate.
     pub fn graph(&self, dir: &Path, command: Vec<String>) -> Graph {
         let folder = std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()).to_string_lossy().into_owned();
         let mut units = self.units.clone();
@@ -185,15 +185,16 @@ pub fn farm_plan(
     Ok(made)
 }
 
-/// Executes a unit of the plan in a run folder. If the unit is already done, it returns
-/// immediately, unless it is the last unit, which checks the whole run.
+/// Executes a unit of the plan in a run folder. If the unit is already done, the function returns
+/// immediately. The last unit is never skipped, since it checks the whole run.
+///
 /// `maps` are pairs of folders, on the planning machine and on this machine, by which the job's
 /// paths are mapped. A unit waits up to `patience` for its input units, since a network file system
 /// may show files late.
 ///
 /// # Errors
-/// If the worker has other code than the plan, or an input unit is not done in time. Also if
-/// another process holds the folder's lock, or the work fails or is cancelled.
+/// If the worker's code differs from the code that planned the run, or an input unit is not done in
+/// time. Also if another process holds the folder's lock, or the work fails or is cancelled.
 pub fn farm_unit(
     dir: &Path,
     id: &str,

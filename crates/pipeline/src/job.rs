@@ -225,8 +225,8 @@ impl Job {
         }
         if job.name.is_empty() {
             job.name = path.file_stem().map_or("job".into(), |stem| stem.to_string_lossy().into_owned());
-            // A file with the name job.toml is named after its folder: scenes/still-life/job.toml
-            // is still-life.
+            // The job in a file job.toml has the name of the file's folder. For example, the job in
+            // scenes/still-life/job.toml is still-life.
             if job.name == "job"
                 && let Some(folder) = path.parent().and_then(Path::file_name)
             {
@@ -280,8 +280,8 @@ impl Job {
 
     /// Returns the job with values for the automatic settings that depend on the display's views.
     ///
-    /// A display that does not load changes nothing here: [`Self::resolve_display`] returns its
-    /// error.
+    /// If the display does not load, the job stays as it is, and [`Self::resolve_display`] returns
+    /// the error.
     pub(crate) fn with_automatic_settings(&self) -> Self {
         let mut job = self.clone();
         if let Ok(display) = job.display.resolve() {
@@ -356,7 +356,7 @@ impl Job {
         if !(1..=1 << 20).contains(&self.importer.picture_mib) {
             return fail("importer.picture_mib", "1 to 1048576 MiB", self.importer.picture_mib.to_string());
         }
-        // Check tables that have their own checks, and combinations of tables.
+        // Check the tables of the job file that have their own checks, then combinations of tables.
         self.render.check()?;
         self.window.check()?;
         self.light.check()?;
@@ -429,8 +429,8 @@ impl Job {
         Ok(())
     }
 
-    /// Returns the plugins of the job: the key in the job file, the plugin's id and its parameters.
-    /// The id of an importer is empty if the scene's extension selects the plugin.
+    /// For each plugin of the job, returns the key in the job file, the plugin's id and its
+    /// parameters. The id of an importer is empty if the scene's extension selects the plugin.
     pub(crate) fn plugins_mut(
         &mut self,
     ) -> impl Iterator<Item = (String, &str, &mut serde_json::Map<String, serde_json::Value>)> {

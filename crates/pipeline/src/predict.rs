@@ -31,7 +31,7 @@ pub fn predict(job: &Job, registry: &Registry, task: Task<'_>) -> Result<Predict
     predict_on(job, &job.resolve_display()?, registry, task)
 }
 
-/// Predicts like [`predict`], for another display than the job's.
+/// Makes the prediction of [`predict`] for another display than the display of the job.
 ///
 /// # Errors
 /// The errors of [`predict`].

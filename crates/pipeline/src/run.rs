@@ -88,7 +88,7 @@ pub struct SequenceSummary {
     /// target, dB. Higher values mean less flicker. `None` for a single time step.
     pub psnr_change: Option<f64>,
     /// The PSNR of `psnr_change`, but only over rays along which the target is constant. `None` if
-    /// there are no such rays.
+    /// the target is constant along no ray.
     pub psnr_still: Option<f64>,
 }
 

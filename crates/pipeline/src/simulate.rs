@@ -73,7 +73,7 @@ impl RunFolder {
         task: Task<'_>,
     ) -> Result<Vec<PathBuf>, PipelineError> {
         let folder = self.dir.join("target");
-        // The target is optional: the folder of a node has none, and neither have old runs.
+        // The target is optional: the folder of a node and old runs have no target.
         let target = if folder.join("lightfield.json").is_file() {
             Some(lumistack_field_io::read_field_folder(&folder).map_err(field_error)?.0)
         } else {

@@ -62,8 +62,7 @@ pub fn render_field(
     (job.render.held_out, job.render.outside) = (0, 0);
     job.render.denoise = job.denoise_for(display);
     let samples = samples::measured(&job, ingested, &placement, display, cache_dir, task)?;
-    let footprint = display.angular_footprint();
-    let shot = Shot { job: &job, ingested, placement: &placement, geometry: &geometry, footprint, samples };
+    let shot = Shot { job: &job, ingested, placement: &placement, geometry: &geometry, display, samples };
     let (traced, _) = trace::run(shot, &ViewOptions::default(), cache_dir, task)?;
     denoise::run(shot, &traced.fields, task)?;
     let rendered = expose::run(shot, &traced, false, task)?;
@@ -195,7 +194,7 @@ pub struct ReportOn<'a> {
     pub references: Option<&'a References>,
     /// Weights of the target's rays.
     pub weights: &'a Weights,
-    /// Settings and convergence of a solver, if one made the patterns.
+    /// Settings and convergence of a solver, if a solver made the patterns.
     pub solution: Option<(&'a Solution, &'a [lumistack_report::Iteration])>,
     /// Table of settings in the report.
     pub settings: &'a Value,

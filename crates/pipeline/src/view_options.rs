@@ -1,5 +1,5 @@
-//! Options for views without a display: a selection of views, scene-linear radiance, additional
-//! channels.
+//! Options of a render that writes only views, without patterns: a selection of views, scene-linear
+//! radiance, additional channels.
 
 use std::str::FromStr;
 

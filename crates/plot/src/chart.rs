@@ -3,7 +3,7 @@
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::{Cartesian2d, ChartContext, SVGBackend};
 
-/// Font family of the SVG's text. Machines without the font use another one.
+/// Font family of the SVG's text. Machines without this font use another font.
 pub const FAMILY: &str = "DejaVu Sans, sans-serif";
 
 pub(crate) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;

@@ -223,7 +223,7 @@ pub fn map(map: &Map) -> Result<String, PlotError> {
     Ok(described(&svg, &map.title))
 }
 
-/// Values above this are printed as "more", dB.
+/// Largest value that a map prints as a number, dB. A larger value is printed as ">60".
 pub const CAP_DB: f64 = 60.0;
 
 struct Entry<'a> {

@@ -679,8 +679,8 @@ typedef struct LumistackStackSink {
    *
    * * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
    *   solved first.
-   * * `kkt_residual`: root mean square, over all values, of the emission's change by a further
-   *   exact update of that value.
+   * * `kkt_residual`: each value of the patterns would change the emission if it were updated
+   *   exactly once more. The residual is the root mean square of these changes.
    * * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
    *   bits, or null.
    */

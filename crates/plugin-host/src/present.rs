@@ -45,7 +45,7 @@ pub struct PresentContext<'a> {
     pub task: Task<'a>,
 }
 
-/// Interval of the checks whether the presentation has ended.
+/// Interval between the checks for the end of the presentation.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Runs the presenter `id` until it is closed. Call it on the main thread, which windows require. A

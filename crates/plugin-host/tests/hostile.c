@@ -1,8 +1,8 @@
 /* A plugin that can end its process in many ways, for the tests of the host. Built with
  *   -DNAME=id                 the plugin's id
  *   -DKIND=LUMISTACK_KIND_... one of the four kinds
- *   -DIN_ENTRY="what"         misbehaves when it describes itself
- * The parameter `fault` is "when:what", such as "submit:abort".
+ *   -DIN_ENTRY="what"         the fault of the entry function, such as "abort"; none by default
+ * The parameter `fault` is "when:what", a function and its fault, such as "submit:abort".
  */
 #define _GNU_SOURCE
 #include <fcntl.h>
@@ -74,8 +74,9 @@ static void misbehave(const char *what) {
         for (;;) pause();
     }
     if (!strcmp(what, "close all")) {
-        /* wait until the thread that reads messages blocks in its next read: there it does not
-           notice that its pipe is closed; earlier, it would end the process */
+        /* Wait until the thread that reads messages blocks in its next read. During the read the
+           thread does not notice that its pipe is closed. If the pipe were closed before the read,
+           the thread would end the process. */
         usleep(100000);
         for (int fd = 3; fd < 64; fd++) close(fd);
         for (;;) pause();

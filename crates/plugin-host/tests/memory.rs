@@ -2,10 +2,11 @@
 //! than four.
 //!
 //! Each output and number of frames is measured in its own process, by two numbers. `alive` is the
-//! peak of allocated bytes, counted by the allocator; it is exact and reproducible. `resident` is
-//! the kernel's `VmHWM` of `/proc/self/status`, which includes memory that the allocator has not
-//! returned. Both peaks are reached within the first frames. The layers are black: zeroed memory
-//! that is never written is not resident, so both numbers measure the output and not the stack.
+//! peak of the bytes that the output allocates, counted by the allocator; it is exact and
+//! reproducible. `resident` is the kernel's `VmHWM` of `/proc/self/status`, which includes memory
+//! that the allocator has not returned. Both peaks are reached within the first frames. The layers
+//! are black: zeroed memory that is never written is not resident. So `resident` does not contain
+//! the stack either.
 
 #![cfg(target_os = "linux")]
 
@@ -29,8 +30,8 @@ const MIB: f64 = (1 << 20) as f64;
 /// need this memory.
 const LISTS_MIB: f64 = 0.25;
 
-/// The outputs that are measured: name, plugin and parameters. They are every kind of output that
-/// writes frames, and all kinds together.
+/// The outputs that are measured: name, plugin and parameters. Every kind of output that writes
+/// frames is measured alone. `images` is measured with all its kinds together.
 fn outputs() -> [(&'static str, &'static str, Value); 7] {
     let images = |wanted: &[&str]| {
         let chosen = |name: &str| wanted.contains(&name);

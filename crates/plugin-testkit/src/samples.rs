@@ -12,7 +12,7 @@ use lumistack_plugin_host::serve::OutputData;
 /// A display with data for one port.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    /// The property by which the sample differs from the others.
+    /// The property by which the sample differs from the other samples.
     pub name: &'static str,
     /// The display for which the data are made.
     pub display: Display,

@@ -104,8 +104,10 @@ impl Host {
         self.with(|table| unsafe { (table.is_cancelled)(table.context) != 0 }).unwrap_or(true)
     }
 
+    /// Checks for cancellation. Loops call this function with `?`.
+    ///
     /// # Errors
-    /// If the user cancelled; for use with `?` inside loops.
+    /// If the user cancelled.
     pub fn check_cancelled(&self) -> Result<(), Cancelled> {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }

@@ -131,8 +131,8 @@ impl StackInput<'_> {
         self.depth.as_ref()
     }
 
-    /// Returns true if the views of the light field that the stack was solved for can be read; see
-    /// [`target_view`](Self::target_view).
+    /// Returns true if [`target_view`](Self::target_view) can read the views of the target, the
+    /// light field for which the stack was solved.
     pub fn has_target_views(&self) -> bool {
         self.target_views
     }

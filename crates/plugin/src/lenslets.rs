@@ -18,7 +18,7 @@
 
 use lumistack_display::LensletBacklight;
 
-/// A panel behind a lens array. All lengths are those of the built device, after calibration.
+/// A panel behind a lens array. All lengths are lengths of the built device, after calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LensletPanel {
     /// [columns, rows] of the panel.
@@ -51,8 +51,9 @@ pub struct Spot {
 }
 
 impl LensletPanel {
-    /// The lenslet array of a display file, in front of a panel. Without a measured focal length, f
-    /// = p / (2 tan(α/2)): the horizontal bins then fill the width of the panel behind one lens.
+    /// Makes the lenslet array of a display file, in front of a panel. If the file has no measured
+    /// focal length, f = p / (2 tan(α/2)), with the lens pitch p and the bins' horizontal angle α.
+    /// Then the horizontal bins fill the width of the panel behind one lens.
     pub fn new(backlight: &LensletBacklight, resolution: [usize; 2], pitch_mm: f64) -> Self {
         let lens = backlight.lens.clone().unwrap_or_default();
         let fitting_mm = backlight.pitch_mm / (2.0 * (0.5 * backlight.fov_deg[0].to_radians()).tan());
@@ -184,7 +185,7 @@ mod tests {
         {
             let nominal = panel(&display);
             let built = LensletPanel {
-                // The pixels are fine, since pixels on the borders of bins may differ from the
+                // The pixels are small, since pixels on the borders of bins may differ from the
                 // exact trace.
                 resolution: [168 * 4, 105 * 4],
                 pitch_mm: 0.2827 / 4.0,
@@ -234,14 +235,14 @@ mod tests {
             }
             let share = same as f64 / all as f64;
             println!("{rotation_deg}°, {offset_mm:?}: {share:.4} of the rays");
-            // Bins are 7.2 fine pixels wide on both axes. A ray near the border of a bin may hit a
-            // pixel whose centre is in the next bin, so not all rays agree.
+            // Bins are 7.2 of these small pixels wide on both axes. A ray near the border of a bin
+            // may hit a pixel whose centre is in the next bin, so not all rays agree.
             assert!(share > 0.85, "{share}");
         }
     }
 
-    /// The ray from a pixel's centre through the centre of its lens must have the pixel's value in
-    /// the display model's tables.
+    /// The display model's tables must give a ray from a pixel's centre through the centre of its
+    /// lens the same lenslet and angular bin as `panel.spot`.
     #[test]
     fn the_display_s_tables_agree_at_every_pixel() {
         let display = display();

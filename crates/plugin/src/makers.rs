@@ -1,5 +1,5 @@
-//! The traits of importers, sources and nodes. Each trait has one function that does the work. Its
-//! result is sent to the host piece by piece.
+//! The traits of importers, sources and nodes. Each trait has one function that does the work. The
+//! function's result is sent to the host piece by piece.
 
 use lumistack_display::{Display, LayerStack, LightField};
 use lumistack_plugin_abi::{

@@ -40,8 +40,8 @@ pub struct Solution {
     /// Number of coarser resolutions that were solved first. Each is half the next finer
     /// resolution.
     pub coarse_levels: u32,
-    /// KKT residual: root mean square, over all values of the factors, of the change in emission by
-    /// one more exact update of the value.
+    /// KKT residual. One more exact update of a value of the factors would change the emission. The
+    /// residual is the root mean square of these changes over all values.
     pub kkt_residual: f64,
     /// For panels of few bits, the PSNR in dB with continuous masks, with rounded masks, and with
     /// masks that are optimized again after the rounding. `None` for panels of many bits.

@@ -50,7 +50,7 @@ impl PlaneView<'_> {
         self.plane.shape[1]
     }
 
-    /// Number of channels; hosts lend planes of 3 (red, green, blue), and weights of 1.
+    /// Number of channels: 3 for colours (red, green, blue), 1 for weights.
     pub fn channels(&self) -> usize {
         self.plane.shape[2]
     }

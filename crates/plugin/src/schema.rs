@@ -189,7 +189,7 @@ impl Schema {
         Self { params: params.into_iter().collect() }
     }
 
-    /// Checks the given parameters (an object) and fills in the defaults of the others.
+    /// Checks the given parameters (an object) and fills in the defaults of all other parameters.
     ///
     /// # Errors
     /// On a parameter that does not exist (the message names the most similar one), is of the wrong

@@ -1,9 +1,9 @@
 //! Reads arrays from Python, and exports arrays to Python, without NumPy.
 //!
 //! Arrays are read through the buffer protocol, or else through `__array__` or DLPack. Arrays are
-//! exported through the buffer protocol. Row-major, aligned `float32`
-//! is used without a copy. Other layouts, byte orders, `float16` and `float64` are copied. `uint8`
-//! and `uint16` are sRGB codes, as in pictures, and become linear. Other types are refused.
+//! exported through the buffer protocol. Row-major, aligned `float32` is used without a copy. Other
+//! layouts, byte orders, `float16` and `float64` are copied. `uint8` and `uint16` are sRGB codes,
+//! as in pictures, and become linear. Other types are refused.
 //!
 //! An [`Array`] exports its values read-only. They exist as long as a buffer refers to them.
 

@@ -43,8 +43,9 @@ pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<
         Ok(table) => return Ok(table),
         Err(error) => error.to_string(),
     };
-    // Find the key of the wrong value: parse a table with one key after another. Most tables have
-    // defaults for all keys, so only the table with the wrong value gives the same error.
+    // Find the key of the wrong value: for each key, parse a table with this key alone. Most tables
+    // have defaults for all other keys, so only the table with the wrong value gives the same
+    // error.
     let alone = |(key, value): (String, Value)| {
         let found = serde_json::from_value::<T>(Value::Object(Map::from_iter([(key.clone(), value)]))).err()?;
         (found.to_string() == error && !error.contains(&format!("`{key}`"))).then_some(key)

@@ -3,6 +3,7 @@ cameras, cached views, outlines, forms of parameters, .glb files."""
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import os
@@ -97,7 +98,7 @@ def test_a_window_is_scaled_and_moved_in_its_plane() -> None:
         size, shift = chance.uniform(0.2, 3.0), (chance.uniform(-1, 1), chance.uniform(-1, 1))
         moved = window.resized(size, shift)
         width = window.size_mm[0]
-        # Scale and shift, applied to the upper right corner of the original window, give that
+        # Scale and shift map the upper right corner of the original window to the upper right
         # corner of the new window.
         x, y = 0.5 * size * width + shift[0] * width, 0.5 * size * window.size_mm[1] + shift[1] * width
         assert moved.point((width / 2, window.size_mm[1] / 2, 0.0)) == pytest.approx(window.point((x, y, 0.0)))
@@ -321,6 +322,7 @@ def until(live: Program, is_right: Callable[[State], bool]) -> State:
     raise AssertionError(f"waited in vain: {live.state}")
 
 
+@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
 def test_a_live_display_follows_changes_and_ends_with_its_folder(tmp_path: Path) -> None:
     live = Live(live_words(tmp_path), os.environ)
     first = until(live, lambda state: state.content == 1)
@@ -340,7 +342,11 @@ def test_a_live_display_follows_changes_and_ends_with_its_folder(tmp_path: Path)
     live.stop()
     ended = until(live, lambda state: state.code is not None)
     assert ended.code == 0 and Path(ended.report).is_file()
+    # Changes after the end have no effect, and the streams are destroyed without an error.
     live.change({"display.brightness": 0.5}, time.monotonic())
+    live.change({"display.brightness": 0.6}, time.monotonic())
+    del live
+    gc.collect()
 
 
 def test_a_live_display_that_does_not_start_says_why(tmp_path: Path) -> None:

@@ -1,5 +1,5 @@
 """Runs on many machines: results have the same bytes as on one machine, even if processes are
-killed. Messages name unusable workers. Exported jobs run, or contain the same graph."""
+killed. Messages name unusable workers. Exported jobs run, or contain the graph of the plan."""
 
 from __future__ import annotations
 

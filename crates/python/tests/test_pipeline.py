@@ -60,7 +60,8 @@ def test_a_picture_is_a_seen_view(light_field: LightField) -> None:
     stack = lumistack.factorize(light_field, iterations=3)
     views = stack.views(light_field).radiance
     # At slope 0 the layers' pixels are aligned, so all rays of a pixel have the same value. So the
-    # seen picture equals the view of central rays.
+    # seen picture, a mean over each pixel's area, equals the view of rays through the pixels'
+    # centres.
     assert numpy.allclose(lumistack.simulate(stack), views[1, 1], atol=1e-6)
     slope = (light_field.slope_x[2], light_field.slope_y[0])
     seen = lumistack.simulate(stack, slope)

@@ -22,8 +22,8 @@ PATIENCE = 1.0
 
 
 def interruptible() -> None:
-    """Enables interrupts in a child process. A test suite in the background may ignore interrupts, and
-    its child processes would inherit this."""
+    """Enables interrupts in a child process. A test suite in the background may ignore interrupts,
+    and its child processes would inherit this setting."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 

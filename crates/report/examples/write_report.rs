@@ -1,5 +1,5 @@
-//! Factorizes a light field in a `.npy` file and writes its report, to develop the page. The grid
-//! of views is square:
+//! Factorizes a light field in a `.npy` file and writes its report, to develop the page. The light
+//! field must have as many views across as up. The command is:
 //!
 //! ```text
 //! cargo run --release -p lumistack-report --example write_report -- \

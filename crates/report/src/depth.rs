@@ -67,8 +67,8 @@ impl DepthBudget {
             z_mm.iter().filter(|z| which(f64::from(**z))).count() as f64 / z_mm.len() as f64
         };
         let inside = |z: f64| depth_of_field_mm.is_some_and(|[low, high]| (low..=high).contains(&z));
-        // Collect the hits, and their disparities between neighbouring views. The axis with the
-        // wider spacing of views counts.
+        // Collect the hits, and their disparities between neighbouring views. Disparities are
+        // measured along the axis on which neighbouring views are farther apart.
         let (mut all, middle) = (seen(z_mm), seen(middle));
         let step = geometry.grid.bin_width().into_iter().fold(0.0, f64::max);
         let moves = |z: f64| geometry.disparity_px(z, step).abs();

@@ -3,7 +3,7 @@
 use crate::light::Light;
 use crate::limits::Limit;
 
-/// Brightness of a run, limits of its result, and pictures of its masks.
+/// Absolute brightness of a display, and limits of its result.
 pub(crate) struct Found {
     pub(crate) light: Light,
     pub(crate) limits: Vec<Limit>,

@@ -28,7 +28,8 @@ pub struct Solution {
     pub solver: String,
     /// Name of the start.
     pub start: String,
-    /// Number of coarser levels before the full resolution, each of half the resolution.
+    /// Number of coarser levels before the full resolution. Each level has half the resolution of
+    /// the next level.
     pub coarse_levels: u32,
     /// KKT residual. For each value of the patterns, one more exact step of this value alone would
     /// change the emission. The residual is the root mean square of these changes.

@@ -66,7 +66,8 @@ impl Light {
             format::number(self.wanted),
             format::number(input.stack.brightness),
         );
-        // Name the light that no pattern can emit, then a brightness that the display cannot reach.
+        // State the fraction of light that open layers transmit. Then state β if the display cannot
+        // reach it.
         let peaks: Vec<f64> = display.layers.iter().map(|layer| layer.peak).collect();
         if display.formation == Formation::Attenuating && self.open.is_finite() {
             text += &if self.open > 1.0 - 1e-6 {

@@ -41,7 +41,7 @@ pub(crate) struct Measured {
     pub(crate) has_dropped_rays: bool,
 }
 
-/// SSIM and FLIP over those directions of the zone that have reference pictures.
+/// SSIM and FLIP over the directions of the zone that have reference pictures.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ZoneLooks {
     pub(crate) ssim: Mean,
@@ -89,8 +89,8 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     let held_out = others(input.held_out, between)?;
     let outside = others(input.outside, grid.outside(1))?;
     let errors = |views: &[Shown]| picture::amplification(views.iter().flat_map(|view| view.errors.iter().flatten()));
-    // Held-out views are often far worse than target views. They have a scale of their own, since a
-    // common scale would hide differences of target views.
+    // Held-out views are often far worse than target views. So the pictures of their errors have an
+    // amplification of their own. A common amplification would hide the errors of target views.
     let (amplification, other_amplification) = (errors(&shown[..targets]), errors(&shown[targets..]));
     let sizes: Vec<_> = shown.iter().flat_map(|view| [(view.simulated.rows, view.simulated.cols); 4]).collect();
     let (headline_shrunk, rows_shrunk) =
@@ -117,7 +117,7 @@ pub(crate) fn measure(input: &ReportInput, task: Task) -> Result<Measured, Repor
     })
 }
 
-/// Returns the scores of those directions of the zone that have reference pictures. Adds the worst
+/// Returns the scores of the directions of the zone that have reference pictures. Adds the worst
 /// direction and then the median direction to `shown`.
 fn zone_looks(judge: &Judge, zone: &ZoneFigures, shown: &mut Vec<Shown>) -> ZoneLooks {
     let mut views: Vec<_> = zone.views.par_iter().map(|view| (view, judge.zone_view(view))).collect();

@@ -192,7 +192,7 @@ fn encode_emission(
 ) -> Result<Emission, ReportError> {
     let [frames, bins_y, bins_x, rows, cols, _] = emission.shape();
     let bin = [bins_y / 2, bins_x / 2];
-    // If there is only one bin, the picture of the panel is the same, so this picture is omitted.
+    // The picture of a single bin would equal the picture of the panel, so it is omitted.
     let central = (0..frames).filter(|_| bins_y * bins_x > 1).map(|frame| {
         Ok(Linear::new(rows, cols, emission.block([frame, bin[0], bin[1]]), 1.0).encoded().embedded(Encoding::Png)?)
     });

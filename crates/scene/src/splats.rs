@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! G(x) = exp(−½ (x − μ)ᵀ Σ⁻¹ (x − μ)),   Σ = M R diag(s²) Rᵀ Mᵀ
+//! μ, R, s: position, rotation and standard deviations of a splat
 //! M: the linear part of scene_from_cloud
 //! colour = max(0, ½ + Σ_lm c_lm Y_lm(direction from the viewer to μ))
 //! ```

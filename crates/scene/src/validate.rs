@@ -43,7 +43,7 @@ impl Scene {
         self.seen_bounds
     }
 
-    /// True if the viewer can see an instance: unless it is an [unseen lamp](Lamp::Unseen).
+    /// True if the viewer can see an instance. Only an [unseen lamp](Lamp::Unseen) is invisible.
     pub fn is_seen(&self, instance: &crate::Instance) -> bool {
         self.materials[self.meshes[instance.mesh].material].lamp != Lamp::Unseen
     }
@@ -125,7 +125,8 @@ impl SceneParts {
             [(place, dropped, before)] => {
                 task.warn(place, format!("triangles without area: {dropped} of {before}; they are left out"));
             }
-            // files from CAD often have such triangles in many meshes, so they share one warning
+            // files from CAD often have triangles without area in many meshes, so all of these
+            // meshes share one warning
             many => {
                 let dropped: usize = many.iter().map(|(_, dropped, _)| dropped).sum();
                 let message = format!("triangles without area: {dropped} in {} meshes; they are left out", many.len());

@@ -24,9 +24,9 @@ const PROBE: [usize; 2] = [96, 60];
 const PROBE_SAMPLES: u32 = 16;
 /// Surfaces whose exposed radiance is below this value count as unlit.
 const DARK: f64 = 0.02;
-/// Smallest fraction of the visible surfaces that the scene's own light must light: if only glowing
-/// objects give light, and if there are light sources. The author of light sources may want a spot
-/// in a dark room.
+/// Smallest fractions of the visible surfaces that the scene's own light must light. The first
+/// fraction applies if only glowing objects give light, the second if there are light sources. The
+/// author of light sources may want a spot in a dark room.
 const LIT_BY_GLOW: f64 = 0.5;
 const LIT_BY_LAMPS: f64 = 0.05;
 /// Radiance of the background behind a scene in studio light: a dark neutral ground.

@@ -16,8 +16,9 @@
 //! stays in place, and depth is compressed about it: content in the display plane remains there.
 //!
 //! Scaling the slopes is the same as moving all viewpoints closer together: every displacement
-//! between views shrinks by k. In oblique views it is an affine compression along the window's
-//! normal. In perspective views it is a projective one, which keeps straight lines straight.
+//! between views shrinks by k. In oblique views the effect is an affine compression along the
+//! window's normal. In perspective views it is a projective compression, which keeps straight lines
+//! straight.
 
 pub(crate) mod side;
 mod window;
@@ -37,7 +38,7 @@ const PROBE_COLS: usize = 210;
 /// Quantiles of the visible depths that must fit, so that a few stray surfaces are ignored.
 const ENDS: [f64; 2] = [0.02, 0.98];
 /// Two positions of the window are equally good if the fractions of the scene that fit differ by
-/// less than this.
+/// less than this value.
 const AS_GOOD: f64 = 0.01;
 /// Depths may exceed the depth of field by this rounding error, mm.
 const ROUNDED: f64 = 1e-6;
@@ -221,7 +222,8 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         let scale = scale_at(by);
         (ends.map(|end| shown(end, by, scale)).into_iter().sum::<f64>() - (low + high)).abs()
     };
-    // try moves from the whole scene in front of the depth of field to the whole scene behind it
+    // try moves between two extremes: the whole scene is in front of the depth of field, or the
+    // whole scene is behind it
     let (first, last) = ((low - nearest).min(0.0).max(least), (high - farthest).max(0.0).max(least));
     let at = |i: usize| first + (last - first) * i as f64 / (TRIED - 1) as f64;
     let moves = if means.moves { TRIED } else { 0 };

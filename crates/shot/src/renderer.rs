@@ -35,7 +35,8 @@ pub struct SceneRenderer {
 impl SceneRenderer {
     /// Prepares a scene.
     ///
-    /// # Errors If the scene cannot be rendered, or the task was cancelled.
+    /// # Errors
+    /// If the scene cannot be rendered, or the task was cancelled.
     pub fn new(scene: Arc<Scene>, task: Task<'_>) -> Result<Self, ShotError> {
         let has_surfaces = !scene.instances.is_empty();
         // splats bring their own light, so warnings about missing light do not apply
@@ -46,7 +47,8 @@ impl SceneRenderer {
     }
 
     /// Returns z of the first surface or splat along the central ray of every pixel of a view,
-    /// `[row][col]`. It is in display space, mm, and NaN where there is none.
+    /// `[row][col]`. The depth is in display space, mm, and NaN where the ray hits neither surface
+    /// nor splat.
     ///
     /// # Errors
     /// When the geometry or the view is out of range, or when cancelled.

@@ -18,7 +18,8 @@ pub trait Subject {
 
     /// The scene prepared for rendering; prepared at the first call.
     ///
-    /// # Errors If the scene cannot be rendered, or the task was cancelled.
+    /// # Errors
+    /// If the scene cannot be rendered, or the task was cancelled.
     fn renderer(&self, task: Task<'_>) -> Result<&SceneRenderer, Self::Error>;
 
     /// Returns the cached result of `kind` with the key `of`, or computes it by `make` and caches

@@ -41,7 +41,7 @@ pub trait Lanes: Copy {
     /// addend − self · factor, rounded as [`mul_add`](Self::mul_add).
     unsafe fn neg_mul_add(self, factor: Self, addend: Self) -> Self;
     /// self · factor + addend. All machines except WebAssembly round it once, so they give the same
-    /// bits. Those without an instruction for it call a library function for each lane.
+    /// bits. Machines without an instruction for it call a library function for each lane.
     unsafe fn fused_mul_add(self, factor: Self, addend: Self) -> Self;
     /// addend − self · factor, rounded as [`fused_mul_add`](Self::fused_mul_add).
     unsafe fn fused_neg_mul_add(self, factor: Self, addend: Self) -> Self;

@@ -27,7 +27,7 @@ fn cloud(count: usize, degree: usize) -> Cloud {
     cloud
 }
 
-/// Returns the largest differences between two clouds. They are of positions, logarithms of scales,
+/// Returns the largest differences between two clouds: of positions, logarithms of scales,
 /// directions of axes, opacities, constant harmonics and higher harmonics.
 fn differences(a: &Cloud, b: &Cloud) -> [f32; 6] {
     assert_eq!((a.len(), a.degree), (b.len(), b.degree));

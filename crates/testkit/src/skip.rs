@@ -1,4 +1,4 @@
-//! Tests with requirements that a machine may lack: other people's files, Python packages,
+//! Tests with requirements that a machine may lack: files of third parties, Python packages,
 //! programs.
 //!
 //! If the environment variable `CI` is set, all requirements must be present: a test that would be

@@ -9,7 +9,8 @@ import signal
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C also ends a call into C++
 request = json.loads(sys.stdin.buffer.read().decode("utf-8"))
-# The package goes to the original standard output, output of libraries to standard error.
+# The scene package is written to the original standard output. Descriptor 1 now leads to standard
+# error, so output of libraries cannot enter the package.
 out = os.dup(1)
 os.dup2(2, 1)
 os.lseek(out, 0, os.SEEK_SET)

@@ -1,4 +1,5 @@
-"""Makes the entries of meshes at one time code. An entry refers to arrays."""
+"""Makes the scene package's entries of meshes at one time code. An entry refers to arrays in the
+package."""
 
 from pxr import UsdGeom, Vt
 

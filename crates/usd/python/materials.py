@@ -116,7 +116,8 @@ def widened(values, count):
 
 
 def fallback(found, count):
-    """The replacement for an unknown calculation: its input if this is constant, or else None."""
+    """Returns the replacement for a calculation that is not supported: its input if the input is
+    constant, otherwise None."""
     return None if found is None or "value" not in found else constant(widened(found["value"], count))
 
 
@@ -131,7 +132,9 @@ class Graph:
     # Inputs
 
     def producer(self, given):
-        """Source of an input: (constant attribute, None, None) or (None, shader, output name)."""
+        """Returns the source of an input as (attribute, shader, output name). A constant has only
+        the attribute. A connected shader has only shader and output name. All are None without a
+        source."""
         if not given:
             return None, None, None
         found = UsdShade.Utils.GetValueProducingAttributes(given)
@@ -251,7 +254,8 @@ class Graph:
             "bias": [0.0] * count,
             "fallback": back,
             "wrap": [ADDRESS_MODES.get(mode, "repeat") for mode in modes],
-            # MaterialX converts a picture only if the input names a colour space, and only colours.
+            # MaterialX converts only colours, and converts them only if the input names a colour
+            # space.
             "color_space": self.color_space(shader, "raw") if "color" in kind else "raw",
         }
         texture["primvar"], transform = self.coordinates(shader.GetInput("texcoord"), 0)
@@ -270,8 +274,8 @@ class Graph:
         found = self.get(shader, "in")
         if found is None or "texture" not in found:
             return None
-        # With the space "object" the node only decodes the picture. UsdPreviewSurface expects that
-        # decoded vector in tangent space, so for it both spaces mean the same.
+        # With the space "object" the node only decodes the picture. UsdPreviewSurface reads a
+        # decoded vector as tangent space, so for this shader the two spaces do not differ.
         if self.text(shader, "space", "tangent") != "tangent" and self.model != "UsdPreviewSurface":
             self.writer.warn(shader.GetPath(), "normal maps in object space are not supported; this one is left out")
             return None
@@ -280,8 +284,8 @@ class Graph:
         return {"texture": rescaled(texture, [scale[0], scale[1], 1.0], [0.0] * 3)}
 
     def operation(self, shader, kind, output):
-        """Arithmetic of MaterialX on constants, and on textures if the result is a scale and a
-        bias."""
+        """Computes the result of a MaterialX node of arithmetic. Its inputs may be constants. They
+        may be textures if the result is a texture with another scale and bias."""
         parts = kind[3:].split("_")
         name, count = parts[0], SIZES.get(parts[-1].replace("FA", ""), 3)
         if name == "convert":
@@ -390,7 +394,7 @@ class Graph:
             values = widened(found["value"], count)
             length = math.sqrt(sum(value * value for value in values))
             return constant([value / length for value in values] if length > 0.0 else values)
-        # Only the direction of a normal map matters, not its length.
+        # The map needs no change, since its length is ignored and only its direction has an effect.
         return found
 
     def do_transformnormal(self, shader, count, output):
@@ -447,8 +451,8 @@ class Graph:
         textures = [found["texture"] for found in parts if "texture" in found]
         if not textures:
             return constant([found["value"][0] for found in parts]) if all("value" in found for found in parts) else None
-        # Channels of one picture with the same texture coordinates become one texture. An example
-        # is a normal map with inverted green.
+        # If all channels come from one picture with equal texture coordinates, they become one
+        # texture. An example is a normal map whose green channel is inverted.
         first = textures[0]
         shared = ("image", "wrap", "color_space", "primvar", "transform")
         if any(texture[key] != first[key] for texture in textures for key in shared):

@@ -1,9 +1,8 @@
 """Definitions of MaterialX's surface shaders, for an OpenUSD whose MaterialX library lacks them.
 
 OpenUSD drops shaders of a .mtlx file without a known definition, and the wheel usd-exchange
-contains only the definition of OpenPBR. This module adds the inputs (names, types, defaults) of
-the other surface shaders. It also adds those nodes of UsdPreviewSurface that `materials` reads.
-"""
+contains only the definition of OpenPBR. This module adds the inputs (names, types, defaults) of the
+other surface shaders. It also adds the nodes of UsdPreviewSurface that `materials` reads. """
 
 import contextlib
 import os
@@ -13,7 +12,8 @@ import tempfile
 from pxr import Plug, Sdf
 
 SEARCHED = "PXR_MTLX_PLUGIN_SEARCH_PATHS"
-# type: name=default, ...; a number is the default of all components of a colour or vector
+# Every line is a type, a colon, and pairs `name=default`. A single number is the default of all
+# components of a colour or vector.
 SHADERS = {
     ("ND_standard_surface_surfaceshader", "standard_surface"): """
         float: base=1 diffuse_roughness=0 metalness=0 specular=1 specular_roughness=0.2 specular_IOR=1.5 specular_anisotropy=0 specular_rotation=0

@@ -5,7 +5,7 @@ from pxr import UsdGeom
 from lumistack_usd import geometry
 
 AXIS = {"X": "x", "Y": "y", "Z": "z"}
-# type of an implicit shape: the attributes that define its size
+# For each type of implicit shape, the attributes that define its size.
 SOLIDS = {
     "Sphere": ("radius",),
     "Cube": ("size",),

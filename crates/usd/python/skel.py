@@ -44,8 +44,8 @@ class Skeletons:
         )
 
     def pose(self, prim, writer):
-        """(points, normals) of a posed mesh, in the mesh's own space; None without a pose. Normals
-        are (interpolation, values), or None."""
+        """Returns (points, normals) of a posed mesh, in the mesh's own space; None without a pose.
+        Normals are (interpolation, values), or None."""
         found = self.skinned.get(prim.GetPath())
         if found is None:
             return None

@@ -67,8 +67,8 @@ def field(prim, writer, time):
 
 
 def values(prim, name, writer, time):
-    """The array of an attribute in float precision, or else in half precision, whose name ends with
-    h."""
+    """Returns the array of the attribute `name`. If it has no values, returns the array of the
+    half-precision attribute, whose name ends with h."""
     for name in (name, name + "h"):
         found = geometry.value(prim.GetAttribute(name), time, writer)
         if found is not None and found["shape"][0]:
@@ -77,8 +77,8 @@ def values(prim, name, writer, time):
 
 
 def colour_space(prim):
-    """Name of the colour space of the attribute, or else of the nearest ancestor that has one;
-    empty if none has one."""
+    """Returns the name of the colour space of the harmonics. If they declare none, returns the
+    colour space of the prim or of its nearest ancestor that declares one."""
     for name in (HARMONICS, HARMONICS + "h"):
         attribute = prim.GetAttribute(name)
         if attribute and attribute.GetColorSpace():

@@ -1,9 +1,9 @@
 """Converts a stage to a scene package: visible prims at a time, their transforms and materials.
 
 Prototypes of native instancing and of point instancers are read once. A placement is a chain of
-links, innermost first: a point is transformed by the links from left to right (`p' = p · M`, row
-vectors as in USD). A link is one matrix, or an array of matrices, which makes one copy per matrix.
-"""
+links, the innermost first. The links transform a point one after another, from left to right (`p' =
+p · M`, row vectors as in USD). A link is one matrix, or an array of matrices, which makes one copy
+per matrix. """
 
 import array
 import os
@@ -149,6 +149,8 @@ def choose_variants(stage, wanted, writer):
                     changed = True
             if not changed:
                 break
+        else:
+            writer.warn(text, "the selection added variant sets eight times; later ones may keep their own selections")
         if not found:
             shown = list(known.values())
             listed = "; ".join(shown[:12]) + ("; and %d more" % (len(shown) - 12) if len(shown) > 12 else "")
@@ -156,7 +158,7 @@ def choose_variants(stage, wanted, writer):
 
 
 def contents(stage):
-    """Returns the choices that the file offers, and the size of its content."""
+    """Returns the choices that the file offers, and its numbers of prims, meshes and points."""
     sets = [
         {"place": "%s{%s}" % (prim.GetPath(), name), "choices": list(choices), "selected": selection}
         for prim, name, choices, selection in variant_sets(stage)
@@ -221,7 +223,8 @@ class Walker:
         self.writer.instances.append({"geometry": index, "materials": list(bound), "chain": chain})
 
     def single(self, kind, entry, links):
-        """Adds a light or a camera. One inside a point instancer is left out with a warning."""
+        """Adds a light or a camera. A light or camera inside a point instancer is left out with a
+        warning."""
         if len(links) != 1:
             self.writer.warn(entry["place"], "a %s inside a point instancer is left out" % kind)
             return
@@ -231,8 +234,8 @@ class Walker:
     # Prims
 
     def frame(self, root, predicate, children_only=False):
-        """All visible content of a prim and its descendants: (kind, payload, links). The links lead
-        to the space of the prim's parent."""
+        """Returns all visible content of a prim and its descendants, each piece as (kind, payload,
+        links). The links transform the piece to the space of the prim's parent."""
         placed = []
         info = UsdGeom.Imageable(root).ComputePurposeInfo() if not root.IsPseudoRoot() else None
         todo = [(root, IDENTITY, info)]
@@ -302,7 +305,8 @@ class Walker:
         return ("light", light) if light else None
 
     def geometry(self, prim):
-        """Index of a shape, and its subsets with materials; a shape in a prototype is read once."""
+        """Returns the index of a shape in the package, and the shape's subsets of faces that have
+        their own materials. A shape in a prototype is read once."""
         key = (source(prim).GetPath(), self.inherited_primvars(prim), self.skeletons.key(prim))
         if key not in self.geometries:
             if prim.IsA(UsdGeom.Mesh):
@@ -376,8 +380,8 @@ class Walker:
         return self.frames[key]
 
     def is_unlike_others(self, prim):
-        """True if instances of one prototype may have different content: by collection bindings of
-        an ancestor, or by a skeleton outside of the prototype."""
+        """True if instances of one prototype may have different content. They may, if a collection
+        of an ancestor binds materials, or if a skeleton is outside of the prototype."""
         while prim and not prim.IsPseudoRoot():
             if prim.IsA(UsdSkel.Root) or any("material:binding:collection" in name for name in prim.GetPropertyNames()):
                 return True
@@ -424,7 +428,8 @@ class Walker:
         return placed
 
     def put_preferred_camera_first(self):
-        """Moves the camera that some programs record as preferred to the start of the list."""
+        """Moves the preferred camera, which some programs record in the file, to the start of the
+        list."""
         settings = self.stage.GetRootLayer().customLayerData.get("cameraSettings")
         preferred = settings.get("boundCamera") if isinstance(settings, dict) else None
         self.writer.cameras.sort(key=lambda entry: entry["place"] != preferred)

@@ -41,7 +41,7 @@ const BOOT: &str = include_str!("../python/blend.py");
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct BlendContents {
-    /// Names of the file's scenes; the active scene is read.
+    /// Names of the file's scenes. An export reads the active scene.
     pub scenes: Vec<String>,
     /// First and last frame of the active scene.
     pub frames: [i32; 2],
@@ -85,7 +85,8 @@ pub struct BlendAccount {
     pub files: Vec<PathBuf>,
     /// Files to which the scene refers, but which do not exist.
     pub missing: Vec<PathBuf>,
-    /// Input of the scene, other than `files`, whose changes cannot be detected.
+    /// Description of an input of the scene that is not in `files`, so that its changes cannot be
+    /// detected. `None` if all inputs are files.
     pub untracked: Option<String>,
     /// Content that could not be exported: place and message.
     pub warnings: Vec<(String, String)>,
@@ -235,7 +236,7 @@ struct Failure {
 
 /// The failure of one Blender, or of one Python with bpy.
 enum Failed {
-    /// This program cannot read the file, so the next one is tried, if there is one.
+    /// This program cannot read the file. The next program is tried, if one remains.
     Unfit(String),
     Final(UsdError),
 }

@@ -35,7 +35,7 @@ pub const MODULES: [(&str, &str); 9] = [
 const BOOT: &str = include_str!("../python/boot.py");
 /// Time between two checks of a running child process.
 const POLL: Duration = Duration::from_millis(5);
-/// Number of bytes that are kept of a child's standard error. They are the last ones.
+/// Number of bytes at the end of a child's standard error that are kept.
 const SAID: usize = 16 << 10;
 
 /// The task of the walker, which it reads as JSON.
@@ -67,7 +67,7 @@ impl Answer {
 
 /// The failure of one Python.
 enum Failed {
-    /// This Python cannot read USD files, so the next one is tried, if there is one.
+    /// This Python cannot read USD files. The next Python is tried, if one remains.
     Unfit(String),
     Final(UsdError),
 }

@@ -91,9 +91,9 @@ const ROUNDING: f32 = 1e-5;
 /// A sample of a curve: its value is a weighted sum of values at control points.
 #[derive(Clone, Debug, Default)]
 struct Sample {
-    /// Indices of control points within the curve, with the weights of their values.
+    /// Pairs of the index of a control point within the curve, and the weight of its value.
     points: Vec<(usize, f32)>,
-    /// Indices of ends of segments within the curve, with the weights of their values.
+    /// Pairs of the index of a segment's end within the curve, and the weight of its value.
     ends: Vec<(usize, f32)>,
 }
 

@@ -85,8 +85,8 @@ impl Geometry {
         }
     }
 
-    /// Fails unless the surface is closed and all triangles have the same orientation: every edge,
-    /// by position, has one triangle on each side.
+    /// Fails unless the surface is closed and all triangles have the same orientation. Then every
+    /// edge, which is identified by the positions of its ends, has one triangle on each side.
     pub(crate) fn assert_closed(&self) {
         use std::collections::HashMap;
         let key = |i: u32| self.positions[i as usize].to_array().map(|x| (x * 1e4).round() as i64);

@@ -215,7 +215,8 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// Tolerance of a tessellated area or volume: a circle of 96 segments lacks 0.07 % of its area.
+    /// Largest relative error of a tessellated area or volume. A polygon of 96 sides has 0.07 %
+    /// less area than its circle.
     const TESSELLATION: f64 = 2e-3;
 
     fn check(geometry: &Geometry, area: f64, volume: f64) {
@@ -248,8 +249,8 @@ mod tests {
         let geometry = capsule(top, bottom, height, Axis::Z);
         geometry.assert_sound();
         geometry.assert_closed();
-        // along its normal, every vertex is as far out as the outermost point of the capsule's two
-        // balls
+        // measured along its normal, each vertex is as far from the centre as the farthest point of
+        // the capsule's two balls
         for (&position, &normal) in geometry.positions.iter().zip(&geometry.normals) {
             let support = (top + normal.z * 0.5 * height).max(bottom - normal.z * 0.5 * height);
             assert!((position.dot(normal) - support).abs() < 1e-5, "{position} {normal}");

@@ -148,7 +148,7 @@ impl Cutter {
             self.triangles.extend([[hub, hub + 1, hub + 2], [hub, hub + 2, (hub + 3) % 4]]);
             return &self.triangles;
         }
-        // Project a concave polygon to its plane, and clip its ears there.
+        // Project a concave polygon to its plane, and clip its ears in this plane.
         if !convex && normal != DVec3::ZERO {
             let (x, y) = normal.normalize().any_orthonormal_pair();
             self.flat.clear();

@@ -78,7 +78,7 @@ pub struct Note {
     pub message: String,
 }
 
-/// The choices that a stage offers, and the size of its content.
+/// The choices that a stage offers, and its numbers of prims, meshes and points.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Contents {
@@ -279,7 +279,7 @@ pub(crate) struct SplatsEntry {
     /// True if splats are flat: discs in their own xy plane.
     #[serde(default)]
     pub(crate) flat: bool,
-    /// USD's name of the colours' space; empty if the file has none.
+    /// USD's name of the colour space of the splats' colours; empty if the file names none.
     #[serde(default)]
     pub(crate) colour_space: String,
 }

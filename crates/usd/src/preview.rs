@@ -1,16 +1,18 @@
 //! UsdPreviewSurface, version 2.6.
 //!
 //! The dielectric has the scene's formula F₀ = ((1 − ior)/(1 + ior))² with F₉₀ = 1. In the specular
-//! workflow F₀ is `specularColor`, and the index of refraction is set to 0.
+//! workflow F₀ is `specularColor`. The index of refraction is then set to 0, for which the formula
+//! gives 1. So the specular colour alone determines F₀.
 //!
-//! Opacity is coverage. With `opacityMode` "transparent" reflections would not fade with the
-//! opacity; this mode is read as "presence".
+//! Opacity is the covered fraction of the surface, as in the `opacityMode` "presence". In the mode
+//! "transparent", reflections should not fade with the opacity, but here they do.
 
 use glam::Vec3;
 
 use crate::slots::{Builder, Inputs, Value};
 
-/// Inputs that have no effect here, with their defaults. A warning names those with other values.
+/// Inputs that have no effect here, with their defaults. A warning names each of these inputs that
+/// has another value.
 const WITHOUT: [(&str, f32); 1] = [("displacement", 0.0)];
 
 pub(crate) fn build(builder: &mut Builder<'_, '_>, inputs: &Inputs) -> &'static [(&'static str, f32)] {

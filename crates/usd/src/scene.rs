@@ -23,8 +23,8 @@ use crate::polygons::{self, Corner, Interpolation, Polygons, UvNames};
 use crate::texture::Textures;
 use crate::{mesh, refine, shapes, splats};
 
-/// Largest number of instances of meshes and clouds. Nested copies in a small file can request any
-/// number.
+/// Largest number of instances of meshes and clouds. Nested copies in a small file could request
+/// any number, so the number is limited.
 const MOST_INSTANCES: usize = 1 << 26;
 /// Albedo of a surface without a material and without a display colour, as in UsdPreviewSurface.
 const GREY: f32 = 0.18;
@@ -282,7 +282,7 @@ impl<'a> Assembly<'a> {
         }
     }
 
-    /// Returns the matrices of a link, without those of hidden copies and of other prototypes.
+    /// Returns the matrices of a link, except matrices of hidden copies and of other prototypes.
     fn link(&self, link: &Link, place: &str) -> Result<Vec<DAffine3>, Fault> {
         let matrices = self.package.matrices(&link.matrices, place)?;
         let column = |array: &Option<crate::package::Array>| -> Result<Option<Vec<i64>>, Fault> {
@@ -421,7 +421,7 @@ impl<'a> Assembly<'a> {
     }
 
     /// Returns the index of the material for a mesh to which the file binds none. The `bool` is
-    /// true if vertex colours multiply it.
+    /// true if vertex colours multiply the material's colour.
     fn plain(&mut self, polygons: &Polygons) -> (usize, bool) {
         let constant = |interpolation| interpolation == Interpolation::Constant;
         let color = polygons.colors.as_ref();

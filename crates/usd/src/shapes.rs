@@ -117,6 +117,14 @@ pub(crate) fn curves(
         None => Vec::new(),
     };
     let counts: Vec<i32> = counts.into_iter().map(|count| i32::try_from(count).unwrap_or(0)).collect();
+    let wanted = counts.iter().fold(0usize, |sum, &count| sum.saturating_add(usize::try_from(count).unwrap_or(0)));
+    if wanted > points.len() {
+        let message = format!(
+            "curveVertexCounts: expected counts of {} points in all, found {wanted}; the last curves are left out",
+            points.len()
+        );
+        task.warn(place, message);
+    }
     let cubic = |name: &str| match name {
         "bezier" => Ok(Basis::Bezier),
         "bspline" => Ok(Basis::BSpline),
@@ -159,8 +167,8 @@ pub(crate) fn curves(
     }))
 }
 
-/// Returns the middle point of every curve. The spacing of curves is measured there, since many
-/// curves may begin at the same point.
+/// Returns the middle point of every curve. The spacing of curves is measured at their middle
+/// points, since many curves may begin at the same point.
 fn middles(points: &[Vec3], counts: &[i32]) -> Vec<Vec3> {
     let mut first = 0usize;
     let middle = |&count: &i32| {

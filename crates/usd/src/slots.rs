@@ -54,7 +54,8 @@ impl Value<1> {
 /// Index of refraction that every clearcoat has in this renderer.
 const COAT_INDEX: f32 = 1.5;
 
-/// The inputs of a shader. A record of those that were read shows which inputs have no effect.
+/// The inputs of a shader. `read` has the names of inputs that were read; inputs that were never
+/// read have no effect.
 pub(crate) struct Inputs {
     inputs: BTreeMap<String, Input>,
     read: RefCell<BTreeSet<&'static str>>,
@@ -110,8 +111,8 @@ impl Inputs {
     }
 
     /// Returns the names of inputs that have no effect although they differ from their defaults.
-    /// `known` lists inputs without a counterpart, with the default of their first component. The
-    /// names include textures where only a constant is supported.
+    /// `known` lists inputs without a counterpart, with the default of their first component.
+    /// Inputs of this list that have a texture are also returned.
     pub(crate) fn ignored(&self, known: &[(&'static str, f32)]) -> Vec<String> {
         let read = self.read.borrow();
         let matters = |name: &str, input: &Input| {
@@ -397,8 +398,9 @@ fn tinted(source: &Source, color: [f32; 3]) -> Source {
     }
 }
 
-/// Splits a texture's scale into a factor and a texture without scale. If the scale is not in
-/// range, the factor is 1 and the texture keeps its scale.
+/// Splits a texture's scale into a factor and a texture without scale. If there is a bias, or the
+/// scale is not in 0..1, the factor is 1 and the texture is unchanged. Emission may have any scale
+/// ≥ 0.
 fn factored(source: &Source, kind: Kind) -> (Vec3, Source) {
     let largest = if kind == Kind::Light { f32::MAX } else { 1.0 };
     let plain =

@@ -2,8 +2,8 @@
 
 use glam::Vec3;
 
-/// Largest number of positions whose nearest neighbour is searched. The median of so many is
-/// enough.
+/// Largest number of positions whose nearest neighbour is searched. The median of so many distances
+/// is accurate enough.
 const ASKED: usize = 256;
 
 /// A rule for a width: a fraction of the distance between neighbours, within bounds. The bounds are

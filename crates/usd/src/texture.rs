@@ -161,8 +161,9 @@ impl<'a> Textures<'a> {
     }
 
     /// Returns a texture with these channels, for the coordinate set `uv_set`. `None` if no channel
-    /// has a picture, or if a picture cannot be read; callers then use the shader's fallback. If
-    /// placements differ, all channels use the placement of the first component.
+    /// has a picture, or if a picture cannot be read; callers then use the shader's fallback. All
+    /// channels use the primvar, transform and wrap rules of the first component; a warning reports
+    /// if other channels differ.
     pub(crate) fn slot(
         &mut self,
         channels: [Channel<'_>; 4],
@@ -174,7 +175,7 @@ impl<'a> Textures<'a> {
             Channel::Component(source, _) => Some(*source),
             _ => None,
         })?;
-        // Decode every picture, and warn if their placements differ.
+        // Decode every picture. Warn if channels differ in primvar, transform or wrap rules.
         for channel in &channels {
             if let Channel::Component(source, _) = channel {
                 self.picture(source.image)?;
@@ -406,7 +407,8 @@ fn direct(channels: &[Channel<'_>; 4], kind: Kind, pictures: &[Option<Rc<Picture
     }
 }
 
-/// Computes the image of a texture from its channels. Its size is that of its largest picture.
+/// Computes the image of a texture from its channels. The image is as wide as the widest picture
+/// and as high as the highest picture.
 fn bake(readers: &[Reader<'_>], kind: Kind) -> Image {
     let sizes = readers.iter().filter_map(|reader| reader.picture);
     let (width, height) =

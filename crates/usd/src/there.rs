@@ -12,8 +12,8 @@ use crate::{UsdError, blend};
 const BPY: &str = "import sys\ntry: import bpy\nexcept ImportError as error: sys.exit(str(error))\n\
     print('Blender', bpy.app.version_string, 'as a module')";
 
-/// The program that reads a kind of file, and its version. If there is none, the programs that were
-/// tried, each with its failure.
+/// `Ok` has the program that reads a kind of file, and its version. `Err` lists the programs that
+/// were tried, each with its failure, if none can read the file.
 pub type There = Result<(String, String), Vec<String>>;
 
 /// Finds the Python that reads USD files.

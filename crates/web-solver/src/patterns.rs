@@ -1,7 +1,6 @@
 //! Encodes patterns for the viewer and for the command.
 
 use lumistack_display::{Backlight, Display, LayerStack, Projection, StackIndex};
-use npyz::{DType, WriteOptions, WriterBuilder};
 use serde_json::{Value, json};
 
 use crate::decoders;
@@ -86,33 +85,36 @@ pub fn preview(display: &Display, title: &str) -> Result<String, Error> {
 /// # Errors
 /// If the zip becomes too large.
 pub fn zip(display: &Display, stack: &LayerStack, job: &str) -> Result<Vec<u8>, Error> {
-    let failed = |error: &dyn std::fmt::Display| Error(format!("zip: {error}"));
+    let failed = |error: serde_json::Error| Error(format!("zip: {error}"));
     let index = StackIndex::of(display, stack);
     let mut files = vec![("job.toml".to_owned(), job.as_bytes().to_vec())];
-    let mut array = |name: &str, shape: &[usize], data: &[f32]| -> Result<(), Error> {
-        files.push((format!("layers/{name}"), npy(shape, data).map_err(|error| failed(&error))?));
-        Ok(())
-    };
+    let mut array =
+        |name: &str, shape: &[usize], data: &[f32]| files.push((format!("layers/{name}"), npy(shape, data)));
     for (entry, layer) in index.layers.iter().zip(&stack.layers) {
-        array(&entry.file, &layer.shape(), layer.data())?;
+        array(&entry.file, &layer.shape(), layer.data());
     }
     if let Some(emission) = &stack.emission {
-        array(StackIndex::EMISSION, &emission.shape(), emission.data())?;
+        array(StackIndex::EMISSION, &emission.shape(), emission.data());
     }
-    let text = serde_json::to_string_pretty(&index).map_err(|error| failed(&error))?;
+    let text = serde_json::to_string_pretty(&index).map_err(failed)?;
     files.push((format!("layers/{}", StackIndex::FILE), text.into_bytes()));
-    let display = serde_json::to_string(display).map_err(|error| failed(&error))?;
+    let display = serde_json::to_string(display).map_err(failed)?;
     decoders::pack(&display, &files).map_err(Error)
 }
 
-/// Writes a row-major array of `float32` as a NumPy file.
-fn npy(shape: &[usize], data: &[f32]) -> std::io::Result<Vec<u8>> {
-    let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
-    let dtype = DType::new_scalar("<f4".parse().map_err(|_| std::io::Error::other("no float32 type"))?);
-    let mut bytes = Vec::with_capacity(4 * data.len() + 128);
-    WriteOptions::new_header_only().dtype(dtype).shape(&shape).writer(&mut bytes).write_header_only()?;
+/// Writes a row-major array of `float32` with at least two axes as a NumPy file, format 1.0. A
+/// library for arrays of all types would be 5 kB of the compressed module.
+fn npy(shape: &[usize], data: &[f32]) -> Vec<u8> {
+    let shape = format!("{shape:?}");
+    let shape = shape.trim_matches(['[', ']']);
+    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape}), }}");
+    // the data begins at byte 128
+    let header = format!("{header:117}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.bytes());
     bytes.extend(data.iter().flat_map(|value| value.to_le_bytes()));
-    Ok(bytes)
+    bytes
 }
 
 /// Values of a display as JSON; the page sets its sliders to these values.

@@ -99,6 +99,21 @@ impl Solver {
         self.work.warnings()
     }
 
+    /// Number of a view that another thread may trace; `undefined` if there is none.
+    pub fn give(&mut self) -> Option<usize> {
+        self.work.give()
+    }
+
+    /// Traces a view for another thread's solver, which gave its number.
+    pub fn trace(&mut self, number: usize) -> Thrown<Vec<f32>> {
+        Ok(self.work.trace(number)?)
+    }
+
+    /// Takes the values of a view that another thread traced.
+    pub fn take(&mut self, number: usize, values: Vec<f32>) -> Thrown<()> {
+        Ok(self.work.take(number, values)?)
+    }
+
     /// The viewer's `preview.json` for patterns of the current display.
     pub fn preview(&self, title: &str) -> Thrown<String> {
         Ok(patterns::preview(self.work.display(), title)?)

@@ -43,6 +43,8 @@ pub(crate) struct Views {
     /// Traced views in the order of the grid; `None` for views that are not traced yet.
     splits: Vec<Option<SplitView>>,
     splats: Vec<Option<Tensor<3>>>,
+    /// True for views that another thread was asked to trace.
+    given: Vec<bool>,
     /// Depths of all views, once they are traced.
     depths: Option<Depths>,
 }
@@ -108,6 +110,7 @@ impl Views {
             light: LightJob::default(),
             splits: (0..count).map(|_| None).collect(),
             splats: (0..count).map(|_| None).collect(),
+            given: vec![false; count],
             depths: None,
             geometry,
         })
@@ -135,18 +138,52 @@ impl Views {
         self.held.renderer.splats.is_some()
     }
 
-    /// Traces a view with `samples` paths per pixel. The result replaces an earlier result for this
-    /// view.
+    /// Traces a view with `samples` paths per pixel.
     ///
     /// # Errors
     /// If the view cannot be rendered.
-    pub(crate) fn trace(&mut self, view: [usize; 2], samples: u32, task: Task<'_>) -> Result<(), Error> {
+    pub(crate) fn trace(&self, view: [usize; 2], samples: u32, task: Task<'_>) -> Result<SplitView, Error> {
         let paths = Paths { samples, ..self.paths };
-        let window = &self.placement.window;
-        let split = self.held.renderer.tracer.render_split(window, &self.traced, view, &paths, task)?;
-        let at = self.number(view);
-        self.splits[at] = Some(split);
-        Ok(())
+        Ok(self.held.renderer.tracer.render_split(&self.placement.window, &self.traced, view, &paths, task)?)
+    }
+
+    /// Traces the view of this number with all its samples.
+    ///
+    /// # Errors
+    /// If the view cannot be rendered.
+    pub(crate) fn trace_whole(&self, number: usize, task: Task<'_>) -> Result<SplitView, Error> {
+        let cols = self.geometry.grid.views()[1];
+        self.trace([number / cols, number % cols], self.samples(), task)
+    }
+
+    /// Keeps a traced view. It replaces an earlier result for this view.
+    pub(crate) fn keep(&mut self, view: [usize; 2], split: SplitView) {
+        let number = self.number(view);
+        self.splits[number] = Some(split);
+    }
+
+    /// Keeps the values of a view that another thread traced.
+    ///
+    /// # Errors
+    /// If there is no such view, or it has another number of values.
+    pub(crate) fn keep_values(&mut self, number: usize, values: Vec<f32>) -> Result<(), Error> {
+        let found = values.len();
+        let mut split =
+            Tensor::zeros(["row", "col", "part"], [self.geometry.rows, self.geometry.cols, SplitView::VALUES]);
+        match self.splits.get_mut(number) {
+            Some(place) if split.data().len() == found => {
+                split.data_mut().copy_from_slice(&values);
+                *place = SplitView::from_values(split);
+                Ok(())
+            }
+            _ => Err(Error::value("view", "the values of a view", found)),
+        }
+    }
+
+    /// Returns the number of a view. Only the first call for this view returns it.
+    pub(crate) fn give(&mut self, view: [usize; 2]) -> Option<usize> {
+        let number = self.number(view);
+        (!std::mem::replace(&mut self.given[number], true)).then_some(number)
     }
 
     /// Renders the splats of some views.
@@ -165,7 +202,7 @@ impl Views {
         })
     }
 
-    fn number(&self, [y, x]: [usize; 2]) -> usize {
+    pub(crate) fn number(&self, [y, x]: [usize; 2]) -> usize {
         y * self.geometry.grid.views()[1] + x
     }
 

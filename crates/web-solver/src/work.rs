@@ -236,6 +236,52 @@ impl Work {
         }
     }
 
+    /// Returns the number of a view for another thread to trace; `None` if there is none. Each view
+    /// is returned once. The last views are returned first, since this work traces the first views
+    /// next.
+    pub fn give(&mut self) -> Option<usize> {
+        let views = self.views.as_mut()?;
+        // the first piece is traced by this work in any case
+        self.pieces.iter().skip(1).rev().find_map(|piece| match piece {
+            Piece::Trace { view, .. } => views.give(*view),
+            _ => None,
+        })
+    }
+
+    /// Traces a view with all its samples for another work, which gave its number. That work must
+    /// have the same scene and settings. Returns the values of a
+    /// [`lumistack_pathtracer::SplitView`].
+    ///
+    /// # Errors
+    /// If the scene is not placed yet, or there is no such view.
+    pub fn trace(&mut self, number: usize) -> Result<Vec<f32>, Error> {
+        let task = Task::quiet(&self.warnings, &self.cancel);
+        Ok(views(&mut self.views)?.trace_whole(number, task)?.values().data().to_vec())
+    }
+
+    /// Takes the values of a view that another thread traced, and does not trace the view itself.
+    ///
+    /// # Errors
+    /// If the scene is not placed yet, there is no such view, or it has another number of values.
+    pub fn take(&mut self, number: usize, values: Vec<f32>) -> Result<(), Error> {
+        let views = views(&mut self.views)?;
+        views.keep_values(number, values)?;
+        // Drop the pieces that trace this view, and every refresh without a view to trace since the
+        // refresh before it.
+        let (mut has_shown, mut drops) = (false, false);
+        self.pieces.retain(|piece| {
+            drops = match piece {
+                Piece::Trace { view, .. } if views.number(*view) == number => return false,
+                Piece::Begin(_) => has_shown,
+                Piece::Step | Piece::Show => drops,
+                _ => false,
+            };
+            has_shown = matches!(piece, Piece::Show);
+            !drops
+        });
+        Ok(())
+    }
+
     /// Computes the next piece.
     ///
     /// # Errors
@@ -282,7 +328,11 @@ impl Work {
                 self.planned = self.pieces.len();
                 self.views = Some(views);
             }
-            Piece::Trace { view, samples } => views(&mut self.views)?.trace(view, samples, task)?,
+            Piece::Trace { view, samples } => {
+                let views = views(&mut self.views)?;
+                let split = views.trace(view, samples, task)?;
+                views.keep(view, split);
+            }
             Piece::Splats(some) => views(&mut self.views)?.render_splats(&some, task)?,
             Piece::Begin(picked) => {
                 self.target = Some(views(&mut self.views)?.field(&picked, task)?);
@@ -389,8 +439,9 @@ fn plan_field(iterations: u32) -> VecDeque<Piece> {
     pieces
 }
 
-/// Plans the pieces after the scene is placed: noisy views of a few directions, noisy views of all
-/// directions, views with all their samples, and the last solve.
+/// Plans the pieces after the scene is placed. The first pieces render noisy views of a few
+/// directions, then of all directions. Then follow views with all their samples, and the last
+/// solve.
 fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
     let (first, all) = (Picked::some(views.grid(), FIRST), Picked::all(views.grid()));
     let mut pieces = VecDeque::new();

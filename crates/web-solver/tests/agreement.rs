@@ -1,4 +1,5 @@
-//! The patterns of the page agree with those of the command, and the page's zip is a run folder.
+//! The patterns of the page agree with the patterns of the command, and the page's zip is a run
+//! folder.
 
 use std::io::{Cursor, Read as _};
 use std::path::{Path, PathBuf};
@@ -140,7 +141,7 @@ fn another_display_takes_the_same_scene() {
     assert!(work.stack().is_none() && work.stage() == Stage::Scene);
     finish(&mut work);
     assert_eq!((work.stack().unwrap().layers.len(), work.stack().unwrap().frames()), (2, 2));
-    // after the change, the result equals that of a new solve with the changed settings
+    // after the change, the patterns equal the patterns of a new solve with the changed settings
     let mut fresh =
         Work::new(files(&scene("letters")), "letters.gltf", quick(r#", "layers": 2, "frames": 2"#).unwrap()).unwrap();
     finish(&mut fresh);

@@ -1,5 +1,5 @@
-//! Solves of the page on a device. Their patterns equal the processor's up to rounding, and the
-//! processor continues when the device fails. Without an adapter the tests are skipped.
+//! Solves of the page on a device. Their patterns equal the processor's patterns up to rounding,
+//! and the processor continues when the device fails. Without an adapter the tests are skipped.
 
 use lumistack_display::LayerStack;
 use lumistack_factorizer_gpu::Device;

@@ -9,7 +9,7 @@ use lumistack_core::colour::{srgb_code, srgb_decode};
 /// with the code of the lower end of the value's bin.
 const BINS: usize = 4096;
 
-/// Converts linear values to sRGB codes; the codes are those of [`srgb_code`].
+/// Converts linear values to sRGB codes, with the results of [`srgb_code`].
 pub(crate) struct Encoder {
     /// The code of each bin's lower end.
     start: Vec<u8>,

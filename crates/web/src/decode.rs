@@ -40,8 +40,8 @@ pub(crate) fn decode(file: &File, bytes: &[u8]) -> Result<Vec<u8>, Error> {
     if (rows, cols) != (file.rows, file.cols) {
         return Err(error(&format!("{} × {} pixels", file.cols, file.rows), format!("{cols} × {rows}")));
     }
-    // These five values follow the size: bits per channel (8), kind of colours (2: red, green,
-    // blue), compression (0), set of filters (0), interlacing (0: none).
+    // Five values follow the size: bits per channel (8), kind of colours (2 for red, green, blue),
+    // compression (0), set of filters (0), and interlacing (0 for none).
     if header[8..] != [8, 2, 0, 0, 0] {
         return Err(error("red, green and blue of 8 bits, not interlaced", format!("PNG of kind {:?}", &header[8..])));
     }

@@ -8,7 +8,8 @@
 //!
 //! Table `x` has a row for every combination of a point of the pupil along x, a part, and a layer
 //! or the backlight. A row has one texel per column of the light field. Let `place` be the number
-//! of the point, and N the number of layers:
+//! of the point, `part` the number of the part, and N the number of layers. `parts` and
+//! `rows_per_part` are fields of [`Tables`]:
 //!
 //! ```text
 //! row = (place · parts + part) · rows_per_part
@@ -113,8 +114,9 @@ impl<'a> Cut<'a> {
         Self { list, numbers, width, parts: counts.into_iter().max().unwrap_or(0) }
     }
 
-    /// Writes one row of every part: row number `row` of `rows`, which stands for a layer or the
-    /// backlight. `rays(i)` returns the first three numbers of the texel for part i of the list.
+    /// Every part has `rows` rows, each for a layer or for the backlight. The function writes the
+    /// row with the number `row` of every part. `rays(i)` returns the first three numbers of the
+    /// texel for part i of the list.
     fn fill(&self, table: &mut [f32], [rows, row]: [usize; 2], rays: impl Fn(usize) -> [f32; 3]) {
         for (i, (part, number)) in self.list.iter().zip(&self.numbers).enumerate() {
             let at = 4 * ((number * rows + row) * self.width + part.pixel as usize);

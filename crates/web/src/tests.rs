@@ -217,8 +217,8 @@ fn a_pupil_blurs_what_is_off_the_plane() {
         model.set_options(&json!({"pupil_mm": 6.0, "eye_distance_mm": 60.0}).to_string()).unwrap();
         let linear = model.view_linear([0.0, 0.0]);
         let dark: Vec<usize> = (20..41).filter(|col| linear[3 * (20 * 61 + col)] < 0.999).collect();
-        // The rays from the point at −40 mm to a pupil of 6 mm at 60 mm cover a width of 2.4 mm at
-        // z = 0.
+        // The point is at −40 mm, and the pupil of 6 mm is at 60 mm. The rays between them cover a
+        // width of 2.4 mm at z = 0.
         assert!(if spread { dark.len() >= 2 && dark.len() <= 4 } else { dark == [30] }, "{n}: {dark:?}");
     }
 }

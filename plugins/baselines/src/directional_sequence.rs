@@ -9,9 +9,10 @@
 //! direction k is lit in frame ⌊k·M/A⌋        β = 1/M · Π peak of the layers
 //! ```
 //!
-//! If every direction has its own frame (M = A), all views are exact. With fewer frames the display
-//! is brighter, but neighbouring directions share a frame, in which the layer shows the mean of
-//! their views.
+//! The product Π is over all layers, and the peak of a layer is its largest transmittance. If every
+//! direction has its own frame (M = A), all views are exact. With fewer frames the display is
+//! brighter, but neighbouring directions share a frame, in which the layer shows the mean of their
+//! views.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};

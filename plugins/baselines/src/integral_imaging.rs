@@ -9,8 +9,8 @@
 //! ```
 //!
 //! This mean is the least-squares optimum. All frames are equal, since different frames would not
-//! improve the result. No light is lost by multiplexing: β = Π peak of the layers. Each lenslet is
-//! one pixel of the seen picture.
+//! improve the result. No light is lost by multiplexing, so β is the product of the layers' largest
+//! transmittances. Each lenslet is one pixel of the seen picture.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{BacklightTap, LayerStack, RayMap};

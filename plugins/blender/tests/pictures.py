@@ -211,7 +211,7 @@ def case_overlay(folder, zip_path):
     normal = Vector(window.back)
     assert (Vector(moved.centre) - Vector(window.centre) + 30.0 * window.scale * normal).length < 1e-5
     assert (overlay.arrow_matrix(moved, 30.0).translation - origin).length < 1e-5
-    # The corners of the frame that the user drags are those of the window. Width and height set the
+    # The frame that the user drags has the same corners as the window. Width and height set the
     # window's size.
     held = scene.lumistack
     for grid in ("OBLIQUE", "PERSPECTIVE"):

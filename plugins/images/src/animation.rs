@@ -1,9 +1,9 @@
 //! Writes an animated PNG, seen from a viewpoint that swings through the viewing zone.
 //!
 //! The grid has A_x × A_y views. The viewpoint's position (x, y) is relative to the grid's centre,
-//! in units of views. At time t of the period T, with φ = 2πt/T, x = (A_x − 1)/2 · sin φ. On an
-//! ellipse y = (A_y − 1)/2 · cos φ; from side to side y = 0. After the period the viewpoint is at
-//! its start, so the animation loops without a jump.
+//! in units of views. Let φ = 2πt/T at time t of the period T. Then x = (A_x − 1)/2 · sin φ. On an
+//! ellipse, y = (A_y − 1)/2 · cos φ. If the viewpoint moves only from side to side, y is 0. After
+//! the period the viewpoint is at its start, so the animation loops without a jump.
 
 use std::f64::consts::TAU;
 use std::io::BufWriter;

@@ -4,10 +4,11 @@
 //!   `gt_disp_lowres.pfm`. Cameras with shifted sensors are on a plane at the distance D from the
 //!   display plane. Neighbouring cameras are b = D·Δs apart, where Δs is the step of slope between
 //!   views. Let f = D / pixel pitch. Content at distance Z from the cameras has a disparity of
-//!   b·f·(1/Z − 1/D) pixels between neighbouring cameras. With Z = D − z, that is Δs·D·z/((D −
-//!   z)·pitch); for parallel projections it is Δs·z/pitch. The disparity map belongs to the central
-//!   view, if the host knows the depth of this view. Otherwise the map contains NaN, and the range
-//!   of disparities is computed from the display's depth of field.
+//!   b·f·(1/Z − 1/D) pixels between neighbouring cameras. In display space this content is at the
+//!   depth z = D − Z, and its disparity is Δs·D·z/((D − z)·pitch). For parallel projections the
+//!   disparity is Δs·z/pitch. The disparity map belongs to the central view, if the host knows the
+//!   depth of this view. Otherwise the map contains NaN, and the range of disparities is computed
+//!   from the display's depth of field.
 //! * `stanford/`: `out_RR_CC_<Y>_<X>.png`, with view row RR, view column CC and the camera's centre
 //!   in millimetres, X right, Y down.
 //!

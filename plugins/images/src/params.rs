@@ -249,8 +249,10 @@ impl ImagesParams {
         Ok(())
     }
 
+    /// Checks that at least one requested output can be made from a light field.
+    ///
     /// # Errors
-    /// If no requested output applies to a light field.
+    /// If no requested output can be made from a light field.
     pub(crate) fn check_field(&self) -> Result<(), PluginError> {
         if self.writes_views() {
             return Ok(());

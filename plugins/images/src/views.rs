@@ -38,8 +38,8 @@ impl ViewSource<'_> {
     }
 
     /// Returns the view at the position `at` = [view_y, view_x], in units of views. The position
-    /// may lie between views of the grid. A stack is simulated there, and a light field has its
-    /// nearest view.
+    /// may lie between views of the grid. The view of a stack is simulated. For a light field, the
+    /// nearest view is returned.
     pub(crate) fn between(&self, at: [f64; 2]) -> Result<Vec<f32>, PluginError> {
         match self {
             Self::Stack(stack) => {

@@ -56,8 +56,8 @@ fn assert_png(files: &Files, name: &str, size: [usize; 2], values: &[f32], trans
         let channel = i % 3;
         let exact = encode(transfer, channel, value) * top;
         assert!((f32::from(code) - exact).abs() <= HALF_CODE, "{name}[{i}]: code {code}, value {value} = {exact}");
-        // The decoded code must lie between the decoded values half a code below and half a code
-        // above `exact`.
+        // The light of the found code must lie between the light of two codes, `exact` minus and
+        // `exact` plus half a code.
         let around =
             [exact - HALF_CODE, exact + HALF_CODE].map(|code| decode(transfer, channel, (code / top).clamp(0.0, 1.0)));
         let shown = decode(transfer, channel, f32::from(code) / top);

@@ -49,8 +49,8 @@ impl Arrays {
     }
 }
 
-/// Makes the glTF document. All meshes are below one node, which rotates them from the file's
-/// upward axis and scales them.
+/// Makes the glTF document. All meshes are below one node, which scales them, and turns the file's
+/// upward axis to glTF's.
 pub(crate) fn document(
     models: &[Model],
     materials: &[MtlMaterial],

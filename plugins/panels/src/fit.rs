@@ -9,7 +9,8 @@
 //!
 //! Then s is raised until a pixel of the finest mask covers a whole number of panel pixels, if it
 //! covers at least one. The pitch s differs from the panels' real pitches, so the scene appears
-//! scaled. The distances between the panels would have to be scaled by the same ratio.
+//! scaled. The parallax would be right only if the distances between the panels were scaled by the
+//! same ratio.
 
 use lumistack_plugin::display::{Backlight, Display};
 

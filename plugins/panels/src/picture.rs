@@ -5,7 +5,7 @@
 //! code = round(value · (2^bits − 1))
 //! ```
 //!
-//! The crosstalk is that of the panel's calibration, which the solver did not model. Masks are
+//! The crosstalk comes from the panel's calibration, and the solver did not model it. Masks are
 //! linear light, and are resampled before values become codes. Outside the mask a panel is dark, or
 //! clear if the display has `missing = "clear"`. In a colour sequence panels have no colour
 //! filters, so all three channels get the value of one colour.
@@ -21,8 +21,9 @@ use crate::{Place, Shows};
 const LENS_SAMPLES: usize = 4;
 /// Bits per channel of an output.
 const OUTPUT_BITS: u32 = 8;
-/// Offset before positions are rounded down. It is a little more than half a pixel. So a position
-/// half-way between two pixels belongs to the right or lower pixel, despite rounding errors.
+/// Offset that is added to a position before it is rounded down. It is a little more than half a
+/// pixel. So a position half-way between two pixels belongs to the right or lower pixel, despite
+/// rounding errors.
 const HALF: f64 = 0.5 + 1e-9;
 
 /// Encodes layer stacks for one output. All data that are equal in all frames are computed once.

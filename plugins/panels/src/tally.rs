@@ -66,7 +66,7 @@ pub struct Skew {
 }
 
 /// Largest number of refreshes that wait for the times of further outputs. An output may never
-/// report its time, so older ones are dropped.
+/// report its time, so if more refreshes wait, the oldest are dropped.
 const OPEN: usize = 64;
 
 impl Skew {

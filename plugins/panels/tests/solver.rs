@@ -7,7 +7,7 @@ mod session;
 
 use session::{SWAY, Session};
 
-/// Limit on the time between new stacks, by which a stall is recognized, seconds. A run with a
+/// Time between two new stacks, seconds, above which the solver counts as stalled. A run with a
 /// stall has a gap of at least 2 s. In a run without a stall, a stack arrives every 0.3 s.
 const STALL_S: f64 = 1.5;
 /// Allowed number of additional lost refreshes in a run with a stall, since the machine may be

@@ -5,7 +5,7 @@
 //! columns⌋ × ⌊height / rows⌋ pixels and start at the bottom left. If the quilt's sizes do not
 //! divide evenly, the remaining pixels at the top and right are black. The name ends in
 //! `_qs<columns>x<rows>a<aspect>`. The aspect is the width over the height of a view as a viewer
-//! sees it, which may differ from its tile's.
+//! sees it, which may differ from the aspect of its tile.
 
 use lumistack_plugin::PluginError;
 

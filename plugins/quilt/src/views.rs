@@ -145,7 +145,7 @@ impl Source<'_> {
 /// quilt of `count` views.
 ///
 /// # Errors
-/// Under [`Missing::Refuse`] if any are missing.
+/// Under [`Missing::Refuse`] if any view is missing.
 pub fn advice(available: usize, count: usize, missing: Missing) -> Result<Option<String>, PluginError> {
     if available == count {
         return Ok(None);

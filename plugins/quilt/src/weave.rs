@@ -5,16 +5,18 @@
 //! c = 0, 1, 2 is the channel. With the keys of `visual.json`:
 //!
 //! ```text
-//! P = pitch · W / DPI · cos(atan(1 / slope))        lens periods across the screen
-//! T = H / (W · slope),  s = 1 / (3 W)               both negated by flipImageX
-//! a = frac((u + c·s + v·T) · P − center)            1 − a by invView
+//! P = pitch · W / DPI · cos(atan(1 / slope))        number of lenses across the screen
+//! T = H / (W · slope)                               shift of a lens over H, in screen widths
+//! s = 1 / (3 W)                                     width of a subpixel, in screen widths
+//! a = frac((u + c·s + v·T) · P − center)            position across the lens, 0..1
 //! view = min(⌊a · N⌋, N − 1)
 //! ```
 //!
-//! The minimum in the last line matters only with invView, which turns a = 0 into 1. Displays of
-//! the third generation arrange subpixels in cells. For these, the channel's offset in its cell,
-//! (dx / W, dy / H), is added to (u, v) instead of c·s. `CellPatternMode` selects the number of the
-//! cell for the pixel (x, y), counted from the bottom left:
+//! The key `flipImageX` negates T and s, and `invView` replaces a by 1 − a. The minimum in the last
+//! line matters only with `invView`, which turns a = 0 into 1. Displays of the third generation
+//! arrange subpixels in cells. For these, the channel's offset in its cell, (dx / W, dy / H), is
+//! added to (u, v) instead of c·s. `CellPatternMode` selects the number of the cell for the pixel
+//! (x, y), counted from the bottom left:
 //!
 //! * 0: always cell 0
 //! * 1: (x + y) mod 2, a checkerboard

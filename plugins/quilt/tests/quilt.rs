@@ -81,7 +81,7 @@ fn a_quilt_gives_back_every_view() {
     let back = open(&path, &flags, &GeometryDefaults::default(), task).unwrap();
     assert_eq!(back.radiance().shape(), [1, 6, 7, 10, 3]);
     for view in 0..6 {
-        // The quilt's views are those of the central one of three rows.
+        // The quilt must have the views of the central row, of three rows.
         let codes = codes8(&Transfer::Srgb, field.view([1, view]));
         assert_eq!(codes8(&Transfer::Srgb, back.view([0, view])), codes, "view {view}");
     }
@@ -170,8 +170,8 @@ fn a_device_s_quilt_has_its_size_and_name() {
     assert_eq!((picture.width(), picture.height(), picture.color()), (3360, 3360, image::ColorType::Rgb8));
 }
 
-/// Native pictures equal those that NumPy computes, for subpixels in stripes and in cells. The
-/// calibrations are published ones of real displays.
+/// Native pictures equal the pictures that NumPy computes, for subpixels in stripes and in cells.
+/// The calibrations are published calibrations of real displays.
 #[test]
 fn native_pictures_equal_numpy_s() {
     let Some(python) = python() else { return };

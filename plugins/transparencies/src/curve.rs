@@ -2,7 +2,7 @@
 //!
 //! A measured curve is a list of pairs `code transmittance`, for example `0 0.02, 64 0.09, 128 0.3,
 //! 255 0.88`. Three lists, separated by `;`, are for red, green and blue. Codes are 0 to 255 and
-//! transmittances 0 to 1. Codes and transmittances rise, and the last pair is that of clear film.
+//! transmittances 0 to 1. Codes and transmittances rise, and the last pair belongs to clear film.
 //!
 //! A mask value f is printed relative to clear film, of transmittance T_clear. Let `peak` be the
 //! layer's largest value, and T_dark the transmittance of the film's darkest state. At f the film

@@ -18,8 +18,9 @@ const MARGIN_MM: f64 = 12.0;
 
 /// Returns the thickness of the spacers between neighbouring films, in mm.
 ///
-/// In air a spacer is as thick as the distance between the layers, less half a film on either side.
-/// For a material with a refractive index, this thickness is multiplied by the index.
+/// In air a spacer is as thick as the distance between the layers, minus half the thickness of a
+/// film on either side. For a material with a refractive index, this thickness is multiplied by the
+/// index.
 ///
 /// # Errors
 /// If films are thicker than a gap.

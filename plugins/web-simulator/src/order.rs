@@ -7,8 +7,8 @@ const BOX: usize = 8;
 /// Largest number of boxes along a side, so that even a large frame needs little memory.
 const ACROSS: usize = 64;
 
-/// Reduces the picture that one frame shows to the middle of the zone to the means over boxes of
-/// pixels.
+/// Reduces a picture to its means over boxes of pixels. The picture is the view that one frame
+/// shows to the middle of the viewing zone.
 pub(crate) fn coarse(linear: &[f32], cols: usize) -> Vec<f32> {
     let rows = linear.len() / (3 * cols);
     let side = rows.max(cols).div_ceil(ACROSS).max(BOX);
@@ -21,8 +21,8 @@ pub(crate) fn coarse(linear: &[f32], cols: usize) -> Vec<f32> {
     sums
 }
 
-/// Returns the frames in the order of loading. Each next frame is the one with which the mean of
-/// the frames so far is nearest to the mean of all frames.
+/// Returns the frames in the order of loading. Each next frame brings the mean of the frames so far
+/// as near as possible to the mean of all frames.
 pub(crate) fn by_importance(frames: &[Vec<f32>]) -> Vec<usize> {
     let width = frames.first().map_or(0, Vec::len);
     let whole: Vec<f64> =

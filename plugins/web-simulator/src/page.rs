@@ -63,8 +63,8 @@ pub(crate) struct About<'a> {
 }
 
 impl<'a> Site<'a> {
-    /// Begins a site in `folder`, which is empty or ends with `/`. `most_bytes` is the limit of the
-    /// single file; `None` writes none.
+    /// Begins a site in `folder`, which is empty or ends with `/`. `most_bytes` is the largest size
+    /// of the single file; with `None`, no single file is written.
     pub(crate) fn new(
         host: &'a Host,
         folder: String,

@@ -20,7 +20,7 @@ const AROUND_PX: usize = 240;
 const POSTER_BYTES: usize = 45_000;
 /// Largest size of the file with all small views, bytes.
 const AROUND_BYTES: usize = 110_000;
-/// JPEG qualities, of which the first one whose file is small enough is used.
+/// JPEG qualities. The first quality whose file is small enough is used.
 const QUALITIES: [u8; 6] = [88, 80, 72, 64, 56, 48];
 /// Numbers of positions of small views, [horizontal, vertical]. Positions are so close that a blend
 /// of neighbouring small views has no visible double edges.

@@ -26,7 +26,7 @@ pub(crate) const WINDOW: Window = Window { pitch_rad: 22.0 * std::f64::consts::P
 
 /// Height of the table, metres.
 const TABLE_Y: f64 = -0.09;
-/// Depth of the edge between table and wall, on the display, metres.
+/// Depth at which a display shows the edge between table and wall, metres.
 const WALL_DEPTH: f64 = -0.18;
 
 /// Returns the files of the scene.

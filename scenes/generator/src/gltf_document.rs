@@ -67,8 +67,8 @@ impl Document {
             root_nodes: Vec::new(),
             files: Vec::new(),
         };
-        // Add one sampler for each variant of `Wrap`, in their order. Both filter linearly with
-        // mipmaps.
+        // Add one sampler for each variant of `Wrap`, in their order. Both samplers filter linearly
+        // with mipmaps.
         for wrap in [10497, 33071] {
             document.push("samplers", json!({ "magFilter": 9729, "minFilter": 9987, "wrapS": wrap, "wrapT": wrap }));
         }
@@ -151,7 +151,8 @@ impl Document {
             .collect();
         let values: Vec<u8> =
             changed.iter().flat_map(|&index| rows[index as usize]).flat_map(f32::to_le_bytes).collect();
-        // The bounds of a sparse accessor are those of its final values, `rows`.
+        // glTF defines the bounds of a sparse accessor as the bounds of its final values, which are
+        // `rows`.
         let accessor = self.add_floats(base, true);
         let (indices_view, component) = self.add_index_view(&changed, None);
         let values_view = self.add_view(values, None);
@@ -272,7 +273,8 @@ impl Document {
 
     fn add_index_view(&mut self, indices: &[u32], target: Option<u32>) -> (usize, u32) {
         let short: Option<Vec<u16>> = indices.iter().map(|&i| u16::try_from(i).ok()).collect();
-        // glTF reserves the 16-bit index 65535 (primitive restart), so with it use 32 bits.
+        // glTF reserves the 16-bit index 65535 (primitive restart), so a list that contains 65535
+        // has 32-bit indices.
         match short.filter(|values| !values.contains(&u16::MAX)) {
             Some(values) => {
                 let bytes = values.into_iter().flat_map(u16::to_le_bytes).collect();

@@ -22,7 +22,7 @@ use crate::{GeneratorError, SceneFile};
 /// Tilt of the window, and distance of the camera.
 pub(crate) const WINDOW: Window = Window { pitch_rad: 0.0, focus_distance_m: 1.5 };
 
-/// Depth of the wall of ruled paper, on the display, metres.
+/// Depth at which a display shows the wall of ruled paper, metres.
 const WALL_DEPTH: f64 = -0.175;
 /// Distance from the front of a word to its back, metres.
 const LETTER_DEPTH_M: f64 = 0.012;

@@ -50,7 +50,7 @@ fn main() -> ExitCode {
 /// A file of a scene: its name inside the scene's folder, and its bytes.
 pub(crate) type SceneFile = (String, Vec<u8>);
 
-/// Builds every scene in memory: the folder's name and its files.
+/// Builds every scene in memory. Returns the name and the files of each scene's folder.
 fn build_scenes() -> Result<Vec<(&'static str, Vec<SceneFile>)>, GeneratorError> {
     Ok(vec![
         ("still-life", still_life::build()?),

@@ -95,8 +95,8 @@ pub(crate) fn noise(u: f64, v: f64, cells_u: u32, cells_v: u32, seed: u32) -> f6
     top + fy * (bottom - top)
 }
 
-/// Returns a sum of several [`noise`] functions (octaves), scaled to 0..1. Each has half the
-/// amplitude and twice the number of cells of the previous one.
+/// Returns a sum of several [`noise`] functions (octaves), scaled to 0..1. Each function has half
+/// the amplitude and twice the number of cells of the previous function.
 pub(crate) fn fractal_noise(u: f64, v: f64, cells: u32, octaves: u32, seed: u32) -> f64 {
     let (mut sum, mut total) = (0.0, 0.0);
     for octave in 0..octaves {

@@ -1,7 +1,7 @@
 //! `still-life`: a glossy teapot on a checkerboard that runs through the display plane.
 //!
-//! The camera looks down by 24 degrees. The depths of the content on the display are -0.17 m (the
-//! foot of the wall) to about +0.1 m (the floor at the window's lower edge).
+//! The camera looks down by 24 degrees. On the display, depths are from -0.17 m at the foot of the
+//! wall to about +0.1 m on the floor at the window's lower edge.
 
 use glam::{DMat4, DQuat, DVec2, DVec3};
 use serde_json::json;
@@ -20,7 +20,7 @@ pub(crate) const WINDOW: Window = Window { pitch_rad: 24.0 * std::f64::consts::P
 
 /// Height of the floor, metres.
 const FLOOR_Y: f64 = -0.09;
-/// Depth of the edge between floor and wall, on the display, metres.
+/// Depth at which a display shows the edge between floor and wall, metres.
 const WALL_DEPTH: f64 = -0.17;
 /// Side of one check of the floor.
 const CHECK_M: f64 = 0.032;
@@ -143,8 +143,9 @@ fn add_balls(document: &mut Document) -> Result<(), GeneratorError> {
             "baseColorFactor": [0.86, 0.87, 0.88, 1.0], "metallicFactor": 1.0, "roughnessFactor": 0.06
         }
     });
-    // Each ball has a material, a radius, position x and depth z of the centre in display axes (all
-    // in metres), and a rotation about the vertical axis in degrees.
+    // Each ball has a material, a radius, the position x and the depth z of its centre, and a
+    // rotation. Lengths are metres in display axes. The rotation is about the vertical axis, in
+    // degrees.
     let balls = [
         (plastic("red plastic", [0.75, 0.06, 0.03], 0.25), 0.017, -0.115, 0.078, 0.0),
         (plastic("blue plastic", [0.04, 0.14, 0.62], 0.3), 0.023, -0.178, 0.015, 0.0),

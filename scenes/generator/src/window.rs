@@ -31,8 +31,8 @@ impl Window {
         DMat3::from_rotation_x(-self.pitch_rad)
     }
 
-    /// Returns the world point with the height `y_m` above the window's centre, the position `x_m`
-    /// to its right, and the depth `depth_m` on the display (above 0 in front).
+    /// Returns a world point. It is `y_m` above the window's centre and `x_m` to its right. A
+    /// display shows it at the depth `depth_m`, which is above 0 in front of the window.
     pub(crate) fn at(&self, x_m: f64, y_m: f64, depth_m: f64) -> DVec3 {
         let (sin, cos) = self.pitch_rad.sin_cos();
         DVec3::new(x_m, y_m, (depth_m - y_m * sin) / cos)

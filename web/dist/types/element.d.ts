@@ -50,7 +50,7 @@ export declare class LumistackViewer extends HTMLElement {
     get path(): Path;
     /**
     * RGBA bytes of the current picture, in the light field's size. In the side-by-side comparison
-    * they are those of the display's picture alone, without the target.
+    * they are the bytes of the display's picture alone, without the target.
     */
     pixels(): Promise<ImageData>;
     /** The current picture as PNG. */
@@ -63,8 +63,8 @@ export declare class LumistackViewer extends HTMLElement {
     open(files: ReadonlyMap<string, File>): Promise<void>;
     /**
      * Shows patterns that are being computed. `json` is the text of their preview.json. `codes`
-     * contains the pictures of all its files in their order, [row][col][rgb] each. If `json` is the
-     * current preview, only the patterns are replaced, all at once.
+     * contains the pictures of all files that `json` lists, in this order, [row][col][rgb] each. If
+     * `json` is the current preview, only the patterns are replaced, all at once.
      */
     showStack(json: string, codes: Uint8Array<ArrayBuffer>): Promise<void>;
     /**

@@ -4,7 +4,7 @@ export type Mode = "perceived" | "slow" | "exploded" | "compare" | "layers";
 export type Comparison = "slider" | "side" | "error";
 /** The renderer of the display's views. */
 export type Path = "webgl2" | "cpu";
-/** Slope of the view: x is above 0 to the right of the display's normal, y is above 0 above it. */
+/** Slope of the view: x is positive to the right of the display's normal, and y is positive above the normal. */
 export type Slope = readonly [x: number, y: number];
 export declare const MODES: readonly Mode[];
 export declare const COMPARISONS: readonly Comparison[];

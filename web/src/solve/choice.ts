@@ -68,7 +68,7 @@ export class Choice {
     this.words();
   }
 
-  /** The choice as JSON for the solver, without values that equal those of the preset. */
+  /** The choice as JSON for the solver, without values that equal the preset's values. */
   get settings(): string {
     const { about } = this.preset;
     const own = { layers: about.layers, gap_mm: about.gap_mm, frames: about.frames, brightness: about.brightness };

@@ -1,5 +1,5 @@
-// The page that solves: another thread computes patterns for a scene or light field. Until it has
-// ended, the viewer shows its intermediate patterns.
+// The page that solves: another thread computes patterns for a scene or light field. Until the
+// thread has ended its work, the viewer shows its intermediate patterns.
 import type { LumistackViewer } from "../element.js";
 import { download, videoFormat } from "../capture.js";
 import { filesByName, filesOf } from "../drop.js";
@@ -117,11 +117,11 @@ function tell({ title, caption }: { title: string; caption: string }): void {
   at("caption").hidden = !viewer.hasAttribute("plain");
 }
 
-function showState({ stage: now, share, psnr, warnings, onDevice }: State): void {
+function showState({ stage: now, share, psnr, warnings, onDevice, threads }: State): void {
   stage = now;
   at<HTMLProgressElement>("bar").value = share;
   const quality = Number.isFinite(psnr) ? ` ${psnr.toFixed(1)} dB over its views.` : "";
-  const words = { scene: input?.isField ? "Reading the light field…" : "Reading the scene…", views: `Rendering views, ${Math.floor(100 * share)} %.`, patterns: `Solving, ${Math.floor(100 * share)} %.`, done: "Finished." };
+  const words = { scene: input?.isField ? "Reading the light field…" : "Reading the scene…", views: `Rendering views${threads > 1 ? ` on ${threads} threads` : ""}, ${Math.floor(100 * share)} %.`, patterns: `Solving, ${Math.floor(100 * share)} %.`, done: "Finished." };
   const rest = paused && stage !== "done" ? "Stopped." : words[stage];
   const reason = solver.obstacle ? `: ${solver.obstacle}` : "";
   say(`${rest}${quality} ${onDevice ? "On the graphics processor" : `On the processor${reason}`}.`);

@@ -11,8 +11,11 @@ interface Program {
   obstacle: string | undefined;
 }
 
+const ASKED = new URLSearchParams(location.hash.slice(1));
 /** `device` in the page's address: `cpu`, or `gpu`, which also accepts an adapter in software. */
-const DEVICE = new URLSearchParams(location.hash.slice(1)).get("device");
+const DEVICE = ASKED.get("device");
+/** `threads` in the page's address: number of threads that render views. */
+const THREADS = ASKED.has("threads") ? Number(ASKED.get("threads")) : undefined;
 /** The part of WebGPU that the page uses. TypeScript's own types do not yet contain WebGPU. */
 type Gpu = { requestAdapter(): Promise<{ info: { isFallbackAdapter: boolean } } | null> };
 
@@ -61,9 +64,11 @@ function program(): Promise<Program> {
 
 export class Solver {
   private worker: Worker | undefined;
+  /** Address of the thread's script. The thread starts further threads from it. */
+  private script = "";
   /** Resolves when the thread has sent its presets. */
   private ready: Promise<void> = Promise.resolve();
-  /** The reason why no graphics processor solves; undefined if one solves, or before the start. */
+  /** The reason why no graphics processor solves; undefined if a graphics processor solves, or before the start. */
   obstacle: string | undefined;
 
   constructor(private readonly receive: (what: SolverMessage) => void) {}
@@ -78,11 +83,10 @@ export class Solver {
     const { module, script: text, obstacle } = await program();
     if (this.worker) return this.ready;
     this.obstacle = obstacle;
-    const script = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
-    const worker = (this.worker = new Worker(script));
+    this.script = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
+    const worker = (this.worker = new Worker(this.script));
     this.ready = new Promise((resolve, reject) => {
       worker.onmessage = ({ data }: MessageEvent<SolverMessage>) => {
-        URL.revokeObjectURL(script);
         // After an error the thread's memory may be full, so the next solve gets a new thread.
         if (data.kind === "error") this.end();
         this.receive(data);
@@ -94,7 +98,7 @@ export class Solver {
         this.receive({ kind: "error", message: message || "The solver’s thread does not start." });
       };
     });
-    this.ask({ kind: "start", module, decoders: new URL("lumistack_web_decoders_bg.wasm", import.meta.url).href, software: DEVICE === "gpu" });
+    this.ask({ kind: "start", module, decoders: new URL("lumistack_web_decoders_bg.wasm", import.meta.url).href, software: DEVICE === "gpu", threads: THREADS });
     return this.ready;
   }
 
@@ -104,6 +108,7 @@ export class Solver {
 
   private end(): void {
     this.worker?.terminate();
+    URL.revokeObjectURL(this.script);
     this.worker = undefined;
   }
 }

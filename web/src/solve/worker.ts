@@ -4,10 +4,11 @@ import * as decoders from "../../pkg/lumistack_web_decoders.js";
 // For solve-gpu.js, build.mjs replaces this module by the module with WebGPU.
 import { Dropped, initSync, presets, Solver } from "../../pkg/lumistack_web_solver.js";
 import type { Solver as DeviceSolver } from "../../pkg/lumistack_web_solver_gpu.js";
+import { Pool, type PoolMessage, type PoolRequest } from "./pool.js";
 
 /** Messages from the page to the thread. */
 export type SolverRequest =
-  | { kind: "start"; module: WebAssembly.Module; decoders: string; software: boolean }
+  | { kind: "start"; module: WebAssembly.Module; decoders: string; software: boolean; threads: number | undefined }
   | { kind: "solve"; files: [path: string, content: Blob][]; path: string; title: string; isField: boolean; settings: string }
   | { kind: "change"; settings: string }
   | { kind: "pause" | "resume" }
@@ -21,6 +22,8 @@ export interface State {
   warnings: string[];
   /** True if a graphics processor solves. */
   onDevice: boolean;
+  /** Number of threads that render views. */
+  threads: number;
 }
 
 /** Messages from the thread to the page. */
@@ -87,8 +90,18 @@ Object.assign(globalThis, {
 /** Shortest duration of a turn of work, and shortest time between two reports of progress, ms. */
 const TURN_MS = 25;
 const REPORT_MS = 100;
+/** Size of a page of a module's memory, bytes. */
+const PAGE = 65536;
 
+/** The solver's module; its instance's memory, and its table of JavaScript objects. */
+let module: WebAssembly.Module;
+let memory: WebAssembly.Memory;
+let objects: WebAssembly.Table;
 let solver: Solver | DeviceSolver | undefined;
+/** Further threads, while views are rendered. */
+let pool: Pool | undefined;
+/** Number of threads that may render views; undefined for the browser's number of cores. */
+let threads: number | undefined;
 /** True if a graphics adapter in software may solve. */
 let software = false;
 let title = "";
@@ -124,13 +137,44 @@ function enqueue(work: () => void | Promise<void>): void {
 async function turn(): Promise<void> {
   if (!solver || !running) return;
   const start = performance.now();
+  if (solver.stage() === "views") share(solver);
   while (waiting === 0 && performance.now() - start < TURN_MS && solver.stage() !== "done" && solver.shown() === shown) await solver.advance();
+  if (solver.stage() !== "views") end();
   const done = solver.stage() === "done";
   const patterns = solver.shown() !== shown;
   if (patterns) shown = solver.shown();
   if (patterns || done || performance.now() - reported > REPORT_MS) report(patterns);
   if (done) running = false;
   else turns.port2.postMessage(undefined);
+}
+
+// The types of wasm-bindgen omit two members: the address of a solver in the module's memory, and
+// the function that makes an object for such an address.
+const addressOf = (solver: Solver | DeviceSolver): number => (solver as unknown as { __wbg_ptr: number }).__wbg_ptr;
+const { __wrap: solverAt } = Solver as unknown as { __wrap(pointer: number): Solver };
+
+/** Lets other threads trace views. The solver itself continues to trace, from the other end of its plan. */
+function share(solver: Solver | DeviceSolver): void {
+  if (!pool) {
+    // A copy of the memory would delay the first picture.
+    if (solver.shown() === 0) return;
+    const view = solver.give();
+    if (view === undefined) return;
+    const own: Pool = (pool = new Pool(threads, memory, { module, slots: objects.length, pointer: addressOf(solver) }, [view], ({ view, values, warnings: found }) =>
+      enqueue(() => {
+        if (own !== pool) return;
+        solver.take(view, values);
+        warnings.push(...found);
+      }),
+    ));
+  }
+  pool.feed(() => solver.give());
+}
+
+/** Ends the other threads. */
+function end(): void {
+  pool?.end();
+  pool = undefined;
 }
 
 function report(patterns: boolean): void {
@@ -143,7 +187,8 @@ function report(patterns: boolean): void {
     send({ kind: "stack", json: solver.preview(title), codes }, [codes.buffer]);
   }
   warnings.push(...solver.warnings());
-  send({ kind: "state", state: { stage: solver.stage() as State["stage"], share: solver.share(), psnr: solver.psnr(), warnings, onDevice: "on_device" in solver && solver.on_device() } });
+  const onDevice = "on_device" in solver && solver.on_device();
+  send({ kind: "state", state: { stage: solver.stage() as State["stage"], share: solver.share(), psnr: solver.psnr(), warnings, onDevice, threads: 1 + (pool?.size ?? 0) } });
   warnings = [];
 }
 
@@ -193,7 +238,7 @@ function run(): void {
   turns.port2.postMessage(undefined);
 }
 
-function send(what: SolverMessage, handed: Transferable[] = []): void {
+function send(what: SolverMessage | PoolMessage, handed: Transferable[] = []): void {
   postMessage(what, { transfer: handed });
 }
 
@@ -206,6 +251,7 @@ async function guarded(work: () => void | Promise<void>): Promise<void> {
     await work();
   } catch (error) {
     running = false;
+    end();
     if (stopped(error)) {
       solver = undefined;
       const why = "the solver stopped, probably because it needs more memory than a page can have";
@@ -215,15 +261,16 @@ async function guarded(work: () => void | Promise<void>): Promise<void> {
   }
 }
 
-onmessage = ({ data }: MessageEvent<SolverRequest>) =>
+onmessage = ({ data }: MessageEvent<SolverRequest | PoolRequest>) =>
   enqueue(() => {
     switch (data.kind) {
       case "start":
-        initSync({ module: data.module });
-        ({ decoders: address, software } = data);
+        ({ module, decoders: address, software, threads } = data);
+        ({ memory, __wbindgen_externrefs: objects } = initSync({ module }));
         return send({ kind: "presets", json: presets() });
       case "solve":
         running = paused = false;
+        end();
         solver?.free();
         solver = undefined;
         ({ title, settings } = data);
@@ -233,6 +280,7 @@ onmessage = ({ data }: MessageEvent<SolverRequest>) =>
         ({ settings } = data);
         paused = false;
         if (!solver) return;
+        end();
         solver.change(settings);
         return run();
       case "pause":
@@ -245,6 +293,22 @@ onmessage = ({ data }: MessageEvent<SolverRequest>) =>
       case "zip": {
         const bytes = solver!.zip() as Uint8Array<ArrayBuffer>;
         return send({ kind: "zip", bytes }, [bytes.buffer]);
+      }
+      // The pool sends these messages: this thread is then one of its threads.
+      case "copy": {
+        const { image } = data;
+        ({ memory, __wbindgen_externrefs: objects } = initSync({ module: data.module }));
+        // The memory contains numbers of places in the table, so the copy needs these places too.
+        objects.grow(data.slots - objects.length);
+        memory.grow((image.byteLength - memory.buffer.byteLength) / PAGE);
+        new Uint8Array(memory.buffer).set(new Uint8Array(image));
+        solver = solverAt(data.pointer);
+        return send({ kind: "copied", image }, [image]);
+      }
+      case "trace": {
+        const { view } = data;
+        const values = solver!.trace(view) as Float32Array<ArrayBuffer>;
+        return send({ kind: "traced", view, values, warnings: solver!.warnings() }, [values.buffer]);
       }
     }
   });

@@ -13,8 +13,8 @@ const GLIBC: &str = "2.17";
 /// Linker and builders, as packages for pip.
 const TOOLS: [&str; 4] = ["--only-binary=:all:", "ziglang==0.17.*", "cargo-zigbuild==0.24.*", "maturin==1.16.*"];
 
-/// The packages of the program and of the Python module. Every build selects both, so that cargo
-/// chooses the same features for their dependencies and compiles the dependencies only once.
+/// The packages of the program and of the Python module. Every build selects both packages, so that
+/// cargo chooses the same features for their dependencies and compiles the dependencies only once.
 const PACKAGES: [&str; 6] = [
     "--package",
     "lumistack-cli",
@@ -37,8 +37,8 @@ const fn target(triple: &'static str, debian: Option<&'static str>) -> Target {
     Target { triple, debian }
 }
 
-/// The target of Windows that Linux can build, with the linker of mingw. Releases have Microsoft's
-/// instead, which needs Windows; this one is for tests with Wine.
+/// The target of Windows that Linux can build, with the linker of mingw. This target is for tests
+/// with Wine. Releases are for Microsoft's target, whose linker needs Windows.
 pub const MINGW: &str = "x86_64-pc-windows-gnu";
 
 /// All targets.
@@ -112,8 +112,8 @@ fn builders() -> Outcome<PathBuf> {
 ///
 /// Cargo compiles every dependency again if the path of the linker changes. cargo-zigbuild and
 /// maturin would use linkers at different paths. So this function writes one linker file, which
-/// both use. Builds for all targets link the macros and build scripts, which run on this machine,
-/// by this machine's file.
+/// both tools use. Macros and build scripts run on this machine, so builds for every target link
+/// them by the linker file of this machine.
 fn link_by_zig(builder: &mut Command, python: &Path, target: &Target) -> Outcome {
     let host = host()?;
     if host.is_linux() {

@@ -12,8 +12,8 @@ use crate::tools::{self, Outcome, command, output_of, run};
 /// Names of the scripts in `tests/install`.
 pub const WAYS: [&str; 8] = ["tarball", "deb", "wheel", "npm", "blender", "pages", "arm", "windows"];
 
-/// Ways of programs for other machines. They are tested if they are named, or if the file in `dist`
-/// exists.
+/// Ways to install programs for other machines. Each is tested if the user names it, or if its file
+/// in `dist` exists.
 const ARM: &str = "arm";
 const WINDOWS: &str = "windows";
 

@@ -190,8 +190,8 @@ fn texts_in(folder: &Path) -> Vec<String> {
     paths.iter().filter_map(|path| std::fs::read_to_string(path).ok()).map(|text| text.replace('\r', "")).collect()
 }
 
-/// Returns the text for a package that has none: the standard text of a licence that the package
-/// offers, with its authors.
+/// Returns the licence text for a package that contains none. It is the standard text of a licence
+/// that the package offers, with the package's authors.
 fn standard(part: &Part) -> Vec<String> {
     let ours = |name: &str| std::fs::read_to_string(root().join(name)).unwrap_or_default();
     let text = match part.licence.as_str() {

@@ -2,7 +2,7 @@
 //! differ between machines, so the same sources would give files with other bytes.
 //!
 //! The compiler writes the paths of source files into messages of panics. A flag replaces the
-//! beginning of these paths, and a check finds paths that come another way.
+//! beginning of these paths, and a check finds paths that remain.
 
 use std::io::Read as _;
 use std::path::Path;
@@ -16,8 +16,8 @@ struct Folder {
     name: &'static str,
 }
 
-/// Returns the folders that contain sources. If one is within another, the outer one is first,
-/// since the compiler uses the last of its flags that matches.
+/// Returns the folders that contain sources. If a folder is within another folder, the outer folder
+/// is first, since the compiler uses the last flag that matches a path.
 fn folders() -> Outcome<Vec<Folder>> {
     let home = std::env::home_dir().ok_or("this user has no home folder")?;
     let cargo = std::env::var("CARGO_HOME").map_or_else(|_| home.join(".cargo"), Into::into);
@@ -45,7 +45,8 @@ pub fn replace(builder: &mut Command) -> Outcome {
 /// Checks files, which are given by name and content.
 ///
 /// # Errors
-/// If a file contains the path of one of the folders; the message quotes the first.
+/// If a file contains a path inside one of the folders; the message quotes the first path that is
+/// found.
 pub fn check<'a>(mut files: impl Iterator<Item = (&'a str, &'a [u8])>) -> Outcome {
     let folders = folders()?;
     files.try_for_each(|(name, bytes)| check_bytes(name, bytes, &folders))

@@ -24,8 +24,8 @@ const COMPLETIONS: [(&str, &str); 3] = [
     ("fish", "share/fish/vendor_completions.d/lumistack.fish"),
 ];
 
-/// Folder of documents. Its subfolders are those of the repository, so that links between documents
-/// are valid.
+/// Folder of documents. It has the same subfolders as the repository, so that links between
+/// documents are valid.
 const DOCUMENTS: &str = "share/doc/lumistack";
 
 /// Files of the repository, and their folder in an installation.

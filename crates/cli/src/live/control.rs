@@ -10,7 +10,7 @@ use serde_json::{Map, Value, json};
 use super::requests::Requests;
 use crate::console::{say, tell};
 
-/// Length at which a line is cut, bytes.
+/// Largest length of a line, bytes.
 const LINE: usize = 1 << 20;
 
 /// A command that a line contains.
@@ -40,6 +40,13 @@ pub(super) fn follow_lines(mut lines: impl BufRead, requests: &Requests, refuse:
         line.clear();
         match std::io::Read::take(&mut lines, LINE as u64).read_until(b'\n', &mut line) {
             Ok(0) | Err(_) => return,
+            Ok(LINE) if !line.ends_with(b"\n") => {
+                refuse(format!("expected at most {LINE} bytes on one line, found more"));
+                if lines.skip_until(b'\n').is_err() {
+                    return;
+                }
+                continue;
+            }
             Ok(_) => {}
         }
         let text = String::from_utf8_lossy(&line);
@@ -100,7 +107,7 @@ fn commands_of(line: &str) -> Result<Vec<Command>, String> {
 pub(super) fn read_packets(socket: &UdpSocket, centre_mm: [f64; 3], requests: &Requests, task: Task<'_>) {
     let mut packet = [0; 512];
     while !(requests.is_stopped() || task.cancel.is_cancelled()) {
-        // The socket has a timeout, so that the loop notices the end.
+        // The socket has a timeout, so that the loop notices when the display stops.
         let Ok(length) = socket.recv(&mut packet) else { continue };
         let seen = head_of_packet(&packet[..length], centre_mm).and_then(|head_mm| requests.see(&[head_mm]));
         if let Err(error) = seen {
@@ -140,6 +147,24 @@ mod tests {
         assert!(!requests.is_stopped());
         carry_out("{\"stop\": true}", &requests).unwrap();
         assert!(requests.is_stopped());
+    }
+
+    /// A line that is too long is refused as a whole, and later lines count.
+    #[test]
+    fn long_lines_are_refused_once() {
+        let requests = requests();
+        for excess in [0, 1, 2 * LINE] {
+            let errors = std::cell::RefCell::new(Vec::new());
+            let blanks = " ".repeat(LINE - "{\"time\": 2}\n".len() + excess);
+            let lines = format!("{{\"time\": 2{blanks}}}\n{{\"time\": 1}}\n");
+            requests.set(&[("pose.time_s".into(), json!(0.0))]).unwrap();
+            let (before, _) = requests.newest.after(0).unwrap();
+            follow_lines(lines.as_bytes(), &requests, |error| errors.borrow_mut().push(error));
+            let (number, request) = requests.newest.after(0).unwrap();
+            let refused = usize::from(excess > 0);
+            assert_eq!((number - before, request.job.pose.time_s), (2 - refused as u64, Some(1.0)));
+            assert_eq!(errors.into_inner(), vec!["expected at most 1048576 bytes on one line, found more"; refused]);
+        }
     }
 
     #[test]

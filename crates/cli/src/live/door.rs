@@ -2,12 +2,12 @@
 //!
 //! ```text
 //! RUN/cache/live.json   {"port": PORT, "token": WORD}, readable by this user alone
-//! program ──▶ {"token": WORD}, then the lines of standard input
-//!         ◀── {"event": "attached"}, then the lines of standard output with --json
+//! program ──▶ {"token": WORD}, then commands in lines, as on standard input
+//!         ◀── {"event": "attached"}, then events in lines, as on standard output with --json
 //! ```
 //!
-//! The socket listens on the loopback interface. One program at a time is attached. After its last
-//! line the display keeps its state.
+//! The socket listens on the loopback interface. One program at a time is attached. When the
+//! program has sent its last line, the display keeps its state.
 
 use std::io::{self, BufReader, Cursor, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
@@ -27,7 +27,8 @@ use crate::console::say;
 const FIRST_TIME: Duration = Duration::from_secs(1);
 /// Largest length of the first line, bytes.
 const FIRST: usize = 1 << 10;
-/// Time limit for a program to read an event; then it is detached, since the solver waits for it.
+/// Time limit for a program to read an event. A slower program is detached, since the solver waits
+/// for it.
 const WRITE_TIME: Duration = Duration::from_secs(1);
 /// Interval at which the socket is checked for a program.
 const TICK: Duration = Duration::from_millis(20);
@@ -91,7 +92,7 @@ impl Events {
         lock(&self.attached).end();
     }
 
-    /// Detaches a program. Without effect if a later one is attached.
+    /// Detaches a program. Without effect if a later program is attached.
     fn detach(&self, number: u64) {
         let mut attached = lock(&self.attached);
         if attached.number == number {
@@ -159,7 +160,7 @@ impl Door {
 
     /// Attaches the program if its first line has the token; else sends it one message.
     fn greet(&self, program: &TcpStream, requests: &Arc<Requests>, events: &Arc<Events>) -> io::Result<()> {
-        // some systems take over this setting from the listening socket
+        // on some systems, a connection inherits this setting from the listening socket
         program.set_nonblocking(false)?;
         program.set_write_timeout(Some(WRITE_TIME))?;
         program.set_nodelay(true)?;

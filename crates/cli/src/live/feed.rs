@@ -7,12 +7,14 @@
 //! JSON: {"number", "edition", "files": [bytes, ...], "preview": text or null, "said", "message"}
 //!
 //! GET /.look?viewer=WORD&x=SLOPE&y=SLOPE
-//!     a page's viewer, as a tracked head; without x and y it leaves
+//!     moves a page's viewer, who counts as a tracked head; without x and y the viewer leaves
 //! ```
 //!
-//! The files are those that preview.json lists, in its order. An edition is a version of
-//! preview.json. The response contains the text of preview.json if the page has another edition. A
-//! response without a newer state has no files.
+//! An edition is a version of preview.json. The query states the page's state (`after`), its
+//! edition and its message (`said`). In the response, `files` has the length of each file that
+//! preview.json lists, in its order, and `said` is the number of the newest message. The response
+//! contains the text of preview.json if the page has another edition. A response without a newer
+//! state has no files.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -175,8 +177,8 @@ impl Feed for PageFeed<'_> {
         let asked = Asked::of(query);
         let deadline = now() + PATIENCE;
         while !self.stopped.load(Ordering::SeqCst) && now() < deadline {
-            // A page of an earlier run may send a number above the newest one. Every state is then
-            // new to the page.
+            // A page of an earlier run may send a number above the number of the newest state.
+            // Every state is then new to the page.
             let known = self.states.after(0).is_some_and(|(newest, _)| newest < asked.number);
             let is_newer = self.states.wait_after(if known { 0 } else { asked.number }, LOOK).is_some();
             let message = self.messages.newest();

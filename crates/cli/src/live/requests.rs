@@ -1,5 +1,5 @@
-//! The newest requests: the job with the changes by files, command line and commands, and the
-//! positions of the viewers.
+//! The newest requests: the positions of the viewers, and the job with all changes by files,
+//! command line and commands.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};

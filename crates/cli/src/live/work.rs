@@ -271,8 +271,8 @@ struct Current {
     request: Arc<SolveRequest>,
     boxes: Boxes,
     weights: Arc<Weights>,
-    /// Iterations since the content changed. `left` is the number of iterations that this light
-    /// field still gets.
+    /// Number of iterations since the content changed. `left` is the number of iterations that the
+    /// solver will still spend on the current light field.
     updates: u32,
     left: u32,
 }

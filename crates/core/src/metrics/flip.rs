@@ -4,9 +4,9 @@
 //! colour    linear RGB ─▶ Y Cx Cz ─▶ contrast sensitivity filters (Gaussians) ─▶ clamped RGB
 //!             ─▶ Lab, a and b times L/100 (Hunt)
 //!           ΔE_c = HyAB distance ^ 0.7, mapped to 0..1:
-//!             up to 0.4 of the largest distance to 0..0.95, the rest to 0.95..1
+//!             up to 0.4 of the largest distance to 0..0.95, larger distances to 0.95..1
 //! features  Y ─▶ first and second derivatives of a Gaussian of 0.082°/2 ─▶ edges and points,
-//!             each the length of its (x, y) vector
+//!             each is the length of the vector of its x and y derivatives
 //!           ΔE_f = (larger difference / √2) ^ 0.5
 //! FLIP      ΔE_c ^ (1 − ΔE_f), 0 (equal) to 1 (worst)
 //! ```

@@ -15,14 +15,14 @@ const AGREEMENT: f64 = 1e-5;
 
 const FORMATIONS: [Formation; 3] = [Formation::Attenuating, Formation::Additive, Formation::Polarization];
 
-/// Returns a display whose layers have random sizes, pitches and positions. The arguments select
-/// the rest.
+/// Returns a display whose layers have random sizes, pitches and positions. `formation` and
+/// `choices` select the display's other properties.
 fn random_display(formation: Formation, choices: [bool; 5], seed: u64) -> Display {
     let [bilinear, clear, perspective, limited, repeat] = choices;
     let mut random = Stream::new(derive(seed, &[]));
     let mut unit = || f64::from(random.next_f32());
-    // Odd distances keep rays away from pixel borders, where rounding would decide which pixel they
-    // read.
+    // Distances that are not round numbers keep rays away from pixel borders, where rounding would
+    // decide which pixel they read.
     let mut display = Display {
         formation,
         sampling: if bilinear { Sampling::Bilinear } else { Sampling::Nearest },

@@ -174,8 +174,8 @@ fn read(sampling: Sampling, layer: &Layer, effective: &Effective, ray: Ray, fram
     })
 }
 
-/// Returns the backlight's emission along a ray, which is 0 outside dark bins. `None` if the ray
-/// misses the lenslets.
+/// Returns the backlight's emission along a ray, which is 0 outside the bins if they do not repeat.
+/// `None` if the ray misses the lenslets.
 fn light(backlight: &LensletBacklight, emission: &Tensor<6>, ray: Ray, frame: usize) -> Option<[f64; 3]> {
     let [cols, rows] = backlight.lenslets.map(|n| n as i64);
     let [bins_x, bins_y] = backlight.views.map(|n| n as i64);

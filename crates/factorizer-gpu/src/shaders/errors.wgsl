@@ -1,5 +1,5 @@
-// Computes errors e = βL − L̃ of field pixels over all views: Σ w e², and Σ e² over rays of weight
-// w > 0. The factorizer's errors.rs computes the same sums.
+// Squares the errors e = βL − L̃ of one field pixel, and sums them over all views. Returns Σ w e²,
+// and Σ e² over the rays with a weight w > 0. The factorizer's errors.rs computes the same sums.
 
 fn errors_of(row: u32, col: u32) -> vec2<f32> {
     var found = vec2<f32>(0.0);

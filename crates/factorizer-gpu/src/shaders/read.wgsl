@@ -21,8 +21,8 @@ struct Params {
     // offset of this dispatch's results, and the number of results per line
     sums_base: u32,
     groups_x: u32,
-    // offsets of tables: of the rays through the own factor's lines and columns, and of the flags
-    // of valid rows and columns
+    // offsets of tables: the rays through each line and each column of the own factor, and the
+    // flags of valid rows and columns of rays
     own_lines: u32,
     own_columns: u32,
     stored_lines: u32,
@@ -148,13 +148,14 @@ struct Thread {
 //@ end
 }
 
-// Place of a workgroup's results; it has PARTS of them.
+// Returns the index of a workgroup's first result. A workgroup has PARTS results.
 fn place_of(group: vec3<u32>) -> u32 {
     return PARTS * (params.sums_base + group.y * params.groups_x + group.x);
 }
 
 //@ if subgroups
-// Sums the results of each subgroup's threads, which needs no barrier. The remaining places get 0.
+// Writes the sum of each subgroup's results, which needs no barrier. The places of absent subgroups
+// get 0.
 fn reduce(thread: Thread, found: vec2<f32>) {
     let sum = subgroupAdd(found);
     if (thread.lane == 0u) {

@@ -1,5 +1,5 @@
-// The update of one factor: sums over the rays through a pixel, and the step by these sums. The
-// factorizer's sums.rs and step.rs compute the same update.
+// The update of one factor: sums over the rays through a pixel, and the step that follows from
+// these sums. The factorizer's sums.rs and step.rs compute the same update.
 
 const LEAST_CURVATURE: f32 = 1e-30;
 const LEAST_NORMAL: f32 = 1.17549435e-38;
@@ -17,8 +17,8 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ sums
     var {s} = 0.0;
 //@ end
-    // Loop over the rays: field rows that read the line, then field columns that read the column.
-    // Each entry has its weight in the interpolation.
+    // The tables list the rays through the pixel: the field rows that read its line, and the field
+    // columns that read its column. Each row and column has its weight in the interpolation.
     for (var view_y = 0u; view_y < params.views_y; view_y++) {
         let lines_at = params.own_lines + view_y * (params.stored_lines + 1u) + line;
         let last_row = tables[lines_at + 1u];
@@ -32,7 +32,8 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
             let line_of_{own} = line_{own}(view_y, row);
 //@ end
 //@ if long_sums
-            // For many rays, add partial sums to the sum, which loses fewer digits.
+            // If there are many rays, sum those of each field row first. Additions to a smaller sum
+            // lose fewer digits.
 //@ sums
             let before_{s} = {s};
             {s} = 0.0;
@@ -105,7 +106,7 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
         }
     }
-    // the step from the values f to v, by the rule
+    // compute the step from the values f to the new values v, by the rule of the update
     var gain = 0.0;
 //@ frames
     var v{m} = f{m};

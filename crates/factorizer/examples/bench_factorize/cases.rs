@@ -4,10 +4,10 @@
 //! the number of factors (layers, and the directional backlight), M the number of frames:
 //!
 //! ```text
-//! multiplicative   F · [ M (F−2)     products of the others
+//! multiplicative   F · [ M (F−2)     products of the other factors
 //!                      + M           L̃
-//!                      + 2M          both sums ]           = F M (F+1)
-//! block-exact      F · [ M (F−2)     products of the others
+//!                      + 2M          the two sums ]        = F M (F+1)
+//! block-exact      F · [ M (F−2)     products of the other factors
 //!                      + M           right side
 //!                      + M (M+1)/2   Gram matrix ]
 //! ```

@@ -41,7 +41,7 @@ const SEED: u64 = 1;
 const PAPER_UPDATES: u32 = 50;
 /// Largest difference in transmittance that rounding may cause between masks after one update.
 const SAME_MASKS: f32 = 1e-4;
-/// Number of updates of each of Lumistack's solvers in one round, at least.
+/// Smallest number of updates of each of Lumistack's solvers in one round.
 const OWN_UPDATES: usize = 3;
 
 type Outcome<T = ()> = Result<T, Box<dyn Error>>;

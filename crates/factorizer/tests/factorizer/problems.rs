@@ -138,7 +138,8 @@ pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
         _ => 0,
     };
     let mut unit = || f64::from(random.next_f32());
-    // Odd distances keep ray positions away from half pixels, where rounding would decide.
+    // Distances that are not round numbers keep ray positions away from half pixels, where rounding
+    // would decide which pixel a ray reads.
     let mut d_mm = -7.3 - unit();
     let distances: Vec<f64> = (0..layers)
         .map(|_| {

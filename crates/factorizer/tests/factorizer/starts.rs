@@ -58,8 +58,8 @@ fn plane(shift: f64, scene: f64, brightness: f64) -> Owned {
     Owned { display, target, weights: Weights::Uniform }
 }
 
-/// Largest PSNR, in dB, by which the chosen start may lag behind the other start after five
-/// iterations.
+/// Largest difference in PSNR, in dB, by which the chosen start may lag behind the other start
+/// after five iterations.
 const WORST_LOSS_DB: f64 = 1.5;
 
 #[test]

@@ -24,9 +24,9 @@ const ERROR_SEEN: f64 = 1e-5;
 const ERROR_SEEN_PER_VALUE: f64 = 1e-11;
 /// Largest allowed KKT residual after many iterations, when the run has converged.
 const SETTLED: f64 = 1e-4;
-/// Tolerance of the objective between f32 and f64, relative.
+/// Largest allowed relative difference of the objective between f32 and f64.
 const OBJECTIVE_TOLERANCE: f64 = 1e-5;
-/// Tolerance of an objective near 0 between f32 and f64, per ray and channel.
+/// Largest allowed difference of an objective near 0 between f32 and f64, per ray and channel.
 const OBJECTIVE_PER_VALUE: f64 = 1e-12;
 /// Largest allowed difference of PSNR values computed from the same patterns in two ways, dB.
 const PSNR_TOLERANCE: f64 = 1e-3;

@@ -1,4 +1,4 @@
-//! Packed content, and what comes out of it.
+//! Packed content, and the results of decoding it.
 
 use gltf::json::accessor::ComponentType;
 use lumistack_scene::Pixels;
@@ -127,7 +127,7 @@ pub struct Attribute {
 /// Content that a decoder cannot read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unsound {
-    /// Place in the content; empty if it is the content as a whole.
+    /// Place in the content; empty for the content as a whole.
     pub place: String,
     /// The expected content.
     pub expected: String,

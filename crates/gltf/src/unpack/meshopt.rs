@@ -17,7 +17,8 @@ pub(super) fn decode(
     count: usize,
     stride: usize,
 ) -> Result<Unpacked, Unsound> {
-    // allow memory for the packed and the unpacked bytes; on 32 bits this exceeds the address space
+    // Allow memory for the packed and the unpacked bytes. On 32 bits their sum exceeds the address
+    // space, so the limit is the address space.
     let most_held = usize::try_from(2 * MAX_VIEW_BYTES).unwrap_or(usize::MAX);
     let mut workspace = Workspace::new(Limits { max_bytes: most_held, ..Limits::default() });
     let broken = |error| Unsound::new("a sound meshopt stream", error);

@@ -1,4 +1,4 @@
-//! Requests and answers as bytes, little-endian. Numbers have 64 bits, and each list follows its
+//! Requests and answers as bytes, little-endian. Numbers have 64 bits. Before each list stands its
 //! length.
 
 use glam::{Quat, Vec3};

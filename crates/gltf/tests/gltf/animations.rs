@@ -121,8 +121,8 @@ fn rotations_take_the_shorter_arc_at_constant_speed() {
 
 #[test]
 fn rotations_come_in_every_width() {
-    // the keys are no rotation and half a turn about z; at a time halfway between the keys, the
-    // node has made a quarter turn
+    // The first key is no rotation, and the second is half a turn about z. At a time halfway
+    // between the keys, the node has made a quarter turn.
     let cases: [(u32, Vec<u8>); 5] = [
         (F32, [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|v| v.to_le_bytes()).collect()),
         (I8, vec![0, 0, 0, 127, 0, 0, 127, 0]),
@@ -241,7 +241,7 @@ fn without_a_choice_animations_that_do_not_conflict_play_together() {
     let options = LoadOptions { time_s: Some(0.0), ..LoadOptions::default() };
     let (scene, warnings) = load_choosing(&several(3).glb(), &options);
     assert_eq!([0, 1].map(|i| placed(scene.as_ref().unwrap(), i, Vec3::ZERO).x), [1.0, 0.0]);
-    let expected = "test.gltf: /animations: two or more animations move the same property of a node; only the first is played (animations: 0 (Hop), 1 (Jump), 2 (Leap))";
+    let expected = "test.gltf: /animations: two or more animations move the same property of a node; only the first animation of the file is played (0 (Hop), 1 (Jump), 2 (Leap))";
     assert_eq!(warnings, [expected]);
     // a time for a file without animations causes a warning
     let (_, warnings) = load_choosing(&Builder::triangle().glb(), &options);

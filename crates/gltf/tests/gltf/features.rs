@@ -351,8 +351,8 @@ fn materials_keep_every_factor_and_texture() {
 fn texture_transforms_scale_then_turn_then_shift() {
     let scene = scene(&painted());
     let map = scene.materials[1].base_color_texture.unwrap().texture_from_mesh;
-    // (1, 1) is scaled to (2, 3), turned by a quarter from u to −v to (3, −2), and moved to (3.5,
-    // −1.75)
+    // The point (1, 1) is scaled to (2, 3). A quarter turn from u towards −v gives (3, −2), and the
+    // offset gives (3.5, −1.75).
     assert!((map.transform_point2(Vec2::ONE) - Vec2::new(3.5, -1.75)).length() < TOLERANCE);
 }
 

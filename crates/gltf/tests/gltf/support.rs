@@ -139,7 +139,7 @@ impl Builder {
         builder
     }
 
-    /// Appends to a list of the root, and returns the new object's index.
+    /// Appends `value` to a list of the JSON root, and returns the index of the new object.
     pub fn push(&mut self, list: &str, value: Value) -> usize {
         let list = self.json.as_object_mut().unwrap().entry(list).or_insert_with(|| json!([]));
         let list = list.as_array_mut().unwrap();

@@ -25,7 +25,7 @@ pub(super) fn display() -> Display {
 }
 
 /// Returns the display of [`display`] with twice the columns, so that moving content enters a
-/// smaller fraction of it.
+/// smaller fraction of the display.
 pub(super) fn wide() -> Display {
     Display { brightness: 0.3, ..Display::uniform([160, 50], 1.0, [5, 3], [20.0, 12.0], &[-12.0, 0.0, 12.0], 4) }
 }

@@ -1,5 +1,5 @@
-//! Compares three ways to render light fields: view by view, with light that all views of a point
-//! share, and with a filter. Each way renders twice, with independent seeds.
+//! Compares ways to render light fields: view by view, with light that all views of a point share,
+//! the same with further paths, and with a filter. Each way renders twice, with independent seeds.
 
 use std::time::Duration;
 
@@ -13,10 +13,11 @@ use crate::{BOUNCES, Options};
 
 /// Fraction of the values that are at most white. Errors are fractions of white.
 const BELOW_WHITE: f64 = 0.99;
-/// Number of samples per pixel of the view that white is found in.
+/// Number of samples per pixel of the view from which white is computed.
 const OF_WHITE: u32 = 16;
-/// Largest value of a path, as a multiple of white. All ways dim brighter paths to this value, since
-/// a few of them would hide all other errors. Pictures are not cut: that would darken noisy ones.
+/// Largest value of a path, as a multiple of white. All ways dim brighter paths to this value,
+/// since a few of them would hide all other errors. Pictures are not cut to white, since this would
+/// darken pictures with more noise.
 const CLAMP: f32 = 8.0;
 /// Unit of the times in `/proc/self/stat`, in milliseconds.
 const TICK_MS: u64 = 10;
@@ -31,6 +32,8 @@ const ALONE: [u32; 4] = [4, 16, 64, 256];
 enum Kind {
     Alone,
     Shared,
+    /// Shared, with [further paths](Settings::further_paths).
+    Further,
     Guided,
 }
 
@@ -46,13 +49,16 @@ struct Way {
 
 /// Errors of the pictures that one way of rendering makes, over all views.
 struct Errors {
-    /// Mean squared error with bias, of all views (`all`) and of the worst view (`worst`).
+    /// Mean squared error, bias included, over all views (`all`) and over the worst view (`worst`).
     all: f64,
     worst: f64,
     /// Part of the squared error that is not noise; it remains at any number of samples.
     bias: f64,
     /// Mean of the pictures divided by the mean of the truth, minus 1.
     change: f64,
+    /// Variance of the mean of all views, without shifts. The solver averages views in about this
+    /// way, so it is the noise that a display shows.
+    of_mean: f64,
 }
 
 /// The scene and the views of a bench.
@@ -70,10 +76,11 @@ pub fn measure(options: &Options) -> Outcome {
     let task = Task::quiet(&warnings, &cancel);
     let bench = Bench::new(options, task)?;
     for &samples in &options.samples {
-        let mut ways = [Kind::Alone, Kind::Shared].map(|kind| Way::new(kind, samples));
+        let mut ways = [Kind::Alone, Kind::Shared, Kind::Further].map(|kind| Way::new(kind, samples));
         render(&bench, &mut ways, task)?;
-        let [alone, shared] = &ways;
-        let errors = [Errors::of_noise(alone, bench.white), Errors::new(shared, alone, bench.white)];
+        let [alone, shared, further] = &ways;
+        let of = |way: &Way| Errors::new(way, alone, bench.white);
+        let errors = [Errors::of_noise(alone, bench.white), of(shared), of(further)];
         for (way, error) in ways.iter().zip(&errors) {
             let ratio = alone.seconds * errors[0].all / (way.seconds * error.all);
             row(&bench.case, options, way, error, ratio);
@@ -89,7 +96,8 @@ pub fn filters(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
     let bench = Bench::new(options, task)?;
-    let filtered = FILTERED.into_iter().flat_map(|samples| [Kind::Shared, Kind::Guided].map(|kind| (kind, samples)));
+    let filters = [Kind::Shared, Kind::Further, Kind::Guided];
+    let filtered = FILTERED.into_iter().flat_map(|samples| filters.map(|kind| (kind, samples)));
     let alone = ALONE.into_iter().map(|samples| (Kind::Alone, samples));
     let mut ways: Vec<Way> = alone.chain(filtered).map(|(kind, samples)| Way::new(kind, samples)).collect();
     render(&bench, &mut ways, task)?;
@@ -113,7 +121,7 @@ impl Bench {
         let renderer = Renderer::new(case.scene.clone(), task)?;
         let middle = geometry.grid.views().map(|count| count / 2);
         let settings = Settings { samples: OF_WHITE, max_bounces: BOUNCES, ..Settings::default() };
-        let white = white(renderer.render_view(&case.window, &geometry, middle, &settings, task)?.data());
+        let white = white(&renderer.render_view(&case.window, &geometry, middle, &settings, task)?);
         Ok(Self { case, geometry, renderer, white })
     }
 }
@@ -123,6 +131,7 @@ impl Kind {
         match self {
             Self::Alone => "one by one",
             Self::Shared => "shared",
+            Self::Further => "with further",
             Self::Guided => "guided",
         }
     }
@@ -135,8 +144,8 @@ impl Kind {
                 let view = |view| renderer.render_view(&case.window, geometry, view, &settings, task);
                 geometry.grid.iter().map(view).collect()
             }
-            Self::Shared => {
-                let settings = Settings { further_paths: true, ..settings };
+            Self::Shared | Self::Further => {
+                let settings = Settings { further_paths: self == Self::Further, ..settings };
                 let split = |view| renderer.render_split(&case.window, geometry, view, &settings, task);
                 let splits: Vec<_> = geometry.grid.iter().map(split).collect::<Result<_, _>>()?;
                 let mut light = SharedLight::new(geometry);
@@ -174,13 +183,8 @@ fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
     for round in 0..2 {
         for (number, way) in ways.iter_mut().enumerate() {
             let seed = count * round as u64 + number as u64;
-            let settings = Settings {
-                samples: way.samples,
-                max_bounces: BOUNCES,
-                seed,
-                clamp: Some(CLAMP * bench.white),
-                ..Settings::default()
-            };
+            let (samples, clamp) = (way.samples, Some(CLAMP * bench.white));
+            let settings = Settings { samples, max_bounces: BOUNCES, seed, clamp, ..Settings::default() };
             let start = spent()?;
             way.pictures[round] = way.kind.render(bench, settings, task)?;
             way.seconds += 0.5 * (spent()? - start).as_secs_f64();
@@ -207,8 +211,8 @@ fn spent() -> Outcome<Duration> {
 }
 
 /// The radiance that counts as white: the fraction [`BELOW_WHITE`] of all values is at most this.
-fn white(values: &[f32]) -> f32 {
-    let mut values = values.to_vec();
+fn white(picture: &Tensor<3>) -> f32 {
+    let mut values = picture.data().to_vec();
     let place = ((values.len() - 1) as f64 * BELOW_WHITE) as usize;
     *values.select_nth_unstable_by(place, f32::total_cmp).1
 }
@@ -219,7 +223,7 @@ impl Errors {
     fn of_noise(way: &Way, white: f32) -> Self {
         let variances = variances(way, white);
         let worst = variances.iter().copied().fold(0.0, f64::max);
-        Self { all: mean(&variances), worst, bias: 0.0, change: 0.0 }
+        Self { all: mean(&variances), worst, bias: 0.0, change: 0.0, of_mean: of_mean(way, white) }
     }
 
     /// Errors against `truth`, a way that has no bias. Each value of a picture is compared with two
@@ -246,6 +250,7 @@ impl Errors {
             worst: errors.iter().copied().fold(0.0, f64::max),
             bias: (all - mean(&variances(way, white))).max(0.0),
             change: sum(way) / sum(truth) - 1.0,
+            of_mean: of_mean(way, white),
         }
     }
 }
@@ -259,6 +264,18 @@ fn variances(way: &Way, white: f32) -> Vec<f64> {
         pairs.map(|(a, b)| 0.5 * (shown(*a) - shown(*b)).powi(2)).sum::<f64>() / a.data().len() as f64
     };
     first.iter().zip(second).map(of_view).collect()
+}
+
+/// Variance of the mean of all views.
+fn of_mean(way: &Way, white: f32) -> f64 {
+    let [first, second] = way.pictures.each_ref().map(|views| {
+        let mut sum = vec![0.0f64; views[0].data().len()];
+        for view in views {
+            sum.iter_mut().zip(view.data()).for_each(|(sum, value)| *sum += f64::from(value / white));
+        }
+        sum.iter().map(|sum| sum / views.len() as f64).collect::<Vec<f64>>()
+    });
+    first.iter().zip(&second).map(|(a, b)| 0.5 * (a - b).powi(2)).sum::<f64>() / first.len() as f64
 }
 
 fn mean(values: &[f64]) -> f64 {
@@ -277,7 +294,7 @@ fn row(case: &Case, options: &Options, way: &Way, error: &Errors, ratio: f64) {
     let [rows, cols] = options.views;
     let materials = if options.own_materials { "own materials" } else { "diffuse" };
     println!(
-        "| {}, {materials} | {rows} × {cols}, {}° | {} | {} | {:.2} | {:.2e} | {:.2e} | {:.2e} | {:+.2} % | {ratio:.2} |",
+        "| {}, {materials} | {rows} × {cols}, {}° | {} | {} | {:.2} | {:.2e} | {:.2e} | {:.2e} | {:+.2} % | {:.2e} | {ratio:.2} |",
         case.name,
         options.fov_deg,
         way.samples,
@@ -287,5 +304,6 @@ fn row(case: &Case, options: &Options, way: &Way, error: &Errors, ratio: f64) {
         error.worst,
         error.bias,
         100.0 * error.change,
+        error.of_mean,
     );
 }

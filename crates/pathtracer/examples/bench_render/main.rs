@@ -21,7 +21,7 @@
 //! * `agree` compares converged pictures of the same view and fails where they differ.
 //! * `field` renders many views, first one by one, then with shared light averaged over them. It
 //!   prints a row per method: processor seconds, squared error, error of the worst view, bias,
-//!   change of the mean, and speed-up at equal error.
+//!   change of the mean, variance of the mean view, and speed-up at equal error.
 //! * `filters` renders views one by one, with shared light, and filtered with guides, with 4, 16
 //!   and 64 samples. Its last column is the error of views one by one in the same time, divided
 //!   by the error of the way.

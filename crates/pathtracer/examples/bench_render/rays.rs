@@ -17,7 +17,7 @@ use crate::embree::Embree;
 
 /// Number of rays per unit of work.
 const CHUNK: usize = 4096;
-/// Distance of a ray's origin from its surface, as a fraction of the scene's size.
+/// Distance of a ray's origin from the surface that it leaves, as a fraction of the scene's size.
 const OFFSET: f32 = 1e-5;
 
 /// Origins, directions and largest t.
@@ -40,8 +40,8 @@ enum Kind {
     Shadow,
 }
 
-/// Prints Mrays/s of primary rays, two bounces and shadow rays. Each value is the fastest of
-/// several rounds, since other programs only make a round slower.
+/// Prints millions of rays per second for primary rays, two bounces and shadow rays. Each value is
+/// the fastest of several rounds, since other programs only make a round slower.
 pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
     let triangles = world_triangles(case);
     let start = Instant::now();

@@ -1,13 +1,15 @@
 //! Directional albedo of the GGX reflection lobe, tabulated once.
 //!
-//! Here μ is the cosine between the viewer's direction and the normal, and α the squared roughness.
-//! E(μ, α) is the albedo of the lobe without Fresnel's term. B(μ, α) is the albedo if the rise
-//! s(o·h) of [`fresnel`] replaces Fresnel's term. So the albedo with Fresnel's term is F₀(E − B) +
-//! F₉₀B.
+//! Here μ is the cosine between the viewer's direction and the normal, and α is the squared
+//! roughness. Fresnel's term is F = F₀ + (F₉₀ − F₀) s. The function s rises from 0 at normal
+//! incidence to 1 at grazing incidence (see [`fresnel`]). E(μ, α) is the albedo of the lobe if 1
+//! replaces F, and B(μ, α) is the albedo if s replaces F. So the albedo with F is F₀(E − B) + F₉₀B,
+//! without compensation.
 //!
-//! Single scattering loses the fraction 1 − E of the reflected light. The lost light strikes the
-//! surface again and is multiplied by the mean F̄ of the Fresnel term. The fraction Ē of the result
-//! leaves, and the rest strikes once more. So the lobe has to be multiplied by K:
+//! The lobe scatters light once, and so loses the fraction 1 − E of it. On a real surface the lost
+//! light strikes the surface again, which multiplies it by F̄, the mean of F. The fraction Ē, the
+//! mean of E, then leaves, and the rest strikes once more. The factor K on the lobe adds the light
+//! that leaves later:
 //!
 //! ```text
 //! E K = E + (1 − E) F̄ Ē (1 + F̄(1 − Ē) + F̄²(1 − Ē)² + …) = E + (1 − E) F̄ Ē / (1 − F̄(1 − Ē))
@@ -60,8 +62,8 @@ const INDICES_STEP: u32 = 233;
 /// as 4.
 const LARGEST_ROOT: f32 = 0.6;
 
-/// Positions in the values of a table's node: the albedo without Fresnel's term, and its mean over
-/// all cosines.
+/// Positions of two values in a node of a table: E, the albedo without Fresnel's term, and the mean
+/// of E over all cosines.
 const FULL: usize = 0;
 const MEAN: usize = 3;
 
@@ -74,7 +76,7 @@ pub(crate) struct Albedo {
     /// metals, `dielectric` is B of dielectrics whose index of refraction is [`COMMON_IOR`].
     pub(crate) metal: f32,
     pub(crate) dielectric: f32,
-    /// Mean of `full` over all cosines, by their projected solid angle.
+    /// Mean of `full` over all cosines, weighted by projected solid angle.
     pub(crate) mean: f32,
 }
 

@@ -70,8 +70,8 @@ pub(crate) fn metal_rise(cosine: f32) -> f32 {
 }
 
 /// The rise s of a dielectric's reflectance, seen from outside; see the top of the file. For an
-/// index below 1 (`KHR_materials_ior` allows 0), only the specular colour is known, so the result
-/// is that of [`metal_rise`].
+/// index below 1 (`KHR_materials_ior` allows 0), only the specular colour is known, so the function
+/// returns [`metal_rise`].
 #[inline]
 pub(crate) fn dielectric_rise(cosine: f32, ior: f32) -> f32 {
     if ior < 1.0 { metal_rise(cosine) } else { rise(dielectric(cosine, ior).0, normal_reflectance(ior)) }
@@ -130,7 +130,8 @@ fn schlick(f0: f32, cosine: f32) -> f32 {
     f0 + (1.0 - f0) * metal_rise(cosine)
 }
 
-/// Fourier transform of the colour-matching functions at an optical path difference, in linear RGB.
+/// Fourier transform S of the colour-matching functions at the optical path difference `path_nm`
+/// and with the phase `shift`, in linear RGB.
 fn sensitivity(path_nm: f32, shift: Vec3) -> Vec3 {
     let phase = TAU * 1e-9 * path_nm;
     let gauss = |value: f32, position: f32, variance: f32, shift: f32| {

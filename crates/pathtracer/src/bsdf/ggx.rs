@@ -1,18 +1,18 @@
-//! The GGX microfacet distribution with Smith's height-correlated masking and shadowing,
-//! anisotropic.
+//! The anisotropic GGX distribution D of microfacet normals h, with Smith's height-correlated
+//! masking and shadowing G₂.
 //!
 //! ```text
 //! D(h) = 1 / (π α_x α_y (h_x²/α_x² + h_y²/α_y² + h_z²)²)         V = G₂ / (4 |o_z| |i_z|)
 //! ```
 //!
 //! (Walter et al. 2007; Heitz 2014.) Directions are unit vectors in a frame whose z is the shading
-//! normal and whose x is the direction of stretch. The outgoing direction o points to the viewer
-//! and has o_z > 0.
+//! normal and whose x is the direction of stretch. The direction o, with o_z > 0, points to the
+//! viewer. The direction i points to the light.
 //!
-//! Normals are sampled as the viewer sees them (Heitz 2018), by the spherical-cap construction of
-//! Dupuy, Benyoub 2023. Where only the reflected direction matters, most normals that reflect below
-//! the horizon are left out (Eto, Tokuyoshi 2023, "Bounded VNDF sampling for Smith–GGX
-//! reflections").
+//! Normals are sampled by the area that the viewer sees (Heitz 2018), with the spherical-cap
+//! construction of Dupuy, Benyoub 2023. Where only the reflected direction matters, most normals
+//! that reflect below the horizon are left out (Eto, Tokuyoshi 2023, "Bounded VNDF sampling for
+//! Smith–GGX reflections").
 
 use std::f32::consts::PI;
 
@@ -29,8 +29,8 @@ pub(crate) fn density(h: Vec3, alpha: Vec2) -> f32 {
     1.0 / (PI * alpha.x * alpha.y * s * s)
 }
 
-/// √(α_x² v_x² + α_y² v_y² + v_z²). All of Smith's terms follow from this root: 1 + 2Λ is the root
-/// over |v_z|.
+/// Returns √(α_x² v_x² + α_y² v_y² + v_z²). All of Smith's terms follow from this root. For
+/// example, 1 + 2Λ is the root over |v_z|.
 #[inline]
 fn smith_root(v: Vec3, alpha: Vec2) -> f32 {
     let (x, y) = (alpha.x * v.x, alpha.y * v.y);
@@ -78,7 +78,8 @@ pub(crate) fn normal_pdf(o: Vec3, h: Vec3, alpha: Vec2) -> f32 {
     4.0 * o.dot(h).max(0.0) * reflection_pdf(o, h, alpha)
 }
 
-/// The weight G₂/G₁ of a direction `i` that a sampled visible normal gives.
+/// Returns the weight G₂/G₁ of a sample: the direction `i` to which a sampled visible normal
+/// reflects or refracts `o`.
 #[inline]
 pub(crate) fn masking_ratio(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     let i_z = i.z.abs();

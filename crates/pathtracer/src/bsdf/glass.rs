@@ -1,17 +1,20 @@
 //! The rough interface between air and a solid, reflecting and refracting.
 //!
-//! Walter et al. 2007 with exact Fresnel terms:
+//! The formulas are those of Walter et al. 2007, with Fresnel's exact term F. The symbols D, V, G₂,
+//! h, o and i are defined in [`ggx`]. The symbol η is the index of refraction on the far side over
+//! the index on the viewer's side.
 //!
 //! ```text
 //! reflection     F D V
 //! transmission   (1 − F) D G₂ |o·h| J / |o_z|,   J = η² |i·h| / (o·h + η i·h)²
 //! ```
 //!
-//! The path carries radiance/η² ("basic radiance"). So a factor η² is left out, by which radiance
-//! is multiplied when light enters a solid, and divided when it leaves. Single scattering loses
-//! 1 − E(o, α, η). Like Turquin 2019, both terms are divided by the tabulated albedo E, which makes
-//! clear glass lossless. Stretched glass has another albedo, and so has glass whose reflection a
-//! film or `KHR_materials_specular` changes. These two kinds of glass are not compensated.
+//! The path carries basic radiance: radiance over the squared index of the medium. Basic radiance
+//! does not change when light enters or leaves a solid, so transmission needs no factor η². Single
+//! scattering loses the fraction 1 − E(o, α, η) of the light. So both terms are divided by the
+//! tabulated albedo E, as in Turquin 2019, which makes clear glass lossless. Stretched glass has
+//! another albedo, and so has glass whose reflection a film or `KHR_materials_specular` changes.
+//! These two kinds of glass are not compensated.
 
 use std::sync::OnceLock;
 

@@ -176,9 +176,9 @@ impl Surface<'_> {
         if self.compensated { self.table.compensation(f0) } else { Vec3::ONE }
     }
 
-    /// Albedo of a reflection before compensation, and the reflectance from which the compensation
-    /// follows. `rise` is s of `fresnel.rs` at the viewer's cosine, `mean_rise` is B of
-    /// `albedo.rs`.
+    /// Returns the albedo of a reflection before compensation, and the reflectance from which the
+    /// compensation is computed. `rise` is s of `fresnel.rs` at the viewer's cosine, `mean_rise` is
+    /// B of `albedo.rs`.
     #[inline]
     pub(crate) fn seen(&self, lobe: &Fresnel, rise: f32, mean_rise: f32) -> (Vec3, Vec3) {
         match &self.film {

@@ -99,8 +99,8 @@ macro_rules! lobes {
                 [$(self.$base.as_ref().map_or(0.0, Lobe::albedo),)* $(self.$layer.as_ref().map_or(0.0, Lobe::albedo),)*]
             }
 
-            /// For each lobe, true if it can be evaluated; and true if it also transmits light from
-            /// behind.
+            /// Returns two lists over the lobes: true if the lobe can be evaluated, and true if it
+            /// also transmits light from behind.
             #[inline]
             pub(crate) fn rough(&self, facet: &Facet) -> [[bool; LOBES]; 2] {
                 let rough = [

@@ -11,12 +11,12 @@
 //!        = m K F(c) D V + (1 − m) [(1 − t) (K F(f0) D V + (1 − E_d(o)) c/π) + t glass]
 //! ```
 //!
-//! E_d is the albedo of the dielectric's reflection lobe (its largest channel). The diffuse lobe
-//! gets the light that this lobe does not reflect, so a white dielectric neither gains nor loses
-//! energy.
+//! E_coat, E_fibres and E_d are the albedos of the coat, of the fibres and of the dielectric's
+//! reflection lobe (its largest channel). The diffuse lobe gets the light that the reflection lobe
+//! does not reflect. So a white dielectric neither gains nor loses energy.
 //!
-//! * The clear coat (factor κ, index 1.5, own normal) and the fibres (colour σ, [`sheen`]) scale
-//!   all lobes below in the same way (`KHR_materials_clearcoat`, `KHR_materials_sheen`).
+//! * The clear coat (factor κ, index 1.5, own normal) and the fibres (colour σ, [`sheen`]) dim all
+//!   lobes below them (`KHR_materials_clearcoat`, `KHR_materials_sheen`).
 //! * T is the reflection lobe mirrored to the far side (`KHR_materials_transmission`: thin wall).
 //! * `glass` is in [`glass`], thin films (`KHR_materials_iridescence`) are in [`fresnel`].
 //! * f0 = min(((n − 1)/(n + 1))² colour, 1) specular, and f90 = specular. Here n is the index, and

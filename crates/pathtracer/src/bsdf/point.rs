@@ -36,8 +36,8 @@ pub(crate) struct Scatter {
 }
 
 impl Bsdf {
-    /// `to_viewer` is a unit vector; the normals of `frame` are on the viewer's side. `front` is
-    /// true if the viewer sees the front face.
+    /// Makes the function of a material. `to_viewer` is a unit vector, and the normals of `frame`
+    /// are on the viewer's side. `front` is true if the viewer sees the front face.
     pub(crate) fn new(appearance: &Appearance, to_viewer: Vec3, frame: &Frame, front: bool) -> Self {
         let Appearance { base, metallic, roughness, ior, transmission, solid, compensated, .. } = *appearance;
         let extras = appearance.extras.as_ref();
@@ -98,8 +98,8 @@ impl Bsdf {
         Self { facet, lobes, chances }
     }
 
-    /// This function with the lobe `lobe` alone. `None` if the lobe's chance is 0 or 1, or if no
-    /// lobe can be evaluated.
+    /// Returns the scattering function of the lobe `lobe` alone. `None` if the lobe's chance is 0
+    /// or 1, or if no lobe can be evaluated.
     #[cfg(test)]
     pub(crate) fn alone(mut self, lobe: usize) -> Option<Self> {
         let chance =

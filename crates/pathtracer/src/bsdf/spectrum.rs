@@ -2,9 +2,9 @@
 //!
 //! The three channels are treated as light whose spectra are the non-negative part of linear sRGB's
 //! matching functions. Each spectrum is scaled to a mean of 1, so that white stays white. A path
-//! A path that enters dispersing glass keeps one wavelength, drawn from the mean of the three
-//! spectra. The weight of a channel is the channel's spectrum divided by the mean spectrum, at that
-//! wavelength. So the expectation over wavelengths is exact.
+//! that enters dispersing glass keeps one wavelength, drawn from the mean of the three spectra. The
+//! weight of a channel is the channel's spectrum divided by the mean spectrum, at that wavelength.
+//! So the expectation over wavelengths is exact.
 //!
 //! The index of refraction is n(λ) = n_d + (n_d − 1) (dispersion/20) (523655/λ² − 1.5168), with λ
 //! in nanometres. This is Cauchy's equation, with constants from Abbe's number 20/dispersion.
@@ -28,7 +28,8 @@ pub(crate) struct Wave {
 }
 
 impl Wave {
-    /// A wavelength for a uniform number. The mean of the weight over `u` is 1.
+    /// Draws a wavelength by the uniform number `u`. Over all `u`, the mean of each channel's
+    /// weight is 1.
     pub(crate) fn sample(u: f32) -> Self {
         let spectra = spectra();
         let last = BANDS - 1;

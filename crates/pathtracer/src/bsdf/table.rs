@@ -53,8 +53,8 @@ impl<const D: usize, const V: usize> Table<D, V> {
 mod tests {
     use super::*;
 
-    /// Multilinear interpolation reproduces a product of linear functions and the ends of the
-    /// ranges.
+    /// Multilinear interpolation is exact for a product of linear functions, also at the ends of
+    /// the ranges.
     #[test]
     fn products_of_linear_functions_are_exact() {
         let function = |[x, y, z]: [f32; 3]| [(1.0 + x) * (2.0 - y) * (0.5 + 3.0 * z), x - z];

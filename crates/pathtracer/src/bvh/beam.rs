@@ -16,12 +16,12 @@
 //! A block's eight triangles are tested against the beam as boxes too. The triangles that the beam
 //! may hit, mostly one or two, are tested against all rays together, one ray per lane. Single rays
 //! are tested with the same arithmetic, so the hits are equal bit for bit. The test requires that
-//! the directions of all rays have their largest component along the same axis. Neighbouring rays
-//! nearly always do. A beam that spreads over many blocks, for example out of focus, is split into
-//! single rays.
+//! the directions of all rays have their largest component along the same axis. For neighbouring
+//! rays this is nearly always true. A beam that spreads over many blocks, for example out of focus,
+//! is split into single rays.
 //!
-//! On FlightHelmet (16 samples of a pixel) this took 60 % of the time of single rays. Testing
-//! blocks ray by ray took as long as single rays.
+//! On the scene FlightHelmet, with 16 samples of a pixel, beams took 60 % of the time of single
+//! rays. Beams that tested each block ray by ray took as long as single rays.
 
 use std::marker::PhantomData;
 
@@ -271,7 +271,7 @@ impl<V: Lanes> Sheared<V> {
                     V::from_array(eight(&directions[1], at)),
                     V::from_array(eight(&directions[2], at)),
                 ];
-                // a shear per lane that turns its ray into the z axis
+                // each lane has a shear that turns the lane's ray into the z axis
                 let along = V::splat(1.0).div(z);
                 sheared.shear[vector] = [x.mul(along), y.mul(along), along];
                 sheared.origin[vector] = [

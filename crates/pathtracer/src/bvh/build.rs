@@ -18,9 +18,9 @@ use super::tree::{Block, Bvh, EMPTY, INSTANCE, Input, LEAF, Node, Placed, WIDTH}
 /// Fraction of the nodes that each round tries to reinsert: obvhs' value for a slow, good build.
 /// Small trees reinsert at least [`REINSERTED_AT_LEAST`] nodes, since that takes little time.
 ///
-/// Measured: reinserting all nodes of the scene still-life (0.04 s) gives 3 to 4 % more rays per
-/// second. All nodes of FlightHelmet (0.4 s), or half of the nodes of 15 copies of it (4 s more),
-/// give 1 to 2 %.
+/// Measured: if all nodes of the scene still-life are reinserted (0.04 s), 3 to 4 % more rays are
+/// traced per second. All nodes of FlightHelmet (0.4 s) give 1 to 2 %. Half of the nodes of 15
+/// copies (4 s more) also give 1 to 2 %.
 const REINSERTION_RATIO: f32 = 0.2;
 const REINSERTED_AT_LEAST: f32 = 20_000.0;
 /// Number of first passes in which obvhs pairs only direct neighbours (its
@@ -69,8 +69,8 @@ impl Bvh {
         let top = bvh.add_tree(input, input.loose.clone(), &boxes);
         bvh.root = top.root;
         bvh.extent = extent(&top.bounds);
-        // an instance puts the mark of its end on the stack, besides the postponed children of its
-        // tree
+        // a ray in an instance has one more entry on the stack, the mark of the instance's end,
+        // besides the postponed children of both trees
         bvh.stack_depth = top.stack_depth + 1 + shared.iter().map(|tree| tree.stack_depth).max().unwrap_or(0);
         bvh.nodes.shrink_to_fit();
         bvh.nodes = in_large_pages(bvh.nodes);
@@ -106,7 +106,7 @@ impl Bvh {
     fn add_tree(&mut self, input: &Input<'_>, range: Range<usize>, instances: &[Aabb]) -> Tree {
         let triangles = &input.triangles[range.clone()];
         let flags = &input.flags[range.clone()];
-        // boxes of triangles and of instances; large triangles are cut into several boxes
+        // make the boxes of triangles and of instances; large triangles are cut into several boxes
         let mut boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::from_points(&t.map(Vec3A::from))).collect();
         let mut primitives: Vec<u32> = (0..boxes.len() as u32).collect();
         let bounds = boxes.iter().chain(instances).fold(Aabb::INVALID, |all, one| all.union(one));

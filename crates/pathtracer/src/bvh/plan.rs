@@ -17,9 +17,13 @@ use obvhs::bvh2::Bvh2;
 
 use super::tree::WIDTH;
 
-/// For each subtree of the binary tree, how its children are divided. If the subtree becomes j
-/// children, entry j − 1 is how many of them its first child becomes, or [`FEWER`]. If it becomes
-/// one child, entry 0 is how many of a node's eight children its first child becomes, or [`END`].
+/// For each subtree of the binary tree, the best ways to become at most j children of a wide node,
+/// j = 1..8. Entry j − 1 states how many of the j children come from the subtree's first child. All
+/// others come from its second child. The entry is [`FEWER`] if fewer children are as good.
+///
+/// With j = 1 the subtree becomes a single child: a wide node, a block or an instance. For a wide
+/// node, entry 0 states how many of the node's own eight children come from the first child.
+/// Otherwise entry 0 is [`END`].
 pub(super) struct Plan(Vec<[u8; WIDTH]>);
 
 /// Marks a subtree that is a block or an instance.
@@ -41,8 +45,8 @@ impl Plan {
                 open.extend([node.first_index, node.first_index + 1]);
             }
         }
-        // (number of triangles, costs) of finished subtrees whose parents are not finished; the
-        // entry of a second child is on top of the first child's
+        // A stack with (number of triangles, costs) of the finished subtrees whose parents are not
+        // finished. A second child lies directly above its first child.
         let mut finished: Vec<(u32, [f32; WIDTH])> = Vec::new();
         for &index in order.iter().rev() {
             let node = &binary.nodes[index as usize];

@@ -9,15 +9,15 @@
 //!
 //! The code departs from this loop in the following ways:
 //!
-//! * The ray's signs select near and far planes, which saves min and max. Distances are one fused
-//!   multiply-add, b/d − o/d.
+//! * The signs of the ray's direction d select near and far planes, which saves min and max. The
+//!   distance from the origin o to a plane at b is one fused multiply-add, b/d − o/d.
 //! * Postponed children stay sorted by distance, and are dropped when a nearer hit is known. Where
 //!   any hit suffices, the loop does not sort.
 //! * The whole loop is one function compiled for the instruction set.
 //! * A ray enters few nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so preparing the ray is a
-//!   notable part of the time. The inputs of blocks stay scalars. Trees without instances have a
-//!   loop of their own, whose rays never change. Together this gives a fifth to a third more rays
-//!   per second.
+//!   notable part of the time. So values that only the test of a block needs stay scalars. Trees
+//!   without instances have a loop of their own, whose rays never change. These two measures
+//!   together give a fifth to a third more rays per second.
 //! * A block's test runs to its end even if the edge functions already exclude all its triangles. A
 //!   branch there would be unpredictable; without it 4 to 9 % more scattered and shadow rays are
 //!   traced.
@@ -42,9 +42,9 @@
 //! The triangle test is the watertight one of Woop, Benthin, Wald 2013 ("Watertight ray/triangle
 //! intersection", JCGT 2(1)). It shears the triangle into a space where the ray is the z axis, and
 //! compares edge functions with zero. Shared edges give exactly opposite values, so a ray cannot
-//! pass between two triangles. So the edge functions must not be fused. With one product rounded
-//! and the other not, a·b − c·d is not −(c·d − a·b). Boxes are widened by the rounding of the slab
-//! test, see [`SLAB_ROUNDING`].
+//! pass between two triangles. For this reason the edge functions use no fused multiply-add, which
+//! rounds only one of the two products. With it, a·b − c·d would not be −(c·d − a·b). Boxes are
+//! widened by the rounding of the slab test, see [`SLAB_ROUNDING`].
 
 use std::marker::PhantomData;
 
@@ -55,11 +55,12 @@ use super::tree::{
     Block, Bvh, CULL_BACK, EMPTY, Hit, INDEX_MASK, INSTANCE, LEAF, NO_INSTANCE, Node, Placed, Ray, WIDTH,
 };
 
-/// Direction components below this are replaced by it in the slab test, so that 0 · ∞ cannot occur.
+/// In the slab test, a direction component of smaller magnitude is replaced by this value, so that
+/// 0 · ∞ cannot occur.
 pub(super) const SMALLEST_SLOPE: f32 = 1e-18;
-/// Rounding of b/d − o/d (b is a plane's position) as a fraction of (|o| + |b|)/|d|. Each of 1/d,
-/// o/d and the result adds half an epsilon. Boxes of cut triangles, whose corners are rounded,
-/// double the sum.
+/// Rounding of b/d − o/d as a fraction of (|o| + |b|)/|d|, with a plane's position b and the ray's
+/// origin o and direction d. Each of 1/d, o/d and the result adds half an epsilon. Boxes of cut
+/// triangles, whose corners are rounded, double the sum.
 pub(super) const SLAB_ROUNDING: f32 = 4.0 * f32::EPSILON;
 
 /// Reusable memory for postponed children. An entry has the distance in its high 32 bits and the
@@ -70,8 +71,8 @@ pub(crate) struct Stack(pub(super) Vec<u64>);
 /// tree. Its distance reads as −∞, so it is never dropped.
 const END_OF_INSTANCE: u64 = (f32::NEG_INFINITY.to_bits() as u64) << 32 | EMPTY as u64;
 
-/// The axis of the direction's largest component. The index has three bits, from the lowest: |x| >
-/// |y|, |x| > |z|, |y| > |z|.
+/// The axis of the direction's largest component. Three comparisons are the bits of the index, from
+/// the lowest: |x| > |y|, |x| > |z|, |y| > |z|.
 const LONGEST: [u8; 8] = [2, 2, 2, 0, 1, 2, 1, 0];
 /// The two axes other than the longest axis a: entry 2a if the direction is positive along a, entry
 /// 2a + 1 if it is negative. The two entries differ in order, which keeps the triangles' winding.
@@ -111,10 +112,10 @@ pub(super) struct Test<V> {
     pub(super) determinant: V,
 }
 
-/// The arrays that a traversal reads. They are a local variable of the kernel, and so is its copy
-/// of the ray. Otherwise the compiler reloads all data behind the kernel's arguments after every
-/// write to the stack, which might overlap that data. That costs 5 % of single rays and 2 to 3 % of
-/// beams (FlightHelmet).
+/// The arrays that a traversal reads. The kernel keeps them in a local variable, and also a copy of
+/// the ray. Otherwise the compiler would reload all data behind the kernel's arguments after every
+/// write to the stack, since a write might overlap this data. Reloading costs 5 % of the time of
+/// single rays and 2 to 3 % of the time of beams (FlightHelmet).
 #[derive(Clone, Copy)]
 pub(super) struct Arrays<'a> {
     pub(super) nodes: &'a [Node],

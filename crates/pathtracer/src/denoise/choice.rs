@@ -8,8 +8,8 @@ use super::frame::{Frame, HALVES, VARIANCE, box_mean};
 /// Half the width of the square of pixels over which errors are averaged, before the answers'
 /// errors are compared.
 const ERROR_RADIUS: usize = 4;
-/// Difference of two answers' squared errors at which the better answer gets e times the weight of
-/// the other. The unit is the variance of the noise.
+/// If the squared errors of two answers differ by this, the better answer gets e ≈ 2.7 times the
+/// weight of the other. The unit is the variance of the noise.
 const SOFTNESS: f32 = 0.03;
 /// Number of candidates for a pixel: filtered by colours and guides, filtered by guides alone, as
 /// rendered.
@@ -37,8 +37,8 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
     picture
 }
 
-/// Weight of each answer in every pixel. It follows from the squared errors that are estimated in
-/// the surrounding pixels, divided by the variance of the noise.
+/// Weight of each answer in every pixel. It follows from the answer's squared error, which is
+/// estimated in the surrounding pixels, divided by the variance of the noise.
 ///
 /// F_a is the answer from one half of the samples, and u_b is the picture of the other half. The
 /// mean of (F_a − u_b)² is the squared error of F_a plus the noise of u_b, which is equal for all

@@ -62,7 +62,7 @@ impl Frame {
                     (0..3).for_each(|c| planes[first + c][i] = pixel[c] / factor[c]);
                 }
                 modulation.push(factor);
-                // position of the pixel's surface in display space, in pixels
+                // compute the position of the pixel's surface in display space, in pixels
                 let point = [geometry.x_mm(col), geometry.y_mm(row)];
                 let slope = grid.slope_at(view, point);
                 let z = f64::from(feature.z_mm);

@@ -2,7 +2,7 @@
 //! trades noise for bias.
 //!
 //! ```text
-//! u = L / albedo                                           (textures stay out of it)
+//! u = L / albedo                                           (textures are not filtered)
 //! F_a(p) = Σ_q w_b(p, q) u_a(q) / Σ_q w_b(p, q)
 //! F_b(p) = the same with a and b exchanged
 //! L' = albedo (F_a + F_b) / 2
@@ -13,22 +13,24 @@
 //! a and b are two renders, with half of the samples each, and u_a and u_b their pictures. The
 //! weights for u_a are computed from u_b, so they are independent of the noise that they average.
 //!
-//! q runs over a window around p in p's own view. It also runs over small windows in neighbouring
-//! views, around the position where p's surface point appears. If a point at depth Z is at x in
-//! view s, it is at x + (s − s')·Z in view s'. In an epipolar picture, this is a line. Views thus
-//! share their samples, and the remaining noise is similar in all views.
+//! The curve k falls from 1 at distance 0. Guides are properties of the surfaces that the pixels
+//! show, such as normal, position and albedo. The pixel q runs over a window around p in p's own
+//! view. It also runs over small windows in neighbouring views, around the position where p's
+//! surface point appears. If a point at depth Z is at x in view s, it is at x + (s − s')·Z in view
+//! s'. In an epipolar picture, this is a line. Views thus share their samples, and the remaining
+//! noise is similar in all views.
 //!
-//! Three answers are kept for every pixel: as rendered, guides and colours, guides alone. Their
-//! weights follow from their squared errors. The halves estimate these errors without bias if the
-//! weights for F_a come from a itself, since F_a and u_b are then independent:
+//! Every pixel has three answers: its radiance as rendered, filtered by guides and colours, and
+//! filtered by guides alone. The result is a mean of the answers, in which answers with smaller
+//! squared errors have more weight. The halves estimate these errors without bias if the weights
+//! for F_a come from a itself, since F_a and u_b are then independent:
 //!
 //! ```text
 //! E[(F_a − u_b)²] = E[(F_a − truth)²] + Var(u_b)
 //! ```
 //!
-//! Such answers are computed in addition to the answers with crossed weights, only for this
-//! estimate. Their errors are not the errors of the result, which are measured with [pixels that
-//! the filter never used](crate::Checks).
+//! Answers with weights from their own half serve only for this estimate. The errors of the result
+//! are measured with [pixels that the filter never used](crate::Checks).
 //!
 //! Sources:
 //!

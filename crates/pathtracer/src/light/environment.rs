@@ -47,10 +47,10 @@ pub(crate) struct EnvironmentLight {
 #[derive(Clone, Copy)]
 struct Cells {
     texels: usize,
-    /// Number of texels per cell; 1 if texels are split.
+    /// Number of texels per cell; 1 if texels are not joined.
     joined: usize,
-    /// Number of cells per texel; 1 if texels are joined, otherwise even, so that bilinear kinks
-    /// are on the edges of cells.
+    /// Number of cells per texel. It is 1 if texels are not split. Otherwise it is even, so that
+    /// the kinks of bilinear interpolation are on the edges of cells.
     split: usize,
 }
 

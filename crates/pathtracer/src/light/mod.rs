@@ -35,8 +35,8 @@ const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
 /// Deviation from a parallelogram that is tolerated, as a fraction of its size: about the rounding
 /// of its corners.
 const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
-/// Number of prepared distributions for the choice of a light. Distribution k is used from 2ᵏ
-/// [`Parts`] on, until the next distribution; the last one has no end.
+/// Number of distributions by which a light is chosen. Distribution k is used for 2ᵏ to 2ᵏ⁺¹ − 1
+/// [`Parts`]. The last one is also used for all larger numbers, and the first one for 0.
 const PART_POWERS: u32 = 13;
 /// Marks a triangle that is no light.
 const NONE: u32 = u32::MAX;
@@ -53,9 +53,9 @@ pub(crate) struct Lights {
     directional: Vec<PunctualLight>,
     /// Tree over the triangles, followed by the point lights and spotlights.
     tree: Option<LightTree>,
-    /// Choices among the tree ([`LOCAL`]), each directional light, and the environment, in this
-    /// order. In choice k, the chances are rounded to multiples of 1/2ᵏ. Empty if no light can be
-    /// sampled.
+    /// Distributions that choose among the tree ([`LOCAL`]), each directional light, and the
+    /// environment, in this order. Distribution k rounds the chances to multiples of 1/2ᵏ. The list
+    /// is empty if no light can be sampled.
     choices: Vec<Distribution>,
 }
 
@@ -400,9 +400,9 @@ fn parts_of(chance: f32, parts: Parts) -> Parts {
     (chance * parts as f32 + 0.5) as Parts
 }
 
-/// Chances in proportion to weights, rounded to whole parts of [0, 1). Chances of less than half a
-/// part are not rounded. The greatest chance is the rest. Nothing is rounded if the rest would be
-/// less than half of the greatest chance before.
+/// Chances in proportion to weights, rounded to whole parts of [0, 1). A chance of less than half a
+/// part is not rounded. The greatest chance is 1 minus the sum of all others. If this remainder is
+/// less than half of the greatest chance before rounding, no chance is rounded.
 fn in_whole_parts(weights: &[f64], parts: Parts) -> Vec<f64> {
     let (sum, parts) = (weights.iter().sum::<f64>(), f64::from(parts));
     if !(sum > 0.0 && sum.is_finite()) {

@@ -21,11 +21,11 @@
 //! d is the distance to the box's centre, or the box's radius if that is greater. A bound of 0
 //! means that no light can arrive, so the estimate stays unbiased.
 //!
-//! [0, 1) is divided into n equal parts. Each part holds one of the numbers by which a pixel's
-//! samples choose a light ([`Parts`]). Chances are rounded to whole parts, if each child keeps at
-//! least one part. Then every light gets exactly its fraction of the samples, and the choice among
-//! a few point lights adds no noise. Rounded chances are valid chances too, so the estimate stays
-//! unbiased.
+//! A pixel's samples choose a light by numbers in [0, 1), which is divided into equal parts with
+//! one number each ([`Parts`]). The chances of two children are rounded to whole parts, if each
+//! child keeps at least one part. Then every light gets exactly its fraction of the samples, and
+//! the choice among a few point lights adds no noise. Rounded chances are valid chances too, so the
+//! estimate stays unbiased.
 
 use std::f32::consts::PI;
 
@@ -63,7 +63,7 @@ pub(crate) struct Emitter {
     pub(crate) normal_angle: f32,
     /// Largest angle between a normal and light that leaves.
     pub(crate) falloff_angle: f32,
-    /// True if light also leaves around the opposite of the axis.
+    /// True if light also leaves around the direction opposite to the axis.
     pub(crate) two_sided: bool,
 }
 
@@ -71,8 +71,8 @@ pub(crate) struct Emitter {
 /// samples choose a light. 0 if nothing is known about these numbers.
 pub(crate) type Parts = u32;
 
-/// The chance of the first child, rounded to whole parts, and the numbers of parts of the first and
-/// of the second child. A chance that would round to none or all of the parts is not rounded.
+/// Rounds the chance of the first child to whole parts, unless it would get none or all of the
+/// parts. Returns the chance, and the numbers of parts of the first and of the second child.
 #[inline]
 pub(super) fn whole_parts(chance: f32, parts: Parts) -> (f32, [Parts; 2]) {
     let first = (chance * parts as f32 + 0.5) as Parts;
@@ -522,8 +522,8 @@ mod tests {
                         let expected = tree.chance(light, &receiver, parts) * parts as f32;
                         let exact = tree.chance(light, &receiver, 0) * parts as f32;
                         // Counts are exact only if all chances are whole parts. A light that is too
-                        // weak for a whole part keeps its small chance, which other lights lack. So
-                        // their counts may differ.
+                        // weak for a whole part keeps its small chance, and the chances of other
+                        // lights are smaller by it. So the counts of other lights may differ.
                         let least = (0..4).map(|other| tree.chance(other, &receiver, parts) * parts as f32);
                         let whole = least.into_iter().all(|share| (share - share.round()).abs() < 1e-3);
                         assert!(!whole || (expected - count as f32).abs() < 1e-3, "{count} of {expected}");

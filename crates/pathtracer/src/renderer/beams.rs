@@ -1,4 +1,5 @@
-//! Rays of a view's samples. All results for the samples use the same rays and random numbers.
+//! Rays of a view's samples. Light, guides and misses of the samples are computed from the same
+//! rays and random numbers.
 
 use lumistack_core::seed;
 

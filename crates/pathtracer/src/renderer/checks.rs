@@ -1,13 +1,12 @@
-//! A few pixels of a view rendered again, twice, independently of all other renders. They measure
-//! the error of a denoised picture.
+//! Checks: a few pixels of a view, which are rendered twice more, independently of all other
+//! renders. They measure the error of a denoised picture F, which is independent of them:
 //!
 //! ```text
 //! E[(F − c₁)(F − c₂)] = E[(F − truth)²]
-//!
-//! for any picture F that is independent of c₁ and c₂, whose noises are independent
 //! ```
 //!
-//! One pixel is drawn in every square of [`SPACING`] × [`SPACING`].
+//! Here c₁ and c₂ are the two renders of a pixel, whose noises are independent. One pixel is drawn
+//! in every square of [`SPACING`] × [`SPACING`].
 
 use lumistack_core::{NoProgress, Task, seed};
 use lumistack_display::FieldGeometry;

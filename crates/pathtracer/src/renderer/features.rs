@@ -1,4 +1,5 @@
-//! Data of a view's first surfaces: they guide a denoiser, and make layers of pictures.
+//! Data of a view's first surfaces. They guide a denoiser, and picture files can store them as
+//! layers.
 //!
 //! Every value is a mean over the paths of a pixel that hit a surface. They are the paths that give
 //! the pixel's light. [`Renderer::render_view_and_features`] records the surfaces while it renders.
@@ -52,8 +53,8 @@ pub struct Feature {
     pub gloss: f32,
     /// Width of the lobe that depends on the viewer's direction: squared roughness, 0..1.
     pub alpha: f32,
-    /// Depth in display space of the first hit of one path, in millimetres: the path that is
-    /// nearest to the pixel's centre. `None` if that path hits nothing.
+    /// Depth of the first hit of the path that is nearest to the pixel's centre, in display space,
+    /// in millimetres. `None` if this path hits nothing.
     pub central_z_mm: Option<f32>,
 }
 
@@ -61,8 +62,8 @@ impl Features {
     /// Number of values per pixel.
     pub const VALUES: usize = FEATURES;
 
-    /// Makes features from the tensor that [`values`](Self::values) returns; `None` for another
-    /// number of values per pixel.
+    /// Makes features from the tensor that [`values`](Self::values) returns; `None` if the tensor
+    /// has a different number of values per pixel.
     pub fn from_values(values: Tensor<3>) -> Option<Self> {
         (values.shape()[2] == FEATURES).then_some(Self { values })
     }

@@ -9,7 +9,11 @@ use crate::tracer::First;
 /// Number of values per pixel of the guides.
 pub(crate) const FEATURES: usize = 11;
 /// Number of values per pixel of a view whose diffuse and other light are separate.
-pub(super) const PARTS: usize = 16;
+pub(super) const PARTS: usize = 13;
+/// The same, if some rays end at the first surface: then with the reflectance for the paths alone.
+pub(super) const MORE_PARTS: usize = PARTS + 3;
+/// The same, and the light that the rays themselves see, which the other light then lacks.
+pub(super) const APART: usize = MORE_PARTS + 3;
 
 /// Converts points and directions of render space to depths and directions of display space.
 pub(super) struct DisplayAxes {
@@ -114,23 +118,31 @@ impl FirstSums {
         [covered, r, g, b, x, y, z, share * self.z_mm, share * self.gloss, share * self.alpha, central]
     }
 
-    /// The values of a pixel with its diffuse and other light separate, and then the light that its
-    /// rays themselves see, which the other light lacks. `mean` is the mean light of the paths;
-    /// `finite` of the paths are finite. The first `paths` of the `rays` are paths.
-    pub(super) fn split(&self, mean: Vec3, finite: u32, [paths, rays]: [u32; 2]) -> [f32; PARTS + 3] {
+    /// The values of a pixel with its diffuse and other light separate. `mean` is the mean light of
+    /// the paths; `finite` of the paths are finite. All `rays` count for the surfaces.
+    pub(super) fn split(&self, mean: Vec3, finite: u32, rays: u32) -> [f32; PARTS] {
         // light is a mean over the finite paths, reflectance over all rays, normal and depth over
         // the rays with a surface
         let diffuse = self.diffuse / finite.max(1) as f32;
-        let (of_hits, of_rays, of_paths) =
-            (1.0 / self.hits.max(1) as f32, 1.0 / rays.max(1) as f32, 1.0 / paths.max(1) as f32);
-        let mut values = [0.0; PARTS + 3];
+        let share = 1.0 / self.hits.max(1) as f32;
+        let mut values = [0.0; PARTS];
         values[..3].copy_from_slice(&diffuse.to_array());
-        values[3..6].copy_from_slice(&(mean - diffuse - of_paths * self.path_seen).to_array());
-        values[6..9].copy_from_slice(&(of_rays * self.reflectance).to_array());
-        values[9..12].copy_from_slice(&(of_hits * self.normal).to_array());
-        values[12] = of_hits * self.z_mm;
-        values[13..16].copy_from_slice(&(of_paths * self.path_reflectance).to_array());
-        values[16..].copy_from_slice(&(of_rays * self.seen).to_array());
+        values[3..6].copy_from_slice(&(mean - diffuse).to_array());
+        values[6..9].copy_from_slice(&(self.reflectance / rays as f32).to_array());
+        values[9..12].copy_from_slice(&(share * self.normal).to_array());
+        values[12] = share * self.z_mm;
+        values
+    }
+
+    /// The values of [`split`](Self::split), then the reflectance for the paths alone, and the light
+    /// that all rays themselves see. The other light lacks the latter. The first `paths` of the
+    /// `rays` are paths.
+    pub(super) fn apart(&self, mean: Vec3, finite: u32, [paths, rays]: [u32; 2]) -> [f32; APART] {
+        let of_paths = 1.0 / paths.max(1) as f32;
+        let mut values = [0.0; APART];
+        values[..PARTS].copy_from_slice(&self.split(mean - of_paths * self.path_seen, finite, rays));
+        values[PARTS..MORE_PARTS].copy_from_slice(&(of_paths * self.path_reflectance).to_array());
+        values[MORE_PARTS..].copy_from_slice(&(self.seen / rays as f32).to_array());
         values
     }
 }

@@ -30,7 +30,7 @@ use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
 use super::beams::ViewSamples;
-use super::first::{DisplayAxes, FirstSums, PARTS};
+use super::first::{APART, DisplayAxes, FirstSums, MORE_PARTS};
 use super::{RenderError, Renderer};
 use crate::clamp::Clamped;
 use crate::settings::Settings;
@@ -85,13 +85,8 @@ impl Renderer {
         values: &Tensor<3>,
         mut variance: Option<&mut Tensor<3>>,
     ) -> Result<Tensor<3>, RenderError> {
-        let [rows, cols, _] = values.shape();
-        let mut joined = Tensor::zeros(["row", "col", "part"], [rows, cols, PARTS]);
-        let pixels = joined.data_mut().chunks_exact_mut(PARTS).zip(values.data().chunks_exact(PARTS + 3));
-        pixels.for_each(|(joined, values)| joined.copy_from_slice(&join(values)));
-        if !settings.further_paths {
-            return Ok(joined);
-        }
+        let cols = values.shape()[1];
+        let mut joined = joined::<MORE_PARTS>(values);
         let further = further(&joined, geometry.pitch_mm as f32, settings.samples);
         let most = further.iter().map(|further| further.rays).max().unwrap_or(0);
         if most == 0 {
@@ -103,7 +98,7 @@ impl Renderer {
         let samples = ViewSamples::new(rays, DisplayAxes::new(window, self.geometry.space), view, &settings, most);
         let (clamped, quiet) = (Clamped::default(), Task { progress: &NoProgress, ..task });
         let more = self.by_tiles(geometry, quiet, ["row", "col", "part"], |row, col, stack| {
-            let mut values = [0.0; PARTS + 6];
+            let mut values = [0.0; APART + 3];
             let Further { paths, rays } = further[row * cols + col];
             if rays > 0 {
                 let seed = samples.pixel_seed(row, col);
@@ -111,14 +106,14 @@ impl Renderer {
                 let (pixel, first): (_, FirstSums) =
                     self.pixel::<true>(&samples, [row, col], seed, count, &settings, &clamped, stack);
                 let finite = paths - pixel.not_finite;
-                values[..PARTS + 3].copy_from_slice(&first.split(pixel.mean, finite, count));
-                values[PARTS + 3..PARTS + 6].copy_from_slice(&pixel.variance.to_array());
+                values[..APART].copy_from_slice(&first.apart(pixel.mean, finite, count));
+                values[APART..].copy_from_slice(&pixel.variance.to_array());
             }
             values
         })?;
         let own_samples = settings.samples as f32;
-        let own = values.data().chunks_exact(PARTS + 3);
-        let pixels = joined.data_mut().chunks_exact_mut(PARTS).zip(own).zip(more.data().chunks_exact(PARTS + 6));
+        let own = values.data().chunks_exact(APART);
+        let pixels = joined.data_mut().chunks_exact_mut(MORE_PARTS).zip(own).zip(more.data().chunks_exact(APART + 3));
         for (number, ((joined, own), more)) in pixels.enumerate().filter(|(number, _)| further[*number].rays > 0) {
             let Further { paths, rays } = further[number];
             let (paths, rays) = (paths as f32, rays as f32);
@@ -129,7 +124,7 @@ impl Renderer {
                 [true, true] => of_rays,
                 [own, _] => f32::from(u8::from(!own)),
             };
-            let mut mean = [0.0; PARTS + 3];
+            let mut mean = [0.0; APART];
             for (index, ((mean, own), more)) in mean.iter_mut().zip(own).zip(more).enumerate() {
                 let share = match index {
                     0..6 | 13..16 => of_paths,
@@ -138,10 +133,10 @@ impl Renderer {
                 };
                 *mean = own + share * (more - own);
             }
-            joined.copy_from_slice(&join(&mean));
+            joined.copy_from_slice(&join::<MORE_PARTS>(&mean));
             if let Some(variance) = variance.as_mut().filter(|_| paths > 0.0) {
                 let variance = &mut variance.data_mut()[3 * number..3 * number + 3];
-                for (own, more) in variance.iter_mut().zip(&more[PARTS + 3..]) {
+                for (own, more) in variance.iter_mut().zip(&more[APART..]) {
                     // paths of equal variance tell what the other of two parts cannot
                     let [alone, more] = match [own.is_nan(), more.is_nan()] {
                         [true, _] => [more * paths / own_samples, *more],
@@ -156,11 +151,20 @@ impl Renderer {
     }
 }
 
+/// Joins the values of [`FirstSums::apart`], and keeps the first `K` of each pixel.
+pub(super) fn joined<const K: usize>(apart: &Tensor<3>) -> Tensor<3> {
+    let [rows, cols, _] = apart.shape();
+    let mut joined = Tensor::zeros(["row", "col", "part"], [rows, cols, K]);
+    let pixels = joined.data_mut().chunks_exact_mut(K).zip(apart.data().chunks_exact(APART));
+    pixels.for_each(|(joined, apart)| joined.copy_from_slice(&join::<K>(apart)));
+    joined
+}
+
 /// Adds the light that rays themselves see, which is last, to the other light.
-fn join(values: &[f32]) -> [f32; PARTS] {
-    let mut joined = [0.0; PARTS];
-    joined.copy_from_slice(&values[..PARTS]);
-    (0..3).for_each(|c| joined[3 + c] += values[PARTS + c]);
+fn join<const K: usize>(apart: &[f32]) -> [f32; K] {
+    let mut joined = [0.0; K];
+    joined.copy_from_slice(&apart[..K]);
+    (0..3).for_each(|c| joined[3 + c] += apart[MORE_PARTS + c]);
     joined
 }
 
@@ -168,7 +172,7 @@ fn join(values: &[f32]) -> [f32; PARTS] {
 fn further(values: &Tensor<3>, pitch_mm: f32, samples: u32) -> Vec<Further> {
     let [rows, cols, _] = values.shape();
     let vector = |pixel: &[f32], first: usize| Vec3::from_slice(&pixel[first..first + 3]);
-    let pixels: Vec<&[f32]> = values.data().chunks_exact(PARTS).collect();
+    let pixels: Vec<&[f32]> = values.data().chunks_exact(MORE_PARTS).collect();
     let lightness = |rgb: Vec3| luminance(rgb.to_array());
     let sum: f64 = pixels.iter().map(|pixel| f64::from(lightness(vector(pixel, 0) + vector(pixel, 3)))).sum();
     let mean = (sum / pixels.len() as f64) as f32;

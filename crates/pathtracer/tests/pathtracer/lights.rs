@@ -33,7 +33,7 @@ fn inverse_square(position: DVec3, at: DVec3) -> f64 {
     to_light.z / to_light.length().powi(3)
 }
 
-/// Mean of a function over every pixel of the window, from a fine grid.
+/// Mean of a function over each pixel of the window, from a fine grid of points.
 fn over_window(size: usize, f: impl Fn(f64, f64) -> f64) -> Vec<f64> {
     let fine = 8;
     let at = |i: usize, k: usize| ((i as f64 + (k as f64 + 0.5) / fine as f64) / size as f64 - 0.5) * 2.0;

@@ -66,8 +66,8 @@ fn a_card_appears_where_its_rays_cross_the_display() {
     }
 }
 
-/// In perspective, the eye is at e = D s, at the distance D and the slope s of the view. The card's
-/// rays to the eye cross z = 0 at x_card + (x_card − e) z/(D − z).
+/// In perspective, a view of slope s has its eye at e = D s, at the distance D from the display.
+/// The card's rays to the eye cross z = 0 at x_card + (x_card − e) z/(D − z).
 #[test]
 fn perspective_views_meet_at_the_eye() {
     let distance = 3.0;

@@ -1,9 +1,9 @@
 //! Compares two renders of one view, by scores in linear light and by pictures. The pictures have
 //! the exposure and tone curve that a job would choose for our render by default.
 //!
-//! Each render has two halves a and b with independent noise. Therefore the mean of the product
-//! (o_a − p_a)(o_b − p_b) contains no noise. It is the squared difference of the expected pictures
-//! o (ours) and p (the other).
+//! Our render o and the other render p have two halves a and b each, with independent noise.
+//! Therefore the noise cancels in the mean of the product (o_a − p_a)(o_b − p_b). This mean is the
+//! squared difference of the two renders without noise.
 
 use std::path::Path;
 
@@ -28,8 +28,8 @@ pub struct Halves {
 
 /// Scores of a pair of renders.
 pub struct Figures {
-    /// Mean of our render divided by the mean of Blender's, per channel. Both means are over the
-    /// pixels that a surface covers in at least one of the renders.
+    /// Mean of our render divided by the mean of Blender's render, per channel. Both means are over
+    /// the pixels that a surface covers in at least one of the renders.
     pub ratio: [f64; 3],
     /// Root mean square of the difference of the two renders, with the noise removed. It is divided
     /// by the mean of Blender's render, over the same pixels as `ratio`.
@@ -37,7 +37,7 @@ pub struct Figures {
     /// The same value as `difference`, but with the noise of both renders.
     pub with_noise: f64,
     /// Overlap of the pixels that surfaces cover, 0..1. It is the number of pixels that are covered
-    /// in both renders, divided by the number covered in at least one.
+    /// in both renders, divided by the number of pixels that are covered in at least one render.
     pub overlap: f64,
     /// Centroid of the covered pixels of our render minus the centroid in Blender's render, pixels
     /// (right, down).

@@ -147,7 +147,7 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
         tone_mapping.curve.name(),
         ours["triangles"],
     );
-    // The same line appears in the log, so that runs can be compared without a browser.
+    // The line of scores also appears in the log, so that runs can be compared without a browser.
     println!("{}: {line}", ours["name"].as_str().unwrap_or_default());
     let gain =
         format!("{} × luminance difference: orange where ours is brighter, blue where Blender's is", compare::GAIN);

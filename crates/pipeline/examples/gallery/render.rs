@@ -172,7 +172,8 @@ fn turned(window: &Window, degrees: f64) -> Window {
     Window { scene_from_display: Similarity { rotation, ..map }, ..*window }
 }
 
-/// Writes the environment as a picture, with its strength. Returns its name and rotation.
+/// Writes the environment as a picture whose values are multiplied by the environment's strength.
+/// Returns its name and rotation.
 fn write_environment(scene: &Scene, folder: &Path) -> Outcome<Value> {
     let Some(environment) = scene.environment else { return Ok(Value::Null) };
     let image = &scene.images[environment.image];

@@ -13,7 +13,7 @@ use crate::job::Job;
 use crate::simulate::RunFolder;
 use crate::store::files::write;
 
-/// Quality of the sheet's JPEG. A PNG would be four times as large.
+/// JPEG quality of `displays.jpg`. A PNG would be four times as large.
 const JPEG_QUALITY: u8 = 92;
 
 /// A display of the run, compared with the target.
@@ -45,8 +45,8 @@ pub struct DisplaysComparison {
 
 /// Compares all displays of a run whose job has `[[nodes]]` with the target.
 ///
-/// If `out` is given, writes `displays.jpg` into it: a column per display, with seen pictures from
-/// the left, the middle and the right.
+/// If `out` is given, writes `displays.jpg` into it. The picture has a column for the target and
+/// one for each display, with views from the left, the middle and the right.
 ///
 /// # Errors
 /// If the run has no nodes or no target, or files cannot be read or written.

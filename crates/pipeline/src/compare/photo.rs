@@ -1,8 +1,8 @@
 //! Compares a photograph of panels with the simulation of their run.
 //!
 //! The homography of the display's four corners rectifies the photograph. A factor g adapts its
-//! exposure to the simulation. The factor minimizes Σ (g p − s)² over photograph p and simulation
-//! s, in linear light and without clipped pixels:
+//! exposure to the simulation. The factor minimizes Σ (g p − s)² over the values p of the
+//! photograph and s of the simulation, in linear light and without clipped pixels:
 //!
 //! ```text
 //! g = Σ s p / Σ p²
@@ -16,9 +16,10 @@
 //! H ∝ diag(f, f, 1) [r_1 r_2 t],      eye = −Rᵀ t
 //! ```
 //!
-//! where r_1 and r_2 are the x and y axes of the display in the camera's frame. They are
-//! orthonormalized. Source: Zhang, "A Flexible New Technique for Camera Calibration" (2000),
-//! section 3.1.
+//! where r_1 and r_2 are the x and y axes of the display in the camera's frame, which are
+//! orthonormalized. R has the columns r_1, r_2 and r_3, the display's z axis. The display's centre
+//! is at t in the camera's frame. Source: Zhang, "A Flexible New Technique for Camera Calibration"
+//! (2000), section 3.1.
 
 use std::path::{Path, PathBuf};
 
@@ -45,7 +46,7 @@ pub enum Pose {
 /// Comparison of a photograph with the simulation.
 #[derive(Clone, Debug, Serialize)]
 pub struct PhotoComparison {
-    /// Photograph compared with the simulation, after its exposure is adapted.
+    /// Photograph compared with the simulation, after the photograph's exposure is adapted.
     pub likeness: Likeness,
     /// Factor g on the photograph's linear values.
     pub gain: f64,

@@ -137,7 +137,7 @@ impl FactorizeJob {
         }
     }
 
-    /// Converts the expected eyes for the display model.
+    /// Converts the expected eye positions to the type of the crate `display`.
     pub(crate) fn eye_boxes(&self) -> Vec<EyeBox> {
         let boxed = |&EyeJob { eye_mm, sigma_mm, weight }: &EyeJob| EyeBox { eye_mm, sigma_mm, weight };
         self.eyes.iter().map(boxed).collect()

@@ -1,4 +1,4 @@
-//! Tests that a job keeps paths of any bytes when it is written and read.
+//! Tests that a job keeps paths with bytes that are not UTF-8 when it is written and read.
 
 use std::path::PathBuf;
 

@@ -67,7 +67,7 @@ pub struct SearchJob {
 }
 
 impl SweepJob {
-    /// Returns the number of designs, including equal ones.
+    /// Returns the number of designs, including equal designs.
     pub fn count(&self) -> usize {
         let lengths = [
             self.displays.len(),

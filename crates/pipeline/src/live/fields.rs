@@ -141,7 +141,7 @@ impl LiveFields {
         let before = self.scene.take_if(|(key, _)| *key != key_of_scene);
         if self.scene.is_none() {
             // An animation may switch lights off. A scene that began without automatic studio light
-            // does not get it while it moves.
+            // does not get studio light while it moves.
             let is_motion = |key: &Value| key[0] == key_of_scene[0] && key[1] == key_of_scene[1];
             let stays_dark = before.as_ref().is_some_and(|(key, scene)| is_motion(key) && !scene.studio);
             match self.load(&path, stays_dark, registry, task) {
@@ -164,10 +164,9 @@ impl LiveFields {
         let Some((_, placement)) = self.placement else { return Ok(None) };
         // Trace one more pass. If any input of the views has changed, this is the first pass of new
         // views.
-        let footprint = display.angular_footprint();
         let job = self.job.clone();
         let (geometry, samples) = (&geometry, None);
-        let shot = Shot { job: &job, ingested: &ingested, placement: &placement, geometry, footprint, samples };
+        let shot = Shot { job: &job, ingested: &ingested, placement: &placement, geometry, display: &display, samples };
         let key_of_views = json!([key_of_scene, format!("{placement:?} {geometry:?}"), (TRACE.reads)(&job)]);
         let (of_light, of_patterns) = ((EXPOSE.reads)(&job), json!([display.to_toml(), job.factorize]));
         let key = json!([key_of_views, of_light, of_patterns]);

@@ -21,8 +21,8 @@ use crate::stage::fields::{FieldJob, Shot};
 
 /// Paths per pixel that measure the fraction of a pixel where the background is visible.
 const MISSED_SAMPLES: u32 = 4;
-/// Indices of the hit surface's normal (three values) and depth among the values of a pixel of a
-/// [`SplitView`]. These values are 0 without a hit.
+/// Indices, among the values of a pixel of a [`SplitView`], of the hit surface's normal (three
+/// values) and depth (one value). These values are 0 without a hit.
 const SURFACE: std::ops::Range<usize> = 9..13;
 
 /// Views in progress.
@@ -37,7 +37,8 @@ pub(super) struct Progressive {
 #[derive(Default)]
 struct View {
     place: [usize; 2],
-    /// Means of all passes so far; `None` before the first pass, or if the scene needs no paths.
+    /// Mean of the values of all passes so far; `None` before the first pass, or if the scene needs
+    /// no paths.
     split: Option<SplitView>,
     samples: u32,
     /// Splats in front of the surfaces, `[row][col][r, g, b, T]`; empty without splats.
@@ -54,8 +55,8 @@ pub(super) struct Radiance {
 }
 
 impl Progressive {
-    /// Prepares the target's views. Renders all that has no noise: the splats, and the fraction of
-    /// each pixel that shows the background.
+    /// Prepares the target's views. Renders everything without noise: the splats, and the fraction
+    /// of each pixel that shows the background.
     ///
     /// # Errors
     /// If the scene cannot be rendered, or when cancelled.
@@ -81,7 +82,7 @@ impl Progressive {
     }
 
     /// Traces another pass. Returns false if all samples have been traced. If the pass is
-    /// cancelled, views keep the paths that it traced.
+    /// cancelled, views keep the paths that the pass has traced.
     ///
     /// # Errors
     /// If rendering fails or is cancelled.
@@ -151,8 +152,13 @@ impl View {
         samples: u32,
         task: Task<'_>,
     ) -> Result<(), PipelineError> {
-        // Another seed gives other paths than in the earlier passes.
-        let settings = lumistack_pathtracer::Settings { samples, ..of.seeded(&[3, u64::from(self.samples)]) };
+        // Another seed gives other paths than in the earlier passes. Further paths would delay the
+        // passes.
+        let settings = lumistack_pathtracer::Settings {
+            samples,
+            further_paths: false,
+            ..of.seeded(&[3, u64::from(self.samples)])
+        };
         let new =
             renderer.render_split(shot.window(), &of.traced, self.place, &settings, task).map_err(render_error)?;
         self.split = Some(match self.split.take() {
@@ -165,7 +171,7 @@ impl View {
 }
 
 /// Averages the values of two renders of a view. The render `new` has the weight `share`. If only
-/// one of the two hits a surface at a pixel, that render's normal and depth are kept.
+/// one of the renders hits a surface at a pixel, the normal and depth of this render are kept.
 fn mean(before: SplitView, new: &SplitView, share: f32) -> SplitView {
     let mut values: Tensor<3> = before.values().clone();
     let pixels =

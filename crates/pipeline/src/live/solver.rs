@@ -40,8 +40,8 @@ impl LiveSolver {
         let settings = solver_settings(&job.factorize, job.seed)?;
         let device = &job.factorize.device;
         // The search for graphics processors takes longer than a step, so `auto` searches only
-        // once. A device that the job names is open already, unless it failed, so this call takes
-        // no time.
+        // once. A device that the job names is open already, unless it failed, so `of` takes no
+        // time for this device.
         if device != "auto" || self.device != "auto" {
             self.site = SolverDevice::of(device)?;
             self.device.clone_from(device);
@@ -55,7 +55,7 @@ impl LiveSolver {
     ///
     /// # Errors
     /// If target, weights and settings do not match, if a device that the job names fails, or when
-    /// cancelled. After an error the next step starts from the same patterns as this one.
+    /// cancelled. After an error the next step starts from the same patterns as this step.
     pub fn step(
         &mut self,
         target: &Arc<Target>,

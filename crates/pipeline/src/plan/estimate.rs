@@ -44,10 +44,10 @@ use crate::store::stamps::Stamps;
 
 /// File with the [`Record`] of every executed step, relative to the run folder.
 const FILE: &str = "cache/steps.json";
-/// Number of hexadecimal digits of a key that is shown.
+/// Number of hexadecimal digits that a plan shows of a key.
 const DIGITS: usize = 16;
-/// Mean number of rays per pixel for a direction of the zone score. It is the sum over the two
-/// renders of the direction.
+/// Mean number of rays per pixel that the zone score traces for a direction. The number counts the
+/// rays of both renders of the direction.
 const SCORE_SAMPLES: f64 = 6.5;
 
 /// Record of an executed step.
@@ -65,8 +65,8 @@ pub(crate) struct Record {
 
 impl Record {
     pub(crate) fn new(seconds: f64, cached: bool, files: Vec<(PathBuf, String)>) -> Self {
-        // The list of files also has entries for importers, Blender and scenes in memory. Their
-        // paths are only names, so these paths stay as they are.
+        // The list of files also has entries for importers, Blender and scenes in memory. The paths
+        // of these entries are only names, so they are not made absolute.
         let place = |path: PathBuf| match path.is_file() {
             true => std::path::absolute(&path).unwrap_or(path),
             false => path,
@@ -173,7 +173,8 @@ fn settings(plan: &Plan, part: usize) -> Job {
     job
 }
 
-/// Adds the content of the files that a step reads. Returns `None` if they are not known.
+/// Adds the content of the files that a step reads to its key. Returns `None` if the files are not
+/// known.
 fn add_content(
     key: &mut KeyBuilder,
     plan: &Plan,
@@ -468,8 +469,8 @@ fn memory(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> u64 {
     sizes[step.part].as_ref().map_or(0, |sizes| bytes(step.kind, job, sizes))
 }
 
-/// Returns an upper bound of the memory of a step, bytes. The tree over a scene, a plugin's own
-/// memory and pictures of an output are estimates.
+/// Returns an upper bound of the memory of a step, bytes. Only the memory of three things is
+/// estimated: the search tree over a scene, a plugin's own data, and the pictures of an output.
 fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     let (memory, threads) = (&sizes.memory, rayon::current_num_threads() as f64);
     // Memory of a scene as a multiple of the size of its file. The factor for splats is larger,

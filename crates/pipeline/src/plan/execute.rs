@@ -1,8 +1,8 @@
 //! Executes plans step by step. Each step finds the results of its inputs in memory.
 //!
 //! A result is dropped from memory after the last step that reads it. If an input's result is not
-//! in memory, the input's step is executed first. If the run folder has that step's current result,
-//! the step only reads it. So a process can execute any single step.
+//! in memory, the input's step is executed first. If the run folder has the current result of the
+//! input's step, this step only reads the result. So a process can execute any single step.
 
 mod check;
 pub(crate) mod context;
@@ -40,8 +40,8 @@ pub(crate) struct Executor<'a> {
     ends: Vec<LastSteps>,
     done: Vec<bool>,
     records: BTreeMap<String, Record>,
-    /// The part of the unit, and how the unit locks the part's folder. `None` if this value
-    /// executes a whole plan or a single step.
+    /// The part of the executed unit of work, and how the unit locks the part's folder. `None` if
+    /// the executor executes a whole plan or a single step.
     unit: Option<(usize, Hold)>,
 }
 
@@ -207,7 +207,7 @@ impl<'a> Executor<'a> {
         Ok(())
     }
 
-    /// Locks the folder of a part, since another run may use only that folder.
+    /// Locks the folder of a part, since a run of the part alone may use that folder.
     fn enter(&mut self, part: usize) -> Result<(), PipelineError> {
         let of_part = &self.context.plan.parts[part];
         let Some(parent) = of_part.parent else { return Ok(()) };

@@ -40,7 +40,7 @@ pub(crate) fn add_times(plan: &mut Plan, part: usize, fields_only: bool) -> Resu
         let place = plan.add_step(part, StepKind::Place, vec![ingest.clone()]);
         [ingest, place]
     });
-    // Every time step is a part with a job, and depends on the previous one.
+    // Every time step is a part with a job, and depends on the previous time step.
     let reports = sequence.reports && !fields_only;
     let (mut fields, mut ends) = (Vec::<String>::new(), Vec::new());
     for time in 0..times.count() {

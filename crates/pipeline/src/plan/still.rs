@@ -14,7 +14,7 @@ pub(crate) struct Before<'a> {
     pub(crate) first: Option<&'a str>,
 }
 
-/// Adds the steps that make a part's light field. Returns the id of the last one.
+/// Adds the steps that make a part's light field. Returns the id of the last step.
 pub(crate) fn add_field(plan: &mut Plan, part: usize, before: Before<'_>) -> String {
     let job = &plan.parts[part].job;
     let denoised = job.render.denoise.filters();

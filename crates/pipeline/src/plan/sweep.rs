@@ -8,8 +8,9 @@
 //! ```
 //!
 //! A sweep of a sequence has a light field per time step, `fields/1/t0001/target`. The file of a
-//! design is written atomically, and its key contains everything that it depends on. Therefore a
-//! killed sweep continues with the finished designs, and its table has the same bytes in the end.
+//! design is written atomically, and its name contains a key of everything that the file depends
+//! on. Therefore a killed sweep continues with the finished designs, and its table has the same
+//! bytes in the end.
 //!
 //! Designs are solved in parallel, since a small design does not use all threads.
 

@@ -91,8 +91,8 @@ impl<'a> Cutter<'a> {
             StepKind::Place if !matches!(self.plan.parts[step.part].kind, PartKind::Time(_)) => UnitKind::Place,
             StepKind::Trace => return self.add_blocks(step, UnitKind::Views, step.inputs.clone()),
             StepKind::Score => {
-                // Directions of the zone score depend only on the display, so these units do not
-                // wait for the light field.
+                // Directions of the zone score depend only on the display, so units that render the
+                // score's pictures do not wait for the light field.
                 let place =
                     self.plan.steps.iter().filter(|other| other.part == step.part && other.kind == StepKind::Place);
                 return self.add_blocks(step, UnitKind::Score, place.map(|step| step.id.clone()).collect());
@@ -112,7 +112,8 @@ impl<'a> Cutter<'a> {
             StepKind::Report | StepKind::Search => return,
         };
         let mut inputs = self.inputs(&step.inputs);
-        // A solve in tiles waits for the tiles of the last round. Its unit then only joins them.
+        // A solve in tiles waits for the tiles of the last round. The unit of this step then only
+        // joins the tiles.
         let last = self.made_by.remove(step.id.as_str());
         inputs.extend(last.iter().flatten());
         let mut unit = self.unit(step, step.id.clone(), kind, inputs);
@@ -126,8 +127,8 @@ impl<'a> Cutter<'a> {
         self.push(step, unit);
     }
 
-    /// Adds no unit. Units that read the result of this step wait for the inputs of this step
-    /// instead.
+    /// Adds no unit for this step. Units that read the result of this step wait for the inputs of
+    /// this step instead.
     fn pass(&mut self, step: &'a Step) {
         let inputs = self.inputs(&step.inputs);
         self.made_by.insert(&step.id, inputs);

@@ -82,8 +82,8 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     };
     // Read the results of the denoiser on the target's views, for the report.
     let denoised = denoise::denoised(&fields[0], kind, tone_mapping)?;
-    // This closure exposes one view. With a background, surfaces may cover only a fraction of a
-    // pixel.
+    // This closure exposes one view. If the job has a background colour, each pixel gets this
+    // colour in the fraction that surfaces do not cover.
     let expose_view = |field: &FieldJob, view: [usize; 2], rgb: &mut [f32]| -> Result<(), PipelineError> {
         if linear {
             // Scene-linear values are neither exposed, nor clipped, nor rounded.

@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
-use lumistack_display::{FieldGeometry, ViewGrid};
+use lumistack_display::{Display, FieldGeometry, ViewGrid, Views};
 use lumistack_pathtracer::{Features, Settings};
 use lumistack_shot::{Placement, put_before, seeded};
 use lumistack_splats::Space;
@@ -26,8 +26,7 @@ pub(crate) struct Shot<'a> {
     pub(crate) placement: &'a Placement,
     /// Geometry of the display's light field.
     pub(crate) geometry: &'a FieldGeometry,
-    /// Width of the display's angular prefilter along x and y, as a difference of slopes.
-    pub(crate) footprint: [f64; 2],
+    pub(crate) display: &'a Display,
     /// Measured number of paths, if the job sets no number.
     pub(crate) samples: Option<Samples>,
 }
@@ -73,15 +72,20 @@ impl Shot<'_> {
     fn settings(&self) -> Settings {
         let (job, samples) = (self.job, self.samples_per_view());
         let hidden = job.light.background != Background::Environment;
-        job.render.settings(job.seed, samples, hidden, self.placement.depth_scale, self.footprint)
+        let footprint = self.display.angular_footprint();
+        // The solver of a display that chooses its views averages the noise that further paths
+        // remove. Fixed views may be seen one by one.
+        let further_paths = self.denoise() == Denoise::Shared && matches!(self.display.field.views, Views::Fixed(_));
+        let settings = job.render.settings(job.seed, samples, hidden, self.placement.depth_scale, footprint);
+        Settings { further_paths, ..settings }
     }
 
     /// Returns all light fields of the shot, the target first. The traced views of each light field
     /// are in a folder inside `cache_dir`. `blender` is true if Blender renders the views.
     pub(crate) fn fields(&self, cache_dir: &Path, blender: bool) -> Vec<FieldJob> {
         let (job, geometry, settings) = (self.job, self.geometry, self.settings());
-        // Views for the report are averaged over slopes as wide as the bins of the target, not over
-        // the bins of their own grids.
+        // Views for the report are averaged over a range of slopes that is as wide as a bin of the
+        // target's grid, not as a bin of their own grid.
         let settings_of_others = Settings {
             angular_filter: match settings.angular_filter {
                 lumistack_pathtracer::AngularFilter::Bin => {

@@ -166,7 +166,7 @@ mod tests {
         };
         assert!((found.change.psnr() - decibels(&|_| true)).abs() < AGREEMENT_DB);
         let right_half = |i: usize| (i / 3) % geometry.cols >= geometry.cols / 2;
-        // Compare codes, since even a changing ray may keep its code by chance.
+        // Compare codes in the left half too, since there a random ray may keep its code by chance.
         let same = |i: usize| {
             let code = |target: &LightField| srgb_code(target.radiance().data()[i]);
             code(now.target).abs_diff(code(before.target)) <= STILL_CODES

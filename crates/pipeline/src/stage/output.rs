@@ -65,7 +65,8 @@ pub(crate) fn failed(outputs: &[Output], prefix: &Path) -> Vec<FailedOutput> {
     failed.map(|(path, reason)| FailedOutput { path: place(path), reason }).collect()
 }
 
-/// Adds a light field and the depth of its central view to a key. Outputs receive both of them.
+/// Adds a light field and the depth of its central view to a key. Outputs receive the light field
+/// and the depth.
 fn add_field(key: &mut KeyBuilder, label: &str, field: &LightField) {
     key.add("geometry", format!("{:?}", field.geometry()).as_bytes()).add_field(label, field);
     if let Some(depth) = field.depth() {

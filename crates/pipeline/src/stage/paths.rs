@@ -1,4 +1,4 @@
-//! Chooses the number of paths per pixel and view, by the errors that noise and the display cause
+//! Chooses the number of paths per pixel and view, from the errors that noise and the display cause
 //! in seen pictures. `samples.rs` measures these errors.
 
 use serde::{Deserialize, Serialize};

@@ -17,7 +17,7 @@
 //!
 //! D contains no noise, since all seeds are independent. V contains only noise that a viewer sees.
 //! A pixel of a layer averages over all rays through it, so the noise in the target's views is
-//! larger.
+//! larger than V.
 
 use std::path::Path;
 
@@ -89,8 +89,7 @@ pub(crate) fn measured(
         return Ok(None);
     }
     // The key contains everything that noise and error depend on.
-    let footprint = display.angular_footprint();
-    let shot = Shot { job, ingested, placement, geometry: &geometry, footprint, samples: None };
+    let shot = Shot { job, ingested, placement, geometry: &geometry, display, samples: None };
     let mut key = shot.key();
     key.add_json("settings", &(&job.render, job.seed, &job.light))
         .add("display", display.without_panels().to_toml().as_bytes())
@@ -361,7 +360,6 @@ fn settings(shot: Shot<'_>) -> Settings {
     Settings {
         max_bounces: shot.job.render.max_bounces,
         clamp: shot.job.render.clamp,
-        further_paths: shot.denoise() == Denoise::Shared,
         hide_environment,
         ..Settings::default()
     }

@@ -39,8 +39,8 @@ use crate::store::used::TILES;
 /// Number of rounds; fewer if there are fewer iterations. Tiles exchange their borders between
 /// rounds.
 const ROUNDS: usize = 4;
-/// Number of threads that estimates of memory assume. It is fixed, so that the cut does not depend
-/// on the machine.
+/// Number of threads that estimates of memory assume. It is fixed, so that the cut into tiles does
+/// not depend on the machine.
 const THREADS: usize = 16;
 /// Minimum edge of a tile, pixels of the light field. A tile of this size is used even if it needs
 /// more memory than allowed.

@@ -188,8 +188,8 @@ mod tests {
         let job = job(folder.path());
         let path = folder.path().join("job.toml");
         let accepted = || try_take(folder.path(), Work::Run, &job).map(drop);
-        // First check a file of a version that wrote all defaults and no hash, then a file with a
-        // hash.
+        // An earlier version wrote job files with all defaults and without a hash. Such a file is
+        // accepted until it changes. Then check a file with a hash.
         std::fs::write(&path, job.to_toml()).unwrap();
         assert_eq!(accepted(), Ok(()));
         std::fs::write(&path, format!("{}# mine\n", job.to_toml())).unwrap();

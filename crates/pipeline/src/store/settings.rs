@@ -1,5 +1,5 @@
-//! `job.toml` and `display.toml` of a run folder. Their first line has a hash of the rest, which
-//! shows whether a user wrote or changed the file.
+//! `job.toml` and `display.toml` of a run folder. The first line of each file has a hash of all
+//! other lines, which shows whether a user wrote or changed the file.
 
 use std::ffi::OsStr;
 use std::path::Path;

@@ -36,7 +36,7 @@ fn code_of_views() -> String {
     KeyBuilder::new("used", code::VIEWS).finish()
 }
 
-/// Records which cached views the run in `dir` used, and removes all others.
+/// Records which cached views the run in `dir` used, and removes all other cached views.
 ///
 /// # Errors
 /// If the list cannot be written.

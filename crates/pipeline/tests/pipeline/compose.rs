@@ -1,4 +1,5 @@
-//! Plans of a sequence with nodes and of a sweep over it, and the execution of every step alone.
+//! Tests plans of a sequence with nodes and plans of a sweep over this sequence, and executes every
+//! step alone.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

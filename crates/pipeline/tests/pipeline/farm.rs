@@ -1,5 +1,5 @@
-//! Units of work: the bytes of results do not depend on the cut, units run in parallel, and wrong
-//! plans are refused.
+//! Units of work: the bytes of results do not depend on how the plan is cut into units, units run
+//! in parallel, and wrong plans are refused.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -74,7 +74,7 @@ fn units_of_a_still_give_the_bytes_of_a_run() {
     let figure = |dir: &PathBuf| json(&dir.join("report.json"))["psnr_zone"].clone();
     assert!(figure(&one).is_number() && figure(&one) == figure(&many));
 
-    // A finished unit is skipped, except the last one. The last unit checks all results, and makes
+    // A finished unit is skipped, except the last unit. The last unit checks all results, and makes
     // damaged results again.
     assert_eq!(unit(&many, "trace/2-of-2", &registry), Ok(true));
     std::fs::write(many.join("layers/layer_0.npy"), "damaged").unwrap();

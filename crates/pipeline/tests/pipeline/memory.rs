@@ -6,7 +6,8 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use lumistack_field_io::npy;
+use lumistack_display::{FieldGeometry, Projection, ViewGrid};
+use lumistack_field_io::{npy, write_index, write_view};
 use lumistack_pipeline::{Job, Registry, plan, run, run_step};
 
 use crate::compose::{results, with_task};
@@ -19,7 +20,7 @@ const JOB: &str = "LUMISTACK_TEST_MEMORY_JOB";
 /// Columns, rows, and views per axis, of the given light field and of the jobs with fixed views.
 const SIZE: [usize; 3] = [208, 140, 17];
 
-/// Peak of a run, and the bound of its plan, bytes.
+/// Peak of the memory of a run, and the bound that its plan states for this memory, bytes.
 #[derive(Clone, Copy, Debug)]
 struct Peak {
     found: u64,
@@ -61,8 +62,8 @@ fn peak_of(folder: &Path, name: &str, mib: u64, tables: &str, step: Option<&str>
     (path.with_extension(""), peak)
 }
 
-/// Checks a run that may keep only `mib` of a light field in memory. It must have the results of a
-/// run that keeps everything, and use less memory.
+/// Checks a run that may keep only `mib` MiB of a light field in memory. It must have the results
+/// of a run that keeps everything, and use less memory.
 fn check(tables: &str, mib: u64, step: Option<&str>) {
     let folder = tempfile::tempdir().unwrap();
     let (held_dir, held) = peak_of(folder.path(), "held", 4096, tables, step);
@@ -71,7 +72,8 @@ fn check(tables: &str, mib: u64, step: Option<&str>) {
     for peak in [held, streamed] {
         assert!(peak.found <= peak.said, "more than the plan said: {peak:?}");
     }
-    // The test is useful only if a light field in memory exceeds the bound of the streamed run.
+    // The test is useful only if a run with the whole light field in memory exceeds the bound of
+    // the run that streams the light field.
     assert!(held.found > streamed.said, "held {held:?}, streamed {streamed:?}");
     let (expected, found) = (results(&held_dir), results(&dir));
     assert!(expected.len() > 3 && expected.keys().eq(found.keys()), "{:?}", found.keys());
@@ -84,22 +86,43 @@ fn display([cols, rows]: [usize; 2], views: &str) -> String {
     format!("[display]\npreset = \"paper-three-layer\"\nresolution = [{cols}, {rows}]\nframes = 2\n{views}")
 }
 
+/// Value `i` of a light field of the size [`SIZE`]: squares that shift from view to view.
+fn value(i: usize) -> f32 {
+    let [cols, rows, views] = SIZE;
+    let (channel, pixel) = (i % 3, i / 3);
+    let (x, y, view) = (pixel % cols, pixel / cols % rows, pixel / (cols * rows));
+    let (x, y) = (x + view % views, y + view / views);
+    if (x / 16 + y / 12 + channel).is_multiple_of(2) { 0.25 } else { 0.625 }
+}
+
 #[test]
 fn a_given_light_field_is_read_and_solved_within_its_bound() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("field.npy");
     let [cols, rows, views] = SIZE;
-    let value = |i: usize| {
-        let (channel, pixel) = (i % 3, i / 3);
-        let (x, y, view) = (pixel % cols, pixel / cols % rows, pixel / (cols * rows));
-        let (x, y) = (x + view % views, y + view / views);
-        if (x / 16 + y / 12 + channel).is_multiple_of(2) { 0.25 } else { 0.625 }
-    };
     let data: Vec<f32> = (0..views * views * rows * cols * 3).map(value).collect();
     npy::write(&path, &[views, views, rows, cols, 3], &data).unwrap();
     drop(data);
     let geometry = "[geometry]\ngrid = \"oblique\"\nfov_deg = [10.0, 10.0]\npitch_mm = 1.0\n";
     check(&format!("light_field = {path:?}\n{}{geometry}[render]\n", display([cols, rows], "")), 24, None);
+}
+
+/// A folder of views has one file per view, so a run reads them one by one.
+#[test]
+fn a_folder_of_views_is_read_and_solved_within_its_bound() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("views");
+    std::fs::create_dir(&path).unwrap();
+    let [cols, rows, views] = SIZE;
+    let grid = ViewGrid::uniform(Projection::Oblique, [views, views], [10.0, 10.0]).unwrap();
+    let geometry = FieldGeometry { rows, cols, pitch_mm: 1.0, grid };
+    for (number, view) in geometry.grid.iter().enumerate() {
+        let size = rows * cols * 3;
+        let rgb: Vec<f32> = (number * size..(number + 1) * size).map(value).collect();
+        write_view(&path, &geometry, view, &rgb).unwrap();
+    }
+    write_index(&path, &geometry, &serde_json::Map::new()).unwrap();
+    check(&format!("light_field = {path:?}\n{}[render]\n", display([cols, rows], "")), 24, Some("factorize"));
 }
 
 fn scene() -> PathBuf {
@@ -118,5 +141,5 @@ fn fixed_views_are_rendered_and_solved_within_their_bound() {
 fn chosen_views_are_rendered_and_solved_within_their_bound() {
     // A number of samples is given, since measuring it would take most of the time.
     let render = "[render]\nzone_samples = 100\nmax_bounces = 1\n";
-    check(&format!("scene = {:?}\n{}{render}", scene(), display([288, 180], "")), 24, Some("factorize"));
+    check(&format!("scene = {:?}\n{}{render}", scene(), display([320, 140], "")), 24, Some("factorize"));
 }

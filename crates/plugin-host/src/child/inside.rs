@@ -435,7 +435,12 @@ unsafe fn fetch(
     let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
     if size < size_of::<Plane>() {
         // SAFETY: guaranteed by the caller.
-        unsafe { write_error(error, &format!("the plane's `size` is {size} bytes, too few for this ABI version")) };
+        unsafe {
+            write_error(
+                error,
+                &format!("the plane's `size`: expected at least {} bytes, found {size}", size_of::<Plane>()),
+            )
+        };
         return Status::REFUSED;
     }
     let (answer, body) = link.ask(what(*call), &[]);
@@ -595,7 +600,12 @@ unsafe fn give(
     let (Running { link, call }, size) = unsafe { (running(context), (*plane).size) };
     if size < size_of::<Plane>() {
         // SAFETY: guaranteed by the caller.
-        unsafe { write_error(error, &format!("the plane's `size` is {size} bytes, too few for this ABI version")) };
+        unsafe {
+            write_error(
+                error,
+                &format!("the plane's `size`: expected at least {} bytes, found {size}", size_of::<Plane>()),
+            )
+        };
         return Status::REFUSED;
     }
     // SAFETY: guaranteed by the caller; the plugin keeps ownership, so nothing is released.

@@ -54,7 +54,7 @@ pub struct Limits {
     /// Longest time that a running call may take without a sign of life. The plugin gives a sign
     /// when it calls a host service, and when one of its functions returns.
     pub silence: Option<Duration>,
-    /// Time that a running call has to end after the user has cancelled. After this time the
+    /// Time in which a running call must end after the user has cancelled. After this time the
     /// process is ended.
     pub grace: Duration,
 }

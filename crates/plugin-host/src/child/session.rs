@@ -24,7 +24,7 @@ use super::requests::{HOST, Lending, Lent, forward, is_cancelled};
 
 /// Interval of the checks during a wait.
 const TICK: Duration = Duration::from_millis(20);
-/// Time that a child has to end after its input was closed.
+/// Time in which a child must end after its input was closed.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Time to read the last messages and prints of a child that has ended.
 const DRAIN_TIMEOUT: Duration = Duration::from_millis(300);
@@ -119,8 +119,8 @@ impl std::ops::Deref for Owner {
 
 impl Drop for Owner {
     fn drop(&mut self) {
-        // The host's table is valid only until the output ends. The lock waits for requests that
-        // use the table.
+        // The plugin may use the objects that the host lends only while this output exists.
+        // `all_mut` waits until no request uses them. Then they are removed.
         self.lending.all_mut().clear();
         self.shut_down();
     }

@@ -1,4 +1,4 @@
-//! The C functions of a plugin, which run in this process or in another one.
+//! The C functions of a plugin, which run in this process or in another process.
 
 use std::ffi::c_void;
 

@@ -68,6 +68,8 @@ pub(crate) struct Lent<'a> {
 }
 
 impl<'a> Lent<'a> {
+    /// Lends the data of an output for `display`.
+    ///
     /// # Errors
     /// If a stack does not match its display, or a geometry is invalid.
     pub(crate) fn new(display: &'a Display, data: OutputData<'a>) -> Result<Self, PluginError> {
@@ -103,8 +105,10 @@ impl<'a> Lent<'a> {
         Self::described(display, data, geometry, &description)
     }
 
+    /// Lends the input of a node.
+    ///
     /// # Errors
-    /// If weights or the start do not match.
+    /// If the weights do not match the light field, or the start does not match the display.
     pub(crate) fn for_node(node: &NodeData<'a>) -> Result<Self, PluginError> {
         let NodeData { display, field, weights, start, .. } = *node;
         let refused = |what: &str, error: String| PluginError::Refused(format!("{what}: {error}"));
@@ -317,7 +321,10 @@ unsafe fn give(plane: *mut Plane, values: &[f32], shape: [usize; 3]) -> Result<(
     // SAFETY: guaranteed by the caller.
     let size = unsafe { (*plane).size };
     if size < size_of::<Plane>() {
-        return Err(PluginError::Refused(format!("the plane's `size` is {size} bytes, too few for this ABI version")));
+        return Err(PluginError::Refused(format!(
+            "the plane's `size`: expected at least {} bytes, found {size}",
+            size_of::<Plane>()
+        )));
     }
     // SAFETY: guaranteed by the caller. A newer plugin's `Plane` is longer; the bytes after this
     // version's members stay unchanged.

@@ -378,7 +378,7 @@ unsafe fn values_of(
     // SAFETY: guaranteed by the caller.
     let size = unsafe { (*plane).size };
     if size < size_of::<Plane>() {
-        return refused(format!("the plane's `size` is {size} bytes, too few for this ABI version"));
+        return refused(format!("the plane's `size`: expected at least {} bytes, found {size}", size_of::<Plane>()));
     }
     // SAFETY: guaranteed by the caller; the plugin keeps ownership, so nothing is released.
     let view = unsafe { PlaneView::new(Plane { release: None, ..*plane })? };

@@ -267,9 +267,9 @@ fn plugins_of_the_other_kinds_are_named_as_well() {
     assert_eq!(made, b"{}");
 }
 
-/// A plugin of these tests creates a file when its library is loaded. Another process uses one of
-/// two plugins, and only that plugin's file must exist afterwards. The process is another one,
-/// since environment variables name the libraries and the folder.
+/// A plugin of these tests creates a file when its library is loaded. This test starts a process
+/// that uses one of two plugins. Afterwards only the file of the used plugin must exist.
+/// Environment variables of the process name the libraries and the folder.
 #[test]
 fn a_library_that_is_not_requested_is_not_loaded() {
     let folder = tempfile::tempdir().unwrap();

@@ -116,7 +116,7 @@ fn upside_down(values: &mut [f32], rows: usize, cols: usize) {
 #[test]
 fn the_old_node_makes_patterns() {
     in_both_ways(|plugin| {
-        // three layers; then one layer with a directional backlight
+        // the first sample has three layers, the second has one layer and a directional backlight
         for sample in &samples()[..2] {
             let (display, start) = (&sample.display, sample.stack().unwrap());
             let field = random_field(display).unwrap();

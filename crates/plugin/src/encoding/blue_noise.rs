@@ -3,14 +3,15 @@
 //!
 //! Dots at pixels of a torus are ranked one by one. The energy of a position is the sum of
 //! exp(−r²/2σ²) over all dots at distances r, with σ = 1.5 pixels. The tightest cluster is the dot
-//! of highest energy. The largest void is the position without a dot of lowest energy.
+//! whose position has the highest energy. Among the positions without a dot, the largest void is
+//! the one with the lowest energy.
 //!
 //! 1. Some random dots are placed. Then the tightest cluster is moved to the largest void,
 //!    repeatedly, until the move returns the dot to its old position.
-//! 2. The dots of step 1 get the low ranks, in falling order: the tightest cluster gets the next
-//!    rank and is removed, repeatedly.
-//! 3. All other positions get the high ranks, in rising order. Starting from the dots of step 1,
-//!    the largest void gets the next rank and a dot, repeatedly.
+//! 2. The dots of step 1 get the low ranks, from the highest down: the tightest cluster gets the
+//!    next lower rank and is removed, repeatedly.
+//! 3. All other positions get the high ranks, from the lowest up. Starting from the dots of step 1,
+//!    the largest void gets the next higher rank and a dot, repeatedly.
 
 use std::sync::OnceLock;
 
@@ -119,8 +120,8 @@ mod tests {
 
     use super::*;
 
-    /// Returns the mean power of a pattern with mean 0 per spatial frequency: entry i is the band
-    /// around (i + 1)/64 cycles per pixel.
+    /// Returns the mean power of a pattern in bands of spatial frequency. Entry i belongs to the
+    /// band around (i + 1)/64 cycles per pixel. The mean of the pattern must be 0.
     fn radial_power(values: &[f64]) -> Vec<f64> {
         let side = BLUE_NOISE_SIDE;
         let turn = |k: usize, x: usize| -TAU * ((k * x) % side) as f64 / side as f64;

@@ -1,9 +1,9 @@
 //! Computes the codes of a panel of b bits, with optional dithering.
 //!
 //! Let two neighbouring codes emit the light l₀ and l₁, and a value v lie between them: l₀ ≤ v <
-//! l₁. The brighter code is used for the fraction t = (v − l₀)/(l₁ − l₀) of the pixels. So the mean
-//! *light* is exact for any transfer function. A threshold map selects the pixels, or error
-//! diffusion in linear light (Floyd and Steinberg, 1976; serpentine rows).
+//! l₁. Then the fraction t = (v − l₀)/(l₁ − l₀) of the pixels with this value gets the brighter
+//! code. So the mean *light* is exact for any transfer function. A threshold map selects these
+//! pixels, or error diffusion in linear light (Floyd and Steinberg, 1976; serpentine rows).
 
 use lumistack_display::Transfer;
 use serde::Deserialize;
@@ -68,9 +68,9 @@ pub fn panel_codes(
     codes
 }
 
-/// Returns the brightest code whose light is not above a value; for the brightest light the code
-/// before the last one. Also returns the value's position t, 0..1, between this code's light and
-/// the next code's.
+/// Returns the brightest code, except the last one, whose light is at most `value`. Also returns
+/// the value's position t, 0..1, between the light of this code and the light of the next code.
+/// `light` has the light of every code.
 fn between(light: &[f32], value: f32) -> (u16, f32) {
     let value = if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) };
     let above = light.partition_point(|&l| l <= value).clamp(1, light.len() - 1);
@@ -101,15 +101,15 @@ impl ThresholdMap {
         Self { side: BLUE_NOISE_SIDE, thresholds: blue_noise().to_vec() }
     }
 
-    /// Returns shift `n` of a sequence of shifts, [rows, columns]. For a Bayer map, neighbouring
-    /// shifts exchange the two halves of a checkerboard. For a blue-noise map, the shifts are
-    /// spread evenly over the map.
+    /// Returns the shift of the map, [rows, columns], for number `n`. For a Bayer map, the shifts
+    /// for n and n + 1 exchange the two halves of a checkerboard. For a blue-noise map, the shifts
+    /// are spread evenly over the map.
     fn shift(&self, n: usize) -> [usize; 2] {
         if self.side < BLUE_NOISE_SIDE {
             return [3 * n, 2 * n];
         }
-        // The fractional parts of n/g and n/g² are evenly spread, with g the real root of g³ = g +
-        // 1.
+        // The numbers are 1/g and 1/g², where g is the real root of g³ = g + 1. The fractional
+        // parts of n/g and n/g² are evenly spread.
         [0.754_877_666_246_692_7, 0.569_840_290_998_053_2]
             .map(|step: f64| ((n as f64 * step).fract() * self.side as f64) as usize)
     }

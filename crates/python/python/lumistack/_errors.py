@@ -1,5 +1,5 @@
-"""Exceptions of the package. Their messages are those of the command line; flags in them are
-replaced by arguments of Python's functions."""
+"""Exceptions of the package. They have the messages of the command line. If a message names a flag,
+the flag is replaced by the argument of the Python function."""
 
 
 class Error(Exception):

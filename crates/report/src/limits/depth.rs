@@ -41,8 +41,8 @@ const REACH: std::ops::RangeInclusive<usize> = 3..=40;
 /// must be below the mean sum over all shifts by this much per pixel. Pixels have values of 0 to
 /// 4095.
 const BETTER_BY: u32 = 40;
-/// A change of the shift by more than this fraction of the columns, and by more than one pixel, is
-/// an edge. Pixels up to `NEAR` away belong to the edge.
+/// An edge is where the shift changes by more than this fraction of the number of columns, and by
+/// more than one pixel. Pixels up to `NEAR` away belong to the edge.
 const JUMP_SHARE: f32 = 1.0 / 240.0;
 const NEAR: usize = 2;
 

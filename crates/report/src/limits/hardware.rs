@@ -60,8 +60,8 @@ pub(super) fn brightness(
     brighter: Option<SquaredError>,
 ) -> Option<Limit> {
     let relative = ((base.mse() - brighter?.mse()) / base.mse()).max(0.0);
-    // The gain per step falls with the size of the step, so extrapolation by a straight line is an
-    // upper bound.
+    // As the brightest state becomes brighter, each further increase gains less. So extrapolation
+    // of the gain by a straight line is an upper bound.
     let extrapolated = without((relative * BRIGHTER_SHOWN / BRIGHTER).min(0.99)).max(0.0);
     let mut text = format!("{} are at their brightest. ", listed(&ends.brightest, input.display.layers.len()));
     text += &if relative > 0.0 {

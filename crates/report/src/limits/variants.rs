@@ -1,5 +1,5 @@
-//! Variants: displays and stacks that differ from the given ones in one property, and the errors of
-//! each variant.
+//! Variants: displays and stacks that differ from the given display and stack in one property. Also
+//! the errors of each variant.
 
 use std::borrow::Cow;
 

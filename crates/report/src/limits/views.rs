@@ -36,7 +36,8 @@ impl Part {
         if self.all.sum > 0.0 { self.inside.sum / self.all.sum } else { 0.0 }
     }
 
-    /// Returns the gain in dB if the class had the mean error of all other pixels.
+    /// Returns the gain of PSNR, in dB, if the pixels of the class had the mean error of all other
+    /// pixels.
     fn gain(self) -> f64 {
         let rest = (self.all.sum - self.inside.sum) / (self.all.count - self.inside.count) as f64;
         if self.inside.count == 0 || self.all.sum == 0.0 {

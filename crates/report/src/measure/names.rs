@@ -24,8 +24,8 @@ pub(crate) fn outstanding_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     distinct(places.map(|[y, x]| [down[y], across[x]]))
 }
 
-/// Returns a central view and two opposite corners, as samples of a grid other than the target's.
-/// If the grid has only two views, returns both.
+/// Returns a central view and two opposite corners, as samples of a grid that is not the target's
+/// grid. If the grid has only two views, returns both.
 pub(super) fn sample_views(grid: &ViewGrid) -> Vec<[usize; 2]> {
     let (down, across) = (top_to_bottom(grid), left_to_right(grid));
     if down.len() * across.len() == 2 {

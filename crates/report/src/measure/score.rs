@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::{ReportError, ReportInput, ZoneView};
 
-/// Scores of one view, over the rays that are included.
+/// Scores of one view, over the rays that scores include.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ViewFigures {
     /// Error of L̃/β against L, in linear light.

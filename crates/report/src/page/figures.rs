@@ -128,8 +128,8 @@ struct Heat {
     overall: fn(&FieldScore) -> f64,
     text: fn(f64) -> String,
     unit: &'static str,
-    /// Smallest difference of the scores at the ends of the colour scale. A smaller one would
-    /// exaggerate invisible differences.
+    /// Smallest difference of the scores at the ends of the colour scale. On a narrower scale the
+    /// colours would exaggerate invisible differences.
     narrowest: f64,
     /// Ends of the colour scale if no view has a finite value.
     fallback: (f64, f64),

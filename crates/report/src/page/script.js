@@ -3,7 +3,7 @@
   const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
   const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-  // Pointer or arrow keys choose the view that is visible of both sheets, which contain all views.
+  // Each sheet contains all views, and one view of it is visible. Pointer or arrow keys choose it.
   const look = document.getElementById("look");
   if (look) {
     const across = look.dataset.across.split("|"), up = look.dataset.up.split("|");

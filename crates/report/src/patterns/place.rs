@@ -165,8 +165,8 @@ mod tests {
         let [first, second] = [windows[0], windows[1]];
         assert!(first.row <= 60 && first.row + first.rows >= 100, "{first:?}");
         assert!(first.col <= 140 && first.col + first.cols >= 180, "{first:?}");
-        // The second layer is coarser and 10 mm farther to the right; its window is at the same
-        // point, or at the layer's border.
+        // The second layer has pixels twice as large, and is 10 mm farther to the right. Its window
+        // has the same centre, unless the layer's border limits it.
         let centre_mm = first.col as f64 + 36.0 - 100.0;
         let expected = ((centre_mm - 10.0) / 2.0 + 50.0 - 36.0).round().clamp(0.0, 28.0) as usize;
         assert!(second.col.abs_diff(expected) <= 1 && second.rows == 45, "{second:?}");

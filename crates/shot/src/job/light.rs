@@ -20,8 +20,8 @@ pub struct LightJob {
     pub environment: Option<PathBuf>,
     /// Factor on the environment's radiance.
     pub environment_strength: f32,
-    /// Rotation of the environment about the scene's up axis, degrees. Above 0, the part straight
-    /// ahead moves to the left.
+    /// Rotation of the environment about the scene's up axis, degrees. A positive angle moves the
+    /// part of the environment that is straight ahead to the left.
     pub environment_rotation_deg: f64,
     /// Background where a ray misses every surface; it does not light surfaces.
     pub background: Background,

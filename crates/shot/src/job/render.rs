@@ -23,8 +23,8 @@ pub struct RenderJob {
     /// Paths per pixel, summed over all views. The solver averages all rays through a layer's
     /// pixel, so more views need fewer paths each.
     pub zone_samples: ZoneSamples,
-    /// Memory of the light field while it is rendered, read and solved, MiB. A larger one is kept
-    /// in files, of which parts are in memory.
+    /// Largest memory of the light field while it is rendered, read and solved, MiB. A light field
+    /// that needs more is kept in files, and only parts of it are in memory.
     pub field_mib: u64,
     /// Largest number of bounces of a path, the one at the first hit included. 0 shows emission
     /// only.
@@ -36,8 +36,9 @@ pub struct RenderJob {
     /// `point`: rays at the view's slope. `bin`: rays spread over the view's bin. `display`: rays
     /// spread over a range of slopes that the display cannot resolve far from itself.
     pub angular_filter: AngularFilter,
-    /// Aperture of a lens that is focused on the display plane: the full angle seen from there,
-    /// degrees; 0 for a pinhole. Content off the plane blurs. It excludes `angular_filter`.
+    /// Aperture of a lens that is focused on the display plane: the full angle at which a point of
+    /// the plane sees the lens, degrees. 0 is a pinhole. Content off the plane blurs. It excludes
+    /// `angular_filter`.
     pub lens_deg: f64,
     /// Filter that removes noise from finished views, at the price of a bias that the report
     /// states.
@@ -53,7 +54,8 @@ pub struct RenderJob {
 /// Paths per pixel, summed over all views: `"auto"` or a number in files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ZoneSamples {
-    /// As many as improve the display's picture, measured on small regions of it.
+    /// As many paths as improve the display's picture. The number is measured on small regions of
+    /// the picture.
     #[default]
     Auto,
     /// A fixed number, 1 to 2²⁴.
@@ -61,8 +63,8 @@ pub enum ZoneSamples {
 }
 
 impl ZoneSamples {
-    /// Number of paths if it is not measured: for filters that compare halves, views by Blender,
-    /// and estimates.
+    /// Number of paths if the number is not measured. It is not measured for filters that compare
+    /// two halves of the paths, for views that Blender renders, and for estimates.
     const UNMEASURED: u32 = 800;
     /// Largest allowed number of paths.
     const MOST: u32 = 1 << 24;
@@ -254,9 +256,9 @@ impl Default for RenderJob {
 }
 
 impl RenderJob {
-    /// Largest memory of a ray, bytes: shared light while views are denoised, or three channels as
-    /// `f32` twice while patterns are solved.
-    pub const BYTES_PER_RAY: u64 = 40;
+    /// Largest memory per ray, bytes. While views are denoised, a ray has shared light. While
+    /// patterns are solved, it has two copies of its three channels as `f32`.
+    pub const BYTES_PER_RAY: u64 = 32;
     /// Greatest number of rays for which a display chooses its views: 625 views of 840 × 525
     /// pixels. More would take hours.
     const MOST_RAYS: usize = 625 * 840 * 525;
@@ -268,8 +270,8 @@ impl RenderJob {
     }
 
     /// Number of bytes of each file of a light field that may be in memory: a quarter of
-    /// `field_mib`. At most two files are in use at a time. The other half is for views and rows
-    /// that are being processed.
+    /// `field_mib`. At most two files are in use at a time. The other half of `field_mib` is for
+    /// views and rows that are being processed.
     pub fn window_bytes(&self) -> usize {
         (self.field_mib << 18) as usize
     }
@@ -307,7 +309,6 @@ impl RenderJob {
             samples,
             max_bounces: self.max_bounces,
             seed,
-            further_paths: self.denoise == Denoise::Shared,
             clamp: self.clamp,
             angular_filter: match self.angular_filter {
                 _ if self.lens_deg > 0.0 => Filter::Lens(depth_scale * 2.0 * (0.5 * self.lens_deg.to_radians()).tan()),

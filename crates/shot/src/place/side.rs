@@ -26,15 +26,15 @@ pub(crate) const FRONT: [f64; 2] = [0.0; 2];
 /// Candidate directions in order of preference, degrees: azimuths, and the elevations at each.
 const AZIMUTHS: [f64; 8] = [0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0];
 const ELEVATIONS: [f64; 7] = [0.0, 20.0, 40.0, 55.0, -20.0, -40.0, -55.0];
-/// The front stays if it shows this fraction of the largest area.
+/// The front stays if it shows at least this fraction of the largest area.
 const FRONT_SHARE: f64 = 0.125;
 /// [`FRONT_SHARE`] for captures, whose axes come from training, so +z is not preferred. Two
 /// examples: the edge of a guitar shows 0.69 of the largest area to +z, so the guitar is seen from
 /// another side. A person in profile shows 0.79 to +z, which suffices.
 const CAPTURE_SHARE: f64 = ENOUGH;
-/// Another direction is good enough if it shows this fraction of the largest area. So an elevation
-/// of 40° suffices for a flat board, which shows most at 55° (sin 40° / sin 55° = 0.78). A card is
-/// seen face on, since it shows only 0.71 from 45°.
+/// Another direction is good enough if it shows at least this fraction of the largest area. So an
+/// elevation of 40° suffices for a flat board, which shows most at 55° (sin 40° / sin 55° = 0.78).
+/// A card is seen face on, since it shows only 0.71 from 45°.
 const ENOUGH: f64 = 0.745;
 /// Numbers of columns and rows of rays by which the area along a candidate direction is measured.
 const PROBE: [usize; 2] = [96, 60];

@@ -98,7 +98,7 @@ fn unlimited_window<S: Subject>(
         let window = close_up(subject, window, geometry, true, task)?;
         Ok(Found { window, chosen: false, looked_from_deg: Some(from_deg) })
     };
-    // A camera's own plane of focus stays. A window of a camera without focus may move closer.
+    // A camera's own plane of focus stays. A window of a camera without focus may shrink.
     let Some(camera) = camera else { return framed() };
     let focus_distance = job.focus_distance.or(camera.focus_distance);
     let found = |window| Found { window, chosen: focus_distance.is_some(), looked_from_deg: None };
@@ -113,9 +113,9 @@ fn unlimited_window<S: Subject>(
     }
 }
 
-/// Fits a window to the visible scene, without cutting off visible content. With `recentre` the
-/// window frames the scene. Otherwise it moves closer along its axis until the scene covers
-/// [`COVERAGE`] of it.
+/// Scales a window in its own plane to the visible scene, without cutting off visible content. With
+/// `recentre` the window frames the scene, and may move within its plane. Otherwise the window
+/// shrinks about its centre until the scene covers [`COVERAGE`] of its area.
 fn close_up<S: Subject>(
     subject: &S,
     window: Window,

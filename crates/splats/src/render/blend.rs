@@ -4,7 +4,9 @@
 //! α_i = o_i exp(−u_i),   C += T α_i c_i,   T ← T (1 − α_i),   z = z_i where T falls below ½
 //! ```
 //!
-//! A block's sums stay in registers for all splats. e^(−u) is (e^(−u/16))^16. For v = u/16 within a
+//! Here o, c and z are a splat's opacity, colour and depth. T is the transmittance of all nearer
+//! splats, and u is half the squared Mahalanobis distance of the pixel from the splat's centre. A
+//! block's sums stay in registers for all splats. e^(−u) is (e^(−u/16))^16. For v = u/16 within a
 //! splat's extent, e^(−v) is a polynomial of degree 4 with an error below 2·10⁻⁷.
 
 use lumistack_simd::{Kernel, Lanes};

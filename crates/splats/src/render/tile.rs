@@ -2,7 +2,8 @@
 //!
 //! The splats that any view shows in the tile come in order of depth, a chunk at a time. A chunk is
 //! projected for all views together. Each view blends in its own order. A splat is blended as soon
-//! as no splat of a later chunk can be nearer. These bounds of the distances in a chunk decide it:
+//! as no splat of a later chunk can be nearer. For this test, each chunk has a lower bound of its
+//! splats' distances:
 //!
 //! ```text
 //! parallel rays:   distance = −(s·p + z (1 + s²)) ≥ −s·c − |s|₁ r − z₁ (1 + s²)
@@ -16,8 +17,8 @@
 //! z₁   depth of the chunk's first splat
 //! ```
 //!
-//! A tile is finished when all of its pixels are, so splats that are hidden behind them are never
-//! projected.
+//! A tile is finished when all of its pixels are finished. So splats that only later chunks contain
+//! are then never projected.
 
 use glam::Vec3;
 use lumistack_core::colour::{srgb_decode, srgb_encode};

@@ -64,8 +64,8 @@ fn opposite(topology: &Topology, corner: u32) -> u32 {
 
 /// Returns unit normals, and the index of the normal of each corner. `control` are the level's
 /// points, and `surface` their limit positions. At level 0, at corners and on bilinear surfaces the
-/// tangents of the file's head do not apply. In these cases a normal is the mean of the faces'
-/// normals, weighted by angle.
+/// formulas for tangents at the top of this file do not apply. In these cases a normal is the mean
+/// of the faces' normals, weighted by angle.
 pub(super) fn normals(
     topology: &Topology,
     scheme: Scheme,
@@ -77,7 +77,8 @@ pub(super) fn normals(
     let masks_hold = level > 0 && scheme != Scheme::Bilinear;
     for vertex in 0..topology.vertex_count as u32 {
         let rule = topology.rule(vertex, 0.0);
-        // a crease that ends at this vertex leaves its rule smooth, and does not split the surface
+        // a vertex at which a crease ends has the rule `Smooth`, so the crease does not split the
+        // surface
         let splits = |edge: &Edge| scheme == Scheme::Bilinear || (edge.sharpness > 0.0 && rule != Rule::Smooth);
         for fan in topology.fans(vertex, splits) {
             let at = |vertex: u32| control[vertex as usize].as_dvec3();

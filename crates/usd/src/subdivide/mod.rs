@@ -49,7 +49,7 @@ pub(crate) enum FaceVarying {
     None,
     /// A value at a vertex is not smoothed if only one face has this value at the vertex.
     CornersOnly,
-    /// As `CornersOnly`. Also, a vertex with three or more values has none of them smoothed.
+    /// As `CornersOnly`. Also, no value is smoothed at a vertex with three or more values.
     #[default]
     CornersPlus1,
     /// As `CornersPlus1`. Also, values are not smoothed at the end of a seam, or if one of two
@@ -62,8 +62,8 @@ pub(crate) enum FaceVarying {
 }
 
 /// A control mesh and its rules, named as in UsdGeomMesh. Faces with fewer than three vertices, or
-/// with vertices that do not exist, are treated as holes. Creases and corners with such vertices
-/// are ignored.
+/// with vertices that do not exist, are treated as holes. Creases and corners with vertices that do
+/// not exist are ignored.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Cage<'a> {
     pub(crate) vertex_count: usize,
@@ -102,7 +102,8 @@ pub(crate) fn level_for(corner_count: usize) -> u32 {
 /// Returns the largest number of levels, up to `wanted`, that gives at most `most_triangles`
 /// triangles.
 fn affordable_level(corner_count: usize, wanted: u32, most_triangles: usize) -> u32 {
-    // a corner becomes a quadrilateral of two triangles; each further level makes four of each
+    // each corner becomes a quadrilateral of two triangles; each further level cuts a quadrilateral
+    // into four
     (1..=wanted).rev().find(|&level| corner_count.saturating_mul(2 << (2 * (level - 1))) <= most_triangles).unwrap_or(0)
 }
 
@@ -122,7 +123,7 @@ pub(crate) struct Refinement {
     sources: Vec<Option<u32>>,
 }
 
-/// Values, with an index of a value for each corner of [`Refinement::faces`].
+/// A list of values. Each corner of [`Refinement::faces`] has the index of its value in the list.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Indexed {
     /// The values, each with as many numbers as the input's values.
@@ -180,7 +181,8 @@ impl Refinement {
         (0..self.finest.face_count() as u32).filter(|&face| self.sources[face as usize].is_some())
     }
 
-    /// Vertices of each refined face, with the face of the input that contains it.
+    /// Returns, for each refined face, the index of the input's face that contains it, and the
+    /// refined face's vertices.
     pub(crate) fn faces(&self) -> impl Iterator<Item = (u32, &[u32])> {
         self.shown().filter_map(|face| Some((self.sources[face as usize]?, self.finest.face_vertices(face))))
     }
@@ -299,8 +301,8 @@ fn vectors(values: &[f32]) -> Vec<Vec3> {
     values.as_chunks::<3>().0.iter().map(|&value| Vec3::from(value)).collect()
 }
 
-/// The polygons of a control mesh whose vertices exist. For Loop's scheme they are cut into
-/// triangles.
+/// The polygons of a control mesh that have at least three vertices, all of which exist. For Loop's
+/// scheme they are cut into triangles.
 struct Polygons {
     starts: Vec<u32>,
     corners: Vec<u32>,

@@ -1,14 +1,14 @@
 //! One level of refinement: the weights of each child vertex, and the topology of the children.
 //!
-//! Child vertices are numbered in the order of the parent's vertices, edges and faces. In triangle
-//! meshes faces have no child vertices.
+//! Child vertices are numbered in the order of the parent's vertices, edges and faces. In Loop's
+//! scheme faces have no child vertices.
 
 use std::f64::consts::TAU;
 
 use super::topology::{Edge, Rule, Topology, weaker};
 
-/// Weight of the midpoint of a triangle in the value of an edge's child, with the triangle rule
-/// "smooth".
+/// Weight that the midpoint of a triangle has in the child vertex of one of its edges, if the mesh
+/// has the triangle rule "smooth".
 const SMOOTH_TRIANGLE_WEIGHT: f64 = 0.47;
 
 /// Weights by which values of a level (the parents) give values of the next level (the children).
@@ -79,8 +79,8 @@ pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Sten
             }
         });
     }
-    // Add the children of edges. On a crease, a child is the edge's midpoint. Elsewhere the
-    // midpoints of the two faces are averaged in.
+    // Add the children of edges. On a crease, a child is the edge's midpoint. Elsewhere the child
+    // is a weighted mean of the edge's ends and the midpoints of its two faces.
     for edge in &topology.edges {
         let crease = if edge.joined { f64::from(edge.sharpness.min(1.0)) } else { 1.0 };
         let faces = edge.corners.map(|corner| topology.face_of_corner.get(corner as usize));
@@ -104,8 +104,8 @@ pub(super) fn catmull_clark(topology: &Topology, smooth_triangles: bool) -> Sten
     stencils
 }
 
-/// Returns the stencils of one level of Loop's scheme, with his own weights for vertices without
-/// six neighbours.
+/// Returns the stencils of one level of Loop's scheme, with the weights of Loop's thesis for
+/// vertices that do not have six neighbours.
 pub(super) fn loop_scheme(topology: &Topology) -> Stencils {
     let mut stencils = Stencils::with_capacity(topology.vertex_count + topology.edges.len());
     for vertex in 0..topology.vertex_count as u32 {
@@ -163,8 +163,8 @@ pub(super) fn other_end(edge: &Edge, vertex: u32) -> u32 {
     edge.ends[usize::from(edge.ends[0] == vertex)]
 }
 
-/// Adds the child of a vertex. If a sharpness at the vertex ends within this level, the rules of
-/// this level and of the next are blended.
+/// Adds the child of a vertex. If a sharpness at the vertex falls to 0 within this level, the rules
+/// of this level and of the next level are blended.
 fn child_vertex(stencils: &mut Stencils, topology: &Topology, vertex: u32, smooth: impl Fn(&mut Stencils, f64)) {
     let mut add = |rule: Rule, weight: f64| match rule {
         Rule::Smooth => smooth(stencils, weight),

@@ -96,7 +96,7 @@ fn a_cube_has_the_points_of_the_textbook() {
         assert!((face.length() - 1.0).abs() < ROUNDING);
     }
     // On the limit surface, the corners are at half of their coordinates. The centres of faces have
-    // the distance 68/81 from the middle. Both hold at every level.
+    // the distance 68/81 from the middle. Neither value depends on the level.
     for level in 1..=4 {
         let surface = limit(&cage, level, &cube.flat());
         for (point, on_surface) in cube.points.iter().zip(&surface) {

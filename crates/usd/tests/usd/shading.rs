@@ -76,7 +76,7 @@ fn networks_of_the_preview_surface_are_followed() {
     assert_eq!((material.roughness, material.metallic), (0.75, 0.5));
     let base = material.base_color_texture.unwrap();
     // v of the scene is 1 − v of USD, so the point is (1, 1) in USD. It is scaled to (2, 3),
-    // rotated to (−3, 2) and moved to (−2.75, 2.5), which is (−2.75, −1.5) in the scene.
+    // rotated to (−3, 2) and moved to (−2.75, 2.5). In the scene this is (−2.75, −1.5).
     let found = base.texture_from_mesh.transform_point2(Vec2::new(1.0, 0.0));
     assert!((found - Vec2::new(-2.75, -1.5)).length() < 1e-5, "{found}");
     assert_eq!(scene.textures[base.texture].wrap_u, lumistack_scene::Wrap::ClampToEdge);
@@ -162,8 +162,8 @@ fn materialx_nodes_become_scale_and_bias() {
     assert_eq!(found.roughness, 0.625);
 }
 
-/// Checks normal maps behind nodes that other programs insert between a map and the surface. Every
-/// such node that is tested keeps the map.
+/// Other programs insert nodes between a normal map and the surface. The test checks that the map
+/// still arrives at the surface through each kind of node.
 #[test]
 fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     const SHADERS: &str = r#"
@@ -351,6 +351,22 @@ fn curves_and_points_without_widths_take_a_share_of_their_spacing() {
     assert!((lowest("/dots") + 0.5 * 0.75 * 2.0).abs() < 1e-3, "{}", lowest("/dots"));
     assert_eq!(warnings.len(), 3, "{warnings:?}");
     assert!(warnings.iter().all(|warning| warning.message.contains("no widths")), "{warnings:?}");
+}
+
+#[test]
+fn curves_without_points_are_left_out_with_a_warning() {
+    let text = r#"
+        def BasisCurves "hair" {
+            uniform token type = "linear"
+            point3f[] points = [(0, 0, 0), (0, 5, 0), (1, 0, 0)]
+            int[] curveVertexCounts = [2, 2]
+            float[] widths = [0.5] (interpolation = "constant")
+        }"#;
+    let Some((scene, warnings)) = scene(text) else { return };
+    let most = scene.meshes[0].positions.iter().fold(f32::NEG_INFINITY, |most, p| most.max(p.x));
+    assert!(most < 0.5, "the second curve has only one point: {most}");
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
+    assert!(warnings[0].message.contains("expected counts of 3 points in all, found 4"), "{warnings:?}");
 }
 
 #[test]

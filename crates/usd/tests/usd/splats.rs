@@ -1,5 +1,5 @@
-//! Particle fields in all versions of OpenUSD. Version 26.03 and newer ones know the schema; older
-//! ones know only the attributes.
+//! Particle fields in all versions of OpenUSD. Versions from 26.03 on know the schema; older
+//! versions know only the attributes.
 
 use glam::{Quat, Vec3};
 use lumistack_core::{Cancel, Collector, Task};

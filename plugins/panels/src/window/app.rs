@@ -30,8 +30,8 @@ use crate::{Feed, Picture, Shows};
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Time in which every window must reach the size of its output.
 const RESIZE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Time that a thread has to end. After this time the connection to the windowing system is closed,
-/// since a hidden surface can block the present loop for ever.
+/// Time in which a thread must end. After this time the connection to the windowing system is
+/// closed, since a hidden surface can block the present loop for ever.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(2);
 /// Delay before a graphics failure is reported. Its cause may be a lost output or session, which is
 /// detected within this delay and then reported instead.
@@ -421,7 +421,7 @@ impl App<'_> {
                 producer.run(&*emit);
                 drop(ends);
             })
-            .map_err(thread_error)?;
+            .map_err(WindowError::Thread)?;
         let (done, report) = channel();
         let emit = self.emit.clone();
         let presenting = std::thread::Builder::new()
@@ -429,7 +429,7 @@ impl App<'_> {
             .spawn(move || {
                 let _ = done.send(present_loop.run(&*emit));
             })
-            .map_err(thread_error)?;
+            .map_err(WindowError::Thread)?;
         if mode != Mode::Window {
             outputs::inhibit_idle(self.windows.iter().map(|(window, ..)| &**window));
         }
@@ -513,9 +513,9 @@ impl App<'_> {
     }
 
     /// Executes the command of a key. Escape or q ends the presentation. Space holds a frame or
-    /// resumes, and comma and full stop step. Tab selects a panel, and arrows shift it by a pixel
-    /// (Shift: 10 pixels, Control: 0.1). The key s saves the nudges, and the key r requests a
-    /// report. In a preview, arrows turn the view by one degree.
+    /// resumes. Comma and full stop show the previous and the next frame. Tab selects a panel, and
+    /// arrows shift it by a pixel (Shift: 10 pixels, Control: 0.1). The key s saves the nudges, and
+    /// the key r requests a report. In a preview, arrows turn the view by one degree.
     fn key(&mut self, event_loop: &ActiveEventLoop, key: &Key) {
         let Some(running) = &self.running else { return };
         let step = match (self.modifiers.shift_key(), self.modifiers.control_key()) {
@@ -599,10 +599,6 @@ impl App<'_> {
         }
         self.result = Some(reason);
     }
-}
-
-fn thread_error(error: std::io::Error) -> WindowError {
-    WindowError::Session(format!("cannot start a thread: {error}"))
 }
 
 /// Sets the position and size of a window, and excludes it from the control of window managers.

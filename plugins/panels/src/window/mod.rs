@@ -65,6 +65,9 @@ pub enum WindowError {
     /// There is no windowing system.
     #[error("windows: expected an X11 or Wayland session (DISPLAY or WAYLAND_DISPLAY), found {0}")]
     Session(String),
+    /// The system starts no thread for the presentation.
+    #[error("windows: cannot start a thread: {0}")]
+    Thread(std::io::Error),
     /// There is no graphics driver, not even in software.
     #[error(
         "graphics: expected a Vulkan or OpenGL driver that can present on {on} (Mesa's llvmpipe needs no graphics card), found {found}"

@@ -7,7 +7,7 @@
 //! X11 sends keys to the focused window. If the focus is the root window or no window, X11 sends
 //! keys to the window under the pointer, and winit drops these keys. A window manager focuses new
 //! windows. Without a window manager no client sets the focus. When a client exits, the focus
-//! reverts to the window that the client requested: for winit's fullscreen windows, the root
+//! reverts to the window that the client requested. For winit's fullscreen windows this is the root
 //! window.
 
 use winit::application::ApplicationHandler;

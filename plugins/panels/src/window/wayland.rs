@@ -39,8 +39,8 @@ pub(super) fn disconnect(window: &Window) {
     }
 }
 
-/// Keeps outputs on while they show these windows. For compositors without the protocol, the
-/// session's settings apply.
+/// Keeps outputs on while they show these windows. If the compositor lacks the protocol
+/// `idle-inhibit`, the session's settings apply.
 pub(super) fn inhibit_idle<'a>(windows: impl IntoIterator<Item = &'a Window>) {
     let mut windows = windows.into_iter().peekable();
     let Some(connection) = windows.peek().and_then(|window| connection_of(window)) else { return };

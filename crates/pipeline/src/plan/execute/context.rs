@@ -117,7 +117,7 @@ impl<'a> Context<'a> {
         let plan = self.plan;
         let of_part = &plan.parts[part];
         // A time step gets placement and exposure from the first time step, and a warm start from
-        // the previous one.
+        // the previous time step.
         let job = match (&of_part.kind, of_part.parent) {
             (PartKind::Time(time), Some(sequence)) => match &plan.parts[sequence].kind {
                 PartKind::Sequence(times) => {

@@ -72,7 +72,7 @@ impl Context<'_> {
     }
 
     /// Renders a block of the pictures for the zone score. The pictures are cached before exposure,
-    /// so they need no exposure.
+    /// so this step needs no exposure.
     pub(super) fn score_block(&mut self, part: usize, block: Block, task: Task<'_>) -> Result<bool, PipelineError> {
         let of = self.shot(part)?;
         let zone = score::zone_of(&of.job, &of.display, &of.geometry);
@@ -156,7 +156,7 @@ impl Context<'_> {
     fn check_geometry(&self, part: usize, path: &Path, found: &FieldGeometry) -> Result<(), PipelineError> {
         let Some((time, _)) = self.plan.time(part).filter(|(time, _)| *time > 0) else { return Ok(()) };
         // Every time step must have the geometry of the first one. All earlier time steps passed
-        // this check, so the message may name the previous one.
+        // this check, so the message may name the previous time step.
         let first = self.plan.at_time(part, 0).and_then(|first| self.states[first].geometry.as_ref());
         first.map_or(Ok(()), |expected| check_geometry(path, found, expected, &self.source_of(part, time - 1)))
     }
@@ -194,6 +194,6 @@ struct OwnedShot {
 impl OwnedShot {
     fn shot(&self) -> Shot<'_> {
         let Self { job, ingested, placement, display, geometry, samples } = self;
-        Shot { job, ingested, placement, geometry, footprint: display.angular_footprint(), samples: *samples }
+        Shot { job, ingested, placement, geometry, display, samples: *samples }
     }
 }

@@ -19,7 +19,8 @@ impl Context<'_> {
         let plan = self.plan;
         let (field, patterns) = (self.field(part)?, self.of(part, "patterns", |state| state.patterns.clone())?);
         let Some((time, sequence)) = plan.time(part) else { return Ok(true) };
-        // Flicker compares this time step with the patterns and the target of the previous one.
+        // Flicker compares the patterns and the target of this time step with the patterns and the
+        // target of the previous time step.
         let before = time.checked_sub(1).and_then(|time| plan.at_time(part, time));
         let before = match before {
             None => None,

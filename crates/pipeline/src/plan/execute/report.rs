@@ -55,8 +55,8 @@ impl Context<'_> {
             stamps.clear("report")?;
         }
         let report = report::run(&about, &stamps, task)?;
-        // The stamp is written last. If a run is killed before that, the next run writes the report
-        // again.
+        // The stamp is written last. If a run is killed before it writes the stamp, the next run
+        // writes the report again.
         if let Some(key) = key {
             stamps.write("report", &key, &["report.html".into(), "report.json".into()])?;
         }

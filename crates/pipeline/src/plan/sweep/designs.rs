@@ -25,8 +25,8 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
     if !sweep.fov_deg.is_empty() && job.scene.is_none() {
         return Err(PipelineError::job("sweep.fov_deg", "a scene, which can be rendered with other angles", "none"));
     }
-    // Keep only the first of equal displays. Displays are equal if a combination changes nothing,
-    // for example the lenslets of a uniform backlight.
+    // Keep only the first of equal displays. Displays are equal if their combinations differ only
+    // in values without effect, for example in the lenslets of a uniform backlight.
     let mut candidates: Vec<Candidate> = Vec::new();
     let mut fields: Vec<(Display, Job)> = Vec::new();
     for (name, display_job) in &bases {

@@ -15,17 +15,17 @@ use crate::stage::design::Candidate;
 const RUNGS: [(f64, f64); 2] = [(0.08, 0.5), (0.3, 0.4)];
 /// Minimum number of candidates that a round keeps.
 const LEAST: usize = 6;
-/// Designs whose scores differ by less than this, dB, are regarded as equally good. Among them, the
-/// cheapest is preferred.
+/// Designs whose scores differ by less than this value, dB, are regarded as equally good. The
+/// search prefers the cheapest of these designs.
 const EQUAL_DB: f64 = 0.3;
-/// A design is kept last if its PSNR after few iterations is lower than the requested PSNR by more
-/// than this, dB.
+/// Designs whose PSNR after few iterations is lower than the requested PSNR by more than this, dB,
+/// are the last that a round keeps.
 const DROP_DB: f64 = 8.0;
 
 /// Returns the candidates that satisfy the constraints.
 ///
 /// # Errors
-/// If no candidate does. The message states the best value of each constrained quantity.
+/// If no candidate satisfies them. The message states the best value of each constrained quantity.
 pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<Vec<Candidate>, PipelineError> {
     let fits = |d: &Design| {
         // A single frame does not flicker at any refresh rate, so its `refresh_hz` is 0.
@@ -78,8 +78,8 @@ pub(super) fn run(
         let mut order: Vec<usize> = (0..candidates.len()).collect();
         match search.enough_db {
             None => order.sort_by(|&a, &b| rows[b].quality_db().total_cmp(&rows[a].quality_db())),
-            // First come designs that may still reach the requested PSNR, the cheapest first. The
-            // others follow by their PSNR.
+            // First come designs that may still reach the requested PSNR, the cheapest first. All
+            // other designs follow, by their PSNR.
             Some(enough) => {
                 let too_low = |i: usize| rows[i].quality_db() < enough - DROP_DB;
                 order.sort_by(|&a, &b| {

@@ -1,6 +1,6 @@
 """The window in a scene, and Blender's camera for every view through it.
 
-The view of slope s shows, at the point (x, y) of the plane z = 0, the content on the line (x, y, 0)
+At the point (x, y) of the plane z = 0, the view of slope s shows the content on the line (x, y, 0)
 + z (s, 1).
 
     oblique        all rays of a view have its slope: an orthographic camera with a sheared matrix,
@@ -62,9 +62,9 @@ class Window:
         return (x, y, z)
 
     def moved_back(self, by_mm: float, distance_mm: float | None = None) -> Window:
-        """Moves the window along its normal so that the depth -by_mm comes to the display plane. The view
-        from the middle stays the same. So if views are of eyes at `distance_mm`, the window grows with
-        its distance from the eye."""
+        """Moves the window along its normal, so that content at the depth -by_mm comes to the
+        display plane. The view from the middle does not change. So for eyes at `distance_mm`, the
+        window grows with its distance from the eye."""
         factor = 1.0 if distance_mm is None else (distance_mm + by_mm) / distance_mm
         centre = self.point((0.0, 0.0, -by_mm))
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
@@ -77,8 +77,8 @@ class Window:
         return Window(centre, self.right, self.up, self.back, self.scale * factor, self.size_mm)
 
     def as_job(self) -> dict[str, object]:
-        """The window as [window] of a job, in the coordinates of an exported glTF file: there,
-        Blender's point (x, y, z) is (x, z, -y)."""
+        """Returns the window as the table [window] of a job. It has the coordinates of an exported
+        glTF file, in which Blender's point (x, y, z) is (x, z, -y)."""
         forward = _times(self.back, -1.0)
         return {
             "from": "given",
@@ -108,7 +108,8 @@ class ViewCamera:
 def window_of_camera(
     matrix: Sequence[Sequence[float]], frame: Sequence[Sequence[float]], orthographic: bool, focus: float, size_mm: tuple[float, float]
 ) -> Window:
-    """Returns the window in a camera's plane of focus, as wide as the camera's frustum there.
+    """Returns the window in a camera's plane of focus. In this plane it is as wide as the camera's
+    frustum.
 
     matrix: world matrix, rows; frame: corners of the picture in camera space, from
     `Camera.view_frame`; focus: distance, scene units.

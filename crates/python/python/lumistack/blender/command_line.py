@@ -107,7 +107,8 @@ def parse(words: list[str]) -> Asked:
     ):
         if value is not None:
             settings[name] = value
-    # Some settings have an effect only if a switch of the extension is on. Their flags turn it on.
+    # Some settings of the extension have an effect only together with another setting. A flag for
+    # the first setting also sets the other setting.
     if found.display is not None:
         is_file = found.display.endswith(".toml")
         settings["display_from"] = "FILE" if is_file else "PRESET"
@@ -128,7 +129,7 @@ def parse(words: list[str]) -> Asked:
 
 class ProgressPrinter:
     """Prints progress: a line at the beginning of every stage, then a line after every two per cent
-    of it (`WORTH_A_LINE`)."""
+    of the stage (`WORTH_A_LINE`)."""
 
     def __init__(self, file: TextIO) -> None:
         self._file, self._last = file, ("", -1.0)

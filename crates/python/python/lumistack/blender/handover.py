@@ -26,7 +26,7 @@ from .glb import Glb
 from .rig import TEMPORARY, focus_of
 from .unshown import is_rendered, is_volume_alone
 
-#: Size of the picture of a world that is not a plain colour.
+#: Width and height, in pixels, of the picture of a world that is not a plain colour.
 SKY = (512, 256)
 SKY_SAMPLES = 32
 #: Rings of a ball and corners of a disk that emit light.
@@ -138,7 +138,7 @@ def _as_rendered(bpy: Any) -> Iterator[None]:
             if held.mode == "EDIT":
                 held.update_from_editmode()
                 # In Edit Mode a mesh has no texture coordinates, but its evaluated copy has them.
-                # The exporter uses the copy if the object has a modifier. So add one without
+                # The exporter uses the copy if the object has a modifier. So add a modifier without
                 # effect.
                 modifier = held.modifiers.new(TEMPORARY, "DISPLACE") if held.type == "MESH" else None
                 if modifier is not None:
@@ -263,7 +263,7 @@ def _strength(power: Sequence[float], over: float = 1.0) -> dict[str, object]:
 
 
 def ball(radius: float) -> tuple[list[list[float]], list[list[int]]]:
-    """Returns a ball of triangles. Its area is that of the exact sphere, so that it emits the same
+    """Returns a ball of triangles. It has the area of the exact sphere, so it emits the same
     power."""
     columns = 2 * RINGS
     positions = [[0.0, 0.0, radius]]

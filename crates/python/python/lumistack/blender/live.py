@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
-#: Number of files that are kept, of scenes and of displays. Only the newest files are kept, since
-#: the program may still read them.
+#: Number of scene files that are kept, and number of display files. The newest files are kept,
+#: since the program may still read them.
 KEPT = 4
 #: Longest text of a message.
 LONGEST = 400
-#: Longest wait for the answer of a program to which another attaches, seconds.
+#: Longest wait for the first answer of a running program after `Attached` connects to it, seconds.
 ANSWER_S = 5.0
 
 
@@ -45,9 +45,9 @@ class State:
     latency_s: float | None = None
     #: The last warning or error; empty without one.
     problem: str = ""
-    #: Path of the report, after the end.
+    #: Path of the report, after the end of the program.
     report: str = ""
-    #: Exit status, after the end.
+    #: Exit status, after the end of the program; None before.
     code: int | None = None
 
 
@@ -66,7 +66,7 @@ class Program:
 
     @property
     def state(self) -> State:
-        """The state; its `code` is set after the end."""
+        """The state. Its `code` is set after the end of the program or of the connection."""
         raise NotImplementedError
 
     @property
@@ -85,10 +85,16 @@ class Program:
     def send(self, **entries: Any) -> None:
         """Sends a line to the program. After the end of the program, which `state` reports, this has no
         effect."""
-        if self._commands is not None:
-            with contextlib.suppress(OSError, ValueError):
-                self._commands.write(json.dumps(entries).encode() + b"\n")
-                self._commands.flush()
+        if self._commands is None or self._commands.closed:
+            return
+        try:
+            self._commands.write(json.dumps(entries).encode() + b"\n")
+            self._commands.flush()
+        except OSError:
+            # The stream still holds the line, and would write it again when Python destroys the
+            # stream. So close the stream here, where the error is expected.
+            with contextlib.suppress(OSError):
+                self._commands.close()
 
     def stop(self) -> None:
         """Requests the end; does not wait."""
@@ -131,7 +137,7 @@ class Program:
 
 
 class Live(Program):
-    """A program of our own, from its start to its end."""
+    """A program that this object starts and ends."""
 
     def __init__(self, words: Sequence[str], environment: Mapping[str, str]) -> None:
         """Starts the program with the words of its command line. Raises OSError."""
@@ -145,12 +151,12 @@ class Live(Program):
         self._threads = [threading.Thread(target=each, args=args, name="lumistack live", daemon=True) for each, args in reads]
         for thread in self._threads:
             thread.start()
-        # So the program also ends if its caller crashes.
+        # The end of the program's standard input stops it, so it also ends if its caller crashes.
         self.send(stop_at_end=True)
 
     @property
     def state(self) -> State:
-        """The state; its `code` is the exit status, after the end."""
+        """The state. After the end of the program, its `code` is the exit status."""
         code = self._process.poll()
         if code is not None:
             for thread in self._threads:
@@ -164,7 +170,7 @@ class Live(Program):
         self.send(stop=True)
 
     def end(self, patience_s: float) -> None:
-        """Stops the program and waits; kills it if it takes longer."""
+        """Stops the program and waits for its end. Kills the program after `patience_s`."""
         self.stop()
         try:
             self._process.wait(patience_s)
@@ -185,7 +191,7 @@ class Live(Program):
 
 
 class Attached(Program):
-    """A program that someone else has started. It continues after the end of the connection."""
+    """A program that runs already. It continues after the end of the connection."""
 
     def __init__(self, run: Path) -> None:
         """Attaches to the program of a run folder. Raises OSError, with a message, if no program
@@ -226,7 +232,7 @@ class Attached(Program):
             self._socket.shutdown(socket.SHUT_WR)
 
     def end(self, patience_s: float) -> None:
-        """Ends the connection, and waits until the program can receive another."""
+        """Ends the connection, and waits until the program can accept another connection."""
         self.stop()
         self._thread.join(patience_s)
         with contextlib.suppress(OSError):
@@ -239,11 +245,11 @@ class Attached(Program):
 
 
 class Files:
-    """Numbered files of one folder. Only the newest (`KEPT`) stay."""
+    """Numbered files of one folder. Only the newest `KEPT` files stay."""
 
     def __init__(self, folder: Path, stem: str, suffix: str) -> None:
-        """Makes the folder. The files of earlier sessions count, since a program to which another
-        was attached still reads the newest one. Raises OSError."""
+        """Makes the folder. The files of earlier sessions count, since a running program, to which
+        an earlier session was attached, still reads the newest file. Raises OSError."""
         self._folder, self._stem, self._suffix = folder, stem, suffix
         folder.mkdir(parents=True, exist_ok=True)
         numbers = [path.name[len(stem) + 1 : -len(suffix)] for path in folder.glob(f"{stem}-*{suffix}")]
@@ -276,5 +282,5 @@ def toml_of(job: Mapping[str, Any]) -> str:
 
 
 def _value(value: Any) -> str:
-    # JSON's texts, numbers, truth values and lists are also TOML's.
+    # Texts, numbers, truth values and lists have the same form in JSON and in TOML.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -30,8 +30,9 @@ def spread_at(z_mm: float, distance_mm: float | None) -> float:
 
 
 def depth_box(size_mm: Sequence[float], depth_mm: Sequence[float] | None, distance_mm: float | None) -> list[Line]:
-    """Returns the outline of the depths that the display shows sharply: a frame at the nearest and at
-    the farthest depth, and lines between their corners. Empty if no depth is sharp."""
+    """Returns the outline of the depths that the display shows sharply. It has a frame at the
+    nearest depth, a frame at the farthest depth, and lines between their corners. Empty if no depth
+    is sharp."""
     if depth_mm is None:
         return []
     most = MOST_DEPTH * size_mm[0]
@@ -55,7 +56,7 @@ def cone(size_mm: Sequence[float], fov_deg: Sequence[float]) -> list[Line]:
 
 
 def slope_of_mouse(mouse_px: Sequence[float], size_px: Sequence[float], fov_deg: Sequence[float]) -> tuple[float, float]:
-    """Converts the mouse's position in an area to the slope of a view: the area's edges stand for
+    """Converts the mouse's position in an area to the slope of a view. The area's edges stand for
     the edges of the field of view. y points up."""
     shares = [2.0 * min(max(place / max(size, 1.0), 0.0), 1.0) - 1.0 for place, size in zip(mouse_px, size_px, strict=True)]
     x, y = (share * math.tan(math.radians(angle) / 2) for share, angle in zip(shares, fov_deg, strict=True))

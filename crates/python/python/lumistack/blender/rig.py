@@ -198,8 +198,8 @@ def focus_of(bpy: Any, camera: Any) -> float | None:
 
 
 def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: float | None = None, camera: Any = None) -> Window:
-    """Returns the window in front of the scene's camera: at the given distance, otherwise at the
-    camera's plane of focus, otherwise at the middle of the visible depths."""
+    """Returns the window in front of the scene's camera. It is at the given distance, or else at
+    the camera's plane of focus, or else at the middle of the visible depths."""
     camera = camera or scene.camera
     if camera is None:
         raise NoWindow("the scene has no camera: add one (Add > Camera, then View > Cameras > Set Active Object as Camera)")

@@ -3,8 +3,7 @@ volumes.
 
 The export reduces a material to constants and pictures of a Principled BSDF. Blender's exporter
 drops all other nodes without a warning. This module visits the nodes that a render evaluates and
-lists the dropped ones.
-"""
+lists the dropped nodes. """
 
 from __future__ import annotations
 
@@ -141,8 +140,8 @@ def _reasons(output: Any) -> Iterator[str]:
         yield "displacement"
     nodes = list(_behind(output.inputs["Surface"], ()))
     kinds = {node.type for node, _ in nodes}
-    # A node Light Path without a BSDF is the usual way to make a surface that ignores light,
-    # which the exporter supports. So its mixed shaders are not reported.
+    # A node Light Path without a BSDF is the usual way to make a surface that ignores light, which
+    # the exporter supports. So the shaders that the material mixes are not reported.
     shadeless = "LIGHT_PATH" in kinds and not any(kind.startswith("BSDF") and kind != "BSDF_TRANSPARENT" for kind in kinds)
     for node, socket in nodes:
         if node.type in MIXED_SHADERS and shadeless:

@@ -129,7 +129,7 @@ def execute(
     `workers` processes on this machine.
     * `threads`: number of threads of a unit; by default the machine's cores divided by the worker's
     threads.
-    * `maps`: texts "/here=/there".
+    * `maps`: texts "/here=/there": paths under /here on this machine are under /there on workers.
     * `tls`: files of the certificate authority, of the certificate and of its key.
     * `worker_program`: command that starts lumistack on workers; by default the package of the
       worker's Python.

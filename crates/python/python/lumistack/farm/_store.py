@@ -105,7 +105,7 @@ class Store:
         raise StoreError(f"{self.url}: {entry['path']}: expected content of SHA-256 {entry['hash']}, found another")
 
     def publish(self, name: str, folder: Path, paths: Iterable[Path]) -> None:
-        """Writes files of a folder, then the list of them."""
+        """Writes files of a folder, then the list of these files."""
         entries = []
         for path in sorted(paths):
             entry = {"path": path.relative_to(folder).as_posix(), "hash": _hash(path), "bytes": path.stat().st_size}
