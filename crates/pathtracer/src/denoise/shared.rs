@@ -7,10 +7,10 @@
 //! L' = G + ρ_d E'
 //! ```
 //!
-//! D is the light that the first surface scatters diffusely, and G all other light. ρ_p is the
-//! reflectance of the surfaces that the pixel's paths hit, and ρ_d that of the surfaces that all its
-//! rays hit. There are more rays than paths inside of textures, see
-//! [`Settings::further_paths`](crate::Settings::further_paths).
+//! D is the light that the first surface scatters diffusely, and G all other light. ρ_p is the mean
+//! reflectance of the surfaces that the pixel's paths hit. ρ_d is the mean over all rays of the
+//! pixel. With [`Settings::further_paths`](crate::Settings::further_paths), textures have more rays
+//! than paths.
 //!
 //! View u sees the surface point of pixel p at the pixel p_u. Between two views with the slopes s
 //! and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface at
@@ -25,11 +25,10 @@
 //! grid has rows and columns together. One average over all views would take the product of these
 //! numbers.
 //!
-//! Further paths for noisy pixels ([`Settings::further_paths`](crate::Settings::further_paths))
-//! help whoever looks at the views. They do not help a display that chooses its views, since its
-//! solver averages the same noise over the views. The table has 13 × 13 views of still-life with its
-//! own materials, 70 × 44 pixels. Its variance is that of the mean of all views, as a fraction of
-//! white squared.
+//! Further paths for noisy pixels improve views that are seen one by one. They do not help a
+//! display that chooses its views, since its solver averages the same noise over the views. The
+//! table has 13 × 13 views of still-life with its own materials, 70 × 44 pixels. Its variance is
+//! that of the mean of all views, as a fraction of white squared.
 //!
 //! | samples | further paths | CPU seconds | variance |
 //! |---|---|---|---|

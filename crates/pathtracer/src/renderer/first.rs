@@ -134,9 +134,9 @@ impl FirstSums {
         values
     }
 
-    /// The values of [`split`](Self::split), then the reflectance for the paths alone, and the light
-    /// that all rays themselves see. The other light lacks the latter. The first `paths` of the
-    /// `rays` are paths.
+    /// The values of [`split`](Self::split), then the reflectance for the paths alone, and then the
+    /// light that all rays themselves see. The other light lacks this last light. The first `paths`
+    /// of the `rays` are paths.
     pub(super) fn apart(&self, mean: Vec3, finite: u32, [paths, rays]: [u32; 2]) -> [f32; APART] {
         let of_paths = 1.0 / paths.max(1) as f32;
         let mut values = [0.0; APART];

@@ -10,7 +10,8 @@
 //! ```
 //!
 //! The choice for a pixel depends only on the pixels around it and on the mean of the view. The
-//! samples of these pixels are independent of its own samples. So the choice adds no bias.
+//! samples of the pixels around it are independent of its own samples, which are one of thousands
+//! in the mean. So the choice adds no bias that could be measured.
 //!
 //! Measured with 5 × 5 views of 140 × 88 pixels and 4 samples: processor time at equal squared
 //! error, as a fraction of the time of views rendered one by one. "All" doubles the rays, and not
@@ -137,7 +138,8 @@ impl Renderer {
             if let Some(variance) = variance.as_mut().filter(|_| paths > 0.0) {
                 let variance = &mut variance.data_mut()[3 * number..3 * number + 3];
                 for (own, more) in variance.iter_mut().zip(&more[APART..]) {
-                    // paths of equal variance tell what the other of two parts cannot
+                    // A part with one path has no variance of its own. It has the variance per path
+                    // of the other part.
                     let [alone, more] = match [own.is_nan(), more.is_nan()] {
                         [true, _] => [more * paths / own_samples, *more],
                         [_, true] => [*own, *own * own_samples / paths],

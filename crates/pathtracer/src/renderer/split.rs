@@ -75,9 +75,9 @@ impl SplitView {
     }
 
     /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`. Light is radiance,
-    /// normals are in display space, z is in millimetres. With [further
-    /// paths](Settings::further_paths) a second reflectance rgb follows: a mean over the paths alone,
-    /// whose light is the diffuse light.
+    /// normals are in display space, z is in millimetres. With
+    /// [further paths](Settings::further_paths) a second reflectance rgb follows: the mean over the
+    /// paths alone, whose light is the diffuse light.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }
