@@ -7,9 +7,9 @@
 //! L' = G + ρ_d E'
 //! ```
 //!
-//! D is the light that the first surface scatters diffusely, and G all other light. ρ_p is the mean
-//! reflectance of the surfaces that the pixel's paths hit. ρ_d is the mean over all rays of the
-//! pixel. With [`Settings::further_paths`](crate::Settings::further_paths), textures have more rays
+//! D is the light that the first surface scatters diffusely, and G all other light. With ρ_p we
+//! denote the mean reflectance of the surfaces that the pixel's paths hit. The mean over all rays of the pixel is
+//! ρ_d. With [`Settings::further_paths`](crate::Settings::further_paths), textures have more rays
 //! than paths.
 //!
 //! View u sees the surface point of pixel p at the pixel p_u. Between two views with the slopes s
