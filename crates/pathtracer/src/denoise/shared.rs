@@ -7,10 +7,9 @@
 //! L' = G + ρ_d E'
 //! ```
 //!
-//! D is the light that the first surface scatters diffusely, and G all other light. With ρ_p we
-//! denote the mean reflectance of the surfaces that the pixel's paths hit. The mean over all rays of the pixel is
-//! ρ_d. With [`Settings::further_paths`](crate::Settings::further_paths), textures have more rays
-//! than paths.
+//! D is the light that the first surface scatters diffusely, and G all other light. The means of the
+//! first surface's reflectance are ρ_p over the pixel's paths, and ρ_d over all its rays. With
+//! [`Settings::further_paths`](crate::Settings::further_paths), textures have more rays than paths.
 //!
 //! View u sees the surface point of pixel p at the pixel p_u. Between two views with the slopes s
 //! and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface at

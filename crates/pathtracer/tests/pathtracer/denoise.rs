@@ -277,6 +277,12 @@ fn further_paths_keep_the_mean_and_the_bytes() {
     }
     let guided = renderer.render_split_and_features(&window(), &geometry, [0, 1], &settings, task).unwrap();
     assert!(guided.split == further && guided.variance.data().iter().all(|value| value.is_finite()));
+    // a view that no other view helps stays as it is
+    let alone = geometry.with_grid(ViewGrid::uniform(Projection::Oblique, [1, 1], [1.0, 1.0]).unwrap());
+    let own = renderer.render_split(&window(), &alone, [0, 0], &settings, task).unwrap();
+    let mut light = SharedLight::new(&alone);
+    light.add(&own);
+    assert!(light.averaged(task).unwrap().on(0, &own) == own.radiance());
     let dark = Settings { max_bounces: 0, hide_environment: true, ..plain };
     assert!(split(&dark).radiance() == split(&Settings { further_paths: true, ..dark }).radiance());
     // both errors of the mean have the standard error of all pixels' noise
