@@ -7,8 +7,8 @@
 //! L' = G + ρ_d E'
 //! ```
 //!
-//! D is the light that the first surface scatters diffusely, and G all other light. The means of the
-//! first surface's reflectance are ρ_p over the pixel's paths, and ρ_d over all its rays. With
+//! D is the light that the first surface scatters diffusely, and G all other light. The means of
+//! its reflectance are ρ_p over the pixel's paths, and ρ_d over all rays of the pixel. With
 //! [`Settings::further_paths`](crate::Settings::further_paths), textures have more rays than paths.
 //!
 //! View u sees the surface point of pixel p at the pixel p_u. Between two views with the slopes s
