@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use lumistack_core::{Cancel, Collector, Task};
-use lumistack_display::{Display, FieldGeometry, ViewGrid, Views};
+use lumistack_display::{Display, FieldGeometry, ViewGrid};
 use lumistack_factorizer::{held_bytes, paged_bytes};
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_plugin_host::Registry;
@@ -365,10 +365,7 @@ impl Memory {
             Denoise::Shared if is_held => shared * rays(geometry),
             Denoise::Shared => 2.0 * in_use(0.5 * shared * rays(geometry), shared / RGB * view),
         };
-        let further = match (denoise, display.field.views) {
-            (Denoise::Shared, Views::Fixed(_)) => FURTHER_VALUES / 3.0 * view,
-            _ => 0.0,
-        };
+        let further = if job.has_further_paths(display) { FURTHER_VALUES / 3.0 * view } else { 0.0 };
         let depths = Depths::coarse(geometry);
         let kept = match &job.light_field {
             Some(_) => job.report.zone_directions as f64 * view,

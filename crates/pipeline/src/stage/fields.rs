@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
-use lumistack_display::{Display, FieldGeometry, ViewGrid, Views};
+use lumistack_display::{Display, FieldGeometry, ViewGrid};
 use lumistack_pathtracer::{Features, Settings};
 use lumistack_shot::{Placement, put_before, seeded};
 use lumistack_splats::Space;
@@ -73,11 +73,8 @@ impl Shot<'_> {
         let (job, samples) = (self.job, self.samples_per_view());
         let hidden = job.light.background != Background::Environment;
         let footprint = self.display.angular_footprint();
-        // The solver of a display that chooses its views averages the noise that further paths
-        // remove. Fixed views may be seen one by one.
-        let further_paths = self.denoise() == Denoise::Shared && matches!(self.display.field.views, Views::Fixed(_));
         let settings = job.render.settings(job.seed, samples, hidden, self.placement.depth_scale, footprint);
-        Settings { further_paths, ..settings }
+        Settings { further_paths: job.has_further_paths(self.display), ..settings }
     }
 
     /// Returns all light fields of the shot, the target first. The traced views of each light field
