@@ -109,7 +109,7 @@ impl Picture {
         });
         let failed = failed.count();
         if failed as f64 > OUTLIERS * pixels as f64 {
-            return Some(format!("{failed} of {pixels} values are further off than chance puts them"));
+            return Some(format!("{failed} of {pixels} values differ from the golden picture by more than noise explains; expected at most {:.1}", OUTLIERS * pixels as f64));
         }
         let all: Vec<usize> = (0..cols * rows).collect();
         let block = |y: usize, x: usize| {

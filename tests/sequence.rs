@@ -116,7 +116,8 @@ fn a_cut_starts_fresh() {
     succeed(factorize(&shot(2), &alone).args(["--iterations", "5"]));
     let (cut, fresh) = (number(&times[2], "psnr_view"), number(&report(&alone), "psnr_view"));
     assert!(cut > fresh - 1e-6, "{cut} dB at the cut, {fresh} dB from a fresh start");
-    // the job file of the time step states its start, and a run of this job has the same start
+    // The job file of a time step states whether it starts warm or fresh. So a run of this file
+    // alone gives the same patterns.
     let patterns = files(&run.join("t0003/layers"));
     let again = folder.path().join("again");
     succeed(lumistack().arg("run").arg(run.join("t0003/job.toml")).arg("-o").arg(&again));

@@ -74,7 +74,8 @@ class Session:
         self.is_exporting = False
         self._asked = False
         self._next = 0.0
-        #: The run folder of the program to which the session attaches; None if it starts one.
+        # : The run folder of the program to which the session attaches; None if the session starts
+        # a program.
         self.run = run_of(scene)
         self._sent = dict(self._settings(scene))
         job = {"scene": self._export(scene), **self._sent}

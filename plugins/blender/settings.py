@@ -10,7 +10,7 @@ import lumistack
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, IntVectorProperty, PointerProperty, StringProperty
 from lumistack.blender import forms
 
-#: For each quality: percentage of the display's pixels, iterations, and paths per pixel of
+#: For each quality: percentage of the display's columns and rows, iterations, and paths per pixel of
 #: Lumistack's path tracer.
 QUALITY = {"DRAFT": (20, 10, 4), "PREVIEW": (50, 25, 16), "FULL": (100, 50, 64)}
 
@@ -141,8 +141,8 @@ def _settings_class():
         "quality": EnumProperty(
             name="Quality",
             items=[
-                ("DRAFT", "Draft", "A fifth of the display's pixels, 10 iterations"),
-                ("PREVIEW", "Preview", "Half of the display's pixels, 25 iterations"),
+                ("DRAFT", "Draft", "A fifth of the display's columns and rows, 10 iterations"),
+                ("PREVIEW", "Preview", "Half of the display's columns and rows, 25 iterations"),
                 ("FULL", "Full", "All pixels, 50 iterations"),
                 ("CUSTOM", "Custom", "The numbers below"),
             ],
@@ -251,7 +251,7 @@ def unregister() -> None:
 
 
 def quality(settings) -> tuple[int, int, int]:
-    """Returns the percentage of the display's pixels, the iterations, and the paths per pixel."""
+    """Returns the percentage of the display's columns and rows, the iterations, and the paths per pixel."""
     if settings.quality == "CUSTOM":
         return settings.percentage, settings.iterations, settings.samples
     return QUALITY[settings.quality]

@@ -301,7 +301,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
         positive,
     )?;
 
-    // Compute the display, and write it with its comments.
+    // Compute the display, and write its file with comments.
     let stack = PanelStack {
         name,
         gaps_mm,

@@ -92,7 +92,7 @@ pub(crate) struct RenderArgs {
     #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
     pub(crate) time_s: Option<f64>,
     /// Animation, by name or number [default: all animations together, or only the first if two of
-    /// them move the same object]
+    /// them move the same property of an object]
     #[arg(long, value_name = "NAME|N")]
     pub(crate) animation: Option<String>,
     /// Variant of the scene. For glTF, it is the name or number of a material variant. For USD, it

@@ -46,9 +46,9 @@ const RELOAD: &str = "<script>{const was='STAMP';setInterval(async()=>{try{\
     const answer=await fetch('.stamp',{cache:'no-store'});if(answer.ok&&await answer.text()!==was)location.reload()\
     }catch{}},1000)}</script></body>";
 
-/// Element that loads the script of a live display, which receives new states without a reload. The
-/// script's address holds the word by which the page may move a viewer; pages of other origins
-/// cannot read it.
+/// Returns the element that loads the script of a live display. The script receives new states
+/// without a reload. With `word`, the script's address contains this secret, which a request must
+/// contain to move the page's viewer. Pages of other origins cannot read the secret.
 fn follow(word: Option<&str>) -> String {
     let query = word.map_or(String::new(), |word| format!("?viewer={word}"));
     format!("<script type=\"module\" src=\".live.js{query}\"></script></body>")
@@ -88,20 +88,21 @@ pub(crate) trait Feed: Sync {
     /// Waits for a state that is newer than the state in the query, or for a timeout. Returns the
     /// response, or `None` if no newer state has come by then.
     fn frame(&self, query: &str) -> Option<Vec<u8>>;
-    /// Returns the word that a query of [`look`](Self::look) must have; `None` where pages move no
-    /// viewer.
+    /// Returns the secret that a query of [`look`](Self::look) must contain. `None` if pages may
+    /// not move a viewer.
     fn word(&self) -> Option<&str>;
     /// Moves the viewer of a page. Returns whether the query is valid.
     fn look(&self, query: &str) -> bool;
 }
 
-/// The page's element that preloads the preview's index; a live display's page does not need it.
+/// The element that preloads `stack/preview.json`, the index of the preview. The page of a live
+/// display does not need it.
 const PRELOAD: &str = "<link rel=\"preload\" as=\"fetch\" crossorigin href=\"stack/preview.json\">\n";
 /// Path of the script of a live display.
 const SCRIPT: &str = "/.live.js";
 /// Path of the states that the script requests.
 const STATES: &str = "/.live";
-/// Path to which the script sends its viewing position.
+/// Path to which the script sends the position of the page's viewer.
 const LOOK: &str = "/.look";
 /// The beginning of the element that shows a preview. A live display replaces the first text, which
 /// the page contains, by the second, which names no preview.
@@ -410,7 +411,7 @@ fn reply(method: &str, host: Option<&str>, url: &str, site: Site<'_>, stamp: &st
                     .map_or_else(|| Reply::text(204, ""), |frame| bytes("application/octet-stream", frame));
             }
             LOOK if feed.look(query) => return Reply::text(204, ""),
-            LOOK => return Reply::text(403, "expected the page's own word and a slope\n"),
+            LOOK => return Reply::text(403, "expected the page's own secret and a slope\n"),
             _ => {}
         }
     }

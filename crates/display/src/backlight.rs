@@ -21,7 +21,7 @@ pub enum Backlight {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LensletBacklight {
-    /// Signed distance of the lenslets from z = 0, millimetres. They must be behind every layer.
+    /// Signed distance of the lenslets from z = 0, millimetres. No layer may be behind them.
     pub d_mm: f64,
     /// [columns, rows] of lenslets.
     pub lenslets: [usize; 2],

@@ -127,8 +127,9 @@ impl BacklightMap {
         &self.y[view * self.rays[1]..(view + 1) * self.rays[1]]
     }
 
-    /// Returns the taps of ranges of rays [along x, along y] of every view, each changed by
-    /// `change`. The second argument of `change` is the entry of `first` for the tap's axis.
+    /// Returns the taps of some rays of every view, each tap changed by `change`. `rays` are the
+    /// ranges of these rays along x and along y. The second argument of `change` is the entry of
+    /// `first` for the tap's axis.
     pub(crate) fn cut(
         &self,
         rays: [&std::ops::Range<usize>; 2],

@@ -29,7 +29,7 @@ const IDENTITY: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.
 
 impl Layer {
     /// Returns the response of this layer's hardware. Returns `None` if rays read the stored values
-    /// and the three channels of a pixel are independent.
+    /// unchanged, and the three channels of a pixel are independent.
     pub fn response(&self) -> Option<Response> {
         let response = Response::of(self);
         (response.is_tied() || !response.is_identity()).then_some(response)

@@ -273,8 +273,8 @@ impl Region {
         self.rows.is_empty() || self.cols.is_empty()
     }
 
-    /// Returns this region with indices relative to the first pixel of the region `around`, which
-    /// contains it.
+    /// Returns this region with indices relative to the first pixel of `around`, a region that
+    /// contains this one.
     #[must_use]
     pub fn within(&self, around: &Self) -> Self {
         let shift = |range: &Range<usize>, by: usize| range.start.saturating_sub(by)..range.end.saturating_sub(by);

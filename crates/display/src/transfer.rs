@@ -121,8 +121,8 @@ impl Transfer {
     }
 }
 
-/// Interpolates linearly between the pairs of a table, from its column `from` to its column `to`,
-/// both scaled to 0..1.
+/// Returns the value in column `to` of a table at the place where column `from` has `value`, by
+/// linear interpolation between the pairs. Both columns are scaled to 0..1.
 fn interpolate(table: &[[f64; 2]], [from, to]: [usize; 2], value: f32) -> f32 {
     let (first, last) = (table[0], table[table.len() - 1]);
     let scaled = |pair: [f64; 2], column: usize| (pair[column] - first[column]) / (last[column] - first[column]);

@@ -1,5 +1,5 @@
-//! Measures the updates per second of an adapter on the paper's main case, and compares them with
-//! the processor and with the adapter's measured limits.
+//! Measures the updates per second of an adapter on the paper's main case and on a display with the
+//! views of a whole zone. Compares them with the processor and with the adapter's measured limits.
 //!
 //! Operations and bytes per update and colour channel, with F factors and M frames:
 //!
@@ -20,13 +20,28 @@ use std::time::Instant;
 use lumistack_core::Cancel;
 use lumistack_display::{Display, LayerStack, Weights};
 use lumistack_factorizer::{Problem, Solver, random_start, solver};
-use lumistack_factorizer_gpu::{Device, adapters};
+use lumistack_factorizer_gpu::{Device, Limits, adapters};
 
 /// Width of the display, millimetres.
 const WIDTH_MM: f64 = 473.76;
-const FRAMES: usize = 12;
+/// Number of updates before the timed ones. The second update extrapolates for the first time, so
+/// it compiles programs.
+const WARM_UP: usize = 2;
 
-/// Returns the seconds of the start and the first update together, and the seconds of one further
+/// A display, and the number of views of its light field.
+struct Case {
+    resolution: [usize; 2],
+    views: usize,
+    frames: usize,
+}
+
+const PAPER: Case = Case { resolution: [840, 525], views: 5, frames: 12 };
+/// The main example of this repository, with the views that its display chooses.
+const ZONE: Case = Case { resolution: [420, 262], views: 13, frames: 6 };
+/// Smaller displays for a quick look.
+const QUICK: [Case; 2] = [Case { resolution: [210, 131], ..PAPER }, Case { resolution: [105, 66], ..ZONE }];
+
+/// Returns the seconds of the start and the first update together, and the seconds of a later
 /// update.
 fn time(
     solver: &dyn Solver,
@@ -40,6 +55,8 @@ fn time(
     // the objective waits for the device
     run.objective();
     let first = begun.elapsed().as_secs_f64();
+    (0..WARM_UP).try_for_each(|_| run.step(&Cancel::default()))?;
+    run.objective();
     let begun = Instant::now();
     for _ in 0..updates {
         run.step(&Cancel::default())?;
@@ -78,29 +95,36 @@ fn main() -> Result<(), Box<dyn Error>> {
         limits.bytes_per_s / 1e9,
         limits.multiply_adds_per_s / 1e9
     );
-    // the paper's main case
-    let resolution = if quick { [210, 131] } else { [840, 525] };
-    let pitch_mm = WIDTH_MM / resolution[0] as f64;
-    let display = Display::uniform(resolution, pitch_mm, [5; 2], [20.0; 2], &[-40.0, 0.0, 40.0], FRAMES);
+    let updates = if quick { 2 } else { 40 };
+    for case in if quick { QUICK } else { [PAPER, ZONE] } {
+        measure(&device, &limits, &case, updates)?;
+    }
+    Ok(())
+}
+
+/// Times the device and the processor on one case.
+fn measure(device: &Device, limits: &Limits, case: &Case, updates: usize) -> Result<(), Box<dyn Error>> {
+    let Case { resolution: [cols, rows], views, frames } = *case;
+    let pitch_mm = WIDTH_MM / cols as f64;
+    let display = Display::uniform([cols, rows], pitch_mm, [views; 2], [20.0; 2], &[-40.0, 0.0, 40.0], frames);
     let display = Display { brightness: 0.2, ..display };
     let target = scene::light_field(&display)?;
     let problem = Problem { display: &display, target: &target, weights: &Weights::Uniform };
     let start = random_start(&display, 1);
     // count values and rays; they give the bytes that an update must at least read and write (see
     // the top of this file)
-    let (factors, frames) = (3.0, FRAMES as f64);
-    let values = 3.0 * (resolution[0] * resolution[1]) as f64;
-    let rays = 25.0 * values;
-    println!("{}×{} pixels, 5×5 views, 3 layers, {FRAMES} frames", resolution[0], resolution[1]);
-    let bytes = factors * (2.0 * rays + 4.0 * frames * factors * values + 4.0 * frames * values);
+    let (factors, m) = (3.0, frames as f64);
+    let values = 3.0 * (rows * cols) as f64;
+    let rays = (views * views) as f64 * values;
+    println!("{cols}×{rows} pixels, {views}×{views} views, 3 layers, {frames} frames");
+    let bytes = factors * (2.0 * rays + 4.0 * m * factors * values + 4.0 * m * values);
     // time the device and the processor on the same updates
     for (name, per_ray) in [
-        ("multiplicative", factors * frames * (factors + 1.0)),
-        ("extrapolated", factors * (frames * (factors - 2.0) + 2.0 * frames + frames * (frames + 1.0) / 2.0)),
+        ("multiplicative", factors * m * (factors + 1.0)),
+        ("extrapolated", factors * (m * (factors - 2.0) + 2.0 * m + m * (m + 1.0) / 2.0)),
     ] {
-        let updates = if quick { 2 } else { 10 };
         let [first, each] = time(&device.solver(name)?, &problem, &start, updates)?;
-        let [cpu_first, cpu_each] = time(solver(name)?, &problem, &start, updates)?;
+        let [cpu_first, cpu_each] = time(solver(name)?, &problem, &start, updates.min(10))?;
         let least = (bytes / limits.bytes_per_s).max(per_ray * rays / limits.multiply_adds_per_s);
         println!(
             "{name}: {:.2} updates/s, the first after {first:.2} s; at the device's limits {:.2}",

@@ -14,7 +14,8 @@ use crate::tables::Tables;
 /// 4-byte words of a channel's buffers.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Band {
-    /// The band's lines of a factor. For the program that computes errors, the band's field rows.
+    /// Lines of a factor that the dispatch computes. If the shader computes errors, these are rows
+    /// of the light field instead.
     pub(crate) lines: Range<usize>,
     pub(crate) own: Range<u64>,
     pub(crate) target: Range<u64>,

@@ -1,4 +1,4 @@
-//! An open device: its buffers and programs, and the first failure that it reported.
+//! An open device: its buffers and compiled shaders, and the first failure that it reported.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,6 +14,16 @@ pub(crate) const CHUNK: u64 = 32 << 20;
 
 /// Number of threads of a workgroup, as in the shaders.
 pub(crate) const GROUP: usize = 64;
+
+/// Appends the bytes of values. The loop compiles to a copy, which an iterator over single bytes
+/// does not.
+pub(crate) fn append<T: Copy, const N: usize>(to: &mut Vec<u8>, values: &[T], bytes_of: impl Fn(T) -> [u8; N]) {
+    let start = to.len();
+    to.resize(start + N * values.len(), 0);
+    for (bytes, value) in to[start..].as_chunks_mut::<N>().0.iter_mut().zip(values) {
+        *bytes = bytes_of(*value);
+    }
+}
 
 /// An open graphics device.
 pub struct Gpu {
@@ -132,10 +142,13 @@ impl Gpu {
 
     /// Writes words to a buffer, a chunk at a time, since words that are being copied are in memory
     /// twice.
-    pub(crate) fn write<T: Copy>(&self, buffer: &wgpu::Buffer, words: &[T], bytes: impl Fn(&[T]) -> Vec<u8>) {
+    pub(crate) fn write<T: Copy>(&self, buffer: &wgpu::Buffer, words: &[T], bytes_of: impl Fn(T) -> [u8; 4]) {
         let per_chunk = (CHUNK / 4) as usize;
+        let mut bytes = Vec::new();
         for (index, part) in words.chunks(per_chunk).enumerate() {
-            self.queue.write_buffer(buffer, index as u64 * CHUNK, &bytes(part));
+            bytes.clear();
+            append(&mut bytes, part, &bytes_of);
+            self.queue.write_buffer(buffer, index as u64 * CHUNK, &bytes);
             if words.len() > per_chunk {
                 self.queue.submit([]);
                 self.wait();
@@ -181,7 +194,7 @@ impl Gpu {
         floats
     }
 
-    /// Returns the layout of bindings that all programs for a number of factors share.
+    /// Returns the layout of bindings that all shaders for a number of factors share.
     pub(crate) fn layout(&self, factors: usize) -> wgpu::BindGroupLayout {
         let binding = |binding: usize| {
             let ty = match binding {
@@ -200,7 +213,7 @@ impl Gpu {
         self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries })
     }
 
-    /// Compiles a program, or returns it from the cache.
+    /// Compiles a shader, or returns it from the cache.
     pub(crate) fn program(&self, program: &Program, layout: &wgpu::BindGroupLayout) -> wgpu::ComputePipeline {
         let text = program.text();
         let mut programs = self.programs.lock().unwrap_or_else(PoisonError::into_inner);

@@ -15,9 +15,11 @@ pub struct Limits {
 
 /// Multiply-adds per thread of the kernel `multiply_add`.
 const MULTIPLY_ADDS: f64 = 8.0 * 4.0 * 64.0;
-/// Number of threads; each copies 16 bytes.
-const THREADS: u64 = 1 << 21;
+/// Number of threads; each copies 16 bytes. Their data exceed the caches of graphics processors.
+const THREADS: u64 = 1 << 24;
 const ROUNDS: usize = 5;
+/// Shortest time of a submission that is measured.
+const LEAST_SECONDS: f64 = 0.02;
 
 /// Runs each kernel several times and takes the fastest run.
 pub(crate) fn limits(gpu: &Gpu) -> Limits {
@@ -51,25 +53,30 @@ pub(crate) fn limits(gpu: &Gpu) -> Limits {
     });
     let groups = (threads / 64) as u32;
     let across = groups.min(1 << 12);
-    // Returns the shortest time from a dispatch until the device is idle.
+    // Returns the shortest time per dispatch. One submission holds so many dispatches that starting
+    // and ending it does not count.
     let fastest = |entry: &str| {
         let pipeline = gpu.pipeline(&module, &layout, entry);
-        let once = || {
+        let timed = |dispatches: u32| {
             let start = Instant::now();
             let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             {
                 let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
                 pass.set_pipeline(&pipeline);
                 pass.set_bind_group(0, &group, &[]);
-                pass.dispatch_workgroups(across, groups / across, 1);
+                (0..dispatches).for_each(|_| pass.dispatch_workgroups(across, groups / across, 1));
             }
             gpu.queue.submit([encoder.finish()]);
             gpu.wait();
             start.elapsed().as_secs_f64()
         };
         // the first run compiles, so it is not timed
-        once();
-        (0..ROUNDS).map(|_| once()).fold(f64::INFINITY, f64::min)
+        timed(1);
+        let mut dispatches = 1;
+        while timed(dispatches) < LEAST_SECONDS {
+            dispatches *= 2;
+        }
+        (0..ROUNDS).map(|_| timed(dispatches) / f64::from(dispatches)).fold(f64::INFINITY, f64::min)
     };
     let done = f64::from(groups / across * across) * 64.0;
     Limits {

@@ -32,6 +32,9 @@ pub(crate) struct State {
     /// Bands of the field rows.
     row_bands: Vec<Band>,
     layout: wgpu::BindGroupLayout,
+    /// Programs that this run has used, by their updates. Generating the text of a program takes
+    /// milliseconds, as long as several updates on a fast device.
+    programs: Vec<(Option<Update>, wgpu::ComputePipeline)>,
     params: wgpu::Buffer,
     /// Distance between the parameters of successive dispatches in `params`, bytes.
     params_stride: u64,
@@ -90,7 +93,7 @@ impl State {
         // copy the problem and the patterns to the device
         let tables = Tables::new(&plan);
         let table_words = gpu.buffer(tables.words.len() as u64);
-        gpu.write(&table_words, &tables.words, |part| part.iter().flat_map(|word| word.to_le_bytes()).collect());
+        gpu.write(&table_words, &tables.words, u32::to_le_bytes);
         let target = Target::upload(&gpu, &plan);
         let factors: Vec<_> =
             factors.iter().enumerate().map(|(n, factor)| Values::upload(&gpu, &plan, n, factor)).collect();
@@ -119,6 +122,7 @@ impl State {
             .next_multiple_of(u64::from(limits.min_uniform_buffer_offset_alignment));
         Ok(Self {
             layout: gpu.layout(factors.len()),
+            programs: Vec::new(),
             params: gpu.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("parameters"),
                 size: params_stride * dispatches as u64,
@@ -145,13 +149,11 @@ impl State {
         })
     }
 
-    /// Runs a program over all bands and channels, and leaves the results in `sums`.
+    /// Runs a shader over all bands and channels, and leaves the results in `sums`.
     fn dispatch(&mut self, update: Option<Update>, extrapolation: f32) {
         let plan = self.plan.clone();
-        let weighted = self.target.weights.is_some();
         // all bands use one program with different parameters
-        let parts = self.gpu.parts;
-        let pipeline = self.gpu.program(&Program { plan: &plan, weighted, parts, update }, &self.layout);
+        let pipeline = self.program(update);
         let (bands, cols) = match update {
             Some(Update { own, .. }) => (&self.bands[own], plan.size(own)[1]),
             None => (&self.row_bands, plan.field()[1]),
@@ -187,7 +189,19 @@ impl State {
             }
         }
         self.submitted = Some(self.gpu.queue.submit([encoder.finish()]));
-        self.found = found * parts;
+        self.found = found * self.gpu.parts;
+    }
+
+    /// Returns the program of an update, or the program that computes errors.
+    fn program(&mut self, update: Option<Update>) -> wgpu::ComputePipeline {
+        if let Some((_, known)) = self.programs.iter().find(|(of, _)| *of == update) {
+            return known.clone();
+        }
+        let weighted = self.target.weights.is_some();
+        let program = Program { plan: &self.plan, weighted, parts: self.gpu.parts, update };
+        let made = self.gpu.program(&program, &self.layout);
+        self.programs.push((update, made.clone()));
+        made
     }
 
     /// Returns the parameters of a dispatch, in the order of `Params` in `read.wgsl`.
@@ -237,7 +251,7 @@ impl State {
             window(&self.target.channels[channel], &band.target),
             self.target.weights.as_ref().map_or(weights.as_entire_binding(), |weights| window(weights, &band.weights)),
         ];
-        // outputs that this program does not write are bound to unused buffers
+        // outputs that this shader does not write are bound to unused buffers
         let moving =
             update.filter(|update| update.rule != Rule::KktResidual).map(|update| (&self.factors[update.own], update));
         resources.push(match moving {

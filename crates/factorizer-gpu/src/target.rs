@@ -3,7 +3,7 @@
 
 use lumistack_factorizer::device::{Plan, Row};
 
-use crate::gpu::{CHUNK, Gpu};
+use crate::gpu::{CHUNK, Gpu, append};
 
 /// The target light field and the weights of its rays, in buffers of the device.
 pub(crate) struct Target {
@@ -43,10 +43,10 @@ impl Target {
                 match plan.target_row(channel, [view / views_x, view % views_x], row) {
                     Row::Half(values) => {
                         let end = to.len() + 4 * half_words;
-                        to.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+                        append(to, values, |value| value.to_le_bytes());
                         to.resize(end, 0);
                     }
-                    Row::Float(values) => to.extend(values.iter().flat_map(|value| value.to_le_bytes())),
+                    Row::Float(values) => append(to, values, f32::to_le_bytes),
                 }
             }
         };
@@ -62,7 +62,7 @@ impl Target {
             by_rows(gpu, &buffer, rows, weight_words, |row, to| {
                 for view in 0..views {
                     let roots = plan.weights_row([view / views_x, view % views_x], row).unwrap_or_default();
-                    to.extend(roots.iter().flat_map(|root| root.to_le_bytes()));
+                    append(to, roots, f32::to_le_bytes);
                 }
             });
             buffer

@@ -10,8 +10,8 @@
 //! //@ include coefficients
 //! ```
 //!
-//! Each block ends at its `//@ end`. N and M are constants of the generated program, so its loops
-//! over them are unrolled, and sums stay in registers.
+//! Each block ends at its `//@ end`. N and M are constants of the generated shader, so its loops
+//! over frames and factors are unrolled, and sums stay in registers.
 
 use std::fmt::Write;
 
@@ -25,18 +25,18 @@ const ERRORS: &str = include_str!("shaders/errors.wgsl");
 /// Number of bindings in front of the factors' bindings.
 pub(crate) const FIRST_FACTOR: usize = 7;
 
-/// The properties on which the text of a program depends.
+/// The properties on which the text of a shader depends.
 pub(crate) struct Program<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) weighted: bool,
     /// Number of results of a workgroup, one per subgroup; 1 without subgroups.
     pub(crate) parts: usize,
-    /// The update of a factor; `None` for the program that computes errors.
+    /// The update of a factor; `None` for the shader that computes errors.
     pub(crate) update: Option<Update>,
 }
 
 /// An update of a factor.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 pub(crate) struct Update {
     pub(crate) own: usize,
     pub(crate) rule: Rule,

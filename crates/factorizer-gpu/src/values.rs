@@ -22,10 +22,11 @@ impl Values {
         let buffers = || (0..plan.channels()).map(|_| gpu.buffer(words)).collect();
         let (current, next): (Vec<_>, Vec<_>) = (buffers(), buffers());
         for (channel, buffer) in current.iter().enumerate() {
-            let rows = (0..lines).flat_map(|line| (0..frames).map(move |frame| (line, frame)));
-            let values: Vec<f32> =
-                rows.flat_map(|(line, frame)| factor.values(channel, line, frame)).copied().collect();
-            gpu.write(buffer, &values, |part| part.iter().flat_map(|value| value.to_le_bytes()).collect());
+            let mut values = Vec::with_capacity(words as usize);
+            for (line, frame) in (0..lines).flat_map(|line| (0..frames).map(move |frame| (line, frame))) {
+                values.extend_from_slice(factor.values(channel, line, frame));
+            }
+            gpu.write(buffer, &values, f32::to_le_bytes);
         }
         Self { current, next, latest: None, words }
     }

@@ -34,7 +34,7 @@ const DETERMINED: f32 = 0.1;
 const ROUNDS: usize = 4;
 /// Number of updates of a whole run.
 const UPDATES: usize = 10;
-/// Seed of the random problems. All tests use this seed, so that they share compiled programs.
+/// Seed of the random problems. All tests use this seed, so that they share compiled shaders.
 const SEED: u64 = 4;
 /// The processor's own difference is the difference of emission between runs whose starts and
 /// targets differ by rounding. The device's emission may differ from the processor's by this
@@ -106,8 +106,9 @@ fn nudge(values: &mut [f32], state: &mut u32) {
     }
 }
 
-/// Returns the results of runs on the processor whose starts and targets differ only by rounding.
-fn own_runs(kind: Kind, name: &str, start: &LayerStack) -> Vec<LayerStack> {
+/// Returns the patterns and objectives of runs on the processor whose starts and targets differ
+/// only by rounding.
+fn own_runs(kind: Kind, name: &str, start: &LayerStack) -> Vec<(LayerStack, f64)> {
     let own_run = |number: u32| {
         let (mut state, mut owned, mut start) = (number, random(kind, SEED), start.clone());
         let layers = start.layers.iter_mut().map(|layer| layer.data_mut());
@@ -117,7 +118,7 @@ fn own_runs(kind: Kind, name: &str, start: &LayerStack) -> Vec<LayerStack> {
         for view in owned.target.geometry().grid.clone().iter() {
             nudge(owned.target.view_mut(view), &mut state);
         }
-        run(solver(name).unwrap(), &owned.problem(), &start, UPDATES).0
+        run(solver(name).unwrap(), &owned.problem(), &start, UPDATES)
     };
     (1..=NUDGES).map(own_run).collect()
 }
@@ -237,15 +238,20 @@ fn ten_updates_equal_the_processors() {
                 .map(|solver: &dyn Solver| run(solver, &owned.problem(), &start, UPDATES));
             let (expected, found) = (emissions(&owned, &expected), emissions(&owned, &found));
             let emitted = largest(&expected, &found);
+            let mut own_objective = 0.0;
             if emitted.is_nan() || emitted > EMISSION_TOLERANCE {
-                let own = own_runs(kind, name, &start);
-                let own = own.iter().map(|own| largest(&expected, &emissions(&owned, own))).fold(0.0, f32::max);
+                let runs = own_runs(kind, name, &start);
+                let own = runs.iter().map(|(own, _)| largest(&expected, &emissions(&owned, own))).fold(0.0, f32::max);
+                own_objective = runs.iter().map(|(_, own)| (own - objective).abs()).fold(0.0, f64::max);
                 let differs = format!("{what}: emission differs by {emitted:.1e}, the processor's own by {own:.1e}");
                 let list = if emitted <= OWN_ROUNDING * own { &mut led_elsewhere } else { &mut wrong };
                 list.push(differs);
             }
-            if !are_near(objective, value, objective, found.len()) {
-                wrong.push(format!("{what}: objectives {objective} and {value}"));
+            let as_near_as_own = (value - objective).abs() <= f64::from(OWN_ROUNDING) * own_objective;
+            if !are_near(objective, value, objective, found.len()) && !as_near_as_own {
+                wrong.push(format!(
+                    "{what}: objectives {objective} and {value}, the processor's own within {own_objective}"
+                ));
             }
             count += 1;
         }

@@ -64,7 +64,7 @@ pub(crate) struct Scratch {
     buffers: Buffers,
     rays: LineRays<'static>,
     spare: Spare,
-    /// For each row of rays, the share of its sums that the next line gets.
+    /// For each row of rays, the share of the row's sums that the next line gets.
     t: Vec<f32>,
     /// For every view column that has valid rays, the shares that pixels get from these rays.
     shares: Vec<ColumnShares>,
@@ -80,7 +80,7 @@ pub(crate) struct Scratch {
     low: Aligned,
     /// The shares of the rays' sums that the next line gets, `[quantity][x]`.
     high: Vec<f32>,
-    /// The next line's share of the rays' error Σ w e².
+    /// The share of the rays' error Σ w e² that the next line gets.
     high_error: f64,
     /// For each view, the terms of the rays through the previous block of pixels: a_m =
     /// ∂L̃/∂(f_m/M), then βL and L̃. The order is `[view][M + 2][lane]`.

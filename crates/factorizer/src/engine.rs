@@ -40,7 +40,8 @@ pub struct Engine {
     /// For each factor whose rays read other values than the stored values: its response and its
     /// stored values.
     stored: Vec<Option<(Response, Factor)>>,
-    /// For each factor, the levels that its values may have, and the frames to which this applies.
+    /// For each factor, the levels that its values may have, and the frames to which this limit
+    /// applies.
     pub(crate) levels: Vec<Option<Levels>>,
     /// The last iterate, if rays read extrapolated values; otherwise empty.
     latest: Vec<Aligned>,
@@ -161,7 +162,8 @@ impl Engine {
     }
 
     /// True if the fast kernel updates factor `n`, since all rays of a view read it at a constant
-    /// shift. It does so even if other factors are read between columns; [`between`] was no faster.
+    /// shift. The fast kernel does so even if other factors are read between columns, since the
+    /// kernel of [`between`] was no faster.
     pub fn is_fast(&self, n: usize) -> bool {
         self.fast && self.plan.is_product() && self.plan.maps[n].shifted
     }

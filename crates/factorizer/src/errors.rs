@@ -107,7 +107,8 @@ unsafe fn squared_shifted<V: Lanes>(
     rays: &Rays,
     root_weights: Option<&[f32]>,
 ) -> ErrorSum {
-    // list the line of each factor that the rays read, and its shift
+    // for each factor, find the line that the rays read, and the shift between field columns and
+    // the line's values
     let lines: Vec<Line> = plan
         .maps
         .iter()

@@ -27,10 +27,10 @@
 //!    6 frames. Then the sums are made tile by tile, each in registers. So any number of frames
 //!    runs the same code, and 12 frames spill as little as 6. Groups leave room in the first-level
 //!    cache.
-//! 4. **Prefetch.** An update reads many rows side by side: frames × layers × view rows of them in
-//!    the factors, and one in the target for each view. Hardware prefetchers do not follow so many
-//!    rows. So each view prefetches a few rows of factors two vectors ahead. It prefetches its row
-//!    of the target into the second-level cache only.
+//! 4. **Prefetch.** An update reads many rows side by side: frames × layers × view rows of the
+//!    factors, and one row of the target per view. Hardware prefetchers do not follow so many rows.
+//!    So each view prefetches a few rows of factors two vectors ahead. It prefetches its row of the
+//!    target into the second-level cache only.
 //! 5. **Target.** The target is read in 16 bits if half floats hold it exactly. √w multiplies a_m
 //!    and e, so that no sum needs w.
 //! 6. **Masks.** A block is masked if it crosses the border of the valid rays or if rays have

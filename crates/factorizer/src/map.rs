@@ -61,8 +61,9 @@ pub(crate) struct ColumnTaps {
     pub(crate) t: Vec<f32>,
     /// The taps as pieces for the inner loops; together the pieces cover all field columns.
     pub(crate) pieces: Vec<Piece>,
-    /// The index in the padded line minus the field column. `None` if this shift differs between
-    /// valid rays, or if a `t` is not 0.
+    /// The index of the pixel that a ray reads in the padded line, minus the ray's field column.
+    /// `None` if this shift differs between valid rays, or if a ray reads two pixels (`t` is not
+    /// 0).
     pub(crate) shift: Option<isize>,
     /// The index of the first pixel minus the field column, and the weight of the second pixel.
     /// `None` if these two values differ between valid rays. A ray at the border reads the border
@@ -108,7 +109,8 @@ struct RaysOfLine {
 }
 
 impl FactorMap {
-    /// Valid field rows whose rays read `line`, with the share with which they read it.
+    /// Valid field rows whose rays read `line`, each with the share with which its rays read the
+    /// line.
     #[inline(always)]
     pub(crate) fn rays_of_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.rays[view_y].of_line(line)

@@ -76,7 +76,8 @@ impl Run for MultiplicativeRun {
     }
 
     fn known_objective(&self) -> Option<Objective> {
-        // the rule does not compute by how much a step lowers the objective
+        // The multiplicative rule has no sums that contain the objective, so an update does not
+        // give it.
         None
     }
 

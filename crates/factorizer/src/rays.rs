@@ -122,8 +122,8 @@ impl<const K: usize> RowsOfView<'_, K> {
 pub(crate) struct LineRays<'a> {
     pub(crate) views: Vec<View<'a>>,
     pub(crate) targets: Vec<TargetRow<'a>>,
-    /// For each view, the lines of the other factors that its rays read, with all frames of a line;
-    /// `others_per_view` lines per view.
+    /// For each view, the lines of the other factors that the view's rays read. Every line has all
+    /// its frames. There are `others_per_view` lines per view.
     pub(crate) others: Vec<Place<'a, f32>>,
     pub(crate) others_per_view: usize,
     /// For each other factor, the distance from one frame to the next frame, in values.

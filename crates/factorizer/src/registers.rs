@@ -7,13 +7,15 @@ use crate::buffers::{AHEAD, BetweenTiles, BlockOfLine, Buffers, ByBuffers, GROUP
 use crate::rays::{LineRays, RowsOfView};
 use crate::vector::{load, store};
 
-/// Adds up the sums n and d of `step.rs` of all frames; or r and the diagonal of G if `DIAGONAL` is
-/// true.
+/// Adds up two sums per frame m over the rays through each pixel: n_m = Σ w βL a_m and
+/// d_m = Σ w L̃ a_m. If `DIAGONAL` is true, it adds up r_m = Σ w e a_m and G_mm = Σ w a_m² instead.
+/// The head of `step.rs` defines the symbols.
 ///
 /// `MASKED` is true if some rays of a view are invalid or weighted.
 pub(crate) struct Pairs<const M: usize, const K: usize, const MASKED: bool, const DIAGONAL: bool>;
 
-/// Adds up the sums r and G of `step.rs`, for all frames.
+/// Adds up r_m = Σ w e a_m and G_mk = Σ w a_m a_k over the rays through each pixel, for all frames
+/// m and k. The head of `step.rs` defines the symbols.
 ///
 /// The tiles of G along the diagonal are summed together. The rest of G is summed from buffered
 /// a_m. `MASKED` has the same meaning as in [`Pairs`].

@@ -13,7 +13,8 @@
 //!
 //! The bound equals the change at d = 0 and is separable over the stored pixels. So the usual step
 //! on Aᵀr and Aᵀ(ρG) never raises the objective. The bound is exact if channels are only tied or
-//! filtered, without blur and crosstalk. The multiplicative rule takes Aᵀn and Aᵀd.
+//! filtered, without blur and crosstalk. The multiplicative rule takes its two sums of `step.rs`
+//! times Aᵀ.
 
 use lumistack_display::Response;
 

@@ -10,7 +10,7 @@ use crate::prepared::Prepared;
 use crate::problem::{FactorizeError, Problem};
 use crate::solver::{AUTO, Run, Solver};
 
-/// All solvers, by their internal interface.
+/// All solvers. Each implements the internal trait [`Method`].
 static METHODS: [&dyn Method; 3] = [&Multiplicative, &BlockExact, &Extrapolated];
 
 /// Returns all solvers.
@@ -45,7 +45,7 @@ pub fn start_on(
     Ok(method(name)?.begin(Prepared::new(problem, start, executor)?)?)
 }
 
-/// Returns the solver of a name, by its internal interface; [`AUTO`] selects the best one.
+/// Returns the solver with this name; [`AUTO`] selects the best solver.
 pub(crate) fn method(name: &str) -> Result<&'static dyn Method, FactorizeError> {
     let name = if name == AUTO { Extrapolated.name() } else { name };
     METHODS.into_iter().find(|method| method.name() == name).ok_or_else(|| FactorizeError::UnknownSolver {

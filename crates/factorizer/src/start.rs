@@ -41,7 +41,7 @@ impl StartKind {
         std::iter::once(crate::AUTO).chain(Self::ALL.iter().map(|(name, _)| *name))
     }
 
-    /// Returns the kind of a name; `None` if no kind has it.
+    /// Returns the kind with this name; `None` if there is none.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().find(|(known, _)| *known == name).map(|(_, kind)| *kind)
     }

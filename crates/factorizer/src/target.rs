@@ -161,7 +161,8 @@ impl Target {
     pub(crate) fn averaged(&self, functions: &RowFunctions, views: &[usize], pixels: &[Vec<Cover>; 2]) -> Self {
         let [rows, cols] = [&pixels[0], &pixels[1]];
         let (stride, fine_cols) = (PAD + cols.len() + PAD, self.stride - 2 * PAD);
-        // compute one coarse row: mix three fine rows, then three columns of the mixture
+        // compute one coarse row: average three fine rows, then average groups of three columns of
+        // the result
         let mix = |mixed: &mut Vec<f32>, index: usize, to: RowMut| {
             let (picture, (first, shares)) = (index / rows.len(), rows[index % rows.len()]);
             let (channel, view) = (picture / views.len(), views[picture % views.len()]);

@@ -56,7 +56,7 @@ pub enum FieldError {
         path: PathBuf,
         /// Description of the value that is missing, such as "the size of its pixels".
         what: &'static str,
-        /// The flag that supplies it, with an example.
+        /// The flag that supplies the value, with an example.
         flag: &'static str,
     },
     /// The geometry is invalid.

@@ -132,7 +132,9 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
     for (slot, texture) in request.appearance.textures() {
         if mesh.uvs.get(texture.uv_set).is_some_and(Vec::is_empty) {
             let set = request.uv_sets[texture.uv_set];
-            let message = format!("the material's {slot} uses TEXCOORD_{set}, which is missing; it reads (0, 0)");
+            let message = format!(
+                "the material's {slot} uses TEXCOORD_{set}, which the mesh lacks; the texture is read at (0, 0)"
+            );
             document.task.warn(place, message);
         }
     }

@@ -31,8 +31,8 @@ const VELOCITY_TIME: Duration = Duration::from_millis(100);
 const JUMP_MM: f64 = 300.0;
 /// Weight of rays far from all viewers while viewers are tracked.
 pub const FLOOR: f64 = 0.002;
-/// Default σ, mm. A viewer's eyes are some 32 mm away from the midpoint between them, so their rays
-/// have large weights.
+/// Default standard deviation σ of a viewer's weight, mm. A viewer's eyes are some 32 mm away from
+/// the midpoint between them, so their rays have large weights.
 pub const SIGMA_MM: f64 = 40.0;
 
 /// Positions and velocities of the tracked heads.

@@ -34,7 +34,8 @@ impl Clamped {
         kept
     }
 
-    /// The warning about a view, given the radiance of its pixels; `None` when nothing was removed.
+    /// Returns the warning about one view; `None` if the limit dimmed no sample. `pixels` are the
+    /// view's radiance after the limit.
     pub(crate) fn message(
         &self,
         settings: &Settings,

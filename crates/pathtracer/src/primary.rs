@@ -43,15 +43,15 @@ pub(crate) struct PrimaryRays<'a> {
     slope_width: [f64; 2],
     /// True if slopes fill the ellipse with these widths, false if they fill the rectangle.
     round: bool,
-    /// Display space in render space: its origin, one millimetre along each axis, and the length of
-    /// a millimetre.
+    /// In render space: the origin of display space, one millimetre along each axis of display
+    /// space, and the length of a millimetre.
     origin: DVec3,
     axes: [DVec3; 3],
     millimetre: f64,
     /// Half the size of the scene's bounds, with a margin.
     half_size: DVec3,
-    /// τ is −z in display space, in millimetres. These are τ at the start of all rays, and the
-    /// largest |τ| up to the far end of the bounds.
+    /// τ is −z in display space, in millimetres. `start` is τ at the start of all rays, and
+    /// `deepest` is the largest |τ| up to the far end of the bounds.
     start: f64,
     deepest: f64,
 }

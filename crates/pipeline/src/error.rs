@@ -76,9 +76,9 @@ pub enum PipelineError {
     OtherCode {
         /// The run folder.
         folder: PathBuf,
-        /// Version and code hash of the program that planned the run.
+        /// Version and fingerprint of the program that planned the run.
         plan: String,
-        /// Version and code hash of the worker.
+        /// Version and fingerprint of the worker.
         worker: String,
     },
     /// The output would replace a file that Lumistack did not write, or that was changed since

@@ -119,7 +119,7 @@ pub struct PoseJob {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_s: Option<f64>,
     /// Name or number of the animation. Default: all animations together, or the first one if two
-    /// of them move the same object.
+    /// of them move the same property of an object.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub animation: Option<String>,
     /// Name or number of glTF's material variant.

@@ -167,7 +167,7 @@ pub enum LoadError {
         reason: PluginError,
     },
     /// The name of the entry function and the descriptor differ.
-    #[error("{}: expected a plugin `{expected}` by the name of its entry function, found `{found}`", path.display())]
+    #[error("{}: expected the id `{expected}`, from the name of the entry function, found the id `{found}` in the descriptor", path.display())]
     OtherId {
         /// The path of the file.
         path: PathBuf,

@@ -305,7 +305,7 @@ fn difference(found: &Files, expected: &Files) -> String {
     let names = |files: &Files| files.keys().cloned().collect::<BTreeSet<_>>();
     let unequal: Vec<_> =
         expected.iter().filter(|(name, bytes)| found.get(*name) != Some(bytes)).map(|e| e.0).collect();
-    format!("files {:?}, expected {:?}; not the same: {unequal:?}", names(found), names(expected))
+    format!("files {:?}, expected {:?}; missing or different: {unequal:?}", names(found), names(expected))
 }
 
 fn listing() -> BTreeSet<String> {

@@ -25,7 +25,8 @@ fn displays() -> Vec<Display> {
     vec![of(&[-3.0, 3.0], 4), of(&[0.0], 2), of(&[-4.0, 0.0, 4.0], 3), directional]
 }
 
-/// Returns a light field of random values in a display's geometry. It is the same at every call.
+/// Returns a light field of random values in a display's geometry. Every call with the same display
+/// returns the same values.
 ///
 /// # Errors
 /// If the display's geometry is invalid.

@@ -92,7 +92,7 @@ impl Host {
     }
 
     /// Returns the port of the data that an output will receive; `None` if the host does not know
-    /// it at `open`.
+    /// the port at `open`.
     pub fn port(&self) -> Option<Port> {
         let bit = self.with(|table| table.port)?;
         Port::ALL.into_iter().find(|port| port.bit() == bit)

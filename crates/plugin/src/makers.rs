@@ -20,7 +20,7 @@ use crate::{Host, PluginError, Schema};
 pub trait ImporterPlugin: 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
-    /// File extensions that it reads: lower case, without the dot.
+    /// Extensions of the files that the plugin reads: lower case, without the dot.
     const EXTENSIONS: &'static [&'static str];
 
     /// A struct with one field per parameter of the schema; a field has its parameter's name.
@@ -31,8 +31,8 @@ pub trait ImporterPlugin: 'static {
     fn schema() -> Schema;
 
     /// Reads the file `file`, and others in its folder, through `assets`. Returns a glTF 2.0
-    /// document, `.glb` or `.gltf`. The host validates the document, and reads files to which it
-    /// refers from the imported file's folder.
+    /// document, `.glb` or `.gltf`. The host validates the document. It reads the files that the
+    /// document names from the imported file's folder.
     ///
     /// # Errors
     /// If the file is invalid; the message names the position in the file.

@@ -19,7 +19,7 @@ impl PlaneView<'_> {
     /// Checks a plane that the other side filled in. If the check fails, releases the plane.
     ///
     /// # Errors
-    /// If it does not have three axes of `f32`, or has no data.
+    /// If the plane does not have three axes of `f32`, or has no data.
     ///
     /// # Safety
     /// The plane's pointer, shape, strides and type describe memory that stays readable and

@@ -42,8 +42,8 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
     if scene.environment.is_some() {
         return Ok(None);
     }
-    // Replace materials by clay, so that the answer depends on light alone. Scenes that differ in
-    // materials get the same answer.
+    // Replace opaque materials by clay, which keeps their emission. So scenes that differ in the
+    // reflectance of opaque surfaces get the same answer.
     let scene = &Arc::new(edited::<ShotError>((**scene).clone(), task, |parts| {
         parts.materials.iter_mut().for_each(to_clay);
         Ok(())
@@ -89,8 +89,8 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
 /// Reflectance of the clay that replaces the materials while their light is measured.
 const CLAY: f32 = 0.5;
 
-/// Turns an opaque surface into clay that keeps its emission. Surfaces that transmit light stay as
-/// they are.
+/// Turns an opaque surface into clay that keeps its emission. Unlit surfaces, and surfaces that
+/// transmit light or have another alpha mode, stay as they are.
 fn to_clay(material: &mut Material) {
     if material.unlit || material.transmission > 0.0 || material.alpha_mode != AlphaMode::Opaque {
         return;

@@ -45,7 +45,7 @@ const ROUNDED: f64 = 1e-6;
 /// Number of window positions to compare.
 const TRIED: usize = 2001;
 /// Smallest fraction of a pixel's detail that the display must still show in front of a window that
-/// is given by numbers. Content so near to the viewer that less is shown is cut off.
+/// is given by numbers. Nearer content, of which the display shows less detail, is cut off.
 const LEAST_DETAIL: f64 = 0.125;
 /// Smallest factor to which fitting compresses depth.
 const LEAST_SCALE: f64 = 0.01;

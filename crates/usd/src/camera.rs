@@ -32,7 +32,7 @@ pub(crate) fn camera(entry: &CameraEntry, all: &[CameraEntry], scene_from_stage:
     let scene_from_camera: Affine3A = (*scene_from_stage * affine(&entry.matrix)).as_affine3a();
     let determinant = scene_from_camera.matrix3.determinant();
     if !scene_from_camera.is_finite() || determinant == 0.0 {
-        return Err("no placement with three independent axes".into());
+        return Err("a transform that is not finite or not invertible".into());
     }
     let focus = entry.focus_distance;
     Ok(Camera {

@@ -193,7 +193,10 @@ impl Reader<'_, '_> {
         let found = indices.as_ref().map_or(values.len(), Vec::len);
         // a list for a constant may have more values, of which the first is used
         if found < elements || (found > elements && interpolation != Interpolation::Constant) {
-            return Err(format!("a list of length {found}, but {} needs {elements}", primvar.interpolation));
+            return Err(format!(
+                "a list of length {found}, but its interpolation \"{}\" needs {elements}",
+                primvar.interpolation
+            ));
         }
         Ok(Attribute { values, interpolation, indices })
     }

@@ -10,10 +10,10 @@ use crate::UsdError;
 use crate::child::{last_lines, read_end, wait};
 use crate::python::{Surroundings, interpreter, own_environment};
 
-/// Prints the version of a Python, and fails if it is too old.
+/// Python code that prints the version of the interpreter, and fails if the version is too old.
 const VERSION: &str =
     "import sys, platform; print('Python', platform.python_version()); sys.exit(sys.version_info < (3, 8))";
-/// Prints the version of OpenUSD, and fails if there is none.
+/// Python code that prints the version of OpenUSD, and fails if OpenUSD is missing.
 pub(crate) const CHECK: &str = "import sys\ntry: from pxr import Usd, Sdf\nexcept ImportError as error: sys.exit(str(error))\n\
     v = Usd.GetVersion(); print('OpenUSD %d.%02d' % v[1:], 'with' if Sdf.FileFormat.FindByExtension('mtlx') else 'without', 'MaterialX')";
 

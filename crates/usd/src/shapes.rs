@@ -15,8 +15,8 @@ use crate::spacing::{self, Rule};
 const CURVES: Rule = Rule { of_spacing: 0.25, largest: 0.005, smallest: 0.0001 };
 /// Rule for the width of points without widths. Neighbouring points nearly touch.
 const POINTS: Rule = Rule { of_spacing: 0.75, largest: 0.02, smallest: 0.0001 };
-/// Width in scene units of a curve or point without a width, if no rule applies: it has neither
-/// neighbours nor an extent.
+/// Width, in scene units, of curves or points without widths. It applies if all points coincide, so
+/// that they have no spacing.
 const WIDTH: f32 = 1.0;
 /// Largest number of points of a prim that are shown: each becomes a ball of 128 triangles.
 const MOST_POINTS: usize = 1 << 18;
@@ -146,8 +146,9 @@ pub(crate) fn curves(
     let widths = list(&entry.widths, &entry.widths_interpolation)?;
     let widths = widths.unwrap_or_else(|| {
         let width = spacing::width(&middles(&points, &counts), &points, CURVES).unwrap_or(WIDTH);
-        let message =
-            format!("the curves have no widths; they are drawn {width} wide, which follows from their spacing");
+        let message = format!(
+            "the curves have no widths; they are drawn {width} wide, by their spacing (1 if all points coincide)"
+        );
         task.warn(place, message);
         Owned { values: vec![width], width: 1, interpolation: Interpolation::Constant }
     });
@@ -196,8 +197,9 @@ pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) 
     let mut widths = widths;
     if widths.is_empty() && !points.is_empty() {
         let width = spacing::width(&points, &points, POINTS).unwrap_or(WIDTH);
-        let message =
-            format!("the points have no widths; they are drawn {width} wide, which follows from their spacing");
+        let message = format!(
+            "the points have no widths; they are drawn {width} wide, by their spacing (1 if all points coincide)"
+        );
         task.warn(place, message);
         widths.push(width);
     }

@@ -3,8 +3,8 @@
 //! A slot of a [`Material`](lumistack_scene::Material) reads fixed channels in a fixed encoding. A
 //! USD shader may read any channel of any picture, with scale and bias.
 //!
-//! If all channels of a slot are where it reads them, the slot uses the decoded picture. Otherwise
-//! a picture is baked: v = scale · texel + bias per channel, in linear light, then encoded for the
+//! If all channels are where the slot reads them, the slot uses the decoded picture. Otherwise a
+//! picture is baked: v = scale · texel + bias per channel, in linear light, then encoded for the
 //! slot. USD's colour space "auto" is sRGB for 8-bit pictures in slots of colour, and raw
 //! elsewhere.
 
@@ -98,7 +98,7 @@ pub(crate) enum Kind {
     Normal,
 }
 
-/// An image of a package, as the walker writes it.
+/// An image of a scene package, in the form in which the USD script (Python) writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Entry {

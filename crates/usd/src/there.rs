@@ -8,7 +8,7 @@ use crate::python::{Candidate, Surroundings};
 use crate::setup::{CHECK, run};
 use crate::{UsdError, blend};
 
-/// Prints the version of bpy in a Python, and fails if there is none.
+/// Python code that prints the version of the module bpy, and fails if the module is missing.
 const BPY: &str = "import sys\ntry: import bpy\nexcept ImportError as error: sys.exit(str(error))\n\
     print('Blender', bpy.app.version_string, 'as a module')";
 

@@ -104,7 +104,7 @@ impl Solver {
         self.work.give()
     }
 
-    /// Traces a view for another thread's solver, which gave its number.
+    /// Traces a view for another thread's solver, which gave the view's number.
     pub fn trace(&mut self, number: usize) -> Thrown<Vec<f32>> {
         Ok(self.work.trace(number)?)
     }

@@ -376,7 +376,8 @@ impl Model {
         self.emitted(self.slope_of(view), self.geometry.grid.projection)
     }
 
-    /// The slope of a view of the target at the centre of the field.
+    /// Returns the slope of a view of the target: the slope of the view's ray through the centre of
+    /// the light field's rectangle.
     pub fn slope_of(&self, view: [usize; 2]) -> [f64; 2] {
         [self.geometry.grid.slope_x[view[1]], self.geometry.grid.slope_y[view[0]]]
     }

@@ -28,8 +28,8 @@ pub struct Options {
     pub black_level: f64,
     /// Diameter of a pupil that is focused on z = 0, millimetres; 0 for a pinhole.
     pub pupil_mm: f64,
-    /// Distance of the eye from z = 0, millimetres, with which views are perspective. `None` keeps
-    /// the target's projection.
+    /// Distance of the eye from z = 0, millimetres. With a distance, views are perspective; `None`
+    /// keeps the target's projection.
     pub eye_distance_mm: Option<f64>,
     /// Number of a single frame to show; `None` shows the mean of all frames.
     pub frame: Option<usize>,

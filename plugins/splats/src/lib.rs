@@ -46,8 +46,8 @@ enum Up {
 }
 
 impl Up {
-    /// Returns the rotation that turns this axis upwards. For `auto` it is the rotation of the
-    /// format's axes `axes`.
+    /// Returns the rotation from the file's axes to the scene's axes, which turns this axis upwards.
+    /// `auto` uses `axes`, the axes of the file's format.
     fn rotation(self, axes: Axes) -> glam::Quat {
         use std::f32::consts::FRAC_PI_2;
         match self {

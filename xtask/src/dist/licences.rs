@@ -31,7 +31,7 @@ struct Part {
     /// SHA-256 of the registry's file; `None` for Lumistack's own packages.
     sum: Option<String>,
     folder: PathBuf,
-    /// `name version` of its dependencies.
+    /// `name version` of the part's dependencies.
     uses: BTreeSet<String>,
 }
 

@@ -149,7 +149,7 @@ mod tests {
         assert!(requests.is_stopped());
     }
 
-    /// A line that is too long is refused as a whole, and later lines count.
+    /// A line that is too long is refused as a whole, and later lines are executed.
     #[test]
     fn long_lines_are_refused_once() {
         let requests = requests();

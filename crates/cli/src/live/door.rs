@@ -151,7 +151,7 @@ impl Door {
     pub(super) fn attend(&self, requests: &Arc<Requests>, events: &Arc<Events>) {
         while !requests.is_stopped() {
             match self.listener.accept() {
-                // an error of the connection ends it
+                // an error of a connection ends this connection only
                 Ok((program, _)) => drop(self.greet(&program, requests, events)),
                 Err(_) => std::thread::sleep(TICK),
             }
@@ -168,7 +168,7 @@ impl Door {
         let first: Value = serde_json::from_slice(&first).unwrap_or_default();
         if first["token"] != *self.token {
             let text =
-                format!("token: expected a first line {{\"token\": WORD}} with the word of {}", self.path.display());
+                format!("token: expected a first line {{\"token\": TOKEN}} with the token in {}", self.path.display());
             return write_line(program, &refused(&format!("{text}, found another")));
         }
         let Some(number) = events.attach(program)? else {
@@ -214,7 +214,7 @@ fn first_line(mut program: &TcpStream) -> io::Result<(Vec<u8>, Vec<u8>)> {
     }
 }
 
-/// Returns a random word of 32 characters.
+/// Returns a random secret of 32 characters.
 ///
 /// # Errors
 /// If the system has no random numbers.

@@ -58,7 +58,7 @@ pub(super) struct PageFeed<'a> {
 
 /// A viewer whose position comes from the page instead of a tracker.
 pub(super) struct Guest<'a> {
-    /// Random word that requests must contain, so that a page of another origin cannot move the
+    /// The secret that requests must contain, so that a page of another origin cannot move the
     /// viewer.
     word: String,
     /// Distance of the head, mm.
@@ -73,7 +73,8 @@ impl<'a> Guest<'a> {
         Ok(Self { word: random_word()?, distance_mm, requests })
     }
 
-    /// Moves the viewer to the slope of a query. Returns whether word and slope are valid.
+    /// Moves the viewer to the slope of a query. Returns whether the query has the secret and a
+    /// valid slope.
     fn look(&self, query: &str) -> bool {
         let Some(slope) = slope_of(query).filter(|_| value(query, "viewer") == Some(&self.word)) else {
             return false;
@@ -153,7 +154,7 @@ impl<'a> PageFeed<'a> {
         Ok(Made { number, edition, files: Arc::new(files.ok_or_else(unknown)?) })
     }
 
-    /// Writes the page for a state's display, and reads the list of its pictures.
+    /// Writes the page for a state's display, and reads the list of the page's pictures.
     fn edition(&self, number: u64, key: String, state: &State) -> Result<Edition, PipelineError> {
         let title = ("title".into(), json!(self.title));
         let params = Map::from_iter([title, ("target".into(), json!(false)), ("single_file".into(), json!(false))]);

@@ -16,8 +16,8 @@ use crate::{Layer, LayerColour, LayerStack, Response};
 const ROUNDING: f64 = 2e-6;
 
 const SIGMAS_PX: [f64; 8] = [0.0, 0.05, 0.3, 0.5, 1.0, 1.4, 3.0, 8.0];
-/// Sizes [rows, cols] of planes. Some are smaller than the point spreads and than a block of
-/// columns, and some are larger.
+/// Sizes [rows, cols] of planes. Some are smaller than the point spread, some have fewer columns
+/// than one SIMD block, and some are larger than both.
 const SIZES: [[usize; 2]; 7] = [[1, 1], [1, 9], [7, 1], [2, 3], [5, 64], [30, 33], [11, 97]];
 
 fn layer([rows, cols]: [usize; 2], blur_px: f64) -> Layer {

@@ -1,9 +1,10 @@
 // Functions by which rays read factors, the target and weights. They compute the same as the
 // factorizer's expand.rs and rows.rs.
 //
-// Buffers hold one channel. Factors are [line][frame][column] and the target is [field
-// row][view][field column], both cut to the window of the dispatch. Tables contain the line and
-// column that a ray reads: [view row][field row] and [view column][field column].
+// Each buffer holds one colour channel. A factor is stored as [line][frame][column], the target as
+// [field row][view][field column]. A dispatch binds only the parts of them that it reads (windows).
+// Tables give the line that a ray reads, by [view row][field row], and the column, by
+// [view column][field column].
 
 struct Params {
     views_y: u32,

@@ -16,7 +16,7 @@ struct Entry {
     /// Weight of the stored value in the value that the ray reads.
     share: f64,
     /// Weight in the bound of the curvature. It is `share` times the sum of the shares of all
-    /// stored values that form the pixel that the ray hits.
+    /// stored values that form the hit pixel.
     bound: f64,
 }
 

@@ -90,8 +90,8 @@ pub fn measure(options: &Options) -> Outcome {
 }
 
 /// Renders the views of a case one by one and filtered, at several numbers of samples. Prints a
-/// table row per way of rendering. The last column compares equal times: the error of views that
-/// are rendered one by one, divided by the error of the row's way.
+/// table row per way of rendering. The last column compares errors at equal time. It is the error
+/// of views that are rendered one by one, divided by the error of the row's way.
 pub fn filters(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);

@@ -23,8 +23,8 @@
 //!   prints a row per method: processor seconds, squared error, error of the worst view, bias,
 //!   change of the mean, variance of the mean view, and speed-up at equal error.
 //! * `filters` renders views one by one, with shared light, and filtered with guides, with 4, 16
-//!   and 64 samples. Its last column is the error of views one by one in the same time, divided
-//!   by the error of the way.
+//!   and 64 samples. Its last column is the error of views one by one in the same time, divided by
+//!   the error of the row's way.
 
 mod case;
 #[cfg(unix)]

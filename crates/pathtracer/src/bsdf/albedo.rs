@@ -41,9 +41,9 @@ const ROUGHNESSES: usize = 32;
 const SAMPLES: u32 = 987;
 /// Step of the Fibonacci lattice of [`SAMPLES`] points.
 const LATTICE_STEP: u32 = 610;
-/// Numbers of nodes of the table for stretched lobes, over the root of the cosine, the azimuth, and
-/// √α along and across the stretch. The next two constants are the number of samples per node and
-/// their lattice step.
+/// Numbers of nodes of the table for stretched lobes, one per coordinate. The coordinates are the
+/// root of the cosine, the azimuth, √α along the stretch, and √α across the stretch. The next two
+/// constants are the number of samples per node, and the step of the lattice that the samples form.
 const STRETCHED: [usize; 4] = [16, 6, 13, 13];
 const STRETCHED_SAMPLES: u32 = 377;
 const STRETCHED_STEP: u32 = 233;
@@ -52,9 +52,9 @@ const SMALLEST: f32 = 1e-3;
 /// The index of refraction for which the tables of E also hold B: glTF's default, and the index of
 /// clear coats. The top of the file defines E and B.
 pub(crate) const COMMON_IOR: f32 = 1.5;
-/// Numbers of nodes of the table for other indices of refraction, over the root of the cosine, √α,
-/// and the root of (n − 1)/(n + 1). The next two constants are the number of samples per node and
-/// their lattice step.
+/// Numbers of nodes of the table for other indices of refraction, one per coordinate. The
+/// coordinates are the root of the cosine, √α, and the root of (n − 1)/(n + 1). The next two
+/// constants are the number of samples per node, and the step of the lattice that the samples form.
 const INDICES: [usize; 3] = [40, 16, 20];
 const INDICES_SAMPLES: u32 = 377;
 const INDICES_STEP: u32 = 233;
@@ -72,8 +72,8 @@ const MEAN: usize = 3;
 pub(crate) struct Albedo {
     /// E: albedo without Fresnel, in (0, 1].
     pub(crate) full: f32,
-    /// B: albedo if the rise s(o·h) of `fresnel.rs` replaces Fresnel's term. `metal` is B of
-    /// metals, `dielectric` is B of dielectrics whose index of refraction is [`COMMON_IOR`].
+    /// B, which the top of the file defines. `metal` is B of metals, `dielectric` is B of
+    /// dielectrics whose index of refraction is [`COMMON_IOR`].
     pub(crate) metal: f32,
     pub(crate) dielectric: f32,
     /// Mean of `full` over all cosines, weighted by projected solid angle.

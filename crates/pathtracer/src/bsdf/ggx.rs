@@ -37,7 +37,8 @@ fn smith_root(v: Vec3, alpha: Vec2) -> f32 {
     (x * x + y * y + v.z * v.z).sqrt()
 }
 
-/// V = G₂ / (4 |o_z| |i_z|). The formula holds for reflection and for transmission.
+/// Returns the visibility V = G₂ / (4 |o_z| |i_z|). The formula holds for reflection and for
+/// transmission.
 #[inline]
 pub(crate) fn visibility(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     let (o_z, i_z) = (o.z.abs(), i.z.abs());

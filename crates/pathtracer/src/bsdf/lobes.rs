@@ -125,9 +125,8 @@ macro_rules! lobes {
                 sum
             }
 
-            /// Adds f |cos| of the lobes that have their own frames to the value, or of all other
-            /// lobes if `OWN_FRAME` is false. Adds the lobes' densities, each times the lobe's
-            /// chance, to the density.
+            /// Adds Σ f |cos| to `value`, and Σ chance · density to `pdf`. The sums are over the
+            /// lobes with frames of their own, or over all other lobes if `OWN_FRAME` is false.
             #[inline]
             pub(crate) fn evaluate<const OWN_FRAME: bool>(
                 &self,

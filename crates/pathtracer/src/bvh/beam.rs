@@ -176,8 +176,8 @@ impl Bvh {
     }
 }
 
-/// The kernel of [`Bvh::nearest_of_beam`] for at least [`FEWEST`] rays and a tree without
-/// instances; `F` is its `accept`.
+/// The kernel that [`Bvh::nearest_of_beam`] runs for at least [`FEWEST`] rays, if the tree has no
+/// instances. `F` is the type of that function's argument `accept`.
 pub(super) struct NearestOfBeam<F>(PhantomData<F>);
 
 impl<F: FnMut(usize, &Hit) -> bool> Kernel for NearestOfBeam<F> {

@@ -432,7 +432,8 @@ impl Bvh {
     }
 }
 
-/// The kernel of [`Bvh::find_nearest`]; `F` is its `accept`.
+/// The kernel that [`Bvh::find_nearest`] runs. `F` is the type of that function's argument
+/// `accept`.
 pub(super) struct Nearest<F>(PhantomData<F>);
 
 impl<F: FnMut(&Hit) -> bool> Kernel for Nearest<F> {
@@ -452,7 +453,8 @@ impl<F: FnMut(&Hit) -> bool> Kernel for Nearest<F> {
     }
 }
 
-/// The kernel of [`Bvh::transmittance`]; `F` is its `transmittance`.
+/// The kernel that [`Bvh::transmittance`] runs. `F` is the type of that function's argument
+/// `transmittance`.
 pub(super) struct Transmittance<F>(PhantomData<F>);
 
 impl<F: FnMut(&Hit) -> Vec3> Kernel for Transmittance<F> {

@@ -42,8 +42,8 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
 ///
 /// F_a is the answer from one half of the samples, and u_b is the picture of the other half. The
 /// mean of (F_a − u_b)² is the squared error of F_a plus the noise of u_b, which is equal for all
-/// answers. The result is the mean of both halves' answers, whose error is smaller; `gain` is the
-/// difference.
+/// answers. The filter returns the mean of the answers from both halves. The error of this mean is
+/// smaller than the mean error of the two answers, and `gain` is the difference.
 fn shares(frame: &Frame, halves: &[Vec<[f32; 3]>; 2], answers: [&[Vec<[f32; 3]>; 2]; CHOICES]) -> Vec<[f32; CHOICES]> {
     let count = halves[0].len();
     let (rows, cols) = (frame.rows, frame.cols);

@@ -79,8 +79,9 @@ impl Estimate {
     }
 }
 
-/// Compares a filtered view with the unbiased view from which it was made, and with the checks of
-/// the unbiased view. Both pictures are `[row][col][rgb]`.
+/// Measures the effect of a filter on a view: the change of the mean, and the squared errors before
+/// and after the filter. The errors are measured at the pixels of `checks`, which were rendered
+/// again. Both pictures are `[row][col][rgb]`.
 pub fn figures(filtered: &Tensor<3>, unbiased: &Tensor<3>, checks: &Checks) -> ViewFigures {
     let [rows, cols, _] = unbiased.shape();
     let mut figures = ViewFigures::default();

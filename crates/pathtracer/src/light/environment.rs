@@ -119,7 +119,8 @@ impl EnvironmentLight {
         (self.bilinear(u, v), density)
     }
 
-    /// A direction, the radiance from it, and its density per solid angle.
+    /// Returns a random direction, the radiance from it, and the density per solid angle of the
+    /// direction.
     pub(crate) fn sample(&self, u: [f32; 2]) -> Option<(Vec3, Vec3, f32)> {
         let (row, inside_row) = self.row_choice.sample(u[1]);
         let (column, inside_column) = self.column_choices[row].as_ref()?.sample(u[0]);

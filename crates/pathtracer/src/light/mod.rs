@@ -32,8 +32,8 @@ const EQUAL_SHARE: f64 = 0.3;
 const POWER_POINTS: usize = 6;
 /// Step between two successive values of the 24-bit random numbers that choose a light.
 const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
-/// Deviation from a parallelogram that is tolerated, as a fraction of its size: about the rounding
-/// of its corners.
+/// Two triangles count as a parallelogram if its fourth corner deviates by at most this fraction of
+/// a diagonal. Such a deviation comes from the rounding of corners.
 const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
 /// Number of distributions by which a light is chosen. Distribution k is used for 2ᵏ to 2ᵏ⁺¹ − 1
 /// [`Parts`]. The last one is also used for all larger numbers, and the first one for 0.
@@ -174,8 +174,8 @@ impl Lights {
 
     /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also
     /// chooses the light. It is then rescaled from the light's interval to [0, 1), so that each
-    /// light's samples stay stratified. `u_fine` adds the digits that rescaling loses. `parts` is
-    /// the number of equal parts of [0, 1) of which each holds the first number of one of the
+    /// light's samples stay stratified. `u_fine` adds the digits that rescaling loses. `parts` is a
+    /// number of equal parts of [0, 1). Each part holds the first number of `u` of one of the
     /// pixel's samples.
     pub(crate) fn sample(
         &self,
@@ -382,8 +382,9 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
     (lights, emitters)
 }
 
-/// Weights for the choice of a light: by power, mixed with an equal weight for each kind that
-/// exists.
+/// Returns the chance of every light, a sum of two parts. One part is in proportion to the light's
+/// power. The other part, [`EQUAL_SHARE`], is divided equally among the kinds of lights that exist,
+/// and within a kind by power.
 fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
     let sums = kinds.each_ref().map(|powers| powers.iter().sum::<f64>());
     let total: f64 = sums.iter().sum();

@@ -38,8 +38,8 @@ pub(crate) struct Check {
 }
 
 impl Renderer {
-    /// Renders one pixel of every 8 × 8 pixels of a view twice. `settings` must have the seed that
-    /// renders the view. Does not advance the progress.
+    /// Renders one pixel of every 8 × 8 pixels of a view twice. `settings.seed` must be the seed
+    /// with which the whole view is rendered. Does not advance the progress.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).

@@ -105,7 +105,7 @@ fn pair(out: &Path, folder: &Path, ours: &Value, blender: Option<&Value>) -> Out
     let tone_mapping = ToneMapping { exposure: ours["exposure"].as_f64().unwrap_or(1.0), curve };
     let own = save(halves.shown(&tone_mapping), "ours")?;
     let caption = format!(
-        "Lumistack: {} samples, {} (ready after {})",
+        "Lumistack: {} samples, rendered in {}, loaded in {}",
         ours["samples"],
         seconds(ours, "seconds_render"),
         seconds(ours, "seconds_load")

@@ -162,8 +162,8 @@ impl LiveFields {
             self.placement = Some((key_of_place, placed));
         }
         let Some((_, placement)) = self.placement else { return Ok(None) };
-        // Trace one more pass. If any input of the views has changed, this is the first pass of new
-        // views.
+        // Trace one more pass, unless only the exposure or the patterns' settings changed. If any
+        // input of the views has changed, new views begin with their first pass.
         let job = self.job.clone();
         let (geometry, samples) = (&geometry, None);
         let shot = Shot { job: &job, ingested: &ingested, placement: &placement, geometry, display: &display, samples };

@@ -493,7 +493,8 @@ fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     let of_step = match kind {
         StepKind::Ingest => 0.0,
         StepKind::Place => memory.measuring,
-        // Until a view is denoised, it has several times as many values as its radiance.
+        // A view that is not denoised yet has several times as many values as the radiance of the
+        // view.
         StepKind::Trace => 3.0 * VIEWS_IN_WORK * view + memory.further,
         StepKind::Denoise => memory.denoising + 3.0 * VIEWS_IN_WORK * view,
         StepKind::Expose => memory.fields + views + EXPOSURE,

@@ -72,8 +72,8 @@ pub struct SweepSummary {
     pub display: Option<PathBuf>,
 }
 
-/// Solves one design of a sweep, by its number from 1, and writes its row of the table. The light
-/// fields of the design must be complete.
+/// Solves one design of a sweep, and writes its row of the table. `number` counts designs from 1.
+/// The light fields of the design must be complete.
 ///
 /// # Errors
 /// If the sweep has no such design, the solver fails, or the task is cancelled.

@@ -70,8 +70,14 @@ pub(crate) fn check(kind: Denoise, job: &Job, geometry: &FieldGeometry) -> Resul
     match kind {
         Denoise::Oidn => Oidn::find().map(drop),
         Denoise::Guided if mib > job.render.field_mib => {
-            let expected = format!("`field_mib` of {mib} or more, since it holds all views; `shared` needs less");
-            Err(PipelineError::job("render.denoise", expected, format!("`guided` and {}", job.render.field_mib)))
+            let expected = format!(
+                "`field_mib` of {mib} or more for `guided`, which holds all views in memory, or `shared`, which needs less"
+            );
+            Err(PipelineError::job(
+                "render.denoise",
+                expected,
+                format!("`guided` with `field_mib` = {}", job.render.field_mib),
+            ))
         }
         _ => Ok(()),
     }

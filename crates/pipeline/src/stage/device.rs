@@ -94,7 +94,7 @@ impl SolverDevice {
 }
 
 /// Opens a device, or returns the open device if it has not failed. Opening a device compiles all
-/// its programs, so an open device is reused.
+/// its shaders, so an open device is reused.
 #[cfg(feature = "gpu")]
 fn opened(name: Option<&str>) -> Result<lumistack_factorizer_gpu::Device, FactorizeError> {
     use std::collections::BTreeMap;

@@ -73,9 +73,9 @@ impl Solve<'_> {
             .map_err(factorize_error)
     }
 
-    /// Returns true if `solver` reaches a smaller error from the patterns `warm` than from a fresh
-    /// start. The processor computes the errors for every device, so all machines make the same
-    /// choice.
+    /// Returns true if the patterns `warm` are a better start of `solver` than a fresh start, by
+    /// the rule of [`lumistack_factorizer::warm_start_pays`]. The processor computes the objectives
+    /// for every device, so all machines make the same choice.
     ///
     /// # Errors
     /// The errors of [`factorize`](Self::factorize).
@@ -239,8 +239,9 @@ struct Choice {
     warm: bool,
 }
 
-/// Returns true if the settings `fresh` without a warm start reach a smaller error than the
-/// settings of `solve`, which start from the patterns `warm`. The choice is cached.
+/// Returns true if a fresh start with the settings `fresh` is better than a start from the patterns
+/// `warm`. The warm start is better if its objective is already lower, or if it leads by 1 dB after
+/// one iteration from each start ([`Solve::warm_start_pays`]). The choice is cached.
 ///
 /// # Errors
 /// If the patterns cannot be read, the solver fails, or the task is cancelled.

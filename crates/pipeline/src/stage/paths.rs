@@ -18,7 +18,8 @@ const CHOICES: [u32; 12] = [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64];
 pub(crate) struct Samples {
     /// Paths per pixel and view, at least 1.
     pub(crate) per_view: u32,
-    /// V: mean squared error in the seen pictures from the noise of one path per pixel and view.
+    /// V: the mean squared error that noise causes in the seen pictures, with one path per pixel
+    /// and view.
     pub(crate) noise: f64,
     /// D: mean squared error of the seen pictures without noise.
     pub(crate) error: f64,

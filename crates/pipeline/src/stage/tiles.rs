@@ -176,8 +176,9 @@ pub(crate) fn run_tile(
     Work { solve, tiles: &tiles, stamps }.tile([round, number], warm.as_ref(), task)
 }
 
-/// Returns true if the settings `fresh` without a warm start reach a smaller error than the warm
-/// start of `solve`. For a solve in tiles, only the tile in the middle is compared.
+/// Returns true if a fresh start with the settings `fresh` is better than the warm start of
+/// `solve`, by the rule of [`lumistack_factorizer::warm_start_pays`]. For a solve in tiles, only
+/// the tile in the middle is compared.
 ///
 /// # Errors
 /// If the patterns cannot be read, the solver fails, or the task is cancelled.

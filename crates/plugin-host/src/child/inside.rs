@@ -350,7 +350,7 @@ unsafe extern "C" fn simulate(
     plane: *mut Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: see above; the data are those of the running call.
+    // SAFETY: see above; the data belong to the running call.
     unsafe {
         let (kind, value_bits) = ((*view).kind, (*view).value.map(f64::to_bits));
         fetch((*data).context, |call| Request::Simulate { call, kind, value_bits }, plane, error)
@@ -647,7 +647,7 @@ impl Link {
             // This binding captures the whole `Instance`, which is `Send`. Without it the closure
             // would capture the pointer alone.
             let Instance(handle) = { instance };
-            // SAFETY: the handle is that of `open`, which the program closes later; the other
+            // SAFETY: the handle comes from `open`, and the program closes it later; the other
             // arguments are lent for the call.
             done(self, call, |error| unsafe {
                 match &what {
@@ -680,7 +680,7 @@ impl Link {
         let context = (&raw const running).cast::<c_void>();
         let Instance(handle) = instance;
         // SAFETY: all arguments are lent for the call, and the table until the process ends;
-        // handles are those of `open`.
+        // handles come from `open`.
         done(link, call, |error| unsafe {
             match &what {
                 Call::Import { params, file } => {

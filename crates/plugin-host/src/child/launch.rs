@@ -17,7 +17,7 @@ const LOAD: &str = "LUMISTACK_PLUGIN_LOAD_S";
 pub struct Launcher {
     /// The path of the program.
     pub program: PathBuf,
-    /// Its arguments before the library's path.
+    /// The program's arguments before the library's path.
     pub args: Vec<OsString>,
 }
 

@@ -192,7 +192,7 @@ unsafe impl Functions for Remote {
         data: *const Data,
         error: *const ErrorSink,
     ) -> Status {
-        // SAFETY: as in `import`; the handle is that of `open`.
+        // SAFETY: guaranteed by the caller. `instance` is a handle that `open` returned.
         unsafe {
             let opened = &*instance.cast::<Opened>();
             let lent = Lent { data, ..Lent::nothing() };

@@ -59,7 +59,7 @@ pub(crate) struct Lent<'a> {
     display: &'a Display,
     /// Geometry of the lent light field, or of the light field for which the lent stack was solved.
     geometry: FieldGeometry,
-    /// Simulates views of a lent stack. It is made at the first request for such a view.
+    /// Simulates views of a lent stack. The simulator is made at the first request for a view.
     simulator: OnceLock<Simulator<'a>>,
     /// Weights of the rays, for nodes.
     weights: Option<&'a Weights>,

@@ -253,7 +253,8 @@ fn a_library_may_hold_several_plugins() {
     }
     // Only the plugin `third` has an error, and must not affect the other plugins of its library.
     let texts: Vec<String> = registry.failed().iter().map(ToString::to_string).collect();
-    let expected = "expected a plugin `third` by the name of its entry function, found `other`";
+    let expected =
+        "expected the id `third`, from the name of the entry function, found the id `other` in the descriptor";
     assert_eq!(texts, [format!("{}: {expected}", library.display())]);
 }
 

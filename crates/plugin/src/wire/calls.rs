@@ -150,7 +150,9 @@ pub unsafe extern "C" fn append(context: *mut c_void, bytes: Bytes, error: *cons
 /// Refuses a struct of an older version of the interface, which has fewer than `least` bytes.
 pub(crate) fn needs(size: usize, least: usize) -> Result<(), PluginError> {
     if size < least {
-        let text = format!("the host offers a struct of {size} bytes, the plugin needs {least}");
+        let text = format!(
+            "the host's interface is older than the plugin's: a struct has {size} bytes, expected at least {least}"
+        );
         return Err(PluginError::Refused(text));
     }
     Ok(())

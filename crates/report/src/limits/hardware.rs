@@ -82,7 +82,7 @@ pub(super) fn contrast(ends: &Ends, tone: Tone, black: Option<f64>) -> Option<Li
     let (offset, slope, share) = tone.fit()?;
     let layers = ends.darkest.len();
     let mut text = format!(
-        "On average a target value L is shown as {} + {} · L. Without this change of contrast, {} of the squared error would be absent. ",
+        "On average a target value L is shown as {} + {} · L. This change of contrast causes {} of the squared error. ",
         format::number(offset),
         format::number(slope),
         format::percent(share)

@@ -12,9 +12,9 @@ use crate::{ReportError, ReportInput, format};
 pub(crate) struct Sheets {
     pub(crate) target: Embedded,
     pub(crate) simulated: Embedded,
-    /// Directions of the picture's columns, from left to right.
+    /// For each column of views on a sheet, its direction as text, from left to right.
     pub(crate) across: Vec<String>,
-    /// Directions of the picture's rows, from top to bottom.
+    /// For each row of views on a sheet, its direction as text, from top to bottom.
     pub(crate) up: Vec<String>,
 }
 

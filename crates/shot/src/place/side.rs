@@ -11,7 +11,8 @@
 //! A is the visible area in squared scene units. A face adds its area times the cosine of its
 //! slant, and a face that is culled from behind adds nothing. So A prefers directions that surfaces
 //! face. The front stays unless another direction shows more than eight times as much. Then the
-//! choice is the direction nearest to the front that shows nearly the largest area.
+//! choice is the first candidate that shows nearly the largest area. The order of the candidates
+//! begins at the front: all elevations at azimuth 0°, then all elevations at 45°, and so on.
 
 use glam::{DVec3, Vec3};
 use lumistack_core::Task;
@@ -28,13 +29,13 @@ const AZIMUTHS: [f64; 8] = [0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0]
 const ELEVATIONS: [f64; 7] = [0.0, 20.0, 40.0, 55.0, -20.0, -40.0, -55.0];
 /// The front stays if it shows at least this fraction of the largest area.
 const FRONT_SHARE: f64 = 0.125;
-/// [`FRONT_SHARE`] for captures, whose axes come from training, so +z is not preferred. Two
-/// examples: the edge of a guitar shows 0.69 of the largest area to +z, so the guitar is seen from
-/// another side. A person in profile shows 0.79 to +z, which suffices.
+/// As [`FRONT_SHARE`], for captures. The axes of a capture come from training, so +z is not
+/// preferred. Two examples: A guitar that is edge-on to +z shows 0.69 of its largest area there, so
+/// another side is chosen. A person in profile shows 0.79, so +z stays.
 const CAPTURE_SHARE: f64 = ENOUGH;
-/// Another direction is good enough if it shows at least this fraction of the largest area. So an
-/// elevation of 40° suffices for a flat board, which shows most at 55° (sin 40° / sin 55° = 0.78).
-/// A card is seen face on, since it shows only 0.71 from 45°.
+/// A side is good enough if it shows at least this fraction of the largest area. A flat board shows
+/// most from the highest candidate elevation, 55°. From 40° it shows sin 40° / sin 55° = 0.78 of
+/// that, which suffices. A card shows only 0.71 from 45°, so it is seen face on.
 const ENOUGH: f64 = 0.745;
 /// Numbers of columns and rows of rays by which the area along a candidate direction is measured.
 const PROBE: [usize; 2] = [96, 60];

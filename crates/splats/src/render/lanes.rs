@@ -117,8 +117,8 @@ impl Kernel for Project {
                 }
             }
         }
-        // Compute per view the projected covariance with the pixel's variance, its inverse, and the
-        // splat's extent.
+        // Compute per view the projected covariance, to which the variance of the pixel's filter is
+        // added. Also compute the inverse of this sum, and the splat's extent in pixels.
         let square = m * m;
         let last = TILE as f32 - 1.0;
         let mut seen = [0.0f32; VIEWS];

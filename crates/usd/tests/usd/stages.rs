@@ -430,7 +430,9 @@ fn primvars_that_do_not_fit_are_left_out_with_a_warning() {
     let (scene, warnings) = try_with(&text, &LoadOptions::default());
     assert_eq!(scene.unwrap().meshes[0].normals, [Vec3::Z; 3]);
     assert!(
-        warnings.iter().any(|warning| warning.message.contains("normals has a list of length 2, but vertex needs 3")),
+        warnings.iter().any(|warning| warning
+            .message
+            .contains("normals has a list of length 2, but its interpolation \"vertex\" needs 3")),
         "{warnings:?}"
     );
 }

@@ -14,7 +14,7 @@ use image::GrayImage;
 pub struct Cross {
     /// [steps to the right, steps upwards] from the central cross to this cross.
     pub index: [i32; 2],
-    /// [column, row] of its centre in the photograph.
+    /// [column, row] of the cross's centre in the photograph.
     pub at_px: [f64; 2],
 }
 

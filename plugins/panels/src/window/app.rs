@@ -205,8 +205,8 @@ impl ApplicationHandler<Command> for App<'_> {
         if over {
             return self.apply(event_loop, Command::Quit);
         }
-        // Wait before the report of a graphics failure, since its cause may be a lost output, which
-        // is the better error.
+        // Wait before the report of a graphics failure, since a lost output may be the cause. Then
+        // the error about the output is reported instead.
         if let Some((_, found)) = running.failure.get().filter(|(when, _)| when.elapsed() >= FAILURE_DELAY) {
             let error = WindowError::Graphics { on: "the outputs".into(), found: found.trim().into() };
             return self.end(event_loop, Err(error));

@@ -99,7 +99,7 @@ pub enum WindowError {
     Gone {
         /// The name of the output.
         name: String,
-        /// The panel that it showed.
+        /// The panel that the output drove.
         shows: Shows,
     },
     /// An output changed its size or position.
@@ -110,7 +110,7 @@ pub enum WindowError {
     Changed {
         /// The name of the output.
         name: String,
-        /// The panel that it showed.
+        /// The panel that the output drives.
         shows: Shows,
         /// The output's state at the start.
         was: Box<Output>,

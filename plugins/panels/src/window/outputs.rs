@@ -78,9 +78,10 @@ impl Watch {
         Self::Winit
     }
 
-    /// Sets the keyboard focus to `window` on an X server without a window manager, at the start
-    /// and whenever the focus was lost. If `unmanaged` is true, window managers ignore this window.
-    /// Then the focus is set at the start even if there is a window manager.
+    /// Sets the keyboard focus to `window` on an X server without a window manager. The first call
+    /// does this. A later call repeats it if the focus was lost and no other window has it.
+    /// `unmanaged` states that window managers ignore this window. Then the first call sets the
+    /// focus even if there is a window manager.
     pub(super) fn keep_focus(&mut self, window: &Window, unmanaged: bool) {
         #[cfg(all(unix, not(target_os = "macos")))]
         if let Self::X11(server) = self {

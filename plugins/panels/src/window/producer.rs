@@ -1,5 +1,5 @@
-//! The producer thread: encodes new stacks, nudges and viewer directions into codes, uploads them,
-//! and puts them into the feed.
+//! The producer thread. It encodes new stacks, nudges (shifts of a panel's picture) and viewer
+//! directions into codes. It uploads the codes and puts them into the feed.
 
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
@@ -76,7 +76,7 @@ impl Producer {
             }
             Work::Nudge(shows, by) => {
                 let Some(nudge) = nudge_of(&mut self.display, shows) else { return Ok(false) };
-                // Round to thousandths of a pixel, since rounding errors of many small nudges
+                // Round to thousandths of a pixel, since rounding errors of many small shifts
                 // accumulate.
                 *nudge = [0, 1].map(|axis| ((nudge[axis] + by[axis]) * 1000.0).round() / 1000.0);
                 emit(Event::Nudged { panel: shows, nudge_px: *nudge });
@@ -166,7 +166,8 @@ impl Producer {
     }
 }
 
-/// Returns the nudge of a panel, for changes. Adds a calibration to a panel that has none.
+/// Returns a mutable reference to the shift (nudge) of a panel. Adds a calibration to a panel that
+/// has none.
 fn nudge_of(display: &mut Display, shows: Shows) -> Option<&mut [f64; 2]> {
     let panel = match (shows, &mut display.backlight) {
         (Shows::Layer(n), _) => &mut display.layers.get_mut(n)?.panel,

@@ -24,7 +24,7 @@ pub(super) fn connection_of(window: &Window) -> Option<Connection> {
 /// Returns the surface of a window that uses this connection; `None` if the session is not Wayland.
 pub(super) fn surface_of(connection: &Connection, window: &Window) -> Option<WlSurface> {
     let RawWindowHandle::Wayland(handle) = window.window_handle().ok()?.as_raw() else { return None };
-    // SAFETY: the pointer is that of a live window's surface.
+    // SAFETY: the pointer belongs to the surface of a live window.
     let id = unsafe { ObjectId::from_ptr(WlSurface::interface(), handle.surface.as_ptr().cast()) }.ok()?;
     WlSurface::from_id(connection, id).ok()
 }

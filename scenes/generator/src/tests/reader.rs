@@ -14,7 +14,7 @@ const UNIT_TOLERANCE: f64 = 1e-5;
 pub(super) struct Triangle {
     /// Corners in metres.
     pub(super) corners: [DVec3; 3],
-    /// True if its material emits.
+    /// True if the triangle's material emits.
     pub(super) emissive: bool,
 }
 

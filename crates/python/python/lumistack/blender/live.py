@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
-#: Number of scene files that are kept, and number of display files. The newest files are kept,
-#: since the program may still read them.
+#: Number of the newest scene files that are kept, and also of the newest display files. The program
+#: may still read them.
 KEPT = 4
 #: Longest text of a message.
 LONGEST = 400
