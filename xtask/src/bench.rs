@@ -39,9 +39,10 @@ cargo xtask bench [what]
       --full         twice the resolution, more samples in the references (25 minutes each)
       --no-peers     only our own measurements
   big [scene.gltf]      1,100 copies of a scene, which share its memory; with FlightHelmet they are 100 million triangles
-  field [scene.gltf]    light fields with averaged shared light, compared with the same views rendered one by one: processor time at equal
-                squared error, including bias. Cases: 5×5 and 13×13 views over 20°, the 45 views of a quilt, many copies. Then both filters
-                compared with unfiltered views in equal time, with 4, 16 and 64 samples. Scenes as for `render` (some ten minutes)
+  field [scene.gltf]    light fields with averaged shared light, without and with further paths, compared with the same views rendered one by
+                one: processor time at equal squared error, including bias. Cases: 5×5 and 13×13 views over 20°, the 45 views of a quilt,
+                many copies. Then all filters compared with unfiltered views in equal time, with 4, 16 and 64 samples. Scenes as for
+                `render` (some twenty minutes)
   splats        13×13 views of a million Gaussian splats: rendered all together, one by one, and by a naive renderer (some minutes).
                 Then views are compared with Mitsuba's, which traces rays through the same Gaussians
       --agreement    only the comparison with Mitsuba

@@ -25,6 +25,7 @@ mod checks;
 mod depth;
 mod features;
 mod first;
+mod further;
 mod misses;
 mod split;
 
@@ -263,7 +264,8 @@ impl Renderer {
         let (lost, clamped) = (AtomicU64::new(0), Clamped::default());
         let filled = self.by_tiles(geometry, task, ["row", "col", "rgb"], |row, col, stack| {
             let seed = samples.pixel_seed(row, col);
-            let (pixel, first) = self.pixel::<FIRST>(&samples, [row, col], seed, settings, &clamped, stack);
+            let (pixel, first) =
+                self.pixel::<FIRST>(&samples, [row, col], seed, [settings.samples; 2], settings, &clamped, stack);
             if pixel.not_finite > 0 {
                 lost.fetch_add(u64::from(pixel.not_finite), Ordering::Relaxed);
             }
@@ -355,7 +357,7 @@ impl Renderer {
     ) -> Result<ViewSamples<'a>, RenderError> {
         settings.check()?;
         let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
-        Ok(ViewSamples::new(rays, DisplayAxes::new(window, self.geometry.space), view, settings))
+        Ok(ViewSamples::new(rays, DisplayAxes::new(window, self.geometry.space), view, settings, settings.samples))
     }
 
     fn tracer(&self) -> Tracer<'_> {
@@ -369,12 +371,14 @@ impl Renderer {
         }
     }
 
-    /// Renders a pixel; with `FIRST` also adds up data of the first surfaces of its paths.
+    /// Renders a pixel of [paths, rays]; the first rays continue as paths. With `FIRST` also adds
+    /// up data of the first surfaces of its rays.
     fn pixel<const FIRST: bool>(
         &self,
         samples: &ViewSamples<'_>,
         at: [usize; 2],
         pixel_seed: u64,
+        rays_of_pixel: [u32; 2],
         settings: &Settings,
         clamped: &Clamped,
         stack: &mut Stack,
@@ -384,10 +388,11 @@ impl Renderer {
         let (mut sum, mut squares) = ([0.0f64; 3], [0.0f64; 3]);
         let mut not_finite = 0;
         let mut sums = FirstSums::default();
-        samples.for_each_beam(at, pixel_seed, |beam, rays, draws| {
+        samples.for_each_beam_of(at, pixel_seed, rays_of_pixel, |beam, paths, rays, draws| {
             let mut first = [First::default(); BEAM];
             let radiance = tracer.radiance::<FIRST>(
                 beam,
+                paths,
                 rays.cone,
                 rays.in_bounds,
                 settings,
@@ -395,11 +400,19 @@ impl Renderer {
                 stack,
                 if FIRST { &mut first } else { &mut [] },
             );
-            for (index, &traced) in radiance[..beam.len()].iter().enumerate() {
-                let sample = settings.clamp.map_or(traced, |limit| clamped.dim(traced, limit));
-                if FIRST {
-                    sums.add(&first[index], place_in_pixel(draws, index), &samples.axes);
+            if FIRST {
+                for (index, first) in first[..beam.len()].iter_mut().enumerate() {
+                    if let Some(limit) = settings.clamp {
+                        first.seen *= (limit / first.seen.max_element()).min(1.0);
+                    }
+                    sums.add(first, place_in_pixel(draws, index), &samples.axes);
+                    if index < paths {
+                        sums.add_path(first);
+                    }
                 }
+            }
+            for (index, &traced) in radiance[..paths].iter().enumerate() {
+                let sample = settings.clamp.map_or(traced, |limit| clamped.dim(traced, limit));
                 if sample.is_finite() {
                     if FIRST {
                         // `Settings::clamp` may have dimmed the sample; dim its diffuse light by
@@ -416,7 +429,7 @@ impl Renderer {
                 }
             }
         });
-        let finite = settings.samples - not_finite;
+        let finite = rays_of_pixel[0] - not_finite;
         let count = f64::from(finite.max(1));
         let variance = |c: usize| match finite {
             0 | 1 => f32::NAN,

@@ -51,8 +51,15 @@ pub(crate) struct Pair<'a> {
 
 impl SampleBank {
     /// A bank for `samples` points per pixel.
+    #[cfg(test)]
     pub(crate) fn new(samples: u32) -> Self {
-        let length = samples.clamp(1, LONGEST).next_power_of_two();
+        Self::with_more(samples, samples)
+    }
+
+    /// A bank for `points` per pixel, of which only the first `samples` draw more than one pair.
+    /// The first points of a scrambled sequence are stratified, as all are.
+    pub(crate) fn with_more(samples: u32, points: u32) -> Self {
+        let length = points.max(samples).clamp(1, LONGEST).next_power_of_two();
         let parts = 1 << samples.clamp(1, LONGEST).ilog2();
         let mut points = Vec::with_capacity(PATTERNS * length as usize);
         for pattern in 0..PATTERNS as u64 {

@@ -7,6 +7,10 @@ use thiserror::Error;
 pub struct Settings {
     /// Paths per pixel and view, 1..=65536. Powers of two stratify best. Default 32.
     pub samples: u32,
+    /// Gives further rays and paths to noisy pixels of a
+    /// [split view](crate::Renderer::render_split), whose light other views cannot share. It is for
+    /// views that are seen one by one. Other functions ignore it. Default false.
+    pub further_paths: bool,
     /// Largest number of scattering events of a path, 0..=1024. The event at the first hit counts,
     /// so 0 shows emission only. Longer paths are cut off, which is the renderer's only systematic
     /// error. Default 8.
@@ -61,6 +65,7 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             samples: 32,
+            further_paths: false,
             max_bounces: 8,
             roulette_start: 3,
             seed: 0,

@@ -142,6 +142,8 @@ struct Path {
 pub(crate) struct First {
     /// True if the path hits a surface.
     pub(crate) is_there: bool,
+    /// Radiance that the ray itself sees: emission of the surface, or the sky without a surface.
+    pub(crate) seen: Vec3,
     /// Radiance that the surface scatters by Lambert's law.
     pub(crate) diffuse: Vec3,
     /// Reflectance of the diffuse lobe.
@@ -189,12 +191,14 @@ struct Vertex<'a> {
 impl Tracer<'_> {
     /// Radiance along at most [`BEAM`] rays of a pixel. `draws` has the random numbers of
     /// successive samples, one sample per ray. If `in_bounds` is false, the rays hit nothing. The
-    /// call overwrites `rays`. If `FIRST` is true, it writes the first surface of every path to
+    /// call overwrites `rays`. The first `paths_of_rays` rays continue as paths; the others end at
+    /// their first surface. If `FIRST` is true, it writes the first surface of every ray to
     /// `first`, which needs an element per ray. The radiance is the same to the bit for both values
     /// of `FIRST`.
     pub(crate) fn radiance<const FIRST: bool>(
         &self,
         rays: &mut [Ray],
+        paths_of_rays: usize,
         cone: Cone,
         in_bounds: bool,
         settings: &Settings,
@@ -205,6 +209,11 @@ impl Tracer<'_> {
         let mut hits = [None; BEAM];
         self.first_hits(rays, in_bounds, draws, stack, &mut hits);
         hits.iter().flatten().for_each(|hit| self.geometry.prefetch(hit.triangle));
+        if FIRST {
+            for index in paths_of_rays..rays.len() {
+                first[index] = self.seen(&rays[index], hits[index].as_ref(), cone, settings, draws);
+            }
+        }
         let start = Path {
             radiance: Vec3::ZERO,
             throughput: Vec3::ONE,
@@ -225,7 +234,7 @@ impl Tracer<'_> {
             diffuse: [Vec3::ZERO; BEAM],
         };
         // each path that continues has its bit set
-        let mut going = (1u32 << rays.len()) - 1;
+        let mut going = (1u32 << paths_of_rays) - 1;
         for bounce in 0..=settings.max_bounces {
             let pairs = PRIMARY_PAIRS + VERTEX_PAIRS * u64::from(bounce);
             let pairs = [draws.pair(pairs), draws.pair(pairs + 1), draws.pair(pairs + 2)];
@@ -263,6 +272,9 @@ impl Tracer<'_> {
                         None
                     }
                 };
+                if FIRST && bounce == 0 {
+                    first[index].seen = path.radiance;
+                }
                 if FIRST && bounce > 0 {
                     // the light is multiplied by the fraction that the path's first surface
                     // scatters diffusely
@@ -316,6 +328,35 @@ impl Tracer<'_> {
                 let vertex = self.vertex(ray, cone, hit);
                 *first = vertex.first(Vec3::ZERO, self.guide(&vertex, -ray.direction));
             }
+        }
+        first
+    }
+
+    /// The first surface of a ray that does not continue, and the light that the ray itself sees.
+    fn seen(&self, ray: &Ray, hit: Option<&Hit>, cone: Cone, settings: &Settings, draws: &Draws<'_>) -> First {
+        let Some(hit) = hit else {
+            let seen = match self.backdrop {
+                _ if settings.hide_environment => Vec3::ZERO,
+                Some(backdrop) => backdrop,
+                None => self.lights.infinite(ray.direction, draws.parts()).0,
+            };
+            return First { seen, ..First::default() };
+        };
+        let vertex = self.vertex(ray, cone, hit);
+        let traits = self.traits[vertex.material];
+        let mut first = if settings.max_bounces == 0 || traits & UNLIT != 0 {
+            vertex.first(Vec3::ZERO, self.guide(&vertex, -ray.direction))
+        } else if traits & LAMBERTIAN != 0 {
+            let lambert = self.lambert(&vertex);
+            vertex.first(lambert.albedo(), Guide::of_lambert(&lambert))
+        } else {
+            let appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
+            let bsdf = self.bsdf(&vertex, &appearance, -ray.direction);
+            vertex.first(bsdf.diffuse_reflectance(), Guide::new(&appearance, bsdf.normal()))
+        };
+        if traits & EMISSIVE != 0 {
+            let cosine = vertex.normal.dot(ray.direction);
+            first.seen = self.materials.emission(vertex.material, &vertex.point, vertex.width, vertex.front, cosine);
         }
         first
     }
@@ -683,7 +724,7 @@ impl Vertex<'_> {
     #[inline]
     fn first(&self, reflectance: Vec3, guide: Guide) -> First {
         let (position, normal) = (self.point.position, self.normal);
-        First { is_there: true, diffuse: Vec3::ZERO, reflectance, position, normal, guide }
+        First { is_there: true, reflectance, position, normal, guide, ..First::default() }
     }
 
     /// Returns this vertex as a [`Receiver`], which the choice of a light reads. If `horizon` is

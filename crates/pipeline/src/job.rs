@@ -304,6 +304,13 @@ impl Job {
         }
     }
 
+    /// Returns whether noisy pixels of the views get
+    /// [further paths](lumistack_pathtracer::Settings::further_paths). The solver of a display that
+    /// chooses its views averages the noise that these remove. Fixed views may be seen one by one.
+    pub(crate) fn has_further_paths(&self, display: &Display) -> bool {
+        self.denoise_for(display) == Denoise::Shared && matches!(display.field.views, Views::Fixed(_))
+    }
+
     /// True if Blender may render the views, which takes minutes per view.
     fn may_render_in_blender(&self) -> bool {
         let is_file = self.scene.as_deref().is_some_and(is_blend);
@@ -468,6 +475,30 @@ mod tests {
         let names: Vec<String> = error.message.split('`').skip(1).step_by(2).map(String::from).collect();
         assert_eq!(names[0], "no_such_key", "{}", error.message);
         names[1..].to_vec()
+    }
+
+    #[test]
+    fn only_fixed_views_that_share_light_get_further_paths() {
+        let has = |display: &str, render: &str| {
+            let text = format!("[display]\npreset = \"paper-three-layer\"\n{display}\n[render]\n{render}");
+            let job = config::parse::<Job>(&text).ok().unwrap();
+            let given = job.has_further_paths(&job.display.resolve().unwrap());
+            let chosen = job.has_further_paths(&job.resolve_display().unwrap());
+            assert_eq!(given, chosen, "{text}");
+            given
+        };
+        let shared = "denoise = \"shared\"";
+        assert!(has("views = [5, 5]", shared));
+        for (views, render) in [
+            ("", ""),
+            ("", shared),
+            ("views = \"auto\"", shared),
+            ("views = { step = [0.07, 0.07] }", shared),
+            ("views = [5, 5]", ""),
+            ("views = [5, 5]", "denoise = \"guided\""),
+        ] {
+            assert!(!has(views, render), "{views} {render}");
+        }
     }
 
     #[test]

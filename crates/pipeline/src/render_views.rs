@@ -54,8 +54,8 @@ pub fn render_views(
     let mut job = job.clone();
     (job.render.held_out, job.render.outside) = (0, 0);
     let samples = samples::measured(&job, &ingested, &placement, &display, &cache, task)?;
-    let footprint = display.angular_footprint();
-    let shot = Shot { job: &job, ingested: &ingested, placement: &placement, geometry: &geometry, footprint, samples };
+    let shot =
+        Shot { job: &job, ingested: &ingested, placement: &placement, geometry: &geometry, display: &display, samples };
     let (traced, _) = trace::run(shot, options, &cache, task)?;
     denoise::run(shot, &traced.fields, task)?;
     let exposed = expose::run(shot, &traced, options.linear, task)?;

@@ -62,8 +62,7 @@ pub fn render_field(
     (job.render.held_out, job.render.outside) = (0, 0);
     job.render.denoise = job.denoise_for(display);
     let samples = samples::measured(&job, ingested, &placement, display, cache_dir, task)?;
-    let footprint = display.angular_footprint();
-    let shot = Shot { job: &job, ingested, placement: &placement, geometry: &geometry, footprint, samples };
+    let shot = Shot { job: &job, ingested, placement: &placement, geometry: &geometry, display, samples };
     let (traced, _) = trace::run(shot, &ViewOptions::default(), cache_dir, task)?;
     denoise::run(shot, &traced.fields, task)?;
     let rendered = expose::run(shot, &traced, false, task)?;

@@ -1,5 +1,5 @@
-//! Compares three ways to render light fields: view by view, with light that all views of a point
-//! share, and with a filter. Each way renders twice, with independent seeds.
+//! Compares ways to render light fields: view by view, with light that all views of a point share,
+//! the same with further paths, and with a filter. Each way renders twice, with independent seeds.
 
 use std::time::Duration;
 
@@ -32,6 +32,8 @@ const ALONE: [u32; 4] = [4, 16, 64, 256];
 enum Kind {
     Alone,
     Shared,
+    /// Shared, with [further paths](Settings::further_paths).
+    Further,
     Guided,
 }
 
@@ -74,10 +76,11 @@ pub fn measure(options: &Options) -> Outcome {
     let task = Task::quiet(&warnings, &cancel);
     let bench = Bench::new(options, task)?;
     for &samples in &options.samples {
-        let mut ways = [Kind::Alone, Kind::Shared].map(|kind| Way::new(kind, samples));
+        let mut ways = [Kind::Alone, Kind::Shared, Kind::Further].map(|kind| Way::new(kind, samples));
         render(&bench, &mut ways, task)?;
-        let [alone, shared] = &ways;
-        let errors = [Errors::of_noise(alone, bench.white), Errors::new(shared, alone, bench.white)];
+        let [alone, shared, further] = &ways;
+        let of = |way: &Way| Errors::new(way, alone, bench.white);
+        let errors = [Errors::of_noise(alone, bench.white), of(shared), of(further)];
         for (way, error) in ways.iter().zip(&errors) {
             let ratio = alone.seconds * errors[0].all / (way.seconds * error.all);
             row(&bench.case, options, way, error, ratio);
@@ -93,7 +96,8 @@ pub fn filters(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
     let bench = Bench::new(options, task)?;
-    let filtered = FILTERED.into_iter().flat_map(|samples| [Kind::Shared, Kind::Guided].map(|kind| (kind, samples)));
+    let filters = [Kind::Shared, Kind::Further, Kind::Guided];
+    let filtered = FILTERED.into_iter().flat_map(|samples| filters.map(|kind| (kind, samples)));
     let alone = ALONE.into_iter().map(|samples| (Kind::Alone, samples));
     let mut ways: Vec<Way> = alone.chain(filtered).map(|(kind, samples)| Way::new(kind, samples)).collect();
     render(&bench, &mut ways, task)?;
@@ -127,6 +131,7 @@ impl Kind {
         match self {
             Self::Alone => "one by one",
             Self::Shared => "shared",
+            Self::Further => "with further",
             Self::Guided => "guided",
         }
     }
@@ -139,7 +144,8 @@ impl Kind {
                 let view = |view| renderer.render_view(&case.window, geometry, view, &settings, task);
                 geometry.grid.iter().map(view).collect()
             }
-            Self::Shared => {
+            Self::Shared | Self::Further => {
+                let settings = Settings { further_paths: self == Self::Further, ..settings };
                 let split = |view| renderer.render_split(&case.window, geometry, view, &settings, task);
                 let splits: Vec<_> = geometry.grid.iter().map(split).collect::<Result<_, _>>()?;
                 let mut light = SharedLight::new(geometry);

@@ -2,29 +2,32 @@
 //! the light comes.
 //!
 //! ```text
-//! E = D / ρ_d                            of the first surface (see SplitView): view-independent
+//! E = D / ρ_p                            of the first surface (see SplitView): view-independent
 //! E'(v, p) = Σ_u w E(u, p_u) / Σ_u w     over the views u of a row, then of a column
 //! L' = G + ρ_d E'
 //! ```
 //!
-//! D is the light that the first surface scatters diffusely, ρ_d the reflectance for it, and G all
-//! other light.
+//! D is the light that the first surface scatters diffusely, and G all other light. The means of
+//! its reflectance are ρ_p over the pixel's paths, and ρ_d over all rays of the pixel. With
+//! [`Settings::further_paths`](crate::Settings::further_paths), textures have more rays than paths.
 //!
 //! View u sees the surface point of pixel p at the pixel p_u. Between two views with the slopes s
 //! and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface at
 //! p_u, and falls to 0 if it sees another surface. It follows from the distance of u's point from
-//! the plane of p's point. Nothing is averaged over neighbouring pixels, so shadows and textures
-//! stay sharp up to a pixel's rounding. E is read at the pixel nearest to p_u. G stays as rendered.
+//! the plane of p's point. It is multiplied by u's ρ_p, so that light from dark surfaces, which is
+//! noisy once it is divided, counts little. Nothing is averaged over neighbouring pixels, so
+//! shadows and textures stay sharp up to a pixel's rounding. E is read at the pixel nearest to p_u.
+//! G stays as rendered, and so does D where no other view sees the surface.
 //!
 //! So a point that hundreds of views see has the samples of all of them. Each of these views costs
 //! one shift and one comparison. Averages over rows and then over columns take as many steps as the
 //! grid has rows and columns together. One average over all views would take the product of these
 //! numbers.
 //!
-//! Further paths for noisy pixels (edges, mirrored light) and further first hits for textures were
-//! built and taken out. They do not help a display, whose solver already averages that noise over
-//! the views. The table has 13 × 13 views of still-life with its own materials, 70 × 44 pixels. Its
-//! variance is that of the mean of all views, as a fraction of white squared.
+//! Further paths for noisy pixels improve views that are seen one by one. They do not help a
+//! display that chooses its views, since its solver averages the same noise over the views. The
+//! table has 13 × 13 views of still-life with its own materials, 70 × 44 pixels. Its variance is
+//! that of the mean of all views, as a fraction of white squared.
 //!
 //! | samples | further paths | CPU seconds | variance |
 //! |---|---|---|---|
@@ -33,9 +36,7 @@
 //! | 2 | no | 1.79 | 1.5e-4 |
 //!
 //! The README's job confirms this. With further paths and 1 path per view it scored 26.2 dB after
-//! 72 s of rendering. Without them and with 2 paths per view it scored 26.0 dB in about 60 s. Views
-//! that are seen one by one do gain. Their time at equal error fell by a factor of 1.7 to 1.8, for
-//! 5 × 5 views and 4 samples.
+//! 72 s of rendering. Without them and with 2 paths per view it scored 26.0 dB in about 60 s.
 
 use std::io;
 
@@ -62,17 +63,42 @@ const LEAST_REFLECTANCE: f32 = 0.02;
 #[derive(Clone, Copy, Default)]
 #[repr(C)]
 struct Point {
-    /// E: the light at the point divided by its reflectance, from the pixel's own samples.
-    light: [f32; 3],
+    /// E from the pixel's own samples, and in the second pass from those of its row of views.
+    light: Light,
     z_mm: f32,
-    /// Unit normal, times 127.
+    /// Unit normal, times 127; 0 if the surface does not scatter light by Lambert's law.
     normal: [i8; 3],
-    /// 1 if the surface scatters light by Lambert's law, else 0.
-    lit: u8,
+    /// Weight of E, times 255: the reflectance of the surfaces that the paths hit.
+    weight: u8,
 }
 
 // SAFETY: sixteen bytes of floats and four single bytes, without gaps
 unsafe impl Plain for Point {}
+
+/// Light divided by reflectance, which is not negative. The first channel has a negative sign, and
+/// may be −0, until another view that sees the same surface has contributed.
+#[derive(Clone, Copy, Default)]
+#[repr(transparent)]
+struct Light([f32; 3]);
+
+// SAFETY: three floats, without gaps
+unsafe impl Plain for Light {}
+
+impl Light {
+    fn new(rgb: Vec3, is_shared: bool) -> Self {
+        let [r, g, b] = rgb.to_array();
+        Self([r.copysign(if is_shared { 1.0 } else { -1.0 }), g, b])
+    }
+
+    fn rgb(self) -> Vec3 {
+        let [r, g, b] = self.0;
+        Vec3::new(r.abs(), g, b)
+    }
+
+    fn is_shared(self) -> bool {
+        self.0[0].is_sign_positive()
+    }
+}
 
 /// Light that the views of a light field are to share. It takes 32 bytes for every ray.
 pub struct SharedLight<'a> {
@@ -82,18 +108,18 @@ pub struct SharedLight<'a> {
     /// Data of every pixel, `[view][row][col]`.
     points: Array<Point>,
     /// Mean over the views of [`Point::light`], `[view][row][col]`, once it is computed.
-    light: Array<[f32; 3]>,
+    light: Array<Light>,
 }
 
 /// The mean light of every view.
 pub struct MeanLight {
     /// Mean over the views of [`Point::light`], `[view][row][col]`.
-    light: Array<[f32; 3]>,
+    light: Array<Light>,
 }
 
 impl<'a> SharedLight<'a> {
     /// Number of bytes that a ray takes.
-    pub const BYTES_PER_RAY: u64 = (size_of::<Point>() + size_of::<[f32; 3]>()) as u64;
+    pub const BYTES_PER_RAY: u64 = (size_of::<Point>() + size_of::<Light>()) as u64;
 
     /// Starts without any view, in memory.
     pub fn new(geometry: &'a FieldGeometry) -> Self {
@@ -142,7 +168,7 @@ impl<'a> SharedLight<'a> {
         let [view_rows, view_cols] = self.geometry.grid.views();
         assert_eq!(self.added, view_rows * view_cols, "every view of the grid");
         if let Array::Held(light) = &mut self.light {
-            *light = vec![[0.0; 3]; self.added * self.geometry.rows * self.geometry.cols];
+            *light = vec![Light::default(); self.added * self.geometry.rows * self.geometry.cols];
         }
         let of_row = |index: usize| (0..view_cols).map(|x| index / view_cols * view_cols + x).collect::<Vec<usize>>();
         let of_col = |index: usize| (0..view_rows).map(|y| y * view_cols + index % view_cols).collect::<Vec<usize>>();
@@ -152,7 +178,11 @@ impl<'a> SharedLight<'a> {
         for (points, light) in points.chunks_mut(cols).zip(light.chunks(cols)) {
             announce(of_points, size_of_val(points));
             announce(of_light, size_of_val(light));
-            points.iter_mut().zip(light).for_each(|(point, light)| point.light = *light);
+            for (point, light) in points.iter_mut().zip(light) {
+                point.light = *light;
+                // a pixel whose own paths missed the surface now has the light of its row
+                point.weight = point.weight.max(u8::from(light.is_shared()));
+            }
         }
         pass(self.geometry, &self.points, of_col, &mut self.light, task)?;
         Ok(MeanLight { light: self.light })
@@ -168,7 +198,8 @@ impl MeanLight {
         let light = self.light.part(number * rows * cols..(number + 1) * rows * cols);
         for (i, (rgb, light)) in radiance.data_mut().chunks_exact_mut(3).zip(light).enumerate() {
             let pixel = view.at(i / cols, i % cols);
-            rgb.copy_from_slice(&(pixel.other + divisor(pixel.reflectance) * Vec3::from_array(*light)).to_array());
+            let diffuse = if light.is_shared() { divisor(pixel.reflectance) * light.rgb() } else { pixel.diffuse };
+            rgb.copy_from_slice(&(pixel.other + diffuse).to_array());
         }
         radiance
     }
@@ -181,16 +212,19 @@ fn announce(window: Option<&Window>, bytes: usize) {
 impl Point {
     fn of(view: &SplitView, row: usize, col: usize) -> Self {
         let pixel = view.at(row, col);
+        let is_lit = pixel.reflectance.max_element() > 0.0;
+        let normal = if is_lit { pixel.normal } else { Vec3::ZERO };
         Self {
-            light: (pixel.diffuse / divisor(pixel.reflectance)).to_array(),
+            light: Light::new(pixel.diffuse / divisor(pixel.path_reflectance), false),
             z_mm: pixel.z_mm,
-            normal: pixel.normal.to_array().map(|n| (127.0 * n).round() as i8),
-            lit: u8::from(pixel.reflectance.max_element() > 0.0),
+            normal: normal.to_array().map(|n| (127.0 * n).round() as i8),
+            // the cast saturates
+            weight: (255.0 * pixel.path_reflectance.max_element()).ceil() as u8,
         }
     }
 
     fn is_lit(&self) -> bool {
-        self.lit != 0
+        self.normal != [0; 3]
     }
 
     fn normal(&self) -> Vec3 {
@@ -208,11 +242,11 @@ fn pass(
     geometry: &FieldGeometry,
     points: &Array<Point>,
     partners: impl Fn(usize) -> Vec<usize> + Sync,
-    light: &mut Array<[f32; 3]>,
+    light: &mut Array<Light>,
     task: Task<'_>,
 ) -> Result<(), Cancelled> {
     let (light, of_light) = light.all_mut();
-    let one = |(index, light): (usize, &mut [[f32; 3]])| {
+    let one = |(index, light): (usize, &mut [Light])| {
         task.cancel.check()?;
         announce(of_light, size_of_val(light));
         match points.all() {
@@ -240,7 +274,7 @@ fn of_view(
     announce: &impl Fn(usize),
     index: usize,
     partners: &[usize],
-    light: &mut [[f32; 3]],
+    light: &mut [Light],
 ) {
     let (rows, cols, pitch) = (geometry.rows, geometry.cols, geometry.pitch_mm);
     let grid = &geometry.grid;
@@ -249,12 +283,14 @@ fn of_view(
     let of_view = |view: usize| &points[view * rows * cols..][..rows * cols];
     let own = of_view(index);
     let (mut sums, mut weights) = (vec![Vec3::ZERO; cols], vec![0.0f32; cols]);
+    let mut shared = vec![false; cols];
     for (row, light) in light.chunks_exact_mut(cols).enumerate() {
         let line = &own[row * cols..][..cols];
         announce(cols);
         // begin with the view's own light
-        for ((sum, weight), point) in sums.iter_mut().zip(&mut weights).zip(line) {
-            (*sum, *weight) = (Vec3::from_array(point.light), 1.0);
+        for (((sum, weight), is_shared), point) in sums.iter_mut().zip(&mut weights).zip(&mut shared).zip(line) {
+            *weight = f32::from(point.weight);
+            (*sum, *is_shared) = (*weight * point.light.rgb(), point.light.is_shared());
         }
         for &other in partners.iter().filter(|other| **other != index) {
             // add the light of every other view that sees the same point
@@ -289,14 +325,15 @@ fn of_view(
                 // pixels. So they differ only in depth.
                 let off = normal.z * (there.z_mm - point.z_mm) / pitch as f32;
                 let nearness = (1.0 - off * off * (0.25 / (PLANE_SCALE * PLANE_SCALE))).max(0.0);
-                let weight = (nearness * nearness) * (nearness * nearness);
-                sums[col] += weight * Vec3::from_array(there.light);
+                let weight = (nearness * nearness) * (nearness * nearness) * f32::from(there.weight);
+                sums[col] += weight * there.light.rgb();
                 weights[col] += weight;
+                shared[col] |= weight > 0.0;
             }
             announce((last + 1).saturating_sub(first));
         }
-        for ((light, sum), weight) in light.iter_mut().zip(&sums).zip(&weights) {
-            *light = (*sum / *weight).to_array();
+        for (((light, sum), weight), is_shared) in light.iter_mut().zip(&sums).zip(&weights).zip(&shared) {
+            *light = Light::new(if *weight > 0.0 { *sum / *weight } else { Vec3::ZERO }, *is_shared);
         }
     }
 }

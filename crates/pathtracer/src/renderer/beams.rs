@@ -19,15 +19,23 @@ pub(super) struct ViewSamples<'a> {
     /// Display space, in which surfaces are reported.
     pub(super) axes: DisplayAxes,
     bank: SampleBank,
-    count: u32,
+    paths: u32,
     seed: u64,
 }
 
 impl<'a> ViewSamples<'a> {
-    /// Samples of the view [view_y, view_x], as many per pixel as the settings say.
-    pub(super) fn new(rays: PrimaryRays<'a>, axes: DisplayAxes, view: [usize; 2], settings: &Settings) -> Self {
+    /// Samples of the view [view_y, view_x], as many per pixel as the settings say, or at most
+    /// `rays_per_pixel` if that is more.
+    pub(super) fn new(
+        rays: PrimaryRays<'a>,
+        axes: DisplayAxes,
+        view: [usize; 2],
+        settings: &Settings,
+        rays_per_pixel: u32,
+    ) -> Self {
         let seed = seed::derive(settings.seed, &[view[0] as u64, view[1] as u64]);
-        Self { rays, axes, bank: SampleBank::new(settings.samples), count: settings.samples, seed }
+        let bank = SampleBank::with_more(settings.samples, rays_per_pixel);
+        Self { rays, axes, bank, paths: settings.samples, seed }
     }
 
     /// Seed of a pixel's random numbers.
@@ -40,18 +48,32 @@ impl<'a> ViewSamples<'a> {
     #[inline]
     pub(super) fn for_each_beam(
         &self,
-        [row, col]: [usize; 2],
+        at: [usize; 2],
         pixel_seed: u64,
         mut take: impl FnMut(&mut [Ray], &PixelRays, &Draws<'_>),
     ) {
+        self.for_each_beam_of(at, pixel_seed, [self.paths; 2], |beam, _, rays, draws| take(beam, rays, draws));
+    }
+
+    /// As [`for_each_beam`](Self::for_each_beam), for [paths, rays] of a pixel. `take` also gets
+    /// the number of the beam's rays that continue as paths.
+    #[inline]
+    pub(super) fn for_each_beam_of(
+        &self,
+        [row, col]: [usize; 2],
+        pixel_seed: u64,
+        [paths, count]: [u32; 2],
+        mut take: impl FnMut(&mut [Ray], usize, &PixelRays, &Draws<'_>),
+    ) {
         let pixel = self.rays.pixel(row, col);
         let mut beam = [Ray::ANY; BEAM];
-        for first in (0..self.count).step_by(BEAM) {
-            let beam = &mut beam[..(self.count - first).min(BEAM as u32) as usize];
+        for first in (0..count).step_by(BEAM) {
+            let beam = &mut beam[..(count - first).min(BEAM as u32) as usize];
             let draws = self.bank.draws(pixel_seed, first);
             let (in_pixel, in_bin) = (draws.pair(PLACE_PAIR), draws.pair(SLOPE_PAIR));
             pixel.fill(beam, |index| [centred(in_pixel.of(index)), centred(in_bin.of(index))]);
-            take(beam, &pixel, &draws);
+            let paths = (paths.saturating_sub(first) as usize).min(beam.len());
+            take(beam, paths, &pixel, &draws);
         }
     }
 }

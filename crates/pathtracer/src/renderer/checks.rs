@@ -62,7 +62,15 @@ impl Renderer {
             }
             let mut render = |half: u64| {
                 let pixel_seed = seed::derive(radiance, &[row as u64, col as u64, half]);
-                let (pixel, _) = self.pixel::<false>(&samples, [row, col], pixel_seed, settings, &clamped, stack);
+                let (pixel, _) = self.pixel::<false>(
+                    &samples,
+                    [row, col],
+                    pixel_seed,
+                    [settings.samples; 2],
+                    settings,
+                    &clamped,
+                    stack,
+                );
                 pixel.mean.to_array()
             };
             let ([a, b, c], [d, e, f]) = (render(0), render(1));

@@ -10,6 +10,10 @@ use crate::tracer::First;
 pub(crate) const FEATURES: usize = 11;
 /// Number of values per pixel of a view whose diffuse and other light are separate.
 pub(super) const PARTS: usize = 13;
+/// The same, if some rays end at the first surface: then with the reflectance for the paths alone.
+pub(super) const MORE_PARTS: usize = PARTS + 3;
+/// The same, and the light that the rays themselves see, which the other light then lacks.
+pub(super) const APART: usize = MORE_PARTS + 3;
 
 /// Converts points and directions of render space to depths and directions of display space.
 pub(super) struct DisplayAxes {
@@ -55,6 +59,11 @@ pub(super) struct FirstSums {
     nearest: Option<(f32, Option<f32>)>,
     /// Light that is scattered alike to all viewers, over the samples that are finite.
     diffuse: Vec3,
+    /// Light that the first surfaces emit, or that rays past all surfaces see.
+    seen: Vec3,
+    /// The same and the reflectance, for the rays that continue as paths.
+    path_seen: Vec3,
+    path_reflectance: Vec3,
 }
 
 impl FirstSums {
@@ -67,6 +76,7 @@ impl FirstSums {
         if self.nearest.is_none_or(|(nearest, _)| distance < nearest) {
             self.nearest = Some((distance, z_mm));
         }
+        self.seen += first.seen;
         let Some(z_mm) = z_mm else { return };
         self.hits += 1;
         self.z_mm += z_mm;
@@ -76,6 +86,13 @@ impl FirstSums {
         self.shading += first.guide.normal;
         self.gloss += first.guide.gloss;
         self.alpha += first.guide.alpha;
+    }
+
+    /// Adds the first surface of a ray that continues as a path.
+    #[inline]
+    pub(super) fn add_path(&mut self, first: &First) {
+        self.path_seen += first.seen;
+        self.path_reflectance += first.reflectance;
     }
 
     /// Adds light that is scattered alike to all viewers.
@@ -102,18 +119,30 @@ impl FirstSums {
     }
 
     /// The values of a pixel with its diffuse and other light separate. `mean` is the mean light of
-    /// the samples; `finite` is the number of finite samples.
-    pub(super) fn split(&self, mean: Vec3, finite: u32, samples: u32) -> [f32; PARTS] {
-        // light is a mean over the finite samples, reflectance over all samples, normal and depth
-        // over the samples with a surface
+    /// the paths; `finite` of the paths are finite. All `rays` count for the surfaces.
+    pub(super) fn split(&self, mean: Vec3, finite: u32, rays: u32) -> [f32; PARTS] {
+        // light is a mean over the finite paths, reflectance over all rays, normal and depth over
+        // the rays with a surface
         let diffuse = self.diffuse / finite.max(1) as f32;
         let share = 1.0 / self.hits.max(1) as f32;
         let mut values = [0.0; PARTS];
         values[..3].copy_from_slice(&diffuse.to_array());
         values[3..6].copy_from_slice(&(mean - diffuse).to_array());
-        values[6..9].copy_from_slice(&(self.reflectance / samples as f32).to_array());
+        values[6..9].copy_from_slice(&(self.reflectance / rays as f32).to_array());
         values[9..12].copy_from_slice(&(share * self.normal).to_array());
         values[12] = share * self.z_mm;
+        values
+    }
+
+    /// The values of [`split`](Self::split), then the reflectance for the paths alone, and then the
+    /// light that all rays themselves see. The other light lacks this last light. The first `paths`
+    /// of the `rays` are paths.
+    pub(super) fn apart(&self, mean: Vec3, finite: u32, [paths, rays]: [u32; 2]) -> [f32; APART] {
+        let of_paths = 1.0 / paths.max(1) as f32;
+        let mut values = [0.0; APART];
+        values[..PARTS].copy_from_slice(&self.split(mean - of_paths * self.path_seen, finite, rays));
+        values[PARTS..MORE_PARTS].copy_from_slice(&(of_paths * self.path_reflectance).to_array());
+        values[MORE_PARTS..].copy_from_slice(&(self.seen / rays as f32).to_array());
         values
     }
 }

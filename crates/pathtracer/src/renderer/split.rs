@@ -17,8 +17,8 @@ use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
 use super::features::Features;
-use super::first::{FEATURES, FirstSums, PARTS};
-use super::{PixelMean, RenderError, Renderer, ranges};
+use super::first::{APART, FEATURES, FirstSums, MORE_PARTS, PARTS};
+use super::{PixelMean, RenderError, Renderer, further, ranges};
 use crate::settings::Settings;
 
 /// A view whose diffuse and other light are separate, with data of the surfaces that the light
@@ -28,7 +28,9 @@ use crate::settings::Settings;
 pub struct SplitView {
     /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm]`. The normal is in
     /// display space, and z_mm is the depth in display space towards the viewer. Both are 0 if no
-    /// surface is seen.
+    /// surface is seen. With [further paths](Settings::further_paths) a second reflectance rgb
+    /// follows. The first one is a mean over all rays of the pixel, and the second one over those
+    /// that continue as paths.
     values: Tensor<3>,
 }
 
@@ -51,22 +53,31 @@ pub(crate) struct SplitPixel {
     pub(crate) diffuse: Vec3,
     pub(crate) other: Vec3,
     pub(crate) reflectance: Vec3,
+    /// Reflectance of the surfaces whose light `diffuse` is.
+    pub(crate) path_reflectance: Vec3,
     pub(crate) normal: Vec3,
     pub(crate) z_mm: f32,
 }
 
 impl SplitView {
-    /// Number of values per pixel.
+    /// Number of values per pixel without [further paths](Settings::further_paths).
     pub const VALUES: usize = PARTS;
+
+    /// Returns the number of values per pixel of views with these settings.
+    pub fn values_of(settings: &Settings) -> usize {
+        if settings.further_paths { MORE_PARTS } else { PARTS }
+    }
 
     /// A view from the tensor that [`values`](Self::values) returns; `None` if the tensor has a
     /// different number of values per pixel.
     pub fn from_values(values: Tensor<3>) -> Option<Self> {
-        (values.shape()[2] == PARTS).then_some(Self { values })
+        [PARTS, MORE_PARTS].contains(&values.shape()[2]).then_some(Self { values })
     }
 
     /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`. Light is radiance,
-    /// normals are in display space, z is in millimetres.
+    /// normals are in display space, z is in millimetres. With
+    /// [further paths](Settings::further_paths) a second reflectance rgb follows: the mean over the
+    /// paths alone, whose light is the diffuse light.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }
@@ -81,7 +92,7 @@ impl SplitView {
     pub fn radiance(&self) -> Tensor<3> {
         let [rows, cols] = self.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
-        for (sum, values) in radiance.data_mut().chunks_exact_mut(3).zip(self.values.data().chunks_exact(PARTS)) {
+        for (sum, values) in radiance.data_mut().chunks_exact_mut(3).zip(self.pixels()) {
             sum.copy_from_slice(&both_parts(values));
         }
         radiance
@@ -89,20 +100,31 @@ impl SplitView {
 
     /// For each pixel, row by row: true if one of its samples hits a surface.
     pub fn surfaces(&self) -> impl Iterator<Item = bool> {
-        self.values.data().chunks_exact(PARTS).map(|values| values[9..12].iter().any(|normal| *normal != 0.0))
+        self.pixels().map(|values| values[9..12].iter().any(|normal| *normal != 0.0))
+    }
+
+    fn pixels(&self) -> impl Iterator<Item = &[f32]> {
+        self.values.data().chunks_exact(self.values.shape()[2])
     }
 
     pub(crate) fn at(&self, row: usize, col: usize) -> SplitPixel {
         let v = self.values.block([row, col]);
         let vector = |first: usize| Vec3::from_slice(&v[first..first + 3]);
-        SplitPixel { diffuse: vector(0), other: vector(3), reflectance: vector(6), normal: vector(9), z_mm: v[12] }
+        SplitPixel {
+            diffuse: vector(0),
+            other: vector(3),
+            reflectance: vector(6),
+            path_reflectance: vector(if v.len() == MORE_PARTS { PARTS } else { 6 }),
+            normal: vector(9),
+            z_mm: v[12],
+        }
     }
 }
 
 impl Renderer {
     /// One view with its diffuse and other light separate, from the samples of
-    /// [`render_view`](Self::render_view) with the same settings. Advances the progress as that
-    /// function does.
+    /// [`render_view`](Self::render_view) with the same settings, and from the
+    /// [further paths](Settings::further_paths). Advances the progress as that function does.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).
@@ -114,10 +136,16 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<SplitView, RenderError> {
-        let split = |pixel: &PixelMean, first: &FirstSums| {
-            first.split(pixel.mean, settings.samples - pixel.not_finite, settings.samples)
+        let finite = |pixel: &PixelMean| settings.samples - pixel.not_finite;
+        let values = if settings.further_paths {
+            let apart =
+                |pixel: &PixelMean, first: &FirstSums| first.apart(pixel.mean, finite(pixel), [settings.samples; 2]);
+            let values = self.view_of::<true, APART>(window, geometry, view, settings, task, apart, all_parts)?;
+            self.with_further_paths(window, geometry, view, settings, task, &values, None)?
+        } else {
+            let split = |pixel: &PixelMean, first: &FirstSums| first.split(pixel.mean, finite(pixel), settings.samples);
+            self.view_of::<true, PARTS>(window, geometry, view, settings, task, split, both_parts)?
         };
-        let values = self.view_of::<true, PARTS>(window, geometry, view, settings, task, split, both_parts)?;
         Ok(SplitView { values })
     }
 
@@ -135,17 +163,27 @@ impl Renderer {
         settings: &Settings,
         task: Task<'_>,
     ) -> Result<GuidedSplit, RenderError> {
+        const VARIANCE: usize = APART + 3;
         let all = |pixel: &PixelMean, first: &FirstSums| {
             let finite = settings.samples - pixel.not_finite;
-            let mut values = [0.0; PARTS + 3 + FEATURES];
-            values[..PARTS].copy_from_slice(&first.split(pixel.mean, finite, settings.samples));
-            values[PARTS..PARTS + 3].copy_from_slice(&pixel.variance.to_array());
-            values[PARTS + 3..].copy_from_slice(&first.features(settings.samples));
+            let mut values = [0.0; VARIANCE + FEATURES];
+            if settings.further_paths {
+                values[..APART].copy_from_slice(&first.apart(pixel.mean, finite, [settings.samples; 2]));
+            } else {
+                values[..PARTS].copy_from_slice(&first.split(pixel.mean, finite, settings.samples));
+            }
+            values[APART..VARIANCE].copy_from_slice(&pixel.variance.to_array());
+            values[VARIANCE..].copy_from_slice(&first.features(settings.samples));
             values
         };
         let all =
-            self.view_of::<true, { PARTS + 3 + FEATURES }>(window, geometry, view, settings, task, all, both_parts)?;
-        let [values, variance, features] = ranges(&all, [("part", PARTS), ("rgb", 3), ("feature", FEATURES)]);
+            self.view_of::<true, { VARIANCE + FEATURES }>(window, geometry, view, settings, task, all, all_parts)?;
+        let [apart, mut variance, features] = ranges(&all, [("part", APART), ("rgb", 3), ("feature", FEATURES)]);
+        let values = if settings.further_paths {
+            self.with_further_paths(window, geometry, view, settings, task, &apart, Some(&mut variance))?
+        } else {
+            further::joined::<PARTS>(&apart)
+        };
         Ok(GuidedSplit { split: SplitView { values }, variance, features: Features { values: features } })
     }
 }
@@ -153,4 +191,9 @@ impl Renderer {
 /// Radiance of a pixel whose first six values are its diffuse and its other light.
 fn both_parts(values: &[f32]) -> [f32; 3] {
     [0, 1, 2].map(|c| values[c] + values[3 + c])
+}
+
+/// Radiance of a pixel of [`FirstSums::apart`], which has the light that its rays see last.
+fn all_parts(values: &[f32]) -> [f32; 3] {
+    [0, 1, 2].map(|c| values[c] + values[3 + c] + values[MORE_PARTS + c])
 }

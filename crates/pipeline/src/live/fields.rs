@@ -164,10 +164,9 @@ impl LiveFields {
         let Some((_, placement)) = self.placement else { return Ok(None) };
         // Trace one more pass, unless only the exposure or the patterns' settings changed. If any
         // input of the views has changed, new views begin with their first pass.
-        let footprint = display.angular_footprint();
         let job = self.job.clone();
         let (geometry, samples) = (&geometry, None);
-        let shot = Shot { job: &job, ingested: &ingested, placement: &placement, geometry, footprint, samples };
+        let shot = Shot { job: &job, ingested: &ingested, placement: &placement, geometry, display: &display, samples };
         let key_of_views = json!([key_of_scene, format!("{placement:?} {geometry:?}"), (TRACE.reads)(&job)]);
         let (of_light, of_patterns) = ((EXPOSE.reads)(&job), json!([display.to_toml(), job.factorize]));
         let key = json!([key_of_views, of_light, of_patterns]);

@@ -152,8 +152,13 @@ impl View {
         samples: u32,
         task: Task<'_>,
     ) -> Result<(), PipelineError> {
-        // Another seed gives other paths than in the earlier passes.
-        let settings = lumistack_pathtracer::Settings { samples, ..of.seeded(&[3, u64::from(self.samples)]) };
+        // Another seed gives other paths than in the earlier passes. Further paths would delay the
+        // passes.
+        let settings = lumistack_pathtracer::Settings {
+            samples,
+            further_paths: false,
+            ..of.seeded(&[3, u64::from(self.samples)])
+        };
         let new =
             renderer.render_split(shot.window(), &of.traced, self.place, &settings, task).map_err(render_error)?;
         self.split = Some(match self.split.take() {

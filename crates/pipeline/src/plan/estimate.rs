@@ -283,6 +283,8 @@ struct Memory {
     solving: f64,
     /// Memory of the denoiser.
     denoising: f64,
+    /// Memory for further paths of one view, which is traced alone.
+    further: f64,
     /// Memory for the measurement of the number of paths.
     measuring: f64,
     /// Memory of the depths of the target's views.
@@ -363,6 +365,7 @@ impl Memory {
             Denoise::Shared if is_held => shared * rays(geometry),
             Denoise::Shared => 2.0 * in_use(0.5 * shared * rays(geometry), shared / RGB * view),
         };
+        let further = if job.has_further_paths(display) { FURTHER_VALUES / 3.0 * view } else { 0.0 };
         let depths = Depths::coarse(geometry);
         let kept = match &job.light_field {
             Some(_) => job.report.zone_directions as f64 * view,
@@ -372,6 +375,7 @@ impl Memory {
             fields: of_field(geometry) + others.map(|geometry| of_field(&geometry)).sum::<f64>(),
             solving,
             denoising,
+            further,
             measuring: if job.scene.is_some() { samples::bytes(job, display, geometry, threads) as f64 } else { 0.0 },
             depths: if job.scene.is_some() { 8.0 * rays(&depths) } else { 0.0 },
             left_out: kept,
@@ -444,6 +448,9 @@ const EXPOSURE: f64 = (64 << 20) as f64;
 const PROGRAM: f64 = (80 << 20) as f64;
 /// Number of views that one thread has in memory at a time.
 const VIEWS_IN_WORK: f64 = 8.0;
+/// Largest number of values per pixel of a view while it gets further paths: the values of its own
+/// paths, of the further paths, and of both together.
+const FURTHER_VALUES: f64 = 64.0;
 
 /// Returns an upper bound of the memory of a job's run, bytes; `None` if its display or its light
 /// field cannot be read. See [`Step::memory_bytes`](super::steps::Step::memory_bytes).
@@ -488,7 +495,7 @@ fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
         StepKind::Place => memory.measuring,
         // A view that is not denoised yet has several times as many values as the radiance of the
         // view.
-        StepKind::Trace => 3.0 * VIEWS_IN_WORK * view,
+        StepKind::Trace => 3.0 * VIEWS_IN_WORK * view + memory.further,
         StepKind::Denoise => memory.denoising + 3.0 * VIEWS_IN_WORK * view,
         StepKind::Expose => memory.fields + views + EXPOSURE,
         StepKind::Read => memory.fields + views + memory.picture,

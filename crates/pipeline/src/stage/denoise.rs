@@ -197,7 +197,7 @@ fn shared<'a>(field: &'a FieldJob, job: &Job, task: Task<'_>) -> Result<Filtered
 /// Reads a traced view whose diffuse and other light are separate.
 fn split(field: &FieldJob, view: [usize; 2]) -> Result<SplitView, PipelineError> {
     let path = split_path(&field.folder, view);
-    read_split(&path, &field.traced).ok_or_else(PipelineError::replaced(&path, "cached view"))
+    read_split(&path, &field.traced, &field.settings).ok_or_else(PipelineError::replaced(&path, "cached view"))
 }
 
 /// Filters all views together, from two halves of each view. Features of the first hits guide the

@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
-use lumistack_display::{FieldGeometry, ViewGrid};
+use lumistack_display::{Display, FieldGeometry, ViewGrid};
 use lumistack_pathtracer::{Features, Settings};
 use lumistack_shot::{Placement, put_before, seeded};
 use lumistack_splats::Space;
@@ -26,8 +26,7 @@ pub(crate) struct Shot<'a> {
     pub(crate) placement: &'a Placement,
     /// Geometry of the display's light field.
     pub(crate) geometry: &'a FieldGeometry,
-    /// Width of the display's angular prefilter along x and y, as a difference of slopes.
-    pub(crate) footprint: [f64; 2],
+    pub(crate) display: &'a Display,
     /// Measured number of paths, if the job sets no number.
     pub(crate) samples: Option<Samples>,
 }
@@ -73,7 +72,9 @@ impl Shot<'_> {
     fn settings(&self) -> Settings {
         let (job, samples) = (self.job, self.samples_per_view());
         let hidden = job.light.background != Background::Environment;
-        job.render.settings(job.seed, samples, hidden, self.placement.depth_scale, self.footprint)
+        let footprint = self.display.angular_footprint();
+        let settings = job.render.settings(job.seed, samples, hidden, self.placement.depth_scale, footprint);
+        Settings { further_paths: job.has_further_paths(self.display), ..settings }
     }
 
     /// Returns all light fields of the shot, the target first. The traced views of each light field

@@ -89,8 +89,7 @@ pub(crate) fn measured(
         return Ok(None);
     }
     // The key contains everything that noise and error depend on.
-    let footprint = display.angular_footprint();
-    let shot = Shot { job, ingested, placement, geometry: &geometry, footprint, samples: None };
+    let shot = Shot { job, ingested, placement, geometry: &geometry, display, samples: None };
     let mut key = shot.key();
     key.add_json("settings", &(&job.render, job.seed, &job.light))
         .add("display", display.without_panels().to_toml().as_bytes())

@@ -121,10 +121,10 @@ fn trace_views(
     let is_shared: Vec<bool> =
         fields.iter().map(|field| kind == Denoise::Shared && denoise::is_finished(field, kind)).collect();
     let is_kept = |Todo { field, path, variance, .. }: &Todo| {
-        let geometry = &fields[*field].geometry;
+        let FieldJob { geometry, settings, .. } = &fields[*field];
         let is_there = |path: &PathBuf| read_view(path, geometry).is_some();
         let traced = if kind == Denoise::Shared {
-            is_shared[*field] || read_split(path, geometry).is_some()
+            is_shared[*field] || read_split(path, geometry, settings).is_some()
         } else {
             is_there(path)
         };

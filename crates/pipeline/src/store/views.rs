@@ -12,7 +12,7 @@ use lumistack_display::FieldGeometry;
 use lumistack_field_io::picture::{self, Picture, Precision};
 use rayon::prelude::*;
 
-use lumistack_pathtracer::{Features, SplitView};
+use lumistack_pathtracer::{Features, Settings, SplitView};
 
 use super::key::KeyBuilder;
 use crate::error::{PipelineError, field_error};
@@ -71,10 +71,10 @@ fn splat_rows(rows: usize) -> usize {
     (4 * rows).div_ceil(3)
 }
 
-/// Reads a view whose diffuse and other light are separate; `None` if the file is missing or
-/// damaged.
-pub(crate) fn read_split(path: &Path, geometry: &FieldGeometry) -> Option<SplitView> {
-    SplitView::from_values(read_values(path, geometry, SplitView::VALUES)?)
+/// Reads a view whose diffuse and other light are separate, traced with these settings; `None` if
+/// the file is missing or damaged.
+pub(crate) fn read_split(path: &Path, geometry: &FieldGeometry, settings: &Settings) -> Option<SplitView> {
+    SplitView::from_values(read_values(path, geometry, SplitView::values_of(settings))?)
 }
 
 /// Writes a view whose diffuse and other light are separate. The file has several pictures, one

@@ -137,6 +137,15 @@ fn fixed_views_are_rendered_and_solved_within_their_bound() {
     check(&format!("scene = {:?}\n{}{render}", scene(), display([cols, rows], &views)), 24, Some("factorize"));
 }
 
+/// Fixed views that share light also get further paths.
+#[test]
+fn fixed_views_that_share_light_are_rendered_within_their_bound() {
+    let render = "[render]\nsamples = 1\nmax_bounces = 1\ndenoise = \"shared\"\n";
+    let [cols, rows, views] = SIZE;
+    let views = format!("views = [{views}, {views}]\n");
+    check(&format!("scene = {:?}\n{}{render}", scene(), display([cols, rows], &views)), 24, Some("factorize"));
+}
+
 #[test]
 fn chosen_views_are_rendered_and_solved_within_their_bound() {
     // A number of samples is given, since measuring it would take most of the time.

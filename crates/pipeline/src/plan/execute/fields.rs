@@ -194,6 +194,6 @@ struct OwnedShot {
 impl OwnedShot {
     fn shot(&self) -> Shot<'_> {
         let Self { job, ingested, placement, display, geometry, samples } = self;
-        Shot { job, ingested, placement, geometry, footprint: display.angular_footprint(), samples: *samples }
+        Shot { job, ingested, placement, geometry, display, samples: *samples }
     }
 }
