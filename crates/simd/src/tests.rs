@@ -24,7 +24,8 @@ impl Kernel for Everything {
             ($(|$x:ident, $y:ident, $z:ident| $name:literal: $result:expr),* $(,)?) => { $(
                 let mut all = [0.0; LEN];
                 for at in (0..LEN).step_by(V::COUNT) {
-                    // SAFETY: The machine has the instruction set of V. LEN is a multiple of every lane count.
+                    // SAFETY: The machine has the instruction set of V. LEN is a multiple of every
+                    // lane count.
                     unsafe {
                         let [$x, $y, $z] = [a, b, c].map(|operand| operand.as_ptr().add(at));
                         let [$x, $y, $z] = [V::load($x), V::load($y), V::load($z)];
@@ -55,13 +56,15 @@ impl Kernel for Everything {
         );
         let mut bits = [0.0; LEN];
         for at in (0..LEN).step_by(V::COUNT) {
-            // SAFETY: The machine has the instruction set of V. LEN is a multiple of every lane count.
+            // SAFETY: The machine has the instruction set of V. LEN is a multiple of every
+            // lane count.
             let mask = unsafe { V::bits(V::load(a.as_ptr().add(at)).below(V::load(b.as_ptr().add(at)))) };
             assert_eq!(mask.checked_shr(V::COUNT as u32).unwrap_or(0), 0, "bits beyond the lanes");
             (0..V::COUNT).for_each(|lane| bits[at + lane] = (mask >> lane & 1) as f32);
         }
         results.push(("bits", bits));
-        // SAFETY: The machine has the instruction set of V. LEN is a multiple of every lane count.
+        // SAFETY: The machine has the instruction set of V. LEN is a multiple of every
+        // lane count.
         unsafe {
             let (mut moved, mut before) = ([0.0; LEN], V::splat(b[0]));
             for at in (0..LEN).step_by(V::COUNT) {
