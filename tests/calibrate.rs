@@ -7,8 +7,8 @@ use std::path::Path;
 
 use lumistack_core::seed::Stream;
 use lumistack_display::{Display, Flip, LayerStack, Panel, Sampling, Transfer};
+use lumistack_testkit::camera::Camera;
 
-use crate::common::camera::Camera;
 use crate::common::session::{Picture, SWAY, Session, wait_for};
 use crate::common::show::Show;
 use crate::common::{self, poke, session};
@@ -284,7 +284,7 @@ fn photographs_correct_the_pose_of_panels() {
             if inside { f64::from(shot.rgb[3 * (row as usize * PANEL[0] + col as usize)]) } else { 0.0 }
         };
         let mut random = Stream::new((10 * round + n) as u64);
-        let picture = camera.photograph(display.layers[n].d_mm, light, 4.0, || random.next_f32());
+        let picture = camera.photograph(display.layers[n].d_mm, &light, 4.0, &mut || random.next_f32());
         let path = folder.path().join(format!("photograph_{round}_{n}.png"));
         picture.save(&path).unwrap();
         if let Ok(kept) = std::env::var("LUMISTACK_TEST_PICTURES") {

@@ -16,7 +16,7 @@ const DECIBELS: f64 = 0.5;
 const PUPIL: f64 = 0.3;
 const PUPIL_STEPS: i32 = 3;
 /// One ray out of this number is traced. Different rays are traced for different views.
-const EVERY: usize = 47;
+const EVERY: usize = 21;
 
 /// The picture of a panel as light: red, green and blue of every pixel, row by row.
 struct Panel {
@@ -76,7 +76,7 @@ fn rays_through_lenses_and_layer_see_the_target() {
     let scene = root().join("scenes/letters/letters.gltf");
     // this test does not need the zone score, so the job switches it off
     let text = format!(
-        "scene = {scene:?}\noutputs = []\n[display]\npreset = \"paper-directional\"\nresolution = [84, 52]\nframes = 2\n\
+        "scene = {scene:?}\noutputs = []\n[display]\npreset = \"paper-directional\"\nresolution = [56, 35]\nframes = 2\n\
          [render]\nsamples = 3\n[factorize]\niterations = 8\n[report]\nzone_directions = 0\n"
     );
     std::fs::write(&job, text).unwrap();

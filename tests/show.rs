@@ -85,11 +85,13 @@ fn expected(seed: u64, n: usize, frame: usize, [cols, rows]: [usize; 2]) -> Pict
     Picture { size: [cols, rows], rgb }
 }
 
-/// Finds the stack and the frame whose expected picture equals a picture of output `n` exactly.
-/// Returns the stack's seed and the frame's number.
-fn frame_of(picture: &Picture, n: usize, seeds: &[u64]) -> Option<(u64, usize)> {
-    let all = seeds.iter().flat_map(|seed| (0..FRAMES).map(move |frame| (*seed, frame)));
-    all.into_iter().find(|(seed, frame)| *picture == expected(*seed, n, *frame, picture.size))
+/// The expected pictures of every output, each with its stack's seed and its frame's number. They
+/// are computed once, since a test compares many screenshots with them.
+fn expected_on(outputs: &[Screen], seeds: &[u64]) -> Vec<Vec<((u64, usize), Picture)>> {
+    let all: Vec<(u64, usize)> = seeds.iter().flat_map(|seed| (0..FRAMES).map(move |frame| (*seed, frame))).collect();
+    let of =
+        |n: usize, size| all.iter().map(|&(seed, frame)| ((seed, frame), expected(seed, n, frame, size))).collect();
+    outputs.iter().enumerate().map(|(n, (_, size, _))| of(n, *size)).collect()
 }
 
 #[test]
@@ -126,7 +128,7 @@ fn frames_run_in_order_and_late_ones_are_counted() {
     let folder = tempfile::tempdir().unwrap();
     write_run(folder.path(), &display(&SWAY), 1);
     let log = folder.path().join("log.csv");
-    let mut show = Show::start(&session, folder.path(), &["--duration-s", "10", "--log", log.to_str().unwrap()]);
+    let mut show = Show::start(&session, folder.path(), &["--duration-s", "5", "--log", log.to_str().unwrap()]);
     show.event("started");
     let report = show.event("report");
     println!("{report}");
@@ -135,7 +137,7 @@ fn frames_run_in_order_and_late_ones_are_counted() {
         text.lines().skip(1).map(|line| line.split(',').map(|number| number.parse().unwrap()).collect()).collect();
     assert_eq!(rows.len() as u64, report["refreshes"].as_u64().unwrap());
     // a busy machine may show few frames, but their order must be right
-    assert!(rows.len() > 100, "{} refreshes in 10 s", rows.len());
+    assert!(rows.len() > 50, "{} refreshes in 5 s", rows.len());
     for (i, row) in rows.iter().enumerate() {
         assert_eq!((row[0] as usize, row[1] as usize), (i, i % FRAMES));
     }
@@ -190,9 +192,14 @@ fn one_frame_per_capture(
     let mut show = Show::start(session, folder.path(), &["--span"]);
     show.event("started");
     let place = |at: [i32; 2]| [0, 1].map(|axis| at[axis] - corner[axis]);
+    let expected = expected_on(outputs, &[1, 2, 3]);
+    // finds the stack and the frame whose expected picture every output shows exactly
     let seen = |whole: &Picture| -> Option<Vec<(u64, usize)>> {
-        let parts = outputs.iter().enumerate();
-        parts.map(|(n, (_, size, at))| frame_of(&whole.part(place(*at), *size), n, &[1, 2, 3])).collect()
+        let parts = outputs.iter().zip(&expected).map(|((_, size, at), all)| {
+            let part = whole.part(place(*at), *size);
+            all.iter().find(|(_, picture)| *picture == part).map(|(name, _)| *name)
+        });
+        parts.collect()
     };
     let mut last = wait_for("the first picture", || capture().and_then(|whole| seen(&whole)))[0];
     let (mut captures, mut frames, mut seeds) = (0, std::collections::BTreeSet::new(), vec![last.0]);

@@ -1,8 +1,6 @@
 //! Runs the `lumistack` binary and reads its files.
 
 #[cfg(feature = "panels")]
-pub mod camera;
-#[cfg(feature = "panels")]
 pub mod poke;
 #[cfg(feature = "panels")]
 pub mod session;

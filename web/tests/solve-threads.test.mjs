@@ -7,7 +7,7 @@ import { DIST, launch, open, SHOTS } from "./browser.mjs";
 import { unpacked } from "./saved.mjs";
 import { serve } from "./server.mjs";
 
-const SETTINGS = "preset=paper-three-layer&cols=96&zone_samples=800&iterations=2";
+const SETTINGS = "preset=paper-three-layer&cols=96&zone_samples=200&iterations=2";
 /** A task that takes longer, milliseconds, can delay a picture. Other programs on the machine also make tasks long, so a few are allowed. */
 const LONG_MS = 50;
 const MOST_LONG = 2;

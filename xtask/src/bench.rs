@@ -7,7 +7,7 @@ use crate::bench_render;
 use crate::bench_zone;
 use crate::fuzz;
 use crate::python;
-use crate::tools::{self, Outcome, absolute, cargo, command, example, output_of, text};
+use crate::tools::{self, Outcome, absolute, bench, cargo, command, example, output_of, text};
 use crate::web;
 
 /// Help of `cargo xtask bench --help`.
@@ -96,7 +96,7 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
             let options: Vec<String> = options.iter().map(ToString::to_string).collect();
             example("lumistack-factorizer-gpu", "bench_gpu", &options)
         }
-        ["stream"] => example("lumistack-factorizer", "stream", &[]),
+        ["stream"] => bench("lumistack-factorizer", "stream", &[text(&tools::root().join("target/stream"))]),
         ["agreement"] => agreement("64").and(bench_render::agree("4096")),
         ["agreement", "--quick"] => agreement("16").and(bench_render::agree("1024")),
         ["outputs"] => {
@@ -108,15 +108,15 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         ["render", options @ ..] => bench_render::render(options)?,
         ["big", options @ ..] => bench_render::big(options)?,
         ["field", options @ ..] => bench_render::field(options)?,
-        ["splats"] => example("lumistack-splats", "bench_splats", &[]).and_then(|()| agreement_of_splats()),
+        ["splats"] => bench("lumistack-splats", "splats", &[]).and_then(|()| agreement_of_splats()),
         ["splats", "--agreement"] => agreement_of_splats(),
-        ["design"] => example("lumistack-pipeline", "bench_design", &[]),
+        ["design"] => bench("lumistack-pipeline", "design", &[]),
         ["farm", options @ ..] => farm(options)?,
         ["live"] => live(&[]),
         ["live", "--quick"] => live(&["--quick"]),
         ["film", size @ ..] if matches!(size.len(), 0 | 2) => {
             let size: Vec<String> = size.iter().map(|word| (*word).to_owned()).collect();
-            example("lumistack-plugin-host", "bench_film", &size)
+            bench("lumistack-plugin-host", "film", &size)
         }
         ["zone", options @ ..] => bench_zone::run(options)?,
         ["web"] => web::bench(),
@@ -185,7 +185,7 @@ fn factorize(options: &[&str]) -> Option<Outcome> {
     if !peers.is_empty() {
         passed.extend(["--folder".to_owned(), text(&tools::root().join("target"))]);
     }
-    Some(example("lumistack-factorizer", "bench_factorize", &passed))
+    Some(bench("lumistack-factorizer", "factorize", &passed))
 }
 
 fn convergence(options: &[&str]) -> Option<Outcome> {
@@ -198,7 +198,7 @@ fn convergence(options: &[&str]) -> Option<Outcome> {
             _ => return None,
         }
     }
-    Some(example("lumistack-factorizer", "bench_convergence", &passed))
+    Some(bench("lumistack-factorizer", "convergence", &passed))
 }
 
 /// Finds a Python with Mitsuba, or makes an environment with it.
@@ -216,7 +216,7 @@ fn mitsuba() -> Outcome<PathBuf> {
 fn agreement_of_splats() -> Outcome {
     let python = mitsuba()?;
     let folder = tools::root().join("target/agreement-splats");
-    example("lumistack-splats", "agreement_splats", &[text(&folder)])?;
+    bench("lumistack-splats", "agreement", &[text(&folder)])?;
     tools::run(command(&python).arg(tools::root().join("xtask/bench/splats_mitsuba.py")).arg(&folder))
 }
 
@@ -224,7 +224,7 @@ fn agreement(samples: &str) -> Outcome {
     let python = mitsuba()?;
     let folder = tools::root().join("target/agreement");
     let words = [text(&folder), "--samples".into(), samples.into()];
-    example("lumistack-pathtracer", "agreement", &words)?;
+    bench("lumistack-pathtracer", "agreement", &words)?;
     tools::run(command(&python).arg(tools::root().join("xtask/bench/agreement.py")).arg(&folder))
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::tools::{self, Outcome, absolute, command, example, output_of, text};
+use crate::tools::{self, Outcome, absolute, bench, command, output_of, text};
 
 /// Programs with which the path tracer is compared, called peers. Each entry has the package for
 /// pip and the Python module. Mitsuba and Cycles also have a script that renders with them.
@@ -46,11 +46,11 @@ pub fn render(options: &[&str]) -> Option<Outcome> {
             for copies in ["1", COPIES] {
                 let mut words = vec!["rays".to_owned(), scene.clone(), "--copies".to_owned(), copies.to_owned()];
                 words.extend(embree.iter().flat_map(|library| ["--embree".to_owned(), text(library)]));
-                example("lumistack-pathtracer", "bench_render", &words)?;
+                bench("lumistack-pathtracer", "render", &words)?;
             }
             let folder = ["--folder".to_owned(), text(&tools::root().join("target/bench-render"))];
             let words = [vec!["view".to_owned(), scene.clone()], quick.clone(), folder.to_vec(), peers.clone()];
-            example("lumistack-pathtracer", "bench_render", &words.concat())?;
+            bench("lumistack-pathtracer", "render", &words.concat())?;
         }
         Ok(())
     };
@@ -75,7 +75,7 @@ pub fn agree(samples: &str) -> Outcome {
     let folder = text(&tools::root().join("target/agreement-views"));
     for scene in &scenes {
         let words = ["agree", scene, "--size", "280x175", "--reference", samples, "--folder", &folder];
-        example("lumistack-pathtracer", "bench_render", &[words.map(str::to_owned).to_vec(), peers.clone()].concat())?;
+        bench("lumistack-pathtracer", "render", &[words.map(str::to_owned).to_vec(), peers.clone()].concat())?;
     }
     Ok(())
 }
@@ -88,7 +88,7 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
         _ => return None,
     };
     let words = ["big", &scene, "--copies", MANY_COPIES].map(str::to_owned);
-    Some(example("lumistack-pathtracer", "bench_render", &words))
+    Some(bench("lumistack-pathtracer", "render", &words))
 }
 
 /// The measured light fields: number of views, viewing zone in degrees, and samples per pixel. The
@@ -113,11 +113,11 @@ pub fn field(options: &[&str]) -> Option<Outcome> {
             for (number, [views, fov, samples]) in FIELDS.into_iter().enumerate() {
                 let words = ["field", scene, "--views", views, "--fov", fov, "--samples", samples, "--size", "210x131"];
                 let words = words.map(str::to_owned);
-                example("lumistack-pathtracer", "bench_render", &words)?;
+                bench("lumistack-pathtracer", "render", &words)?;
                 if number == 0 {
                     for more in [&["--own-materials"][..], &["--copies", COPIES]] {
                         let more: Vec<String> = more.iter().map(|&word| word.to_owned()).collect();
-                        example("lumistack-pathtracer", "bench_render", &[words.to_vec(), more].concat())?;
+                        bench("lumistack-pathtracer", "render", &[words.to_vec(), more].concat())?;
                     }
                 }
             }
@@ -126,7 +126,7 @@ pub fn field(options: &[&str]) -> Option<Outcome> {
         for scene in &scenes {
             for materials in [&[][..], &["--own-materials".to_owned()]] {
                 let words = ["filters", scene, "--views", "5x5", "--fov", "20", "--size", "140x88"].map(str::to_owned);
-                example("lumistack-pathtracer", "bench_render", &[&words, materials].concat())?;
+                bench("lumistack-pathtracer", "render", &[&words, materials].concat())?;
             }
         }
         Ok(())

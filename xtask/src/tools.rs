@@ -317,6 +317,14 @@ pub fn example(package: &str, name: &str, arguments: &[String]) -> Outcome {
     cargo(&words)
 }
 
+/// Runs a benchmark of a package as a release build, in the package's folder. So paths in the
+/// arguments must be absolute.
+pub fn bench(package: &str, name: &str, arguments: &[String]) -> Outcome {
+    let mut words = vec!["bench", "--package", package, "--bench", name, "--"];
+    words.extend(arguments.iter().map(String::as_str));
+    cargo(&words)
+}
+
 /// Makes a path of the user absolute. Relative paths refer to the user's current folder.
 pub fn absolute(path: &str) -> String {
     std::path::absolute(path).map_or_else(|_| path.to_owned(), |path| text(&path))

@@ -11,7 +11,7 @@
 //!
 //! The paper's two Quadro cards computed about 10 updates a second.
 
-#[path = "../../factorizer/examples/bench_factorize/scene.rs"]
+#[path = "../../factorizer/benches/factorize/scene.rs"]
 mod scene;
 
 use std::error::Error;

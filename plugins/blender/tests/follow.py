@@ -7,8 +7,8 @@ import time
 
 from common import configure, disable, install
 
-#: The display of `case_live`: 160 × 100 pixels.
-LIVE_DISPLAY_SIZE = "[160, 100]"
+#: The display of `case_live`: 112 × 70 pixels.
+LIVE_DISPLAY_SIZE = "[112, 70]"
 #: Seconds without a new state after which the display counts as settled.
 LIVE_REST = 1.0
 #: Largest mean difference of two pictures of a settled display.

@@ -1,13 +1,10 @@
 use image::Luma;
 use lumistack_plugin::core::seed::Stream;
 use lumistack_plugin::display::Transfer;
+use lumistack_testkit::camera::Camera;
 
 use super::*;
 use crate::{Pattern, Place, Shows};
-
-#[path = "../../../../tests/common/camera.rs"]
-mod rendered;
-use rendered::Camera;
 
 const OUTPUT: [usize; 2] = [840, 525];
 const EYE: [f64; 3] = [12.0, -8.0, 2000.0];
@@ -48,7 +45,7 @@ fn photograph(
         if inside { f64::from(codes[4 * (row as usize * OUTPUT[0] + col as usize)]) } else { 0.0 }
     };
     let mut random = Stream::new(seed);
-    camera.photograph(display.layers[layer].d_mm, light, noise, || random.next_f32())
+    camera.photograph(display.layers[layer].d_mm, &light, noise, &mut || random.next_f32())
 }
 
 fn camera(turn: [f64; 3], bend: [f64; 2]) -> Camera {

@@ -28,7 +28,8 @@ const LEAST_CORRELATION: f64 = 0.8;
 const DESIGNS: usize = 40;
 
 fn main() -> ExitCode {
-    let words: Vec<String> = std::env::args().skip(1).collect();
+    // cargo adds `--bench`
+    let words: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let result = match words.as_slice() {
         // The function `killing` starts this program with these words as a child process, and kills

@@ -2,7 +2,7 @@
 //! and the scenes for another renderer.
 //!
 //! ```text
-//! cargo run --release -p lumistack-pathtracer --example agreement --
+//! cargo bench -p lumistack-pathtracer --bench agreement --
 //!     FOLDER [--batches N] [--samples N] [--size N]
 //! ```
 //!
@@ -80,7 +80,8 @@ struct Arguments {
 
 fn arguments() -> Result<Arguments, String> {
     let mut parsed = Arguments { folder: PathBuf::new(), batches: 32, samples: 64, size: 40 };
-    let mut words = std::env::args().skip(1);
+    // cargo adds `--bench`
+    let mut words = std::env::args().skip(1).filter(|word| word != "--bench");
     while let Some(word) = words.next() {
         let mut number = || words.next().and_then(|word| word.parse().ok()).ok_or(format!("{word} needs a number"));
         match word.as_str() {

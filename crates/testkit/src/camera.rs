@@ -2,7 +2,8 @@
 //! vignetting and noise.
 //!
 //! The model has only rays and planes. It has no homography, and shares no code with the
-//! calibration that reads the photographs.
+//! calibration that reads the photographs. Cargo optimizes this crate, but not the program of the
+//! end-to-end tests, in which the model would take most of a test's time.
 
 use image::{GrayImage, Luma};
 
@@ -55,9 +56,9 @@ impl Camera {
     pub fn photograph(
         &self,
         d_mm: f64,
-        light: impl Fn([f64; 2]) -> f64,
+        light: &dyn Fn([f64; 2]) -> f64,
         noise: f64,
-        mut uniform: impl FnMut() -> f32,
+        uniform: &mut dyn FnMut() -> f32,
     ) -> GrayImage {
         let seen = |px: [f64; 2]| {
             let ray = self.ray(px);

@@ -1,16 +1,16 @@
 //! Times the path tracer, and compares it with the renderers that the arguments name.
 //!
 //! ```text
-//! bench_render view SCENE [--quick] [--rounds N] [--samples N] [--reference N] [--size COLSxROWS]
-//!              [--folder FOLDER] [--peer PYTHON SCRIPT]...
-//! bench_render rays SCENE [--copies N] [--rounds N] [--size COLSxROWS] [--embree LIBRARY]
-//! bench_render agree SCENE [--reference N] [--size COLSxROWS] [--folder FOLDER]
-//!              [--peer PYTHON SCRIPT]...
-//! bench_render big SCENE [--copies N]
-//! bench_render field SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES]
-//!              [--samples N] [--size COLSxROWS]
-//! bench_render filters SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES]
-//!              [--size COLSxROWS]
+//! render view SCENE [--quick] [--rounds N] [--samples N] [--reference N] [--size COLSxROWS]
+//!        [--folder FOLDER] [--peer PYTHON SCRIPT]...
+//! render rays SCENE [--copies N] [--rounds N] [--size COLSxROWS] [--embree LIBRARY]
+//! render agree SCENE [--reference N] [--size COLSxROWS] [--folder FOLDER]
+//!        [--peer PYTHON SCRIPT]...
+//! render big SCENE [--copies N]
+//! render field SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES]
+//!        [--samples N] [--size COLSxROWS]
+//! render filters SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES]
+//!        [--size COLSxROWS]
 //! ```
 //!
 //! * `rays` counts rays per second of the tree alone.
@@ -70,7 +70,8 @@ struct Options {
 }
 
 fn main() -> ExitCode {
-    let words: Vec<String> = std::env::args().skip(1).collect();
+    // cargo adds `--bench`
+    let words: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
     let done = match words.first().map(String::as_str) {
         Some("view") => options(&words[1..]).and_then(|options| view(&options)),
         Some("rays") => options(&words[1..]).and_then(|options| {
@@ -88,7 +89,7 @@ fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("bench_render: {error}");
+            eprintln!("render: {error}");
             ExitCode::FAILURE
         }
     }

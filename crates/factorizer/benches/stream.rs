@@ -2,12 +2,12 @@
 //! 12 frames, one channel.
 //!
 //! ```text
-//! cargo run --release -p lumistack-factorizer --example stream --
-//!     [FOLDER [COLUMNS ROWS ITERATIONS]]
+//! cargo bench -p lumistack-factorizer --bench stream --
+//!     FOLDER [COLUMNS ROWS ITERATIONS]
 //! ```
 //!
-//! It prints an estimate of the memory, and writes a target of several textured planes to FOLDER
-//! (default `target/stream`). Then it factorizes the mapped target, and prints times, PSNR and
+//! It prints an estimate of the memory, and writes a target of several textured planes to FOLDER.
+//! Then it factorizes the mapped target, and prints times, PSNR and
 //! anonymous memory.
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "this program measures time and maps a file")]
 
@@ -32,8 +32,9 @@ impl AsRef<[u16]> for Halves {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let args: Vec<String> = std::env::args().skip(1).collect();
-    let folder = PathBuf::from(args.first().map_or("target/stream", String::as_str));
+    // cargo adds `--bench`
+    let args: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
+    let folder = PathBuf::from(args.first().ok_or("expected the argument FOLDER, found none")?);
     let number = |i: usize, default: usize| args.get(i).map_or(Ok(default), |text| text.parse());
     let (cols, rows, iterations) = (number(1, 3840)?, number(2, 2160)?, number(3, 3)?);
     // a display of 55 inches

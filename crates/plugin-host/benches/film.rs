@@ -4,7 +4,7 @@
 //! `transparencies`. The memory of each process is limited to less than a gigabyte, cached pages of
 //! files included, if the system permits it.
 //!
-//! `bench_film [COLUMNS ROWS] [FOLDER]`
+//! `cargo bench -p lumistack-plugin-host --bench film -- [COLUMNS ROWS] [FOLDER]`
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -27,7 +27,8 @@ const TILE: usize = 2048;
 const PITCH_MM: f64 = 25.4 / 1200.0;
 
 fn main() -> Outcome {
-    let words: Vec<String> = std::env::args().skip(1).collect();
+    // cargo adds `--bench`
+    let words: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     match words.as_slice() {
         ["patterns", size @ .., folder] => patterns(&display(size)?, Path::new(folder)),

@@ -2,7 +2,7 @@
 //! frames, β = 0.2, nearest sampling.
 //!
 //! ```text
-//! cargo run --release -p lumistack-factorizer --example bench_factorize --
+//! cargo bench -p lumistack-factorizer --bench factorize --
 //!     [--quick] [--rounds N] [--json FILE] [--folder DIR] [--peer PYTHON SCRIPT]...
 //! ```
 //!
@@ -59,7 +59,7 @@ fn main() -> ExitCode {
     match arguments().map_err(Into::into).and_then(|arguments| bench(&arguments)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("bench_factorize: {error}");
+            eprintln!("factorize: {error}");
             ExitCode::FAILURE
         }
     }
@@ -68,7 +68,8 @@ fn main() -> ExitCode {
 fn arguments() -> Result<Arguments, String> {
     let folder = std::env::temp_dir();
     let mut parsed = Arguments { resolution: [840, 525], rounds: 9, json: None, folder, peers: Vec::new() };
-    let mut words = std::env::args().skip(1);
+    // cargo adds `--bench`
+    let mut words = std::env::args().skip(1).filter(|word| word != "--bench");
     while let Some(word) = words.next() {
         let mut value = || words.next().ok_or(format!("{word} needs a value"));
         match word.as_str() {

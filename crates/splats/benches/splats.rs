@@ -2,7 +2,7 @@
 //! by a naive renderer.
 //!
 //! ```text
-//! cargo run --release -p lumistack-splats --example bench_splats \
+//! cargo bench -p lumistack-splats --bench splats --
 //!     [SPLATS] [VIEWS per axis] [DEGREE]
 //! ```
 
@@ -20,7 +20,9 @@ use rayon::prelude::*;
 const SAMPLED: usize = 5;
 
 fn main() {
-    let arguments: Vec<usize> = std::env::args().skip(1).map(|a| a.parse().expect("a number")).collect();
+    // cargo adds `--bench`
+    let words = std::env::args().skip(1).filter(|word| word != "--bench");
+    let arguments: Vec<usize> = words.map(|a| a.parse().expect("a number")).collect();
     let [count, views, degree] = [(0, 1_000_000), (1, 13), (2, 3)].map(|(i, d)| arguments.get(i).copied().unwrap_or(d));
     let scene = scene(count, degree);
     let grid = ViewGrid::uniform(Projection::Oblique, [views, views], [20.0, 20.0]).expect("a grid");

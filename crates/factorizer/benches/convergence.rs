@@ -2,7 +2,7 @@
 //! several numbers of iterations. Reference values stand below.
 //!
 //! ```text
-//! cargo run --release -p lumistack-factorizer --example bench_convergence --
+//! cargo bench -p lumistack-factorizer --bench convergence --
 //!     [--quick] [--json FILE]
 //! ```
 //!
@@ -10,7 +10,7 @@
 //! default is the folder `shared/lightfields` next to the workspace. A second light field is
 //! computed in closed form, so every machine has at least one. `--quick` stops after 50 iterations.
 
-#[path = "bench_factorize/scene.rs"]
+#[path = "factorize/scene.rs"]
 mod scene;
 
 use std::error::Error;
@@ -48,7 +48,8 @@ struct Group {
 type Outcome<T = ()> = Result<T, Box<dyn Error>>;
 
 fn main() -> ExitCode {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    // cargo adds `--bench`
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let (quick, json) = match arguments.as_slice() {
         [] => (false, None),
@@ -56,14 +57,14 @@ fn main() -> ExitCode {
         ["--json", file] => (false, Some(*file)),
         ["--quick", "--json", file] | ["--json", file, "--quick"] => (true, Some(*file)),
         _ => {
-            eprintln!("usage: bench_convergence [--quick] [--json FILE]");
+            eprintln!("usage: convergence [--quick] [--json FILE]");
             return ExitCode::from(2);
         }
     };
     match bench(quick, json) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("bench_convergence: {error}");
+            eprintln!("convergence: {error}");
             ExitCode::FAILURE
         }
     }

@@ -2,7 +2,7 @@
 //! through the same Gaussians with Mitsuba 3.
 //!
 //! ```text
-//! cargo run --release -p lumistack-splats --example agreement_splats FOLDER
+//! cargo bench -p lumistack-splats --bench agreement -- FOLDER
 //! ```
 //!
 //! Lengths are in millimetres of display space. `apart` has few wide splats behind one another:
