@@ -1,7 +1,7 @@
 //! Numbers as bytes.
 
 /// Appends each value as four little-endian bytes. The function exists because a caller may be
-/// compiled without optimization, which would make its own loop over many values slow.
+/// compiled without optimization, which would make the caller's own loop over many values slow.
 pub fn append(bytes: &mut Vec<u8>, values: &[f32]) {
     let start = bytes.len();
     bytes.resize(start + size_of_val(values), 0);

@@ -19,7 +19,7 @@ pub fn srgb_code(linear: f32) -> u8 {
     (srgb_encode(linear) * 255.0 + 0.5) as u8
 }
 
-/// Relative luminance of linear RGB with BT.709 primaries.
+/// Returns the relative luminance of linear RGB with BT.709 primaries.
 pub fn luminance(rgb: [f32; 3]) -> f32 {
     0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]
 }

@@ -42,7 +42,7 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
 }
 
 /// Translates serde's sentence about a value of a wrong type into terms of the file. `key` names
-/// the value, and its ending gives the unit (`pitch_mm`). Other sentences stay as they are.
+/// the value, and the key's ending gives the unit (`pitch_mm`). Other sentences stay as they are.
 pub fn plain(message: &str, key: &str) -> String {
     let kinds = ["invalid type: ", "invalid value: ", "invalid length "];
     let Some((kind, rest)) = kinds.iter().find_map(|kind| Some((*kind, message.strip_prefix(*kind)?))) else {
@@ -81,7 +81,7 @@ pub fn plain(message: &str, key: &str) -> String {
     format!("expected {expected}, found {found}{place}")
 }
 
-/// The name of a table in messages; empty for the top level.
+/// Returns the text that names a table in a message; empty for the top level.
 fn table_of(key: &str) -> String {
     if key.is_empty() { String::new() } else { format!(", [{key}]") }
 }
@@ -111,7 +111,7 @@ pub fn nearest_key(message: &str) -> Option<String> {
     nearest(unknown, names).map(String::from)
 }
 
-/// The candidate that is spelled most like `name`, if `name` is likely a typo of it.
+/// Returns the candidate that is spelled most like `name`; `None` if `name` is hardly a typo of it.
 pub fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .into_iter()

@@ -29,7 +29,7 @@ impl SquaredError {
         self.count += 1;
     }
 
-    /// Squared error between two slices of equal length.
+    /// Sums the squared differences of two slices of equal length.
     ///
     /// # Panics
     /// If the lengths differ.
@@ -47,13 +47,13 @@ impl SquaredError {
         Self { sum: self.sum + other.sum, count: self.count + other.count }
     }
 
-    /// Mean squared error; NaN when nothing was compared.
+    /// Returns the mean squared error; NaN if nothing was compared.
     pub fn mse(self) -> f64 {
         self.sum / self.count as f64
     }
 
-    /// Peak signal-to-noise ratio in dB for a peak of 1: infinite for equal images, NaN when
-    /// nothing was compared.
+    /// Returns the peak signal-to-noise ratio in dB for a peak of 1: infinite for equal images, NaN
+    /// if nothing was compared.
     pub fn psnr(self) -> f64 {
         -10.0 * self.mse().log10()
     }
@@ -74,7 +74,7 @@ impl Mean {
         Self { sum: self.sum + other.sum, count: self.count + other.count }
     }
 
-    /// The mean; NaN if there are no values.
+    /// Returns the mean; NaN if there are no values.
     pub fn value(self) -> f64 {
         self.sum / self.count as f64
     }
@@ -94,13 +94,14 @@ pub struct MetricMap {
 }
 
 impl MetricMap {
-    /// The metric of the whole picture, which is the mean over all pixels inside the margin.
+    /// Returns the metric of the whole picture: the mean over all pixels inside the margin.
     pub fn mean(&self) -> Mean {
         self.mean_where(|_| true)
     }
 
-    /// Mean over the pixels for which `counts` returns true. The function `counts` receives a
-    /// pixel's index in `values`. Pixels of the border, which is `margin` wide, are never included.
+    /// Returns the mean over the pixels for which `counts` returns true. The function `counts`
+    /// receives a pixel's index in `values`. Pixels of the border, which is `margin` wide, are
+    /// never included.
     pub fn mean_where(&self, counts: impl Fn(usize) -> bool) -> Mean {
         let mut mean = Mean::default();
         for row in self.margin..self.rows.saturating_sub(self.margin) {
@@ -116,8 +117,8 @@ impl MetricMap {
     }
 }
 
-/// The value below which the fraction `share` (0..1) of the values lies; 0 if there are no values.
-/// Reorders the slice.
+/// Returns the value below which the fraction `share` (0..1) of the values lies; 0 if there are no
+/// values. Reorders the slice.
 pub fn percentile(values: &mut [f32], share: f64) -> f32 {
     if values.is_empty() {
         return 0.0;

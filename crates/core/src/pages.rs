@@ -148,7 +148,7 @@ impl<T: Plain> Array<T> {
         }
     }
 
-    /// As [`all`](Self::all), writable.
+    /// Returns the same as [`all`](Self::all), with writable values.
     pub fn all_mut(&mut self) -> (&mut [T], Option<&Window>) {
         match self {
             Self::Held(values) => (values, None),

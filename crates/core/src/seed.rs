@@ -17,7 +17,7 @@ pub fn mix(mut z: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// Uniform number in [0, 1) from the upper 24 bits of a hash.
+/// Returns a uniform number in [0, 1) from the upper 24 bits of a hash.
 #[inline]
 pub fn unit_f32(hash: u64) -> f32 {
     (hash >> 40) as f32 * (1.0 / (1u64 << 24) as f32)
@@ -39,14 +39,14 @@ impl Stream {
         Self(self.0.wrapping_add(numbers.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
     }
 
-    /// Next 64 bits.
+    /// Returns the next 64 bits.
     pub fn next_u64(&mut self) -> u64 {
         let value = mix(self.0);
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         value
     }
 
-    /// Next number in [0, 1).
+    /// Returns the next number in [0, 1).
     pub fn next_f32(&mut self) -> f32 {
         unit_f32(self.next_u64())
     }

@@ -7,11 +7,13 @@ use thiserror::Error;
 
 /// Receives progress of named stages. Calls may come from any thread.
 pub trait Progress: Sync {
-    /// A stage starts; `total` is its number of steps of kind `unit` ("views", "iterations").
+    /// Reports that a stage starts. `total` is the number of the stage's steps, of the kind `unit`
+    /// ("views", "iterations").
     fn begin(&self, stage: &str, total: u64, unit: &str);
-    /// Some steps of the stage are done; `note` is a short text beside the progress bar, or empty.
+    /// Reports that further `steps` of the stage are done. `note` is a short text beside the
+    /// progress bar, or empty.
     fn advance(&self, steps: u64, note: &str);
-    /// The stage has ended.
+    /// Reports that the stage has ended.
     fn end(&self);
 }
 
@@ -35,7 +37,7 @@ impl Cancel {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// True if a stop was requested.
+    /// Returns true if a stop was requested.
     pub fn is_cancelled(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
@@ -107,7 +109,7 @@ pub struct Task<'a> {
 }
 
 impl<'a> Task<'a> {
-    /// A task without progress display, for tests and short work.
+    /// Returns a task without progress display, for tests and short work.
     pub fn quiet(warnings: &'a Collector, cancel: &'a Cancel) -> Self {
         Self { progress: &NoProgress, warnings, cancel }
     }

@@ -9,8 +9,8 @@ use thiserror::Error;
 
 use crate::pages::{Storage, Window};
 
-/// Dense row-major tensor of order `N`; the last axis is contiguous. It owns its values, or they
-/// are [lent](Tensor::lent) by their owner.
+/// Dense row-major tensor of order `N`; the last axis is contiguous. The tensor owns its values, or
+/// another owner has [lent](Tensor::lent) them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tensor<const N: usize> {
     axes: [&'static str; N],
@@ -23,16 +23,16 @@ pub type Lender = Arc<dyn Lend>;
 
 /// The owner of lent values.
 pub trait Lend: Send + Sync {
-    /// All values, row-major.
+    /// Returns all values, row-major.
     fn values(&self) -> &[f32];
 
-    /// The window that limits the bytes in memory, if the values are in a file.
+    /// Returns the window that limits the bytes in memory, if the values are in a file.
     fn window(&self) -> Option<&Window> {
         None
     }
 
-    /// The storage that creates arrays of similar size in files, if the values themselves are in a
-    /// file.
+    /// Returns the storage that creates arrays of similar size in files, if the values themselves
+    /// are in a file.
     fn storage(&self) -> Option<&Storage> {
         None
     }
@@ -83,7 +83,7 @@ pub struct ShapeError {
 }
 
 impl<const N: usize> Tensor<N> {
-    /// Tensor filled with one value.
+    /// Makes a tensor filled with one value.
     ///
     /// # Panics
     /// If the number of elements overflows `usize`; check untrusted shapes with
@@ -93,7 +93,7 @@ impl<const N: usize> Tensor<N> {
         Self { axes, shape, data: Values::Own(vec![value; count]) }
     }
 
-    /// Tensor of zeros.
+    /// Makes a tensor of zeros.
     pub fn zeros(axes: [&'static str; N], shape: [usize; N]) -> Self {
         Self::filled(axes, shape, 0.0)
     }
@@ -129,7 +129,7 @@ impl<const N: usize> Tensor<N> {
         }
     }
 
-    /// Number of elements of a shape; `None` when it overflows.
+    /// Returns the number of elements of a shape; `None` if the number overflows.
     pub fn element_count(shape: [usize; N]) -> Option<usize> {
         shape.iter().try_fold(1usize, |product, &n| product.checked_mul(n))
     }
@@ -144,7 +144,7 @@ impl<const N: usize> Tensor<N> {
         self.shape
     }
 
-    /// All values, row-major.
+    /// Returns all values, row-major.
     #[inline]
     pub fn data(&self) -> &[f32] {
         self.data.as_slice()
@@ -160,8 +160,8 @@ impl<const N: usize> Tensor<N> {
         &self.data()[range]
     }
 
-    /// The storage that creates arrays of similar size in files, if the values themselves are in a
-    /// file.
+    /// Returns the storage that creates arrays of similar size in files, if the values themselves
+    /// are in a file.
     pub fn storage(&self) -> Option<&Storage> {
         self.lender()?.storage()
     }
@@ -174,7 +174,7 @@ impl<const N: usize> Tensor<N> {
         }
     }
 
-    /// All values, row-major, writable.
+    /// Returns all values, row-major, writable.
     pub fn data_mut(&mut self) -> &mut [f32] {
         if let Values::Lent(lender) = &self.data {
             self.data = Values::Own(lender.values().to_vec());
@@ -193,7 +193,7 @@ impl<const N: usize> Tensor<N> {
         }
     }
 
-    /// Offset of an element in [`data`](Self::data).
+    /// Returns the offset of an element in [`data`](Self::data).
     #[inline]
     pub fn offset(&self, index: [usize; N]) -> usize {
         let mut offset = 0;
@@ -204,26 +204,26 @@ impl<const N: usize> Tensor<N> {
         offset
     }
 
-    /// One value.
+    /// Returns one value.
     #[inline]
     pub fn get(&self, index: [usize; N]) -> f32 {
         self.data()[self.offset(index)]
     }
 
-    /// One value, writable.
+    /// Returns one value, writable.
     #[inline]
     pub fn at_mut(&mut self, index: [usize; N]) -> &mut f32 {
         let offset = self.offset(index);
         &mut self.data_mut()[offset]
     }
 
-    /// The contiguous block under the first `K` indices: `tensor.block([m, n])` of a tensor of
-    /// order 5 is a slice that holds the last three axes.
+    /// Returns the contiguous block under the first `K` indices: `tensor.block([m, n])` of a tensor
+    /// of order 5 is a slice that holds the last three axes.
     pub fn block<const K: usize>(&self, outer: [usize; K]) -> &[f32] {
         self.part(self.block_range(outer))
     }
 
-    /// Writable form of [`block`](Self::block).
+    /// Returns the same as [`block`](Self::block), with writable values.
     pub fn block_mut<const K: usize>(&mut self, outer: [usize; K]) -> &mut [f32] {
         let range = self.block_range(outer);
         &mut self.data_mut()[range]

@@ -85,7 +85,7 @@ impl ToneCurve {
     pub const ALL: [(&'static str, Self); 3] =
         [("linear", Self::Linear), ("khronos-neutral", Self::KhronosNeutral), ("agx", Self::Agx)];
 
-    /// The curve's name in job files.
+    /// Returns the curve's name in job files.
     pub fn name(self) -> &'static str {
         Self::ALL.iter().find(|(_, curve)| *curve == self).map_or("", |(name, _)| name)
     }
@@ -102,7 +102,7 @@ impl ToneCurve {
         shown.map(|value| value.clamp(0.0, 1.0))
     }
 
-    /// Exposed radiance of the grey that is shown as `level`, 0 < `level` < 1.
+    /// Returns the exposed radiance of the grey that is shown as `level`, 0 < `level` < 1.
     pub fn grey_shown_as(self, level: f32) -> f32 {
         let (mut low, mut high) = (0.0f32, 1e4f32);
         // bisection finds the level, since the curves are monotone on greys
@@ -140,13 +140,14 @@ fn times(matrix: &Matrix, [r, g, b]: [f32; 3]) -> [f32; 3] {
     matrix.map(|row| row[0] * r + row[1] * g + row[2] * b)
 }
 
-/// Position of a value in AgX's range of stops, 0..1.
+/// Returns the position of a value in AgX's range of stops, 0..1.
 fn stops(value: f32) -> f32 {
     (((value.max(1e-10) / MIDDLE_GREY).log2() - STOPS[0]) / (STOPS[1] - STOPS[0])).clamp(0.0, 1.0)
 }
 
-/// AgX's sigmoid. Its slope at middle grey (x₀, y₀) is SLOPE. On each side of x₀, s is chosen so
-/// that the end of the range keeps its value, 0 or 1:
+/// Computes AgX's sigmoid at `x`, a position in the range of stops, 0..1. The slope at middle grey
+/// (x₀, y₀) is SLOPE. On each side of x₀, s is chosen so that the end of the range keeps its value,
+/// 0 or 1:
 ///
 /// ```text
 /// s·h(SLOPE (x − x₀)/s) + y₀,   h(t) = t/(1 + |t|^POWER)^(1/POWER)
@@ -175,7 +176,7 @@ fn with_hue_of(rgb: [f32; 3], before: [f32; 3]) -> [f32; 3] {
     })
 }
 
-/// Hue in sextants, 0..6 from red through green and blue; `None` for a grey.
+/// Returns the hue in sextants, 0..6 from red through green and blue; `None` for a grey.
 fn hue([r, g, b]: [f32; 3]) -> Option<f32> {
     let (low, high) = (r.min(g).min(b), r.max(g).max(b));
     let range = high - low;

@@ -44,7 +44,8 @@ fn the_reference_tools_give_the_figures_that_are_written_down() {
     }
 }
 
-/// Compares one pair of pictures; `map` is the reference's whole FLIP map.
+/// Compares one pair of pictures; `map` is the reference tool's FLIP map of the whole picture, if
+/// the tool runs.
 fn check(case: &Value, map: Option<Vec<f32>>) {
     let name = case["name"].as_str().unwrap();
     let shape = [0, 1].map(|axis| case["shape"][axis].as_u64().unwrap() as usize);

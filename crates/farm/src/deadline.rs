@@ -1,6 +1,6 @@
-//! Deadline 10: a job per group with the plugin CommandLine, and a script that submits the jobs in
-//! order. A job lists the ids of the jobs that it depends on. Deadline returns an id only when it
-//! receives a job, so the exported files cannot contain the ids.
+//! Deadline 10: one job per group of units, with the plugin CommandLine, and a script that submits
+//! the jobs in order. A job lists the ids of the jobs that it depends on. Deadline returns an id
+//! only when it receives a job, so the exported files cannot contain the ids.
 
 use std::fmt::Write;
 

@@ -10,9 +10,9 @@ use serde::{Deserialize, Serialize};
 pub enum Kind {
     /// The display's place in the scene.
     Place,
-    /// A block of the views of a light field.
+    /// One of the blocks into which the views of a light field are divided.
     Views,
-    /// A block of the scene's pictures for the zone score.
+    /// One of the blocks into which the scene's pictures for the zone score are divided.
     Score,
     /// A light field, made of its views, a file or a source.
     Field,
@@ -110,7 +110,8 @@ impl Group<'_> {
         self.units.iter().map(|unit| unit.memory_bytes).max().unwrap_or(0)
     }
 
-    /// Returns the id of a unit, with a placeholder for the number of the block.
+    /// Returns the id of a unit of this group. If the units are blocks, `number` stands for the
+    /// number of the block.
     pub(crate) fn id_with(&self, number: &str) -> String {
         match self.units[0].block {
             Some([_, count]) => format!("{}/{number}-of-{count}", self.name),

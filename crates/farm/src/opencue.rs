@@ -1,4 +1,5 @@
-//! OpenCue: a Python script for PyOutline, a layer per group and a frame per unit.
+//! OpenCue: a Python script for PyOutline. The script has an OpenCue layer per group of units, and
+//! an OpenCue frame per unit.
 
 use std::fmt::Write;
 

@@ -1,4 +1,4 @@
-//! Open Job Description, 2023-09: a step per group, a task per unit.
+//! Open Job Description, 2023-09: a step per group of units, a task per unit.
 
 use serde_json::{Value, json};
 

@@ -40,7 +40,7 @@ pub fn open(path: &Path) -> io::Result<File> {
     system::open(path)
 }
 
-/// Length of an open file, bytes.
+/// Returns the length of an open file, bytes.
 ///
 /// # Errors
 /// When the system refuses.
@@ -61,7 +61,7 @@ pub fn is_folder(path: &Path) -> io::Result<bool> {
     system::is_folder(path)
 }
 
-/// Paths of all entries of a folder, sorted.
+/// Returns the paths of all entries of a folder, sorted.
 ///
 /// # Errors
 /// If the folder cannot be listed.

@@ -19,7 +19,7 @@ pub fn hold(files: impl IntoIterator<Item = (String, Vec<u8>)>) {
     FILES.set(files);
 }
 
-/// The path without `.` and `..`. A path that leads out of all folders stays as it is.
+/// Returns the path without `.` and `..`. A path that leads out of all folders stays as it is.
 pub(crate) fn plain(path: &Path) -> PathBuf {
     let mut plain = PathBuf::new();
     for part in path.components() {

@@ -250,15 +250,15 @@ pub fn moved(stack: &LayerStack, flows: &[Flow], fresh: &LayerStack) -> LayerSta
 }
 
 impl Flow {
-    /// Fraction of a region's pixels whose values enter across the border, 0..1.
+    /// Returns the fraction of a region's pixels whose values enter across the border, 0..1.
     pub(crate) fn new_share(&self, region: &Region) -> f64 {
         let pixels = region.rows.clone().flat_map(|row| region.cols.clone().map(move |col| [row, col]));
         let new = pixels.filter(|[row, col]| self.source(*row, *col).is_none()).count();
         new as f64 / (region.rows.len() * region.cols.len()).max(1) as f64
     }
 
-    /// Index of the pixel from which a pixel takes its value; `None` if this source is outside the
-    /// border.
+    /// Returns the index of the pixel from which a pixel takes its value; `None` if this source is
+    /// outside the border.
     fn source(&self, row: usize, col: usize) -> Option<usize> {
         let [right, down] = self.at(row, col);
         let back =

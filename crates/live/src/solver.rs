@@ -190,8 +190,8 @@ fn with_border(
         let tiles: Vec<Tile> = (0..tiling.count()).map(|number| tiling.tile(number)).collect();
         let is_new = |tile: &&Tile| tile.parts.iter().zip(flows).any(|(part, flow)| flow.new_share(&part.own) > NEW);
         let new: Vec<&Tile> = tiles.iter().filter(is_new).collect();
-        // If content has entered more than half of the strips, leave them out, since they would
-        // cost as much as the whole display.
+        // If content has entered more than half of the strips, do not solve strips, since the
+        // strips would cost as much as the whole display.
         if 2 * new.len() > tiles.len() {
             continue;
         }

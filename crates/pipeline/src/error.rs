@@ -278,12 +278,12 @@ impl PipelineError {
         Self::Command(Box::new(error))
     }
 
-    /// True if the error comes from this machine, so that another machine may succeed.
+    /// Returns true if the error comes from this machine, so that another machine may succeed.
     pub fn is_machine_specific(&self) -> bool {
         matches!(self, Self::NoFarmPlan { .. } | Self::OtherCode { .. })
     }
 
-    /// True if the storage failed: no space, read-only, or disconnected.
+    /// Returns true if the storage failed: no space, read-only, or disconnected.
     pub fn is_storage_failure(&self) -> bool {
         use std::io::ErrorKind;
         let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(self);

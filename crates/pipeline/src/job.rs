@@ -304,14 +304,15 @@ impl Job {
         }
     }
 
-    /// Returns whether noisy pixels of the views get
-    /// [further paths](lumistack_pathtracer::Settings::further_paths). The solver of a display that
-    /// chooses its views averages the noise that these remove. Fixed views may be seen one by one.
+    /// Returns whether noisy pixels of the views get [further
+    /// paths](lumistack_pathtracer::Settings::further_paths). If a display chooses its views, the
+    /// solver averages the noise that further paths would remove. Fixed views may be seen one by
+    /// one.
     pub(crate) fn has_further_paths(&self, display: &Display) -> bool {
         self.denoise_for(display) == Denoise::Shared && matches!(display.field.views, Views::Fixed(_))
     }
 
-    /// True if Blender may render the views, which takes minutes per view.
+    /// Returns true if Blender may render the views, which takes minutes per view.
     fn may_render_in_blender(&self) -> bool {
         let is_file = self.scene.as_deref().is_some_and(is_blend);
         self.render.engine == Engine::Blender || is_file && self.render.engine == Engine::Auto
@@ -460,7 +461,7 @@ impl Job {
     }
 }
 
-/// True if a text is a valid folder name on every system.
+/// Returns true if a text is a valid folder name on every system.
 fn is_folder_name(name: &str) -> bool {
     !name.is_empty() && name.len() <= 100 && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
 }

@@ -17,19 +17,19 @@ pub(crate) enum Reader {
     Plugin(String),
 }
 
-/// True if a file has an extension of USD.
+/// Returns true if a file has an extension of USD.
 pub fn is_usd(path: &Path) -> bool {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     lumistack_usd::EXTENSIONS.contains(&extension.as_str())
 }
 
-/// True if a file has the name of a capture, which contains only Gaussian splats.
+/// Returns true if a file has the name of a capture, which contains only Gaussian splats.
 pub(crate) fn is_capture(path: &Path) -> bool {
     let has = |known: &&str| path.extension().is_some_and(|found| found.eq_ignore_ascii_case(known));
     ["ply", "spz", "sog"].iter().any(has) || path.file_name().is_some_and(|name| name == "meta.json")
 }
 
-/// True if a file has the extension of Blender's files.
+/// Returns true if a file has the extension of Blender's files.
 pub fn is_blend(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(lumistack_usd::BLEND_EXTENSION))
 }

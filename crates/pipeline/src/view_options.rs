@@ -112,12 +112,12 @@ impl FromStr for ViewSelection {
 }
 
 impl ViewOptions {
-    /// True if the variance is requested.
+    /// Returns true if the variance is requested.
     pub(crate) fn variance(&self) -> bool {
         self.channels.contains(&ExtraChannel::Variance)
     }
 
-    /// True if channels of the first hits are requested.
+    /// Returns true if channels of the first hits are requested.
     pub(crate) fn surfaces(&self) -> bool {
         self.channels.iter().any(|channel| *channel != ExtraChannel::Variance)
     }

@@ -51,19 +51,20 @@ impl Depths {
         probe(geometry, geometry.grid.clone(), MOST_COLS)
     }
 
-    /// Depths of one view, `[row][col]`.
+    /// Returns the depths of one view, `[row][col]`.
     pub fn view(&self, [y, x]: [usize; 2]) -> &[f32] {
         let size = self.geometry.rows * self.geometry.cols;
         &self.z_mm[(y * self.geometry.grid.views()[1] + x) * size..][..size]
     }
 
-    /// Fraction of a view's pixels that show a surface, 0..1.
+    /// Returns the fraction of a view's pixels that show a surface, 0..1.
     pub fn coverage(&self, view: [usize; 2]) -> f64 {
         let depth = self.view(view);
         depth.iter().filter(|z| z.is_finite()).count() as f64 / depth.len() as f64
     }
 
-    /// Depths of the middle view as the display shows them, scaled by the placement's depth scale.
+    /// Returns the depths of the middle view as the display shows them, scaled by the placement's
+    /// depth scale.
     pub fn seen(&self, placement: &Placement) -> SeenDepth {
         let grid = &self.geometry.grid;
         let shown = |z: &f32| grid.projection.scaled_depth(f64::from(*z), placement.depth_scale) as f32;

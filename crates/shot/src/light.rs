@@ -43,7 +43,7 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
         return Ok(None);
     }
     // Replace opaque materials by clay, which keeps their emission. So scenes that differ in the
-    // reflectance of opaque surfaces get the same answer.
+    // reflectance of opaque surfaces get the same result.
     let scene = &Arc::new(edited::<ShotError>((**scene).clone(), task, |parts| {
         parts.materials.iter_mut().for_each(to_clay);
         Ok(())
@@ -216,7 +216,7 @@ mod tests {
     use lumistack_core::{Cancel, Collector};
     use lumistack_scene::{Instance, Mesh};
 
-    /// A floor of some material below a glowing panel, seen from above.
+    /// Returns a scene of a floor below a glowing panel, seen from above.
     fn room(floor: Material) -> Arc<Scene> {
         let square = |height: f32, half: f32, material: usize| Mesh {
             place: format!("/{material}"),

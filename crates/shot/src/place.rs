@@ -155,7 +155,8 @@ pub fn place<S: Subject>(
 }
 
 /// Returns the z in front of the window up to which the display shows [`LEAST_DETAIL`] of its
-/// pixels' detail, mm. Returns `None` if it shows detail on its plane alone, or at any z.
+/// pixels' detail, mm. Returns `None` if the display shows this detail only on the display plane,
+/// or at every z.
 fn farthest_shown(display: &Display, pitch_mm: f64) -> Option<f64> {
     let [_, far] = display.depths_shown(LEAST_DETAIL * 0.5 / pitch_mm)?;
     (far > 0.0 && far.is_finite()).then_some(far)
@@ -217,7 +218,7 @@ fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale
         let inside = depths.partition_point(|z| shown(*z, by, scale) <= high) - below;
         inside as f64 / depths.len() as f64
     };
-    // distance between the middle of the shown ends and the middle of the depth of field
+    // twice the distance between two middles: of the shown quantiles, and of the depth of field
     let uneven = |by: f64| {
         let scale = scale_at(by);
         (ends.map(|end| shown(end, by, scale)).into_iter().sum::<f64>() - (low + high)).abs()

@@ -20,7 +20,8 @@ use rayon::prelude::*;
 
 use crate::error::ShotError;
 
-/// Number of rays per pixel and axis that find the surface that hides splats behind it.
+/// Number of rays along each axis of a pixel. They find the surface that hides the splats behind
+/// it.
 const CUTS: usize = 2;
 
 /// A scene prepared for rendering.
@@ -166,7 +167,7 @@ impl SceneRenderer {
     }
 }
 
-/// Slopes (s_x, s_y) of the views [y, x] of a geometry's grid.
+/// Returns the slopes (s_x, s_y) of the views [y, x] of a geometry's grid.
 pub fn slopes(geometry: &FieldGeometry, views: &[[usize; 2]]) -> Vec<[f64; 2]> {
     let grid = &geometry.grid;
     views.iter().map(|[y, x]| [grid.slope_x[*x], grid.slope_y[*y]]).collect()

@@ -13,10 +13,10 @@ pub trait Subject {
     /// Errors of the implementation, in addition to those of a shot.
     type Error: From<ShotError> + From<Cancelled>;
 
-    /// The lit scene in front of which a display is placed.
+    /// Returns the lit scene in front of which a display is placed.
     fn scene(&self) -> &Scene;
 
-    /// The scene prepared for rendering; prepared at the first call.
+    /// Returns the scene prepared for rendering. The first call prepares it.
     ///
     /// # Errors
     /// If the scene cannot be rendered, or the task was cancelled.

@@ -72,8 +72,8 @@ impl ToneMapping {
         }
     }
 
-    /// Exposure and tone curve that the job sets for a given light field. `None` if it sets
-    /// neither, so the light field stays unchanged.
+    /// Returns the exposure and tone curve that the job sets for a given light field. `None` if the
+    /// job sets neither, so the light field stays unchanged.
     pub fn of_given(job: &LightJob) -> Option<Self> {
         let curve = match job.tone {
             Tone::Auto if job.exposure_ev == 0.0 => return None,

@@ -38,8 +38,8 @@ pub(super) fn bands(rows: usize) -> impl Iterator<Item = Range<usize>> {
     (0..rows).step_by(BAND).map(move |start| start..(start + BAND).min(rows))
 }
 
-/// The three channels of a band of a picture `[row][col][rgb]`, with `halo` rows above and below.
-/// `change` converts each value.
+/// Returns the three channels of a band of a picture `[row][col][rgb]`, with `halo` rows above and
+/// below. `change` converts each value.
 pub(super) fn channels<T: Real>(
     rgb: &[f32],
     shape: [usize; 2],
@@ -97,9 +97,9 @@ impl<T: Real> Plane<T> {
 }
 
 impl Border {
-    /// Index of the value that a filter reads at position `i` of a line, which is a row or a
-    /// column. The line's `count` ≥ 1 values take the positions from `radius` on. Other positions
-    /// read the value that the border's rule selects.
+    /// Returns the index of the value that a filter reads at position `i` of a line, which is a row
+    /// or a column. The line's `count` ≥ 1 values take the positions from `radius` on. Other
+    /// positions read the value that the border's rule selects.
     fn index(self, i: usize, radius: usize, count: usize) -> usize {
         match self {
             Self::Nearest => i.saturating_sub(radius).min(count - 1),
@@ -113,7 +113,8 @@ impl Border {
     }
 }
 
-/// out[x] = Σ_k weights[k] · taps[k][x], in blocks whose sums stay in registers.
+/// Computes out[x] = Σ_k weights[k] · taps[k][x]. It works in blocks of x, whose sums stay in
+/// registers.
 fn weighted_sum<T: Real>(taps: &[&[T]], weights: &[T], out: &mut [T]) {
     const BLOCK: usize = 16;
     let whole = out.len() / BLOCK * BLOCK;

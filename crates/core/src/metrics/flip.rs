@@ -108,8 +108,8 @@ impl Flip {
         }
     }
 
-    /// FLIP at every pixel of two pictures `[row][col][rgb]` of linear light; `shape` = [rows,
-    /// cols].
+    /// Computes FLIP at every pixel of two pictures `[row][col][rgb]` of linear light; `shape` =
+    /// [rows, cols].
     ///
     /// # Panics
     /// If a picture does not fill the shape.
@@ -161,8 +161,8 @@ impl Flip {
     }
 }
 
-/// A Gaussian, its first and its second derivative. The positive weights of a derivative sum to 1,
-/// the negative ones to −1.
+/// Returns the weights of a Gaussian, of its first derivative and of its second derivative. The
+/// positive weights of a derivative sum to 1, the negative ones to −1.
 fn feature_filters(deviation_px: f64) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
     let radius = (3.0 * deviation_px).ceil() as i64;
     let offsets: Vec<f64> = (-radius..=radius).map(|i| i as f64).collect();
@@ -252,7 +252,7 @@ fn transform(matrix: &[[f32; 3]; 3], v: [f32; 3]) -> [f32; 3] {
     matrix.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
 }
 
-/// Inverse of a 3 × 3 matrix, by cofactors.
+/// Inverts a 3 × 3 matrix by cofactors.
 fn inverse(m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
     let cofactor = |r: usize, c: usize| {
         let (r1, r2, c1, c2) = ((r + 1) % 3, (r + 2) % 3, (c + 1) % 3, (c + 2) % 3);

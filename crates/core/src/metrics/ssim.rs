@@ -31,8 +31,8 @@ const RADIUS: usize = 5;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// SSIM at every pixel of two pictures `[row][col][rgb]` of linear light; `shape` = [rows, cols].
-/// It is 1 where the pictures are equal.
+/// Computes SSIM at every pixel of two pictures `[row][col][rgb]` of linear light; `shape` = [rows,
+/// cols]. SSIM is 1 where the pictures are equal.
 ///
 /// # Panics
 /// If a picture does not fill the shape.
@@ -63,7 +63,7 @@ pub fn ssim(first: &[f32], second: &[f32], shape: [usize; 2]) -> MetricMap {
     MetricMap { rows, cols, values, margin }
 }
 
-/// Weights of the window along one axis; they sum to 1.
+/// Returns the weights of the window along one axis; they sum to 1.
 fn window() -> [f64; 2 * RADIUS + 1] {
     let weight = |i: usize| (-0.5 * ((i as f64 - RADIUS as f64) / SIGMA).powi(2)).exp();
     let sum: f64 = (0..=2 * RADIUS).map(weight).sum();

@@ -104,7 +104,7 @@ impl FactorizeJob {
     }
 
     /// Refuses a graphics processor that the job names, for a task that only the processor can do.
-    /// `task` begins the error's text; an example is "tiles are solved".
+    /// The error's text contains `task`, for example "tiles are solved".
     ///
     /// # Errors
     /// If the job names a graphics processor.

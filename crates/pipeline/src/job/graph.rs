@@ -110,7 +110,7 @@ impl OutputJob {
         Self { plugin: plugin.into(), name: None, from: None, params: serde_json::Map::new() }
     }
 
-    /// True if the input is the light field, not patterns.
+    /// Returns true if the input is the light field, not patterns.
     pub(crate) fn takes_light_field(&self) -> bool {
         self.from.as_deref() == Some(Self::LIGHT_FIELD)
     }

@@ -5,8 +5,8 @@
 //! result: mean of all paths so far ─▶ light shared between views ─▶ splats in front
 //! ```
 //!
-//! The first pass traces one path per pixel and view. With light shared between n views, its noise
-//! is about the noise of n paths per pixel.
+//! The first pass traces one path per pixel and view. If n views share light, the noise of this
+//! pass is about the noise of n paths per pixel.
 
 use lumistack_core::{Task, Tensor};
 use lumistack_display::LightField;
@@ -19,7 +19,8 @@ use crate::error::{PipelineError, render_error};
 use crate::job::{Background, Denoise};
 use crate::stage::fields::{FieldJob, Shot};
 
-/// Paths per pixel that measure the fraction of a pixel where the background is visible.
+/// Number of paths per pixel that measure the fraction of the pixel in which the background is
+/// visible.
 const MISSED_SAMPLES: u32 = 4;
 /// Indices, among the values of a pixel of a [`SplitView`], of the hit surface's normal (three
 /// values) and depth (one value). These values are 0 without a hit.

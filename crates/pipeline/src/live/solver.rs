@@ -40,8 +40,8 @@ impl LiveSolver {
         let settings = solver_settings(&job.factorize, job.seed)?;
         let device = &job.factorize.device;
         // The search for graphics processors takes longer than a step, so `auto` searches only
-        // once. A device that the job names is open already, unless it failed, so `of` takes no
-        // time for this device.
+        // once. A device that the job names is open already, unless it failed, so
+        // `SolverDevice::of` returns it at once.
         if device != "auto" || self.device != "auto" {
             self.site = SolverDevice::of(device)?;
             self.device.clone_from(device);

@@ -234,7 +234,7 @@ fn add_files(key: &mut KeyBuilder, path: &Path) -> Option<()> {
     })
 }
 
-/// True if the run folder has the unchanged files of a result.
+/// Returns true if the run folder has the unchanged files of a result.
 fn is_there(plan: &Plan, index: usize) -> bool {
     let step = &plan.steps[index];
     let dir = plan.folder.join(&step.folder);
@@ -274,8 +274,8 @@ struct Sizes {
     memory: Memory,
 }
 
-/// Memory that is used at the same time, bytes. A light field in a mapped file counts only by the
-/// part of it that is in memory.
+/// Memory of the data of a part, by kind, bytes. A light field in a mapped file counts only by its
+/// bytes that are in memory.
 struct Memory {
     /// Memory of the light fields: the target, and the light fields for the report.
     fields: f64,
@@ -448,8 +448,8 @@ const EXPOSURE: f64 = (64 << 20) as f64;
 const PROGRAM: f64 = (80 << 20) as f64;
 /// Number of views that one thread has in memory at a time.
 const VIEWS_IN_WORK: f64 = 8.0;
-/// Largest number of values per pixel of a view while it gets further paths: the values of its own
-/// paths, of the further paths, and of both together.
+/// Largest number of values per pixel of a view while the view gets further paths. These are the
+/// values of its first paths, of the further paths, and of all paths together.
 const FURTHER_VALUES: f64 = 64.0;
 
 /// Returns an upper bound of the memory of a job's run, bytes; `None` if its display or its light
@@ -476,8 +476,9 @@ fn memory(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> u64 {
     sizes[step.part].as_ref().map_or(0, |sizes| bytes(step.kind, job, sizes))
 }
 
-/// Returns an upper bound of the memory of a step, bytes. Only the memory of three things is
-/// estimated: the search tree over a scene, a plugin's own data, and the pictures of an output.
+/// Returns an upper bound of the memory of a step, bytes. The memory of three things is only a
+/// rough estimate: the search tree over a scene, a plugin's own data, and the pictures of an
+/// output.
 fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     let (memory, threads) = (&sizes.memory, rayon::current_num_threads() as f64);
     // Memory of a scene as a multiple of the size of its file. The factor for splats is larger,

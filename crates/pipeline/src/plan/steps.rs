@@ -226,7 +226,7 @@ impl Plan {
         self.parts.iter().enumerate().filter(move |(_, inner)| inner.parent == Some(part)).map(|(number, _)| number)
     }
 
-    /// True if a part is `above` or one of its descendants.
+    /// Returns true if a part is `above` or one of its descendants.
     pub(crate) fn is_below(&self, part: usize, above: usize) -> bool {
         self.around(part).any(|part| part == above)
     }

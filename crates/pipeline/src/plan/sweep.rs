@@ -42,7 +42,7 @@ use crate::store::files::write;
 use crate::store::settings::write_job;
 use crate::store::used;
 
-/// Pixels of a PNG file per unit of length of its SVG.
+/// Number of pixels in a plot's PNG file for each unit of length in the plot's SVG file.
 const PNG_SCALE: f32 = 1.5;
 
 /// Results of a sweep.

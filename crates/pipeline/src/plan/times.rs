@@ -88,7 +88,7 @@ impl Times {
         self.fields
     }
 
-    /// True if the scene has the same pose in all time steps.
+    /// Returns true if the scene has the same pose in all time steps.
     pub(crate) fn shares_scene(&self) -> bool {
         self.sequence.duration_s == 0.0
     }
@@ -258,8 +258,9 @@ fn given(window: &Window) -> WindowJob {
     }
 }
 
-/// Returns one light field per time step, sorted by name. These are the folders in `folder`.
-/// Without folders they are its `.npy` files, and without `.npy` files its pictures.
+/// Returns the path of one light field per time step, sorted by name. The light fields are the
+/// subfolders of `folder`. Without subfolders they are its `.npy` files, and without `.npy` files
+/// its pictures.
 fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, PipelineError> {
     let error = |source| PipelineError::Read { path: folder.to_owned(), source };
     let mut entries = Vec::new();

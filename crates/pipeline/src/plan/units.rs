@@ -239,7 +239,8 @@ impl<'a> Cutter<'a> {
         }
     }
 
-    /// True if a step is the report of a time step with one display. No other report is cached.
+    /// Returns true if a step is the report of a time step with one display. No other report is
+    /// cached.
     fn is_report_of_time(&self, step: &Step) -> bool {
         let part = &self.plan.parts[step.part];
         matches!(part.kind, PartKind::Time(_)) && part.job.nodes.is_empty()

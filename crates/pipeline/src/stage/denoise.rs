@@ -35,11 +35,11 @@ pub fn oidn_version() -> Result<String, PipelineError> {
     Oidn::find().map(|oidn| oidn.version)
 }
 
-/// Number of paths in each render of a checked pixel, divided by the number of paths in a pixel of
-/// a view.
+/// To check a filter, some pixels are rendered again. Each of these renders has this many times the
+/// paths of a view.
 const CHECK_FACTOR: u32 = 2;
-/// Maximum number of views whose pixels are checked. These views are spread over the viewing zone,
-/// and suffice to judge a filter.
+/// Maximum number of views whose pixels are rendered again for the check. So many views, spread
+/// over the viewing zone, suffice to judge a filter.
 const CHECKED_VIEWS: usize = 25;
 /// Maximum number of samples of the path tracer.
 const MOST_SAMPLES: u32 = 65536;
@@ -99,7 +99,7 @@ pub(crate) fn run(shot: Shot<'_>, fields: &[FieldJob], task: Task<'_>) -> Result
     Ok(cached)
 }
 
-/// True if all filtered views of a light field are in the cache.
+/// Returns true if all filtered views of a light field are in the cache.
 pub(crate) fn is_finished(field: &FieldJob, kind: Denoise) -> bool {
     let folder = field.finished(kind);
     let is_there = |view| read_view(&view_path(&folder, view, None), &field.traced).is_some();

@@ -71,7 +71,8 @@ impl Shared {
     }
 }
 
-/// Returns two settings for the later time steps of a sequence: with a warm start, and without.
+/// Converts the settings of the first time step to those of later time steps: [with a warm start,
+/// without a warm start].
 pub(crate) type Later = Box<dyn Fn(&FactorizeJob) -> [FactorizeJob; 2] + Send + Sync>;
 
 /// Solves designs and writes their rows.

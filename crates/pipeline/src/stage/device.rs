@@ -48,7 +48,7 @@ impl SolverDevice {
         }
     }
 
-    /// True if the processor may replace the device.
+    /// Returns true if the processor may replace the device.
     fn is_optional(&self) -> bool {
         match self {
             Self::Processor => false,

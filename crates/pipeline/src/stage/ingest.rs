@@ -53,8 +53,8 @@ impl Ingested {
         Ok(self.renderer.get_or_init(|| renderer))
     }
 
-    /// True if the scene's views need paths, since the scene has surfaces, or a background behind
-    /// its splats.
+    /// Returns true if the scene's views need paths, since the scene has surfaces, or a background
+    /// behind its splats.
     pub(crate) fn is_traced(&self) -> bool {
         !self.scene.instances.is_empty() || self.scene.environment.is_some() || self.scene.backdrop.is_some()
     }

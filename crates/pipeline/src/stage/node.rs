@@ -14,8 +14,8 @@ use crate::store::key::KeyBuilder;
 use crate::store::plugin_files::plugin_key;
 use crate::store::stamps::Stamps;
 
-/// True if the solver of this program makes the patterns of a node. This is also true for a job
-/// without nodes.
+/// Returns true if the solver of this program makes the patterns of a node, or of a job without
+/// nodes.
 pub(crate) fn is_factorized(node: Option<&NodeJob>) -> bool {
     node.is_none_or(|node| node.plugin == NodeJob::TENSOR_DISPLAY)
 }
@@ -79,7 +79,8 @@ pub(crate) fn run(
     task: Task<'_>,
 ) -> Result<(Solved, bool), PipelineError> {
     let NodeInput { node, seed, display, target, weights } = given;
-    // The baselines among the node plugins use the factorizer, so its code is part of the key.
+    // The baselines among the node plugins use the factorizer, so the factorizer's code is part of
+    // the key.
     let mut key = KeyBuilder::new("node", code::PATTERNS);
     key.add("plugin", plugin_key(registry, &node.plugin, &node.params)?.as_bytes())
         .add("display", display.to_toml().as_bytes())

@@ -305,7 +305,7 @@ fn render(
     Ok(Half { field, brightest })
 }
 
-/// Writes a light field. `picture` returns its views one after another.
+/// Writes a light field. `picture` returns the views of the light field one after another.
 fn by_views(
     mut writer: FieldWriter,
     mut picture: impl FnMut([usize; 2]) -> Result<Vec<f32>, PipelineError>,

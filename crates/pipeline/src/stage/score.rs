@@ -47,10 +47,10 @@ pub struct References {
 
 /// Location of the pictures.
 enum Pictures {
-    /// In a folder of the cache, with two pictures per direction.
+    /// The pictures are in a folder of the cache, two per direction.
     Rendered { folder: PathBuf, tone_mapping: ToneMapping, background: Background, space: Option<Space> },
-    /// In memory, display-referred, with two pictures per direction. If a picture has no noise, the
-    /// two pictures are equal.
+    /// The pictures are in memory, display-referred, two per direction. If a picture has no noise,
+    /// the two pictures are equal.
     Held { pictures: Vec<[Arc<Vec<f32>>; 2]>, left_out: bool },
 }
 

@@ -12,8 +12,8 @@
 //! (restricted additive Schwarz). The border consists of all other pixels on rays through free
 //! pixels.
 //!
-//! The result of a tile in a round is cached by the hash of its rays and borders. Therefore a
-//! stopped run continues, and any machine can solve any tile.
+//! The result of a tile in a round is cached. Its key is a hash of the tile's inputs, which include
+//! the borders. Therefore a stopped run continues, and any machine can solve any tile.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -101,7 +101,8 @@ impl Tiles {
     }
 }
 
-/// Returns the fewest tiles of which each takes at most `most` bytes.
+/// Cuts a display into more and more tiles, until each tile takes at most `most` bytes, or is about
+/// as small as [`SMALLEST`].
 fn fitting(display: &Display, geometry: &FieldGeometry, most: u64) -> Tiling {
     let mut tiles = [1, 1];
     loop {

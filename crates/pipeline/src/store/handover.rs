@@ -28,14 +28,14 @@ fn code_of_scenes() -> String {
     KeyBuilder::new("scenes", code::SCENE).finish()
 }
 
-/// True if a run would reuse a cached conversion. `path` is a file of the conversion,
+/// Returns true if a run would reuse a cached conversion. `path` is a file of the conversion,
 /// `blend-KEY.json` or `blend-KEY.glb`.
 pub(crate) fn holds(path: &Path) -> bool {
     read_json::<CachedConversion>(&path.with_extension("json")).is_some_and(|kept| kept.holds())
 }
 
 impl CachedConversion {
-    /// True if Blender would return the same scene again.
+    /// Returns true if Blender would return the same scene again.
     fn holds(&self) -> bool {
         self.code == code_of_scenes()
             && self.program.is_some()

@@ -178,7 +178,7 @@ impl Drop for FolderLock {
     }
 }
 
-/// True if this path still names the open file.
+/// Returns true if this path still names the open file.
 fn is_at(file: &File, path: &Path) -> bool {
     #[cfg(unix)]
     {

@@ -24,7 +24,7 @@ pub(crate) enum Work {
 }
 
 impl Work {
-    /// True if the work writes this name directly in the run folder.
+    /// Returns true if the work writes this name directly in the run folder.
     pub(crate) fn writes(self, name: &OsStr) -> bool {
         let Some(name) = name.to_str() else { return false };
         if name == "cache" {
@@ -63,13 +63,13 @@ impl Work {
     }
 }
 
-/// True for names of time steps: t0001.
+/// Returns true for names of time steps, such as t0001.
 pub(crate) fn is_time(name: &str) -> bool {
     name.strip_prefix('t').is_some_and(|digits| digits.len() >= 4 && digits.bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// True if Lumistack certainly made a folder. Evidence is its lock, its job file, or cached files
-/// of versions that had no locks.
+/// Returns true if Lumistack certainly made a folder. The evidence is a lock file in the folder, a
+/// job file by Lumistack, or cached files of versions that had no locks.
 pub(crate) fn is_ours(dir: &Path) -> bool {
     let cache = dir.join("cache");
     if cache.join(LOCK).is_file() || is_written_by_us(&dir.join("job.toml"), false) {
@@ -104,7 +104,7 @@ pub(crate) fn is_ours(dir: &Path) -> bool {
         || rows.filter_map(|row| row.file_name().into_string().ok()).any(|name| is_row(&name))
 }
 
-/// True if the file is a stamp of any version.
+/// Returns true if the file is a stamp of any version.
 fn is_stamp(path: &Path) -> bool {
     #[derive(Deserialize)]
     struct AnyStamp {

@@ -60,20 +60,21 @@ fn sealed(text: &str) -> String {
     format!("{SEAL}{}\n{text}", blake3::hash(text.as_bytes()).to_hex())
 }
 
-/// True if the hash in a text is valid; `None` if the text has no hash.
+/// Returns true if the hash in a text is valid; `None` if the text has no hash.
 fn is_whole(text: &str) -> Option<bool> {
     let (hash, rest) = text.strip_prefix(SEAL)?.split_once('\n')?;
     Some(blake3::hash(rest.as_bytes()).to_hex().as_str() == hash.trim_end())
 }
 
-/// True if the hash in a settings file is valid; `None` if the file is missing or has no hash.
+/// Returns true if the hash in a settings file is valid; `None` if the file is missing or has no
+/// hash.
 pub(crate) fn is_sealed(path: &Path) -> Option<bool> {
     is_whole(&std::fs::read_to_string(path).ok()?)
 }
 
-/// True if a settings file is as Lumistack wrote it. A file of a version without hashes must have
-/// every default and no comment. If the folder is known to be `ours`, files of older versions with
-/// fewer keys are accepted too.
+/// Returns true if a settings file is as Lumistack wrote it. A file of a version without hashes
+/// must have every default and no comment. If the folder is known to be `ours`, files of older
+/// versions with fewer keys are accepted too.
 pub(crate) fn is_written_by_us(path: &Path, ours: bool) -> bool {
     if let Some(whole) = is_sealed(path) {
         return whole;

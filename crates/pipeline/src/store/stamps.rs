@@ -82,12 +82,12 @@ impl Stamps {
         Ok((made, false))
     }
 
-    /// True if the stage has finished with some key, and its files are unchanged.
+    /// Returns true if the stage has finished with some key, and its files are unchanged.
     pub(crate) fn is_whole(&self, stage: &str) -> bool {
         self.stamp(stage).is_some_and(|stamp| self.holds(&stamp))
     }
 
-    /// True if the stage has finished with this key, and its files are unchanged.
+    /// Returns true if the stage has finished with this key, and its files are unchanged.
     pub(crate) fn is_current(&self, stage: &str, key: &str) -> bool {
         self.stamp(stage).is_some_and(|stamp| stamp.key == key && self.holds(&stamp))
     }

@@ -52,7 +52,7 @@ pub(crate) fn keep_only_views(dir: &Path, used: &[PathBuf]) -> Result<(), Pipeli
     Ok(())
 }
 
-/// Records the numbers of the light fields and the files of the rows that the sweep in `dir` used.
+/// Records which light fields (by their numbers) and which files of rows the sweep in `dir` used.
 /// Removes all other light fields. Rows are small, so all of them stay for sweeps over more values.
 ///
 /// # Errors

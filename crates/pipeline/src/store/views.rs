@@ -99,7 +99,7 @@ pub(crate) fn write_guides(path: &Path, guides: &Features) -> Result<(), Pipelin
     write_values(path, guides.values())
 }
 
-/// Reads a tensor `[row][col][k]` with `count` values k per pixel.
+/// Reads a tensor `[row][col][k]` with `count` values per pixel, of index k.
 fn read_values(path: &Path, geometry: &FieldGeometry, count: usize) -> Option<Tensor<3>> {
     let [rows, cols] = [geometry.rows, geometry.cols];
     let pictures = read_picture(path, [cols, count.div_ceil(3) * rows])?;
@@ -114,7 +114,7 @@ fn read_values(path: &Path, geometry: &FieldGeometry, count: usize) -> Option<Te
 }
 
 /// Writes a tensor `[row][col][k]` as several pictures, one below the other. Each picture has three
-/// of the values k.
+/// values of every pixel.
 fn write_values(path: &Path, values: &Tensor<3>) -> Result<(), PipelineError> {
     let [rows, cols, count] = values.shape();
     let height = count.div_ceil(3) * rows;

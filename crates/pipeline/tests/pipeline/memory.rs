@@ -86,7 +86,8 @@ fn display([cols, rows]: [usize; 2], views: &str) -> String {
     format!("[display]\npreset = \"paper-three-layer\"\nresolution = [{cols}, {rows}]\nframes = 2\n{views}")
 }
 
-/// Value `i` of a light field of the size [`SIZE`]: squares that shift from view to view.
+/// Returns value `i` of a light field of the size [`SIZE`], which shows squares that shift from
+/// view to view.
 fn value(i: usize) -> f32 {
     let [cols, rows, views] = SIZE;
     let (channel, pixel) = (i % 3, i / 3);

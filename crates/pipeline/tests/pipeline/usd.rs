@@ -56,7 +56,7 @@ fn blocks(file: &str, first_seed: u64) -> Vec<Mean> {
     sums.into_iter().map(Mean::of).collect()
 }
 
-/// True if `LUMISTACK_PYTHON` names a Python that reads USD; otherwise prints a note.
+/// Returns true if `LUMISTACK_PYTHON` names a Python that reads USD; otherwise prints a note.
 pub(crate) fn has_usd() -> bool {
     let python = std::env::var_os("LUMISTACK_PYTHON").unwrap_or_default();
     let has = Command::new(python).args(["-c", "import pxr"]).output().is_ok_and(|output| output.status.success());

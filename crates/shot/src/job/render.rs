@@ -34,11 +34,12 @@ pub struct RenderJob {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub clamp: Option<f32>,
     /// `point`: rays at the view's slope. `bin`: rays spread over the view's bin. `display`: rays
-    /// spread over a range of slopes that the display cannot resolve far from itself.
+    /// spread over a range of slopes. Their average loses no detail that the display can show far
+    /// from the display plane.
     pub angular_filter: AngularFilter,
     /// Aperture of a lens that is focused on the display plane: the full angle at which a point of
-    /// the plane sees the lens, degrees. 0 is a pinhole. Content off the plane blurs. It excludes
-    /// `angular_filter`.
+    /// the plane sees the lens, degrees. 0 is a pinhole. Content off the plane blurs. Above 0,
+    /// `angular_filter` must be `point`.
     pub lens_deg: f64,
     /// Filter that removes noise from finished views, at the price of a bias that the report
     /// states.
@@ -54,8 +55,8 @@ pub struct RenderJob {
 /// Paths per pixel, summed over all views: `"auto"` or a number in files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ZoneSamples {
-    /// As many paths as improve the display's picture. The number is measured on small regions of
-    /// the picture.
+    /// The number above which further paths would hardly improve the display's picture. It is
+    /// measured on small regions of the picture.
     #[default]
     Auto,
     /// A fixed number, 1 to 2²⁴.
@@ -222,7 +223,7 @@ impl Denoise {
         matches!(self, Self::Guided | Self::Oidn)
     }
 
-    /// The filter's name in jobs.
+    /// Returns the filter's name in jobs.
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].0
     }
@@ -269,20 +270,20 @@ impl RenderJob {
         Self::BYTES_PER_RAY * rays as u64 <= self.field_mib << 20
     }
 
-    /// Number of bytes of each file of a light field that may be in memory: a quarter of
-    /// `field_mib`. At most two files are in use at a time. The other half of `field_mib` is for
+    /// Returns the number of bytes of each file of a light field that may be in memory: a quarter
+    /// of `field_mib`. At most two files are in use at a time. The other half of `field_mib` is for
     /// views and rows that are being processed.
     pub fn window_bytes(&self) -> usize {
         (self.field_mib << 18) as usize
     }
 
-    /// Greatest number of views of `pixels` pixels that a display chooses.
+    /// Returns the greatest number of views of `pixels` pixels that a display chooses.
     pub fn most_chosen_views(pixels: usize) -> usize {
         Self::MOST_RAYS.div_ceil(pixels)
     }
 
-    /// Number of paths for each pixel of a view, if the light field has `views` views and the
-    /// number is not measured.
+    /// Returns the number of paths for each pixel of a view, if the light field has `views` views
+    /// and the number is not measured.
     pub fn samples_of_view(&self, views: usize) -> u32 {
         let spread = (f64::from(self.zone_samples.count()) / views.max(1) as f64).round().clamp(1.0, 65536.0) as u32;
         // a filter that compares two halves of the paths needs at least two paths
@@ -295,7 +296,7 @@ impl RenderJob {
         self.samples.is_none() && self.zone_samples == ZoneSamples::Auto && !self.denoise.takes_halves()
     }
 
-    /// Number of views of `pixels` pixels that memory can hold.
+    /// Returns the number of views of `pixels` pixels that memory can hold.
     pub fn affordable_views(&self, pixels: usize) -> usize {
         (self.field_mib << 20).div_ceil(Self::BYTES_PER_RAY * pixels as u64) as usize
     }

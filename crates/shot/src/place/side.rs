@@ -65,7 +65,7 @@ pub(crate) fn framed(scene: &Scene, from_deg: [f64; 2], size_mm: [f64; 2]) -> Re
     Window::framing_points(points.chain(seen_splats(scene)), forward, up, size_mm)
 }
 
-/// Centres of the splats, except floaters: stray splats outside the visible bounds.
+/// Returns the centres of the splats, except floaters: stray splats outside the visible bounds.
 fn seen_splats(scene: &Scene) -> impl Iterator<Item = DVec3> {
     let bounds = scene.seen_bounds();
     scene.splat_positions().filter(move |at| bounds.contains(*at)).map(|at| at.as_dvec3())
@@ -81,7 +81,7 @@ pub(crate) fn choose(
     size_mm: [f64; 2],
     task: Task<'_>,
 ) -> Result<[f64; 2], ShotError> {
-    // Replace meshes by their boxes, since the frame only has to hold them.
+    // Replace meshes by their boxes, since a frame that holds the boxes also holds the meshes.
     let boxes: Vec<Bounds> = scene
         .meshes
         .iter()
@@ -120,7 +120,7 @@ pub(crate) fn choose(
     Ok(best(&tried, if is_capture { CAPTURE_SHARE } else { FRONT_SHARE }))
 }
 
-/// Returns the first tried direction that shows enough. It is the front if the front shows
+/// Returns the first tried direction that shows enough. This is the front if the front shows
 /// `front_share` of the largest area.
 fn best(tried: &[([f64; 2], f64)], front_share: f64) -> [f64; 2] {
     let most = tried.iter().fold(0.0f64, |most, (_, area)| most.max(*area));
@@ -149,7 +149,7 @@ mod tests {
 
     const SIZE_MM: [f64; 2] = [475.0, 297.0];
 
-    /// A rectangle in the plane z = 0 that shows its front to +z.
+    /// Returns a rectangle in the plane z = 0 that shows its front to +z.
     fn card(width: f32, height: f32) -> Mesh {
         let corner = |x: f32, y: f32| Vec3::new(0.5 * x * width, 0.5 * y * height, 0.0);
         Mesh {
@@ -159,7 +159,7 @@ mod tests {
         }
     }
 
-    /// A box of six cards around `at`.
+    /// Returns a box of six cards around `at`.
     fn block(size: Vec3, at: Vec3) -> Vec<(Mesh, Affine3A)> {
         let [x, y, z] = size.to_array();
         let half_turn = std::f32::consts::PI;

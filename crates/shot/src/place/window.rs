@@ -140,7 +140,8 @@ fn close_up<S: Subject>(
     Ok(window.scaled_about(place, factor))
 }
 
-/// Ranges of the rows and of the columns in which the mask is set, as first and end index.
+/// Returns the ranges of rows and of columns that hold all set pixels of the mask, as first and end
+/// index. `None` if no pixel is set.
 fn extents(mask: &Tensor<2>) -> Option<[[usize; 2]; 2]> {
     let [rows, cols] = mask.shape();
     let is_hit = |row: usize, col: usize| mask.get([row, col]) > 0.0;
@@ -204,7 +205,7 @@ mod tests {
         mask
     }
 
-    /// Edges of a region: top, bottom, left, right.
+    /// Returns the edges of a region in pixels: top, bottom, left, right.
     fn edges(mask: &Tensor<2>, (factor, [row, col]): (f64, [f64; 2])) -> [f64; 4] {
         let [height, width] = mask.shape().map(|count| 0.5 * factor * count as f64);
         [row - height, row + height, col - width, col + width]

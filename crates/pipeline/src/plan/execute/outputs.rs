@@ -22,14 +22,15 @@ impl Context<'_> {
         outputs.iter().try_for_each(|(output, display)| output::open(output, display, self.registry, self.task))
     }
 
-    /// Writes an output of the light field; `number` is its number in the job.
+    /// Writes an output of the light field; `number` is the number of the output in the job, from
+    /// 0.
     pub(super) fn field_output(&mut self, part: usize, number: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let field = self.field(part)?;
         let relative = format!("outputs/{}", OutputJob::LIGHT_FIELD);
         self.output(part, number, &relative, &field.display, OutputData::LightField(&field.target), task)
     }
 
-    /// Writes an output of the patterns; `number` is its number in the job.
+    /// Writes an output of the patterns; `number` is the number of the output in the job, from 0.
     pub(super) fn stack_output(&mut self, part: usize, number: usize, task: Task<'_>) -> Result<bool, PipelineError> {
         let field = self.field(part)?;
         let patterns = self.of(part, "patterns", |state| state.patterns.clone())?;

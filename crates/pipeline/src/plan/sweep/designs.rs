@@ -94,7 +94,7 @@ fn base(job: &Job, text: &str) -> (String, DisplayJob) {
     (name, DisplayJob { preset: named.preset, file, ..job.display.clone() })
 }
 
-/// Returns all combinations; the last parameter varies fastest.
+/// Returns all combinations of the values of a sweep; the last parameter varies fastest.
 fn variations(sweep: &SweepJob) -> Vec<Variation> {
     let mut all = vec![Variation::default()];
     expand(&mut all, &sweep.layers, |variation, layers| variation.layers = Some(layers));

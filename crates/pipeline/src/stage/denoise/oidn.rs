@@ -1,8 +1,8 @@
 //! Intel's Open Image Denoise, if it is installed. Its program `oidnDenoise` runs once per view.
 //!
-//! The program is searched in `LUMISTACK_OIDN` (path of the program), on PATH, and in the Python
-//! package `pyoidn`, which includes it. Pictures are exchanged as PFM files: three little-endian
-//! floats per pixel, the lowest row first.
+//! The environment variable `LUMISTACK_OIDN` may give the program's path. Otherwise the program is
+//! searched on PATH, and then in the Python package `pyoidn`, which includes it. Pictures are
+//! exchanged as PFM files: three little-endian floats per pixel, the lowest row first.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -13,7 +13,7 @@ use lumistack_pathtracer::Features;
 use crate::error::{PipelineError, read};
 use crate::store::files::write;
 
-/// Python code that prints the path of the program in the package.
+/// Python code that prints the path of the program in the package `pyoidn`.
 const ASK_PYTHON: &str = "import importlib.util as u, os; print(os.path.join(os.path.dirname(u.find_spec('pyoidn').origin), 'oidn', 'bin', 'oidnDenoise'))";
 
 /// The program of Open Image Denoise. A successful call has shown that it works.
