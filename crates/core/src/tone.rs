@@ -160,8 +160,8 @@ fn sigmoid(x: f32) -> f32 {
     scale * t / (1.0 + t.abs().powf(POWER)).powf(1.0 / POWER) + y0
 }
 
-/// Turns the hue of `rgb`, in the hexcone of HSV, towards the hue of the colour `before`. It turns
-/// by the fraction 1 − [`HUE_AFTER`] of the difference of the two hues.
+/// Turns the hue of `rgb`, in the hexcone of HSV, towards the hue of the colour `before`. The angle
+/// of the turn is 1 − [`HUE_AFTER`] times the difference of the two hues.
 fn with_hue_of(rgb: [f32; 3], before: [f32; 3]) -> [f32; 3] {
     let (low, high) = (rgb[0].min(rgb[1]).min(rgb[2]), rgb[0].max(rgb[1]).max(rgb[2]));
     let (Some(after), Some(before)) = (hue(rgb), hue(before)) else { return rgb };
@@ -212,7 +212,7 @@ mod tests {
     /// Tolerance against reference values of 4 decimals.
     const ROUNDED: f32 = 1e-4;
     /// Tolerances of the equations against Blender's table. Greys differ only by the table's
-    /// interpolation, colours also by its treatment of the gamut.
+    /// interpolation, colours also by the table's treatment of the gamut.
     const TABLE_GREY: f32 = 1e-3;
     const TABLE_COLOUR: f32 = 0.03;
 

@@ -7,8 +7,8 @@
 //!
 //! A [`Mailbox`] holds only the newest value, so no thread works on an old value, and values do not
 //! accumulate. A [`State`] is numbered and complete, and never changes. A [`Solver`] starts from
-//! the previous patterns, or from patterns that are moved with the content if their error is
-//! smaller ([`motion`]). A [`Tracker`] converts positions of viewers to weights. A [`Player`]
+//! the previous patterns or, if this gives a smaller error, from patterns that are moved with the
+//! content ([`motion`]). A [`Tracker`] converts positions of viewers to weights. A [`Player`]
 //! schedules the time steps of a video.
 //!
 //! The crate reads no clock and no file: times are arguments.

@@ -77,7 +77,8 @@ struct Last {
 }
 
 impl Solver {
-    /// Makes a solver with these settings for a fresh start. Their number of iterations is ignored.
+    /// Makes a solver. `settings` are used for fresh starts, but their number of iterations is
+    /// ignored.
     pub fn new(settings: Settings) -> Self {
         Self { settings, last: None }
     }
@@ -171,8 +172,8 @@ fn at_start(
 }
 
 /// Solves the strips of the display that new content has entered, on the processor. The patterns of
-/// a strip are fresh, so they do not match the patterns beside it. Iterations of the whole display
-/// would remove this mismatch only slowly. Patterns outside of the strips do not change.
+/// a strip are fresh, so they do not match the patterns beside the strip. Iterations of the whole
+/// display would remove this mismatch only slowly. Patterns outside of the strips do not change.
 ///
 /// # Errors
 /// If a strip cannot be solved, or when cancelled.

@@ -19,7 +19,7 @@ use thiserror::Error;
 
 /// Time without reports of the tracker after which the weight of the whole zone begins to grow.
 pub const SILENCE: Duration = Duration::from_secs(1);
-/// Duration of the fade from tracked viewers to the whole zone.
+/// Time in which the weights change from those for tracked viewers to those for the whole zone.
 pub const FADE: Duration = Duration::from_secs(1);
 /// Longest time over which a position is predicted. The prediction assumes a constant velocity, so
 /// its error grows with time.
@@ -32,7 +32,7 @@ const JUMP_MM: f64 = 300.0;
 /// Weight of rays far from all viewers while viewers are tracked.
 pub const FLOOR: f64 = 0.002;
 /// Default standard deviation σ of a viewer's weight, mm. A viewer's eyes are some 32 mm away from
-/// the midpoint between them, so their rays have large weights.
+/// the midpoint between them, so the rays to the eyes have large weights.
 pub const SIGMA_MM: f64 = 40.0;
 
 /// Positions and velocities of the tracked heads.

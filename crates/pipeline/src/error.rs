@@ -150,7 +150,7 @@ pub enum PipelineError {
     Replaced {
         /// The file.
         path: PathBuf,
-        /// The role of the file in the message.
+        /// Text for the message that names the role of the file.
         role: &'static str,
     },
     /// glTF ingest failed.

@@ -10,8 +10,8 @@
 //! it executes its steps and records that it is done.
 //!
 //! Units share the lock of the run folder. A time step or a node has a folder with a lock of its
-//! own. A unit holds this lock alone while it writes results there. The last unit executes a whole
-//! run, and alone holds the lock of the run folder.
+//! own. A unit holds this lock alone while it writes results into that folder. The last unit
+//! executes a whole run, and alone holds the lock of the run folder.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

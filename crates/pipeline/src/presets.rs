@@ -1,4 +1,4 @@
-//! Presets of displays: the paper's prototypes, and the displays of its figures.
+//! Presets of displays: the paper's prototypes, and the displays of the paper's figures.
 
 use std::path::Path;
 

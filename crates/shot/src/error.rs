@@ -7,7 +7,7 @@ use lumistack_pathtracer::RenderError;
 use lumistack_scene::{SceneError, WindowError};
 use thiserror::Error;
 
-/// An error of placing, lighting or rendering, or its cancellation.
+/// An error of placing, lighting or rendering, or the cancellation of this work.
 #[derive(Clone, Debug, Error)]
 pub enum ShotError {
     /// The user cancelled the work.

@@ -1,5 +1,5 @@
-//! Places the display in the scene and fits the scene into its depth of field. The window moves
-//! along its normal. If that does not suffice, depth is compressed.
+//! Places the display in the scene and fits the scene into the display's depth of field. The window
+//! moves along its normal. If that does not suffice, depth is compressed.
 //!
 //! The view from straight ahead stays the same. The window moves back by t, slopes are scaled by k,
 //! and the viewing distance is D. Then content at depth z appears at

@@ -47,8 +47,8 @@ const XYZ_FROM_RGB: [[f64; 3]; 3] = [
     [1425312.0 / 73733382.0, 8788810.0 / 73733382.0, 70074185.0 / 73733382.0],
 ];
 
-/// Computes FLIP for one number of pixels per degree. It holds the filters and the conversions of
-/// colours.
+/// The filters and colour conversions by which FLIP is computed, for one number of pixels per
+/// degree.
 #[derive(Clone, Debug)]
 pub struct Flip {
     y: Vec<f32>,

@@ -20,8 +20,8 @@ fn from_scratch(target: &Target, weights: &Weights, iterations: u32) -> f64 {
     done.history.last().unwrap().psnr_view
 }
 
-/// Solves several time steps, in each of which the content has moved by `step_px`. Returns the PSNR
-/// of the last time step after [`WARM`] iterations, its start and its target.
+/// Solves several time steps, in each of which the content has moved by `step_px`. Returns three
+/// values of the last time step: the PSNR after [`WARM`] iterations, the start, and the target.
 fn chain(content: Content, step_px: f64) -> (f64, Start, Arc<Target>) {
     let (warnings, cancel, display) = (Collector::default(), Cancel::default(), wide());
     let task = Task::quiet(&warnings, &cancel);

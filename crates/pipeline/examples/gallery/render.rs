@@ -173,7 +173,7 @@ fn turned(window: &Window, degrees: f64) -> Window {
 }
 
 /// Writes the environment as a picture whose values are multiplied by the environment's strength.
-/// Returns its name and rotation.
+/// Returns the picture's name and the environment's rotation.
 fn write_environment(scene: &Scene, folder: &Path) -> Outcome<Value> {
     let Some(environment) = scene.environment else { return Ok(Value::Null) };
     let image = &scene.images[environment.image];

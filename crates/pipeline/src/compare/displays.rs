@@ -45,8 +45,8 @@ pub struct DisplaysComparison {
 
 /// Compares all displays of a run whose job has `[[nodes]]` with the target.
 ///
-/// If `out` is given, writes `displays.jpg` into it. The picture has a column for the target and
-/// one for each display, with views from the left, the middle and the right.
+/// If `out` is given, writes `displays.jpg` into the folder `out`. The picture has a column for the
+/// target and one for each display, with views from the left, the middle and the right.
 ///
 /// # Errors
 /// If the run has no nodes or no target, or files cannot be read or written.

@@ -220,7 +220,7 @@ impl LiveFields {
         Ok(Target { display, field, weights, content: self.content, passes })
     }
 
-    /// Returns the light fields of a sequence, in the order of their time steps.
+    /// Returns the paths of a sequence's light fields, in the order of their time steps.
     ///
     /// # Errors
     /// If the folder has no light fields.

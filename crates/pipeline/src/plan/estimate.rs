@@ -173,8 +173,8 @@ fn settings(plan: &Plan, part: usize) -> Job {
     job
 }
 
-/// Adds the content of the files that a step reads to its key. Returns `None` if the files are not
-/// known.
+/// Adds the content of the files that a step reads to the step's key. Returns `None` if the files
+/// are not known.
 fn add_content(
     key: &mut KeyBuilder,
     plan: &Plan,
@@ -384,7 +384,8 @@ impl Memory {
     }
 }
 
-/// Returns the work of a step, in the unit of its stage: paths, multiply-adds per ray, or rays.
+/// Returns the work of a step, in the unit of its stage. For tracing this is a path, for
+/// factorizing a ray's term per layer, frame and iteration, and for most other stages a ray.
 fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
     let step = &plan.steps[index];
     let job = &plan.parts[step.part].job;
@@ -426,8 +427,8 @@ fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
     }
 }
 
-/// Returns the number of multiply-adds that take as long as one unit of a stage's work. It includes
-/// memory accesses, was measured once, and is right to an order of magnitude.
+/// Returns the number of multiply-adds that take as long as one unit of a stage's work. The number
+/// includes memory accesses. It was measured once, and is right to an order of magnitude.
 fn cost(stage: &str) -> f64 {
     match stage {
         "ingest" | "place" => 1e8,
@@ -482,7 +483,7 @@ fn memory(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> u64 {
 fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     let (memory, threads) = (&sizes.memory, rayon::current_num_threads() as f64);
     // Memory of a scene as a multiple of the size of its file. The factor for splats is larger,
-    // since their files pack them more tightly than triangles.
+    // since files pack splats more tightly than triangles.
     let packed = if job.scene.as_deref().is_some_and(is_capture) { 16.0 } else { 4.0 };
     let scene =
         packed * job.scene.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0.0, |data| data.len() as f64);

@@ -28,9 +28,9 @@ use crate::stage::node::is_factorized;
 /// | 1 | block-exact | 45.3 | 45.8 |
 /// | 1 | extrapolated | 45.3 | 45.3 |
 ///
-/// From 8 to 12 iterations on, extrapolation gives a higher PSNR, but no better flicker score.
-/// Patterns that are moved with the content are a start that is 4 dB better, but the result is only
-/// 0.1 to 0.4 dB better. That gain is not worth the memory of a second target.
+/// If there are more than 8 to 12 iterations, extrapolation gives a higher PSNR, but no better
+/// flicker score. Patterns that are moved with the content are a start that is 4 dB better, but the
+/// result is only 0.1 to 0.4 dB better. That gain is not worth the memory of a second target.
 const WARM_SOLVER: &str = "block-exact";
 
 /// Folder in the folder of a sequence. For each time step that begins a chunk, it contains patterns

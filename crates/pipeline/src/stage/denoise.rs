@@ -169,8 +169,8 @@ fn middle(geometry: &FieldGeometry) -> [usize; 2] {
 /// position. Views are read one by one, since all views together are large.
 type Filtered<'a> = Box<dyn Fn(usize, [usize; 2]) -> Result<[Tensor<3>; 2], PipelineError> + 'a>;
 
-/// Averages the light that views share. Keeps the light in memory if the light field fits there,
-/// and otherwise in files.
+/// Averages the light that views share. Keeps the light in memory if the job allows this for the
+/// light field, and otherwise in files.
 fn shared<'a>(field: &'a FieldJob, job: &Job, task: Task<'_>) -> Result<Filtered<'a>, PipelineError> {
     let geometry = &field.traced;
     let mut light = if job.render.is_held(geometry) {

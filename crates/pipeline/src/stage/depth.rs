@@ -1,4 +1,4 @@
-//! Depths of the views, which are cached next to the views, and the depth of field that they need.
+//! Caches the depths of the views, and compares the depths with a display's depth of field.
 
 use std::path::Path;
 

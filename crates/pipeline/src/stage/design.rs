@@ -202,7 +202,7 @@ impl Solver<'_> {
         let first = FactorizeJob { iterations: Some(iterations), ..factorize.clone() };
         let mut before: Option<LayerStack> = None;
         let mut all = Vec::new();
-        // If a node has its own display, it is adapted to the geometry of the light field.
+        // If a node has its own display, adapt this display to the geometry of the light field.
         for (field, references) in shared.times.iter().zip(&shared.references) {
             let target = &field.target;
             let display = match (of_node, &own) {

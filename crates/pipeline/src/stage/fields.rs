@@ -192,7 +192,7 @@ pub(crate) fn parts(kind: Denoise) -> &'static [Option<usize>] {
 /// A light field to render, and the folder of its views.
 pub(crate) struct FieldJob {
     pub(crate) name: &'static str,
-    /// Number of the light field's sequence of random numbers.
+    /// Identifies the light field's sequence of random numbers.
     stream: u64,
     /// Geometry of the light field, with the slopes of the display.
     pub(crate) geometry: FieldGeometry,

@@ -142,7 +142,7 @@ mod tests {
         let targets = [3, 4].map(|seed| random_target(&display, seed));
         let [before, now] = [0, 1].map(|t| Shown { stack: &stacks[t], target: &targets[t] });
         let found = measured(&display, now, before, &Weights::Uniform);
-        // Oracle: make a list of the error e_t of every ray for both time steps, then subtract the
+        // Oracle: list the error L̃/β − L of every ray for both time steps, then subtract the
         // lists.
         let geometry = now.target.geometry();
         let map = RayMap::new(&display, geometry);

@@ -63,7 +63,7 @@ const REFERENCE_PATHS: u32 = 4;
 const WHOLE: f32 = 0.999;
 /// Maximum number of rays from which the exposure is chosen.
 const MOST_RAYS: usize = 4_000_000;
-/// Number of a sequence of random numbers that no view uses.
+/// Identifies a sequence of random numbers that no view uses.
 const STREAM: u64 = 0x5a3b_0001;
 
 /// Returns the number of paths per pixel and view that the display needs, measured once and cached

@@ -31,7 +31,7 @@ use crate::store::views::{missing, read_view, write_view};
 const CLEAN: usize = 8;
 /// Samples per pixel of the first [`CLEAN`] directions, and of the other directions.
 const SAMPLES: [u32; 2] = [24, 4];
-/// Number of a sequence of random numbers that no view uses.
+/// Identifies a sequence of random numbers that no view uses.
 const STREAM: u64 = 3;
 
 /// The scene's pictures in directions that no solver used.

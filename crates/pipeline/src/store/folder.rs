@@ -142,7 +142,7 @@ mod tests {
         assert!(error.contains(&run.display().to_string()) && error.contains(&process), "{error}");
         drop(first);
         assert!(!folder.path().join("runs").exists(), "nothing was kept, so nothing is left");
-        // The owner's file that a dead process left does not lock the folder.
+        // The lock file and the owner's file of a dead process do not lock the folder.
         std::fs::create_dir_all(run.join("cache")).unwrap();
         std::fs::write(run.join("cache").join(LOCK), "").unwrap();
         std::fs::write(run.join("cache").join(OWNER), "{\"process\":1,\"host\":\"gone\"}").unwrap();

@@ -257,8 +257,8 @@ impl Default for RenderJob {
 }
 
 impl RenderJob {
-    /// Largest memory per ray, bytes. While views are denoised, a ray has shared light. While
-    /// patterns are solved, it has two copies of its three channels as `f32`.
+    /// Largest memory per ray, bytes. While views are denoised, this memory holds shared light.
+    /// While patterns are solved, it holds two copies of the ray's three channels as `f32`.
     pub const BYTES_PER_RAY: u64 = 32;
     /// Greatest number of rays for which a display chooses its views: 625 views of 840 × 525
     /// pixels. More would take hours.
@@ -366,7 +366,7 @@ impl RenderJob {
     }
 }
 
-/// Returns the settings with their seed replaced by one derived from it.
+/// Returns the settings with a new seed, which is derived from the old seed, `stream` and `part`.
 ///
 /// `stream` numbers the job's light fields; 0 is the target. `part` numbers a part of the light
 /// field's work, such as a half of its samples; it is empty for all of the work.

@@ -11,7 +11,7 @@ use crate::plan::graph::outputs_on;
 use crate::stage::output;
 
 impl Context<'_> {
-    /// Opens the outputs of a job and of its nodes, each for its display and this geometry.
+    /// Opens the outputs of a job and of its nodes, each for its own display and for `geometry`.
     pub(super) fn open_outputs(
         &self,
         job: &Job,
