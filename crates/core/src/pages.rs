@@ -1,8 +1,8 @@
 //! Memory of large arrays: pages of a large size, and arrays in files, of which only a few pages
 //! are in memory at a time.
 //!
-//! With small pages random reads also wait for address translation, and new memory takes longer to
-//! map.
+//! With small pages, random reads are slower, since more of them wait for the translation of
+//! addresses. New memory also takes longer to map.
 
 use std::io;
 use std::mem::MaybeUninit;

@@ -16,7 +16,7 @@ const ENCODED: &AsciiSet = &CONTROLS.add(b'%');
 /// The only key of the table for a path that is not UTF-8.
 const KEY: &str = "percent";
 
-/// Stores an optional path that a later run opens. For `#[serde(with =
+/// Stores an optional path that a later run opens. Usage: `#[serde(with =
 /// "lumistack_core::path_text::optional")]`.
 pub mod optional {
     use super::*;
@@ -32,8 +32,8 @@ pub mod optional {
     }
 }
 
-/// Stores paths that a later run opens, each with a hash of the file's content. For `#[serde(with =
-/// "lumistack_core::path_text::hashed")]`.
+/// Stores paths that a later run opens, each with a hash of the file's content. Usage:
+/// `#[serde(with = "lumistack_core::path_text::hashed")]`.
 pub mod hashed {
     use super::*;
 
@@ -49,7 +49,7 @@ pub mod hashed {
     }
 }
 
-/// Stores a path that is only shown to the user. For `#[serde(serialize_with =
+/// Stores a path that is only shown to the user. Usage: `#[serde(serialize_with =
 /// "lumistack_core::path_text::told")]`.
 pub fn told<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&path.to_string_lossy())

@@ -56,7 +56,8 @@ pub enum Start {
 pub struct Solved {
     /// The patterns as a layer stack.
     pub stack: LayerStack,
-    /// PSNR in dB of L̃/β against L over all rays with a weight.
+    /// PSNR in dB of the emitted light field L̃/β against the target L, over all rays with a weight
+    /// above 0.
     pub psnr_view: f64,
     /// The start of the step's iterations.
     pub start: Start,

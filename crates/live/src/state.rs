@@ -29,7 +29,8 @@ pub struct State {
     pub target: Arc<Target>,
     /// Weights with which the patterns were solved.
     pub weights: Arc<Weights>,
-    /// PSNR in dB of L̃/β against L over all rays with a weight.
+    /// PSNR in dB of the emitted light field L̃/β against the target L, over all rays with a weight
+    /// above 0.
     pub psnr_view: f64,
     /// Number of iterations since the content changed.
     pub updates: u32,

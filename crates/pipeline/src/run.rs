@@ -36,13 +36,14 @@ pub struct Summary {
     pub psnr_zone: Option<f64>,
     /// PSNR of seen pictures over the worst tenth of the directions, dB.
     pub psnr_zone_worst: Option<f64>,
-    /// PSNR of L̃/β against L at the solver's views, dB.
+    /// PSNR of the emitted light field L̃/β against the target L, at the solver's views, dB.
     pub psnr_view: f64,
-    /// PSNR of L̃ against βL, dB.
+    /// PSNR of the emitted light field L̃ against the scaled target βL, dB.
     pub psnr_raw: f64,
-    /// PSNR of L̃/β against L at held-out views, dB.
+    /// PSNR of the emitted light L̃/β against the scene's light L at held-out views, dB.
     pub psnr_held_out: Option<f64>,
-    /// PSNR of L̃/β against L at views outside the viewing zone, dB.
+    /// PSNR of the emitted light L̃/β against the scene's light L at views outside the viewing
+    /// zone, dB.
     pub psnr_outside: Option<f64>,
     /// Results of each node, if the job has nodes. The scores above are the scores of the first
     /// node.
@@ -69,11 +70,11 @@ pub struct Summary {
 pub struct NodeSummary {
     /// Id of the node.
     pub id: String,
-    /// PSNR of L̃/β against L, dB.
+    /// PSNR of the emitted light field L̃/β against the target L, dB.
     pub psnr_view: f64,
-    /// PSNR of L̃ against βL, dB.
+    /// PSNR of the emitted light field L̃ against the scaled target βL, dB.
     pub psnr_raw: f64,
-    /// PSNR of L̃/β against L at held-out views, dB.
+    /// PSNR of the emitted light L̃/β against the scene's light L at held-out views, dB.
     pub psnr_held_out: Option<f64>,
     /// Zone score: PSNR of seen pictures over the viewing zone, dB.
     pub psnr_zone: Option<f64>,

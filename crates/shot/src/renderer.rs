@@ -121,8 +121,8 @@ impl SceneRenderer {
     }
 
     /// Renders the splats of views at `slopes`, and calls `done` with the index and the result of
-    /// each view, in order. Without splats it does nothing. Only size and projection of `geometry`
-    /// are used; its slopes are ignored.
+    /// each view, in order. Without splats, this function does nothing. Only size and projection of
+    /// `geometry` are used; its slopes are ignored.
     ///
     /// # Errors
     /// When the geometry is out of range, or when cancelled. Errors of `done` are returned too.

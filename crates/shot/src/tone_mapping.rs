@@ -1,5 +1,5 @@
-//! Exposure and tone curve: from scene-linear to display-referred radiance, alike for every ray of
-//! every view.
+//! Exposure and tone curve. They map scene-linear radiance to display-referred radiance, alike for
+//! every ray of every view.
 //!
 //! ```text
 //! L = curve(exposure · radiance)        0..1, linear light

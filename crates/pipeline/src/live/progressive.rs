@@ -42,7 +42,8 @@ struct View {
     /// no paths.
     split: Option<SplitView>,
     samples: u32,
-    /// Splats in front of the surfaces, `[row][col][r, g, b, T]`; empty without splats.
+    /// Splats in front of the surfaces, `[row][col][r, g, b, T]` with the transmittance T; empty
+    /// without splats.
     splats: Vec<f32>,
     /// Fraction of each pixel that shows the background; empty without a background colour.
     missed: Vec<f32>,
@@ -153,8 +154,8 @@ impl View {
         samples: u32,
         task: Task<'_>,
     ) -> Result<(), PipelineError> {
-        // Another seed gives other paths than in the earlier passes. Further paths would delay the
-        // passes.
+        // Another seed gives other paths than in the earlier passes. The setting `further_paths`
+        // would delay the passes.
         let settings = lumistack_pathtracer::Settings {
             samples,
             further_paths: false,

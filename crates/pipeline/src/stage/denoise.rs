@@ -6,8 +6,9 @@
 //! ```
 //!
 //! A stopped run continues from its finished halves, and another filter needs no new rendering. For
-//! the filter `shared`, the path tracer separates light that views share from other light. The
-//! files of a view are then not two halves but one `split_YY_XX.exr`.
+//! the filter `shared`, the path tracer writes two kinds of light separately: light that views
+//! share, and all other light. The files of a view are then not two halves but one
+//! `split_YY_XX.exr`.
 
 mod oidn;
 

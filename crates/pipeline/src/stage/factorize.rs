@@ -107,7 +107,8 @@ pub(crate) struct Convergence {
 pub(crate) struct Step {
     pub(crate) iteration: u32,
     pub(crate) objective: f64,
-    /// PSNR of L̃/β against L, dB. `None` if the patterns are exact.
+    /// PSNR of the emitted light field L̃/β against the target L, dB. `None` if the patterns are
+    /// exact.
     pub(crate) psnr_view: Option<f64>,
     pub(crate) seconds: f64,
 }

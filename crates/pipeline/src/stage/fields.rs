@@ -245,7 +245,8 @@ impl FieldJob {
         Ok(missed)
     }
 
-    /// Reads the splats of a view, `[row][col][r, g, b, T]`; `None` if the scene has no splats.
+    /// Reads the splats of a view, `[row][col][r, g, b, T]` with the transmittance T. Returns
+    /// `None` if the scene has no splats.
     fn splats(&self, view: [usize; 2], ingested: &Ingested) -> Result<Option<Vec<f32>>, PipelineError> {
         if ingested.scene.placed_clouds.is_empty() {
             return Ok(None);

@@ -7,10 +7,10 @@
 //! ```
 //!
 //! Flicker is the change that a viewer sees and should not see. A constant error does not flicker.
-//! Flicker is computed in linear light, over the rays with w > 0 that hit the display. The score is
-//! −20·log10(flicker) in dB: the PSNR (peak 1) of the change of the emission against the change of
-//! the target. If errors of neighbouring time steps are independent, the score is 3 dB less than
-//! `psnr_view`.
+//! Flicker is computed in linear light, over the rays with a weight above 0 that hit the display.
+//! The score is −20·log10(flicker) in dB: the PSNR (peak 1) of the change of the emission against
+//! the change of the target. If errors of neighbouring time steps are independent, the score is 3
+//! dB less than `psnr_view`.
 //!
 //! Eyes are most sensitive where nothing else moves. Therefore a second score includes only still
 //! rays: rays along which the target's 8-bit sRGB codes change by at most [`STILL_CODES`].
@@ -34,11 +34,13 @@ pub(crate) struct Shown<'a> {
 /// Errors of a time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct TimeError {
-    /// Error of L̃/β against L.
+    /// Error of the emission, L̃/β, against the target L.
     pub(crate) error: SquaredError,
-    /// Error of the change of L̃/β against the change of L, over all rays.
+    /// Error of the change of the emission, L̃/β, against the change of the target L, over all
+    /// rays.
     pub(crate) change: SquaredError,
-    /// Error of the change of L̃/β against the change of L, over still rays.
+    /// The same error as `change`, but only over still rays: rays along which the target hardly
+    /// changes.
     pub(crate) still: SquaredError,
 }
 

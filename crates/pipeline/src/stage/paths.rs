@@ -60,8 +60,8 @@ mod tests {
         let choose = |noise, error, views| Samples::new(noise, error, views);
         // Without noise one path is enough, for any error of the display.
         assert_eq!((choose(0.0, 1e-3, 169).per_view, choose(0.0, 0.0, 169).limited), (1, false));
-        // The equation n = V / (η D) of `samples.rs` gives 4.9, which is rounded up to the next
-        // allowed number.
+        // The equation n = V / (η D) of `samples.rs` gives 4.9 paths, which is rounded up to the
+        // next allowed number, 6.
         assert_eq!(choose(4.9 * NOISE_SHARE * 2e-3, 2e-3, 169).per_view, 6);
         // A display that is regarded as exact needs the paths of the error [`LEAST_ERROR`], and not
         // more.

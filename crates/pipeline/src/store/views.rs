@@ -47,7 +47,8 @@ pub(crate) fn splats_path(folder: &Path, view: [usize; 2]) -> PathBuf {
     folder.join(format!("splats_{:02}_{:02}.exr", view[0], view[1]))
 }
 
-/// Reads the splats of a view, `[row][col][r, g, b, T]`; `None` if the file is missing or damaged.
+/// Reads the splats of a view, `[row][col][r, g, b, T]` with the transmittance T. Returns `None` if
+/// the file is missing or damaged.
 pub(crate) fn read_splats(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f32>> {
     let values = 4 * geometry.rows * geometry.cols;
     let mut read = read_picture(path, [geometry.cols, splat_rows(geometry.rows)])?;
@@ -55,8 +56,8 @@ pub(crate) fn read_splats(path: &Path, geometry: &FieldGeometry) -> Option<Vec<f
     Some(read)
 }
 
-/// Writes the splats of a view, `[row][col][r, g, b, T]`. The file is a picture of three channels,
-/// so it has 4/3 of the rows.
+/// Writes the splats of a view, `[row][col][r, g, b, T]` with the transmittance T. The file is a
+/// picture of three channels, so it has 4/3 of the view's rows.
 ///
 /// # Errors
 /// If the file cannot be written.

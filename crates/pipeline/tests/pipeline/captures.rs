@@ -84,7 +84,7 @@ fn loaded(path: &Path) -> Arc<Scene> {
     loaded.scene
 }
 
-/// Renders views of a scene from the side, `[view][row][col][r, g, b, T]`.
+/// Renders views of a scene from the side, `[view][row][col][r, g, b, T]` with the transmittance T.
 fn pictures(scene: &Arc<Scene>) -> Vec<f32> {
     let grid = ViewGrid::uniform(Projection::Perspective { distance_mm: 500.0 }, [2, 2], [20.0, 20.0]).unwrap();
     let geometry = FieldGeometry { rows: 60, cols: 80, pitch_mm: 3.0, grid };

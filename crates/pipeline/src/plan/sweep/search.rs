@@ -104,7 +104,8 @@ pub(super) fn run(
     Ok((rows, kept, proposed))
 }
 
-/// Returns the cost of a design for lexicographic comparison: panels, frames, thickness, and −β.
+/// Returns the cost of a design for lexicographic comparison: panels, frames, thickness, and the
+/// negative of the brightness β.
 fn cost(design: &Design) -> [f64; 4] {
     [design.panels as f64, design.frames as f64, design.thickness_mm, -design.brightness]
 }
