@@ -42,7 +42,7 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
 }
 
 /// Translates serde's sentence about a value of a wrong type into terms of the file. `key` names
-/// the value, and the key's ending gives the unit (`pitch_mm`). Other sentences stay as they are.
+/// the value, and the key's ending gives the unit (`pitch_mm`). Returns other sentences unchanged.
 pub fn plain(message: &str, key: &str) -> String {
     let kinds = ["invalid type: ", "invalid value: ", "invalid length "];
     let Some((kind, rest)) = kinds.iter().find_map(|kind| Some((*kind, message.strip_prefix(*kind)?))) else {

@@ -35,7 +35,7 @@ pub const MAX_TEXT_BYTES: u64 = 64 << 20;
 /// Opens a regular file for reading.
 ///
 /// # Errors
-/// As [`std::fs::File::open`], and when the path leads to anything but a regular file.
+/// The errors of [`std::fs::File::open`]. Also if the path leads to anything but a regular file.
 pub fn open(path: &Path) -> io::Result<File> {
     system::open(path)
 }

@@ -36,8 +36,8 @@ const STRIP: usize = 16;
 const NEW: f64 = 0.25;
 
 /// Number of iterations of a strip, before the whole display is solved. In a measurement, content
-/// moved by 10 pixels per time step on 160 columns. Four iterations gained 1 dB, and eight
-/// iterations 0.4 dB more. Four iterations cost less than one iteration of the whole display.
+/// moved by 10 pixels per time step on a display of 160 columns. Four iterations gained 1 dB, and
+/// eight iterations 0.4 dB more. Four iterations cost less than one iteration of the whole display.
 const AHEAD: u32 = 4;
 
 /// The patterns from which a step starts.

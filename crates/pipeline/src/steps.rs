@@ -104,8 +104,8 @@ pub fn open_field(
     Ok((field, references))
 }
 
-/// Returns a copy of a light field with an exposure, in stops, and a tone curve. The tone curve is
-/// `linear`, which clips to 0..1, `khronos-neutral` or `agx`.
+/// Applies an exposure, in stops, and a tone curve to a copy of a light field. The tone curve is
+/// one of `linear` (clips to 0..1), `khronos-neutral` and `agx`.
 ///
 /// # Errors
 /// If the tone curve does not exist, or the exposure is not in -100 to 100.

@@ -98,8 +98,8 @@ impl<T: Real> Plane<T> {
 
 impl Border {
     /// Returns the index of the value that a filter reads at position `i` of a line, which is a row
-    /// or a column. The line's `count` ≥ 1 values take the positions from `radius` on. Other
-    /// positions read the value that the border's rule selects.
+    /// or a column. The line has `count` ≥ 1 values, at the positions from `radius` on. At other
+    /// positions, the border's rule selects one of these values.
     fn index(self, i: usize, radius: usize, count: usize) -> usize {
         match self {
             Self::Nearest => i.saturating_sub(radius).min(count - 1),

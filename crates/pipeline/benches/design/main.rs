@@ -164,8 +164,8 @@ fn child(job: &Path, folder: &Path) -> Outcome {
     Ok(())
 }
 
-/// Kills the sweep after 1, 15, 30, ... designs. Its table must then equal the table of an
-/// uninterrupted sweep.
+/// Kills the sweep after 1, 15, 30, ... designs, and starts it again each time. In the end its
+/// table must equal the table of an uninterrupted sweep.
 fn killing() -> Outcome {
     let folder = target_folder().join("kill");
     let _ = std::fs::remove_dir_all(&folder);

@@ -22,7 +22,7 @@ use crate::stage::fields::{FieldJob, Shot};
 /// Number of paths per pixel that measure the fraction of the pixel in which the background is
 /// visible.
 const MISSED_SAMPLES: u32 = 4;
-/// Indices, among the values of a pixel of a [`SplitView`], of the hit surface's normal (three
+/// The indices of four of a pixel's values in a [`SplitView`]: the hit surface's normal (three
 /// values) and depth (one value). These values are 0 without a hit.
 const SURFACE: std::ops::Range<usize> = 9..13;
 

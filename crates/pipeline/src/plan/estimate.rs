@@ -274,8 +274,8 @@ struct Sizes {
     memory: Memory,
 }
 
-/// Memory of the data of a part, by kind, bytes. A light field in a mapped file counts only by its
-/// bytes that are in memory.
+/// Memory of a part's data, bytes, with a field for each kind of data. A light field in a mapped
+/// file counts only by its bytes that are in memory.
 struct Memory {
     /// Memory of the light fields: the target, and the light fields for the report.
     fields: f64,
@@ -384,8 +384,8 @@ impl Memory {
     }
 }
 
-/// Returns the work of a step, in the unit of its stage. For tracing this is a path, for
-/// factorizing a ray's term per layer, frame and iteration, and for most other stages a ray.
+/// Returns the work of a step, in the unit of its stage. The unit of tracing is a path. The unit of
+/// factorizing is one ray, layer, frame and iteration. The unit of most other stages is a ray.
 fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
     let step = &plan.steps[index];
     let job = &plan.parts[step.part].job;

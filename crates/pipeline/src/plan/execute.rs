@@ -40,8 +40,8 @@ pub(crate) struct Executor<'a> {
     ends: Vec<LastSteps>,
     done: Vec<bool>,
     records: BTreeMap<String, Record>,
-    /// The part of the executed unit of work, and how the unit locks the part's folder. `None` if
-    /// the executor executes a whole plan or a single step.
+    /// The part in which a unit of work is executed, and how the unit locks the part's folder.
+    /// `None` if the executor executes a whole plan or a single step.
     unit: Option<(usize, Hold)>,
 }
 

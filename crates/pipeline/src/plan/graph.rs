@@ -18,8 +18,8 @@ use crate::error::PipelineError;
 use crate::job::{Job, NodeJob, OutputJob};
 use crate::stage::node;
 
-/// Adds the steps after a part's light field: the display of a still, or the nodes and their
-/// report.
+/// Adds the steps that follow a part's light field: the steps of a still's display, or those of the
+/// nodes and their report.
 ///
 /// `before` returns the steps of the previous time step that made the patterns and the light field
 /// of the same display. The function returns the ids of the last steps.

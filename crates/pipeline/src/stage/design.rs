@@ -40,7 +40,7 @@ pub(crate) struct Candidate {
 /// Light fields that several designs share, one per time step.
 pub(crate) struct Shared {
     times: Vec<Arc<Field>>,
-    /// The scene's pictures over the viewing zone, of each time step that has them.
+    /// For each time step, the scene's pictures over the viewing zone, if there are any.
     references: Vec<Option<Arc<References>>>,
     /// Hash of all light fields, weights and references.
     key: String,

@@ -18,7 +18,7 @@ pub(crate) fn done_file(dir: &Path, id: &str) -> PathBuf {
     dir.join(FOLDER).join("done").join(format!("{id}.json"))
 }
 
-/// Removes the marks of all units, since other work may replace their results.
+/// Removes the files that mark units as done, since other work may replace the units' results.
 pub(crate) fn forget(dir: &Path) {
     let done = dir.join(FOLDER).join("done");
     if done.is_dir() {

@@ -49,8 +49,9 @@ fn content_of(path: &Path) -> Option<String> {
     lumistack_files::read(path).ok().map(|bytes| hash(&bytes))
 }
 
-/// Converts the scene of a `.blend` file at a time in seconds. With a cache folder, Blender runs
-/// again only after a change of the file, its references, Blender, or our script in Blender.
+/// Converts the scene of a `.blend` file at the time `time_s`, seconds. With a cache folder,
+/// Blender runs again only after a change of the file, its references, Blender, or our script in
+/// Blender.
 ///
 /// # Errors
 /// If Blender returns no scene, or the cache cannot be written.

@@ -270,7 +270,7 @@ impl RenderJob {
         Self::BYTES_PER_RAY * rays as u64 <= self.field_mib << 20
     }
 
-    /// Returns the number of bytes of each file of a light field that may be in memory: a quarter
+    /// For each file of a light field, returns the number of bytes that may be in memory: a quarter
     /// of `field_mib`. At most two files are in use at a time. The other half of `field_mib` is for
     /// views and rows that are being processed.
     pub fn window_bytes(&self) -> usize {

@@ -96,7 +96,8 @@ pub(crate) fn choose(
         .collect();
     let splats = (!scene.placed_clouds.is_empty()).then(|| scene.seen_bounds().corners());
     let corners: Vec<Vec3> = corners.into_iter().chain(splats.into_iter().flatten()).collect();
-    // Trace a coarse mask of hits along a direction, framed on the boxes.
+    // Measure the visible area along a direction, by a coarse grid of rays that is framed on the
+    // boxes.
     let area = |from_deg: [f64; 2]| -> Result<f64, ShotError> {
         let [forward, up] = directions(from_deg);
         let points = corners.iter().map(|corner| corner.as_dvec3());
@@ -120,8 +121,8 @@ pub(crate) fn choose(
     Ok(best(&tried, if is_capture { CAPTURE_SHARE } else { FRONT_SHARE }))
 }
 
-/// Returns the first tried direction that shows enough. This is the front if the front shows
-/// `front_share` of the largest area.
+/// Returns the front if it shows at least `front_share` of the largest area. Otherwise returns the
+/// first tried direction that shows at least [`ENOUGH`] of the largest area.
 fn best(tried: &[([f64; 2], f64)], front_share: f64) -> [f64; 2] {
     let most = tried.iter().fold(0.0f64, |most, (_, area)| most.max(*area));
     let Some((front, area)) = tried.first() else { return FRONT };

@@ -166,9 +166,9 @@ fn whole(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     (factor, seen.map(|[first, end]| 0.5 * (first + end) as f64))
 }
 
-/// Returns the region in the middle of a picture of which set pixels cover [`COVERAGE`], in the
-/// form of [`whole`]. The region is larger if it would otherwise cut off set pixels or be smaller
-/// than [`CLOSEST`].
+/// Returns a region around the middle of a picture, in the form of [`whole`]. Set pixels cover the
+/// fraction [`COVERAGE`] of this region. The region is larger if it would otherwise cut off set
+/// pixels or be smaller than [`CLOSEST`].
 fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     let [rows, cols] = mask.shape();
     let middle = [rows, cols].map(|count| 0.5 * count as f64);
