@@ -38,7 +38,7 @@ pub enum ToneCurve {
     Agx,
 }
 
-/// Reflection at normal incidence that the Khronos curve subtracts.
+/// Reflection of a dielectric at normal incidence, which the Khronos curve subtracts.
 const F90: f32 = 0.04;
 /// Value at which the compression of the Khronos curve starts.
 const START: f32 = 0.8 - F90;
@@ -55,7 +55,8 @@ const SLOPE: f32 = 2.4;
 const POWER: f32 = 1.5;
 /// Exponent that converts values of AgX's sigmoid to linear light.
 const GAMMA: f32 = 2.4;
-/// Weight of the hue after the sigmoid in the result; the hue before the sigmoid has the rest.
+/// The result mixes two hues. This is the weight of the hue after the sigmoid; the hue before the
+/// sigmoid has the remaining weight.
 const HUE_AFTER: f32 = 0.4;
 
 type Matrix = [[f32; 3]; 3];
@@ -336,8 +337,8 @@ mod tests {
                 }
             }
         }
-        // base colours below the compression keep their values, less the reflection that a
-        // dielectric's surface adds, 0.04
+        // values below the compression only lose 0.04, the reflection that a dielectric's surface
+        // adds
         let [r, g, b] = ToneCurve::KhronosNeutral.apply([0.64, 0.24, 0.14]);
         assert!((r - 0.6).abs() < ROUNDED && (g - 0.2).abs() < ROUNDED && (b - 0.1).abs() < ROUNDED);
     }

@@ -70,7 +70,7 @@ pub fn predict(graph: &Graph, workers: usize, overhead_seconds: f64) -> Predicti
             sum += seconds;
             running.push(Reverse((bits(now + seconds), index)));
         }
-        // Advance to the next end of a unit, which may make other units ready.
+        // Advance to the time at which the next unit ends. Other units may then become ready.
         let Some(Reverse((end, index))) = running.pop() else { break };
         now = f64::from_bits(end);
         for &next in &followers[index] {

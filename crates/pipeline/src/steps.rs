@@ -31,7 +31,7 @@ pub struct RenderedField {
     pub field: LightField,
     /// The scene's depth compared with the display's depth of field.
     pub depth: DepthBudget,
-    /// Factor between scene-linear radiance and display-referred values, before the tone curve.
+    /// Factor by which scene-linear radiance is multiplied before the tone curve.
     pub exposure: f64,
     /// Name of the tone curve.
     pub tone: &'static str,
@@ -238,7 +238,7 @@ pub fn write_report_on(on: &ReportOn<'_>, folder: &Path, task: Task<'_>) -> Resu
         },
         task,
     )
-    // A cancelled report is returned as a cancelled task, like other cancelled work.
+    // If the report was cancelled, return the error of cancelled work.
     .map_err(|error| match error {
         lumistack_report::ReportError::Cancelled(_) => PipelineError::Cancelled,
         other => PipelineError::Report(other),

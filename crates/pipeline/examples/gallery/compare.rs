@@ -22,7 +22,7 @@ pub const GAIN: f32 = 4.0;
 pub struct Halves {
     size: [usize; 2],
     halves: [Vec<f32>; 2],
-    /// True for each pixel of which a surface covers more than half.
+    /// For each pixel, true if a surface covers more than half of it.
     covered: Vec<bool>,
 }
 

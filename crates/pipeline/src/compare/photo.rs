@@ -53,8 +53,8 @@ pub struct PhotoComparison {
     /// Fraction of the display's pixels at which the photograph is clipped. These pixels are
     /// excluded from the comparison.
     pub clipped: f64,
-    /// The camera's position that the corners give, if it was not known: `[x, y, z]` in display
-    /// space, millimetres.
+    /// The camera's position that was computed from the corners: `[x, y, z]` in display space,
+    /// millimetres. `None` if the position was given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub eye_mm: Option<[f64; 3]>,
     /// Written pictures.

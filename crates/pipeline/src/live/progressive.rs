@@ -57,8 +57,8 @@ pub(super) struct Radiance {
 }
 
 impl Progressive {
-    /// Prepares the target's views. Renders everything without noise: the splats, and the fraction
-    /// of each pixel that shows the background.
+    /// Prepares the target's views. Renders all data that has no noise: the splats, and the
+    /// fraction of each pixel that shows the background.
     ///
     /// # Errors
     /// If the scene cannot be rendered, or when cancelled.

@@ -71,7 +71,7 @@ impl<'a> Executor<'a> {
             self.run(index)?;
             self.release(index)
         });
-        // A run that failed before its first kept result leaves no file of records.
+        // If the run failed before it kept a result, write no file of records.
         let keeps = |step: &Step| !matches!(step.kind, StepKind::Ingest | StepKind::Place | StepKind::Read);
         if !self.context.plan.steps.iter().zip(&self.done).any(|(step, done)| *done && keeps(step)) {
             return result;
@@ -81,7 +81,8 @@ impl<'a> Executor<'a> {
         result.and(noted)
     }
 
-    /// Executes one step. Results of earlier steps are read from the run folder, or else made.
+    /// Executes one step. Results of earlier steps are read from the run folder; missing results
+    /// are made first.
     ///
     /// # Errors
     /// The errors of [`execute`](Self::execute), and an error if there is no such step.

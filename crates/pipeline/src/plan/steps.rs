@@ -66,11 +66,13 @@ pub(crate) enum StepKind {
     Score,
     Read,
     Source,
-    /// An output whose input is the light field, by the output's number in the job of the part.
+    /// An output whose input is the light field. The value is the output's number in the part's
+    /// job, from 0.
     FieldOutput(usize),
     /// Patterns that the factorizer or a node plugin makes.
     Patterns,
-    /// An output whose input is the patterns, by the output's number in the job of the part.
+    /// An output whose input is the patterns. The value is the output's number in the part's job,
+    /// from 0.
     StackOutput(usize),
     /// Error and flicker of a time step.
     Measure,

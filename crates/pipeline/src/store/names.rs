@@ -24,7 +24,7 @@ pub(crate) enum Work {
 }
 
 impl Work {
-    /// Returns true if the work writes this name directly in the run folder.
+    /// Returns true if the work writes a file or folder of this name directly into the run folder.
     pub(crate) fn writes(self, name: &OsStr) -> bool {
         let Some(name) = name.to_str() else { return false };
         if name == "cache" {

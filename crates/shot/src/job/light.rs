@@ -27,7 +27,7 @@ pub struct LightJob {
     pub background: Background,
     /// Illuminate the meshes with the scene's splats instead of an environment.
     pub from_splats: bool,
-    /// Add the studio light to a scene without light, or whose light leaves the visible surfaces
+    /// Add the studio light if the scene has no light, or if its light leaves the visible surfaces
     /// dark.
     pub automatic: bool,
     /// Show the scene file's light sources that have a surface. Without this key the scene file

@@ -128,7 +128,7 @@ mod tests {
         let values: Vec<f32> = (0..18).map(|i| i as f32 - 3.5).collect();
         let bytes = pfm(&values, 3, 2);
         assert!(bytes.starts_with(b"PF\n2 3\n-1.0\n"));
-        // A PFM file begins with the lowest row, so its first value is value 12.
+        // A PFM file begins with the lowest row, so its first value is value 12 of the picture.
         assert_eq!(bytes[12..16], values[12].to_le_bytes());
         assert_eq!(parse_pfm(&bytes), Some(([3, 2], values)));
         for cut in 0..bytes.len() {
