@@ -5,7 +5,7 @@
 //! stamps     records of results, with their keys views          cached pictures with hashes
 //! files      atomic writes                       settings       sealed job.toml and display.toml
 //! lock       one owner of a folder at a time     names          names of the files of a run
-//! folder     takes a folder for a job            left_overs     files of killed runs
+//! folder     locks a folder for a job            left_overs     files of killed runs
 //! used       files that the last run used        clean          removes all other files
 //! handover   scenes that Blender exported        plugin_files   files in parameters of plugins
 //! farm       finished units of work

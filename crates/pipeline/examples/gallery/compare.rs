@@ -36,8 +36,8 @@ pub struct Figures {
     pub difference: f64,
     /// The same value as `difference`, but with the noise of both renders.
     pub with_noise: f64,
-    /// Overlap of the pixels that surfaces cover, 0..1. It is the number of pixels that are covered
-    /// in both renders, divided by the number of pixels that are covered in at least one render.
+    /// Overlap of the pixels that surfaces cover, 0..1. It is the number of pixels covered in both
+    /// renders, divided by the number of pixels covered in at least one render.
     pub overlap: f64,
     /// Centroid of the covered pixels of our render minus the centroid in Blender's render, pixels
     /// (right, down).

@@ -477,9 +477,8 @@ fn memory(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> u64 {
     sizes[step.part].as_ref().map_or(0, |sizes| bytes(step.kind, job, sizes))
 }
 
-/// Returns an upper bound of the memory of a step, bytes. The memory of three things is only a
-/// rough estimate: the search tree over a scene, a plugin's own data, and the pictures of an
-/// output.
+/// Returns an upper bound of the memory of a step, bytes. For three things it is only a rough
+/// estimate: the search tree over a scene, a plugin's own data, and the pictures of an output.
 fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     let (memory, threads) = (&sizes.memory, rayon::current_num_threads() as f64);
     // Memory of a scene as a multiple of the size of its file. The factor for splats is larger,

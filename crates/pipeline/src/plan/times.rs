@@ -29,7 +29,7 @@ use crate::stage::node::is_factorized;
 /// | 1 | extrapolated | 45.3 | 45.3 |
 ///
 /// If there are more than 8 to 12 iterations, extrapolation gives a higher PSNR, but no better
-/// flicker score. Patterns that are moved with the content are a start that is 4 dB better, but the
+/// flicker score. Patterns that are moved with the content are a start that is 4 dB better. But the
 /// result is only 0.1 to 0.4 dB better. That gain is not worth the memory of a second target.
 const WARM_SOLVER: &str = "block-exact";
 

@@ -56,9 +56,9 @@ pub(crate) const REMEDY_IN_COMMAND: &str =
 pub(crate) const REMEDY_IN_PYTHON: &str =
     "light_field.exposed(stops) scales and clips them, tone=\"khronos-neutral\" or \"agx\" compresses them";
 
-/// Returns the angular footprint of a display that is adapted to a light field: the width of the
-/// range of slopes that the display cannot separate. If the display cannot be adapted, returns its
-/// footprint without adaptation.
+/// Returns the angular footprint of a display that is adapted to a light field. It is the width of
+/// the range of slopes that the display cannot separate. If the display cannot be adapted, returns
+/// its footprint without adaptation.
 pub(crate) fn adapted_footprint(display: &Display, geometry: &FieldGeometry) -> [f64; 2] {
     display.adapted_to(geometry).as_ref().unwrap_or(display).angular_footprint()
 }

@@ -1,5 +1,5 @@
-//! Units of work: the bytes of results do not depend on how the plan is cut into units, units run
-//! in parallel, and wrong plans are refused.
+//! Tests of units of work. The bytes of results do not depend on how the plan is cut into units.
+//! Units run in parallel, and wrong plans are refused.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;

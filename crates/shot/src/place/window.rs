@@ -213,7 +213,7 @@ mod tests {
 
     #[test]
     fn what_is_framed_is_shown_whole() {
-        // Every case is the mask of an object. The objects are a head on a thin stand, a slender
+        // Every case is the mask of an object. The cases are a head on a thin stand, a slender
         // animal, a wide row of small things, a speck in a corner, and a full mask.
         let cases: [(&str, Box<dyn Fn(usize, usize) -> bool>); 5] = [
             ("bust", Box::new(|row, col| col.abs_diff(80) < if row < 40 { 22 } else { 3 })),

@@ -69,9 +69,9 @@ pub(crate) fn from_splats(scene: Scene, strength: f32, task: Task<'_>) -> Result
 mod tests {
     use super::*;
 
-    /// Expected values are from Blender 4.5. A camera that looks along −z in an imported glTF file
-    /// shows the column at 0.25 of the map's width in the middle of its picture. Columns farther to
-    /// the right in the map appear farther to the right.
+    /// Expected values are from Blender 4.5. A camera of an imported glTF file looks along −z. The
+    /// middle of its picture shows the column at 0.25 of the map's width. Columns farther to the
+    /// right in the map appear farther to the right.
     #[test]
     fn environment_files_lie_as_in_blender() {
         // Returns the direction of the column at the fraction `u` of the map's width. Before the

@@ -20,8 +20,8 @@ use crate::store::views::write_picture;
 ///
 /// If the job names an engine, it is used. With `auto`, our path tracer renders, with one
 /// exception: the engine of a `.blend` file renders if the conversion loses features of the scene.
-/// That engine renders only if it works on this machine, and if the job needs nothing that only our
-/// path tracer has, such as the `variance` of views.
+/// That engine must work on this machine, and the job must not need features of our path tracer
+/// alone, such as the `variance` of views.
 pub(crate) fn engine(job: &Job, ingested: &Ingested, variance: bool, task: Task<'_>) -> Engine {
     let is_file = job.scene.as_deref().is_some_and(is_blend);
     chosen(
