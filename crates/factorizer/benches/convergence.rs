@@ -1,5 +1,5 @@
 //! Prints the PSNR of every combination of solver, start and number of coarser levels, after
-//! several numbers of iterations. Reference values stand below.
+//! several numbers of iterations. The function `fixed` lists reference values.
 //!
 //! ```text
 //! cargo bench -p lumistack-factorizer --bench convergence --

@@ -1,15 +1,16 @@
-//! Updates lines of one factor that rays read between pixels. For all rays of a view column, the
-//! position that a ray reads is at one distance from the ray's own column.
+//! Updates lines of one factor that rays read between pixels. All rays of a view column read the
+//! factor at the same distance from their own columns.
 //!
-//! As in [`scatter`](crate::scatter), each ray adds its sums to four pixels, by shares. But at a
-//! constant distance, a pixel's rays are known from its column, so each pixel collects its sums:
+//! As in [`scatter`](crate::scatter), each ray adds its terms to four pixels, by the shares
+//! (1 − t_y, t_y) and (1 − t_x, t_x). But at a constant distance, a pixel's rays are known from its
+//! column, so each pixel collects its sums:
 //!
 //! ```text
 //! for every part of line j, some columns x:
 //!     low = the high sums of line j − 1 at x,  high = 0
 //!     for every row of rays between the lines j and j + 1, for every block of pixels:
-//!         sums = Σ over view columns: (1 − t_x) · (w e a_m, w a_m a_k) of the rays before x
-//!                                         + t_x · (w e a_m, w a_m a_k) of the rays one earlier
+//!         sums = Σ over view columns: (1 − t_x) · (w e a_m, w a_m a_k) of rays between x and x + 1
+//!                                         + t_x · (w e a_m, w a_m a_k) of rays between x − 1 and x
 //!         low += (1 − t_y) · sums,  high += t_y · sums
 //!     step the pixels by low, keep high for line j + 1
 //! ```
@@ -315,7 +316,7 @@ impl Kernel for SumsBetween {
                 let mut group = Group { frames, views: 0, add: false };
                 for (view, column) in shares.iter().enumerate() {
                     if column.valid.start < x + V::COUNT && x < column.valid.end + 1 {
-                        // a view adds up to two entries to the group, which must have room for them
+                        // a view adds one or two entries to the group, which must have room for two
                         if group.views + 2 > GROUP {
                             sum_views::<V, false>(params.sums, buffers, &[], group);
                             group = Group { frames, views: 0, add: true };
@@ -513,8 +514,8 @@ impl Reads<'_> {
     }
 }
 
-/// Interpolates, at the fraction `t`, between the values from `from` on and the values one place
-/// further.
+/// Interpolates, at the fraction `t`, between two vectors: the values from `from` on, and the
+/// values one pixel further.
 #[inline(always)]
 unsafe fn between_pixels<V: Lanes>(from: *const f32, t: f32) -> V {
     // SAFETY: guaranteed by the caller

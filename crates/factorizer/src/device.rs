@@ -61,8 +61,9 @@ pub trait Updater {
     /// Returns [`Begin::tries_local`].
     fn tries_local(&self) -> bool;
 
-    /// Sets the flag that cancels updates. It is read before each part of an update; after a
-    /// cancellation, the remaining parts keep their values.
+    /// Sets the flag that cancels updates. An update reads the flag before it begins, and on the
+    /// processor before every line. After a cancellation, values that are not updated yet stay as
+    /// they are.
     fn set_cancel(&mut self, cancel: &Cancel);
 
     /// Updates factor `n` by the current values of all factors.
@@ -225,8 +226,9 @@ impl Plan {
         self.target.brightness
     }
 
-    /// For [`Rule::Darken`], returns the largest Σ w a_m² of an unlit pixel, divided by Σ w over
-    /// the pixel's rays. Here a_m is M times the derivative of L̃ by the pixel's value in frame m.
+    /// For [`Rule::Darken`], returns the largest Σ w a_m² at which a pixel's value is unlit,
+    /// divided by Σ w over the pixel's rays. Here a_m is M times the derivative of L̃ by the
+    /// pixel's value in frame m.
     pub fn unlit_share(&self) -> f32 {
         crate::unlit::share(self)
     }

@@ -8,9 +8,9 @@
 //! line. The padding and the extra line hold the value that rays read if they miss the factor. So
 //! inner loops have no branch for misses.
 //!
-//! The backlight has R × C lenslets per angular bin. Its line is bin_y·R + lenslet row, and its
-//! column is bin_x·C + lenslet column. So its map is separable into lines and columns, like the map
-//! of a layer.
+//! The backlight has R × C lenslets per angular bin. Lenslet (row, column) of bin (bin_y, bin_x) is
+//! the pixel at line bin_y·R + row and column bin_x·C + column. So the map of the backlight is
+//! separable into lines and columns, like the map of a layer.
 
 use crate::aligned::Aligned;
 use crate::bands;
@@ -147,7 +147,7 @@ impl Factor {
         &self.values[at..at + self.layout.stride]
     }
 
-    /// One line of all frames: padded rows one after another.
+    /// Returns one line in all frames: padded rows, one after another.
     #[inline(always)]
     pub(crate) fn line(&self, channel: usize, line: usize) -> &[f32] {
         let at = (channel * self.layout.stored_lines() + line) * self.layout.line_len();

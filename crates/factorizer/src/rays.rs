@@ -50,7 +50,7 @@ impl<'a, T> Place<'a, T> {
         }
     }
 
-    /// Pointer to the values from x on, as many as a vector has.
+    /// Returns a pointer to the values from x on, as many as a vector `V` has.
     #[inline(always)]
     pub(crate) fn at<V: Lanes>(&self, x: usize) -> *const T {
         let at = self.zero.wrapping_add(x);
@@ -82,7 +82,7 @@ impl View<'_> {
     #[inline(always)]
     pub(crate) unsafe fn weight<V: Lanes>(&self, x: usize) -> Option<V> {
         let (low, high) = (self.valid.start.max(x), self.valid.end.min(x + V::COUNT));
-        // SAFETY: the machine has V; padding makes loads legal where a ray is valid
+        // SAFETY: the machine has the instruction set of V; padding makes loads legal where a ray is valid
         (low < high).then(|| unsafe {
             let inside = mask::<V>(low - x, high - x);
             self.weights.as_ref().map_or(inside, |weights| inside.mul(V::load(weights.at::<V>(x))))
@@ -173,7 +173,8 @@ impl<'a> LineRays<'a> {
         start..self.views.iter().map(|view| view.valid.end).max().unwrap_or(0)
     }
 
-    /// The rows of a range of views, with K factors besides the factor under update.
+    /// Returns, for each view of a range, the rows that its rays read. K is the number of factors
+    /// besides the factor under update.
     #[inline(always)]
     pub(crate) fn by_view<const K: usize>(&self, views: Range<usize>) -> impl Iterator<Item = RowsOfView<'_, K>> {
         let others = &self.others.as_chunks::<K>().0[views.clone()];
@@ -294,10 +295,10 @@ impl<'a> Left<'a> {
         (Self { mixed, expanded, held: held.iter_mut() }, rows)
     }
 
-    /// The line of factor `k` that a row of rays reads, for all frames.
+    /// Returns the line of factor `k` that a row of rays reads, in all frames.
     ///
-    /// Call it for every factor in turn, since mixed lines are taken in order. If factor `k` is
-    /// being updated in place, it has no values here, and its line is empty.
+    /// The caller must call this for every factor in turn, since mixed lines are taken in order. If
+    /// factor `k` is being updated in place, it has no values here, and the result is empty.
     fn line(&mut self, plan: &Plan, factors: &'a [Factor], k: usize, channel: usize, rays: RowOfRays) -> &'a [f32] {
         let (map, factor) = (&plan.maps[k], &factors[k]);
         let tap = map.y[rays.view_y][rays.row];
@@ -309,8 +310,8 @@ impl<'a> Left<'a> {
         line
     }
 
-    /// The values that the rays of a view read from a line of a factor: in place, or expanded along
-    /// the rays.
+    /// Returns the place of the values that the rays of a view read from a line of factor `k`. The
+    /// values are in the line itself, or in a row that is expanded along the rays.
     ///
     /// `offset` is added to x, see [`Place`].
     fn place(

@@ -36,11 +36,11 @@ pub trait Run {
     /// Computes the objective of the current patterns.
     fn objective(&mut self) -> Objective;
 
-    /// The objective that the last step obtained from its own sums. It may belong to the
-    /// extrapolated patterns, not to the last iterate.
+    /// Returns the objective that the last step obtained from its own sums. This may be the
+    /// objective of the extrapolated patterns instead of the last iterate.
     ///
-    /// `None` after a restart, or if the sums do not contain the objective. [`Self::objective`]
-    /// computes it in any case.
+    /// Returns `None` after a restart, or if the sums do not contain the objective.
+    /// [`Self::objective`] computes the objective in any case.
     fn known_objective(&self) -> Option<Objective>;
 
     /// Computes the KKT residual: the distance of the patterns from the first-order conditions.

@@ -291,8 +291,8 @@ impl Geometry {
         prefetch(record.wrapping_add(64));
     }
 
-    /// The point of a loose triangle where its three corners have the weights `barycentric`. The
-    /// corners are in the order of the triangle's record.
+    /// Returns the point of a loose triangle at which its three corners have the weights
+    /// `barycentric`. The corners are in the order of the triangle's record.
     #[inline]
     pub(crate) fn point(&self, triangle: u32, barycentric: [f32; 3]) -> SurfacePoint<'_> {
         let record = &self.records[triangle as usize];
@@ -458,10 +458,10 @@ impl SurfacePoint<'_> {
         if normal.dot(self.geometric_normal) > 0.0 { normal } else { self.geometric_normal }
     }
 
-    /// The point, moved along normals onto a smooth surface through the corners. It moves only to
-    /// the front if `side` is 1, and only to the back if `side` is −1. The surface may bulge as far
-    /// as each corner's tangent plane (Hanika 2021, "Hacking the shadow terminator", Ray Tracing
-    /// Gems II).
+    /// Returns the point, moved along normals onto a smooth surface through the corners. The point
+    /// moves only to the front if `side` is 1, and only to the back if `side` is −1. The surface
+    /// may bulge as far as each corner's tangent plane (Hanika 2021, "Hacking the shadow
+    /// terminator", Ray Tracing Gems II).
     pub(crate) fn smooth_position(&self, side: f32) -> Vec3 {
         let bulge = |k: usize| {
             let (corner, normal) = match self.placed {

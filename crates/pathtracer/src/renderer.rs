@@ -285,8 +285,8 @@ impl Renderer {
         Ok(filled)
     }
 
-    /// 1 for every pixel whose central ray hits a surface, else 0: `[row][col]`. Does not advance
-    /// the progress.
+    /// Returns `[row][col]`, with 1 for every pixel whose central ray hits a surface, and 0 for all
+    /// other pixels. Does not advance the progress.
     ///
     /// # Errors
     /// If the geometry or the view is out of range, or when cancelled.
@@ -347,7 +347,7 @@ impl Renderer {
         Ok(PrimaryRays::new(window, geometry, view, self.geometry.space, slope_width, round))
     }
 
-    /// Samples of a view, `view` = [view_y, view_x], after a check of the settings.
+    /// Checks the settings, and prepares the samples of a view, `view` = [view_y, view_x].
     fn samples_of<'a>(
         &self,
         window: &Window,
@@ -371,8 +371,8 @@ impl Renderer {
         }
     }
 
-    /// Renders a pixel of [paths, rays]; the first rays continue as paths. With `FIRST` also adds
-    /// up data of the first surfaces of its rays.
+    /// Renders a pixel with the given numbers [paths, rays]; the first rays continue as paths. If
+    /// `FIRST` is true, also adds up data of the first surfaces of the rays.
     fn pixel<const FIRST: bool>(
         &self,
         samples: &ViewSamples<'_>,

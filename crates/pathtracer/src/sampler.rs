@@ -56,8 +56,9 @@ impl SampleBank {
         Self::with_more(samples, samples)
     }
 
-    /// A bank for `points` per pixel, of which only the first `samples` draw more than one pair.
-    /// The first points of a scrambled sequence are stratified, as all are.
+    /// Makes a bank with at least `points` and at least `samples` points per pixel, up to
+    /// [`LONGEST`]. [`Draws::parts`] describes the first `samples` points. The first points of a
+    /// scrambled sequence are stratified, as the whole sequence is.
     pub(crate) fn with_more(samples: u32, points: u32) -> Self {
         let length = points.max(samples).clamp(1, LONGEST).next_power_of_two();
         let parts = 1 << samples.clamp(1, LONGEST).ilog2();
@@ -77,9 +78,9 @@ impl SampleBank {
         Self { points, length, parts }
     }
 
-    /// The random numbers of sample `first` and the samples after it, for the pixel with this hash.
-    /// `first` must be a multiple of a power of two, and at most that number of samples may be
-    /// drawn. Otherwise they would extend over the end of the bank's sequence.
+    /// Returns the random numbers of sample `first` and the samples after it, for the pixel with
+    /// this hash. `first` must be a multiple of a power of two, and at most that number of samples
+    /// may be drawn. Otherwise they would extend over the end of the bank's sequence.
     pub(crate) fn draws(&self, pixel: u64, first: u32) -> Draws<'_> {
         let pixel = if first < self.length { pixel } else { seed::derive(pixel, &[u64::from(first / self.length)]) };
         Draws { bank: self, pixel, first: first & (self.length - 1) }

@@ -94,7 +94,7 @@ impl Materials {
         if !(material.double_sided || is_solid(material)) {
             flags |= bvh::CULL_BACK;
         }
-        // the flag of unseen lamps makes it possible for first hits to pass through them
+        // unseen lamps get this flag too, so that first hits can pass through them
         if material.alpha_mode != AlphaMode::Opaque || material.lamp == Lamp::Unseen {
             flags |= bvh::ALPHA;
         }
@@ -269,8 +269,8 @@ impl Materials {
         point.mapped_normal(normal, Vec3::new(scale * texel.x, scale * texel.y, texel.z)).unwrap_or(normal)
     }
 
-    /// Colour that white light gets over a distance inside the solid, and that distance in scene
-    /// units.
+    /// Returns the colour that white light has after a certain distance inside the solid, and that
+    /// distance in scene units.
     pub(crate) fn attenuation(&self, index: usize) -> (Vec3, f32) {
         let material = &self.scene.materials[index];
         (material.attenuation_color, material.attenuation_distance)

@@ -11,8 +11,9 @@
 //! follow the power heuristic w. Its numerator is the squared density of the technique that made
 //! the sample: p_b² for w_b, p_l² for w_l.
 //!
-//! Alpha of mode `Blend` is decided by chance along scattered rays, and multiplied along shadow
-//! rays. Both ways have the right mean.
+//! For alpha of mode `Blend`, chance decides whether the surface is there for a scattered ray. A
+//! shadow ray passes the surface, and its light is multiplied by the transparent fraction. Both
+//! ways have the right mean.
 //!
 //! The samples of a pixel are traced together, one vertex of all paths at a time. First rays are
 //! close together and traverse the tree as a beam. Random numbers of a vertex share their hash.
@@ -84,7 +85,7 @@ const LAMBERTIAN: u8 = 1;
 const EMISSIVE: u8 = 2;
 /// Marks a material that shows its colour and scatters nothing.
 const UNLIT: u8 = 4;
-/// Marks a material of a light source that viewers do not see, so first hits pass through it.
+/// Marks the material of a light source that viewers do not see. First rays pass through it.
 const UNSEEN: u8 = 8;
 
 /// Properties of a material that the path loop reads at every hit, in one byte.
@@ -189,10 +190,10 @@ struct Vertex<'a> {
 }
 
 impl Tracer<'_> {
-    /// Radiance along at most [`BEAM`] rays of a pixel. `draws` has the random numbers of
-    /// successive samples, one sample per ray. If `in_bounds` is false, the rays hit nothing. The
-    /// call overwrites `rays`. The first `paths_of_rays` rays continue as paths; the others end at
-    /// their first surface. If `FIRST` is true, it writes the first surface of every ray to
+    /// Computes the radiance along at most [`BEAM`] rays of a pixel. `draws` has the random numbers
+    /// of successive samples, one sample per ray. If `in_bounds` is false, the rays hit nothing.
+    /// The call overwrites `rays`. The first `paths_of_rays` rays continue as paths; the others end
+    /// at their first surface. If `FIRST` is true, it writes the first surface of every ray to
     /// `first`, which needs an element per ray. The radiance is the same to the bit for both values
     /// of `FIRST`.
     pub(crate) fn radiance<const FIRST: bool>(

@@ -59,8 +59,8 @@ impl Backend {
         }
     }
 
-    /// A kernel's function for this instruction set. The machine has the set, so the function is
-    /// unsafe only because of the kernel's own demands on its arguments.
+    /// Returns a kernel's function for this instruction set. The machine has the set, so the
+    /// function is unsafe only because of the kernel's own demands on its arguments.
     pub fn function<K: Kernel>(self) -> Function<K> {
         match self.0 {
             #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]

@@ -15,8 +15,8 @@
 //! A multiplication or multiply-add is one operation. The clamped coordinate steps, which take
 //! place once per pixel, are not counted. Bytes are counted for the update of each factor. All
 //! factors are read (4 bytes per value), and the target is read (half floats, 2 bytes per value).
-//! The updated factor is written. This is the smallest traffic of the memory bus if caches keep
-//! only single rows and each factor is updated separately.
+//! The updated factor is written. The sum of these bytes is the smallest traffic of the memory bus
+//! if caches keep only single rows and each factor is updated separately.
 
 use lumistack_display::{Backlight, Display, LayerStack, LensletBacklight, LightField, Sampling, Weights};
 use lumistack_factorizer::Problem;

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 /// Number of independent sums per thread. It exceeds latency × number of multiply-add units of
 /// common cores, so that all units are busy. All sums fit into 16 registers.
 const SUMS: usize = 12;
-/// Number of multiply-adds of every sum in one measurement, which takes some 20 ms.
+/// Number of multiply-adds per sum in one measurement, which takes some 20 ms.
 const ROUNDS: u64 = 6_000_000;
 /// Number of values of the array that is read, 512 MiB: far more than most caches hold.
 const VALUES: usize = 64 << 20;

@@ -109,8 +109,8 @@ impl Oracle {
         (0..self.frames).map(|m| self.frame(ray, m, channel, None)).sum::<f64>() / self.frames as f64
     }
 
-    /// Derivative of frame m's emission by the value of factor n: exact if the emission is linear
-    /// in it, otherwise by central differences.
+    /// Returns the derivative of frame m's emission by the value of factor n. It is exact if the
+    /// emission is linear in this value, otherwise computed by central differences.
     fn slope(&self, ray: &Ray, n: usize, m: usize, channel: usize) -> f64 {
         let f = self.value(ray, n, m, channel);
         let [low, high] = if self.is_linear(n) { [0.0, 1.0] } else { [f - 1e-5, f + 1e-5] };

@@ -1,5 +1,6 @@
-//! Compares ways to render light fields: view by view, with light that all views of a point share,
-//! the same with further paths, and with a filter. Each way renders twice, with independent seeds.
+//! Compares four ways to render light fields. Views are rendered one by one, with light that all
+//! views of a point share, with shared light and further paths, or with a filter. Each way renders
+//! twice, with independent seeds.
 
 use std::time::Duration;
 
@@ -56,8 +57,9 @@ struct Errors {
     bias: f64,
     /// Mean of the pictures divided by the mean of the truth, minus 1.
     change: f64,
-    /// Variance of the mean of all views, without shifts. The solver averages views in about this
-    /// way, so it is the noise that a display shows.
+    /// Variance of the mean picture. All views are averaged pixel by pixel, and are not aligned by
+    /// their parallax. The solver averages views in about this way, so a display shows about this
+    /// noise.
     of_mean: f64,
 }
 
@@ -282,8 +284,8 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Value at x of the polyline through points in order of x. Outside of the points, its first or
-/// last segment is extended as a straight line.
+/// Returns the value at x of the polyline through `points`, which are in order of x. Outside of the
+/// points, the first or the last segment is extended as a straight line.
 fn on_line(points: &[[f64; 2]], x: f64) -> f64 {
     let next = points.iter().position(|[at, _]| *at > x).unwrap_or(points.len() - 1).max(1);
     let ([x0, y0], [x1, y1]) = (points[next - 1], points[next]);

@@ -88,13 +88,13 @@ pub(crate) fn masking_ratio(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     i_z * (o.z + root_o) / (i_z * root_o + o.z * root_i).max(f32::MIN_POSITIVE)
 }
 
-/// A visible microfacet normal, sampled by two uniform numbers.
+/// Samples a visible microfacet normal by two uniform numbers.
 #[inline]
 pub(crate) fn sample_normal(o: Vec3, alpha: Vec2, u: [f32; 2]) -> Vec3 {
     sample_cap(o, alpha, 1.0, u)
 }
 
-/// The direction to which a sampled visible microfacet reflects `o`; few such directions are below
+/// Samples the direction to which a visible microfacet reflects `o`; few such directions are below
 /// the horizon.
 #[inline]
 pub(crate) fn sample_reflection(o: Vec3, alpha: Vec2, u: [f32; 2]) -> Vec3 {

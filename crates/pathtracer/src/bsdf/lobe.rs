@@ -33,13 +33,13 @@ pub(crate) trait Lobe {
     /// True if the lobe can be evaluated; otherwise it is a mirror.
     fn is_rough(&self, facet: &Facet) -> bool;
 
-    /// f |cos|, and the density with which [`sample`](Self::sample) finds the light. A mirror
-    /// returns zeros.
+    /// Returns f |cos| with the scattering function f, and the density with which
+    /// [`sample`](Self::sample) finds the light. A mirror returns zeros.
     fn evaluate(&self, facet: &Facet, light: &Light) -> (Vec3, f32);
 
-    /// A direction for `u` in [0, 1)²; `u_fresnel` chooses between reflection and refraction.
-    /// `chance` is the chance with which this lobe was chosen. Returns `None` if the light is
-    /// absorbed.
+    /// Samples a direction by `u` in [0, 1)²; `u_fresnel` chooses between reflection and
+    /// refraction. `chance` is the chance with which this lobe was chosen. Returns `None` if the
+    /// light is absorbed.
     fn sample(&self, facet: &Facet, chance: f32, u: [f32; 2], u_fresnel: f32) -> Option<Sample>;
 
     /// Fraction of the light that passes without a change of direction.
@@ -64,8 +64,8 @@ pub(crate) trait Layer: Lobe + Sized {
     /// The layer's textures; `slot` prepares a texture.
     fn slots(material: &Material, slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>) -> Self::Slots;
 
-    /// The parameters at a point, `None` where the layer has no effect. `texel` looks a texture up,
-    /// and returns 1 if there is none.
+    /// Returns the parameters at a point, `None` where the layer has no effect. `texel` looks a
+    /// texture up, and returns 1 if there is none.
     fn parameters(
         material: &Material,
         slots: &Self::Slots,
@@ -78,7 +78,7 @@ pub(crate) trait Layer: Lobe + Sized {
         1.0
     }
 
-    /// The lobe, at a point where the layers above pass the fraction `below` of the light.
+    /// Makes the lobe at a point where the layers above pass the fraction `below` of the light.
     /// Multiplies `below` by the fraction that this layer passes.
     fn new(parameters: &Self::Parameters, surface: &Surface<'_>, below: &mut f32) -> Self;
 }
@@ -170,7 +170,8 @@ pub(crate) struct Surface<'a> {
 }
 
 impl Surface<'_> {
-    /// The factor on a lobe that returns the light that single scattering loses.
+    /// Returns the factor on a lobe that adds the light that single scattering loses; 1 without
+    /// compensation.
     #[inline]
     pub(crate) fn compensation(&self, f0: Vec3) -> Vec3 {
         if self.compensated { self.table.compensation(f0) } else { Vec3::ONE }

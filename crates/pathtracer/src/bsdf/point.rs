@@ -99,7 +99,7 @@ impl Bsdf {
     }
 
     /// Returns the scattering function of the lobe `lobe` alone. `None` if the lobe's chance is 0
-    /// or 1, or if no lobe can be evaluated.
+    /// or 1, or if the lobe is a mirror.
     #[cfg(test)]
     pub(crate) fn alone(mut self, lobe: usize) -> Option<Self> {
         let chance =

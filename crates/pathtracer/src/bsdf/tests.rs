@@ -431,8 +431,8 @@ fn a_film_on_plastic_loses_light_in_weaker_channels_only() {
     }
 }
 
-/// A path's wavelength changes the index of refraction and tints the transmitted light, and nothing
-/// else. On average glass stays white.
+/// A path's wavelength changes only the index of refraction and the tint of the transmitted light.
+/// On average glass stays white.
 #[test]
 fn dispersion_keeps_white_white() {
     let glass = Appearance { transmission: 1.0, roughness: 0.0, solid: true, ior: 1.5, ..appearance() };

@@ -14,9 +14,9 @@
 //! * Postponed children stay sorted by distance, and are dropped when a nearer hit is known. Where
 //!   any hit suffices, the loop does not sort.
 //! * The whole loop is one function compiled for the instruction set.
-//! * A ray enters few nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so preparing the ray is a
-//!   notable part of the time. So values that only the test of a block needs stay scalars. Trees
-//!   without instances have a loop of their own, whose rays never change. These two measures
+//! * A ray enters few nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so preparing the ray takes a
+//!   notable part of the time. Values that only the test of a block needs therefore stay scalars.
+//!   Trees without instances have a loop of their own, whose rays never change. These two measures
 //!   together give a fifth to a third more rays per second.
 //! * A block's test runs to its end even if the edge functions already exclude all its triangles. A
 //!   branch there would be unpredictable; without it 4 to 9 % more scattered and shadow rays are
@@ -31,8 +31,8 @@
 //!   branch waits for no data.
 //! * A branch on the nearer of two children: 1 to 3 % slower.
 //! * The triangle test prepared at a ray's first block: primary rays 5 % slower.
-//! * The block that stopped the last shadow ray tested first: 2 % slower, since most shadow rays
-//!   arrive.
+//! * Each shadow ray first tested against the block that stopped the last one: 2 % slower, since
+//!   most shadow rays arrive.
 //! * No prefetch: 10 to 20 % slower on 15 copies. Prefetch of the postponed children alone: 0 to 10
 //!   % slower there.
 //! * Large pages instead of small ones: no difference on the helmet.
@@ -156,8 +156,9 @@ impl Bvh {
         Stack(vec![0; self.stack_depth + 1])
     }
 
-    /// The nearest hit for which `accept` returns true. `accept` is called only for triangles with
-    /// flags other than [`CULL_BACK`], in any order and at most once per triangle and instance.
+    /// Returns the nearest hit for which `accept` returns true. `accept` is called only for
+    /// triangles with flags other than [`CULL_BACK`], in any order and at most once per triangle
+    /// and instance.
     #[inline]
     pub(crate) fn nearest(&self, ray: &Ray, stack: &mut Stack, accept: impl FnMut(&Hit) -> bool) -> Option<Hit> {
         let mut hit = None;
@@ -165,8 +166,9 @@ impl Bvh {
         hit
     }
 
-    /// [`nearest`](Self::nearest), with the result written to `found`. A returned value would be
-    /// copied in larger pieces than it was written in, and a processor waits for such copies.
+    /// Does the same as [`nearest`](Self::nearest), and writes the result to `found`. A returned
+    /// value would be copied in larger pieces than it was written in, and a processor waits for
+    /// such copies.
     #[inline]
     pub(crate) fn find_nearest(
         &self,
@@ -179,9 +181,10 @@ impl Bvh {
         unsafe { self.backend.call_eight::<Nearest<_>>((self, ray, stack, accept, found)) }
     }
 
-    /// Product of `transmittance` over all triangles that the segment crosses. `transmittance` is
-    /// called only for triangles with flags other than [`CULL_BACK`], at most once for each
-    /// triangle and instance. All other triangles are opaque. Stops when the product is zero.
+    /// Returns the product of `transmittance` over all triangles that the segment crosses.
+    /// `transmittance` is called only for triangles with flags other than [`CULL_BACK`], at most
+    /// once for each triangle and instance. All other triangles are opaque. The traversal stops
+    /// when the product is zero.
     #[inline]
     pub(crate) fn transmittance(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
         // SAFETY: the kernel makes no demands
@@ -475,7 +478,7 @@ impl<F: FnMut(&Hit) -> Vec3> Kernel for Transmittance<F> {
 }
 
 impl Placed {
-    /// The ray in the tree's space, with the same points at the same t.
+    /// Returns the ray in the tree's space. Each t gives the same point as before.
     #[inline(always)]
     fn tree_ray(&self, ray: &Ray) -> Ray {
         // The subtraction comes first, since its result is exact close to the instance. If the

@@ -53,7 +53,7 @@ impl Estimate {
         if self.count < 2.0 { f64::NAN } else { (variance / (self.count - 1.0)).sqrt() }
     }
 
-    /// The estimate from the values of all given estimates.
+    /// Returns the joint estimate from the values of all given estimates.
     pub fn joined(parts: impl IntoIterator<Item = Self>) -> Self {
         parts.into_iter().fold(Self::default(), |a, b| Self {
             sum: a.sum + b.sum,
@@ -62,13 +62,13 @@ impl Estimate {
         })
     }
 
-    /// The estimate from the same values, each multiplied by a factor.
+    /// Returns the estimate from the same values, each multiplied by a factor.
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
         Self { sum: factor * self.sum, squares: factor * factor * self.squares, ..self }
     }
 
-    /// Sum, sum of squares and number of the values, for storage.
+    /// Returns the sum, the sum of squares, and the number of the values, for storage.
     pub fn parts(&self) -> [f64; 3] {
         [self.sum, self.squares, self.count]
     }

@@ -310,8 +310,8 @@ fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
     [x, y, 1.0 - x - y]
 }
 
-/// Radiance that leaves a point in a direction with this cosine to the normal, times the fraction
-/// of the surface that alpha leaves.
+/// Returns the radiance that leaves a point in a direction with this cosine to the normal, times
+/// the opaque fraction of the surface.
 fn emitted(materials: &Materials, material: usize, point: &SurfacePoint<'_>, cosine: f32) -> Vec3 {
     materials.emission(material, point, 0.0, true, cosine) * materials.coverage(material, point)
 }

@@ -75,8 +75,8 @@ impl PunctualLight {
         })
     }
 
-    /// The light as a sample, if the light was chosen with this chance. For a distant light, `u`
-    /// chooses a direction of its cone.
+    /// Returns a sample of the light. `chance` is the chance with which this light was chosen. For
+    /// a distant light, `u` chooses a direction of its cone.
     pub(crate) fn light_sample(&self, from: Vec3, chance: f32, u: [f32; 2]) -> Option<LightSample> {
         let (direction, end, intensity) = self.sample(from, u)?;
         Some(LightSample { direction, end, weight: intensity / chance, inverse_pdf: 0.0 })

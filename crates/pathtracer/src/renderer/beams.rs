@@ -24,8 +24,8 @@ pub(super) struct ViewSamples<'a> {
 }
 
 impl<'a> ViewSamples<'a> {
-    /// Samples of the view [view_y, view_x], as many per pixel as the settings say, or at most
-    /// `rays_per_pixel` if that is more.
+    /// Prepares the samples of the view [view_y, view_x]. A pixel may have up to `rays_per_pixel`
+    /// rays, or the number of samples of the settings if that is more.
     pub(super) fn new(
         rays: PrimaryRays<'a>,
         axes: DisplayAxes,
@@ -55,8 +55,8 @@ impl<'a> ViewSamples<'a> {
         self.for_each_beam_of(at, pixel_seed, [self.paths; 2], |beam, _, rays, draws| take(beam, rays, draws));
     }
 
-    /// As [`for_each_beam`](Self::for_each_beam), for [paths, rays] of a pixel. `take` also gets
-    /// the number of the beam's rays that continue as paths.
+    /// Does the same as [`for_each_beam`](Self::for_each_beam), for the given numbers [paths, rays]
+    /// of a pixel. `take` also gets the number of the beam's rays that continue as paths.
     #[inline]
     pub(super) fn for_each_beam_of(
         &self,

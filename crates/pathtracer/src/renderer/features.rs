@@ -89,8 +89,8 @@ impl Features {
         [rows, cols]
     }
 
-    /// Guides of all samples of two renders of one view, which must have equal numbers of samples.
-    /// The central depth is the depth of `self`.
+    /// Returns the guides over the samples of two renders of one view, which must have equal
+    /// numbers of samples. The central depth is the central depth of `self`.
     ///
     /// # Panics
     /// If the sizes of `self` and `other` differ.

@@ -259,7 +259,7 @@ fn further_paths_do_no_harm_where_views_share_no_light() {
     assert!(further[1] < shared[1].min(0.05), "{alone:?} {shared:?} {further:?}");
 }
 
-/// Further paths leave a view without noise as it is, and the mean of a noisy view. The result is
+/// Further paths change neither a view without noise nor the mean of a noisy view. The result is
 /// the same with any number of threads, and with guides.
 #[test]
 fn further_paths_keep_the_mean_and_the_bytes() {
@@ -285,7 +285,8 @@ fn further_paths_keep_the_mean_and_the_bytes() {
     assert!(light.averaged(task).unwrap().on(0, &own) == own.radiance());
     let dark = Settings { max_bounces: 0, hide_environment: true, ..plain };
     assert!(split(&dark).radiance() == split(&Settings { further_paths: true, ..dark }).radiance());
-    // both errors of the mean have the standard error of all pixels' noise
+    // The average of 64 means may differ from the mean of two references by four standard errors of
+    // the average, plus the difference of the two references.
     let truth = [1, 2].map(|seed| render(&renderer, [0, 1], 256, seed));
     let (first, second) = (mean(&truth[0]), mean(&truth[1]));
     let means = (0..64).map(|seed| mean(&split(&Settings { seed, ..settings }).radiance()));
