@@ -132,7 +132,7 @@ fn groups() -> Outcome<Vec<Group>> {
     Ok(groups)
 }
 
-/// Displays for the light field on disk, with reference values.
+/// Returns the displays for the light field on disk, with reference values.
 fn fixed() -> [(&'static str, Display, &'static [(&'static str, Figures)]); 4] {
     const MULTIPLICATIVE: &str = "multiplicative, random";
     const CONTENT: &str = "extrapolated, content";

@@ -74,8 +74,9 @@ pub(crate) struct Scratch {
     windows: Windows,
     /// For each row of rays, the index at which its entries end in the list of rows to prefetch.
     ahead: Vec<usize>,
-    /// A ray reads a column of every factor. For each factor k, this has the smallest and the
-    /// largest value of its column minus the column of the factor under update.
+    /// A ray reads a column of every factor. For each factor k, this is the range of the distance
+    /// between two such columns: the column of factor k minus the column of the factor under
+    /// update.
     spread: Vec<[isize; 2]>,
     /// The sums for the pixels of a part of the line under update, `[quantity][column]`.
     low: Aligned,
@@ -119,8 +120,8 @@ impl Scratch {
     }
 }
 
-/// A ray reads a column of every factor. For each factor k, returns the smallest and the largest
-/// value of its column minus the column of factor `n`.
+/// A ray reads a column of every factor. For each factor k, returns the range of the distance
+/// between two such columns: the column of factor k minus the column of factor `n`.
 fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     let distances = |k: usize| {
         let both = plan.maps[k].x.iter().zip(&plan.maps[n].x);
@@ -160,8 +161,8 @@ pub(crate) struct BetweenBand<'a> {
     pub(crate) factors: &'a [Factor],
     pub(crate) functions: &'a BetweenFunctions,
     pub(crate) scratch: &'a mut Scratch,
-    /// The line that was updated last, if the rays between it and the next line have added their
-    /// sums for the next line.
+    /// The line that was updated last; `None` before the first update. The rays between that line
+    /// and the next line have already added their sums for the next line.
     pub(crate) before: Option<LineOf>,
 }
 

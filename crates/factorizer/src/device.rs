@@ -115,8 +115,9 @@ pub trait Updater {
 
     /// Runs [`apply`](Self::apply) with the better curvature.
     ///
-    /// The curvature at the current point usually gains more than its upper bound. But it may raise
-    /// the objective. If so, the update is undone and repeated with the bound.
+    /// A step by the curvature at the current point usually gains more than a step by the upper
+    /// bound of the curvature. But such a step may raise the objective. If so, the update is undone
+    /// and repeated with the bound.
     fn update(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>) {
         if !self.tries_local() || self.plan().is_bounded(n) || rule == Rule::KktResidual {
             return self.apply(n, rule, extrapolation, false);

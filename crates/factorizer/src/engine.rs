@@ -126,7 +126,7 @@ impl Engine {
         Self::with_factors(Arc::new(plan), display, ranges, factors)
     }
 
-    /// The stored values of every factor.
+    /// Returns the stored values of every factor.
     pub(crate) fn own(&self) -> impl Iterator<Item = &Factor> {
         self.factors
             .iter()
@@ -134,7 +134,7 @@ impl Engine {
             .map(|(effective, stored)| stored.as_ref().map_or(effective, |(_, stored)| stored))
     }
 
-    /// One row of one frame, without padding.
+    /// Returns one row of one frame, without padding.
     pub(crate) fn row(&self, n: usize, channel: usize, line: usize, frame: usize) -> &[f32] {
         let layout = &self.factors[n].layout;
         &self.factors[n].row(channel, line, frame)[layout.pad..layout.pad + layout.cols()]
@@ -155,8 +155,8 @@ impl Engine {
         Ok(Self::begin(prepared.into_begin(floor, false)))
     }
 
-    /// Number by which sums of weighted errors are multiplied to give the objective. Weights in the
-    /// sums are relative to the largest weight.
+    /// Returns the number by which sums of weighted errors are multiplied to give the objective.
+    /// Weights in the sums are relative to the largest weight.
     pub fn weight_scale(&self) -> f64 {
         self.plan.target.weight_scale
     }

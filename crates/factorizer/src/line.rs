@@ -125,8 +125,8 @@ impl LineStep<'_> {
     }
 }
 
-/// Copies the values from x on and their sums into a block. The sums are rows, `stride` apart,
-/// whose first value belongs to x.
+/// Copies a vector of pixels of a line, from x on, into a block: the values, and the sums of these
+/// pixels. The sums of each quantity are a row that begins at x. The rows are `stride` apart.
 pub(crate) struct Fetch;
 
 impl Kernel for Fetch {

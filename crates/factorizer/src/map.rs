@@ -109,15 +109,15 @@ struct RaysOfLine {
 }
 
 impl FactorMap {
-    /// Valid field rows whose rays read `line`, each with the share with which its rays read the
-    /// line.
+    /// Returns the valid field rows whose rays read `line`, each with the share with which its rays
+    /// read the line.
     #[inline(always)]
     pub(crate) fn rays_of_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.rays[view_y].of_line(line)
     }
 
-    /// Valid field rows whose rays read between `line` and the next line. Each entry also has the
-    /// share of the rays' sums that the next line gets.
+    /// Returns the valid field rows whose rays read between `line` and the next line. Each entry
+    /// also has the share of the rays' sums that the next line gets.
     #[inline(always)]
     pub(crate) fn rays_after_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.after[view_y].of_line(line)

@@ -28,7 +28,7 @@ pub(crate) struct Place<'a, T> {
 }
 
 impl<'a, T> Place<'a, T> {
-    /// A place in `row`, such that `row[x + offset]` is the value at x.
+    /// Returns a place in `row`, such that `row[x + offset]` is the value at x.
     #[inline(always)]
     fn new(row: &'a [T], offset: isize) -> Self {
         Self {
@@ -39,7 +39,7 @@ impl<'a, T> Place<'a, T> {
         }
     }
 
-    /// A place in a row of `len` values, which may be written while the place exists.
+    /// Returns a place in a row of `len` values, which may be written while the place exists.
     fn within(row: *const T, len: usize, offset: isize) -> Self {
         let _ = len;
         Self {
@@ -69,13 +69,13 @@ pub(crate) struct View<'a> {
 }
 
 impl View<'_> {
-    /// √w of the rays; `None` if all weights are 1.
+    /// Returns √w of the rays; `None` if all weights are 1.
     #[inline(always)]
     pub(crate) fn root_weights(&self) -> Option<&Place<'_, f32>> {
         self.weights.as_ref()
     }
 
-    /// √w of the rays of a block, 0 for invalid rays; `None` if all are invalid.
+    /// Returns √w of the rays of a block, 0 for invalid rays; `None` if all are invalid.
     ///
     /// # Safety
     /// The machine has `V`'s instruction set.
@@ -158,7 +158,7 @@ impl<'a> LineRays<'a> {
         });
     }
 
-    /// The range of x in which the rays of every view are valid and have weight 1.
+    /// Returns the range of x in which the rays of every view are valid and have weight 1.
     pub(crate) fn inner(&self) -> Range<usize> {
         if self.views.iter().any(|view| view.weights.is_some()) {
             return 0..0;
@@ -167,7 +167,7 @@ impl<'a> LineRays<'a> {
         start..self.views.iter().map(|view| view.valid.end).min().unwrap_or(0)
     }
 
-    /// The range of x in which the rays of any view are valid.
+    /// Returns the range of x in which the rays of any view are valid.
     pub(crate) fn outer(&self) -> Range<usize> {
         let start = self.views.iter().map(|view| view.valid.start).min().unwrap_or(0);
         start..self.views.iter().map(|view| view.valid.end).max().unwrap_or(0)
@@ -183,7 +183,7 @@ impl<'a> LineRays<'a> {
         views.map(|(((view, target), others), ahead)| RowsOfView { view, target, others, ahead })
     }
 
-    /// The lines of the other factors that one view reads.
+    /// Returns the lines of the other factors that one view reads.
     pub(crate) fn others_of(&self, view: usize) -> &[Place<'_, f32>] {
         &self.others[view * self.others_per_view..(view + 1) * self.others_per_view]
     }
@@ -220,14 +220,15 @@ impl<'a> LineRays<'a> {
     }
 }
 
-/// An empty vector that keeps the storage of `from`, whose elements may have a shorter lifetime.
+/// Returns an empty vector that keeps the storage of `from`, whose elements may have a shorter
+/// lifetime.
 fn emptied<A, B>(mut from: Vec<A>) -> Vec<B> {
     from.clear();
     // collecting in place keeps the allocation; allocation per line took 5 % of an update
     from.into_iter().filter_map(|_| None).collect()
 }
 
-/// Length of one expanded row, in values.
+/// Returns the length of one expanded row, in values.
 pub(crate) fn expanded_stride(plan: &Plan) -> usize {
     (PAD + plan.cols + PAD).next_multiple_of(PAD)
 }
@@ -349,9 +350,9 @@ impl<'a> Left<'a> {
     }
 }
 
-/// Distance from one frame to the next frame in the row that rays of a view column read from factor
-/// `k`. If the view column needs an expanded row, it is the distance in this row. Otherwise it is
-/// the factor's own distance.
+/// Returns the distance from one frame to the next frame in the row that rays of a view column read
+/// from factor `k`. If the view column needs an expanded row, this is the distance in that row.
+/// Otherwise it is the factor's own distance.
 fn stride_of(plan: &Plan, k: usize, view_x: usize) -> usize {
     if plan.maps[k].x[view_x].shift.is_some() { plan.maps[k].layout.stride } else { expanded_stride(plan) }
 }

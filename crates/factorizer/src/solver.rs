@@ -11,10 +11,10 @@ pub const AUTO: &str = "auto";
 
 /// An algorithm that finds patterns iteration by iteration.
 pub trait Solver: Sync {
-    /// Name that selects the solver.
+    /// Returns the name that selects the solver.
     fn name(&self) -> &'static str;
 
-    /// One sentence that helps users choose.
+    /// Returns one sentence that helps users choose.
     fn doc(&self) -> &'static str;
 
     /// Prepares a run from the patterns `start`; clamps their values to the solver's box.
@@ -61,7 +61,7 @@ pub trait Run {
     /// target's views may see them.
     fn darken_unlit(&mut self) -> f64;
 
-    /// Number of rays with w > 0 that hit all layers.
+    /// Returns the number of rays with w > 0 that hit all layers.
     fn rays(&self) -> u64;
 
     /// Checks that the patterns still exist; a lost device loses them. The results of

@@ -51,7 +51,7 @@ impl Rule {
         }
     }
 
-    /// Number of sweeps of coordinate steps; 0 for rules without sweeps.
+    /// Returns the number of sweeps of coordinate steps; 0 for rules without sweeps.
     pub(crate) fn sweeps(self) -> u32 {
         if let Self::Block { sweeps } = self { sweeps } else { 0 }
     }
@@ -70,7 +70,8 @@ pub(crate) enum Sums {
 }
 
 impl Sums {
-    /// Number of sums per pixel: one residual or wanted sum per frame, and then the other sums.
+    /// Returns the number of sums per pixel: one residual or wanted sum per frame, and then the
+    /// other sums.
     pub(crate) fn count(self, frames: usize) -> usize {
         if self == Self::Gram { frames + frames * (frames + 1) / 2 } else { 2 * frames }
     }

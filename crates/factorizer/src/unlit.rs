@@ -66,7 +66,7 @@ pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
     limits
 }
 
-/// The largest Σ w a_m² of an unlit pixel, divided by Σ w over the pixel's rays.
+/// Returns the largest Σ w a_m² of an unlit pixel, divided by Σ w over the pixel's rays.
 pub(crate) fn share(plan: &Plan) -> f32 {
     ((UNLIT * f64::from(plan.target.brightness)).powi(2)) as f32
 }

@@ -117,7 +117,7 @@ impl<'a> PrimaryRays<'a> {
         Self { geometry, view, slope_width, round, origin, axes, millimetre, half_size, start, deepest }
     }
 
-    /// The rays of pixel (row, col).
+    /// Returns the rays of pixel (row, col).
     pub(crate) fn pixel(&self, row: usize, col: usize) -> PixelRays {
         let pitch = self.geometry.pitch_mm;
         let grid = &self.geometry.grid;
@@ -208,7 +208,7 @@ impl PixelRays {
         ray[0]
     }
 
-    /// The ray through the pixel's centre.
+    /// Returns the ray through the pixel's centre.
     pub(crate) fn central(&self) -> Ray {
         self.ray([0.0; 2], [0.0; 2])
     }

@@ -197,7 +197,7 @@ impl Renderer {
         Ok(Self { geometry, bvh, materials, lights, traits, backdrop: scene.backdrop, memory })
     }
 
-    /// Sizes of the prepared scene.
+    /// Returns the sizes of the prepared scene.
     pub fn memory(&self) -> Memory {
         self.memory
     }
@@ -218,8 +218,8 @@ impl Renderer {
         self
     }
 
-    /// Number of steps by which one call of [`render_view`](Self::render_view) advances the
-    /// progress: the number of its tiles.
+    /// Returns the number of steps by which one call of [`render_view`](Self::render_view) advances
+    /// the progress: the number of its tiles.
     pub fn steps_per_view(geometry: &FieldGeometry) -> u64 {
         Tiles::new(geometry).count() as u64
     }
@@ -518,7 +518,7 @@ fn scene_bytes(scene: &Scene) -> usize {
 }
 
 impl Memory {
-    /// Sum of all bytes.
+    /// Returns the sum of all bytes.
     pub fn bytes(&self) -> usize {
         self.tree_bytes + self.geometry_bytes + self.scene_bytes + self.texture_bytes
     }
@@ -556,8 +556,8 @@ mod tests {
 
     use super::*;
 
-    /// A scene with many instances of a bowl with texture coordinates: turned, stretched, mirrored.
-    /// One of the bowl's materials is transparent.
+    /// Returns a scene with many instances of a bowl with texture coordinates: turned, stretched,
+    /// mirrored. One of the bowl's materials is transparent.
     fn bowls(alpha_mode: AlphaMode) -> Arc<Scene> {
         let size = 7;
         let mut mesh = Mesh::default();

@@ -50,7 +50,7 @@ pub(crate) struct Pair<'a> {
 }
 
 impl SampleBank {
-    /// A bank for `samples` points per pixel.
+    /// Makes a bank for `samples` points per pixel.
     #[cfg(test)]
     pub(crate) fn new(samples: u32) -> Self {
         Self::with_more(samples, samples)
@@ -88,15 +88,15 @@ impl SampleBank {
 }
 
 impl<'a> Draws<'a> {
-    /// Number of equal parts into which a pixel's samples stratify [0, 1). Each part holds one of
-    /// the samples' numbers, for both dimensions of every pair. If the number of samples is no
-    /// power of two, a part holds one or two numbers.
+    /// Returns the number of equal parts into which a pixel's samples stratify [0, 1). Each part
+    /// holds one of the samples' numbers, for both dimensions of every pair. If the number of
+    /// samples is no power of two, a part holds one or two numbers.
     #[inline]
     pub(crate) fn parts(&self) -> u32 {
         self.bank.parts
     }
 
-    /// The pair of dimensions with this index.
+    /// Returns the pair of dimensions with this index.
     #[inline]
     pub(crate) fn pair(&self, pair: u64) -> Pair<'a> {
         let hash = seed::mix(self.pixel.wrapping_add(pair.wrapping_mul(PAIR_STEP)));
@@ -113,8 +113,8 @@ impl<'a> Draws<'a> {
 }
 
 impl Pair<'_> {
-    /// The two numbers of a sample, each in [0, 1). The first sample of these [`Draws`] has the
-    /// index 0.
+    /// Returns the two numbers of a sample, each in [0, 1). The first sample of these [`Draws`] has
+    /// the index 0.
     #[inline]
     pub(crate) fn of(&self, sample: usize) -> [f32; 2] {
         // the length of the sequence is a power of two, so the mask keeps the index in range
@@ -123,13 +123,14 @@ impl Pair<'_> {
     }
 }
 
-/// The 24 high bits as a number in [0, 1).
+/// Returns the 24 high bits as a number in [0, 1).
 #[inline]
 fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / (1u32 << 24) as f32)
 }
 
-/// Second dimension of Sobol's sequence: the bit-reversed index times Pascal's matrix modulo 2.
+/// Returns the second dimension of Sobol's sequence: the bit-reversed index times Pascal's matrix
+/// modulo 2.
 fn sobol_second(mut index: u32) -> u32 {
     let mut result = 0;
     let mut column = 1u32 << 31;

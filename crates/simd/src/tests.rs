@@ -127,8 +127,8 @@ impl Kernel for Eight {
     }
 }
 
-/// Operands of many magnitudes and signs, by a fixed sequence of numbers. Every fifth value of `b`
-/// equals the value of `a` at the same index.
+/// Returns operands of many magnitudes and signs, from a fixed sequence of numbers. Every fifth
+/// value of `b` equals the value of `a` at the same index.
 fn operands(seed: u32) -> Operands {
     let mut state = seed.wrapping_mul(0x9e37_79b9) | 1;
     let mut next = || {
@@ -152,7 +152,7 @@ fn operands(seed: u32) -> Operands {
     [a, b, c]
 }
 
-/// The expected results, computed value by value in scalar code.
+/// Returns the expected results, computed value by value in scalar code.
 fn expected([a, b, c]: &Operands, rounds_once: bool) -> Results {
     let each = |f: &dyn Fn(f32, f32, f32) -> f32| std::array::from_fn(|i| f(a[i], b[i], c[i]));
     let fused = |x: f32, y: f32, z: f32, once: bool| if once { x.mul_add(y, z) } else { x * y + z };

@@ -23,13 +23,13 @@ const VALUES: usize = 64 << 20;
 pub struct Rates(Vec<f64>);
 
 impl Rates {
-    /// The best rate.
+    /// Returns the best rate.
     pub fn best(&self) -> f64 {
         self.0.iter().copied().fold(0.0, f64::max)
     }
 
-    /// The median rate as a fraction of the best rate. Other programs on the machine lower this
-    /// fraction.
+    /// Returns the median rate as a fraction of the best rate. Other programs on the machine lower
+    /// this fraction.
     pub fn median_share(&self) -> f64 {
         let mut sorted = self.0.clone();
         sorted.sort_by(f64::total_cmp);

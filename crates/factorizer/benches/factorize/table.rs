@@ -234,7 +234,7 @@ impl Report {
         );
     }
 
-    /// The measurements as JSON, with all single times.
+    /// Returns the measurements as JSON, with all single times.
     pub fn json(&self, machine: &Machine) -> Value {
         let quality = &self.quality;
         let rows = self.rows.iter().map(|row| {

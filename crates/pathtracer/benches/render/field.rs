@@ -23,8 +23,8 @@ const CLAMP: f32 = 8.0;
 /// Unit of the times in `/proc/self/stat`, in milliseconds.
 const TICK_MS: u64 = 10;
 /// Numbers of samples per pixel of filtered views (`FILTERED`) and of views rendered one by one
-/// (`ALONE`). The last number of `ALONE` gives the reference, whose render takes longer than any
-/// filter.
+/// (`ALONE`). Views with the last number of `ALONE` are the reference, which takes longer to render
+/// than any filtered views.
 const FILTERED: [u32; 3] = [4, 16, 64];
 const ALONE: [u32; 4] = [4, 16, 64, 256];
 
@@ -202,7 +202,7 @@ fn field_of(case: &Case, views: [usize; 2], fov_deg: f64) -> Outcome<FieldGeomet
     Ok(case.geometry.with_grid(ViewGrid::uniform(Projection::Oblique, views, [fov_x, fov_y])?))
 }
 
-/// Processor time that this process has used.
+/// Returns the processor time that this process has used.
 fn spent() -> Outcome<Duration> {
     let stat = std::fs::read_to_string("/proc/self/stat")?;
     // the name, in brackets, may contain spaces; user and system time are the 12th and 13th fields
@@ -212,7 +212,8 @@ fn spent() -> Outcome<Duration> {
     Ok(Duration::from_millis(TICK_MS * ticks.iter().sum::<u64>()))
 }
 
-/// The radiance that counts as white: the fraction [`BELOW_WHITE`] of all values is at most this.
+/// Returns the radiance that counts as white: the fraction [`BELOW_WHITE`] of all values is at most
+/// this.
 fn white(picture: &Tensor<3>) -> f32 {
     let mut values = picture.data().to_vec();
     let place = ((values.len() - 1) as f64 * BELOW_WHITE) as usize;
@@ -220,17 +221,17 @@ fn white(picture: &Tensor<3>) -> f32 {
 }
 
 impl Errors {
-    /// Errors of a way that has no bias. The mean of half the squared difference of two independent
-    /// pictures is the variance of one picture.
+    /// Returns the errors of a way that has no bias. The mean of half the squared difference of two
+    /// independent pictures is the variance of one picture.
     fn of_noise(way: &Way, white: f32) -> Self {
         let variances = variances(way, white);
         let worst = variances.iter().copied().fold(0.0, f64::max);
         Self { all: mean(&variances), worst, bias: 0.0, change: 0.0, of_mean: of_mean(way, white) }
     }
 
-    /// Errors against `truth`, a way that has no bias. Each value of a picture is compared with two
-    /// independent pictures of `truth`. The product of the two differences has the picture's
-    /// squared error as its mean; the noise of `truth` does not add to it.
+    /// Returns the errors against `truth`, a way that has no bias. Each value of a picture is
+    /// compared with two independent pictures of `truth`. The product of the two differences has
+    /// the picture's squared error as its mean; the noise of `truth` does not add to it.
     fn new(way: &Way, truth: &Way, white: f32) -> Self {
         let shown = |value: f32| f64::from(value / white);
         let of_view = |view: usize| {
@@ -257,7 +258,7 @@ impl Errors {
     }
 }
 
-/// Variance of every view.
+/// Returns the variance of every view.
 fn variances(way: &Way, white: f32) -> Vec<f64> {
     let shown = |value: f32| f64::from(value / white);
     let [first, second] = &way.pictures;
@@ -268,7 +269,7 @@ fn variances(way: &Way, white: f32) -> Vec<f64> {
     first.iter().zip(second).map(of_view).collect()
 }
 
-/// Variance of the mean of all views.
+/// Returns the variance of the mean of all views.
 fn of_mean(way: &Way, white: f32) -> f64 {
     let [first, second] = way.pictures.each_ref().map(|views| {
         let mut sum = vec![0.0f64; views[0].data().len()];

@@ -30,7 +30,7 @@ impl Diffuse {
 }
 
 impl Diffuse {
-    /// Fraction of the light that the lobe scatters, per channel.
+    /// Returns the fraction of the light that the lobe scatters, per channel.
     pub(crate) fn reflectance(&self) -> Vec3 {
         self.albedo
     }

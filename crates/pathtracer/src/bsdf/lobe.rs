@@ -26,8 +26,8 @@ pub(crate) trait Lobe {
     /// True if light from behind crosses into a solid.
     const REFRACTS: bool = false;
 
-    /// Approximate fraction of the light that the lobe scatters. Lobes are chosen in proportion to
-    /// it.
+    /// Returns the approximate fraction of the light that the lobe scatters. Lobes are chosen in
+    /// proportion to it.
     fn albedo(&self) -> f32;
 
     /// True if the lobe can be evaluated; otherwise it is a mirror.
@@ -42,7 +42,7 @@ pub(crate) trait Lobe {
     /// light is absorbed.
     fn sample(&self, facet: &Facet, chance: f32, u: [f32; 2], u_fresnel: f32) -> Option<Sample>;
 
-    /// Fraction of the light that passes without a change of direction.
+    /// Returns the fraction of the light that passes without a change of direction.
     fn straight(&self, _: &Facet) -> Vec3 {
         Vec3::ZERO
     }
@@ -61,7 +61,7 @@ pub(crate) trait Layer: Lobe + Sized {
     /// True if the layer has an effect somewhere.
     fn is_seen(material: &Material) -> bool;
 
-    /// The layer's textures; `slot` prepares a texture.
+    /// Returns the layer's textures; `slot` prepares a texture.
     fn slots(material: &Material, slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>) -> Self::Slots;
 
     /// Returns the parameters at a point, `None` where the layer has no effect. `texel` looks a
@@ -72,8 +72,8 @@ pub(crate) trait Layer: Lobe + Sized {
         texel: &impl Fn(&Option<Slot>) -> Vec4,
     ) -> Option<Self::Parameters>;
 
-    /// Fraction of the light emitted by the base that passes the layer, towards a viewer whose
-    /// direction has this cosine to the normal.
+    /// Returns the fraction of the light emitted by the base that passes the layer, towards a
+    /// viewer whose direction has this cosine to the normal.
     fn passed(_: &Self::Parameters, _cosine: f32) -> f32 {
         1.0
     }
@@ -191,14 +191,14 @@ impl Surface<'_> {
         }
     }
 
-    /// Fraction of the light that reaches the dielectric of the base, without its glass. `below` is
-    /// the fraction that reaches the base.
+    /// Returns the fraction of the light that reaches the dielectric of the base, without its
+    /// glass. `below` is the fraction that reaches the base.
     #[inline]
     pub(crate) fn layered(&self, below: f32) -> f32 {
         below * (1.0 - self.metallic) * (1.0 - self.glass_share)
     }
 
-    /// Fraction of the light that reaches the diffuse lobe: the result of
+    /// Returns the fraction of the light that reaches the diffuse lobe: the result of
     /// [`layered`](Self::layered), less the light that the dielectric reflects.
     #[inline]
     pub(crate) fn passed(&self, below: f32) -> f32 {
@@ -206,7 +206,7 @@ impl Surface<'_> {
     }
 }
 
-/// Mean of the channels.
+/// Returns the mean of the channels.
 #[inline]
 pub(crate) fn mean(v: Vec3) -> f32 {
     v.element_sum() * (1.0 / 3.0)

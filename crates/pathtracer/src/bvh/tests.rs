@@ -166,7 +166,7 @@ fn many_equal_triangles_do_not_exhaust_the_stack() {
     assert!(bvh.nearest(&ray, &mut bvh.stack(), |_| true).is_some());
 }
 
-/// A soup of small, large, needle-like, flat and coincident triangles.
+/// Returns a soup of small, large, needle-like, flat and coincident triangles.
 fn hostile_soup(seed: u64) -> Vec<[Vec3; 3]> {
     let mut triangles = soup(200, 0.1, seed);
     triangles.extend(soup(10, 3.0, seed + 1));

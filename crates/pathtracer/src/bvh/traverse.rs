@@ -151,7 +151,7 @@ struct RawHit {
 }
 
 impl Bvh {
-    /// Memory for traversals of this tree.
+    /// Allocates the memory for traversals of this tree.
     pub(crate) fn stack(&self) -> Stack {
         Stack(vec![0; self.stack_depth + 1])
     }
@@ -191,7 +191,7 @@ impl Bvh {
         unsafe { self.backend.call_eight::<Transmittance<_>>((self, ray, stack, transmittance)) }
     }
 
-    /// The arrays that a traversal of this tree reads.
+    /// Returns the arrays that a traversal of this tree reads.
     #[inline(always)]
     pub(super) fn arrays(&self) -> Arrays<'_> {
         Arrays { nodes: &self.nodes, blocks: &self.blocks }
@@ -532,15 +532,15 @@ impl<V: Lanes> Slabs<V> {
         }
     }
 
-    /// Distances along the ray to eight planes, one of each box, all perpendicular to `axis`. `row`
-    /// is an entry of `near` or `far`.
+    /// Returns the distances along the ray to eight planes, one of each box, all perpendicular to
+    /// `axis`. `row` is an entry of `near` or `far`.
     #[inline(always)]
     unsafe fn distance(&self, node: &Node, row: usize, axis: usize, shift: V) -> V {
         unsafe { V::from_array(eight(node.bounds.as_flattened(), row)).fused_mul_add(self.inverse[axis], shift) }
     }
 
-    /// Distances at which the ray enters eight boxes, and a bit per box that it enters before
-    /// `t_max`.
+    /// Returns the distances at which the ray enters eight boxes, and a bit per box that it enters
+    /// before `t_max`.
     #[inline(always)]
     unsafe fn enters(&self, node: &Node, t_max: f32) -> (V, u32) {
         unsafe {
@@ -624,7 +624,8 @@ impl Shear {
         }
     }
 
-    /// A vertex of eight triangles, with its coordinates in the order of `axes`.
+    /// Returns the vertex number `vertex` of eight triangles, with its coordinates in the order of
+    /// `axes`.
     #[inline(always)]
     unsafe fn vertex<V: Lanes>(&self, block: &Block, vertex: usize) -> [V; 3] {
         unsafe {
@@ -683,8 +684,8 @@ impl<V: Lanes> Corners<V> {
         }
     }
 
-    /// Distance t of the intersection with the triangle's plane. `along` is the scale of z, which
-    /// the corners lack.
+    /// Returns the distance t of the intersection with the triangle's plane. `along` is the scale
+    /// of z, which the corners lack.
     #[inline(always)]
     pub(super) unsafe fn distance(&self, edges: &Edges<V>, along: V) -> V {
         unsafe {
@@ -696,7 +697,7 @@ impl<V: Lanes> Corners<V> {
 
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Test<V> {
-    /// The results as arrays of numbers.
+    /// Returns the results as arrays of numbers.
     #[inline(always)]
     pub(super) unsafe fn store(self) -> Test<[f32; WIDTH]> {
         unsafe {
@@ -711,7 +712,7 @@ impl<V: Lanes> Test<V> {
 }
 
 impl Test<[f32; WIDTH]> {
-    /// The results for one triangle.
+    /// Returns the results for one triangle.
     #[inline(always)]
     fn raw_hit(&self, lane: usize, reference: u32, instance: u32) -> RawHit {
         RawHit { u: self.u[lane], v: self.v[lane], determinant: self.determinant[lane], reference, instance }

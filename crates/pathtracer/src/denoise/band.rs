@@ -275,7 +275,8 @@ fn guide_row(centre: &Block, block: &Block, p: usize, q: usize, steady: &[f32], 
     }
 }
 
-/// A falling curve close to exp(−x) that is 0 from x = 4 on, computed without a call.
+/// Returns the value at `x` of a falling curve close to exp(−x). It is 0 from x = 4 on, and is
+/// computed without a library call.
 #[inline(always)]
 fn kernel(x: f32) -> f32 {
     let t = (1.0 - 0.25 * x).max(0.0);

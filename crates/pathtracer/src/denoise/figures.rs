@@ -42,12 +42,12 @@ impl Estimate {
         self.count += 1.0;
     }
 
-    /// The mean; NaN without values.
+    /// Returns the mean; NaN without values.
     pub fn value(&self) -> f64 {
         self.sum / self.count
     }
 
-    /// Standard error of the mean; NaN with fewer than two values.
+    /// Returns the standard error of the mean; NaN with fewer than two values.
     pub fn error(&self) -> f64 {
         let variance = (self.squares / self.count - self.value().powi(2)).max(0.0);
         if self.count < 2.0 { f64::NAN } else { (variance / (self.count - 1.0)).sqrt() }

@@ -63,7 +63,7 @@ pub use view::{NoisyView, Window};
 /// Number of rows that are filtered together: the unit of work, of progress and of cancellation.
 const BAND: usize = 16;
 
-/// Number of steps by which [`denoise`] advances the progress.
+/// Returns the number of steps by which [`denoise`] advances the progress.
 pub fn steps(geometry: &FieldGeometry) -> u64 {
     (geometry.rows.div_ceil(BAND) * geometry.grid.iter().count()) as u64
 }

@@ -25,8 +25,9 @@ fn geometry(views: [usize; 2], projection: Projection) -> FieldGeometry {
     }
 }
 
-/// A flat wall parallel to the display. `shade` is its radiance at a point (x, y) in millimetres.
-/// Each half has noise of standard deviation `noise`. Returns the views and the truth.
+/// Makes views of a flat wall parallel to the display. `shade` is the wall's radiance at a point
+/// (x, y) in millimetres. Each half has noise of standard deviation `noise`. Returns the views and
+/// the truth.
 fn wall(
     geometry: &FieldGeometry,
     shade: impl Fn(f64, f64) -> f64,

@@ -44,8 +44,8 @@ impl PunctualLight {
         }
     }
 
-    /// Power of the light. For a light from infinity, it is the power that reaches a sphere of
-    /// `radius`.
+    /// Returns the power of the light. For a light from infinity, it is the power that reaches a
+    /// sphere of `radius`.
     pub(crate) fn power(&self, radius: f32) -> f64 {
         let intensity = f64::from(magnitude(self.intensity));
         match self.kind {
@@ -55,7 +55,7 @@ impl PunctualLight {
         }
     }
 
-    /// The light's entry in the light tree; `None` for light from infinity.
+    /// Returns the light's entry in the light tree; `None` for light from infinity.
     pub(crate) fn emitter(&self) -> Option<Emitter> {
         let strength = magnitude(self.intensity);
         let (normal_angle, falloff_angle) = match self.kind {

@@ -38,7 +38,7 @@ impl<'a> ViewSamples<'a> {
         Self { rays, axes, bank, paths: settings.samples, seed }
     }
 
-    /// Seed of a pixel's random numbers.
+    /// Returns the seed of a pixel's random numbers.
     pub(super) fn pixel_seed(&self, row: usize, col: usize) -> u64 {
         seed::derive(self.seed, &[row as u64, col as u64])
     }
@@ -78,7 +78,7 @@ impl<'a> ViewSamples<'a> {
     }
 }
 
-/// Position of a ray of a beam, in pixels from the pixel's centre.
+/// Returns the position of a ray of a beam, in pixels from the pixel's centre.
 pub(super) fn place_in_pixel(draws: &Draws<'_>, index: usize) -> [f32; 2] {
     centred(draws.pair(PLACE_PAIR).of(index))
 }

@@ -68,13 +68,13 @@ impl Features {
         (values.shape()[2] == FEATURES).then_some(Self { values })
     }
 
-    /// `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha, central z_mm]`. [`Feature`]
-    /// describes them; an absent central depth is NaN.
+    /// Returns `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha, central z_mm]`.
+    /// [`Feature`] describes these values; an absent central depth is NaN.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }
 
-    /// The guides of a pixel.
+    /// Returns the guides of a pixel.
     pub fn at(&self, row: usize, col: usize) -> Feature {
         let [covered, r, g, b, x, y, z, z_mm, gloss, alpha, central]: [f32; FEATURES] =
             self.values.block([row, col]).try_into().expect("a pixel has FEATURES values");

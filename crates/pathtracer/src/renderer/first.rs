@@ -36,7 +36,7 @@ impl DisplayAxes {
         }
     }
 
-    /// z in display space of a point in render space, millimetres.
+    /// Returns z in display space of a point in render space, millimetres.
     fn z_mm(&self, point: Vec3) -> f32 {
         (point.as_dvec3().dot(self.along) + self.offset) as f32
     }
@@ -103,7 +103,7 @@ impl FirstSums {
         self.diffuse += diffuse;
     }
 
-    /// The sums with normals in display space.
+    /// Returns the sums with normals in display space.
     pub(super) fn turned(mut self, axes: &DisplayAxes) -> Self {
         self.normal = axes.display_from_scene * self.normal;
         self.shading = axes.display_from_scene * self.shading;

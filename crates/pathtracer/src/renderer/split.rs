@@ -75,8 +75,8 @@ impl SplitView {
         [PARTS, MORE_PARTS].contains(&values.shape()[2]).then_some(Self { values })
     }
 
-    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`. Light is radiance,
-    /// normals are in display space, z is in millimetres. With [further
+    /// Returns `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`. Light is
+    /// radiance, normals are in display space, z is in millimetres. With [further
     /// paths](Settings::further_paths) a second reflectance rgb follows. Like the diffuse light, it
     /// is a mean over the paths alone.
     pub fn values(&self) -> &Tensor<3> {
@@ -89,7 +89,7 @@ impl SplitView {
         [rows, cols]
     }
 
-    /// The whole light of the view, the sum of diffuse and other light: `[row][col][rgb]`.
+    /// Returns the whole light of the view, the sum of diffuse and other light: `[row][col][rgb]`.
     pub fn radiance(&self) -> Tensor<3> {
         let [rows, cols] = self.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
@@ -189,7 +189,7 @@ impl Renderer {
     }
 }
 
-/// Radiance of a pixel whose first six values are its diffuse and its other light.
+/// Returns the radiance of a pixel whose first six values are its diffuse and its other light.
 fn both_parts(values: &[f32]) -> [f32; 3] {
     [0, 1, 2].map(|c| values[c] + values[3 + c])
 }

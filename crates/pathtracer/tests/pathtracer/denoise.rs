@@ -15,8 +15,8 @@ const SIZE: usize = 64;
 const POLE: usize = 16;
 const COLOUR: usize = 44;
 
-/// A corner of a room: a back wall of two colours, a floor, and a pole in front of the wall. A lamp
-/// and a dim sky light it.
+/// Returns a renderer of a corner of a room: a back wall of two colours, a floor, and a pole in
+/// front of the wall. A lamp and a dim sky light it.
 fn room() -> Renderer {
     let x = |col: usize| WINDOW_MM as f32 * (col as f32 / SIZE as f32 - 0.5);
     let mut builder = Builder::default();
@@ -53,7 +53,8 @@ fn mean(picture: &Tensor<3>) -> f64 {
     picture.data().iter().map(|value| f64::from(*value)).sum::<f64>() / picture.data().len() as f64
 }
 
-/// Mean of the pixels of a column in rows that show neither the floor nor the pole's upper end.
+/// Returns the mean of the pixels of a column in rows that show neither the floor nor the pole's
+/// upper end.
 fn column(picture: &Tensor<3>, col: usize) -> f64 {
     (20..40).map(|row| f64::from(picture.get([row, col, 0]))).sum::<f64>() / 20.0
 }
