@@ -82,7 +82,8 @@ impl View<'_> {
     #[inline(always)]
     pub(crate) unsafe fn weight<V: Lanes>(&self, x: usize) -> Option<V> {
         let (low, high) = (self.valid.start.max(x), self.valid.end.min(x + V::COUNT));
-        // SAFETY: the machine has the instruction set of V; padding makes loads legal where a ray is valid
+        // SAFETY: the machine has the instruction set of V; padding makes loads legal where a ray
+        // is valid
         (low < high).then(|| unsafe {
             let inside = mask::<V>(low - x, high - x);
             self.weights.as_ref().map_or(inside, |weights| inside.mul(V::load(weights.at::<V>(x))))

@@ -118,7 +118,8 @@ impl Kernel for Eight {
     #[inline(always)]
     unsafe fn run<V: Lanes>(values: [f32; 8]) -> (usize, [f32; 8]) {
         let mut copy = [0.0; 8];
-        // SAFETY: the machine has the instruction set of V; the copy has room for eight values, as asserted
+        // SAFETY: the machine has the instruction set of V; the copy has room for eight values, as
+        // asserted
         unsafe {
             assert_eq!(V::COUNT, 8);
             V::load(values.as_ptr()).store(copy.as_mut_ptr());
