@@ -129,8 +129,8 @@ pub(crate) struct LineRays<'a> {
     pub(crate) others_per_view: usize,
     /// For each other factor, the distance from one frame to the next frame, in values.
     pub(crate) strides: Vec<usize>,
-    /// The line of the factor under update as the rays of each view read it, with all frames; one
-    /// entry per view. Empty if all views read the same columns of that line.
+    /// For each view, the line of the factor under update, with all frames, at the columns that the
+    /// view's rays read. Empty if all views read the same columns of that line.
     pub(crate) own: Vec<Place<'a, f32>>,
     pub(crate) own_stride: usize,
     /// A ray that hits a factor between two columns interpolates two pixels. For each view, this
@@ -174,8 +174,8 @@ impl<'a> LineRays<'a> {
         start..self.views.iter().map(|view| view.valid.end).max().unwrap_or(0)
     }
 
-    /// Returns, for each view of a range, the rows that its rays read. K is the number of factors
-    /// besides the factor under update.
+    /// Returns the returns, for each view of a range, the rows that its rays read. K is the number
+    /// of factors besides the factor under update.
     #[inline(always)]
     pub(crate) fn by_view<const K: usize>(&self, views: Range<usize>) -> impl Iterator<Item = RowsOfView<'_, K>> {
         let others = &self.others.as_chunks::<K>().0[views.clone()];

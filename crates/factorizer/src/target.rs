@@ -56,7 +56,7 @@ impl Order {
         if radiance.storage().is_some() { Self::Rows } else { Self::Views }
     }
 
-    /// Position of a row in a channel of `views` views, each of `rows` rows.
+    /// Returns the position of a row in a channel of `views` views, each of `rows` rows.
     #[inline(always)]
     fn index(self, [views, rows]: [usize; 2], view: usize, row: usize) -> usize {
         match self {
@@ -154,7 +154,7 @@ impl Target {
         }
     }
 
-    /// The target at a coarser resolution: means over fine pixels, for the given views.
+    /// Returns the target at a coarser resolution: means over fine pixels, for the given views.
     ///
     /// `pixels` = [rows, columns] lists the three fine pixels per axis whose weighted mean is a
     /// coarse pixel. Half floats are rounded to half floats again, since only a start depends on
@@ -381,8 +381,8 @@ fn half_from_float(value: f32) -> Option<u16> {
     }
 }
 
-/// √w per view or per ray, where w is relative to the largest weight. The second result is the
-/// largest weight.
+/// Returns √w per view or per ray, where w is relative to the largest weight. The second result is
+/// the largest weight.
 fn ray_weights(weights: &Weights, [views, rows, cols]: [usize; 3], stride: usize) -> (RayWeights, f64) {
     let data = match weights {
         Weights::Uniform => return (RayWeights::Uniform, 1.0),

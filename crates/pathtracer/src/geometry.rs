@@ -341,14 +341,15 @@ impl Geometry {
     }
 }
 
-/// Unit normal of the side from which the corners wind counter-clockwise, and twice the area.
+/// Returns the unit normal of the side from which the corners wind counter-clockwise, and twice the
+/// area.
 fn normal_and_doubled_area([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
     let cross = (b - a).cross(c - a);
     let doubled_area = cross.length();
     (if doubled_area > 0.0 { cross / doubled_area } else { Vec3::Z }, doubled_area)
 }
 
-/// √(area in texture space / area in the space of the corners).
+/// Returns √(area in texture space / area in the space of the corners).
 fn uv_per_length([a, b, c]: [Vec2; 3], doubled_area: f32) -> f32 {
     ((b - a).perp_dot(c - a) / doubled_area.max(f32::MIN_POSITIVE)).abs().sqrt()
 }

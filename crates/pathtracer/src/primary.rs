@@ -201,7 +201,7 @@ impl PixelRays {
         }
     }
 
-    /// The ray at two offsets, which [`fill`](Self::fill) describes.
+    /// Returns the ray at two offsets, which [`fill`](Self::fill) describes.
     pub(crate) fn ray(&self, in_pixel: [f32; 2], in_bin: [f32; 2]) -> Ray {
         let mut ray = [Ray::ANY];
         self.fill(&mut ray, |_| [in_pixel, in_bin]);

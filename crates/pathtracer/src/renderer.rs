@@ -309,7 +309,7 @@ impl Renderer {
         Ok(flat)
     }
 
-    /// Fraction of the window, 0..1, in which the central rays of a view hit a surface.
+    /// Returns the fraction of the window, 0..1, in which the central rays of a view hit a surface.
     ///
     /// # Errors
     /// The same errors as [`hit_mask`](Self::hit_mask).

@@ -194,7 +194,7 @@ impl Tracer<'_> {
     /// of successive samples, one sample per ray. If `in_bounds` is false, the rays hit nothing.
     /// The call overwrites `rays`. The first `paths_of_rays` rays continue as paths; the others end
     /// at their first surface. If `FIRST` is true, it writes the first surface of every ray to
-    /// `first`, which needs an element per ray. The radiance is the same to the bit for both values
+    /// `first`, which needs an element per ray. The radiance is the same, bit for bit, for both values
     /// of `FIRST`.
     pub(crate) fn radiance<const FIRST: bool>(
         &self,

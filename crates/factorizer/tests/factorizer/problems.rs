@@ -88,7 +88,7 @@ impl Owned {
     }
 }
 
-/// A display whose layers have the pixels and the pitch of the light field.
+/// Returns a display whose layers have the pixels and the pitch of the light field.
 pub(crate) fn display(resolution: [usize; 2], views: [usize; 2], d_mm: &[f64], frames: usize) -> Display {
     Display {
         name: "random".into(),

@@ -154,7 +154,7 @@ impl Case {
         (bounds.max - bounds.min).length()
     }
 
-    /// A point of the rectangle light, for `u` in [0, 1)².
+    /// Returns a point of the rectangle light, for `u` in [0, 1)².
     pub fn point_of_light(&self, u: [f32; 2]) -> Vec3 {
         let [corner, across, up] = self.light;
         corner + u[0] * across + u[1] * up

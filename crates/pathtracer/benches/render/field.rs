@@ -195,8 +195,8 @@ fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
     Ok(())
 }
 
-/// Geometry of a case's views with parallel rays, over a zone of `fov_deg`. An axis with one view
-/// has no zone.
+/// Returns the geometry of a case's views with parallel rays, over a zone of `fov_deg`. An axis
+/// with one view has no zone.
 fn field_of(case: &Case, views: [usize; 2], fov_deg: f64) -> Outcome<FieldGeometry> {
     let [fov_y, fov_x] = views.map(|count| if count > 1 { fov_deg } else { 0.0 });
     Ok(case.geometry.with_grid(ViewGrid::uniform(Projection::Oblique, views, [fov_x, fov_y])?))

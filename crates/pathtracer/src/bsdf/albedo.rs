@@ -169,8 +169,8 @@ fn tabulate_indices() -> Table<3, 1> {
     })
 }
 
-/// The integral of E · density over 0..1. `nodes` have E at evenly spaced positions. The density
-/// integrates to 1, so if E is constant, the result is exactly E.
+/// Returns the integral of E · density over 0..1. `nodes` have E at evenly spaced positions. The
+/// density integrates to 1, so if E is constant, the result is exactly E.
 fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     let last = (nodes.len() - 1) as f32;
     let (mut sum, mut weights) = (0.0, 0.0);

@@ -158,7 +158,7 @@ impl Fibres {
         FIBRE_SHARE * fibres + (1.0 - FIBRE_SHARE) * i.z * FRAC_1_PI
     }
 
-    /// A sampled direction; `None` if it is below the surface.
+    /// Samples a direction; `None` if it is below the surface.
     fn sample(&self, o: Vec3, u: [f32; 2]) -> Option<Vec3> {
         if u[0] >= FIBRE_SHARE {
             return Some(cosine_direction([(u[0] - FIBRE_SHARE) / (1.0 - FIBRE_SHARE), u[1]]));

@@ -285,7 +285,7 @@ impl<V: Lanes> Sheared<V> {
         }
     }
 
-    /// A triangle's corners, sheared for each of eight rays so that the ray is the z axis.
+    /// Returns a triangle's corners for each of eight rays, sheared so that the ray is the z axis.
     #[inline(always)]
     unsafe fn corners(&self, vector: usize, [a, b, c]: &[[f32; 3]; 3]) -> Corners<V> {
         unsafe {

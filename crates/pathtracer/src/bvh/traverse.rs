@@ -642,7 +642,7 @@ impl Shear {
 /// A triangle per lane, in the space where the lane's ray starts at the origin and is the z axis; z
 /// is not scaled yet.
 ///
-/// Single rays and beams are tested by the functions of this type, so their hits are equal to the
+/// Single rays and beams are tested by the functions of this type, so their hits are equal bit for
 /// bit.
 pub(super) struct Corners<V>(pub(super) [[V; 3]; 3]);
 

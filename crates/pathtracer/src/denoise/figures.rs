@@ -73,7 +73,7 @@ impl Estimate {
         [self.sum, self.squares, self.count]
     }
 
-    /// The inverse of [`parts`](Self::parts).
+    /// Returns the estimate with these [`parts`](Self::parts).
     pub fn from_parts([sum, squares, count]: [f64; 3]) -> Self {
         Self { sum, squares, count }
     }

@@ -1,7 +1,7 @@
-//! All light sources: triangles, the environment, punctual lights. A sample first chooses between
-//! all local lights together and each light from infinity, with chances by their power. A tree then
-//! chooses one of the local lights, by a bound of the light that each may send to the receiver
-//! ([`tree`]).
+//! All light sources: triangles, the environment, punctual lights. A sample first chooses either
+//! the local lights together, or one of the lights from infinity. The chances follow the lights'
+//! power. A tree then chooses one of the local lights, by a bound of the light that each may send
+//! to the receiver ([`tree`]).
 
 mod environment;
 mod punctual;
@@ -297,7 +297,7 @@ impl TriangleLight {
     }
 }
 
-/// Barycentrics that are uniform over a triangle, with little distortion (Heitz 2019, "A
+/// Returns barycentrics that are uniform over a triangle, with little distortion (Heitz 2019, "A
 /// low-distortion map between triangle and square").
 fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
     if y > x {

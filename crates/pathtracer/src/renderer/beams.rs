@@ -83,7 +83,7 @@ pub(super) fn place_in_pixel(draws: &Draws<'_>, index: usize) -> [f32; 2] {
     centred(draws.pair(PLACE_PAIR).of(index))
 }
 
-/// Numbers in 0..1 as offsets −0.5..0.5 from a centre.
+/// Converts numbers in 0..1 to offsets −0.5..0.5 from a centre.
 fn centred(pair: [f32; 2]) -> [f32; 2] {
     pair.map(|u| u - 0.5)
 }

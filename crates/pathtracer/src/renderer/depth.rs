@@ -18,9 +18,9 @@ use super::{RenderError, Renderer};
 use crate::settings::AngularFilter;
 
 impl Renderer {
-    /// Depth of a view, `view` = [view_y, view_x] of the geometry's grid: `[row][col]`, in
-    /// millimetres. It is z in display space of the first hit of each pixel's central ray; NaN if
-    /// that ray hits nothing. Does not advance the progress.
+    /// Returns the depth of a view, `view` = [view_y, view_x] of the geometry's grid, as
+    /// `[row][col]` in millimetres. The depth is z in display space of the first hit of each
+    /// pixel's central ray; NaN if that ray hits nothing. Does not advance the progress.
     ///
     /// # Errors
     /// If the geometry or the view is out of range, or when cancelled.

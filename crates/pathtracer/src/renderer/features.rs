@@ -112,8 +112,8 @@ impl Features {
 
 impl Renderer {
     /// Renders a view, and also returns the variance of every mean and data of the first surfaces
-    /// of all paths. The radiance is the same to the bit as the radiance of
-    /// [`render_view`](Self::render_view).
+    /// of all paths. The radiance equals the radiance of [`render_view`](Self::render_view) bit for
+    /// bit.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).
@@ -137,8 +137,8 @@ impl Renderer {
         Ok(GuidedView { radiance, variance, features: Features { values } })
     }
 
-    /// Guides of one view, from the rays that [`render_view`](Self::render_view) traces with the
-    /// same settings. No light is computed. Does not advance the progress.
+    /// Returns the guides of one view. Its rays are those that [`render_view`](Self::render_view)
+    /// traces with the same settings. No light is computed. Does not advance the progress.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).

@@ -138,8 +138,8 @@ impl Renderer {
             if let Some(variance) = variance.as_mut().filter(|_| paths > 0.0) {
                 let variance = &mut variance.data_mut()[3 * number..3 * number + 3];
                 for (own, more) in variance.iter_mut().zip(&more[APART..]) {
-                    // If the own or the further samples are a single path, they have no variance.
-                    // They then get the variance per path of the other samples.
+                    // Either the pixel's own paths or its further paths may be a single path, which
+                    // has no variance. It gets the variance per path of the other paths.
                     let [alone, more] = match [own.is_nan(), more.is_nan()] {
                         [true, _] => [more * paths / own_samples, *more],
                         [_, true] => [*own, *own * own_samples / paths],

@@ -131,7 +131,7 @@ pub fn window_at(centre: DVec3, width: f64) -> Window {
     Window::given(centre, DVec3::NEG_Z, DVec3::Y, width, [WINDOW_MM, WINDOW_MM]).unwrap()
 }
 
-/// `size` × `size` pixels over the window, for one view of the given slope.
+/// Returns the geometry of `size` × `size` pixels over the window, for one view of the given slope.
 pub fn one_view(size: usize, slope: [f64; 2]) -> FieldGeometry {
     FieldGeometry {
         rows: size,
