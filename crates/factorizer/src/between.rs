@@ -515,8 +515,8 @@ impl Reads<'_> {
     }
 }
 
-/// Returns the interpolates, at the fraction `t`, between two vectors: the values from `from` on,
-/// and the values one pixel further.
+/// Interpolates, at the fraction `t`, between two vectors: the values from `from` on, and the
+/// values one pixel further.
 #[inline(always)]
 unsafe fn between_pixels<V: Lanes>(from: *const f32, t: f32) -> V {
     // SAFETY: guaranteed by the caller

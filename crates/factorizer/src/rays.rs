@@ -174,8 +174,8 @@ impl<'a> LineRays<'a> {
         start..self.views.iter().map(|view| view.valid.end).max().unwrap_or(0)
     }
 
-    /// Returns the returns, for each view of a range, the rows that its rays read. K is the number
-    /// of factors besides the factor under update.
+    /// Returns, for each view of a range, the rows that its rays read. K is the number of factors
+    /// besides the factor under update.
     #[inline(always)]
     pub(crate) fn by_view<const K: usize>(&self, views: Range<usize>) -> impl Iterator<Item = RowsOfView<'_, K>> {
         let others = &self.others.as_chunks::<K>().0[views.clone()];

@@ -193,9 +193,9 @@ impl Tracer<'_> {
     /// Computes the radiance along at most [`BEAM`] rays of a pixel. `draws` has the random numbers
     /// of successive samples, one sample per ray. If `in_bounds` is false, the rays hit nothing.
     /// The call overwrites `rays`. The first `paths_of_rays` rays continue as paths; the others end
-    /// at their first surface. If `FIRST` is true, it writes the first surface of every ray to
-    /// `first`, which needs an element per ray. The radiance is the same, bit for bit, for both values
-    /// of `FIRST`.
+    /// at their first surface. If `FIRST` is true, the first surface of every ray is written to
+    /// `first`, which needs an element per ray. The radiance is the same for both values of
+    /// `FIRST`, bit for bit.
     pub(crate) fn radiance<const FIRST: bool>(
         &self,
         rays: &mut [Ray],

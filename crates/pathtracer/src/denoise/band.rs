@@ -105,9 +105,9 @@ impl Block {
         Self { planes, width }
     }
 
-    /// Returns the returns, for each pixel, the fraction of its light that is the same in another
-    /// view. Diffuse light is the same. Glossy light is nearly the same if half the angle between
-    /// the views is small against the lobe's width α.
+    /// Returns, for each pixel, the fraction of its light that is the same in another view. Diffuse
+    /// light is the same. Glossy light is nearly the same if half the angle between the views is
+    /// small against the lobe's width α.
     fn steady(&self, slope: f32, height: usize, cols: usize, margin: usize) -> Vec<f32> {
         let mut steady = Vec::with_capacity(height * cols);
         for y in 0..height {

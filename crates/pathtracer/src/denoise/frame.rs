@@ -122,8 +122,8 @@ impl Frame {
     }
 }
 
-/// Returns the returns, for every pixel, the mean over a square with `radius` pixels on either side
-/// of its centre. Pixels of the square that are outside of the picture are left out.
+/// Returns, for every pixel, the mean over a square with `radius` pixels on either side of its
+/// centre. Pixels of the square that are outside of the picture are left out.
 pub(super) fn box_mean(values: &[f32], rows: usize, cols: usize, radius: usize) -> Vec<f32> {
     let along = |values: &[f32], count: usize, step: usize, lines: usize, line_step: usize| {
         let mut result = vec![0.0; values.len()];
