@@ -25,7 +25,7 @@ impl Kernel for Everything {
                 let mut all = [0.0; LEN];
                 for at in (0..LEN).step_by(V::COUNT) {
                     // SAFETY: The machine has the instruction set of V. LEN is a multiple of every
-                    // lane count, so loads stay inside a, b and c.
+                    // lane count, so loads and stores stay inside the arrays.
                     unsafe {
                         let [$x, $y, $z] = [a, b, c].map(|operand| operand.as_ptr().add(at));
                         let [$x, $y, $z] = [V::load($x), V::load($y), V::load($z)];

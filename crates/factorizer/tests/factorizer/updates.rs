@@ -28,10 +28,10 @@ const SETTLED: f64 = 1e-4;
 const OBJECTIVE_TOLERANCE: f64 = 1e-5;
 /// Largest allowed difference of an objective near 0 between f32 and f64, per ray and channel.
 const OBJECTIVE_PER_VALUE: f64 = 1e-12;
-/// A value is compared only if its influence on the emission is at least this. Rounding decides
-/// values with less influence.
+/// Largest allowed difference of PSNR values computed from the same patterns in two ways, dB.
 const PSNR_TOLERANCE: f64 = 1e-3;
-/// Smallest influence of a value on the emission at which the value is taken as determined.
+/// A value is compared only if its influence on the emission is larger than this. Rounding decides
+/// values with less influence.
 const DETERMINED: f64 = 0.1;
 /// Largest allowed change of the emission by differences between f32 and f64.
 const SEEN_TOLERANCE: f64 = 1e-5;

@@ -65,8 +65,8 @@ const LEAST_REFLECTANCE: f32 = 0.02;
 #[derive(Clone, Copy, Default)]
 #[repr(C)]
 struct Point {
-    /// E of the file's head. In the first pass it is from the pixel's own samples, in the second
-    /// pass it is the mean over the pixel's row of views.
+    /// E, which the top of the file defines. In the first pass it comes from the pixel's own
+    /// samples. In the second pass it is the mean over the pixel's row of views.
     light: Light,
     z_mm: f32,
     /// Unit normal, times 127; 0 if the surface does not scatter light by Lambert's law.
