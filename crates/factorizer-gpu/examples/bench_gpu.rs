@@ -1,5 +1,6 @@
-//! Measures the updates per second of an adapter on the paper's main case and on a display with the
-//! views of a whole zone. Compares them with the processor and with the adapter's measured limits.
+//! Measures the updates per second of an adapter in two cases: the paper's main case, and a display
+//! with the views of a whole viewing zone. Compares these rates with the processor's rates and with
+//! the adapter's measured limits.
 //!
 //! Operations and bytes per update and colour channel, with F factors and M frames:
 //!

@@ -48,8 +48,8 @@ impl Gpu {
         let failed = |device: &str, why: String| FactorizeError::Device { device: device.into(), why };
         let (adapter, found) = adapters::choose(name).map_err(|why| failed(name.unwrap_or("gpu"), why))?;
         let limits = found.limits();
-        // A page uses no subgroups: there the shader would need one more line, which wgpu's own
-        // parser does not know.
+        // In a web page no subgroups are used. There WGSL requires the line `enable subgroups;`,
+        // which wgpu's own parser does not know.
         let offered = if cfg!(target_arch = "wasm32") { wgpu::Features::empty() } else { found.features() };
         let features = offered & wgpu::Features::SUBGROUP;
         let least = found.get_info().subgroup_min_size.max(1) as usize;
@@ -71,8 +71,8 @@ impl Gpu {
         };
         let (heard, lost) = (record(&failure), record(&failure));
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| heard(error.to_string())));
-        // In a page the solver continues on the processor without an option, so the error needs no
-        // remedy.
+        // In a web page the solver then continues on the processor by itself, so the error states
+        // no remedy.
         let remedy = if cfg!(target_arch = "wasm32") { "" } else { "; run again, or use --device cpu" };
         device.set_device_lost_callback(move |_, message| {
             lost(format!("the device was lost: {message}").trim_end_matches(": ").to_owned() + remedy);

@@ -3,7 +3,7 @@
 use lumistack_display::Tap;
 use lumistack_factorizer::device::Plan;
 
-/// The word in a table for a ray that misses the factor.
+/// Entry of a table for a ray that misses the factor.
 const MISSED: u32 = u32::MAX;
 
 /// All tables, and the offset of each.

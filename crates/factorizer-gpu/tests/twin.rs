@@ -45,8 +45,8 @@ const NUDGES: u32 = 4;
 /// Largest number of runs that may need the tolerance [`OWN_ROUNDING`].
 const MOST_LED_ELSEWHERE: usize = 8;
 
-/// The adapter of the tests: the one that `LUMISTACK_GPU` names, otherwise a graphics processor,
-/// otherwise any.
+/// Returns the device of the tests. It is the adapter that `LUMISTACK_GPU` names, otherwise a
+/// graphics processor, otherwise any adapter.
 fn device() -> Option<Device> {
     static DEVICE: OnceLock<Option<Device>> = OnceLock::new();
     let open = || {

@@ -1,5 +1,5 @@
 //! Prints the PSNR of every combination of solver, start and number of coarser levels, after
-//! several numbers of iterations. Reference values stand below.
+//! several numbers of iterations. The function `fixed` lists reference values.
 //!
 //! ```text
 //! cargo bench -p lumistack-factorizer --bench convergence --
@@ -132,7 +132,7 @@ fn groups() -> Outcome<Vec<Group>> {
     Ok(groups)
 }
 
-/// Displays for the light field on disk, with reference values.
+/// Returns the displays for the light field on disk, with reference values.
 fn fixed() -> [(&'static str, Display, &'static [(&'static str, Figures)]); 4] {
     const MULTIPLICATIVE: &str = "multiplicative, random";
     const CONTENT: &str = "extrapolated, content";

@@ -26,7 +26,7 @@ pub(crate) struct Aligned {
 }
 
 impl Aligned {
-    /// `len` values that all equal `value`.
+    /// Allocates `len` values that all equal `value`.
     pub(crate) fn filled(value: f32, len: usize) -> Self {
         let lines = made(len.div_ceil(LINE), |_, lines| {
             lines.fill(MaybeUninit::new(CacheLine([value; LINE])));

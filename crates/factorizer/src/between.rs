@@ -1,15 +1,16 @@
-//! Updates lines of one factor that rays read between pixels. For all rays of a view column, the
-//! position that a ray reads is at one distance from the ray's own column.
+//! Updates lines of one factor that rays read between pixels. All rays of a view column read the
+//! factor at the same distance from their own columns.
 //!
-//! As in [`scatter`](crate::scatter), each ray adds its sums to four pixels, by shares. But at a
-//! constant distance, a pixel's rays are known from its column, so each pixel collects its sums:
+//! As in [`scatter`](crate::scatter), each ray adds its terms to four pixels, by the shares
+//! (1 − t_y, t_y) and (1 − t_x, t_x). But at a constant distance, a pixel's rays are known from its
+//! column, so each pixel collects its sums:
 //!
 //! ```text
 //! for every part of line j, some columns x:
 //!     low = the high sums of line j − 1 at x,  high = 0
 //!     for every row of rays between the lines j and j + 1, for every block of pixels:
-//!         sums = Σ over view columns: (1 − t_x) · (w e a_m, w a_m a_k) of the rays before x
-//!                                         + t_x · (w e a_m, w a_m a_k) of the rays one earlier
+//!         sums = Σ over view columns: (1 − t_x) · (w e a_m, w a_m a_k) of rays between x and x + 1
+//!                                         + t_x · (w e a_m, w a_m a_k) of rays between x − 1 and x
 //!         low += (1 − t_y) · sums,  high += t_y · sums
 //!     step the pixels by low, keep high for line j + 1
 //! ```
@@ -73,8 +74,9 @@ pub(crate) struct Scratch {
     windows: Windows,
     /// For each row of rays, the index at which its entries end in the list of rows to prefetch.
     ahead: Vec<usize>,
-    /// A ray reads a column of every factor. For each factor k, this has the smallest and the
-    /// largest value of its column minus the column of the factor under update.
+    /// A ray reads a column of every factor. For each factor k, this is the range of the distance
+    /// between two such columns: the column of factor k minus the column of the factor under
+    /// update.
     spread: Vec<[isize; 2]>,
     /// The sums for the pixels of a part of the line under update, `[quantity][column]`.
     low: Aligned,
@@ -118,8 +120,8 @@ impl Scratch {
     }
 }
 
-/// A ray reads a column of every factor. For each factor k, returns the smallest and the largest
-/// value of its column minus the column of factor `n`.
+/// A ray reads a column of every factor. For each factor k, returns the range of the distance
+/// between two such columns: the column of factor k minus the column of factor `n`.
 fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     let distances = |k: usize| {
         let both = plan.maps[k].x.iter().zip(&plan.maps[n].x);
@@ -159,8 +161,8 @@ pub(crate) struct BetweenBand<'a> {
     pub(crate) factors: &'a [Factor],
     pub(crate) functions: &'a BetweenFunctions,
     pub(crate) scratch: &'a mut Scratch,
-    /// The line that was updated last, if the rays between it and the next line have added their
-    /// sums for the next line.
+    /// The line that was updated last; `None` before the first update. The rays between that line
+    /// and the next line have already added their sums for the next line.
     pub(crate) before: Option<LineOf>,
 }
 
@@ -315,7 +317,7 @@ impl Kernel for SumsBetween {
                 let mut group = Group { frames, views: 0, add: false };
                 for (view, column) in shares.iter().enumerate() {
                     if column.valid.start < x + V::COUNT && x < column.valid.end + 1 {
-                        // a view adds up to two entries to the group, which must have room for them
+                        // a view adds one or two entries to the group, which must have room for two
                         if group.views + 2 > GROUP {
                             sum_views::<V, false>(params.sums, buffers, &[], group);
                             group = Group { frames, views: 0, add: true };
@@ -513,8 +515,8 @@ impl Reads<'_> {
     }
 }
 
-/// Interpolates, at the fraction `t`, between the values from `from` on and the values one place
-/// further.
+/// Interpolates, at the fraction `t`, between two vectors: the values from `from` on, and the
+/// values one pixel further.
 #[inline(always)]
 unsafe fn between_pixels<V: Lanes>(from: *const f32, t: f32) -> V {
     // SAFETY: guaranteed by the caller

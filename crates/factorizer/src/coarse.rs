@@ -125,7 +125,8 @@ pub(crate) fn refine(coarse: &Factor, layout: &Layout, [low, high]: [f32; 2]) ->
 /// pixel 2k lies between entries k and k + 1, and fine pixel 2k + 1 between entries k + 1 and k +
 /// 2.
 struct Between {
-    /// Positions of the fine pixels 2k and 2k + 1 between their two entries of the list, 0..1.
+    /// For an even and for an odd fine pixel: the pixel's position between its two entries of the
+    /// list, 0..1.
     t: [f32; 2],
 }
 
@@ -134,8 +135,8 @@ impl Between {
         Self { t: if fine == 2 * coarse { [0.75, 0.25] } else { [1.0, 0.5] } }
     }
 
-    /// The two entries of the extended list around a fine pixel, and the pixel's position between
-    /// them, 0..1.
+    /// Returns the two entries of the extended list around a fine pixel, and the pixel's position
+    /// between them, 0..1.
     fn around(&self, fine: usize) -> ([usize; 2], f32) {
         let first = fine / 2 + fine % 2;
         ([first, first + 1], self.t[fine % 2])
@@ -155,10 +156,11 @@ impl Between {
     }
 }
 
-/// The fine pixels under each coarse pixel of twice the pitch, around the same centre.
+/// Returns the fine pixels under each coarse pixel of twice the pitch. Both grids have the same
+/// centre.
 ///
-/// For each coarse pixel, returns the first fine pixel that it covers, and the shares of this fine
-/// pixel and the next two fine pixels.
+/// For each coarse pixel, the result has the first fine pixel that it covers, and the shares of
+/// this fine pixel and the next two fine pixels.
 pub(crate) fn cover(fine: usize, coarse: usize) -> Vec<(usize, [f32; 3])> {
     (0..coarse)
         .map(|i| {

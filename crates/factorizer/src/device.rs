@@ -61,8 +61,9 @@ pub trait Updater {
     /// Returns [`Begin::tries_local`].
     fn tries_local(&self) -> bool;
 
-    /// Sets the flag that cancels updates. It is read before each part of an update; after a
-    /// cancellation, the remaining parts keep their values.
+    /// Sets the flag that cancels updates. An update reads the flag before it begins, and on the
+    /// processor before every line. After a cancellation, values that are not updated yet stay as
+    /// they are.
     fn set_cancel(&mut self, cancel: &Cancel);
 
     /// Updates factor `n` by the current values of all factors.
@@ -114,8 +115,9 @@ pub trait Updater {
 
     /// Runs [`apply`](Self::apply) with the better curvature.
     ///
-    /// The curvature at the current point usually gains more than its upper bound. But it may raise
-    /// the objective. If so, the update is undone and repeated with the bound.
+    /// A step by the curvature at the current point usually gains more than a step by the upper
+    /// bound of the curvature. But such a step may raise the objective. If so, the update is undone
+    /// and repeated with the bound.
     fn update(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>) {
         if !self.tries_local() || self.plan().is_bounded(n) || rule == Rule::KktResidual {
             return self.apply(n, rule, extrapolation, false);
@@ -225,8 +227,9 @@ impl Plan {
         self.target.brightness
     }
 
-    /// For [`Rule::Darken`], returns the largest Σ w a_m² of an unlit pixel, divided by Σ w over
-    /// the pixel's rays. Here a_m is M times the derivative of L̃ by the pixel's value in frame m.
+    /// For [`Rule::Darken`], returns the largest Σ w a_m² at which a pixel's value is unlit,
+    /// divided by Σ w over the pixel's rays. Here a_m is M times the derivative of L̃ by the
+    /// pixel's value in frame m.
     pub fn unlit_share(&self) -> f32 {
         crate::unlit::share(self)
     }

@@ -40,8 +40,8 @@ pub struct Engine {
     /// For each factor whose rays read other values than the stored values: its response and its
     /// stored values.
     stored: Vec<Option<(Response, Factor)>>,
-    /// For each factor, the levels that its values may have, and the frames to which this limit
-    /// applies.
+    /// For each factor whose values are confined to levels: these levels, and the frames that are
+    /// confined.
     pub(crate) levels: Vec<Option<Levels>>,
     /// The last iterate, if rays read extrapolated values; otherwise empty.
     latest: Vec<Aligned>,
@@ -126,7 +126,7 @@ impl Engine {
         Self::with_factors(Arc::new(plan), display, ranges, factors)
     }
 
-    /// The stored values of every factor.
+    /// Returns the stored values of every factor.
     pub(crate) fn own(&self) -> impl Iterator<Item = &Factor> {
         self.factors
             .iter()
@@ -134,7 +134,7 @@ impl Engine {
             .map(|(effective, stored)| stored.as_ref().map_or(effective, |(_, stored)| stored))
     }
 
-    /// One row of one frame, without padding.
+    /// Returns one row of one frame, without padding.
     pub(crate) fn row(&self, n: usize, channel: usize, line: usize, frame: usize) -> &[f32] {
         let layout = &self.factors[n].layout;
         &self.factors[n].row(channel, line, frame)[layout.pad..layout.pad + layout.cols()]
@@ -155,14 +155,14 @@ impl Engine {
         Ok(Self::begin(prepared.into_begin(floor, false)))
     }
 
-    /// Number by which sums of weighted errors are multiplied to give the objective. Weights in the
-    /// sums are relative to the largest weight.
+    /// Returns the number by which sums of weighted errors are multiplied to give the objective.
+    /// Weights in the sums are relative to the largest weight.
     pub fn weight_scale(&self) -> f64 {
         self.plan.target.weight_scale
     }
 
     /// True if the fast kernel updates factor `n`, since all rays of a view read it at a constant
-    /// shift. The fast kernel does so even if other factors are read between columns, since the
+    /// shift. The fast kernel is used even if rays read other factors between columns, since the
     /// kernel of [`between`] was no faster.
     pub fn is_fast(&self, n: usize) -> bool {
         self.fast && self.plan.is_product() && self.plan.maps[n].shifted
@@ -461,8 +461,8 @@ impl AsRef<[f32]> for Reused {
     }
 }
 
-/// Copies a factor into the memory of `values`. Returns a tensor of the shape of `tensor` that
-/// lends this memory.
+/// Copies a factor into the memory of `values`. Returns a tensor with the shape of `tensor` that
+/// keeps its values in this memory.
 fn lent<const N: usize>(tensor: &Tensor<N>, own: &Factor, mut values: Aligned) -> Tensor<N> {
     let len = tensor.shape().iter().product();
     own.download(&mut values[..len]);

@@ -122,7 +122,8 @@ unsafe fn squared_shifted<V: Lanes>(
     let target = plan.target.row(rays.channel, plan.view(rays.view[0], rays.view[1]), rays.row);
     let run = rays.run;
     let mut total = ErrorSum::default();
-    // SAFETY: the machine has V; padding covers every block that touches a valid ray
+    // SAFETY: the machine has the instruction set of V; padding covers every block that touches a
+    // valid ray
     unsafe {
         let (mean, brightness) = (V::splat(1.0 / plan.frames as f32), V::splat(plan.target.brightness));
         let zero = V::splat(0.0);

@@ -138,7 +138,7 @@ pub(crate) fn expand_factor(plan: &Plan, factors: &[Factor], k: usize, frame: us
     plan.row.read(reading(plan, factors, k, frame, rays), to);
 }
 
-/// The rows and columns of a factor that the rays read.
+/// Returns the rows and columns of a factor that the rays read.
 fn reading<'a>(plan: &'a Plan, factors: &'a [Factor], k: usize, frame: usize, rays: &Rays<'a>) -> Reading<'a> {
     let map = &plan.maps[k];
     let LineTap { first, second, t } = map.y[rays.view[0]][rays.row];

@@ -8,9 +8,9 @@
 //! line. The padding and the extra line hold the value that rays read if they miss the factor. So
 //! inner loops have no branch for misses.
 //!
-//! The backlight has R × C lenslets per angular bin. Its line is bin_y·R + lenslet row, and its
-//! column is bin_x·C + lenslet column. So its map is separable into lines and columns, like the map
-//! of a layer.
+//! The backlight has R × C lenslets per angular bin. Lenslet (row, column) of bin (bin_y, bin_x) is
+//! the pixel at line bin_y·R + row and column bin_x·C + column. So the map of the backlight is
+//! separable into lines and columns, like the map of a layer.
 
 use crate::aligned::Aligned;
 use crate::bands;
@@ -38,27 +38,27 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// Number of lines that rays can hit.
+    /// Returns the number of lines that rays can hit.
     pub(crate) fn lines(&self) -> usize {
         self.bins[0] * self.size[0]
     }
 
-    /// Number of columns that rays can hit.
+    /// Returns the number of columns that rays can hit.
     pub(crate) fn cols(&self) -> usize {
         self.bins[1] * self.size[1]
     }
 
-    /// Number of values of one line over all frames.
+    /// Returns the number of values of one line over all frames.
     pub(crate) fn line_len(&self) -> usize {
         self.frames * self.stride
     }
 
-    /// Number of lines of one channel, with the extra line for misses.
+    /// Returns the number of lines of one channel, with the extra line for misses.
     pub(crate) fn stored_lines(&self) -> usize {
         self.lines() + 1
     }
 
-    /// Offset of the red value in the tensor of a layer or of the emission.
+    /// Returns the offset of the red value in the tensor of a layer or of the emission.
     pub(crate) fn tensor_offset(&self, frame: usize, line: usize, col: usize) -> usize {
         let ([bins_y, bins_x], [rows, cols]) = (self.bins, self.size);
         let (bin_y, row, bin_x, col) = (line / rows, line % rows, col / cols, col % cols);
@@ -140,14 +140,14 @@ impl Factor {
         self.values.len() / (self.layout.stored_lines() * self.layout.line_len())
     }
 
-    /// One padded row of one frame.
+    /// Returns one padded row of one frame.
     #[inline(always)]
     pub(crate) fn row(&self, channel: usize, line: usize, frame: usize) -> &[f32] {
         let at = (channel * self.layout.stored_lines() + line) * self.layout.line_len() + frame * self.layout.stride;
         &self.values[at..at + self.layout.stride]
     }
 
-    /// One line of all frames: padded rows one after another.
+    /// Returns one line in all frames: padded rows, one after another.
     #[inline(always)]
     pub(crate) fn line(&self, channel: usize, line: usize) -> &[f32] {
         let at = (channel * self.layout.stored_lines() + line) * self.layout.line_len();

@@ -68,7 +68,7 @@ mod target;
 mod unlit;
 mod vector;
 
-/// Parts that the crate's own tests examine; they may change in any version.
+/// Items that the crate's own tests use; they may change in any version.
 #[doc(hidden)]
 pub mod internals {
     pub use crate::engine::Engine;

@@ -125,8 +125,8 @@ impl LineStep<'_> {
     }
 }
 
-/// Copies the values from x on and their sums into a block. The sums are rows, `stride` apart,
-/// whose first value belongs to x.
+/// Copies a vector of pixels of a line, from x on, into a block: the values, and the sums of these
+/// pixels. The sums of each quantity are a row that begins at x. The rows are `stride` apart.
 pub(crate) struct Fetch;
 
 impl Kernel for Fetch {
@@ -138,7 +138,7 @@ impl Kernel for Fetch {
         let frames = block.frames;
         let copy = |from: &[f32], to: &mut [f32], at: usize| {
             let (from, to) = (&from[..V::COUNT], &mut to[at * V::COUNT..][..V::COUNT]);
-            // SAFETY: the machine has V; both parts have COUNT values
+            // SAFETY: the machine has the instruction set of V; both parts have COUNT values
             unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
         };
         for m in 0..frames {
@@ -171,7 +171,7 @@ impl Kernel for StoreSums {
         let mut rows = to.chunks_mut(stride);
         let mut store_sums = |from: &[f32], at: usize| {
             let (from, to) = (&from[at * V::COUNT..][..V::COUNT], &mut rows.next().unwrap_or_default()[..V::COUNT]);
-            // SAFETY: the machine has V; both parts have COUNT values
+            // SAFETY: the machine has the instruction set of V; both parts have COUNT values
             unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
         };
         (0..frames).for_each(|m| store_sums(&block.residual, m));
@@ -206,7 +206,7 @@ impl Kernel for Put {
         let Stepped { values, mut extrapolation, stride, range } = to;
         for m in 0..block.frames {
             let at = m * stride;
-            // SAFETY: the machine has V; slices check lengths
+            // SAFETY: the machine has the instruction set of V; slices check lengths
             unsafe {
                 let moved = load::<V>(&block.values, m * V::COUNT);
                 let Some((by, latest)) = &mut extrapolation else {
@@ -227,7 +227,7 @@ impl Kernel for Put {
 /// change, since rays that miss the factor read it.
 #[inline(always)]
 unsafe fn put<V: Lanes>(vector: V, to: &mut [f32], room: usize) {
-    // SAFETY: the machine has V; lengths are checked
+    // SAFETY: the machine has the instruction set of V; lengths are checked
     unsafe {
         if room == V::COUNT {
             vector.store(to[..V::COUNT].as_mut_ptr());

@@ -109,15 +109,15 @@ struct RaysOfLine {
 }
 
 impl FactorMap {
-    /// Valid field rows whose rays read `line`, each with the share with which its rays read the
-    /// line.
+    /// Returns the valid field rows whose rays read `line`, each with the share with which its rays
+    /// read the line.
     #[inline(always)]
     pub(crate) fn rays_of_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.rays[view_y].of_line(line)
     }
 
-    /// Valid field rows whose rays read between `line` and the next line. Each entry also has the
-    /// share of the rays' sums that the next line gets.
+    /// Returns the valid field rows whose rays read between `line` and the next line. Each entry
+    /// also has the share of the rays' sums that the next line gets.
     #[inline(always)]
     pub(crate) fn rays_after_line(&self, view_y: usize, line: usize) -> &[(u32, f32)] {
         self.after[view_y].of_line(line)
@@ -335,7 +335,8 @@ pub(crate) struct RawMap {
 /// Returns the pixel index minus the field column.
 ///
 /// Returns `None` if this shift differs between rays of the runs, or if a ray reads two pixels.
-/// Also returns `None` if with this shift a ray that misses the factor would read inside it.
+/// Also returns `None` if, at this shift, a ray that misses the factor would read one of its
+/// pixels.
 fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<isize> {
     let mut counted = runs.iter().flat_map(Clone::clone);
     let shift = counted.clone().find_map(|c| taps[c].map(|tap| tap.first as isize - c as isize))?;

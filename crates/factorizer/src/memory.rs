@@ -15,8 +15,8 @@ const TABLE_BYTES: u64 = 96;
 /// Upper bound of the bytes of all small data.
 const SMALL: u64 = 1 << 20;
 
-/// Upper bound of the bytes that [`factorize`](crate::factorize()) holds at any time, on `threads`
-/// threads.
+/// Returns an upper bound of the bytes that [`factorize`](crate::factorize()) holds at any time, on
+/// `threads` threads.
 ///
 /// The bound includes:
 /// * the target in half floats, at full resolution and at the coarser levels,
@@ -29,8 +29,8 @@ pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -
     4 * target_bytes(geometry) / 3 + bytes_beside_target(display, geometry, threads)
 }
 
-/// The bound of [`held_bytes`] for a target that the caller has in a file. The factorizer's copy is
-/// then also in a file. About `window` bytes of that file may be in memory.
+/// Returns the bound of [`held_bytes`] for a target that the caller has in a file. The factorizer's
+/// copy is then also in a file. About `window` bytes of that file may be in memory.
 pub fn paged_bytes(display: &Display, geometry: &FieldGeometry, threads: usize, window: u64) -> u64 {
     /// Bytes of a small page.
     const PAGE: u64 = 4096;
@@ -50,7 +50,7 @@ pub fn paged_bytes(display: &Display, geometry: &FieldGeometry, threads: usize, 
         + bytes_beside_target(display, geometry, threads as usize)
 }
 
-/// Bytes of the factorizer's own copy of the target: half floats in padded rows.
+/// Returns the bytes of the factorizer's own copy of the target: half floats in padded rows.
 fn target_bytes(geometry: &FieldGeometry) -> u64 {
     let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
     2 * 3 * view_rows * view_cols * geometry.rows as u64 * (geometry.cols as u64 + 2 * PAD as u64)

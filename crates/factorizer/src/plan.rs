@@ -62,7 +62,7 @@ pub(crate) struct TilePlace {
 }
 
 impl TilePlace {
-    /// The same tile at half the resolution, with all pixels free.
+    /// Returns the same tile at half the resolution, with all pixels free.
     pub(crate) fn halved(&self, display: &Display) -> Self {
         let halve = |(n, place): (usize, &[[usize; 2]; 2])| match display.layers.get(n) {
             Some(_) => place.map(|both| both.map(|pixels| pixels.div_ceil(2))),
@@ -172,7 +172,7 @@ impl Plan {
         self.formation != Formation::Polarization || n >= self.layers
     }
 
-    /// The pixels of factor `n` that may change; `None` if all may.
+    /// Returns the pixels of factor `n` that may change; `None` if all may.
     pub(crate) fn free(&self, n: usize) -> Option<&Region> {
         self.tile.as_ref()?.free.as_ref()?.get(n)
     }
@@ -194,7 +194,7 @@ impl Plan {
         Some(fixed)
     }
 
-    /// Number of pixels of factor `n` that may change, in all bins.
+    /// Returns the number of pixels of factor `n` that may change, in all bins.
     pub(crate) fn changing(&self, n: usize) -> usize {
         let layout = &self.maps[n].layout;
         let [rows, cols] = self.free(n).map_or(layout.size, Region::size);
@@ -213,7 +213,7 @@ impl Plan {
         count
     }
 
-    /// Index of a view in the target.
+    /// Returns the index of a view in the target.
     #[inline(always)]
     pub(crate) fn view(&self, view_y: usize, view_x: usize) -> usize {
         view_y * self.views[1] + view_x

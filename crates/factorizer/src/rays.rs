@@ -28,7 +28,7 @@ pub(crate) struct Place<'a, T> {
 }
 
 impl<'a, T> Place<'a, T> {
-    /// A place in `row`, such that `row[x + offset]` is the value at x.
+    /// Returns a place in `row`, such that `row[x + offset]` is the value at x.
     #[inline(always)]
     fn new(row: &'a [T], offset: isize) -> Self {
         Self {
@@ -39,7 +39,7 @@ impl<'a, T> Place<'a, T> {
         }
     }
 
-    /// A place in a row of `len` values, which may be written while the place exists.
+    /// Returns a place in a row of `len` values, which may be written while the place exists.
     fn within(row: *const T, len: usize, offset: isize) -> Self {
         let _ = len;
         Self {
@@ -50,7 +50,7 @@ impl<'a, T> Place<'a, T> {
         }
     }
 
-    /// Pointer to the values from x on, as many as a vector has.
+    /// Returns a pointer to the values from x on, as many as a vector `V` has.
     #[inline(always)]
     pub(crate) fn at<V: Lanes>(&self, x: usize) -> *const T {
         let at = self.zero.wrapping_add(x);
@@ -69,20 +69,21 @@ pub(crate) struct View<'a> {
 }
 
 impl View<'_> {
-    /// √w of the rays; `None` if all weights are 1.
+    /// Returns √w of the rays; `None` if all weights are 1.
     #[inline(always)]
     pub(crate) fn root_weights(&self) -> Option<&Place<'_, f32>> {
         self.weights.as_ref()
     }
 
-    /// √w of the rays of a block, 0 for invalid rays; `None` if all are invalid.
+    /// Returns √w of the rays of a block, 0 for invalid rays; `None` if all are invalid.
     ///
     /// # Safety
     /// The machine has `V`'s instruction set.
     #[inline(always)]
     pub(crate) unsafe fn weight<V: Lanes>(&self, x: usize) -> Option<V> {
         let (low, high) = (self.valid.start.max(x), self.valid.end.min(x + V::COUNT));
-        // SAFETY: the machine has V; padding makes loads legal where a ray is valid
+        // SAFETY: the machine has the instruction set of V; padding makes loads legal where a ray
+        // is valid
         (low < high).then(|| unsafe {
             let inside = mask::<V>(low - x, high - x);
             self.weights.as_ref().map_or(inside, |weights| inside.mul(V::load(weights.at::<V>(x))))
@@ -128,8 +129,8 @@ pub(crate) struct LineRays<'a> {
     pub(crate) others_per_view: usize,
     /// For each other factor, the distance from one frame to the next frame, in values.
     pub(crate) strides: Vec<usize>,
-    /// The line of the factor under update as the rays of each view read it, with all frames; one
-    /// entry per view. Empty if all views read the same columns of that line.
+    /// For each view, the line of the factor under update, with all frames, at the columns that the
+    /// view's rays read. Empty if all views read the same columns of that line.
     pub(crate) own: Vec<Place<'a, f32>>,
     pub(crate) own_stride: usize,
     /// A ray that hits a factor between two columns interpolates two pixels. For each view, this
@@ -158,7 +159,7 @@ impl<'a> LineRays<'a> {
         });
     }
 
-    /// The range of x in which the rays of every view are valid and have weight 1.
+    /// Returns the range of x in which the rays of every view are valid and have weight 1.
     pub(crate) fn inner(&self) -> Range<usize> {
         if self.views.iter().any(|view| view.weights.is_some()) {
             return 0..0;
@@ -167,13 +168,14 @@ impl<'a> LineRays<'a> {
         start..self.views.iter().map(|view| view.valid.end).min().unwrap_or(0)
     }
 
-    /// The range of x in which the rays of any view are valid.
+    /// Returns the range of x in which the rays of any view are valid.
     pub(crate) fn outer(&self) -> Range<usize> {
         let start = self.views.iter().map(|view| view.valid.start).min().unwrap_or(0);
         start..self.views.iter().map(|view| view.valid.end).max().unwrap_or(0)
     }
 
-    /// The rows of a range of views, with K factors besides the factor under update.
+    /// Returns, for each view of a range, the rows that its rays read. K is the number of factors
+    /// besides the factor under update.
     #[inline(always)]
     pub(crate) fn by_view<const K: usize>(&self, views: Range<usize>) -> impl Iterator<Item = RowsOfView<'_, K>> {
         let others = &self.others.as_chunks::<K>().0[views.clone()];
@@ -182,7 +184,7 @@ impl<'a> LineRays<'a> {
         views.map(|(((view, target), others), ahead)| RowsOfView { view, target, others, ahead })
     }
 
-    /// The lines of the other factors that one view reads.
+    /// Returns the lines of the other factors that one view reads.
     pub(crate) fn others_of(&self, view: usize) -> &[Place<'_, f32>] {
         &self.others[view * self.others_per_view..(view + 1) * self.others_per_view]
     }
@@ -219,14 +221,15 @@ impl<'a> LineRays<'a> {
     }
 }
 
-/// An empty vector that keeps the storage of `from`, whose elements may have a shorter lifetime.
+/// Returns an empty vector that keeps the storage of `from`, whose elements may have a shorter
+/// lifetime.
 fn emptied<A, B>(mut from: Vec<A>) -> Vec<B> {
     from.clear();
     // collecting in place keeps the allocation; allocation per line took 5 % of an update
     from.into_iter().filter_map(|_| None).collect()
 }
 
-/// Length of one expanded row, in values.
+/// Returns the length of one expanded row, in values.
 pub(crate) fn expanded_stride(plan: &Plan) -> usize {
     (PAD + plan.cols + PAD).next_multiple_of(PAD)
 }
@@ -294,10 +297,10 @@ impl<'a> Left<'a> {
         (Self { mixed, expanded, held: held.iter_mut() }, rows)
     }
 
-    /// The line of factor `k` that a row of rays reads, for all frames.
+    /// Returns the line of factor `k` that a row of rays reads, in all frames.
     ///
-    /// Call it for every factor in turn, since mixed lines are taken in order. If factor `k` is
-    /// being updated in place, it has no values here, and its line is empty.
+    /// The caller must call this for every factor in turn, since mixed lines are taken in order. If
+    /// factor `k` is being updated in place, it has no values here, and the result is empty.
     fn line(&mut self, plan: &Plan, factors: &'a [Factor], k: usize, channel: usize, rays: RowOfRays) -> &'a [f32] {
         let (map, factor) = (&plan.maps[k], &factors[k]);
         let tap = map.y[rays.view_y][rays.row];
@@ -309,8 +312,8 @@ impl<'a> Left<'a> {
         line
     }
 
-    /// The values that the rays of a view read from a line of a factor: in place, or expanded along
-    /// the rays.
+    /// Returns the place of the values that the rays of a view read from a line of factor `k`. The
+    /// values are in the line itself, or in a row that is expanded along the rays.
     ///
     /// `offset` is added to x, see [`Place`].
     fn place(
@@ -348,9 +351,9 @@ impl<'a> Left<'a> {
     }
 }
 
-/// Distance from one frame to the next frame in the row that rays of a view column read from factor
-/// `k`. If the view column needs an expanded row, it is the distance in this row. Otherwise it is
-/// the factor's own distance.
+/// Returns the distance from one frame to the next frame in the row that rays of a view column read
+/// from factor `k`. If the view column needs an expanded row, this is the distance in that row.
+/// Otherwise it is the factor's own distance.
 fn stride_of(plan: &Plan, k: usize, view_x: usize) -> usize {
     if plan.maps[k].x[view_x].shift.is_some() { plan.maps[k].layout.stride } else { expanded_stride(plan) }
 }

@@ -21,21 +21,21 @@ pub(crate) struct Pairs<const M: usize, const K: usize, const MASKED: bool, cons
 /// a_m. `MASKED` has the same meaning as in [`Pairs`].
 pub(crate) struct Gram<const M: usize, const K: usize, const MASKED: bool>;
 
-/// Number of registers that [`Pairs`] needs: three for each frame (two sums and the derivative
-/// a_m), and a few more.
+/// Returns the number of registers that [`Pairs`] needs: three for each frame (two sums and the
+/// derivative a_m), and a few more.
 const fn registers_for_pairs(frames: usize) -> usize {
     3 * frames + 4
 }
 
-/// Number of registers that [`Gram`] needs: the residual sum and the derivative a_m of each frame,
-/// the upper triangles of the tiles, and a few more.
+/// Returns the number of registers that [`Gram`] needs: the residual sum and the derivative a_m of
+/// each frame, the upper triangles of the tiles, and a few more.
 const fn registers_for_gram(frames: usize) -> usize {
     let (tile, tiles) = (tile_of(frames), frames.div_ceil(tile_of(frames)));
     2 * frames + tiles * tile * (tile + 1) / 2 + 5
 }
 
-/// Number of frames per tile of the Gram matrix. In registers, only the tiles along the diagonal
-/// are summed. Up to 4 frames, one tile is the whole matrix.
+/// Returns the number of frames per tile of the Gram matrix. In registers, only the tiles along the
+/// diagonal are summed. Up to 4 frames, one tile is the whole matrix.
 const fn tile_of(frames: usize) -> usize {
     if frames <= 4 { frames } else { 3 }
 }

@@ -13,8 +13,8 @@
 //!
 //! The bound equals the change at d = 0 and is separable over the stored pixels. So the usual step
 //! on Aᵀr and Aᵀ(ρG) never raises the objective. The bound is exact if channels are only tied or
-//! filtered, without blur and crosstalk. The multiplicative rule takes its two sums of `step.rs`
-//! times Aᵀ.
+//! filtered, without blur and crosstalk. For the multiplicative rule, Aᵀ is applied to its sums n
+//! and d, which `step.rs` defines.
 
 use lumistack_display::Response;
 

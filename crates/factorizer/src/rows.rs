@@ -101,7 +101,7 @@ impl RowFunctions {
     }
 }
 
-/// One factor along the rays of a part of a field row.
+/// Data to read one factor along rays, through a range of columns of one field row.
 #[derive(Clone, Copy)]
 pub(crate) struct Reading<'a> {
     pub(crate) x: &'a ColumnTaps,

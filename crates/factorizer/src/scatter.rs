@@ -17,8 +17,8 @@
 //!
 //! Lines come in bands, one after another. Each line passes its sums `high` on to the next line.
 //! Factors are read in two steps as well. First, two lines of the factor are mixed, once for all
-//! view columns. Then the columns of that mixture are read. In parts of 128 columns, whose rows
-//! stay in the first-level cache, an update took 1.25 times as long.
+//! view columns. Then the columns of that mixture are read. If lines were updated in parts of 128
+//! columns, whose rows stay in the first-level cache, an update took 1.25 times as long.
 //!
 //! Under bilinear sampling a ray reads a mean Σ_t s_t f_t of the pixels t with the shares s_t. If
 //! these pixels change by δ_t, Jensen's inequality gives (e − a·Σ_t s_t δ_t)² ≤ Σ_t s_t (e −
@@ -90,8 +90,8 @@ pub(crate) struct Scratch {
     buffers: Buffers,
     rays: LineRays<'static>,
     spare: Spare,
-    /// The sums of one view column by field columns, `[quantity][x]`: first the sums for this line,
-    /// then the sums for the next line.
+    /// For one view column, the sums of each field column, `[quantity][x]`: first the sums for this
+    /// line, then the sums for the next line.
     columns: [Vec<f32>; 2],
     /// The sums of this line and of the next line.
     lines: [LineSums; 2],
@@ -124,8 +124,8 @@ pub(crate) struct ScatterBand<'a> {
     pub(crate) factors: &'a [Factor],
     pub(crate) functions: &'a ScatterFunctions,
     pub(crate) scratch: &'a mut Scratch,
-    /// The line that was updated last, if the rays between it and the next line have added their
-    /// sums for the next line.
+    /// The line that was updated last; `None` before the first update. The rays between that line
+    /// and the next line have already added their sums for the next line.
     pub(crate) before: Option<LineOf>,
 }
 

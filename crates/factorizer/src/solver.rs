@@ -11,10 +11,10 @@ pub const AUTO: &str = "auto";
 
 /// An algorithm that finds patterns iteration by iteration.
 pub trait Solver: Sync {
-    /// Name that selects the solver.
+    /// Returns the name that selects the solver.
     fn name(&self) -> &'static str;
 
-    /// One sentence that helps users choose.
+    /// Returns one sentence that helps users choose.
     fn doc(&self) -> &'static str;
 
     /// Prepares a run from the patterns `start`; clamps their values to the solver's box.
@@ -36,11 +36,11 @@ pub trait Run {
     /// Computes the objective of the current patterns.
     fn objective(&mut self) -> Objective;
 
-    /// The objective that the last step obtained from its own sums. It may belong to the
-    /// extrapolated patterns, not to the last iterate.
+    /// Returns the objective that the last step obtained from its own sums. This may be the
+    /// objective of the extrapolated patterns instead of the last iterate.
     ///
-    /// `None` after a restart, or if the sums do not contain the objective. [`Self::objective`]
-    /// computes it in any case.
+    /// Returns `None` after a restart, or if the sums do not contain the objective.
+    /// [`Self::objective`] computes the objective in any case.
     fn known_objective(&self) -> Option<Objective>;
 
     /// Computes the KKT residual: the distance of the patterns from the first-order conditions.
@@ -61,7 +61,7 @@ pub trait Run {
     /// target's views may see them.
     fn darken_unlit(&mut self) -> f64;
 
-    /// Number of rays with w > 0 that hit all layers.
+    /// Returns the number of rays with w > 0 that hit all layers.
     fn rays(&self) -> u64;
 
     /// Checks that the patterns still exist; a lost device loses them. The results of

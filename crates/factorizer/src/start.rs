@@ -55,7 +55,7 @@ impl StartKind {
         }
     }
 
-    /// One sentence that helps users choose.
+    /// Returns one sentence that helps users choose.
     pub fn doc(self) -> &'static str {
         match self {
             Self::Random => "Independent uniform noise.",
@@ -156,13 +156,13 @@ fn noise(display: &Display, seed: u64, tile: Option<&TilePlace>) -> LayerStack {
     stack
 }
 
-/// Rows and columns of a plane, for each layer and then for the lenslets.
+/// Returns the rows and columns of a plane, for each layer and then for the lenslets.
 fn sizes(stack: &LayerStack) -> Vec<[usize; 2]> {
     let layers = stack.layers.iter().map(|layer| [layer.shape()[1], layer.shape()[2]]);
     layers.chain(stack.emission.iter().map(|emission| [emission.shape()[3], emission.shape()[4]])).collect()
 }
 
-/// The values of the layers, then of the backlight.
+/// Returns the values of each layer, then those of the backlight.
 fn parts(stack: &mut LayerStack) -> impl Iterator<Item = &mut [f32]> {
     let layers = stack.layers.iter_mut().map(|layer| layer.data_mut());
     layers.chain(stack.emission.iter_mut().map(|emission| emission.data_mut()))

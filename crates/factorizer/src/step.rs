@@ -10,8 +10,9 @@
 //! wanted     n_m  = Σ w βL a_m         emitted  d_m  = Σ w L̃ a_m
 //! ```
 //!
-//! In u = f/M the pixel's part of the objective is the quadratic −2 rᵀδ + δᵀGδ + constant, with δ
-//! the change of u. All sums are in units of u, so no inner loop multiplies by 1/M.
+//! Let u = f/M, and let δ be the change of u. The terms of the objective that depend on the pixel
+//! are the quadratic −2 rᵀδ + δᵀGδ + constant. All sums are in units of u, so no inner loop
+//! multiplies by 1/M.
 
 use lumistack_display::quantize;
 use lumistack_simd::{Backend, Kernel, Lanes, MAX_LANES};
@@ -50,7 +51,7 @@ impl Rule {
         }
     }
 
-    /// Number of sweeps of coordinate steps; 0 for rules without sweeps.
+    /// Returns the number of sweeps of coordinate steps; 0 for rules without sweeps.
     pub(crate) fn sweeps(self) -> u32 {
         if let Self::Block { sweeps } = self { sweeps } else { 0 }
     }
@@ -61,15 +62,16 @@ impl Rule {
 pub(crate) enum Sums {
     /// For each frame m, n = Σ w βL a_m and d = Σ w L̃ a_m.
     Ratio,
-    /// For each frame m, r_m of the top of the file, and the diagonal entry Σ w a_m² of the Gram
-    /// matrix.
+    /// For each frame m, the residual sum r_m = Σ w e a_m, and the diagonal entry Σ w a_m² of the
+    /// Gram matrix.
     Diagonal,
-    /// For each frame m, r_m of the top of the file; and the Gram matrix G_mk = Σ w a_m a_k.
+    /// For each frame m, the residual sum r_m = Σ w e a_m. Then the Gram matrix G_mk = Σ w a_m a_k.
     Gram,
 }
 
 impl Sums {
-    /// Number of sums per pixel: one residual or wanted sum per frame, and then the other sums.
+    /// Returns the number of sums per pixel: one residual or wanted sum per frame, and then the
+    /// other sums.
     pub(crate) fn count(self, frames: usize) -> usize {
         if self == Self::Gram { frames + frames * (frames + 1) / 2 } else { 2 * frames }
     }
@@ -101,10 +103,10 @@ const LEAST_CURVATURE: f32 = 1e-30;
 /// Sums and values of one vector of pixels, `[frame][lane]`.
 pub(crate) struct Block {
     pub(crate) frames: usize,
-    /// The sums r_m (for the paper's rule n_m), which the top of the file defines.
+    /// The sums r_m = Σ w e a_m; for the paper's rule the sums n_m = Σ w βL a_m.
     pub(crate) residual: Aligned,
-    /// The sums d_m of the top of the file, or the Gram matrix's diagonal G_mm. During coordinate
-    /// descent M/G_mm.
+    /// The sums d_m = Σ w L̃ a_m, or the diagonal G_mm of the Gram matrix. During coordinate
+    /// descent these are M/G_mm.
     pub(crate) emitted: Aligned,
     /// The Gram matrix, `[frame][frame][lane]`. The input is its upper triangle.
     pub(crate) gram: Aligned,

@@ -120,7 +120,7 @@ impl ChannelRun {
         self.engine.objective()
     }
 
-    /// Number of rays with w > 0 that hit all layers.
+    /// Returns the number of rays with w > 0 that hit all layers.
     pub fn rays(&self) -> u64 {
         self.engine.plan().rays
     }

@@ -51,12 +51,12 @@ enum Order {
 }
 
 impl Order {
-    /// Order of a target that is a copy of `radiance`.
+    /// Returns the order of a target that is a copy of `radiance`.
     fn of(radiance: &Tensor<5>) -> Self {
         if radiance.storage().is_some() { Self::Rows } else { Self::Views }
     }
 
-    /// Position of a row in a channel of `views` views, each of `rows` rows.
+    /// Returns the position of a row in a channel of `views` views, each of `rows` rows.
     #[inline(always)]
     fn index(self, [views, rows]: [usize; 2], view: usize, row: usize) -> usize {
         match self {
@@ -127,7 +127,8 @@ impl Target {
         Ok(Self { stride, rows, views, order, channels: 3, values, brightness, weights, weight_scale })
     }
 
-    /// One channel of half floats that stay in the caller's memory; all weights are 1.
+    /// Makes a target of one channel of half floats that stay in the caller's memory; all weights
+    /// are 1.
     ///
     /// `brightness` is β.
     ///
@@ -153,7 +154,7 @@ impl Target {
         }
     }
 
-    /// The target at a coarser resolution: means over fine pixels, for the given views.
+    /// Returns the target at a coarser resolution: means over fine pixels, for the given views.
     ///
     /// `pixels` = [rows, columns] lists the three fine pixels per axis whose weighted mean is a
     /// coarse pixel. Half floats are rounded to half floats again, since only a start depends on
@@ -226,7 +227,7 @@ impl Target {
         matches!(self.values, Radiance::Float(_))
     }
 
-    /// One padded row of L; column c is at [`PAD`] + c.
+    /// Returns one padded row of L; column c is at [`PAD`] + c.
     #[inline(always)]
     pub(crate) fn row(&self, channel: usize, view: usize, row: usize) -> Row<'_> {
         let index = self.order.index([self.views, self.rows], view, row);
@@ -245,7 +246,8 @@ impl Target {
         }
     }
 
-    /// One padded row of √w, with w relative to the largest weight; `None` if all weights are 1.
+    /// Returns one padded row of √w, with w relative to the largest weight; `None` if all weights
+    /// are 1.
     #[inline(always)]
     pub(crate) fn weights(&self, view: usize, row: usize) -> Option<&[f32]> {
         match &self.weights {
@@ -258,7 +260,7 @@ impl Target {
         }
     }
 
-    /// Number of rays with w > 0 in a range of columns.
+    /// Returns the number of rays with w > 0 in a range of columns.
     pub(crate) fn count(&self, view: usize, row: usize, cols: &Range<usize>) -> u64 {
         match self.weights(view, row) {
             None => cols.len() as u64,
@@ -360,7 +362,7 @@ fn exact_halves(pixels: &[[f32; 3]], rows: [&mut [u16]; 3]) -> bool {
     })
 }
 
-/// The finite half float that equals `value`; `None` if there is none.
+/// Returns the finite half float that equals `value`; `None` if there is none.
 #[inline(always)]
 fn half_from_float(value: f32) -> Option<u16> {
     let bits = value.to_bits();
@@ -379,8 +381,8 @@ fn half_from_float(value: f32) -> Option<u16> {
     }
 }
 
-/// √w per view or per ray, where w is relative to the largest weight. The second result is the
-/// largest weight.
+/// Returns √w per view or per ray, where w is relative to the largest weight. The second result is
+/// the largest weight.
 fn ray_weights(weights: &Weights, [views, rows, cols]: [usize; 3], stride: usize) -> (RayWeights, f64) {
     let data = match weights {
         Weights::Uniform => return (RayWeights::Uniform, 1.0),

@@ -5,9 +5,9 @@
 //! layer is black in frame m on all rays through a pixel, then a_m = 0. Every value of f_m then
 //! gives the same emission. A run ends with the darkest value ([`crate::Run::darken_unlit`]).
 //!
-//! If two layers are black on the same rays, neither layer can move any more, since each makes a_m
-//! of the other layer 0. A warm start therefore [lifts](lifted) black slightly. From the lifted
-//! value an exact step reaches any value.
+//! If two layers are black on the same rays, no update can change either layer there, since each
+//! layer makes a_m of the other layer 0. A warm start therefore [lifts](lifted) black slightly.
+//! From the lifted value an exact step reaches any value.
 
 use lumistack_display::LayerStack;
 
@@ -66,12 +66,13 @@ pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
     limits
 }
 
-/// The largest Σ w a_m² of an unlit pixel, divided by Σ w over the pixel's rays.
+/// Returns the largest Σ w a_m² of an unlit pixel, divided by Σ w over the pixel's rays.
 pub(crate) fn share(plan: &Plan) -> f32 {
     ((UNLIT * f64::from(plan.target.brightness)).powi(2)) as f32
 }
 
-/// Raises values below [`LIFTED`] to it, so that layers in front of one another can move.
+/// Raises values below [`LIFTED`] to it, so that updates can change layers that are black on the
+/// same rays.
 pub(crate) fn lifted(stack: &LayerStack) -> LayerStack {
     let mut stack = stack.clone();
     let tensors = stack.layers.iter_mut().map(|layer| layer.data_mut());

@@ -28,7 +28,7 @@ pub(crate) unsafe fn store<V: Lanes>(vector: V, to: &mut [f32], at: usize) {
     unsafe { vector.store(to.as_mut_ptr().add(at)) }
 }
 
-/// A vector with 1 in the lanes low..high and 0 in all other lanes.
+/// Returns a vector with 1 in the lanes low..high and 0 in all other lanes.
 ///
 /// # Safety
 /// The machine has `V`'s instruction set; low and high are at most COUNT.
@@ -49,7 +49,7 @@ pub(crate) unsafe fn mask<V: Lanes>(low: usize, high: usize) -> V {
     unsafe { load::<V>(&STEPS, MAX_LANES - low).mul(load::<V>(&STEPS, 2 * MAX_LANES - high)) }
 }
 
-/// Sum of all lanes, in f64.
+/// Returns the sum of all lanes, in f64.
 ///
 /// # Safety
 /// The machine has `V`'s instruction set.
@@ -61,7 +61,7 @@ pub(crate) unsafe fn sum<V: Lanes>(vector: V) -> f64 {
     sum_of(&lanes[..V::COUNT])
 }
 
-/// Sum of lanes, in f64; their number is a multiple of four.
+/// Returns the sum of lanes, in f64; their number is a multiple of four.
 ///
 /// There are four chains of additions, since each addition waits for the previous one.
 pub(crate) fn sum_of(lanes: &[f32]) -> f64 {

@@ -49,8 +49,8 @@ fn peak<T>(work: impl FnOnce() -> T) -> (T, u64) {
     (result, (MOST.load(Ordering::Relaxed) - before) as u64)
 }
 
-/// A light field in a mapped file: waves and edges that move from view to view, rounded to half
-/// floats.
+/// Returns a light field in a mapped file: waves and edges that move from view to view, rounded to
+/// half floats.
 fn on_disk(display: &Display) -> LightField {
     /// Values in a mapped file.
     struct Mapped(memmap2::Mmap);

@@ -105,7 +105,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Light from infinity: a gradient and a soft sun.
+/// Returns the light from infinity in a direction: a gradient and a soft sun.
 fn sky(direction: Vec3) -> Vec3 {
     let sun = Vec3::new(0.5, 0.6, 0.62).normalize();
     let glow = (40.0 * (direction.dot(sun) - 1.0)).exp();
@@ -190,7 +190,7 @@ fn scenes() -> Vec<SceneSpec> {
     ]
 }
 
-/// A rectangle with the corners centre ± u ± v, whose front faces u × v.
+/// Returns a rectangle with the corners centre ± u ± v, whose front faces u × v.
 fn panel(centre: Vec3, u: Vec3, v: Vec3) -> Mesh {
     Mesh {
         positions: vec![centre - u - v, centre + u - v, centre + u + v, centre - u + v],
@@ -201,7 +201,7 @@ fn panel(centre: Vec3, u: Vec3, v: Vec3) -> Mesh {
     }
 }
 
-/// A closed cube whose fronts face outwards.
+/// Returns a closed cube whose fronts face outwards.
 fn block(centre: Vec3, half: f32, turn: Mat3) -> Mesh {
     let axes = [turn.x_axis, turn.y_axis, turn.z_axis];
     let mut all = Mesh::default();

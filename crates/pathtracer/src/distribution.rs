@@ -6,14 +6,15 @@ pub(crate) struct Distribution {
     /// Cumulative probability up to and including each entry; the last is 1.
     cumulative: Vec<f32>,
     probabilities: Vec<f32>,
-    /// The interval [0, 1) is divided into as many equal parts as there are entries. For each part:
-    /// the entry that the start of the part chooses. A search starts at this entry and takes
-    /// constant time on average (Chen, Asau 1974).
+    /// The interval [0, 1) is divided into as many equal parts as there are entries. For each part,
+    /// this lists the entry that the start of the part chooses. A search starts at this entry and
+    /// takes constant time on average (Chen, Asau 1974).
     guide: Vec<u32>,
 }
 
 impl Distribution {
-    /// A distribution in proportion to weights ≥ 0; `None` when their sum is zero or not finite.
+    /// Makes a distribution in proportion to weights ≥ 0; `None` when their sum is zero or not
+    /// finite.
     pub(crate) fn new(weights: &[f64]) -> Option<Self> {
         let sum: f64 = weights.iter().sum();
         if !(sum > 0.0 && sum.is_finite()) {
@@ -41,7 +42,8 @@ impl Distribution {
         Some(Self { cumulative, probabilities, guide })
     }
 
-    /// The entry that `u` in [0, 1) chooses, and `u` rescaled from the entry's interval to [0, 1).
+    /// Returns the entry that `u` in [0, 1) chooses, and `u` rescaled from the entry's interval to
+    /// [0, 1).
     #[inline]
     pub(crate) fn sample(&self, u: f32) -> (usize, f32) {
         let last = self.cumulative.len() - 1;
@@ -59,7 +61,7 @@ impl Distribution {
         (index, inside)
     }
 
-    /// Probability of an entry.
+    /// Returns the probability of an entry.
     #[inline]
     pub(crate) fn probability(&self, index: usize) -> f32 {
         self.probabilities[index]

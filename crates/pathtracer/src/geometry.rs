@@ -250,35 +250,36 @@ impl Geometry {
         }
     }
 
-    /// Bytes of the records, instances and placements.
+    /// Returns the bytes of the records, instances and placements.
     pub(crate) fn bytes(&self) -> usize {
         size_of_val(self.records.as_slice())
             + size_of_val(self.instances.as_slice())
             + size_of_val(self.placements.as_slice())
     }
 
-    /// Number of triangles that are kept in memory.
+    /// Returns the number of triangles that are kept in memory.
     pub(crate) fn triangle_count(&self) -> usize {
         self.records.len()
     }
 
-    /// Area of a triangle. For a shared triangle it is measured in the space of its tree.
+    /// Returns the area of a triangle. The area of a shared triangle is measured in the space of
+    /// its tree.
     pub(crate) fn area(&self, triangle: u32) -> f32 {
         0.5 * normal_and_doubled_area(self.corners(triangle)).1
     }
 
-    /// Corners of a triangle. For a shared triangle they are in the space of its tree.
+    /// Returns the corners of a triangle. For a shared triangle they are in the space of its tree.
     pub(crate) fn corners(&self, triangle: u32) -> [Vec3; 3] {
         self.records[triangle as usize].corners
     }
 
-    /// Index of the material of a triangle.
+    /// Returns the index of the material of a triangle.
     #[inline]
     pub(crate) fn material_index(&self, triangle: u32) -> usize {
         self.records[triangle as usize].material as usize
     }
 
-    /// Material of a triangle.
+    /// Returns the material of a triangle.
     pub(crate) fn material(&self, triangle: u32) -> &Material {
         &self.scene.materials[self.material_index(triangle)]
     }
@@ -291,8 +292,8 @@ impl Geometry {
         prefetch(record.wrapping_add(64));
     }
 
-    /// The point of a loose triangle where its three corners have the weights `barycentric`. The
-    /// corners are in the order of the triangle's record.
+    /// Returns the point of a loose triangle at which its three corners have the weights
+    /// `barycentric`. The corners are in the order of the triangle's record.
     #[inline]
     pub(crate) fn point(&self, triangle: u32, barycentric: [f32; 3]) -> SurfacePoint<'_> {
         let record = &self.records[triangle as usize];
@@ -308,7 +309,7 @@ impl Geometry {
         }
     }
 
-    /// The point of a hit.
+    /// Returns the point of a hit.
     #[inline]
     pub(crate) fn hit_point(&self, hit: &Hit) -> SurfacePoint<'_> {
         if hit.instance == NO_INSTANCE {
@@ -340,14 +341,15 @@ impl Geometry {
     }
 }
 
-/// Unit normal of the side from which the corners wind counter-clockwise, and twice the area.
+/// Returns the unit normal of the side from which the corners wind counter-clockwise, and twice the
+/// area.
 fn normal_and_doubled_area([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
     let cross = (b - a).cross(c - a);
     let doubled_area = cross.length();
     (if doubled_area > 0.0 { cross / doubled_area } else { Vec3::Z }, doubled_area)
 }
 
-/// √(area in texture space / area in the space of the corners).
+/// Returns √(area in texture space / area in the space of the corners).
 fn uv_per_length([a, b, c]: [Vec2; 3], doubled_area: f32) -> f32 {
     ((b - a).perp_dot(c - a) / doubled_area.max(f32::MIN_POSITIVE)).abs().sqrt()
 }
@@ -381,7 +383,7 @@ fn shared_meshes(scene: &Scene, sharing: Sharing) -> Vec<bool> {
     scene.meshes.iter().zip(&uses).map(is_shared).collect()
 }
 
-/// Number of triangles that [`Geometry`] keeps.
+/// Returns the number of triangles that [`Geometry`] keeps.
 pub(crate) fn unique_triangles(scene: &Scene, sharing: Sharing) -> usize {
     let shared = shared_meshes(scene, sharing);
     let mut seen = vec![false; shared.len()];
@@ -409,7 +411,7 @@ impl SurfacePoint<'_> {
         weighted(self.weights, indices.map(|i| values[i]))
     }
 
-    /// Texture coordinates of a set; (0, 0) where the mesh has none.
+    /// Returns the texture coordinates of a set; (0, 0) where the mesh has none.
     #[inline]
     pub(crate) fn uv(&self, set: usize) -> Vec2 {
         if set == 0 {
@@ -419,7 +421,7 @@ impl SurfacePoint<'_> {
         if uvs.is_empty() { Vec2::ZERO } else { self.interpolated(uvs) }
     }
 
-    /// Length in texture space over length in render space.
+    /// Returns the ratio of a length in texture space to the same length in render space.
     #[inline]
     pub(crate) fn uv_per_length(&self, set: usize) -> f32 {
         if set == 0 {
@@ -442,14 +444,14 @@ impl SurfacePoint<'_> {
         self.record.flags & COLORED != 0
     }
 
-    /// Vertex colour; white where the mesh has none.
+    /// Returns the vertex colour; white where the mesh has none.
     #[inline]
     pub(crate) fn color(&self) -> Vec4 {
         if self.is_colored() { self.interpolated(&self.mesh().colors) } else { Vec4::ONE }
     }
 
-    /// Interpolated normal on the front side. It is the geometric normal if interpolation fails or
-    /// the result contradicts the winding.
+    /// Returns the interpolated normal on the front side. If interpolation fails or contradicts the
+    /// winding, it is the geometric normal.
     #[inline]
     pub(crate) fn shading_normal(&self) -> Vec3 {
         let sum = weighted(self.weights, self.record.normals);
@@ -458,10 +460,10 @@ impl SurfacePoint<'_> {
         if normal.dot(self.geometric_normal) > 0.0 { normal } else { self.geometric_normal }
     }
 
-    /// The point, moved along normals onto a smooth surface through the corners. It moves only to
-    /// the front if `side` is 1, and only to the back if `side` is −1. The surface may bulge as far
-    /// as each corner's tangent plane (Hanika 2021, "Hacking the shadow terminator", Ray Tracing
-    /// Gems II).
+    /// Returns the point, moved along normals onto a smooth surface through the corners. The point
+    /// moves only to the front if `side` is 1, and only to the back if `side` is −1. The surface
+    /// may bulge as far as each corner's tangent plane (Hanika 2021, "Hacking the shadow
+    /// terminator", Ray Tracing Gems II).
     pub(crate) fn smooth_position(&self, side: f32) -> Vec3 {
         let bulge = |k: usize| {
             let (corner, normal) = match self.placed {

@@ -30,25 +30,25 @@ impl Lambert {
         Self { albedo, geometric, normals }
     }
 
-    /// The surface's reflectance.
+    /// Returns the surface's reflectance.
     #[inline]
     pub(crate) fn albedo(&self) -> Vec3 {
         self.albedo
     }
 
-    /// The shading normal on the viewer's side.
+    /// Returns the shading normal on the viewer's side.
     #[inline]
     pub(crate) fn normal(&self) -> Vec3 {
         self.normals.mapped
     }
 
-    /// The same point, with the normal `horizon` instead of its geometric normal.
+    /// Returns the same point, with the normal `horizon` instead of its geometric normal.
     #[inline]
     pub(crate) fn above(&self, horizon: Vec3) -> Self {
         Self { geometric: horizon, ..*self }
     }
 
-    /// f |cos|, and the density with which [`sample`](Self::sample) finds the direction.
+    /// Returns f |cos|, and the density with which [`sample`](Self::sample) finds the direction.
     #[inline]
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         let density = direction.dot(self.normals.mapped) * FRAC_1_PI;

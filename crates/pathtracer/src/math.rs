@@ -1,6 +1,6 @@
 //! Elementary functions without library calls: faster, and with equal results on every platform.
 
-/// Sine and cosine of an angle of −1..1 turns; absolute error below 1e-6.
+/// Returns the sine and cosine of an angle of −1..1 turns; absolute error below 1e-6.
 #[inline]
 pub(crate) fn sin_cos_turns(turns: f32) -> (f32, f32) {
     // split the angle into the nearest quarter turn and a remainder of at most an eighth of a turn
@@ -18,8 +18,8 @@ pub(crate) fn sin_cos_turns(turns: f32) -> (f32, f32) {
     }
 }
 
-/// Angle from the x axis to the vector (x, y), in turns, −0.5..0.5. The absolute error is below
-/// 2e-7. The zero vector gives 0.
+/// Returns the angle from the x axis to the vector (x, y), in turns, −0.5..0.5. The absolute error
+/// is below 2e-7. The zero vector gives 0.
 #[inline]
 pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
     let (across, up) = (x.abs(), y.abs());

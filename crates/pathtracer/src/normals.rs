@@ -15,8 +15,8 @@ pub(crate) struct Normals {
 }
 
 impl Normals {
-    /// Normals of a point with a normal map. The bumps that the map represents have α² = tan²(angle
-    /// between `mapped` and `smooth`) / 8, at most 1.
+    /// Returns the normals of a point with a normal map. The bumps that the map represents have α²
+    /// = tan²(angle between `mapped` and `smooth`) / 8, at most 1.
     #[inline]
     pub(crate) fn new(mapped: Vec3, smooth: Vec3) -> Self {
         if mapped == smooth {
@@ -26,20 +26,20 @@ impl Normals {
         Self { mapped, smooth, alpha2: ((1.0 - cosine2) / (8.0 * cosine2).max(f32::MIN_POSITIVE)).clamp(0.0, 1.0) }
     }
 
-    /// Normals of a point without a normal map.
+    /// Returns the normals of a point without a normal map.
     #[inline]
     pub(crate) fn smooth(normal: Vec3) -> Self {
         Self { mapped: normal, smooth: normal, alpha2: 0.0 }
     }
 
-    /// The same normals in another frame; `turn` maps a vector to that frame.
+    /// Returns the same normals in another frame; `turn` maps a vector to that frame.
     pub(crate) fn turned(&self, turn: impl Fn(Vec3) -> Vec3) -> Self {
         let mapped = turn(self.mapped);
         Self { mapped, smooth: if self.alpha2 == 0.0 { mapped } else { turn(self.smooth) }, alpha2: self.alpha2 }
     }
 
-    /// Fraction of the light from `direction` that the bumps do not shadow. With the angle θ
-    /// between `direction` and the smooth normal, it is:
+    /// Returns the fraction of the light from `direction` that the bumps do not shadow. θ is the
+    /// angle between `direction` and the smooth normal:
     ///
     /// ```text
     /// 2 cos θ / (cos θ + √(cos² θ + α² sin² θ))

@@ -117,7 +117,7 @@ impl<'a> PrimaryRays<'a> {
         Self { geometry, view, slope_width, round, origin, axes, millimetre, half_size, start, deepest }
     }
 
-    /// The rays of pixel (row, col).
+    /// Returns the rays of pixel (row, col).
     pub(crate) fn pixel(&self, row: usize, col: usize) -> PixelRays {
         let pitch = self.geometry.pitch_mm;
         let grid = &self.geometry.grid;
@@ -201,14 +201,14 @@ impl PixelRays {
         }
     }
 
-    /// The ray at two offsets, which [`fill`](Self::fill) describes.
+    /// Returns the ray at two offsets, which [`fill`](Self::fill) describes.
     pub(crate) fn ray(&self, in_pixel: [f32; 2], in_bin: [f32; 2]) -> Ray {
         let mut ray = [Ray::ANY];
         self.fill(&mut ray, |_| [in_pixel, in_bin]);
         ray[0]
     }
 
-    /// The ray through the pixel's centre.
+    /// Returns the ray through the pixel's centre.
     pub(crate) fn central(&self) -> Ray {
         self.ray([0.0; 2], [0.0; 2])
     }

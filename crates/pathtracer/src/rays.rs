@@ -21,7 +21,7 @@ impl Tree {
         Self(Bvh::new(&Input { triangles, flags: &flags, loose: 0..triangles.len(), shared: &[], placements: &[] }))
     }
 
-    /// Memory for the rays of one thread.
+    /// Allocates the memory for the rays of one thread.
     pub fn scratch(&self) -> Scratch {
         Scratch(self.0.stack())
     }
@@ -55,7 +55,7 @@ impl Tree {
         self.0.transmittance(&Ray { origin, direction, t_max }, &mut scratch.0, |_| Vec3::ZERO) == Vec3::ONE
     }
 
-    /// Size of the tree in bytes.
+    /// Returns the size of the tree in bytes.
     pub fn bytes(&self) -> usize {
         self.0.bytes()
     }

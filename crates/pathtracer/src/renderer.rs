@@ -197,7 +197,7 @@ impl Renderer {
         Ok(Self { geometry, bvh, materials, lights, traits, backdrop: scene.backdrop, memory })
     }
 
-    /// Sizes of the prepared scene.
+    /// Returns the sizes of the prepared scene.
     pub fn memory(&self) -> Memory {
         self.memory
     }
@@ -218,8 +218,8 @@ impl Renderer {
         self
     }
 
-    /// Number of steps by which one call of [`render_view`](Self::render_view) advances the
-    /// progress: the number of its tiles.
+    /// Returns the number of steps by which one call of [`render_view`](Self::render_view) advances
+    /// the progress: the number of its tiles.
     pub fn steps_per_view(geometry: &FieldGeometry) -> u64 {
         Tiles::new(geometry).count() as u64
     }
@@ -285,8 +285,8 @@ impl Renderer {
         Ok(filled)
     }
 
-    /// 1 for every pixel whose central ray hits a surface, else 0: `[row][col]`. Does not advance
-    /// the progress.
+    /// Returns `[row][col]`, with 1 for every pixel whose central ray hits a surface, and 0 for all
+    /// other pixels. Does not advance the progress.
     ///
     /// # Errors
     /// If the geometry or the view is out of range, or when cancelled.
@@ -309,7 +309,7 @@ impl Renderer {
         Ok(flat)
     }
 
-    /// Fraction of the window, 0..1, in which the central rays of a view hit a surface.
+    /// Returns the fraction of the window, 0..1, in which the central rays of a view hit a surface.
     ///
     /// # Errors
     /// The same errors as [`hit_mask`](Self::hit_mask).
@@ -347,7 +347,7 @@ impl Renderer {
         Ok(PrimaryRays::new(window, geometry, view, self.geometry.space, slope_width, round))
     }
 
-    /// Samples of a view, `view` = [view_y, view_x], after a check of the settings.
+    /// Checks the settings, and prepares the samples of a view, `view` = [view_y, view_x].
     fn samples_of<'a>(
         &self,
         window: &Window,
@@ -371,8 +371,8 @@ impl Renderer {
         }
     }
 
-    /// Renders a pixel of [paths, rays]; the first rays continue as paths. With `FIRST` also adds
-    /// up data of the first surfaces of its rays.
+    /// Renders a pixel with the given numbers [paths, rays]; the first rays continue as paths. If
+    /// `FIRST` is true, also adds up data of the first surfaces of the rays.
     fn pixel<const FIRST: bool>(
         &self,
         samples: &ViewSamples<'_>,
@@ -518,7 +518,7 @@ fn scene_bytes(scene: &Scene) -> usize {
 }
 
 impl Memory {
-    /// Sum of all bytes.
+    /// Returns the sum of all bytes.
     pub fn bytes(&self) -> usize {
         self.tree_bytes + self.geometry_bytes + self.scene_bytes + self.texture_bytes
     }
@@ -556,8 +556,8 @@ mod tests {
 
     use super::*;
 
-    /// A scene with many instances of a bowl with texture coordinates: turned, stretched, mirrored.
-    /// One of the bowl's materials is transparent.
+    /// Returns a scene with many instances of a bowl with texture coordinates: turned, stretched,
+    /// mirrored. One of the bowl's materials is transparent.
     fn bowls(alpha_mode: AlphaMode) -> Arc<Scene> {
         let size = 7;
         let mut mesh = Mesh::default();

@@ -50,14 +50,15 @@ pub(crate) struct Pair<'a> {
 }
 
 impl SampleBank {
-    /// A bank for `samples` points per pixel.
+    /// Makes a bank for `samples` points per pixel.
     #[cfg(test)]
     pub(crate) fn new(samples: u32) -> Self {
         Self::with_more(samples, samples)
     }
 
-    /// A bank for `points` per pixel, of which only the first `samples` draw more than one pair.
-    /// The first points of a scrambled sequence are stratified, as all are.
+    /// Makes a bank with at least `points` and at least `samples` points per pixel, up to
+    /// [`LONGEST`]. [`Draws::parts`] describes the first `samples` points. The first points of a
+    /// scrambled sequence are stratified, as the whole sequence is.
     pub(crate) fn with_more(samples: u32, points: u32) -> Self {
         let length = points.max(samples).clamp(1, LONGEST).next_power_of_two();
         let parts = 1 << samples.clamp(1, LONGEST).ilog2();
@@ -77,9 +78,9 @@ impl SampleBank {
         Self { points, length, parts }
     }
 
-    /// The random numbers of sample `first` and the samples after it, for the pixel with this hash.
-    /// `first` must be a multiple of a power of two, and at most that number of samples may be
-    /// drawn. Otherwise they would extend over the end of the bank's sequence.
+    /// Returns the random numbers of sample `first` and the samples after it, for the pixel with
+    /// this hash. `first` must be a multiple of a power of two, and at most that number of samples
+    /// may be drawn. Otherwise they would extend over the end of the bank's sequence.
     pub(crate) fn draws(&self, pixel: u64, first: u32) -> Draws<'_> {
         let pixel = if first < self.length { pixel } else { seed::derive(pixel, &[u64::from(first / self.length)]) };
         Draws { bank: self, pixel, first: first & (self.length - 1) }
@@ -87,15 +88,15 @@ impl SampleBank {
 }
 
 impl<'a> Draws<'a> {
-    /// Number of equal parts into which a pixel's samples stratify [0, 1). Each part holds one of
-    /// the samples' numbers, for both dimensions of every pair. If the number of samples is no
-    /// power of two, a part holds one or two numbers.
+    /// Returns the number of equal parts into which a pixel's samples stratify [0, 1). Each part
+    /// holds one of the samples' numbers, for both dimensions of every pair. If the number of
+    /// samples is no power of two, a part holds one or two numbers.
     #[inline]
     pub(crate) fn parts(&self) -> u32 {
         self.bank.parts
     }
 
-    /// The pair of dimensions with this index.
+    /// Returns the pair of dimensions with this index.
     #[inline]
     pub(crate) fn pair(&self, pair: u64) -> Pair<'a> {
         let hash = seed::mix(self.pixel.wrapping_add(pair.wrapping_mul(PAIR_STEP)));
@@ -112,8 +113,8 @@ impl<'a> Draws<'a> {
 }
 
 impl Pair<'_> {
-    /// The two numbers of a sample, each in [0, 1). The first sample of these [`Draws`] has the
-    /// index 0.
+    /// Returns the two numbers of a sample, each in [0, 1). The first sample of these [`Draws`] has
+    /// the index 0.
     #[inline]
     pub(crate) fn of(&self, sample: usize) -> [f32; 2] {
         // the length of the sequence is a power of two, so the mask keeps the index in range
@@ -122,13 +123,14 @@ impl Pair<'_> {
     }
 }
 
-/// The 24 high bits as a number in [0, 1).
+/// Returns the 24 high bits as a number in [0, 1).
 #[inline]
 fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / (1u32 << 24) as f32)
 }
 
-/// Second dimension of Sobol's sequence: the bit-reversed index times Pascal's matrix modulo 2.
+/// Returns the second dimension of Sobol's sequence: the bit-reversed index times Pascal's matrix
+/// modulo 2.
 fn sobol_second(mut index: u32) -> u32 {
     let mut result = 0;
     let mut column = 1u32 << 31;

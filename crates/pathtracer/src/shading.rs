@@ -57,7 +57,7 @@ impl ExtraSlots {
 }
 
 impl Materials {
-    /// Bytes of the textures' coarser levels.
+    /// Returns the bytes of the textures' coarser levels.
     pub(crate) fn bytes(&self) -> usize {
         self.textures.bytes()
     }
@@ -87,14 +87,14 @@ impl Materials {
         self.compensated = false;
     }
 
-    /// Flags of a material's triangles for the tree.
+    /// Returns the flags of a material's triangles for the tree.
     pub(crate) fn flags(&self, index: usize) -> u32 {
         let material = &self.scene.materials[index];
         let mut flags = 0;
         if !(material.double_sided || is_solid(material)) {
             flags |= bvh::CULL_BACK;
         }
-        // the flag of unseen lamps makes it possible for first hits to pass through them
+        // unseen lamps get this flag too, so that first hits can pass through them
         if material.alpha_mode != AlphaMode::Opaque || material.lamp == Lamp::Unseen {
             flags |= bvh::ALPHA;
         }
@@ -104,7 +104,7 @@ impl Materials {
         flags
     }
 
-    /// Opaque fraction of the surface, 0..1, which follows from the alpha at the point.
+    /// Returns the opaque fraction of the surface, 0..1, which follows from the alpha at the point.
     pub(crate) fn coverage(&self, index: usize, point: &SurfacePoint<'_>) -> f32 {
         match self.scene.materials[index].alpha_mode {
             AlphaMode::Opaque => 1.0,
@@ -113,8 +113,8 @@ impl Materials {
         }
     }
 
-    /// Radiance that the surface emits towards a viewer on its front or back side, in a direction
-    /// with this cosine to the normal.
+    /// Returns the radiance that the surface emits towards a viewer on its front or back side, in a
+    /// direction with this cosine to the normal.
     pub(crate) fn emission(
         &self,
         index: usize,
@@ -144,7 +144,8 @@ impl Materials {
         emission
     }
 
-    /// All properties except emission and normals; `width` is the footprint in render space.
+    /// Returns all properties of a surface except emission and normals; `width` is the footprint in
+    /// render space.
     pub(crate) fn appearance(&self, index: usize, point: &SurfacePoint<'_>, width: f32) -> Appearance {
         let material = &self.scene.materials[index];
         let slots = &self.slots[index];
@@ -173,7 +174,7 @@ impl Materials {
         }
     }
 
-    /// Base colour, 0..1.
+    /// Returns the base colour, 0..1.
     #[inline]
     pub(crate) fn base_color(&self, index: usize, point: &SurfacePoint<'_>, width: f32) -> Vec3 {
         self.base(index, point, width).truncate().clamp(Vec3::ZERO, Vec3::ONE)
@@ -205,8 +206,8 @@ impl Materials {
         Layers::new(material, &slots.layers, texel)
     }
 
-    /// Normals and tangent at a point, on the viewer's side. `geometric` must be on the viewer's
-    /// side.
+    /// Returns the normals and tangent at a point, on the viewer's side. `geometric` must be on the
+    /// viewer's side.
     pub(crate) fn frame(
         &self,
         index: usize,
@@ -241,7 +242,7 @@ impl Materials {
         frame
     }
 
-    /// The normals of [`Frame::diffuse`] alone.
+    /// Returns the normals of [`Frame::diffuse`] alone.
     #[inline]
     pub(crate) fn diffuse_normals(
         &self,
@@ -269,8 +270,8 @@ impl Materials {
         point.mapped_normal(normal, Vec3::new(scale * texel.x, scale * texel.y, texel.z)).unwrap_or(normal)
     }
 
-    /// Colour that white light gets over a distance inside the solid, and that distance in scene
-    /// units.
+    /// Returns the colour that white light has after a certain distance inside the solid, and that
+    /// distance in scene units.
     pub(crate) fn attenuation(&self, index: usize) -> (Vec3, f32) {
         let material = &self.scene.materials[index];
         (material.attenuation_color, material.attenuation_distance)

@@ -54,7 +54,7 @@ enum Texels {
 }
 
 impl Textures {
-    /// Textures without pyramids; [`slot`](Self::slot) builds them at first use.
+    /// Prepares textures without pyramids; [`slot`](Self::slot) builds the pyramids at first use.
     pub(crate) fn new(scene: Arc<Scene>) -> Self {
         Self { scene, pyramids: Vec::new(), by_image: HashMap::new() }
     }
@@ -72,7 +72,7 @@ impl Textures {
         Slot { source, texels_per_uv, texture, pyramid, encoding }
     }
 
-    /// Bytes of the coarser levels.
+    /// Returns the bytes of the coarser levels.
     pub(crate) fn bytes(&self) -> usize {
         let level = |level: &Level| match &level.texels {
             Texels::Codes8(texels) => size_of_val(texels.as_slice()),
@@ -82,7 +82,7 @@ impl Textures {
         self.pyramids.iter().flatten().map(level).sum()
     }
 
-    /// The texture at the mesh coordinates `uv`, averaged over a footprint whose width is
+    /// Returns the texture at the mesh coordinates `uv`, averaged over a footprint whose width is
     /// `texels_wide` texels of the finest level.
     pub(crate) fn lookup(&self, slot: &Slot, uv: Vec2, texels_wide: f32) -> Vec4 {
         let uv = slot.source.texture_from_mesh.transform_point2(uv);
@@ -118,7 +118,7 @@ impl Level {
     }
 }
 
-/// One texel of an image, in linear values.
+/// Returns one texel of an image, in linear values.
 #[inline]
 fn fetch(image: &Image, index: usize, encoding: Encoding) -> Vec4 {
     match &image.pixels {
@@ -174,8 +174,8 @@ fn interpolate(
     fetch(left, top).lerp(fetch(right, top), fx).lerp(fetch(left, bottom).lerp(fetch(right, bottom), fx), fy)
 }
 
-/// The two texels on either side of a position, and the weight of the second. The position is
-/// `coordinate` (0..1 over the texture) times `size`, less `shift`, in texels.
+/// Returns the two texels on either side of a position, and the weight of the second. The position
+/// is `coordinate` (0..1 over the texture) times `size`, less `shift`, in texels.
 #[inline]
 fn neighbours(coordinate: f32, size: usize, wrap: Wrap, shift: f32) -> (usize, usize, f32) {
     // The coordinate is folded into one period (two if mirrored) before it is scaled. Then
@@ -209,7 +209,8 @@ fn floor(x: f32) -> f32 {
     if whole > x { whole - 1.0 } else { whole }
 }
 
-/// log₂ of a number ≥ 1 to within 0.09: linear between powers of two, exact at them.
+/// Returns log₂ of a number ≥ 1 to within 0.09. The result is linear between powers of two, and
+/// exact at powers of two.
 #[inline]
 fn rough_log2(x: f32) -> f32 {
     x.to_bits() as f32 * (1.0 / (1u32 << 23) as f32) - 127.0
@@ -239,7 +240,7 @@ fn pyramid(image: &Image, encoding: Encoding) -> Vec<Level> {
     }
 }
 
-/// Averages of 2 × 2 texels, fewer at odd edges, row by row.
+/// Returns the averages of 2 × 2 texels, fewer at odd edges, row by row.
 fn halve(width: usize, height: usize, fetch: impl Fn(usize, usize) -> Vec4) -> impl Iterator<Item = Vec4> {
     (0..height.div_ceil(2) * width.div_ceil(2)).map(move |index| {
         let (x, y) = (2 * (index % width.div_ceil(2)), 2 * (index / width.div_ceil(2)));

@@ -11,8 +11,9 @@
 //! follow the power heuristic w. Its numerator is the squared density of the technique that made
 //! the sample: p_b² for w_b, p_l² for w_l.
 //!
-//! Alpha of mode `Blend` is decided by chance along scattered rays, and multiplied along shadow
-//! rays. Both ways have the right mean.
+//! For alpha of mode `Blend`, chance decides whether the surface is there for a scattered ray. A
+//! shadow ray passes the surface, and its light is multiplied by the transparent fraction. Both
+//! ways have the right mean.
 //!
 //! The samples of a pixel are traced together, one vertex of all paths at a time. First rays are
 //! close together and traverse the tree as a beam. Random numbers of a vertex share their hash.
@@ -84,10 +85,10 @@ const LAMBERTIAN: u8 = 1;
 const EMISSIVE: u8 = 2;
 /// Marks a material that shows its colour and scatters nothing.
 const UNLIT: u8 = 4;
-/// Marks a material of a light source that viewers do not see, so first hits pass through it.
+/// Marks the material of a light source that viewers do not see. First rays pass through it.
 const UNSEEN: u8 = 8;
 
-/// Properties of a material that the path loop reads at every hit, in one byte.
+/// Returns the properties of a material that the path loop reads at every hit, in one byte.
 pub(crate) fn traits(material: &Material) -> u8 {
     let flag = |is: bool, flag: u8| if is { flag } else { 0 };
     flag(is_lambertian(material), LAMBERTIAN)
@@ -189,12 +190,12 @@ struct Vertex<'a> {
 }
 
 impl Tracer<'_> {
-    /// Radiance along at most [`BEAM`] rays of a pixel. `draws` has the random numbers of
-    /// successive samples, one sample per ray. If `in_bounds` is false, the rays hit nothing. The
-    /// call overwrites `rays`. The first `paths_of_rays` rays continue as paths; the others end at
-    /// their first surface. If `FIRST` is true, it writes the first surface of every ray to
-    /// `first`, which needs an element per ray. The radiance is the same to the bit for both values
-    /// of `FIRST`.
+    /// Computes the radiance along at most [`BEAM`] rays of a pixel. `draws` has the random numbers
+    /// of successive samples, one sample per ray. If `in_bounds` is false, the rays hit nothing.
+    /// The call overwrites `rays`. The first `paths_of_rays` rays continue as paths; the others end
+    /// at their first surface. If `FIRST` is true, the first surface of every ray is written to
+    /// `first`, which needs an element per ray. The radiance is the same for both values of
+    /// `FIRST`, bit for bit.
     pub(crate) fn radiance<const FIRST: bool>(
         &self,
         rays: &mut [Ray],
@@ -332,7 +333,8 @@ impl Tracer<'_> {
         first
     }
 
-    /// The first surface of a ray that does not continue, and the light that the ray itself sees.
+    /// Returns the first surface of a ray that does not continue, and the light that the ray itself
+    /// sees.
     fn seen(&self, ray: &Ray, hit: Option<&Hit>, cone: Cone, settings: &Settings, draws: &Draws<'_>) -> First {
         let Some(hit) = hit else {
             let seen = match self.backdrop {
@@ -361,7 +363,7 @@ impl Tracer<'_> {
         first
     }
 
-    /// Number of the rays of [`radiance`](Self::radiance) that miss all surfaces.
+    /// Returns the number of the rays of [`radiance`](Self::radiance) that miss all surfaces.
     pub(crate) fn misses(&self, rays: &mut [Ray], in_bounds: bool, draws: &Draws<'_>, stack: &mut Stack) -> usize {
         let mut hits = [None; BEAM];
         self.first_hits(rays, in_bounds, draws, stack, &mut hits);
@@ -383,8 +385,8 @@ impl Tracer<'_> {
         }
     }
 
-    /// Directions around a normal for the paths that continue, in their order. They are computed
-    /// together, as vectors.
+    /// Returns directions around a normal for the paths that continue, in the order of the paths.
+    /// The directions are computed together, as vectors.
     #[inline]
     fn cosine_directions(&self, going: u32, pair: &Pair<'_>) -> [[f32; BEAM]; 3] {
         let mut u = [[0.0; BEAM]; 2];
@@ -415,7 +417,8 @@ impl Tracer<'_> {
         if let Some(material) = path.inside {
             path.throughput *= self.absorption(material, hit.t);
         }
-        // add the emission, weighted against light sampling at the previous vertex
+        // add the emission, with its weight of the power heuristic, since light sampling at the
+        // previous vertex can also find this light
         let cosine = vertex.normal.dot(ray.direction);
         let traits = self.traits[vertex.material];
         if traits & EMISSIVE != 0 {
@@ -510,14 +513,15 @@ impl Tracer<'_> {
         self.first_surface(ray, stack).is_some()
     }
 
-    /// Distance along a ray, in render space, to the first visible surface whose alpha is not 0.
+    /// Returns the distance along a ray, in render space, to the first visible surface whose alpha
+    /// is not 0.
     pub(crate) fn first_surface(&self, ray: Ray, stack: &mut Stack) -> Option<f32> {
         let is_there = |hit: &Hit| hit.flags & ALPHA == 0 || (!self.is_unseen(hit) && self.coverage(hit) > 0.0);
         let hit = self.bvh.nearest(&ray, stack, is_there);
         hit.map(|hit| hit.t)
     }
 
-    /// The guide of a path's first surface, for a path whose light is not computed.
+    /// Returns the guide of a path's first surface, for a path whose light is not computed.
     fn guide(&self, vertex: &Vertex<'_>, to_viewer: Vec3) -> Guide {
         if self.traits[vertex.material] & LAMBERTIAN != 0 {
             return Guide::of_lambert(&self.lambert(vertex));
@@ -546,7 +550,8 @@ impl Tracer<'_> {
         Bsdf::new(appearance, to_viewer, &frame, *front)
     }
 
-    /// The counterpart of [`bsdf`](Self::bsdf) for a material that scatters by Lambert's law alone.
+    /// Returns the scattering function for a material that scatters by Lambert's law alone, in
+    /// place of [`bsdf`](Self::bsdf).
     #[inline]
     fn lambert(&self, vertex: &Vertex<'_>) -> Lambert {
         let Vertex { material, point, front, normal, width } = vertex;
@@ -626,8 +631,8 @@ impl Tracer<'_> {
         self.materials.coverage(self.geometry.material_index(hit.triangle), &self.geometry.hit_point(hit))
     }
 
-    /// Fraction of light that passes a surface with [`ALPHA`] or [`TINT`] without a change of
-    /// direction.
+    /// Returns the fraction of light that passes a surface with [`ALPHA`] or [`TINT`] without a
+    /// change of direction.
     fn passed(&self, hit: &Hit, direction: Vec3) -> Vec3 {
         let coverage = if hit.flags & ALPHA == 0 { 1.0 } else { self.coverage(hit) };
         let open = Vec3::splat(1.0 - coverage);
@@ -640,8 +645,8 @@ impl Tracer<'_> {
         open + coverage * self.bsdf(&vertex, &appearance, -direction).straight()
     }
 
-    /// Fraction of light that is left after `distance` in a solid: attenuation_color^(distance /
-    /// attenuation_distance).
+    /// Returns the fraction of light that is left after `distance` in a solid:
+    /// attenuation_color^(distance / attenuation_distance).
     fn absorption(&self, material: usize, distance: f32) -> Vec3 {
         let (color, reference) = self.materials.attenuation(material);
         let exponent = distance / (reference * self.geometry.space.scale as f32);
@@ -681,8 +686,8 @@ impl Surface {
         }
     }
 
-    /// The fraction of `value` that the diffuse lobe contributes, 0..1 per channel. `value` is
-    /// f |cos|, summed over all lobes, for `direction`.
+    /// Returns the fraction of `value` that the diffuse lobe contributes, 0..1 per channel. `value`
+    /// is f |cos|, summed over all lobes, for `direction`.
     fn diffuse_share(&self, value: Vec3, direction: Vec3) -> Vec3 {
         match self {
             Self::Lambert(_) => Vec3::ONE,
@@ -720,7 +725,7 @@ impl Guide {
 }
 
 impl Vertex<'_> {
-    /// Data of the vertex as the first surface of a path.
+    /// Returns the data of the vertex as the first surface of a path.
     #[inline]
     fn first(&self, reflectance: Vec3, guide: Guide) -> First {
         let (position, normal) = (self.point.position, self.normal);
@@ -747,17 +752,18 @@ impl Vertex<'_> {
         !self.point.is_flat() && !surface.transmits()
     }
 
-    /// 1 on the triangle's front, −1 on its back.
+    /// Returns 1 on the triangle's front, and −1 on its back.
     fn side(&self) -> f32 {
         self.normal.dot(self.point.geometric_normal).signum()
     }
 
-    /// Normal interpolated from the vertices, on the viewer's side.
+    /// Returns the normal interpolated from the vertices, on the viewer's side.
     fn smooth_normal(&self) -> Vec3 {
         self.side() * self.point.shading_normal()
     }
 
-    /// A ray from this point, whose start is moved off the surface to the side of `direction`.
+    /// Returns a ray from this point, whose start is moved off the surface to the side of
+    /// `direction`.
     fn leave(&self, direction: Vec3) -> Ray {
         let side = self.normal.dot(direction).signum();
         let origin = self.point.position + side * self.point.offset * self.normal;
@@ -765,21 +771,21 @@ impl Vertex<'_> {
     }
 }
 
-/// The weight of a sample by the power heuristic. `ratio` is the density with which the other
-/// technique finds the sample, divided by the density of the technique that drew it.
+/// Returns the weight of a sample by the power heuristic. `ratio` is the density with which the
+/// other technique finds the sample, divided by the density of the technique that drew it.
 #[inline]
 fn heuristic(ratio: f32) -> f32 {
     1.0 / (1.0 + ratio * ratio)
 }
 
-/// The density of the other technique divided by the density of the technique that drew the sample.
-/// `own` is infinite if no other technique can find the sample.
+/// Returns the density of the other technique divided by the density of the technique that drew the
+/// sample. `own` is infinite if no other technique can find the sample.
 #[inline]
 fn ratio(other: f32, own: f32) -> f32 {
     if other == 0.0 { 0.0 } else { other / own }
 }
 
-/// Indices of the bits that are set.
+/// Returns the indices of the bits that are set.
 #[inline]
 fn ones(mut bits: u32) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {

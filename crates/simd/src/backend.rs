@@ -32,18 +32,18 @@ enum Set {
 }
 
 impl Backend {
-    /// All instruction sets that this machine has, the best last.
+    /// Returns all instruction sets that this machine has, the best last.
     pub fn available() -> &'static [Self] {
         static AVAILABLE: OnceLock<Vec<Backend>> = OnceLock::new();
         AVAILABLE.get_or_init(detect)
     }
 
-    /// The best instruction set that this machine has.
+    /// Returns the best instruction set that this machine has.
     pub fn best() -> Self {
         Self::available()[Self::available().len() - 1]
     }
 
-    /// Number of lanes of this instruction set's vectors.
+    /// Returns the number of lanes of this instruction set's vectors.
     pub fn lanes(self) -> usize {
         match self.0 {
             #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
@@ -59,8 +59,8 @@ impl Backend {
         }
     }
 
-    /// A kernel's function for this instruction set. The machine has the set, so the function is
-    /// unsafe only because of the kernel's own demands on its arguments.
+    /// Returns a kernel's function for this instruction set. The machine has the set, so the
+    /// function is unsafe only because of the kernel's own demands on its arguments.
     pub fn function<K: Kernel>(self) -> Function<K> {
         match self.0 {
             #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]

@@ -1,7 +1,8 @@
 //! Conversion of half floats without instructions for it.
 
-/// A finite half float as `f32`, without branches. The bits are shifted into place. The product
-/// with 2^112 then corrects the difference of the exponents' biases, for subnormal numbers too.
+/// Converts a finite half float to `f32`, without branches. The bits are shifted into place. The
+/// product with 2^112 then corrects the difference of the exponents' biases, for subnormal numbers
+/// too.
 #[inline(always)]
 pub fn float_from_half(half: u16) -> f32 {
     let bits = u32::from(half);
@@ -9,8 +10,8 @@ pub fn float_from_half(half: u16) -> f32 {
     f32::from_bits(magnitude.to_bits() | (bits & 0x8000) << 16)
 }
 
-/// The half float nearest to a value with |value| < 65520. If two half floats are equally near, the
-/// result is the half float whose last bit is 0.
+/// Returns the half float nearest to a value with |value| < 65520. If two half floats are equally
+/// near, the result is the half float whose last bit is 0.
 #[inline(always)]
 pub fn nearest_half(value: f32) -> u16 {
     let magnitude = value.to_bits() & 0x7fff_ffff;

@@ -1,8 +1,9 @@
-//! Two vectors as one of twice as many lanes, for kernels that need a certain number of lanes.
+//! Two vectors that act as one vector of twice as many lanes, for kernels that need a certain
+//! number of lanes.
 
 use crate::lanes::{Kernel, Lanes};
 
-/// Two vectors as one of twice as many lanes.
+/// Two vectors that act as one vector of twice as many lanes.
 #[derive(Clone, Copy, Debug)]
 pub struct Pair<V>([V; 2]);
 

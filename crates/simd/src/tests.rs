@@ -25,7 +25,7 @@ impl Kernel for Everything {
                 let mut all = [0.0; LEN];
                 for at in (0..LEN).step_by(V::COUNT) {
                     // SAFETY: The machine has the instruction set of V. LEN is a multiple of every
-                    // lane count.
+                    // lane count, so loads and stores stay inside the arrays.
                     unsafe {
                         let [$x, $y, $z] = [a, b, c].map(|operand| operand.as_ptr().add(at));
                         let [$x, $y, $z] = [V::load($x), V::load($y), V::load($z)];
@@ -56,15 +56,15 @@ impl Kernel for Everything {
         );
         let mut bits = [0.0; LEN];
         for at in (0..LEN).step_by(V::COUNT) {
-            // SAFETY: The machine has the instruction set of V. LEN is a multiple of every
-            // lane count.
+            // SAFETY: The machine has the instruction set of V. LEN is a multiple of every lane
+            // count, so loads stay inside a and b.
             let mask = unsafe { V::bits(V::load(a.as_ptr().add(at)).below(V::load(b.as_ptr().add(at)))) };
             assert_eq!(mask.checked_shr(V::COUNT as u32).unwrap_or(0), 0, "bits beyond the lanes");
             (0..V::COUNT).for_each(|lane| bits[at + lane] = (mask >> lane & 1) as f32);
         }
         results.push(("bits", bits));
-        // SAFETY: The machine has the instruction set of V. LEN is a multiple of every
-        // lane count.
+        // SAFETY: The machine has the instruction set of V. LEN is a multiple of every lane count,
+        // so loads and stores stay inside the arrays.
         unsafe {
             let (mut moved, mut before) = ([0.0; LEN], V::splat(b[0]));
             for at in (0..LEN).step_by(V::COUNT) {
@@ -102,7 +102,7 @@ impl Kernel for Halves {
     #[inline(always)]
     unsafe fn run<V: Lanes>((from, to): (&[u16], &mut [f32])) {
         for (from, to) in from.chunks_exact(V::COUNT).zip(to.chunks_exact_mut(V::COUNT)) {
-            // SAFETY: the machine has V; both parts have COUNT values
+            // SAFETY: the machine has the instruction set of V; both parts have COUNT values
             unsafe { V::load_half(from.as_ptr()).store(to.as_mut_ptr()) };
         }
     }
@@ -118,7 +118,8 @@ impl Kernel for Eight {
     #[inline(always)]
     unsafe fn run<V: Lanes>(values: [f32; 8]) -> (usize, [f32; 8]) {
         let mut copy = [0.0; 8];
-        // SAFETY: the machine has V; the copy has room for eight values, as asserted
+        // SAFETY: the machine has the instruction set of V; the copy has room for eight values, as
+        // asserted
         unsafe {
             assert_eq!(V::COUNT, 8);
             V::load(values.as_ptr()).store(copy.as_mut_ptr());
@@ -127,8 +128,8 @@ impl Kernel for Eight {
     }
 }
 
-/// Operands of many magnitudes and signs, by a fixed sequence of numbers. Every fifth value of `b`
-/// equals the value of `a` at the same index.
+/// Returns operands of many magnitudes and signs, from a fixed sequence of numbers. Every fifth
+/// value of `b` equals the value of `a` at the same index.
 fn operands(seed: u32) -> Operands {
     let mut state = seed.wrapping_mul(0x9e37_79b9) | 1;
     let mut next = || {
@@ -152,7 +153,7 @@ fn operands(seed: u32) -> Operands {
     [a, b, c]
 }
 
-/// The expected results, computed value by value in scalar code.
+/// Returns the expected results, computed value by value in scalar code.
 fn expected([a, b, c]: &Operands, rounds_once: bool) -> Results {
     let each = |f: &dyn Fn(f32, f32, f32) -> f32| std::array::from_fn(|i| f(a[i], b[i], c[i]));
     let fused = |x: f32, y: f32, z: f32, once: bool| if once { x.mul_add(y, z) } else { x * y + z };

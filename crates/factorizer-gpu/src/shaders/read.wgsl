@@ -122,8 +122,8 @@ fn root_of(view: u32, row: u32, col: u32) -> f32 {
     return roots[(row * params.views_y * params.views_x + view) * params.cols + col - params.weights_base];
 }
 
-// Returns sin and cos of (π/2) s. WGSL permits errors of 5e-4 in its own functions, so they are not
-// used.
+// Returns sin and cos of (π/2) s. The functions sin and cos of WGSL may have errors of 5e-4, so
+// this function does not use them.
 fn wave(s: f32) -> vec2<f32> {
     let turns = round(s);
     let x = (s - turns) * 1.57079632679490;
@@ -155,8 +155,8 @@ fn place_of(group: vec3<u32>) -> u32 {
 }
 
 //@ if subgroups
-// Writes the sum of each subgroup's results, which needs no barrier. The places of absent subgroups
-// get 0.
+// Writes the sum of each subgroup's results, which needs no barrier. The sums of absent subgroups
+// are 0.
 fn reduce(thread: Thread, found: vec2<f32>) {
     let sum = subgroupAdd(found);
     if (thread.lane == 0u) {

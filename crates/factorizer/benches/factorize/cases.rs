@@ -15,8 +15,8 @@
 //! A multiplication or multiply-add is one operation. The clamped coordinate steps, which take
 //! place once per pixel, are not counted. Bytes are counted for the update of each factor. All
 //! factors are read (4 bytes per value), and the target is read (half floats, 2 bytes per value).
-//! The updated factor is written. This is the smallest traffic of the memory bus if caches keep
-//! only single rows and each factor is updated separately.
+//! The updated factor is written. The sum of these bytes is the smallest traffic of the memory bus
+//! if caches keep only single rows and each factor is updated separately.
 
 use lumistack_display::{Backlight, Display, LayerStack, LensletBacklight, LightField, Sampling, Weights};
 use lumistack_factorizer::Problem;
@@ -41,20 +41,21 @@ pub const PAPER_VIEWS: usize = 5;
 /// pixel from view to view. Patterns that are right at these views are also right between them.
 pub const NATIVE_VIEWS: usize = 13;
 
-/// The paper's main case with `views` views per axis: three layers, nearest sampling.
+/// Returns the display of the paper's main case with `views` views per axis: three layers, nearest
+/// sampling.
 pub fn three_layers(resolution: [usize; 2], views: usize) -> Display {
     let pitch_mm = WIDTH_MM / resolution[0] as f64;
     let display = Display::uniform(resolution, pitch_mm, [views; 2], [20.0; 2], &[-40.0, 0.0, 40.0], FRAMES);
     Display { brightness: BRIGHTNESS, ..display }
 }
 
-/// The paper's main case with bilinear sampling.
+/// Returns the display of the paper's main case with bilinear sampling.
 pub fn bilinear(resolution: [usize; 2]) -> Display {
     Display { sampling: Sampling::Bilinear, ..three_layers(resolution, PAPER_VIEWS) }
 }
 
-/// One layer in front of the paper's lenslets: 187 × 117 lenslets of 2.54 mm for 840 × 525 pixels.
-/// The number of pixels per lenslet is the same at any resolution.
+/// Returns a display with one layer in front of the paper's lenslets: 187 × 117 lenslets of 2.54 mm
+/// for 840 × 525 pixels. The number of pixels per lenslet is the same at any resolution.
 pub fn directional(resolution: [usize; 2]) -> Display {
     let pitch_mm = WIDTH_MM / resolution[0] as f64;
     let coarser = 840.0 / resolution[0] as f64;

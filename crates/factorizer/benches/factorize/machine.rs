@@ -13,7 +13,7 @@ use rayon::prelude::*;
 /// Number of independent sums per thread. It exceeds latency × number of multiply-add units of
 /// common cores, so that all units are busy. All sums fit into 16 registers.
 const SUMS: usize = 12;
-/// Number of multiply-adds of every sum in one measurement, which takes some 20 ms.
+/// Number of multiply-adds per sum in one measurement, which takes some 20 ms.
 const ROUNDS: u64 = 6_000_000;
 /// Number of values of the array that is read, 512 MiB: far more than most caches hold.
 const VALUES: usize = 64 << 20;
@@ -23,13 +23,13 @@ const VALUES: usize = 64 << 20;
 pub struct Rates(Vec<f64>);
 
 impl Rates {
-    /// The best rate.
+    /// Returns the best rate.
     pub fn best(&self) -> f64 {
         self.0.iter().copied().fold(0.0, f64::max)
     }
 
-    /// The median rate as a fraction of the best rate. Other programs on the machine lower this
-    /// fraction.
+    /// Returns the median rate as a fraction of the best rate. Other programs on the machine lower
+    /// this fraction.
     pub fn median_share(&self) -> f64 {
         let mut sorted = self.0.clone();
         sorted.sort_by(f64::total_cmp);

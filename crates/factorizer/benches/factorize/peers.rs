@@ -105,7 +105,8 @@ pub fn write_problem(folder: &Path, case: &Case, start: &LayerStack) -> Outcome 
     Ok(())
 }
 
-/// Largest difference between the masks in the files of `folder` and the masks of `stack`.
+/// Returns the largest difference between the masks in the files of `folder` and the masks of
+/// `stack`.
 pub fn largest_difference(folder: &Path, stack: &LayerStack) -> Outcome<f32> {
     let mut largest = 0.0f32;
     for (n, layer) in stack.layers.iter().enumerate() {

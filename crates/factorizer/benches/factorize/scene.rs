@@ -89,7 +89,7 @@ fn round_to_half(value: f32) -> f32 {
     f32::from_bits((bits + nearest_even) & !((1 << DROPPED) - 1))
 }
 
-/// Colour of the surface that the viewer sees along a ray.
+/// Returns the colour of the surface that the viewer sees along a ray.
 fn seen(origin: Vector, direction: Vector) -> Vector {
     let mut z = WALL_Z;
     let mut colour = wall(along(origin, direction, z));
@@ -114,21 +114,21 @@ fn seen(origin: Vector, direction: Vector) -> Vector {
     colour
 }
 
-/// A wall with soft vertical stripes, brighter to the top.
+/// Returns the colour of the wall, which has soft vertical stripes and is brighter to the top.
 fn wall([x, y, _]: Vector) -> Vector {
     let stripe = wave(x / 36.0);
     let height = ((y + 190.0) / 400.0).clamp(0.0, 1.0);
     [0.10 + 0.18 * height + 0.10 * stripe, 0.14 + 0.24 * height + 0.08 * stripe, 0.22 + 0.40 * height]
 }
 
-/// z at which a ray hits the checkerboard.
+/// Returns z at which a ray hits the checkerboard; `None` if the ray misses it.
 fn board(origin: Vector, direction: Vector) -> Option<f64> {
     let z = BOARD_SLOPE * (BOARD_Y - origin[1]) / (1.0 + BOARD_SLOPE * direction[1]);
     let x = along(origin, direction, z)[0];
     (WALL_Z < z && z < BOARD_FRONT && x.abs() < BOARD_HALF_WIDTH).then_some(z)
 }
 
-/// Colour of the checkerboard: squares, darker under the balls.
+/// Returns the colour of the checkerboard, which is darker under the balls.
 fn board_colour(at: Vector) -> Vector {
     let even = ((at[0] / SQUARE).floor() + (at[2] / SQUARE).floor()).rem_euclid(2.0) < 1.0;
     let shade: f64 = BALLS
@@ -142,7 +142,7 @@ fn board_colour(at: Vector) -> Vector {
     colour.map(|value| value * shade)
 }
 
-/// z at which the viewer sees a sphere along a ray; `None` if the ray misses it.
+/// Returns z at which the viewer sees a sphere along a ray; `None` if the ray misses it.
 fn sphere(origin: Vector, direction: Vector, centre: Vector, radius: f64) -> Option<f64> {
     let from = sub(origin, centre);
     let (a, b, c) = (dot(direction, direction), dot(from, direction), dot(from, from) - radius * radius);
@@ -150,7 +150,7 @@ fn sphere(origin: Vector, direction: Vector, centre: Vector, radius: f64) -> Opt
     (discriminant > 0.0).then(|| (-b + discriminant.sqrt()) / a)
 }
 
-/// z at which the viewer sees an upright cylinder along a ray; `None` if the ray misses it.
+/// Returns z at which the viewer sees an upright cylinder along a ray; `None` if the ray misses it.
 fn post(origin: Vector, direction: Vector, x: f64, z: f64, radius: f64) -> Option<f64> {
     sphere([origin[0], 0.0, 0.0], [direction[0], 0.0, 1.0], [x, 0.0, z], radius)
 }
@@ -179,12 +179,13 @@ fn surroundings([x, y, z]: Vector) -> Vector {
     [0.36, 0.36, 0.34].map(|value| value * (1.0 + contrast))
 }
 
-/// Ambient and diffuse light on a surface.
+/// Returns the ambient and diffuse light on a surface.
 fn lit(normal: Vector) -> f64 {
     AMBIENT + (1.0 - AMBIENT) * dot(normal, LIGHT).max(0.0)
 }
 
-/// A wave of period 1, from 0 to 1 and back, with a smooth top and bottom.
+/// Returns the value, at a phase, of a wave of period 1 from 0 to 1 and back. The wave has a smooth
+/// top and bottom.
 fn wave(phase: f64) -> f64 {
     let t = 1.0 - (2.0 * (phase - phase.floor()) - 1.0).abs();
     t * t * (3.0 - 2.0 * t)

@@ -153,8 +153,8 @@ impl Report {
         text
     }
 
-    /// Time of a peer's update divided by the time of Lumistack's update: for the medians, and for
-    /// the fastest times.
+    /// Returns the time of a peer's update divided by the time of Lumistack's update: the ratio of
+    /// the medians, and the ratio of the fastest times.
     fn ratios(&self, peer: &PeerRow) -> [f64; 2] {
         let ours = &self.rows[0].times;
         [peer.times.median() / ours.median(), peer.times.fastest() / ours.fastest()]
@@ -234,7 +234,7 @@ impl Report {
         );
     }
 
-    /// The measurements as JSON, with all single times.
+    /// Returns the measurements as JSON, with all single times.
     pub fn json(&self, machine: &Machine) -> Value {
         let quality = &self.quality;
         let rows = self.rows.iter().map(|row| {
@@ -294,8 +294,8 @@ impl Report {
     }
 }
 
-/// Fractions of the machine's multiply-add rate and memory rate that an update reaches at its
-/// fastest time.
+/// Returns the fractions of the machine's multiply-add rate and memory rate that the fastest update
+/// reaches.
 fn shares(needs: &Needs, times: &Series, machine: &Machine) -> [f64; 2] {
     let fastest = times.fastest();
     [needs.operations / fastest / machine.multiply_adds.best(), needs.bytes / fastest / machine.bandwidth.best()]

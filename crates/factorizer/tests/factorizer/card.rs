@@ -7,7 +7,7 @@ use lumistack_display::LayerStack;
 use crate::problems::{Owned, display};
 use lumistack_factorizer::{Multiplicative, Solver, random_start};
 
-/// Light field of a card at z = `d_mm` in closed form: L(x, s) = texture(x + d·s).
+/// Returns the light field of a card at z = `d_mm` in closed form: L(x, s) = texture(x + d·s).
 fn card(d_mm: f64) -> Owned {
     let mut display = display([48, 36], [5, 5], &[-12.0, 0.0, 12.0], 4);
     display.brightness = 0.3;
@@ -26,8 +26,8 @@ fn card(d_mm: f64) -> Owned {
     owned
 }
 
-/// Energy of the fine detail of layer `n`: squared horizontal differences of the logarithm of its
-/// mean transmittance over frames, away from the border.
+/// Returns the energy of the fine detail of layer `n`: squared horizontal differences of the
+/// logarithm of its mean transmittance over frames, away from the border.
 fn high_frequency_energy(stack: &LayerStack, n: usize) -> f64 {
     let layer = &stack.layers[n];
     let [frames, rows, cols, _] = layer.shape();

@@ -26,7 +26,8 @@ pub(super) fn light_field(name: &str, display: &Display) -> Option<LightField> {
     Some(LightField::new(display.geometry().unwrap(), tensor).unwrap())
 }
 
-/// `layers` layers 40 mm apart around z = 0, 160 × 100 pixels, 20° × 20°.
+/// Returns a display of `layers` layers 40 mm apart around z = 0. It has 160 × 100 pixels and a
+/// field of view of 20° × 20°.
 pub(super) fn display(views: usize, layers: usize, frames: usize, brightness: f64) -> Display {
     let pitch_mm = WIDTH_MM / 160.0;
     let d_mm: Vec<f64> = (0..layers).map(|n| (n as f64 - (layers as f64 - 1.0) / 2.0) * 40.0).collect();
@@ -38,7 +39,7 @@ pub(super) fn display(views: usize, layers: usize, frames: usize, brightness: f6
     }
 }
 
-/// One layer at z = 0 in front of 47 × 29 lenslets.
+/// Returns a display with one layer at z = 0 in front of 47 × 29 lenslets.
 fn directional(frames: usize, brightness: f64) -> Display {
     let backlight = Backlight::Lenslets(LensletBacklight {
         d_mm: -8.5,
@@ -58,7 +59,7 @@ fn directional(frames: usize, brightness: f64) -> Display {
     Display { backlight, ..display(5, 1, frames, brightness) }
 }
 
-/// PSNR after each of the given numbers of updates, from the default start.
+/// Returns the PSNR after each of the given numbers of updates, from the default start.
 fn curve(display: &Display, target: &LightField, updates: &[u32]) -> Vec<f64> {
     let problem = Problem { display, target, weights: &Weights::Uniform };
     let mut run = Multiplicative.start(&problem, random_start(display, 1)).unwrap();
@@ -112,7 +113,8 @@ fn one_layer_before_lenslets_reaches_the_published_figures() {
     }
 }
 
-/// PSNR after each of the given numbers of iterations of the default solver from its default start.
+/// Returns the PSNR after each of the given numbers of iterations of the default solver from its
+/// default start.
 fn default_curve(display: &Display, target: &LightField, iterations: &[u32]) -> Vec<f64> {
     let problem = Problem { display, target, weights: &Weights::Uniform };
     let last = iterations.iter().copied().max().unwrap_or(0);
@@ -150,7 +152,8 @@ fn the_default_solver_is_at_least_the_best_published_row_in_the_long_run() {
     check_default("directional, β = 1", &directional(8, 1.0), &[(50, 29.7), (200, 29.8)]);
 }
 
-/// PSNR after 50 updates of N layers and M frames on the teapot; `None` without the light field.
+/// Returns the PSNR after 50 updates of N layers and M frames on the teapot; `None` without the
+/// light field.
 fn teapot(layers: usize, frames: usize, missing: Missing) -> Option<f64> {
     let display = Display { missing, ..display(3, layers, frames, 0.2) };
     let target = light_field("teapot_3x3_160x100_fov20", &display)?;

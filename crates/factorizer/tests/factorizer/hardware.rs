@@ -22,8 +22,8 @@ fn solve(display: &Display, target: &LightField, levels: bool) -> Factorization 
     factorize(&problem, &settings, None, Task::quiet(&warnings, &cancel), &mut |_| ()).unwrap()
 }
 
-/// PSNR on a display with its real limits: values are clamped to each layer's range, and monochrome
-/// layers show no colour.
+/// Returns the PSNR on a display with its real limits: values are clamped to each layer's range,
+/// and monochrome layers show no colour.
 fn shown(display: &Display, stack: &LayerStack, target: &LightField) -> f64 {
     let mut stack = stack.clone();
     for (layer, values) in display.layers.iter().zip(&mut stack.layers) {

@@ -77,7 +77,7 @@ impl Oracle {
         }
     }
 
-    /// Value of factor k in frame m along a ray.
+    /// Returns the value of factor k in frame m along a ray.
     fn value(&self, ray: &Ray, k: usize, m: usize, channel: usize) -> f64 {
         let factor = &self.factors[k];
         let frame = factor.len() / self.frames * m;
@@ -87,8 +87,8 @@ impl Oracle {
         }
     }
 
-    /// Emission of frame m along a ray. If `replaced` is (n, value), factor n has this value
-    /// instead of its own value.
+    /// Returns the emission of frame m along a ray. If `replaced` is (n, value), factor n has this
+    /// value instead of its own value.
     fn frame(&self, ray: &Ray, m: usize, channel: usize, replaced: Option<(usize, f64)>) -> f64 {
         let value = |k: usize| match replaced {
             Some((n, value)) if n == k => value,
@@ -109,8 +109,8 @@ impl Oracle {
         (0..self.frames).map(|m| self.frame(ray, m, channel, None)).sum::<f64>() / self.frames as f64
     }
 
-    /// Derivative of frame m's emission by the value of factor n: exact if the emission is linear
-    /// in it, otherwise by central differences.
+    /// Returns the derivative of frame m's emission by the value of factor n. It is exact if the
+    /// emission is linear in this value, otherwise computed by central differences.
     fn slope(&self, ray: &Ray, n: usize, m: usize, channel: usize) -> f64 {
         let f = self.value(ray, n, m, channel);
         let [low, high] = if self.is_linear(n) { [0.0, 1.0] } else { [f - 1e-5, f + 1e-5] };
@@ -194,7 +194,7 @@ impl Oracle {
         influences
     }
 
-    /// Σ w (βL − L̃)².
+    /// Returns Σ w (βL − L̃)².
     pub(crate) fn objective(&self) -> f64 {
         let error = |ray: &Ray, channel| ray.weight * (ray.wanted[channel] - self.emitted(ray, channel)).powi(2);
         self.rays.iter().map(|ray| (0..3).map(|channel| error(ray, channel)).sum::<f64>()).sum()
@@ -256,7 +256,7 @@ fn entries(layer: &Layer, pixels: &[(usize, f64)]) -> [Vec<Entry>; 3] {
     })
 }
 
-/// All valid rays with a weight above 0.
+/// Returns all valid rays with a weight above 0.
 fn rays(problem: &Problem) -> Vec<Ray> {
     let (display, field) = (problem.display, problem.target.geometry());
     let mut rays = Vec::new();
@@ -323,8 +323,8 @@ fn rays(problem: &Problem) -> Vec<Ray> {
     rays
 }
 
-/// The two pixels around a position, with their weights. At the border a position may have one
-/// pixel only.
+/// Returns the two pixels around a position, with their weights. At the border a position may have
+/// one pixel only.
 fn neighbours(u: f64, count: usize) -> impl Iterator<Item = (usize, f64)> {
     let u = u.clamp(0.0, count as f64 - 1.0);
     let first = u.floor();

@@ -80,7 +80,7 @@ impl Owned {
         Problem { display: &self.display, target: &self.target, weights: &self.weights }
     }
 
-    /// A constant target on this display.
+    /// Returns a problem with a constant target on this display.
     pub(crate) fn constant(display: Display, value: f32) -> Self {
         let mut target = LightField::black(display.geometry().unwrap()).unwrap();
         target.radiance_mut().data_mut().fill(value);
@@ -88,7 +88,7 @@ impl Owned {
     }
 }
 
-/// A display whose layers have the pixels and the pitch of the light field.
+/// Returns a display whose layers have the pixels and the pitch of the light field.
 pub(crate) fn display(resolution: [usize; 2], views: [usize; 2], d_mm: &[f64], frames: usize) -> Display {
     Display {
         name: "random".into(),
@@ -98,7 +98,7 @@ pub(crate) fn display(resolution: [usize; 2], views: [usize; 2], d_mm: &[f64], f
     }
 }
 
-/// A random problem; equal arguments give equal problems.
+/// Returns a random problem; equal arguments give equal problems.
 pub(crate) fn random(kind: Kind, seed: u64) -> Owned {
     let mut random = Stream::new(derive(seed, &[kind as u64]));
     let mut below = |n: usize| (random.next_u64() % n as u64) as usize;

@@ -7,8 +7,8 @@ use lumistack_display::{LightField, Weights};
 use crate::problems::{Owned, display};
 use lumistack_factorizer::{Settings, factorize, warm_start_pays};
 
-/// A wall of waves behind the display and a striped card in front of it, both moved by `shift`
-/// pixels. A different value of `scene` gives other waves and stripes.
+/// Returns a target with a wall of waves behind the display and a striped card in front of it, both
+/// moved by `shift` pixels. A different value of `scene` gives other waves and stripes.
 fn card(shift: f64, scene: f64) -> Owned {
     let display = display([64, 40], [5, 3], &[-8.0, 0.0, 8.0], 4);
     let geometry = display.geometry().unwrap();
@@ -35,7 +35,8 @@ fn settings(solver: &str, iterations: u32) -> Settings {
     Settings { solver: solver.into(), iterations, ..Settings::default() }
 }
 
-/// A plane of smooth waves behind the display, moved by `shift` pixels. `scene` changes the waves.
+/// Returns a target with a plane of smooth waves behind the display, moved by `shift` pixels.
+/// `scene` changes the waves.
 fn plane(shift: f64, scene: f64, brightness: f64) -> Owned {
     let mut display = display([64, 40], [5, 3], &[-13.3, 0.0, 13.3], 4);
     display.brightness = brightness;

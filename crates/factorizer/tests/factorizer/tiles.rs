@@ -31,7 +31,8 @@ fn regions(tile: &Tile, of: fn(&lumistack_display::TilePart) -> &Region) -> Vec<
     tile.parts.iter().map(|part| of(part).clone()).collect()
 }
 
-/// The pixels of a layer that a ray reads, [rows, columns]; `None` if the ray misses the layer.
+/// Returns the pixels of a layer that a ray reads, [rows, columns]; `None` if the ray misses the
+/// layer.
 fn read(map: &RayMap, layer: usize, view: [usize; 2], row: usize, col: usize) -> Option<[[usize; 2]; 2]> {
     let pair = |tap: Tap| (!tap.is_missed()).then_some([tap.first as usize, tap.second as usize]);
     let map = &map.layers[layer];

@@ -19,7 +19,8 @@ const UNLIT: f32 = 1e-6;
 /// other layer after this pixel. That can happen only if this pixel was below the solver's limit.
 const BLACK: f32 = 1e-4;
 
-/// Two layers of three frames. The left half of the target is black; its right half has waves.
+/// Returns a problem with two layers of three frames. The left half of the target is black; its
+/// right half has waves.
 fn half_black() -> Owned {
     let mut display = display([40, 24], [3, 3], &[-5.3, 5.1], 3);
     display.brightness = 0.5;
@@ -44,9 +45,9 @@ fn solve(owned: &Owned, settings: &Settings, warm: Option<&LayerStack>) -> (Laye
     (made.stack, psnr)
 }
 
-/// For each value of each layer, the largest value of the other layer in the same frame, over all
-/// rays through the pixel. `None` for a pixel without rays. It requires two layers and nearest
-/// sampling.
+/// For each value of each layer, returns the largest value of the other layer in the same frame,
+/// over all rays through the pixel. `None` for a pixel without rays. This function requires two
+/// layers and nearest sampling.
 fn light(owned: &Owned, stack: &LayerStack) -> [Vec<Option<f32>>; 2] {
     let geometry = owned.target.geometry();
     let map = RayMap::new(&owned.display, geometry);

@@ -30,13 +30,15 @@ const OBJECTIVE_TOLERANCE: f64 = 1e-5;
 const OBJECTIVE_PER_VALUE: f64 = 1e-12;
 /// Largest allowed difference of PSNR values computed from the same patterns in two ways, dB.
 const PSNR_TOLERANCE: f64 = 1e-3;
-/// Smallest influence of a value on the emission at which the value is taken as determined.
+/// A value is compared only if its influence on the emission is larger than this. Rounding decides
+/// values with less influence.
 const DETERMINED: f64 = 0.1;
 /// Largest allowed change of the emission by differences between f32 and f64.
 const SEEN_TOLERANCE: f64 = 1e-5;
 const SEEDS: [u64; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 
-/// Every kernel that this machine can run: instruction sets, with and without the fast path.
+/// Returns every kernel that this machine can run: instruction sets, with and without the fast
+/// path.
 fn kernels() -> Vec<(Backend, bool)> {
     Backend::available().iter().flat_map(|backend| [(*backend, false), (*backend, true)]).collect()
 }

@@ -143,18 +143,18 @@ impl Case {
         })
     }
 
-    /// Number of pixels.
+    /// Returns the number of pixels.
     pub fn pixels(&self) -> f64 {
         (self.geometry.rows * self.geometry.cols) as f64
     }
 
-    /// Length of the diagonal of the scene's bounds.
+    /// Returns the length of the diagonal of the scene's bounds.
     pub fn size(&self) -> f32 {
         let bounds = self.scene.bounds();
         (bounds.max - bounds.min).length()
     }
 
-    /// A point of the rectangle light, for `u` in [0, 1)².
+    /// Returns a point of the rectangle light, for `u` in [0, 1)².
     pub fn point_of_light(&self, u: [f32; 2]) -> Vec3 {
         let [corner, across, up] = self.light;
         corner + u[0] * across + u[1] * up
@@ -244,14 +244,14 @@ fn repeat(parts: &mut SceneParts, copies: usize, bounds: lumistack_scene::Bounds
     }
 }
 
-/// The parts without lights and environment.
+/// Returns the parts of a scene, without its lights and environment.
 fn unlit(mut parts: SceneParts) -> SceneParts {
     parts.lights.clear();
     parts.environment = None;
     parts
 }
 
-/// The scene with every material made diffuse, with face normals.
+/// Returns the scene with every material made diffuse, with face normals.
 fn diffuse(mut parts: SceneParts) -> SceneParts {
     for material in &mut parts.materials {
         let texture = material.base_color_texture;

@@ -1,5 +1,6 @@
-//! Compares ways to render light fields: view by view, with light that all views of a point share,
-//! the same with further paths, and with a filter. Each way renders twice, with independent seeds.
+//! Compares four ways to render light fields. Views are rendered one by one, with light that all
+//! views of a point share, with shared light and further paths, or with a filter. Each way renders
+//! twice, with independent seeds.
 
 use std::time::Duration;
 
@@ -22,8 +23,8 @@ const CLAMP: f32 = 8.0;
 /// Unit of the times in `/proc/self/stat`, in milliseconds.
 const TICK_MS: u64 = 10;
 /// Numbers of samples per pixel of filtered views (`FILTERED`) and of views rendered one by one
-/// (`ALONE`). The last number of `ALONE` gives the reference, whose render takes longer than any
-/// filter.
+/// (`ALONE`). Views with the last number of `ALONE` are the reference, which takes longer to render
+/// than any filtered views.
 const FILTERED: [u32; 3] = [4, 16, 64];
 const ALONE: [u32; 4] = [4, 16, 64, 256];
 
@@ -56,8 +57,9 @@ struct Errors {
     bias: f64,
     /// Mean of the pictures divided by the mean of the truth, minus 1.
     change: f64,
-    /// Variance of the mean of all views, without shifts. The solver averages views in about this
-    /// way, so it is the noise that a display shows.
+    /// Variance of the mean picture. All views are averaged pixel by pixel, and are not aligned by
+    /// their parallax. The solver averages views in about this way, so a display shows about this
+    /// noise.
     of_mean: f64,
 }
 
@@ -193,14 +195,14 @@ fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
     Ok(())
 }
 
-/// Geometry of a case's views with parallel rays, over a zone of `fov_deg`. An axis with one view
-/// has no zone.
+/// Returns the geometry of a case's views with parallel rays, over a zone of `fov_deg`. An axis
+/// with one view has no zone.
 fn field_of(case: &Case, views: [usize; 2], fov_deg: f64) -> Outcome<FieldGeometry> {
     let [fov_y, fov_x] = views.map(|count| if count > 1 { fov_deg } else { 0.0 });
     Ok(case.geometry.with_grid(ViewGrid::uniform(Projection::Oblique, views, [fov_x, fov_y])?))
 }
 
-/// Processor time that this process has used.
+/// Returns the processor time that this process has used.
 fn spent() -> Outcome<Duration> {
     let stat = std::fs::read_to_string("/proc/self/stat")?;
     // the name, in brackets, may contain spaces; user and system time are the 12th and 13th fields
@@ -210,7 +212,8 @@ fn spent() -> Outcome<Duration> {
     Ok(Duration::from_millis(TICK_MS * ticks.iter().sum::<u64>()))
 }
 
-/// The radiance that counts as white: the fraction [`BELOW_WHITE`] of all values is at most this.
+/// Returns the radiance that counts as white: the fraction [`BELOW_WHITE`] of all values is at most
+/// this.
 fn white(picture: &Tensor<3>) -> f32 {
     let mut values = picture.data().to_vec();
     let place = ((values.len() - 1) as f64 * BELOW_WHITE) as usize;
@@ -218,17 +221,17 @@ fn white(picture: &Tensor<3>) -> f32 {
 }
 
 impl Errors {
-    /// Errors of a way that has no bias. The mean of half the squared difference of two independent
-    /// pictures is the variance of one picture.
+    /// Returns the errors of a way that has no bias. The mean of half the squared difference of two
+    /// independent pictures is the variance of one picture.
     fn of_noise(way: &Way, white: f32) -> Self {
         let variances = variances(way, white);
         let worst = variances.iter().copied().fold(0.0, f64::max);
         Self { all: mean(&variances), worst, bias: 0.0, change: 0.0, of_mean: of_mean(way, white) }
     }
 
-    /// Errors against `truth`, a way that has no bias. Each value of a picture is compared with two
-    /// independent pictures of `truth`. The product of the two differences has the picture's
-    /// squared error as its mean; the noise of `truth` does not add to it.
+    /// Returns the errors against `truth`, a way that has no bias. Each value of a picture is
+    /// compared with two independent pictures of `truth`. The product of the two differences has
+    /// the picture's squared error as its mean; the noise of `truth` does not add to it.
     fn new(way: &Way, truth: &Way, white: f32) -> Self {
         let shown = |value: f32| f64::from(value / white);
         let of_view = |view: usize| {
@@ -255,7 +258,7 @@ impl Errors {
     }
 }
 
-/// Variance of every view.
+/// Returns the variance of every view.
 fn variances(way: &Way, white: f32) -> Vec<f64> {
     let shown = |value: f32| f64::from(value / white);
     let [first, second] = &way.pictures;
@@ -266,7 +269,7 @@ fn variances(way: &Way, white: f32) -> Vec<f64> {
     first.iter().zip(second).map(of_view).collect()
 }
 
-/// Variance of the mean of all views.
+/// Returns the variance of the mean of all views.
 fn of_mean(way: &Way, white: f32) -> f64 {
     let [first, second] = way.pictures.each_ref().map(|views| {
         let mut sum = vec![0.0f64; views[0].data().len()];
@@ -282,8 +285,8 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Value at x of the polyline through points in order of x. Outside of the points, its first or
-/// last segment is extended as a straight line.
+/// Returns the value at x of the polyline through `points`, which are in order of x. Outside of the
+/// points, the first or the last segment is extended as a straight line.
 fn on_line(points: &[[f64; 2]], x: f64) -> f64 {
     let next = points.iter().position(|[at, _]| *at > x).unwrap_or(points.len() - 1).max(1);
     let ([x0, y0], [x1, y1]) = (points[next - 1], points[next]);

@@ -332,8 +332,8 @@ fn mean_square(picture: &[f32], reference: &[f32]) -> f64 {
     sum / picture.len() as f64
 }
 
-/// Relative difference of the mean radiances of two pictures, and root mean square of the relative
-/// differences of their pixels.
+/// Returns the relative difference of the mean radiances of two pictures, and the root mean square
+/// of the relative differences of their pixels.
 fn agreement(ours: &[f32], theirs: &[f32]) -> (f64, f64) {
     let mean = |values: &[f32]| values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len() as f64;
     let (own_mean, their_mean) = (mean(ours), mean(theirs));

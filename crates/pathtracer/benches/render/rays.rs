@@ -151,8 +151,9 @@ fn world_triangles(case: &Case) -> Vec<[Vec3; 3]> {
     triangles
 }
 
-/// Rays as in a path tracer: a ray through every pixel, and many samples of some pixels. Also rays
-/// that are scattered by Lambert's law, and rays from the first hits to the light.
+/// Returns rays as in a path tracer: a ray through every pixel, and many samples of some pixels.
+/// Also returns rays that are scattered by Lambert's law, and rays from the first hits to the
+/// light.
 fn batches(case: &Case, tree: &Tree, triangles: &[[Vec3; 3]]) -> Vec<Batch> {
     let mut stream = Stream::new(1);
     let geometry = &case.geometry;

@@ -81,14 +81,15 @@ pub(crate) struct Albedo {
 }
 
 impl Albedo {
-    /// Albedo of the lobe with Fresnel's term, before compensation. `rise` is B of the lobe's
-    /// material, as in `metal` and `dielectric`.
+    /// Returns the albedo of the lobe with Fresnel's term, before compensation. `rise` is B of the
+    /// lobe's material, as in `metal` and `dielectric`.
     #[inline]
     pub(crate) fn reflected(&self, f0: Vec3, f90: f32, rise: f32) -> Vec3 {
         f0 * (self.full - rise) + f90 * rise
     }
 
-    /// The factor K on the lobe. It adds the light that single scattering loses.
+    /// Returns the factor K on the lobe. With this factor, the lobe includes the light that single
+    /// scattering loses.
     #[inline]
     pub(crate) fn compensation(&self, f0: Vec3) -> Vec3 {
         let fresnel = f0 + (Vec3::ONE - f0) * (1.0 / 21.0);
@@ -110,9 +111,9 @@ pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
     TABLE.get_or_init(tabulate).at([cosine, roughness]).into()
 }
 
-/// Albedo of a stretched lobe, interpolated linearly in four coordinates. They are the root of the
-/// cosine, cos² of the azimuth φ, and √α along and across the stretch. The azimuth φ of the viewer
-/// is measured from the direction of stretch.
+/// Returns the albedo of a stretched lobe, interpolated linearly in four coordinates. They are the
+/// root of the cosine, cos² of the azimuth φ, and √α along and across the stretch. The azimuth φ of
+/// the viewer is measured from the direction of stretch.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     static TABLE: OnceLock<Table<4, 4>> = OnceLock::new();
     let across = o.x * o.x + o.y * o.y;
@@ -120,7 +121,7 @@ pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
     TABLE.get_or_init(tabulate_stretched).at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
 }
 
-/// B of a dielectric of any index n: the albedo if the rise s(o·h) of `fresnel.rs` replaces
+/// Returns B of a dielectric of any index n: the albedo if the rise s(o·h) of `fresnel.rs` replaces
 /// Fresnel's term. It is interpolated linearly in the root of the cosine, in √α, and in the root of
 /// (n − 1)/(n + 1).
 pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
@@ -168,8 +169,8 @@ fn tabulate_indices() -> Table<3, 1> {
     })
 }
 
-/// The integral of E · density over 0..1. `nodes` have E at evenly spaced positions. The density
-/// integrates to 1, so if E is constant, the result is exactly E.
+/// Returns the integral of E · density over 0..1. `nodes` have E at evenly spaced positions. The
+/// density integrates to 1, so if E is constant, the result is exactly E.
 fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     let last = (nodes.len() - 1) as f32;
     let (mut sum, mut weights) = (0.0, 0.0);
@@ -181,13 +182,13 @@ fn mean_over(nodes: &[[f32; 4]], density: impl Fn(f32) -> f32) -> f32 {
     sum / weights
 }
 
-/// Direction to a viewer at this cosine, or at [`SMALLEST`] if the cosine is smaller.
+/// Returns the direction to a viewer at this cosine, or at [`SMALLEST`] if the cosine is smaller.
 fn towards(cosine: f32) -> Vec3 {
     let cosine = cosine.max(SMALLEST);
     Vec3::new((1.0 - cosine * cosine).max(0.0).sqrt(), 0.0, cosine)
 }
 
-/// α of a lobe that is not stretched.
+/// Returns α of a lobe that is not stretched.
 fn round(roughness: f32) -> Vec2 {
     Vec2::splat((roughness * roughness).max(SMALLEST))
 }

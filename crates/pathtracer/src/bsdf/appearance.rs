@@ -35,8 +35,8 @@ pub(crate) struct Extras {
     pub(crate) layers: Layers,
     /// 20 / Abbe number.
     pub(crate) dispersion: f32,
-    /// Factor per colour channel on transmitted light. It differs from 1 where a path draws its
-    /// wavelength, as it enters dispersing glass.
+    /// Factor per colour channel on transmitted light. It differs from 1 only at the point where a
+    /// path enters dispersing glass and draws its wavelength.
     pub(crate) wave_weight: Vec3,
 }
 

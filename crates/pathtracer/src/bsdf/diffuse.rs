@@ -13,8 +13,8 @@ use crate::normals::Normals;
 /// The diffuse lobe.
 pub(crate) struct Diffuse {
     albedo: Vec3,
-    /// Mapped and smooth normal in the local frame. Both are the z axis unless the shading normal
-    /// was bent or a normal map turned the mapped normal.
+    /// Mapped and smooth normal in the local frame. Without a normal map both are the z axis,
+    /// unless the shading normal was bent.
     normals: Normals,
 }
 
@@ -30,7 +30,7 @@ impl Diffuse {
 }
 
 impl Diffuse {
-    /// Fraction of the light that the lobe scatters, per channel.
+    /// Returns the fraction of the light that the lobe scatters, per channel.
     pub(crate) fn reflectance(&self) -> Vec3 {
         self.albedo
     }

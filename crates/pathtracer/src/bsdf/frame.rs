@@ -20,13 +20,13 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    /// A frame with one normal for all lobes.
+    /// Makes a frame with one normal for all lobes.
     pub(crate) fn flat(geometric: Vec3, shading: Vec3) -> Self {
         Self { geometric, shading, diffuse: Normals::smooth(shading), coat: shading, tangent: None }
     }
 }
 
-/// The frame of a normal, with the columns tangent, bitangent and normal.
+/// Returns the frame of a normal, with the columns tangent, bitangent and normal.
 pub(crate) fn local_frame(normal: Vec3, tangent: Option<Vec3>) -> Mat3 {
     match tangent.and_then(|tangent| (tangent - normal * normal.dot(tangent)).try_normalize()) {
         Some(tangent) => Mat3::from_cols(tangent, normal.cross(tangent), normal),
@@ -37,7 +37,7 @@ pub(crate) fn local_frame(normal: Vec3, tangent: Option<Vec3>) -> Mat3 {
     }
 }
 
-/// The direction to the viewer in a frame, on the viewer's side of its normal.
+/// Returns the direction to the viewer in a frame, on the viewer's side of its normal.
 pub(crate) fn local_viewer(scene_from_local: &Mat3, to_viewer: Vec3) -> Vec3 {
     let mut o = scene_from_local.transpose() * to_viewer;
     o.z = o.z.max(1e-6);

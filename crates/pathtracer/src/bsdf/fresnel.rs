@@ -56,28 +56,28 @@ pub(crate) struct Film {
 }
 
 impl Fresnel {
-    /// The reflectance f0 + (f90 − f0) s without the weight; `rise` is s.
+    /// Returns the reflectance f0 + (f90 − f0) s without the weight; `rise` is s.
     #[inline]
     pub(crate) fn reflectance(&self, rise: f32) -> Vec3 {
         self.f0 + (Vec3::splat(self.f90) - self.f0) * rise
     }
 }
 
-/// The rise s of a metal's reflectance, see the top of the file: (1 − cos)⁵.
+/// Returns the rise s of a metal's reflectance, see the top of the file: (1 − cos)⁵.
 #[inline]
 pub(crate) fn metal_rise(cosine: f32) -> f32 {
     (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
 }
 
-/// The rise s of a dielectric's reflectance, seen from outside; see the top of the file. For an
-/// index below 1 (`KHR_materials_ior` allows 0), only the specular colour is known, so the function
-/// returns [`metal_rise`].
+/// Returns the rise s of a dielectric's reflectance, seen from outside; see the top of the file.
+/// For an index below 1 (`KHR_materials_ior` allows 0), only the specular colour is known, so the
+/// function returns [`metal_rise`].
 #[inline]
 pub(crate) fn dielectric_rise(cosine: f32, ior: f32) -> f32 {
     if ior < 1.0 { metal_rise(cosine) } else { rise(dielectric(cosine, ior).0, normal_reflectance(ior)) }
 }
 
-/// The rise s = (reflectance − f0) / (1 − f0) of an interface that reflects `f0` at normal
+/// Returns the rise s = (reflectance − f0) / (1 − f0) of an interface that reflects `f0` at normal
 /// incidence.
 #[inline]
 pub(crate) fn rise(reflectance: f32, f0: f32) -> f32 {
@@ -85,8 +85,8 @@ pub(crate) fn rise(reflectance: f32, f0: f32) -> f32 {
 }
 
 impl Film {
-    /// The reflectance with the film. `bare` is the reflectance without it, of a base whose f₀ is
-    /// `base_f0`.
+    /// Returns the reflectance with the film. `bare` is the reflectance without it, of a base whose
+    /// f₀ is `base_f0`.
     pub(crate) fn over(&self, bare: Vec3, base_f0: Vec3, cosine: f32) -> Vec3 {
         bare.lerp(self.reflectance(base_f0, cosine), self.factor)
     }
@@ -119,7 +119,7 @@ impl Film {
     }
 }
 
-/// Reflectance at normal incidence: ((n − 1)/(n + 1))².
+/// Returns the reflectance at normal incidence: ((n − 1)/(n + 1))².
 #[inline]
 pub(crate) fn normal_reflectance(ior: f32) -> f32 {
     let root = (ior - 1.0) / (ior + 1.0);
@@ -130,8 +130,8 @@ fn schlick(f0: f32, cosine: f32) -> f32 {
     f0 + (1.0 - f0) * metal_rise(cosine)
 }
 
-/// Fourier transform S of the colour-matching functions at the optical path difference `path_nm`
-/// and with the phase `shift`, in linear RGB.
+/// Returns the Fourier transform S of the colour-matching functions at the optical path difference
+/// `path_nm` and with the phase `shift`, in linear RGB.
 fn sensitivity(path_nm: f32, shift: Vec3) -> Vec3 {
     let phase = TAU * 1e-9 * path_nm;
     let gauss = |value: f32, position: f32, variance: f32, shift: f32| {
@@ -152,8 +152,8 @@ pub(crate) const RGB_FROM_XYZ: Mat3 = Mat3::from_cols(
     Vec3::new(-0.498_531_4, 0.041_556, 1.057_225_2),
 );
 
-/// Reflectance of a dielectric interface for unpolarized light, and the cosine on the far side.
-/// `eta` is the index on the far side over the index on the viewer's side.
+/// Returns the reflectance of a dielectric interface for unpolarized light, and the cosine on the
+/// far side. `eta` is the index on the far side over the index on the viewer's side.
 pub(crate) fn dielectric(cosine: f32, eta: f32) -> (f32, f32) {
     let cosine = cosine.clamp(0.0, 1.0);
     let sin2_far = (1.0 - cosine * cosine) / (eta * eta);

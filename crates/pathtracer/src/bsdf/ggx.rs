@@ -20,8 +20,8 @@ use glam::{Vec2, Vec3};
 
 use crate::math::sin_cos_turns;
 
-/// Density D(h) of microfacet normals per solid angle. The components of `h` avoid the cancellation
-/// in 1 − cos².
+/// Returns the density D(h) of microfacet normals per solid angle. The components of `h` avoid the
+/// cancellation in 1 − cos².
 #[inline]
 pub(crate) fn density(h: Vec3, alpha: Vec2) -> f32 {
     let (x, y) = (h.x / alpha.x, h.y / alpha.y);
@@ -45,8 +45,9 @@ pub(crate) fn visibility(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     0.5 / (i_z * smith_root(o, alpha) + o_z * smith_root(i, alpha)).max(f32::MIN_POSITIVE)
 }
 
-/// Density per solid angle of the direction `i` to which a normal `h` of [`sample_normal`] reflects
-/// `o`: G₁(o) D(h) / (4 o_z). The formula holds if `i` is above the horizon.
+/// Returns the density per solid angle of the direction `i` to which a normal `h` of
+/// [`sample_normal`] reflects `o`: G₁(o) D(h) / (4 o_z). The formula holds if `i` is above the
+/// horizon.
 #[inline]
 pub(crate) fn reflection_pdf(o: Vec3, h: Vec3, alpha: Vec2) -> f32 {
     density(h, alpha) / (2.0 * (o.z + smith_root(o, alpha)))
@@ -62,9 +63,10 @@ pub(crate) fn reflection(o: Vec3, i: Vec3, h: Vec3, alpha: Vec2) -> (f32, f32) {
     (density * visibility, density / (2.0 * (cap_share(o, alpha) * o.z + root_o)))
 }
 
-/// Fraction k of bounded VNDF sampling (source at the top of the file). The cap of [`sample_cap`]
-/// extends down to z = −k o_z, where o_z belongs to the stretched `o`. With k = 1 all visible
-/// normals are sampled. A smaller k leaves out some normals that reflect `o` below the horizon.
+/// Returns the fraction k of bounded VNDF sampling (source at the top of the file). The cap of
+/// [`sample_cap`] extends down to z = −k o_z, where o_z belongs to the stretched `o`. With k = 1
+/// all visible normals are sampled. A smaller k leaves out some normals that reflect `o` below the
+/// horizon.
 #[inline]
 fn cap_share(o: Vec3, alpha: Vec2) -> f32 {
     let a = alpha.min_element().min(1.0);
@@ -88,13 +90,13 @@ pub(crate) fn masking_ratio(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     i_z * (o.z + root_o) / (i_z * root_o + o.z * root_i).max(f32::MIN_POSITIVE)
 }
 
-/// A visible microfacet normal, sampled by two uniform numbers.
+/// Samples a visible microfacet normal by two uniform numbers.
 #[inline]
 pub(crate) fn sample_normal(o: Vec3, alpha: Vec2, u: [f32; 2]) -> Vec3 {
     sample_cap(o, alpha, 1.0, u)
 }
 
-/// The direction to which a sampled visible microfacet reflects `o`; few such directions are below
+/// Samples the direction to which a visible microfacet reflects `o`; few such directions are below
 /// the horizon.
 #[inline]
 pub(crate) fn sample_reflection(o: Vec3, alpha: Vec2, u: [f32; 2]) -> Vec3 {
@@ -112,7 +114,7 @@ fn sample_cap(o: Vec3, alpha: Vec2, share: f32, u: [f32; 2]) -> Vec3 {
     Vec3::new(alpha.x * cap.x, alpha.y * cap.y, cap.z.max(0.0)).try_normalize().unwrap_or(Vec3::Z)
 }
 
-/// Reflection of `o` about `h`.
+/// Returns the reflection of `o` about `h`.
 #[inline]
 pub(crate) fn reflect(o: Vec3, h: Vec3) -> Vec3 {
     2.0 * o.dot(h) * h - o

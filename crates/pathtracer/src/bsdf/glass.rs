@@ -92,8 +92,8 @@ impl Glass {
         })
     }
 
-    /// Reflectance at a microfacet, the chance with which reflection is chosen at that facet, and
-    /// the cosine of the refracted direction.
+    /// Returns the reflectance at a microfacet, the chance with which reflection is chosen at that
+    /// facet, and the cosine of the refracted direction.
     fn reflectance(&self, cosine: f32) -> (Vec3, f32, f32) {
         let (bare, far) = fresnel::dielectric(cosine, self.eta);
         let Some(changed) = &self.changed else { return (Vec3::splat(bare), bare, far) };
@@ -201,8 +201,8 @@ impl Lobe for Glass {
     }
 }
 
-/// Albedo of clear glass, trilinear in the root of the cosine, perceptual roughness and the root of
-/// |n − 1|/(n + 1).
+/// Returns the albedo of clear glass, trilinear in the root of the cosine, perceptual roughness and
+/// the root of |n − 1|/(n + 1).
 fn albedo(cosine: f32, roughness: f32, ior: f32, front: bool) -> f32 {
     static TABLES: OnceLock<[Table<3, 1>; 2]> = OnceLock::new();
     let table = &TABLES.get_or_init(|| [tabulate(false), tabulate(true)])[usize::from(front)];

@@ -26,23 +26,23 @@ pub(crate) trait Lobe {
     /// True if light from behind crosses into a solid.
     const REFRACTS: bool = false;
 
-    /// Approximate fraction of the light that the lobe scatters. Lobes are chosen in proportion to
-    /// it.
+    /// Returns the approximate fraction of the light that the lobe scatters. Lobes are chosen in
+    /// proportion to it.
     fn albedo(&self) -> f32;
 
     /// True if the lobe can be evaluated; otherwise it is a mirror.
     fn is_rough(&self, facet: &Facet) -> bool;
 
-    /// f |cos|, and the density with which [`sample`](Self::sample) finds the light. A mirror
-    /// returns zeros.
+    /// Returns f |cos| with the scattering function f, and the density with which
+    /// [`sample`](Self::sample) finds the light. A mirror returns zeros.
     fn evaluate(&self, facet: &Facet, light: &Light) -> (Vec3, f32);
 
-    /// A direction for `u` in [0, 1)²; `u_fresnel` chooses between reflection and refraction.
-    /// `chance` is the chance with which this lobe was chosen. Returns `None` if the light is
-    /// absorbed.
+    /// Samples a direction by `u` in [0, 1)²; `u_fresnel` chooses between reflection and
+    /// refraction. `chance` is the chance with which this lobe was chosen. Returns `None` if the
+    /// light is absorbed.
     fn sample(&self, facet: &Facet, chance: f32, u: [f32; 2], u_fresnel: f32) -> Option<Sample>;
 
-    /// Fraction of the light that passes without a change of direction.
+    /// Returns the fraction of the light that passes without a change of direction.
     fn straight(&self, _: &Facet) -> Vec3 {
         Vec3::ZERO
     }
@@ -61,24 +61,24 @@ pub(crate) trait Layer: Lobe + Sized {
     /// True if the layer has an effect somewhere.
     fn is_seen(material: &Material) -> bool;
 
-    /// The layer's textures; `slot` prepares a texture.
+    /// Returns the layer's textures; `slot` prepares a texture.
     fn slots(material: &Material, slot: &mut impl FnMut(&Option<TextureUse>, Encoding) -> Option<Slot>) -> Self::Slots;
 
-    /// The parameters at a point, `None` where the layer has no effect. `texel` looks a texture up,
-    /// and returns 1 if there is none.
+    /// Returns the parameters at a point, `None` where the layer has no effect. `texel` looks a
+    /// texture up, and returns 1 if there is none.
     fn parameters(
         material: &Material,
         slots: &Self::Slots,
         texel: &impl Fn(&Option<Slot>) -> Vec4,
     ) -> Option<Self::Parameters>;
 
-    /// Fraction of the light emitted by the base that passes the layer, towards a viewer whose
-    /// direction has this cosine to the normal.
+    /// Returns the fraction of the light emitted by the base that passes the layer, towards a
+    /// viewer whose direction has this cosine to the normal.
     fn passed(_: &Self::Parameters, _cosine: f32) -> f32 {
         1.0
     }
 
-    /// The lobe, at a point where the layers above pass the fraction `below` of the light.
+    /// Makes the lobe at a point where the layers above pass the fraction `below` of the light.
     /// Multiplies `below` by the fraction that this layer passes.
     fn new(parameters: &Self::Parameters, surface: &Surface<'_>, below: &mut f32) -> Self;
 }
@@ -170,7 +170,8 @@ pub(crate) struct Surface<'a> {
 }
 
 impl Surface<'_> {
-    /// The factor on a lobe that returns the light that single scattering loses.
+    /// Returns the factor on a lobe that adds the light that single scattering loses; 1 without
+    /// compensation.
     #[inline]
     pub(crate) fn compensation(&self, f0: Vec3) -> Vec3 {
         if self.compensated { self.table.compensation(f0) } else { Vec3::ONE }
@@ -190,14 +191,14 @@ impl Surface<'_> {
         }
     }
 
-    /// Fraction of the light that reaches the dielectric of the base, without its glass. `below` is
-    /// the fraction that reaches the base.
+    /// Returns the fraction of the light that reaches the dielectric of the base, without its
+    /// glass. `below` is the fraction that reaches the base.
     #[inline]
     pub(crate) fn layered(&self, below: f32) -> f32 {
         below * (1.0 - self.metallic) * (1.0 - self.glass_share)
     }
 
-    /// Fraction of the light that reaches the diffuse lobe: the result of
+    /// Returns the fraction of the light that reaches the diffuse lobe: the result of
     /// [`layered`](Self::layered), less the light that the dielectric reflects.
     #[inline]
     pub(crate) fn passed(&self, below: f32) -> f32 {
@@ -205,7 +206,7 @@ impl Surface<'_> {
     }
 }
 
-/// Mean of the channels.
+/// Returns the mean of the channels.
 #[inline]
 pub(crate) fn mean(v: Vec3) -> f32 {
     v.element_sum() * (1.0 / 3.0)

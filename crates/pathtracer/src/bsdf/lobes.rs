@@ -75,7 +75,8 @@ macro_rules! lobes {
                 Self { $($layer: $Layer::parameters(material, &slots.$layer, &texel),)* }
             }
 
-            /// Fraction of the light that passes from the base to a viewer at this cosine.
+            /// Returns the fraction of the light that passes from the base to a viewer at this
+            /// cosine.
             pub(crate) fn passed(&self, cosine: f32) -> f32 {
                 let mut passed = 1.0;
                 $(if let Some(own) = &self.$layer { passed *= $Layer::passed(own, cosine); })*
@@ -93,7 +94,7 @@ macro_rules! lobes {
                 Self { $($base: $Base::new(surface, below),)* $($layer,)* }
             }
 
-            /// The albedo of every lobe.
+            /// Returns the albedo of every lobe.
             #[inline]
             pub(crate) fn albedos(&self) -> [f32; LOBES] {
                 [$(self.$base.as_ref().map_or(0.0, Lobe::albedo),)* $(self.$layer.as_ref().map_or(0.0, Lobe::albedo),)*]
@@ -117,7 +118,7 @@ macro_rules! lobes {
                 false $(|| $Base::REFRACTS && self.$base.is_some())* $(|| $Layer::REFRACTS && self.$layer.is_some())*
             }
 
-            /// Fraction of the light that passes without a change of direction.
+            /// Returns the fraction of the light that passes without a change of direction.
             pub(crate) fn straight(&self, facet: &Facet) -> Vec3 {
                 let mut sum = Vec3::ZERO;
                 $(if let Some(lobe) = &self.$base { sum += lobe.straight(facet); })*
@@ -188,7 +189,7 @@ lobes! {
 }
 
 impl Lobes {
-    /// The lobe that scatters alike to all viewers.
+    /// Returns the lobe that scatters alike to all viewers.
     pub(crate) fn diffuse(&self) -> Option<&Diffuse> {
         self.diffuse.as_ref()
     }

@@ -1,4 +1,5 @@
-//! Scattering at a surface: glTF's metallic-roughness model with its extensions, conserving energy.
+//! Scattering at a surface: glTF's metallic-roughness model with its extensions. The model
+//! conserves energy.
 //!
 //! The base has the colour c, the metallic fraction m and the transmission t. F is the reflectance
 //! of [`fresnel`], K the compensation of [`albedo`], and D V the microfacet term of [`ggx`]:

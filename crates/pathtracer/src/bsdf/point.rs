@@ -99,7 +99,7 @@ impl Bsdf {
     }
 
     /// Returns the scattering function of the lobe `lobe` alone. `None` if the lobe's chance is 0
-    /// or 1, or if no lobe can be evaluated.
+    /// or 1, or if the lobe is a mirror.
     #[cfg(test)]
     pub(crate) fn alone(mut self, lobe: usize) -> Option<Self> {
         let chance =
@@ -108,7 +108,7 @@ impl Bsdf {
         (chance > 0.0 && chance < 1.0 && self.is_smooth()).then_some(self)
     }
 
-    /// The shading normal, on the viewer's side.
+    /// Returns the shading normal, on the viewer's side.
     pub(crate) fn normal(&self) -> Vec3 {
         self.facet.scene_from_local.z_axis
     }
@@ -125,14 +125,14 @@ impl Bsdf {
         self.chances.iter().zip(transmits).any(|(&chance, transmits)| transmits && chance > 0.0)
     }
 
-    /// Fraction of the light that a thin wall as smooth as a mirror passes without a change of
-    /// direction.
+    /// Returns the fraction of the light that a thin wall as smooth as a mirror passes without a
+    /// change of direction.
     pub(crate) fn straight(&self) -> Vec3 {
         self.lobes.straight(&self.facet)
     }
 
-    /// f |cos| for light from `direction`, and the density with which [`sample`](Self::sample)
-    /// finds it. Mirrors contribute nothing.
+    /// Returns f |cos| for light from `direction`, and the density with which
+    /// [`sample`](Self::sample) finds it. Mirrors contribute nothing.
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         self.evaluate_above(self.facet.geometric_normal, direction)
     }
@@ -160,13 +160,13 @@ impl Bsdf {
         (value, pdf)
     }
 
-    /// Reflectance of the diffuse lobe, which scatters alike to all viewers; 0 if there is no such
-    /// lobe.
+    /// Returns the reflectance of the diffuse lobe, which scatters alike to all viewers; 0 if there
+    /// is no such lobe.
     pub(crate) fn diffuse_reflectance(&self) -> Vec3 {
         self.lobes.diffuse().map_or(Vec3::ZERO, Diffuse::reflectance)
     }
 
-    /// The diffuse lobe's term of [`evaluate`](Self::evaluate).
+    /// Returns the diffuse lobe's term of [`evaluate`](Self::evaluate).
     pub(crate) fn evaluate_diffuse(&self, direction: Vec3) -> Vec3 {
         let i = self.facet.scene_from_local.transpose() * direction;
         let light = Light { direction, i, reflected: None };
@@ -196,7 +196,7 @@ impl Bsdf {
     }
 }
 
-/// F₀ and F₉₀ of the dielectric base.
+/// Returns F₀ and F₉₀ of the dielectric base.
 fn dielectric_reflectance(ior: f32, extras: Option<&Extras>) -> (Vec3, f32) {
     let f0 = normal_reflectance(ior);
     match extras {

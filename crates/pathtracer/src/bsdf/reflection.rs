@@ -33,8 +33,8 @@ impl Reflection {
         Some(Self { metal, dielectric, ior: surface.ior, film: surface.film, albedo })
     }
 
-    /// The weighted reflectances of metal and dielectric, added. `cosine` is between a direction
-    /// and the microfacet normal.
+    /// Returns the sum of the weighted reflectances of metal and dielectric. `cosine` is the cosine
+    /// of the angle between a direction and the microfacet normal.
     #[inline]
     fn reflectance(&self, cosine: f32) -> Vec3 {
         let metal = self.metal.reflectance(metal_rise(cosine));

@@ -137,7 +137,7 @@ struct Fibres {
 }
 
 impl Fibres {
-    /// Fibres of a perceptual roughness, which is raised to [`LEAST_ROUGHNESS`].
+    /// Makes fibres of a perceptual roughness, which is raised to [`LEAST_ROUGHNESS`].
     fn new(roughness: f32) -> Self {
         let roughness = roughness.clamp(LEAST_ROUGHNESS, 1.0);
         let alpha = roughness * roughness;
@@ -145,20 +145,20 @@ impl Fibres {
         Self { alpha, fit: std::array::from_fn(|k| FIT_ROUGH[k] + (FIT_SMOOTH[k] - FIT_ROUGH[k]) * smooth) }
     }
 
-    /// f |cos| of white fibres, for two directions above the surface.
+    /// Returns f |cos| of white fibres, for two directions above the surface.
     fn evaluate(&self, o: Vec3, i: Vec3) -> f32 {
         let Some(h) = (o + i).try_normalize() else { return 0.0 };
         self.density(h) / ((1.0 + self.lambda(o.z) + self.lambda(i.z)) * 4.0 * o.z)
     }
 
-    /// Density per solid angle of [`sample`](Self::sample).
+    /// Returns the density per solid angle of [`sample`](Self::sample).
     fn pdf(&self, o: Vec3, i: Vec3) -> f32 {
         let Some(h) = (o + i).try_normalize() else { return 0.0 };
         let fibres = self.density(h) * h.z / (4.0 * o.dot(h)).max(f32::MIN_POSITIVE);
         FIBRE_SHARE * fibres + (1.0 - FIBRE_SHARE) * i.z * FRAC_1_PI
     }
 
-    /// A sampled direction; `None` if it is below the surface.
+    /// Samples a direction; `None` if it is below the surface.
     fn sample(&self, o: Vec3, u: [f32; 2]) -> Option<Vec3> {
         if u[0] >= FIBRE_SHARE {
             return Some(cosine_direction([(u[0] - FIBRE_SHARE) / (1.0 - FIBRE_SHARE), u[1]]));
@@ -185,15 +185,15 @@ impl Fibres {
     }
 }
 
-/// Albedo of white fibres, for the viewer's cosine and a perceptual roughness. It is limited to 1;
-/// the second result is the factor on f that limits it.
+/// Returns the albedo of white fibres, for the viewer's cosine and a perceptual roughness. The
+/// albedo is limited to 1; the second result is the factor on f that limits it.
 fn albedo(cosine: f32, roughness: f32) -> (f32, f32) {
     let raw = raw_albedo(cosine, roughness);
     (raw.min(1.0), 1.0 / raw.max(1.0))
 }
 
-/// Albedo of white fibres, which may exceed 1. It is interpolated bilinearly in the root of the
-/// cosine and in roughness.
+/// Returns the albedo of white fibres, which may exceed 1. It is interpolated bilinearly in the
+/// root of the cosine and in roughness.
 fn raw_albedo(cosine: f32, roughness: f32) -> f32 {
     static TABLE: OnceLock<Table<2, 1>> = OnceLock::new();
     let rough = (roughness - LEAST_ROUGHNESS) / (1.0 - LEAST_ROUGHNESS);

@@ -43,7 +43,7 @@ impl Wave {
     }
 }
 
-/// Index of refraction at a wavelength.
+/// Returns the index of refraction at a wavelength.
 pub(crate) fn index_at(ior: f32, dispersion: f32, nanometres: f32) -> f32 {
     (ior + (ior - 1.0) * dispersion / 20.0 * (523_655.0 / (nanometres * nanometres) - 1.5168)).max(1.0)
 }
@@ -73,8 +73,8 @@ fn spectra() -> &'static Spectra {
     })
 }
 
-/// CIE 1931 colour-matching functions, as sums of Gaussians whose two flanks have different widths
-/// (Wyman, Sloan, Shirley 2013).
+/// Returns the CIE 1931 colour-matching functions, as sums of Gaussians whose two flanks have
+/// different widths (Wyman, Sloan, Shirley 2013).
 fn matching(nanometres: f32) -> Vec3 {
     let lobe = |height: f32, centre: f32, left: f32, right: f32| {
         let t = (nanometres - centre) / if nanometres < centre { left } else { right };

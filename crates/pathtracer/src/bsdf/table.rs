@@ -20,7 +20,7 @@ impl<const D: usize, const V: usize> Table<D, V> {
         Self { nodes, values: (0..nodes.iter().product()).map(at).collect() }
     }
 
-    /// Multilinear interpolation; coordinates are clamped to 0..1.
+    /// Interpolates multilinearly; coordinates are clamped to 0..1.
     #[inline]
     pub(crate) fn at(&self, at: [f32; D]) -> [f32; V] {
         let mut first = 0;

@@ -51,7 +51,7 @@ fn pair(stream: &mut Stream) -> [f32; 2] {
     [stream.next_f32(), stream.next_f32()]
 }
 
-/// Mean weight of sampled directions: the albedo.
+/// Returns the mean weight of sampled directions: the albedo.
 fn sampled_albedo(bsdf: &Bsdf, count: usize, seed: u64) -> Mean {
     sampled_channel(bsdf, count, seed, 0)
 }
@@ -170,7 +170,7 @@ fn extras() -> Extras {
     }
 }
 
-/// White surfaces of every kind, with names.
+/// Returns white surfaces of every kind, with their names.
 fn surfaces() -> Vec<(&'static str, Appearance)> {
     let with = |base: Appearance, extras: Extras| Appearance { extras: Some(extras), ..base };
     let plain = appearance();
@@ -229,9 +229,9 @@ fn surfaces() -> Vec<(&'static str, Appearance)> {
     ]
 }
 
-/// Frames whose direction of stretch is off the axes. The first has one normal. The second has a
-/// tilted shading normal and a coat that leans the opposite way. The third has a normal map so
-/// steep that the specular normal is bent.
+/// Returns frames whose direction of stretch is off the axes. The first has one normal. The second
+/// has a tilted shading normal and a coat that leans the opposite way. The third has a normal map
+/// so steep that the specular normal is bent.
 fn frames() -> [Frame; 3] {
     let tangent = Some(Vec3::new(0.8, 0.6, 0.0));
     let straight = Frame { tangent, ..Frame::flat(Vec3::Z, Vec3::Z) };
@@ -240,7 +240,7 @@ fn frames() -> [Frame; 3] {
     [straight, tilted, Frame { diffuse: steep(), ..tilted }]
 }
 
-/// Normals of a point where a steep normal map turns the smooth normal.
+/// Returns the normals of a point where a steep normal map turns the smooth normal.
 fn steep() -> Normals {
     Normals::new(Vec3::new(-0.8, 0.3, 0.5).normalize(), Vec3::new(0.1, 0.0, 1.0).normalize())
 }
@@ -431,8 +431,8 @@ fn a_film_on_plastic_loses_light_in_weaker_channels_only() {
     }
 }
 
-/// A path's wavelength changes the index of refraction and tints the transmitted light, and nothing
-/// else. On average glass stays white.
+/// A path's wavelength changes only the index of refraction and the tint of the transmitted light.
+/// On average glass stays white.
 #[test]
 fn dispersion_keeps_white_white() {
     let glass = Appearance { transmission: 1.0, roughness: 0.0, solid: true, ior: 1.5, ..appearance() };

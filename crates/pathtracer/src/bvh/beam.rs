@@ -209,7 +209,7 @@ struct Sheared<V> {
     references: [u32; BEAM],
 }
 
-/// Bounds of eight triangles, arranged like the bounds of a node's children.
+/// Returns the bounds of eight triangles, arranged like the bounds of a node's children.
 ///
 /// # Safety
 /// The machine has `V`'s instruction set.
@@ -285,7 +285,7 @@ impl<V: Lanes> Sheared<V> {
         }
     }
 
-    /// A triangle's corners, sheared for each of eight rays so that the ray is the z axis.
+    /// Returns a triangle's corners for each of eight rays, sheared so that the ray is the z axis.
     #[inline(always)]
     unsafe fn corners(&self, vector: usize, [a, b, c]: &[[f32; 3]; 3]) -> Corners<V> {
         unsafe {
@@ -357,7 +357,7 @@ impl<V: Lanes> Sheared<V> {
         }
     }
 
-    /// Distance of the farthest of the rays' nearest hits.
+    /// Returns the distance of the farthest of the rays' nearest hits.
     #[inline(always)]
     unsafe fn farthest(&self) -> f32 {
         let mut farthest = self.t[0];
@@ -389,7 +389,8 @@ impl<V: Lanes> Sheared<V> {
 
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Beam<V> {
-    /// Bounds for a beam of `rays`. `extent` is the largest coordinate of the tree's bounds.
+    /// Prepares the bounds for a beam of `rays`. `extent` is the largest coordinate of the tree's
+    /// bounds.
     #[inline(always)]
     unsafe fn new(rays: &[Ray], extent: f32) -> Self {
         // find the least and the greatest coordinates of all rays

@@ -79,8 +79,8 @@ impl Bvh {
         bvh
     }
 
-    /// Bounds of a placed tree: the union of its root's children, each placed by itself. The box of
-    /// the whole tree would be larger after a rotation.
+    /// Returns the bounds of a placed tree: the union of its root's children, each placed by
+    /// itself. The box of the whole tree would be larger after a rotation.
     fn placed_bounds(&self, tree: &Tree, place: impl Fn(Vec3) -> Vec3) -> Aabb {
         let mut bounds = Aabb::INVALID;
         let mut extend = |min: [f32; 3], max: [f32; 3]| {

@@ -32,8 +32,8 @@ const END: u8 = u8::MAX;
 const FEWER: u8 = 0;
 
 impl Plan {
-    /// `primitives` has an index for every slot of the binary tree. An index below `triangles` is a
-    /// triangle, any other is an instance.
+    /// Makes the plan of a binary tree. `primitives` has an index for every slot of the tree. An
+    /// index below `triangles` is a triangle, any other is an instance.
     pub(super) fn new(binary: &Bvh2, primitives: &[u32], triangles: usize) -> Self {
         let mut plan = vec![[END; WIDTH]; binary.nodes.len()];
         let mut order = Vec::with_capacity(binary.nodes.len());
@@ -93,7 +93,7 @@ impl Plan {
         self.0[index as usize][0] == END
     }
 
-    /// Children of the node that a subtree becomes.
+    /// Returns the children of the node that a subtree becomes.
     pub(super) fn children(&self, binary: &Bvh2, index: u32) -> Vec<u32> {
         let mut children = Vec::with_capacity(WIDTH);
         let (first, share) = (binary.nodes[index as usize].first_index, usize::from(self.0[index as usize][0]));
@@ -136,7 +136,7 @@ mod tests {
         (!node.is_leaf()).then_some(node.first_index)
     }
 
-    /// Number of triangles in a subtree; `None` if the subtree contains an instance.
+    /// Returns the number of triangles in a subtree; `None` if the subtree contains an instance.
     fn weight(binary: &Bvh2, index: u32, triangles: usize) -> Option<usize> {
         match first(binary, index) {
             Some(first) => Some(weight(binary, first, triangles)? + weight(binary, first + 1, triangles)?),
@@ -147,7 +147,7 @@ mod tests {
         }
     }
 
-    /// All ways to cut a subtree into at most eight subtrees.
+    /// Returns all ways to cut a subtree into at most eight subtrees.
     fn cuts(binary: &Bvh2, index: u32) -> Vec<Vec<u32>> {
         let mut all = vec![vec![index]];
         if let Some(first) = first(binary, index) {
@@ -159,7 +159,7 @@ mod tests {
         all
     }
 
-    /// The smallest cost of a subtree as one child, found by trying all cuts.
+    /// Returns the smallest cost of a subtree as one child, found by trying all cuts.
     fn least(binary: &Bvh2, index: u32, triangles: usize, known: &mut Vec<Option<f64>>) -> f64 {
         if let Some(cost) = known[index as usize] {
             return cost;
@@ -186,7 +186,7 @@ mod tests {
         area(binary, index) + children.iter().map(|&child| planned(plan, binary, child, triangles)).sum::<f64>()
     }
 
-    /// A binary tree over boxes of very different sizes.
+    /// Returns a binary tree over boxes of very different sizes.
     fn tree(count: usize, scale: f32, stream: &mut Stream) -> Bvh2 {
         let mut point = |size: f32| Vec3A::new(stream.next_f32(), stream.next_f32(), stream.next_f32()) * size;
         let boxes: Vec<Aabb> = (0..count)

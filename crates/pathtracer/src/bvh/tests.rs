@@ -10,8 +10,8 @@ use super::tree::*;
 
 /// Distances of the f32 test and the f64 oracle agree to this fraction of the scene's size.
 const DISTANCE_TOLERANCE: f64 = 2e-5;
-/// Rays that pass an edge at less than this distance (in barycentric units) may go either way in
-/// f32 and are not compared.
+/// If a ray passes an edge at less than this distance (in barycentric units), rounding in f32
+/// decides whether it hits the triangle. Such rays are not compared.
 const EDGE_MARGIN: f64 = 1e-4;
 
 fn build(triangles: &[[Vec3; 3]], flags: &[u32]) -> Bvh {
@@ -166,7 +166,7 @@ fn many_equal_triangles_do_not_exhaust_the_stack() {
     assert!(bvh.nearest(&ray, &mut bvh.stack(), |_| true).is_some());
 }
 
-/// A soup of small, large, needle-like, flat and coincident triangles.
+/// Returns a soup of small, large, needle-like, flat and coincident triangles.
 fn hostile_soup(seed: u64) -> Vec<[Vec3; 3]> {
     let mut triangles = soup(200, 0.1, seed);
     triangles.extend(soup(10, 3.0, seed + 1));
@@ -306,7 +306,7 @@ fn instances_are_met_where_their_copies_would_be() {
         };
         differing += usize::from(!same);
     }
-    // rays that pass an edge within rounding may go either way
+    // for a ray that passes an edge very closely, rounding decides whether it hits
     assert!(found > 1000 && in_instances > 500 && differing <= 3, "{found} {in_instances} {differing}");
 }
 

@@ -14,9 +14,9 @@
 //! * Postponed children stay sorted by distance, and are dropped when a nearer hit is known. Where
 //!   any hit suffices, the loop does not sort.
 //! * The whole loop is one function compiled for the instruction set.
-//! * A ray enters few nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so preparing the ray is a
-//!   notable part of the time. So values that only the test of a block needs stay scalars. Trees
-//!   without instances have a loop of their own, whose rays never change. These two measures
+//! * A ray enters few nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so preparing the ray takes a
+//!   notable part of the time. Values that only the test of a block needs therefore stay scalars.
+//!   Trees without instances have a loop of their own, whose rays never change. These two measures
 //!   together give a fifth to a third more rays per second.
 //! * A block's test runs to its end even if the edge functions already exclude all its triangles. A
 //!   branch there would be unpredictable; without it 4 to 9 % more scattered and shadow rays are
@@ -31,8 +31,8 @@
 //!   branch waits for no data.
 //! * A branch on the nearer of two children: 1 to 3 % slower.
 //! * The triangle test prepared at a ray's first block: primary rays 5 % slower.
-//! * The block that stopped the last shadow ray tested first: 2 % slower, since most shadow rays
-//!   arrive.
+//! * Each shadow ray first tested against the block that stopped the last one: 2 % slower, since
+//!   most shadow rays arrive.
 //! * No prefetch: 10 to 20 % slower on 15 copies. Prefetch of the postponed children alone: 0 to 10
 //!   % slower there.
 //! * Large pages instead of small ones: no difference on the helmet.
@@ -151,13 +151,14 @@ struct RawHit {
 }
 
 impl Bvh {
-    /// Memory for traversals of this tree.
+    /// Allocates the memory for traversals of this tree.
     pub(crate) fn stack(&self) -> Stack {
         Stack(vec![0; self.stack_depth + 1])
     }
 
-    /// The nearest hit for which `accept` returns true. `accept` is called only for triangles with
-    /// flags other than [`CULL_BACK`], in any order and at most once per triangle and instance.
+    /// Returns the nearest hit for which `accept` returns true. `accept` is called only for
+    /// triangles with flags other than [`CULL_BACK`], in any order and at most once per triangle
+    /// and instance.
     #[inline]
     pub(crate) fn nearest(&self, ray: &Ray, stack: &mut Stack, accept: impl FnMut(&Hit) -> bool) -> Option<Hit> {
         let mut hit = None;
@@ -165,8 +166,9 @@ impl Bvh {
         hit
     }
 
-    /// [`nearest`](Self::nearest), with the result written to `found`. A returned value would be
-    /// copied in larger pieces than it was written in, and a processor waits for such copies.
+    /// Does the same as [`nearest`](Self::nearest), and writes the result to `found`. A returned
+    /// value would be copied in larger pieces than it was written in, and a processor waits for
+    /// such copies.
     #[inline]
     pub(crate) fn find_nearest(
         &self,
@@ -179,16 +181,17 @@ impl Bvh {
         unsafe { self.backend.call_eight::<Nearest<_>>((self, ray, stack, accept, found)) }
     }
 
-    /// Product of `transmittance` over all triangles that the segment crosses. `transmittance` is
-    /// called only for triangles with flags other than [`CULL_BACK`], at most once for each
-    /// triangle and instance. All other triangles are opaque. Stops when the product is zero.
+    /// Returns the product of `transmittance` over all triangles that the segment crosses.
+    /// `transmittance` is called only for triangles with flags other than [`CULL_BACK`], at most
+    /// once for each triangle and instance. All other triangles are opaque. The traversal stops
+    /// when the product is zero.
     #[inline]
     pub(crate) fn transmittance(&self, ray: &Ray, stack: &mut Stack, transmittance: impl FnMut(&Hit) -> Vec3) -> Vec3 {
         // SAFETY: the kernel makes no demands
         unsafe { self.backend.call_eight::<Transmittance<_>>((self, ray, stack, transmittance)) }
     }
 
-    /// The arrays that a traversal of this tree reads.
+    /// Returns the arrays that a traversal of this tree reads.
     #[inline(always)]
     pub(super) fn arrays(&self) -> Arrays<'_> {
         Arrays { nodes: &self.nodes, blocks: &self.blocks }
@@ -475,7 +478,7 @@ impl<F: FnMut(&Hit) -> Vec3> Kernel for Transmittance<F> {
 }
 
 impl Placed {
-    /// The ray in the tree's space, with the same points at the same t.
+    /// Returns the ray in the tree's space. Each t gives the same point as before.
     #[inline(always)]
     fn tree_ray(&self, ray: &Ray) -> Ray {
         // The subtraction comes first, since its result is exact close to the instance. If the
@@ -529,15 +532,15 @@ impl<V: Lanes> Slabs<V> {
         }
     }
 
-    /// Distances along the ray to eight planes, one of each box, all perpendicular to `axis`. `row`
-    /// is an entry of `near` or `far`.
+    /// Returns the distances along the ray to eight planes, one of each box, all perpendicular to
+    /// `axis`. `row` is an entry of `near` or `far`.
     #[inline(always)]
     unsafe fn distance(&self, node: &Node, row: usize, axis: usize, shift: V) -> V {
         unsafe { V::from_array(eight(node.bounds.as_flattened(), row)).fused_mul_add(self.inverse[axis], shift) }
     }
 
-    /// Distances at which the ray enters eight boxes, and a bit per box that it enters before
-    /// `t_max`.
+    /// Returns the distances at which the ray enters eight boxes, and a bit per box that it enters
+    /// before `t_max`.
     #[inline(always)]
     unsafe fn enters(&self, node: &Node, t_max: f32) -> (V, u32) {
         unsafe {
@@ -621,7 +624,8 @@ impl Shear {
         }
     }
 
-    /// A vertex of eight triangles, with its coordinates in the order of `axes`.
+    /// Returns the vertex number `vertex` of eight triangles, with its coordinates in the order of
+    /// `axes`.
     #[inline(always)]
     unsafe fn vertex<V: Lanes>(&self, block: &Block, vertex: usize) -> [V; 3] {
         unsafe {
@@ -638,7 +642,7 @@ impl Shear {
 /// A triangle per lane, in the space where the lane's ray starts at the origin and is the z axis; z
 /// is not scaled yet.
 ///
-/// Single rays and beams are tested by the functions of this type, so their hits are equal to the
+/// Single rays and beams are tested by the functions of this type, so their hits are equal bit for
 /// bit.
 pub(super) struct Corners<V>(pub(super) [[V; 3]; 3]);
 
@@ -680,8 +684,8 @@ impl<V: Lanes> Corners<V> {
         }
     }
 
-    /// Distance t of the intersection with the triangle's plane. `along` is the scale of z, which
-    /// the corners lack.
+    /// Returns the distance t of the intersection with the triangle's plane. `along` is the scale
+    /// of z, which the corners lack.
     #[inline(always)]
     pub(super) unsafe fn distance(&self, edges: &Edges<V>, along: V) -> V {
         unsafe {
@@ -693,7 +697,7 @@ impl<V: Lanes> Corners<V> {
 
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Test<V> {
-    /// The results as arrays of numbers.
+    /// Returns the results as arrays of numbers.
     #[inline(always)]
     pub(super) unsafe fn store(self) -> Test<[f32; WIDTH]> {
         unsafe {
@@ -708,7 +712,7 @@ impl<V: Lanes> Test<V> {
 }
 
 impl Test<[f32; WIDTH]> {
-    /// The results for one triangle.
+    /// Returns the results for one triangle.
     #[inline(always)]
     fn raw_hit(&self, lane: usize, reference: u32, instance: u32) -> RawHit {
         RawHit { u: self.u[lane], v: self.v[lane], determinant: self.determinant[lane], reference, instance }

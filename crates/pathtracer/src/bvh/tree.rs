@@ -124,7 +124,7 @@ pub(super) struct Placed {
 }
 
 impl Bvh {
-    /// Bytes of nodes, blocks and instances.
+    /// Returns the bytes of nodes, blocks and instances.
     pub(crate) fn bytes(&self) -> usize {
         size_of_val(self.nodes.as_slice())
             + size_of_val(self.blocks.as_slice())

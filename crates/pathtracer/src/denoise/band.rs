@@ -105,9 +105,9 @@ impl Block {
         Self { planes, width }
     }
 
-    /// Fraction of a pixel's light that is the same in another view. Diffuse light is the same.
-    /// Glossy light is nearly the same if half the angle between the views is small against the
-    /// lobe's width α.
+    /// Returns, for each pixel, the fraction of its light that is the same in another view. Diffuse
+    /// light is the same. Glossy light is nearly the same if half the angle between the views is
+    /// small against the lobe's width α.
     fn steady(&self, slope: f32, height: usize, cols: usize, margin: usize) -> Vec<f32> {
         let mut steady = Vec::with_capacity(height * cols);
         for y in 0..height {
@@ -275,7 +275,8 @@ fn guide_row(centre: &Block, block: &Block, p: usize, q: usize, steady: &[f32], 
     }
 }
 
-/// A falling curve close to exp(−x) that is 0 from x = 4 on, computed without a call.
+/// Returns the value at `x` of a falling curve close to exp(−x). It is 0 from x = 4 on, and is
+/// computed without a library call.
 #[inline(always)]
 fn kernel(x: f32) -> f32 {
     let t = (1.0 - 0.25 * x).max(0.0);

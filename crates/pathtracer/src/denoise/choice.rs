@@ -37,8 +37,9 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
     picture
 }
 
-/// Weight of each answer in every pixel. It follows from the answer's squared error, which is
-/// estimated in the surrounding pixels, divided by the variance of the noise.
+/// Returns the weight of each candidate in every pixel. The weight follows from the candidate's
+/// squared error, which is estimated in the surrounding pixels, divided by the variance of the
+/// noise.
 ///
 /// F_a is the answer from one half of the samples, and u_b is the picture of the other half. The
 /// mean of (F_a − u_b)² is the squared error of F_a plus the noise of u_b, which is equal for all

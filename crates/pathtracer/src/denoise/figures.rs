@@ -42,18 +42,18 @@ impl Estimate {
         self.count += 1.0;
     }
 
-    /// The mean; NaN without values.
+    /// Returns the mean; NaN without values.
     pub fn value(&self) -> f64 {
         self.sum / self.count
     }
 
-    /// Standard error of the mean; NaN with fewer than two values.
+    /// Returns the standard error of the mean; NaN with fewer than two values.
     pub fn error(&self) -> f64 {
         let variance = (self.squares / self.count - self.value().powi(2)).max(0.0);
         if self.count < 2.0 { f64::NAN } else { (variance / (self.count - 1.0)).sqrt() }
     }
 
-    /// The estimate from the values of all given estimates.
+    /// Returns the joint estimate from the values of all given estimates.
     pub fn joined(parts: impl IntoIterator<Item = Self>) -> Self {
         parts.into_iter().fold(Self::default(), |a, b| Self {
             sum: a.sum + b.sum,
@@ -62,18 +62,18 @@ impl Estimate {
         })
     }
 
-    /// The estimate from the same values, each multiplied by a factor.
+    /// Returns the estimate from the same values, each multiplied by a factor.
     #[must_use]
     pub fn scaled(self, factor: f64) -> Self {
         Self { sum: factor * self.sum, squares: factor * factor * self.squares, ..self }
     }
 
-    /// Sum, sum of squares and number of the values, for storage.
+    /// Returns the sum, the sum of squares, and the number of the values, for storage.
     pub fn parts(&self) -> [f64; 3] {
         [self.sum, self.squares, self.count]
     }
 
-    /// The inverse of [`parts`](Self::parts).
+    /// Returns the estimate with these [`parts`](Self::parts).
     pub fn from_parts([sum, squares, count]: [f64; 3]) -> Self {
         Self { sum, squares, count }
     }

@@ -91,18 +91,18 @@ impl Frame {
         Self { rows, cols, planes, modulation, slope, projection: grid.projection, pitch_mm: geometry.pitch_mm }
     }
 
-    /// The values of one plane, for all pixels.
+    /// Returns the values of one plane, for all pixels.
     pub(super) fn plane(&self, plane: usize) -> &[f32] {
         &self.planes[plane]
     }
 
-    /// Length of the difference of the slopes of two views.
+    /// Returns the length of the difference of the slopes of two views.
     pub(super) fn slope_to(&self, other: &Self) -> f32 {
         (self.slope - other.slope).length() as f32
     }
 
-    /// Index of the pixel of `other` that shows the surface of pixel (row, col). `None` if this
-    /// pixel has no surface, or if `other` would show it outside of the picture.
+    /// Returns the index of the pixel of `other` that shows the surface of pixel (row, col). `None`
+    /// if this pixel has no surface, or if `other` would show it outside of the picture.
     pub(super) fn seen_in(&self, other: &Self, row: usize, col: usize) -> Option<usize> {
         let i = row * self.cols + col;
         if self.planes[COVERED][i] <= 0.0 {
@@ -122,8 +122,8 @@ impl Frame {
     }
 }
 
-/// Mean over a square with `radius` pixels on either side of its centre, or over the region of the
-/// square that is in the picture.
+/// Returns, for every pixel, the mean over a square with `radius` pixels on either side of its
+/// centre. Pixels of the square that are outside of the picture are left out.
 pub(super) fn box_mean(values: &[f32], rows: usize, cols: usize, radius: usize) -> Vec<f32> {
     let along = |values: &[f32], count: usize, step: usize, lines: usize, line_step: usize| {
         let mut result = vec![0.0; values.len()];

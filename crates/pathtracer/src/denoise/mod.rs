@@ -63,7 +63,7 @@ pub use view::{NoisyView, Window};
 /// Number of rows that are filtered together: the unit of work, of progress and of cancellation.
 const BAND: usize = 16;
 
-/// Number of steps by which [`denoise`] advances the progress.
+/// Returns the number of steps by which [`denoise`] advances the progress.
 pub fn steps(geometry: &FieldGeometry) -> u64 {
     (geometry.rows.div_ceil(BAND) * geometry.grid.iter().count()) as u64
 }
@@ -108,7 +108,7 @@ pub fn denoise(
     Ok(filtered)
 }
 
-/// Indices of the views around the view `index`, without itself.
+/// Returns the indices of the views around the view `index`, without itself.
 fn neighbours(places: &[[usize; 2]], index: usize, radius: usize) -> Vec<usize> {
     let near = |other: &[usize; 2]| (0..2).all(|axis| other[axis].abs_diff(places[index][axis]) <= radius);
     (0..places.len()).filter(|&other| other != index && near(&places[other])).collect()

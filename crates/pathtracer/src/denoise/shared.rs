@@ -7,17 +7,19 @@
 //! L' = G + ρ_d E'
 //! ```
 //!
-//! D is the light that the first surface scatters diffusely, and G all other light. The means of
-//! its reflectance are ρ_p over the pixel's paths, and ρ_d over all rays of the pixel. With
-//! [`Settings::further_paths`](crate::Settings::further_paths), textures have more rays than paths.
+//! D is the light that the first surface scatters diffusely, and G all other light. The mean
+//! reflectance of the first surface is ρ_p over the pixel's paths, and ρ_d over all rays of the
+//! pixel. With [`Settings::further_paths`](crate::Settings::further_paths), pixels of textures have
+//! more rays than paths.
 //!
 //! View u sees the surface point of pixel p at the pixel p_u. Between two views with the slopes s
 //! and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface at
-//! p_u, and falls to 0 if it sees another surface. It follows from the distance of u's point from
-//! the plane of p's point. It is multiplied by u's ρ_p, so that light from dark surfaces, which is
-//! noisy once it is divided, counts little. Nothing is averaged over neighbouring pixels, so
-//! shadows and textures stay sharp up to a pixel's rounding. E is read at the pixel nearest to p_u.
-//! G stays as rendered, and so does D where no other view sees the surface.
+//! p_u, and falls to 0 if it sees another surface. This value follows from the distance of u's
+//! point from the plane of p's point. The weight is also multiplied by ρ_p of view u. Light from
+//! dark surfaces, which is noisy once it is divided by ρ_p, thus counts little. Nothing is averaged
+//! over neighbouring pixels, so shadows and textures stay sharp up to a pixel's rounding. E is read
+//! at the pixel nearest to p_u. G stays as rendered, and so does D where no other view sees the
+//! surface.
 //!
 //! So a point that hundreds of views see has the samples of all of them. Each of these views costs
 //! one shift and one comparison. Averages over rows and then over columns take as many steps as the
@@ -26,8 +28,8 @@
 //!
 //! Further paths for noisy pixels improve views that are seen one by one. They do not help a
 //! display that chooses its views, since its solver averages the same noise over the views. The
-//! table has 13 × 13 views of still-life with its own materials, 70 × 44 pixels. Its variance is
-//! that of the mean of all views, as a fraction of white squared.
+//! table has 13 × 13 views of still-life with its own materials, 70 × 44 pixels. The variance in
+//! the table is the variance of the mean of all views, as a fraction of white squared.
 //!
 //! | samples | further paths | CPU seconds | variance |
 //! |---|---|---|---|
@@ -63,7 +65,8 @@ const LEAST_REFLECTANCE: f32 = 0.02;
 #[derive(Clone, Copy, Default)]
 #[repr(C)]
 struct Point {
-    /// E from the pixel's own samples, and in the second pass from those of its row of views.
+    /// E, which the top of the file defines. In the first pass it comes from the pixel's own
+    /// samples. In the second pass it is the mean over the pixel's row of views.
     light: Light,
     z_mm: f32,
     /// Unit normal, times 127; 0 if the surface does not scatter light by Lambert's law.
@@ -157,7 +160,7 @@ impl<'a> SharedLight<'a> {
         self.added += 1;
     }
 
-    /// The mean light of every view of the grid. Advances the progress twice for each view.
+    /// Returns the mean light of every view of the grid. Advances the progress twice for each view.
     ///
     /// # Errors
     /// When cancelled.
@@ -180,7 +183,8 @@ impl<'a> SharedLight<'a> {
             announce(of_light, size_of_val(light));
             for (point, light) in points.iter_mut().zip(light) {
                 point.light = *light;
-                // a pixel whose own paths missed the surface now has the light of its row
+                // If the pixel's own paths missed the surface, it now has light from its row of
+                // views. So its weight must not be 0.
                 point.weight = point.weight.max(u8::from(light.is_shared()));
             }
         }

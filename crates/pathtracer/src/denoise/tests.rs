@@ -25,8 +25,9 @@ fn geometry(views: [usize; 2], projection: Projection) -> FieldGeometry {
     }
 }
 
-/// A flat wall parallel to the display. `shade` is its radiance at a point (x, y) in millimetres.
-/// Each half has noise of standard deviation `noise`. Returns the views and the truth.
+/// Makes views of a flat wall parallel to the display. `shade` is the wall's radiance at a point
+/// (x, y) in millimetres. Each half has noise of standard deviation `noise`. Returns the views and
+/// the truth.
 fn wall(
     geometry: &FieldGeometry,
     shade: impl Fn(f64, f64) -> f64,
@@ -81,7 +82,8 @@ fn edge(x: f64, _: f64) -> f64 {
     if x < 3.3 { 0.3 } else { 1.2 }
 }
 
-/// Every third pixel rendered twice more, with noise of the standard deviation `noise`.
+/// Checks at every third pixel, each with two values whose noise has the standard deviation
+/// `noise`.
 fn checks(truth: &Tensor<3>, noise: f64, seed: u64) -> Checks {
     let mut stream = Stream::new(seed);
     let list = (0..ROWS * COLS).step_by(3).map(|i| {

@@ -33,7 +33,7 @@ pub struct NoisyView {
 }
 
 impl NoisyView {
-    /// The unbiased picture: the mean of the halves.
+    /// Returns the unbiased picture: the mean of the halves.
     pub fn mean(&self) -> Tensor<3> {
         let mut mean = self.halves[0].clone();
         for (value, other) in mean.data_mut().iter_mut().zip(self.halves[1].data()) {

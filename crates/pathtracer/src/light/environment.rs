@@ -55,7 +55,8 @@ struct Cells {
 }
 
 impl EnvironmentLight {
-    /// `None` without an environment, or when the environment is black.
+    /// Prepares the environment of a scene. `None` without an environment, or when the environment
+    /// is black.
     pub(crate) fn new(scene: &Arc<Scene>) -> Option<Self> {
         // first prepare sampling of all the light, which gives its mean
         let whole = Self::above(scene, 0.0)?;
@@ -101,13 +102,13 @@ impl EnvironmentLight {
         Some(this)
     }
 
-    /// Magnitude of the radiance that [`sample`](Self::sample) draws, averaged over the sphere; 0
-    /// for a sky of one radiance.
+    /// Returns the magnitude of the radiance that [`sample`](Self::sample) draws, averaged over the
+    /// sphere; 0 for a sky of one radiance.
     pub(crate) fn sampled_magnitude(&self) -> f32 {
         self.sampled_magnitude
     }
 
-    /// Radiance from a direction, and the density per solid angle with which
+    /// Returns the radiance from a direction, and the density per solid angle with which
     /// [`sample`](Self::sample) finds it.
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         if let Some(radiance) = self.constant {
@@ -134,7 +135,7 @@ impl EnvironmentLight {
             .then(|| (self.scene_from_environment * direction, self.bilinear(u, v), density))
     }
 
-    /// u, v and sin θ of a direction.
+    /// Returns u, v and sin θ of a direction.
     fn map_coordinates(&self, direction: Vec3) -> (f32, f32, f32) {
         let d = self.environment_from_scene * direction;
         let sine = (d.x * d.x + d.z * d.z).sqrt();
@@ -147,7 +148,7 @@ impl EnvironmentLight {
         self.row_choice.probability(row) * columns.probability(column) / ((u1 - u0) * (v1 - v0))
     }
 
-    /// The integral of magnitude · sin θ du dv over a cell.
+    /// Returns the integral of magnitude · sin θ du dv over a cell.
     fn cell_weight(&self, row: usize, column: usize) -> f64 {
         let mut sum = 0.0;
         let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
@@ -199,14 +200,14 @@ impl Cells {
         (self.texels * self.split).div_ceil(self.joined)
     }
 
-    /// Range of map coordinates of a cell.
+    /// Returns the range of map coordinates of a cell.
     fn range(self, cell: usize) -> (f32, f32) {
         let parts = self.texels * self.split;
         let edge = |cell: usize| (cell * self.joined).min(parts) as f32 / parts as f32;
         (edge(cell), edge(cell + 1))
     }
 
-    /// Cell that holds a map coordinate.
+    /// Returns the cell that holds a map coordinate.
     fn at(self, coordinate: f32) -> usize {
         let parts = self.texels * self.split;
         ((coordinate * parts as f32) as usize).min(parts - 1) / self.joined

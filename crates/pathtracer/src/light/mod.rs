@@ -1,7 +1,7 @@
-//! All light sources: triangles, the environment, punctual lights. A sample first chooses between
-//! all local lights together and each light from infinity, with chances by their power. A tree then
-//! chooses one of the local lights, by a bound of the light that each may send to the receiver
-//! ([`tree`]).
+//! All light sources: triangles, the environment, punctual lights. A sample first chooses either
+//! the local lights together, or one of the lights from infinity. The chances follow the lights'
+//! power. A tree then chooses one of the local lights, by a bound of the light that each may send
+//! to the receiver ([`tree`]).
 
 mod environment;
 mod punctual;
@@ -134,8 +134,8 @@ impl Lights {
         !self.choices.is_empty()
     }
 
-    /// Radiance from infinity, and the density with which [`sample`](Self::sample) finds its
-    /// direction.
+    /// Returns the radiance from infinity, and the density with which [`sample`](Self::sample)
+    /// finds its direction.
     pub(crate) fn infinite(&self, direction: Vec3, parts: Parts) -> (Vec3, f32) {
         let Some(environment) = &self.environment else { return (Vec3::ZERO, 0.0) };
         let chance = self.chance(1 + self.directional.len(), parts);
@@ -150,9 +150,9 @@ impl Lights {
         !self.points.is_empty()
     }
 
-    /// Density per solid angle with which [`sample`](Self::sample) for this receiver finds a point
-    /// of a triangle. The point is `distance` away, and the direction has this cosine to the
-    /// light's normal.
+    /// Returns the density per solid angle with which [`sample`](Self::sample) for this receiver
+    /// finds a point of a triangle. The point is `distance` away, and the direction has this cosine
+    /// to the light's normal.
     pub(crate) fn triangle_pdf(
         &self,
         triangle: u32,
@@ -297,7 +297,7 @@ impl TriangleLight {
     }
 }
 
-/// Barycentrics that are uniform over a triangle, with little distortion (Heitz 2019, "A
+/// Returns barycentrics that are uniform over a triangle, with little distortion (Heitz 2019, "A
 /// low-distortion map between triangle and square").
 fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
     if y > x {
@@ -310,13 +310,13 @@ fn uniform_barycentric([mut x, mut y]: [f32; 2]) -> [f32; 3] {
     [x, y, 1.0 - x - y]
 }
 
-/// Radiance that leaves a point in a direction with this cosine to the normal, times the fraction
-/// of the surface that alpha leaves.
+/// Returns the radiance that leaves a point in a direction with this cosine to the normal, times
+/// the opaque fraction of the surface.
 fn emitted(materials: &Materials, material: usize, point: &SurfacePoint<'_>, cosine: f32) -> Vec3 {
     materials.emission(material, point, 0.0, true, cosine) * materials.coverage(material, point)
 }
 
-/// Emitting triangles, as lights and as entries of the tree.
+/// Returns the emitting triangles, as lights and as entries of the tree.
 fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<TriangleLight>, Vec<Emitter>) {
     let mut lights: Vec<TriangleLight> = Vec::new();
     let mut emitters: Vec<Emitter> = Vec::new();
@@ -395,15 +395,15 @@ fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
     kinds.iter().zip(sums).flat_map(|(powers, sum)| powers.iter().map(move |&power| weight(power, sum))).collect()
 }
 
-/// Number of parts of [0, 1) that fit into an interval of length `chance`.
+/// Returns the number of parts of [0, 1) that fit into an interval of length `chance`.
 #[inline]
 fn parts_of(chance: f32, parts: Parts) -> Parts {
     (chance * parts as f32 + 0.5) as Parts
 }
 
-/// Chances in proportion to weights, rounded to whole parts of [0, 1). A chance of less than half a
-/// part is not rounded. The greatest chance is 1 minus the sum of all others. If this remainder is
-/// less than half of the greatest chance before rounding, no chance is rounded.
+/// Returns the chances in proportion to weights, rounded to whole parts of [0, 1). A chance of less
+/// than half a part is not rounded. The greatest chance is 1 minus the sum of all others. If this
+/// remainder is less than half of the greatest chance before rounding, no chance is rounded.
 fn in_whole_parts(weights: &[f64], parts: Parts) -> Vec<f64> {
     let (sum, parts) = (weights.iter().sum::<f64>(), f64::from(parts));
     if !(sum > 0.0 && sum.is_finite()) {
@@ -432,8 +432,8 @@ mod tests {
 
     use crate::geometry::Sharing;
 
-    /// Emitting meshes: a one-sided rectangle, a triangle, a two-sided kite, a sheared
-    /// parallelogram.
+    /// Returns a scene of emitting meshes: a one-sided rectangle, a triangle, a two-sided kite, a
+    /// sheared parallelogram.
     fn lit_scene() -> Arc<Scene> {
         let mesh = |corners: &[[f32; 3]], triangles: &[[u32; 3]], material: usize| Mesh {
             positions: corners.iter().map(|&corner| Vec3::from_array(corner)).collect(),

@@ -44,8 +44,8 @@ impl PunctualLight {
         }
     }
 
-    /// Power of the light. For a light from infinity, it is the power that reaches a sphere of
-    /// `radius`.
+    /// Returns the power of the light. For a light from infinity, it is the power that reaches a
+    /// sphere of `radius`.
     pub(crate) fn power(&self, radius: f32) -> f64 {
         let intensity = f64::from(magnitude(self.intensity));
         match self.kind {
@@ -55,7 +55,7 @@ impl PunctualLight {
         }
     }
 
-    /// The light's entry in the light tree; `None` for light from infinity.
+    /// Returns the light's entry in the light tree; `None` for light from infinity.
     pub(crate) fn emitter(&self) -> Option<Emitter> {
         let strength = magnitude(self.intensity);
         let (normal_angle, falloff_angle) = match self.kind {
@@ -75,15 +75,15 @@ impl PunctualLight {
         })
     }
 
-    /// The light as a sample, if the light was chosen with this chance. For a distant light, `u`
-    /// chooses a direction of its cone.
+    /// Returns a sample of the light. `chance` is the chance with which this light was chosen. For
+    /// a distant light, `u` chooses a direction of its cone.
     pub(crate) fn light_sample(&self, from: Vec3, chance: f32, u: [f32; 2]) -> Option<LightSample> {
         let (direction, end, intensity) = self.sample(from, u)?;
         Some(LightSample { direction, end, weight: intensity / chance, inverse_pdf: 0.0 })
     }
 
-    /// Direction to the light, the light's position (`None` at infinity), and the irradiance that
-    /// the light gives to a surface that faces it.
+    /// Returns the direction to the light, the light's position (`None` at infinity), and the
+    /// irradiance that the light gives to a surface that faces it.
     fn sample(&self, from: Vec3, u: [f32; 2]) -> Option<(Vec3, Option<Vec3>, Vec3)> {
         match self.kind {
             LightKind::Directional => return Some((-self.direction, None, self.intensity)),

@@ -16,10 +16,10 @@ pub(crate) struct LightSample {
     pub(crate) inverse_pdf: f32,
 }
 
-/// Strength of a light for choosing among lights: the length of its colour, scaled so that white
-/// has 1. Chances in proportion to it minimize the sum of the channels' squared errors. With
-/// luminance instead, blue light would be chosen fourteen times more rarely than white light, and
-/// its noise would show.
+/// Returns the strength of a light for choosing among lights: the length of its colour, scaled so
+/// that white has 1. Chances in proportion to this strength minimize the sum of the channels'
+/// squared errors. With luminance instead, blue light would be chosen fourteen times more rarely
+/// than white light, and its noise would show.
 pub(super) fn magnitude(rgb: Vec3) -> f32 {
     rgb.length() * (1.0 / 3.0f32).sqrt()
 }

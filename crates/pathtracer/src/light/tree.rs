@@ -104,7 +104,7 @@ struct Node {
 }
 
 impl LightTree {
-    /// A tree of lights whose strengths are > 0; `None` without lights.
+    /// Builds a tree of lights whose strengths are > 0; `None` without lights.
     pub(crate) fn new(lights: &[Emitter]) -> Option<Self> {
         if lights.is_empty() {
             return None;
@@ -139,7 +139,7 @@ impl LightTree {
         }
     }
 
-    /// Chance with which [`sample`](Self::sample) chooses a light.
+    /// Returns the chance with which [`sample`](Self::sample) chooses a light.
     pub(crate) fn chance(&self, light: usize, receiver: &Receiver, mut parts: Parts) -> f32 {
         let (mut index, mut chance) = (0, 1.0);
         let mut trail = self.trails[light];
@@ -158,7 +158,8 @@ impl LightTree {
         chance
     }
 
-    /// Chance of the first child of an inner node; `None` if no light can arrive from either child.
+    /// Returns the chance of the first child of an inner node; `None` if no light can arrive from
+    /// either child.
     fn first_share(&self, index: usize, receiver: &Receiver) -> Option<f32> {
         let first = self.nodes[index + 1].importance(receiver);
         let second = self.nodes[self.nodes[index].next as usize].importance(receiver);
@@ -204,7 +205,8 @@ impl Node {
         }
     }
 
-    /// Bound of the irradiance at the receiver, up to a factor that is the same for all nodes.
+    /// Returns a bound of the irradiance at the receiver, up to a factor that is the same for all
+    /// nodes.
     fn importance(&self, receiver: &Receiver) -> f32 {
         let to_receiver = receiver.position - self.centre;
         let distance2 = to_receiver.length_squared();
@@ -236,14 +238,14 @@ impl Node {
     }
 }
 
-/// Cosine and sine of max(0, a − b) for angles in 0..π.
+/// Returns the cosine and sine of max(0, a − b) for angles in 0..π.
 #[inline]
 fn subtract(cos_a: f32, sin_a: f32, cos_b: f32, sin_b: f32) -> (f32, f32) {
     if cos_a > cos_b { (1.0, 0.0) } else { (cos_a * cos_b + sin_a * sin_b, sin_a * cos_b - cos_a * sin_b) }
 }
 
 impl Emitter {
-    /// Number of sides that shine: a factor on the power.
+    /// Returns the number of sides that shine: a factor on the power.
     pub(crate) fn sides(&self) -> f32 {
         if self.two_sided { 2.0 } else { 1.0 }
     }
@@ -265,8 +267,8 @@ impl Emitter {
         }
     }
 
-    /// Strength × extent × solid angle: the cost of these lights as one node (Conty Estevez, Kulla
-    /// 2018, equation 1).
+    /// Returns the cost of these lights as one node: strength × extent × solid angle (Conty
+    /// Estevez, Kulla 2018, equation 1).
     fn cost(&self) -> f32 {
         let size = self.max - self.min;
         let area = size.x * size.y + size.y * size.z + size.z * size.x;
@@ -355,7 +357,8 @@ mod tests {
     use lumistack_core::seed::Stream;
     use lumistack_testkit::statistics::{FALSE_ALARM_RATE, assert_counts};
 
-    /// Small one-sided and two-sided panels and point lights, scattered over a box of 10 × 2 × 10.
+    /// Returns small one-sided and two-sided panels and point lights, scattered over a box of 10 ×
+    /// 2 × 10.
     fn lights(count: usize, seed: u64) -> Vec<Emitter> {
         let mut stream = Stream::new(seed);
         let mut unit = || stream.next_f32();
@@ -390,7 +393,8 @@ mod tests {
         ]
     }
 
-    /// Irradiance at a receiver without shadows; a panel is treated as a point at its centre.
+    /// Returns the irradiance at a receiver without shadows; a panel is treated as a point at its
+    /// centre.
     fn irradiance(light: &Emitter, receiver: &Receiver) -> f32 {
         let to_receiver = receiver.position - light.centre();
         let direction = to_receiver.normalize();

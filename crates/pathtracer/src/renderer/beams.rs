@@ -24,8 +24,8 @@ pub(super) struct ViewSamples<'a> {
 }
 
 impl<'a> ViewSamples<'a> {
-    /// Samples of the view [view_y, view_x], as many per pixel as the settings say, or at most
-    /// `rays_per_pixel` if that is more.
+    /// Prepares the samples of the view [view_y, view_x]. A pixel may have up to `rays_per_pixel`
+    /// rays, or the number of samples of the settings if that is more.
     pub(super) fn new(
         rays: PrimaryRays<'a>,
         axes: DisplayAxes,
@@ -38,7 +38,7 @@ impl<'a> ViewSamples<'a> {
         Self { rays, axes, bank, paths: settings.samples, seed }
     }
 
-    /// Seed of a pixel's random numbers.
+    /// Returns the seed of a pixel's random numbers.
     pub(super) fn pixel_seed(&self, row: usize, col: usize) -> u64 {
         seed::derive(self.seed, &[row as u64, col as u64])
     }
@@ -55,8 +55,8 @@ impl<'a> ViewSamples<'a> {
         self.for_each_beam_of(at, pixel_seed, [self.paths; 2], |beam, _, rays, draws| take(beam, rays, draws));
     }
 
-    /// As [`for_each_beam`](Self::for_each_beam), for [paths, rays] of a pixel. `take` also gets
-    /// the number of the beam's rays that continue as paths.
+    /// Does the same as [`for_each_beam`](Self::for_each_beam), for the given numbers [paths, rays]
+    /// of a pixel. `take` also gets the number of the beam's rays that continue as paths.
     #[inline]
     pub(super) fn for_each_beam_of(
         &self,
@@ -78,12 +78,12 @@ impl<'a> ViewSamples<'a> {
     }
 }
 
-/// Position of a ray of a beam, in pixels from the pixel's centre.
+/// Returns the position of a ray of a beam, in pixels from the pixel's centre.
 pub(super) fn place_in_pixel(draws: &Draws<'_>, index: usize) -> [f32; 2] {
     centred(draws.pair(PLACE_PAIR).of(index))
 }
 
-/// Numbers in 0..1 as offsets −0.5..0.5 from a centre.
+/// Converts numbers in 0..1 to offsets −0.5..0.5 from a centre.
 fn centred(pair: [f32; 2]) -> [f32; 2] {
     pair.map(|u| u - 0.5)
 }

@@ -18,9 +18,9 @@ use super::{RenderError, Renderer};
 use crate::settings::AngularFilter;
 
 impl Renderer {
-    /// Depth of a view, `view` = [view_y, view_x] of the geometry's grid: `[row][col]`, in
-    /// millimetres. It is z in display space of the first hit of each pixel's central ray; NaN if
-    /// that ray hits nothing. Does not advance the progress.
+    /// Returns the depth of a view, `view` = [view_y, view_x] of the geometry's grid, as
+    /// `[row][col]` in millimetres. The depth is z in display space of the first hit of each
+    /// pixel's central ray; NaN if that ray hits nothing. Does not advance the progress.
     ///
     /// # Errors
     /// If the geometry or the view is out of range, or when cancelled.
@@ -64,7 +64,8 @@ mod tests {
     /// Tolerance in millimetres: the scene is about 100 mm large, and rays are 32-bit.
     const ROUNDED: f32 = 2e-3;
 
-    /// A plane z = slant · x around `centre` in scene units, as two triangles of half size `half`.
+    /// Makes a plane z = slant · x around `centre` in scene units, as two triangles of half size
+    /// `half`.
     fn slanted(centre: Vec3, half: f32, slant: f32) -> Mesh {
         let corner = |x: f32, y: f32| centre + Vec3::new(x * half, y * half, slant * x * half);
         Mesh {

@@ -68,13 +68,13 @@ impl Features {
         (values.shape()[2] == FEATURES).then_some(Self { values })
     }
 
-    /// `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha, central z_mm]`. [`Feature`]
-    /// describes them; an absent central depth is NaN.
+    /// Returns `[row][col][covered, albedo rgb, normal xyz, z_mm, gloss, alpha, central z_mm]`.
+    /// [`Feature`] describes these values; an absent central depth is NaN.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }
 
-    /// The guides of a pixel.
+    /// Returns the guides of a pixel.
     pub fn at(&self, row: usize, col: usize) -> Feature {
         let [covered, r, g, b, x, y, z, z_mm, gloss, alpha, central]: [f32; FEATURES] =
             self.values.block([row, col]).try_into().expect("a pixel has FEATURES values");
@@ -89,8 +89,8 @@ impl Features {
         [rows, cols]
     }
 
-    /// Guides of all samples of two renders of one view, which must have equal numbers of samples.
-    /// The central depth is the depth of `self`.
+    /// Returns the guides over the samples of two renders of one view, which must have equal
+    /// numbers of samples. The central depth is the central depth of `self`.
     ///
     /// # Panics
     /// If the sizes of `self` and `other` differ.
@@ -112,8 +112,8 @@ impl Features {
 
 impl Renderer {
     /// Renders a view, and also returns the variance of every mean and data of the first surfaces
-    /// of all paths. The radiance is the same to the bit as the radiance of
-    /// [`render_view`](Self::render_view).
+    /// of all paths. The radiance equals the radiance of [`render_view`](Self::render_view) bit for
+    /// bit.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).
@@ -137,8 +137,8 @@ impl Renderer {
         Ok(GuidedView { radiance, variance, features: Features { values } })
     }
 
-    /// Guides of one view, from the rays that [`render_view`](Self::render_view) traces with the
-    /// same settings. No light is computed. Does not advance the progress.
+    /// Returns the guides of one view. Its rays are those that [`render_view`](Self::render_view)
+    /// traces with the same settings. No light is computed. Does not advance the progress.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).

@@ -10,9 +10,11 @@ use crate::tracer::First;
 pub(crate) const FEATURES: usize = 11;
 /// Number of values per pixel of a view whose diffuse and other light are separate.
 pub(super) const PARTS: usize = 13;
-/// The same, if some rays end at the first surface: then with the reflectance for the paths alone.
+/// Number of values per pixel if some rays end at the first surface: those of [`PARTS`], then the
+/// reflectance over the paths alone.
 pub(super) const MORE_PARTS: usize = PARTS + 3;
-/// The same, and the light that the rays themselves see, which the other light then lacks.
+/// Number of values of [`FirstSums::apart`]: those of [`MORE_PARTS`], then the light that the rays
+/// themselves see. The other light then lacks this light.
 pub(super) const APART: usize = MORE_PARTS + 3;
 
 /// Converts points and directions of render space to depths and directions of display space.
@@ -34,7 +36,7 @@ impl DisplayAxes {
         }
     }
 
-    /// z in display space of a point in render space, millimetres.
+    /// Returns z in display space of a point in render space, millimetres.
     fn z_mm(&self, point: Vec3) -> f32 {
         (point.as_dvec3().dot(self.along) + self.offset) as f32
     }
@@ -61,7 +63,7 @@ pub(super) struct FirstSums {
     diffuse: Vec3,
     /// Light that the first surfaces emit, or that rays past all surfaces see.
     seen: Vec3,
-    /// The same and the reflectance, for the rays that continue as paths.
+    /// The sums of `seen` and of `reflectance` over the rays that continue as paths.
     path_seen: Vec3,
     path_reflectance: Vec3,
 }
@@ -101,14 +103,14 @@ impl FirstSums {
         self.diffuse += diffuse;
     }
 
-    /// The sums with normals in display space.
+    /// Returns the sums with normals in display space.
     pub(super) fn turned(mut self, axes: &DisplayAxes) -> Self {
         self.normal = axes.display_from_scene * self.normal;
         self.shading = axes.display_from_scene * self.shading;
         self
     }
 
-    /// The guides of a pixel that has this number of samples.
+    /// Returns the guides of a pixel that has this number of samples.
     pub(super) fn features(&self, samples: u32) -> [f32; FEATURES] {
         let share = 1.0 / self.hits.max(1) as f32;
         let [r, g, b] = (share * self.albedo).to_array();
@@ -118,8 +120,9 @@ impl FirstSums {
         [covered, r, g, b, x, y, z, share * self.z_mm, share * self.gloss, share * self.alpha, central]
     }
 
-    /// The values of a pixel with its diffuse and other light separate. `mean` is the mean light of
-    /// the paths; `finite` of the paths are finite. All `rays` count for the surfaces.
+    /// Returns the values of a pixel with its diffuse and other light separate. `mean` is the mean
+    /// light of the paths, of which `finite` have finite light. The means over surfaces are over
+    /// all `rays`.
     pub(super) fn split(&self, mean: Vec3, finite: u32, rays: u32) -> [f32; PARTS] {
         // light is a mean over the finite paths, reflectance over all rays, normal and depth over
         // the rays with a surface
@@ -134,9 +137,9 @@ impl FirstSums {
         values
     }
 
-    /// The values of [`split`](Self::split), then the reflectance for the paths alone, and then the
-    /// light that all rays themselves see. The other light lacks this last light. The first `paths`
-    /// of the `rays` are paths.
+    /// Returns the values of [`split`](Self::split), then the reflectance over the paths alone,
+    /// then the light that all rays themselves see. The other light does not contain the latter.
+    /// The first `paths` of the `rays` continue as paths.
     pub(super) fn apart(&self, mean: Vec3, finite: u32, [paths, rays]: [u32; 2]) -> [f32; APART] {
         let of_paths = 1.0 / paths.max(1) as f32;
         let mut values = [0.0; APART];

@@ -10,12 +10,12 @@
 //! ```
 //!
 //! The choice for a pixel depends only on the pixels around it and on the mean of the view. The
-//! samples of the pixels around it are independent of its own samples, which are one of thousands
-//! in the mean. So the choice adds no bias that could be measured.
+//! samples of these pixels are independent of the pixel's own samples. In the mean, the pixel is
+//! only one of thousands. So the choice adds no bias that could be measured.
 //!
 //! Measured with 5 × 5 views of 140 × 88 pixels and 4 samples: processor time at equal squared
-//! error, as a fraction of the time of views rendered one by one. "All" doubles the rays, and not
-//! the paths, of every pixel; it was left out.
+//! error, as a fraction of the time of views rendered one by one. The variant "all" doubles the
+//! rays of every pixel, but not its paths. The renderer does not have this variant.
 //!
 //! | scene | shared alone | all | edges and mirrors | with textures |
 //! |---|---|---|---|---|
@@ -40,26 +40,26 @@ use crate::settings::Settings;
 const STREAM: u64 = 0xed9e_0001;
 /// Brighter pixels count as this multiple of the mean of the view, since no display shows more.
 const BRIGHTEST: f32 = 4.0;
-/// Two surfaces are different if their points are farther from each other's plane, in pixels, or if
-/// the cosine between their normals is smaller.
+/// Two surfaces are treated as different if a point of one is farther than this from the plane of
+/// the other, in pixels. They also are if the cosine between their normals is below `LEAST_COSINE`.
 const LEAST_STEP: f32 = 1.5;
 const LEAST_COSINE: f32 = 0.8;
 
 /// σ_0 of light that is not diffuse, and of all light at edges, as fractions of the view's mean
-/// light. Half or twice these values measured up to a tenth worse.
+/// light. With half or twice these values, the measured results were up to a tenth worse.
 const OTHER: f32 = 0.12;
 const EDGE: f32 = 0.2;
 /// Greatest number of further paths of a pixel, as a multiple of the samples of a pixel.
 const MOST: f32 = 8.0;
-/// A texture has further rays, as this multiple of the samples of a pixel, if the deviation of its
-/// light is above this fraction of the view's mean light.
+/// Smallest standard deviation of a texture's light, as a fraction of the view's mean light, for
+/// which a pixel gets further rays. Their number is `TEXTURE_RAYS` times the samples of a pixel.
 const TEXTURE: f32 = 0.2;
 const TEXTURE_RAYS: u32 = 3;
 /// The light of neighbouring pixels differs by noise, which falls with more samples, and by
 /// contrast, which does not. Above this number of samples, contrast is the greater part.
 const NOISY_SAMPLES: f32 = 4.0;
 
-/// Values by which the pixels around a pixel are compared.
+/// Indices of the values by which the pixels around a pixel are compared.
 const OTHER_LIGHT: usize = 0;
 const ALL_LIGHT: usize = 1;
 const DIFFUSE_LIGHT: usize = 2;
@@ -73,9 +73,9 @@ struct Further {
 }
 
 impl Renderer {
-    /// Joins the values of a pixel, which have the light that rays themselves see apart, and adds
-    /// [further paths](Settings::further_paths). Updates the variance of the means, too. Does not
-    /// advance the progress.
+    /// Joins the values of [`FirstSums::apart`] for every pixel, and adds [further
+    /// paths](Settings::further_paths). Also updates the variance of the means. Does not advance
+    /// the progress.
     pub(super) fn with_further_paths(
         &self,
         window: &Window,
@@ -138,8 +138,8 @@ impl Renderer {
             if let Some(variance) = variance.as_mut().filter(|_| paths > 0.0) {
                 let variance = &mut variance.data_mut()[3 * number..3 * number + 3];
                 for (own, more) in variance.iter_mut().zip(&more[APART..]) {
-                    // A part with one path has no variance of its own. It has the variance per path
-                    // of the other part.
+                    // Either the pixel's own paths or its further paths may be a single path, which
+                    // has no variance. It gets the variance per path of the other paths.
                     let [alone, more] = match [own.is_nan(), more.is_nan()] {
                         [true, _] => [more * paths / own_samples, *more],
                         [_, true] => [*own, *own * own_samples / paths],

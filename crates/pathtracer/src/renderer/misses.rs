@@ -8,9 +8,9 @@ use super::{RenderError, Renderer};
 use crate::settings::Settings;
 
 impl Renderer {
-    /// Fraction, 0..1, of the primary rays of every pixel that miss all surfaces, `[row][col]`.
-    /// [`render_view`](Self::render_view) traces exactly these rays with the same settings. Does
-    /// not advance the progress.
+    /// Returns, as `[row][col]`, the fraction 0..1 of the primary rays of every pixel that miss all
+    /// surfaces. [`render_view`](Self::render_view) traces exactly these rays with the same
+    /// settings. Does not advance the progress.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).

@@ -29,8 +29,8 @@ pub struct SplitView {
     /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal x y z, z_mm]`. The normal is in
     /// display space, and z_mm is the depth in display space towards the viewer. Both are 0 if no
     /// surface is seen. With [further paths](Settings::further_paths) a second reflectance rgb
-    /// follows. The first one is a mean over all rays of the pixel, and the second one over those
-    /// that continue as paths.
+    /// follows. The first reflectance is a mean over all rays of the pixel, the second one a mean
+    /// over the rays that continue as paths.
     values: Tensor<3>,
 }
 
@@ -53,7 +53,8 @@ pub(crate) struct SplitPixel {
     pub(crate) diffuse: Vec3,
     pub(crate) other: Vec3,
     pub(crate) reflectance: Vec3,
-    /// Reflectance of the surfaces whose light `diffuse` is.
+    /// Mean reflectance of the surfaces that the paths hit first. `diffuse` is light from these
+    /// surfaces.
     pub(crate) path_reflectance: Vec3,
     pub(crate) normal: Vec3,
     pub(crate) z_mm: f32,
@@ -68,16 +69,16 @@ impl SplitView {
         if settings.further_paths { MORE_PARTS } else { PARTS }
     }
 
-    /// A view from the tensor that [`values`](Self::values) returns; `None` if the tensor has a
-    /// different number of values per pixel.
+    /// Makes a view from the tensor that [`values`](Self::values) returns; `None` if the tensor has
+    /// a different number of values per pixel.
     pub fn from_values(values: Tensor<3>) -> Option<Self> {
         [PARTS, MORE_PARTS].contains(&values.shape()[2]).then_some(Self { values })
     }
 
-    /// `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`. Light is radiance,
-    /// normals are in display space, z is in millimetres. With
-    /// [further paths](Settings::further_paths) a second reflectance rgb follows: the mean over the
-    /// paths alone, whose light is the diffuse light.
+    /// Returns `[row][col][diffuse rgb, other rgb, reflectance rgb, normal xyz, z_mm]`. Light is
+    /// radiance, normals are in display space, z is in millimetres. With [further
+    /// paths](Settings::further_paths) a second reflectance rgb follows. Like the diffuse light, it
+    /// is a mean over the paths alone.
     pub fn values(&self) -> &Tensor<3> {
         &self.values
     }
@@ -88,7 +89,7 @@ impl SplitView {
         [rows, cols]
     }
 
-    /// The whole light of the view, the sum of diffuse and other light: `[row][col][rgb]`.
+    /// Returns the whole light of the view, the sum of diffuse and other light: `[row][col][rgb]`.
     pub fn radiance(&self) -> Tensor<3> {
         let [rows, cols] = self.size();
         let mut radiance = Tensor::zeros(["row", "col", "rgb"], [rows, cols, 3]);
@@ -122,9 +123,9 @@ impl SplitView {
 }
 
 impl Renderer {
-    /// One view with its diffuse and other light separate, from the samples of
-    /// [`render_view`](Self::render_view) with the same settings, and from the
-    /// [further paths](Settings::further_paths). Advances the progress as that function does.
+    /// Renders one view with its diffuse and other light separate. Its samples are those of
+    /// [`render_view`](Self::render_view) with the same settings, and the [further
+    /// paths](Settings::further_paths). Advances the progress as `render_view` does.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).
@@ -188,12 +189,13 @@ impl Renderer {
     }
 }
 
-/// Radiance of a pixel whose first six values are its diffuse and its other light.
+/// Returns the radiance of a pixel whose first six values are its diffuse and its other light.
 fn both_parts(values: &[f32]) -> [f32; 3] {
     [0, 1, 2].map(|c| values[c] + values[3 + c])
 }
 
-/// Radiance of a pixel of [`FirstSums::apart`], which has the light that its rays see last.
+/// Returns the radiance of a pixel of [`FirstSums::apart`]: the sum of the diffuse light, the other
+/// light, and the light that the rays themselves see.
 fn all_parts(values: &[f32]) -> [f32; 3] {
     [0, 1, 2].map(|c| values[c] + values[3 + c] + values[MORE_PARTS + c])
 }

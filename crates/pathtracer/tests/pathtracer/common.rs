@@ -13,7 +13,8 @@ use lumistack_testkit::statistics::Mean;
 /// space.
 pub const WINDOW_MM: f64 = 2.0;
 
-/// Lambert's law without any gloss: an index of refraction of 1 reflects nothing.
+/// Returns a material that scatters by Lambert's law without any gloss: an index of refraction of 1
+/// reflects nothing.
 pub fn diffuse(albedo: f32) -> Material {
     Material {
         base_color: Vec4::new(albedo, albedo, albedo, 1.0),
@@ -25,7 +26,7 @@ pub fn diffuse(albedo: f32) -> Material {
     }
 }
 
-/// A black surface that emits the same radiance from both sides.
+/// Returns a black material that emits the same radiance from both sides.
 pub fn glowing(radiance: Vec3) -> Material {
     Material { emission: radiance, ..diffuse(0.0) }
 }
@@ -44,7 +45,7 @@ impl Builder {
         self
     }
 
-    /// Light from infinity: a map of one column, with `rows` from +y to −y.
+    /// Adds light from infinity: a map of one column, with `rows` from +y to −y.
     pub fn sky(&mut self, rows: &[f32]) -> &mut Self {
         let texels = rows.iter().map(|&row| [row; 3]).collect();
         self.parts.images.push(Image {
@@ -68,8 +69,8 @@ impl Builder {
     }
 }
 
-/// A rectangle with the corners centre ± u ± v. Its front faces u × v. Seen from the front, its
-/// texture is not mirrored.
+/// Returns a rectangle with the corners centre ± u ± v. Its front faces u × v. Seen from the front,
+/// its texture is not mirrored.
 pub fn rectangle(centre: Vec3, u: Vec3, v: Vec3) -> Mesh {
     Mesh {
         positions: vec![centre - u - v, centre + u - v, centre + u + v, centre - u + v],
@@ -80,7 +81,7 @@ pub fn rectangle(centre: Vec3, u: Vec3, v: Vec3) -> Mesh {
     }
 }
 
-/// The six walls of a cube; fronts face outwards.
+/// Returns the six walls of a cube; fronts face outwards.
 pub fn cube(centre: Vec3, half: f32) -> Vec<Mesh> {
     let axes = [Vec3::X, Vec3::Y, Vec3::Z];
     (0..6)
@@ -92,7 +93,7 @@ pub fn cube(centre: Vec3, half: f32) -> Vec<Mesh> {
         .collect()
 }
 
-/// A finely divided sphere with smooth normals.
+/// Returns a finely divided sphere with smooth normals.
 pub fn sphere(centre: Vec3, radius: f32, divisions: usize) -> Mesh {
     let (rows, cols) = (divisions, 2 * divisions);
     let mut mesh = Mesh::default();
@@ -120,17 +121,17 @@ pub fn sphere(centre: Vec3, radius: f32, divisions: usize) -> Mesh {
     mesh
 }
 
-/// The window for which display space is scene space.
+/// Returns a window for which display space is scene space.
 pub fn window() -> Window {
     Window::given(DVec3::ZERO, DVec3::NEG_Z, DVec3::Y, WINDOW_MM, [WINDOW_MM, WINDOW_MM]).unwrap()
 }
 
-/// A window of the given width around a point, seen along −z.
+/// Returns a window of the given width around a point, seen along −z.
 pub fn window_at(centre: DVec3, width: f64) -> Window {
     Window::given(centre, DVec3::NEG_Z, DVec3::Y, width, [WINDOW_MM, WINDOW_MM]).unwrap()
 }
 
-/// `size` × `size` pixels over the window, for one view of the given slope.
+/// Returns the geometry of `size` × `size` pixels over the window, for one view of the given slope.
 pub fn one_view(size: usize, slope: [f64; 2]) -> FieldGeometry {
     FieldGeometry {
         rows: size,
@@ -156,12 +157,12 @@ pub fn render_view(
     (radiance, collector.take())
 }
 
-/// Mean and standard error over pixels, whose estimates are independent.
+/// Returns the mean and standard error over pixels, whose estimates are independent.
 pub fn mean_of(radiance: &Tensor<3>, channel: usize) -> Mean {
     Mean::of(radiance.data().iter().skip(channel).step_by(3).map(|&v| f64::from(v)))
 }
 
-/// Settings with this many samples and almost no limit on the length of paths.
+/// Returns settings with this many samples and almost no limit on the length of paths.
 pub fn long_paths(samples: u32) -> Settings {
     Settings { samples, max_bounces: 1000, ..Settings::default() }
 }

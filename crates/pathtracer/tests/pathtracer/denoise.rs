@@ -15,8 +15,8 @@ const SIZE: usize = 64;
 const POLE: usize = 16;
 const COLOUR: usize = 44;
 
-/// A corner of a room: a back wall of two colours, a floor, and a pole in front of the wall. A lamp
-/// and a dim sky light it.
+/// Returns a renderer of a corner of a room: a back wall of two colours, a floor, and a pole in
+/// front of the wall. A lamp and a dim sky light it.
 fn room() -> Renderer {
     let x = |col: usize| WINDOW_MM as f32 * (col as f32 / SIZE as f32 - 0.5);
     let mut builder = Builder::default();
@@ -53,7 +53,8 @@ fn mean(picture: &Tensor<3>) -> f64 {
     picture.data().iter().map(|value| f64::from(*value)).sum::<f64>() / picture.data().len() as f64
 }
 
-/// Mean of the pixels of a column in rows that show neither the floor nor the pole's upper end.
+/// Returns the mean of the pixels of a column in rows that show neither the floor nor the pole's
+/// upper end.
 fn column(picture: &Tensor<3>, col: usize) -> f64 {
     (20..40).map(|row| f64::from(picture.get([row, col, 0]))).sum::<f64>() / 20.0
 }
@@ -259,7 +260,7 @@ fn further_paths_do_no_harm_where_views_share_no_light() {
     assert!(further[1] < shared[1].min(0.05), "{alone:?} {shared:?} {further:?}");
 }
 
-/// Further paths leave a view without noise as it is, and the mean of a noisy view. The result is
+/// Further paths change neither a view without noise nor the mean of a noisy view. The result is
 /// the same with any number of threads, and with guides.
 #[test]
 fn further_paths_keep_the_mean_and_the_bytes() {
@@ -285,7 +286,8 @@ fn further_paths_keep_the_mean_and_the_bytes() {
     assert!(light.averaged(task).unwrap().on(0, &own) == own.radiance());
     let dark = Settings { max_bounces: 0, hide_environment: true, ..plain };
     assert!(split(&dark).radiance() == split(&Settings { further_paths: true, ..dark }).radiance());
-    // both errors of the mean have the standard error of all pixels' noise
+    // The average of 64 means may differ from the mean of two references by four standard errors of
+    // the average, plus the difference of the two references.
     let truth = [1, 2].map(|seed| render(&renderer, [0, 1], 256, seed));
     let (first, second) = (mean(&truth[0]), mean(&truth[1]));
     let means = (0..64).map(|seed| mean(&split(&Settings { seed, ..settings }).radiance()));

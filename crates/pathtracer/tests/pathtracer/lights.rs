@@ -26,14 +26,14 @@ fn point_light(position: Vec3, kind: LightKind, direction: Vec3) -> Light {
     Light { position, direction, intensity: Vec3::new(5.0, 2.0, 1.0), kind }
 }
 
-/// Irradiance at a point of z = 0 from a small light at `position`, whose intensity is 1 in all
-/// directions.
+/// Returns the irradiance at a point of z = 0 from a small light at `position`, whose intensity is
+/// 1 in all directions.
 fn inverse_square(position: DVec3, at: DVec3) -> f64 {
     let to_light = position - at;
     to_light.z / to_light.length().powi(3)
 }
 
-/// Mean of a function over each pixel of the window, from a fine grid of points.
+/// Returns the mean of a function over each pixel of the window, from a fine grid of points.
 fn over_window(size: usize, f: impl Fn(f64, f64) -> f64) -> Vec<f64> {
     let fine = 8;
     let at = |i: usize, k: usize| ((i as f64 + (k as f64 + 0.5) / fine as f64) / size as f64 - 0.5) * 2.0;
@@ -124,8 +124,8 @@ fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
     }
 }
 
-/// Irradiance at the origin from a square of radiance L and half width w. The square is at height
-/// h, parallel to the plane and centred above the origin:
+/// Returns the irradiance at the origin from a square of radiance L and half width w. The square is
+/// at height h, parallel to the plane and centred above the origin:
 ///
 /// ```text
 /// E = 4 L s atan s,   s = w/√(w² + h²)
@@ -140,8 +140,8 @@ fn irradiance_below_square(radiance: f64, half_width: f64, height: f64) -> f64 {
 
 #[test]
 fn a_square_light_has_its_form_factor() {
-    // test lights from a small one far above to one so near that it fills nearly the whole view of
-    // the plane
+    // test three lights, from a small one far above the plane to one so near that it fills almost
+    // the whole half space above the plane's points
     for (half_width, height) in [(0.1, 2.0), (0.5, 1.0), (1.0, 0.1)] {
         let mut scene = plane();
         let light = rectangle(Vec3::new(0.0, 0.0, height), -half_width * Vec3::X, half_width * Vec3::Y);

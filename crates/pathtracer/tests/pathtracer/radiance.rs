@@ -9,7 +9,7 @@ use lumistack_pathtracer::{AngularFilter, Renderer, Settings};
 /// Relative rounding of f32 sums.
 const ROUNDING: f32 = 1e-5;
 
-/// Two balls under a sky of one radiance; the farther ball is partly visible.
+/// Returns a renderer of two balls under a sky of one radiance; the farther ball is partly visible.
 fn balls(sky: f32) -> Renderer {
     let mut scene = Builder::default();
     scene.add(sphere(Vec3::new(0.2, 0.1, 0.0), 0.6, 12), diffuse(0.7));

@@ -25,7 +25,7 @@ const PITCH: f64 = WINDOW_MM / SIZE as f64;
 /// Tolerance for the centroid of a card, in pixels, since samples at the card's edges are jittered.
 const CENTROID_TOLERANCE: f64 = 0.1;
 
-/// Centre of brightness of a channel, as (x, y) on z = 0.
+/// Returns the centre of brightness of a channel, as (x, y) on z = 0.
 fn centroid(image: &Tensor<3>, channel: usize) -> (f64, f64) {
     let [rows, cols, _] = image.shape();
     let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
@@ -155,7 +155,7 @@ fn near_hides_far() {
     assert_eq!(image.block([SIZE / 2, SIZE / 2 + 8]), [1.0, 0.0, 0.0]);
 }
 
-/// A picture of 2 × 2 texels: red and green above blue and white.
+/// Adds a picture of 2 × 2 texels: red and green above blue and white.
 fn quadrants(builder: &mut Builder) -> TextureUse {
     let texels = vec![[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 0], [255, 255, 255, 100]];
     builder.parts.images.push(Image { name: "quadrants".into(), width: 2, height: 2, pixels: Pixels::Rgba8(texels) });
