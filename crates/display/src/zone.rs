@@ -122,8 +122,8 @@ pub struct ZoneScore {
 }
 
 impl ZoneScore {
-    /// `psnr_zone`: PSNR of the mean error over all directions, dB. `None` if no pixel could be
-    /// scored.
+    /// Returns `psnr_zone`: the PSNR of the mean error over all directions, dB. `None` if no pixel
+    /// could be scored.
     pub fn psnr(&self) -> Option<f64> {
         mean(&self.scored()).map(psnr)
     }

@@ -129,12 +129,12 @@ impl NpyFile {
         &self.shape
     }
 
-    /// Type of the file's values.
+    /// Returns the type of the file's values.
     pub fn scalar(&self) -> Scalar {
         self.scalar
     }
 
-    /// Number of values.
+    /// Returns the number of values.
     pub fn len(&self) -> usize {
         self.shape.iter().product()
     }
@@ -179,7 +179,7 @@ impl NpyFile {
 }
 
 impl Scalar {
-    /// Bytes of one value.
+    /// Returns the number of bytes of one value.
     pub fn bytes(self) -> usize {
         match self {
             Self::U8 => 1,

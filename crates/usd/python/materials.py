@@ -37,7 +37,8 @@ ACESCG = ((1.70505, -0.62179, -0.08326), (-0.13026, 1.14080, -0.01055), (-0.0240
 
 
 def material(prim, writer, time):
-    """The entry of a material: place, name, `model` (None if the shader is unknown) and `inputs`.
+    """Returns the entry of a material: place, name, `model` (None if the shader is unknown) and
+    `inputs`.
     """
     entry = {"place": str(prim.GetPath()), "name": prim.GetName(), "model": None, "inputs": {}}
     source = UsdShade.Material(prim)
@@ -75,7 +76,8 @@ def material(prim, writer, time):
 
 
 def needs_materialx(prim):
-    """True if a prim, or one of its ancestors, refers to a MaterialX file that OpenUSD cannot open.
+    """Returns true if a prim, or one of its ancestors, refers to a MaterialX file that OpenUSD
+    cannot open.
     """
     if Sdf.FileFormat.FindByExtension("mtlx"):
         return False
@@ -503,7 +505,8 @@ class Graph:
     # Texture coordinates
 
     def coordinates(self, given, depth):
-        """The primvar of texture coordinates, and the affine map that is applied to its values."""
+        """Returns the primvar of texture coordinates, and the affine map that is applied to its
+        values."""
         attribute, shader, _ = self.producer(given)
         if not shader or depth > 50:
             return "st", IDENTITY

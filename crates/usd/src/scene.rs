@@ -1,4 +1,4 @@
-//! Converts a package to the parts of a scene.
+//! Converts a scene package to a scene.
 //!
 //! A shape is converted to meshes once per combination of materials. Its copies are instances of
 //! these meshes, at any depth of nested prototypes. A stage whose z axis points up is rotated by
@@ -145,8 +145,8 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    /// Adds the lights of the package to the scene: meshes with emission, point lights and the
-    /// environment.
+    /// Adds the lights of the scene package to the scene: meshes with emission, point lights and
+    /// the environment.
     fn light(&mut self, textures: &mut Textures<'_>, scene_from_stage: &DAffine3) {
         let mut lights = Lights::default();
         for entry in &self.package.header.lights {

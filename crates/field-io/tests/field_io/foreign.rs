@@ -13,7 +13,7 @@ const CODE: f32 = 1e-6;
 /// Tolerance of slopes from files with 17 digits, after a few operations.
 const EXACT: f64 = 1e-12;
 
-/// A picture with the view's column in red, its row in green, and the pixel column in blue.
+/// Returns a picture with the view's column in red, its row in green, and the pixel column in blue.
 fn labelled(path: &Path, label: [u8; 2]) {
     save_png(path, [6, 4], |x, _| [label[0], label[1], 10 * x as u8]);
 }

@@ -65,7 +65,7 @@ impl Projected {
     };
 }
 
-/// A splat, the eyes of the views, and the place for the result.
+/// A splat, the eyes of the views, and the memory for the result.
 pub(crate) struct Args<'a> {
     pub(crate) splat: &'a Splat,
     pub(crate) eyes: &'a Eyes,
@@ -170,8 +170,8 @@ impl Kernel for Project {
         let coefficients = harmonics.as_chunks::<3>().0;
         let mut v = 0;
         while v < VIEWS {
-            // SAFETY: the caller's machine has V. Every lane has VIEWS values, COUNT of them from
-            // `v` on are read and written, and COUNT divides VIEWS.
+            // SAFETY: the caller's machine has the instruction set of V. Every lane has VIEWS
+            // values, COUNT of them from `v` on are read and written, and COUNT divides VIEWS.
             unsafe {
                 let half = V::splat(0.5);
                 let (mut red, mut green, mut blue) = (half, half, half);

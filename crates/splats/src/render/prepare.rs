@@ -71,8 +71,8 @@ impl Eye {
         }
     }
 
-    /// Slopes of the ray through a splat's centre, and the magnification m; `None` for a splat
-    /// behind the eye.
+    /// Returns the slopes of the ray through a splat's centre, and the magnification m; `None` for
+    /// a splat behind the eye.
     #[inline]
     fn ray(&self, [x, y, z]: [f32; 3]) -> Option<([f32; 2], f32)> {
         match *self {

@@ -1,4 +1,5 @@
-//! Packages without Python: a valid package becomes a scene, and no damage to it can cause a panic.
+//! Scene packages without Python: a valid package becomes a scene, and no damage to it can cause a
+//! panic.
 
 use lumistack_core::{Cancel, Collector, Task, seed};
 use lumistack_scene::Scene;
