@@ -52,8 +52,8 @@ pub struct Reading<'a> {
     pub change: Option<&'a dyn Fn(&mut [f32])>,
 }
 
-/// Returns the folder for a light field's file, and the number of its bytes that may be in memory.
-/// The result `None` keeps the light field in memory.
+/// A function that returns the folder for a light field's file, and the number of its bytes that
+/// may be in memory. The result `None` keeps the light field in memory.
 pub type Paging<'a> = &'a dyn Fn(&FieldGeometry) -> Option<(&'a Path, usize)>;
 
 /// The parts of a source to read, and their geometry.

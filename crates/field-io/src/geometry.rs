@@ -175,8 +175,8 @@ pub(crate) fn resolve(
     let pitch_mm = pitch(path, flags, defaults, hints, pixels, task)?;
     let own_slopes = physical_slopes(hints, picks, pixels);
     let (slopes, physical) = slopes(path, flags, defaults, hints, picks, own_slopes, task)?;
-    // Select the projection: by the flag, then by the file. If neither defines it, it is
-    // perspective if cameras or a viewing distance are known, and oblique otherwise.
+    // Select the projection: by the flag, then by the file. If neither defines a projection, the
+    // projection is perspective if cameras or a viewing distance are known, and oblique otherwise.
     let kind = flags.grid.or(hints.projection).unwrap_or(match flags.distance_mm {
         None if !physical => ProjectionKind::Oblique,
         _ => ProjectionKind::Perspective,

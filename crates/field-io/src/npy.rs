@@ -145,7 +145,7 @@ impl NpyFile {
     }
 
     /// Lends the values directly from the file. `None` if the file stores them differently from
-    /// this machine, or they take less than `least_bytes`.
+    /// this machine, or the values take less than `least_bytes`.
     pub(crate) fn lent(&self, least_bytes: u64) -> Option<lumistack_core::Lender> {
         let is_plain = self.scalar == Scalar::F32 && !self.big_endian;
         let is_large = 4 * self.len() as u64 >= least_bytes;

@@ -96,8 +96,8 @@ pub struct Paged {
 
 impl Paged {
     /// Creates the file on the disk of a folder. `limit` is the largest number of bytes of the
-    /// finished light field that may be in memory. It also holds for each array that is stored in
-    /// the same folder.
+    /// finished light field that may be in memory. The same limit applies to each array that is
+    /// stored in the same folder.
     ///
     /// # Errors
     /// If the file cannot be created.

@@ -222,8 +222,8 @@ fn place_meshes(
     Ok(())
 }
 
-/// Returns the primitives of a mesh that are splats: indices of their clouds, and the clouds'
-/// placements in the mesh.
+/// Reads the primitives of a mesh that are splats. Returns the indices of their clouds, and the
+/// placements of the clouds in the mesh.
 fn read_splats(
     document: &Document<'_>,
     mesh: &json::Mesh,

@@ -91,7 +91,7 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
 
 /// Returns true if a node that the scene lists becomes a root of the scene. A scene should not list
 /// a node that has a parent, but many readers show such a node. If the scene shows an ancestor too,
-/// the node stays with its parent. Otherwise it is shown without its parents. `known` keeps, for
+/// the node stays with its parent. Otherwise it is shown without its parent. `known` keeps, for
 /// each ancestor, whether the scene shows it.
 fn adopt(
     document: &Document<'_>,

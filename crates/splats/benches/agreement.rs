@@ -78,7 +78,7 @@ fn write(folder: &Path, name: &str, cloud: &Cloud, projection: Projection) -> Va
     })
 }
 
-/// Returns random numbers from 0 to 1.
+/// Returns a function that returns random numbers from 0 to 1.
 fn random(mut state: u64) -> impl FnMut() -> f32 {
     move || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

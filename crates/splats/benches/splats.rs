@@ -127,10 +127,10 @@ fn scene(count: usize, degree: usize) -> Arc<Scene> {
     Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).expect("a scene"))
 }
 
-/// Returns a renderer for a single picture, on all threads.
+/// Renders a single picture in a simple way, on all threads.
 ///
-/// It projects, shades and sorts all splats. Then each tile blends the splats that overlap it,
-/// until its pixels are opaque.
+/// The function projects, shades and sorts all splats. Then each tile blends the splats that
+/// overlap it, until its pixels are opaque.
 fn naive(scene: &Scene, window: &Window, geometry: &FieldGeometry, slope: [f64; 2]) -> Vec<[f32; 3]> {
     const TILE: usize = 16;
     struct Flat {

@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json};
 const FLOAT: u32 = 5126;
 const POINTS: u32 = 0;
 
-/// Returns a `.glb` file with one cloud. Its node has `rotation` (x, y, z, w) and a uniform
+/// Returns a `.glb` file with one cloud. The cloud's node has `rotation` (x, y, z, w) and a uniform
 /// `scale`.
 ///
 /// `None` if the cloud exceeds the 32-bit lengths of the container.

@@ -129,7 +129,7 @@ fn harmonics(d: DVec3) -> [f64; 16] {
 type Projected = (f64, DVec2, DMat2, f64, DVec3, f64);
 
 /// Projects all splats onto the plane z = 0 along the rays of one view, and sorts them, nearest
-/// first. The projection is linear near each centre (its Jacobian).
+/// first. Near each centre, the projection is replaced by its linear part (the Jacobian).
 fn project(scene: &Scene, window: &Window, projection: Projection, slope: [f64; 2]) -> Vec<Projected> {
     let map = window.scene_from_display;
     let mut all = Vec::new();

@@ -286,8 +286,8 @@ class Graph:
         return {"texture": rescaled(texture, [scale[0], scale[1], 1.0], [0.0] * 3)}
 
     def operation(self, shader, kind, output):
-        """Computes the result of a MaterialX node of arithmetic. Its inputs may be constants. They
-        may be textures if the result is a texture with another scale and bias."""
+        """Computes the result of an arithmetic node of MaterialX. The node's inputs may be
+        constants. They may be textures if the result is a texture with another scale and bias."""
         parts = kind[3:].split("_")
         name, count = parts[0], SIZES.get(parts[-1].replace("FA", ""), 3)
         if name == "convert":

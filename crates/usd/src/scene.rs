@@ -29,7 +29,7 @@ const MOST_INSTANCES: usize = 1 << 26;
 /// Albedo of a surface without a material and without a display colour, as in UsdPreviewSurface.
 const GREY: f32 = 0.18;
 
-/// Converts a package to a scene; `name` is the file's name in messages.
+/// Converts a scene package to a scene; `name` is the file's name in messages.
 ///
 /// # Errors
 /// If the package is inconsistent or nothing in it can be rendered.

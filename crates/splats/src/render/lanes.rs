@@ -8,8 +8,9 @@ use lumistack_simd::{Kernel, Lanes};
 use super::harmonics::{MOST, basis};
 use super::prepare::{CUTOFF, Eye, NEAREST, PIXEL_VARIANCE, Splat, TILE};
 
-/// Number of views of a block. More views save sorting; fewer views save memory, and the projection
-/// of splats that only some views show.
+/// Number of views of a block. With more views, the lists of splats per tile are made for fewer
+/// blocks. With fewer views, less memory is needed, and fewer splats are projected into views that
+/// do not show them.
 pub(crate) const VIEWS: usize = 16;
 /// One value for each view of a block of views.
 pub(crate) type Lane = [f32; VIEWS];

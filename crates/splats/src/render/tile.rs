@@ -280,8 +280,8 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
     out
 }
 
-/// Returns the extent of a splat from its centre, along its longest axis, in pixels, in any view
-/// between `ends`.
+/// Returns the largest extent of a splat from its centre, along x or y, in any view between `ends`,
+/// in pixels.
 fn reach(splat: &Splat, ends: &[Eye]) -> f32 {
     let seen = ends.iter().filter_map(|eye| eye.project(splat));
     let variance = seen.map(|seen| seen.covariance[0].max(seen.covariance[2])).fold(0.0, f32::max);
