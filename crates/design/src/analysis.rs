@@ -271,9 +271,9 @@ impl Zone {
         let size = display.field_pixels().size_mm();
         let step = [0, 1].map(|axis| 2.0 * half[axis] / display.views()[axis] as f64);
         let pinholes = field.distance_mm.filter(|_| field.projection == ProjectionKind::Perspective);
-        // From this distance on, the rays from the eye to both edges of the display have slopes of
-        // at most tan(α/2), where α is the field of view. An axis with a single direction requires
-        // no distance.
+        // Let α be the field of view. From this distance on, the rays from the eye to both edges of
+        // the display have slopes of at most tan(α/2). An axis with a single direction requires no
+        // distance.
         let whole = [0, 1].map(|axis| if half[axis] > 0.0 { 0.5 * size[axis] / half[axis] } else { 0.0 });
         let whole_from_mm = pinholes.unwrap_or(whole[0].max(whole[1]));
         let at_mm = pinholes.unwrap_or(2.0 * whole_from_mm);

@@ -14,10 +14,11 @@
 //! contrast = Σ (L̃/β − mean) cos φ / Σ (L − mean) cos φ        over all valid rays
 //! ```
 //!
-//! It is 1 for an exact grating and 0 for grey. Axes are measured separately, on a strip of one row
-//! of pixels and of views. The three channels have three phases φ_0, a third of a period apart, and
-//! the result is their mean. The bound of [`Display::spatial_cutoff`] limits the frequencies that
-//! any patterns could show. The contrast is the result of one solver with M frames.
+//! The mean is the mean of L̃/β, or of L, over these rays. The contrast is 1 for an exact grating
+//! and 0 for grey. Axes are measured separately, on a strip of one row of pixels and of views. The
+//! three channels have three phases φ_0, a third of a period apart, and the result is their mean.
+//! The bound of [`Display::spatial_cutoff`] limits the frequencies that any patterns could show.
+//! The contrast is the result of one solver with M frames.
 //!
 //! There are three measures ([`Achieved`]).
 //!

@@ -1,5 +1,5 @@
-//! Cuts a display into tiles. A tile has its own pixels, whose values are kept from its solve, the
-//! rays through these pixels, and all other pixels that these rays hit.
+//! Cuts a display into tiles. A tile has its own pixels, the rays through them, and all other
+//! pixels that these rays hit. Only the values of its own pixels are kept.
 //!
 //! ```text
 //! held   ┌───────────────────────┐   hit by rays through free pixels; fixed in a solve

@@ -101,7 +101,8 @@ pub(crate) fn assemble(
     // Reserve a place for the result, and read views one at a time.
     let place = reading.paging.and_then(|paging| paging(&geometry));
     let mut all = match place {
-        // only reserve memory; a header may claim any size, so pages are touched when values arrive
+        // Only reserve memory, since a header may claim any size. The system provides the pages
+        // when values arrive.
         None => FieldWriter::Held { geometry: geometry.clone(), values: reserved(&path, count)? },
         Some(_) => FieldWriter::begin(geometry.clone(), place)?,
     };

@@ -2,8 +2,8 @@
 //! first byte is read.
 //!
 //! Element i starts at byte `offset + stride · i` of its view. Integers become floats of the same
-//! value. With `normalized`, an integer c of n bits becomes f = c / (2ⁿ − 1) if it is unsigned, and
-//! f = max(c / (2ⁿ⁻¹ − 1), −1) if it is signed (glTF 2.0, sections 3.6.2 and 3.11).
+//! value. With `normalized`, an unsigned integer c of n bits becomes f = c / (2ⁿ − 1). A signed one
+//! becomes f = max(c / (2ⁿ⁻¹ − 1), −1) (glTF 2.0, sections 3.6.2 and 3.11).
 
 use gltf::json;
 use gltf::json::accessor::{ComponentType, Type};

@@ -1,6 +1,7 @@
 //! Animations sampled at one time: transforms of nodes and weights of morph targets.
 //!
-//! Between keys k and k+1, with u = (t − t_k) / (t_{k+1} − t_k) and Δ = t_{k+1} − t_k seconds:
+//! Key k has the time t_k and the value v_k. For a time t between keys k and k+1, let u = (t − t_k)
+//! / (t_{k+1} − t_k) and Δ = t_{k+1} − t_k, in seconds:
 //!
 //! * STEP gives v_k.
 //! * LINEAR gives (1−u)·v_k + u·v_{k+1}; rotations follow the shorter arc (slerp).

@@ -3,7 +3,7 @@
 //! ```text
 //! G(x) = exp(−½ (x − μ)ᵀ Σ⁻¹ (x − μ)),   Σ = M R diag(s²) Rᵀ Mᵀ
 //! μ, R, s: position, rotation and standard deviations of a splat
-//! M: the linear part of scene_from_cloud
+//! M: the linear part of scene_from_cloud; c_lm, Y_lm: coefficients and spherical harmonics
 //! colour = max(0, ½ + Σ_lm c_lm Y_lm(direction from the viewer to μ))
 //! ```
 //!

@@ -9,7 +9,7 @@
 //! parallel rays:   distance = −(s·p + z (1 + s²)) ≥ −s·c − |s|₁ r − z₁ (1 + s²)
 //! from an eye:     distance² = (D − z)² (1 + s²)  ≥ (D − z₁)² (1 + least s²)
 //!
-//! s    slope of the ray through the splat's centre
+//! s    slope of the ray through the splat's centre; |s|₁ = |s_x| + |s_y|
 //! p, z projected centre of the splat, and its depth
 //! D    distance of the eye from the window
 //! c    centre of the tile

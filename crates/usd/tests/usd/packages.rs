@@ -83,7 +83,7 @@ fn sample() -> (Value, Vec<u8>) {
     (header, buffers.bytes)
 }
 
-/// Loads a package; `None` if the file is not a package.
+/// Loads a scene package; `None` if the file is not a scene package.
 fn load(bytes: &[u8]) -> Option<Result<Scene, UsdError>> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let package = Package::parse(bytes).ok()?;
