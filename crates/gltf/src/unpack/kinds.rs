@@ -10,9 +10,9 @@ pub enum Packed<'a> {
     /// A picture, of which only the size is read, from its header. The result is
     /// [`Unpacked::Size`].
     Size(Use, &'a [u8]),
-    /// A picture that is decoded: [`Unpacked::Pixels`].
-    Picture(Use, &'a [u8]),
     /// A picture, all of whose texels are decoded. The result is [`Unpacked::Pixels`].
+    Picture(Use, &'a [u8]),
+    /// A Draco mesh, which is decoded to [`Unpacked::Mesh`].
     Draco {
         /// The bytes of the Draco stream.
         bytes: &'a [u8],
