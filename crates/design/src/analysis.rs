@@ -95,8 +95,7 @@ pub struct Zone {
     /// Difference of slope between neighbouring views.
     pub step: [f64; 2],
     /// Smallest distance at which an eye on the axis sees the whole display within the zone,
-    /// millimetres. Pinhole views are made for eyes at one distance; for such views this is the
-    /// value.
+    /// millimetres. For pinhole views, this is the distance for which they are made.
     pub whole_from_mm: f64,
     /// Width and height of the zone at the distance `at_mm`, millimetres.
     pub width_mm: [f64; 2],
@@ -105,8 +104,7 @@ pub struct Zone {
     pub at_mm: f64,
     /// Number of views between two eyes that are 63 mm apart, at the distance `at_mm`.
     pub views_between_eyes: f64,
-    /// True if eyes beside the zone see the views of the zone again, as neighbouring lenslets
-    /// cause.
+    /// True if eyes beside the zone see the views of the zone again, through neighbouring lenslets.
     pub repeats: bool,
 }
 
@@ -273,8 +271,8 @@ impl Zone {
         let size = display.field_pixels().size_mm();
         let step = [0, 1].map(|axis| 2.0 * half[axis] / display.views()[axis] as f64);
         let pinholes = field.distance_mm.filter(|_| field.projection == ProjectionKind::Perspective);
-        // From this distance on, the rays from the eye to both edges of the display have slopes of
-        // at most tan(α/2). The field of view is α. An axis with a single direction requires no
+        // Let α be the field of view. From this distance on, the rays from the eye to both edges of
+        // the display have slopes of at most tan(α/2). An axis with a single direction requires no
         // distance.
         let whole = [0, 1].map(|axis| if half[axis] > 0.0 { 0.5 * size[axis] / half[axis] } else { 0.0 });
         let whole_from_mm = pinholes.unwrap_or(whole[0].max(whole[1]));
@@ -319,8 +317,8 @@ impl Brightness {
         };
         let (white, black) = match display.formation {
             Formation::Attenuating => (peaks.product(), blacks.product::<f64>() * lamp),
-            // Other layers do not multiply their light: one layer alone can make the display fully
-            // bright, so the darkest state needs every layer at its black level.
+            // In the other formations, layers do not multiply their light. One layer alone can make
+            // the display fully bright, so the darkest state needs every layer at its black level.
             _ => (1.0, blacks.fold(0.0, f64::max)),
         };
         Self { beta: display.brightness, white, black }

@@ -14,10 +14,11 @@
 //! contrast = Σ (L̃/β − mean) cos φ / Σ (L − mean) cos φ        over all valid rays
 //! ```
 //!
-//! It is 1 for an exact grating and 0 for grey. Axes are measured separately, on a strip of one row
-//! of pixels and of views. The three channels have three phases φ_0, a third of a period apart, and
-//! the result is their mean. The bound of [`Display::spatial_cutoff`] limits the frequencies that
-//! any factors could show. The contrast is the result of one solver with M frames.
+//! The mean is the mean of L̃/β, or of L, over these rays. The contrast is 1 for an exact grating
+//! and 0 for grey. Axes are measured separately, on a strip of one row of pixels and of views. The
+//! three channels have three phases φ_0, a third of a period apart, and the result is their mean.
+//! The bound of [`Display::spatial_cutoff`] limits the frequencies that any patterns could show.
+//! The contrast is the result of one solver with M frames.
 //!
 //! There are three measures ([`Achieved`]).
 //!
@@ -30,9 +31,9 @@
 //!   can use. This measures the hardware; *in between* measures the display with its own number of
 //!   views.
 //!
-//! Contrast over rays in between obeys the bound, except in narrow zones, over which a grating
-//! moves by at most [`HALF_SINC`] periods. There, even a picture that is the same for all slopes
-//! has half of the grating's contrast.
+//! The contrast *in between* obeys the bound, except in narrow zones. A zone is narrow if a grating
+//! moves by at most [`HALF_SINC`] periods over it. There, even a picture that is the same for all
+//! slopes has half of the grating's contrast.
 
 use std::f64::consts::TAU;
 
@@ -201,11 +202,11 @@ impl Grating {
         TAU * (self.frequency * (x + self.z_mm * s) + (i % 3) as f64 / 3.0 + 0.1)
     }
 
-    /// Returns the contrast along the rays of a geometry.
+    /// Returns the contrast over the rays of a geometry: the formula in the head of the file.
     fn share_of(&self, display: &Display, stack: &LayerStack, geometry: &FieldGeometry) -> f64 {
         let (simulator, map) = (Simulator::new(display, stack), RayMap::new(display, geometry));
-        // `sums` has, for each channel, Σ of weight, L, L̃/β and cos φ, and of the products of L
-        // and L̃/β with cos φ.
+        // `sums` has six sums over the rays for each channel: Σ 1, Σ L, Σ L̃/β, Σ cos φ, Σ L cos φ
+        // and Σ (L̃/β) cos φ.
         let mut sums = [[0.0f64; 6]; 3];
         for view in 0..geometry.grid.views()[1] {
             let emitted = simulator.view(&map, geometry, [0, view]);

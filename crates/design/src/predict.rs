@@ -2,7 +2,9 @@
 //!
 //! For a light field whose depths suit the display, three properties explain most of the quality.
 //! They are degrees of freedom per ray, brightness, and the detail that the bound allows. Detail is
-//! averaged up to the depth z_1 = p/Δs, where neighbouring views differ by one pixel:
+//! averaged up to the depth z_1, at which content shifts by one pixel between neighbouring views.
+//! For pixels of pitch p and views whose slopes differ by Δs, z_1 is p/Δs. ω(z) is the bound at
+//! depth z.
 //!
 //! ```text
 //! PSNR ≈ c_0 + c_1 log2 ρ + c_2 log2 1/β + c_3 mean of min(1, ω(z) 2p) over |z| ≤ z_1
@@ -86,7 +88,8 @@ mod tests {
         let close = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-12, "{found}");
         close(rank_correlation(&[1.0, 2.0, 3.0], &[10.0, 20.0, 1e9]), 1.0);
         close(rank_correlation(&[1.0, 2.0, 3.0], &[3.0, 2.0, 1.0]), -1.0);
-        // Without equal values, the correlation is 1 − 6 Σ d²/(n (n² − 1)).
+        // Without equal values, the correlation is 1 − 6 Σ d²/(n (n² − 1)), where d is the
+        // difference of the ranks of each of n pairs.
         close(rank_correlation(&[1.0, 2.0, 3.0, 4.0], &[2.0, 1.0, 4.0, 3.0]), 1.0 - 6.0 * 4.0 / 60.0);
         close(rank_correlation(&[1.0, 1.0, 2.0], &[5.0, 5.0, 7.0]), 1.0);
         assert!(rank_correlation(&[1.0, 1.0], &[1.0, 2.0]).is_nan());

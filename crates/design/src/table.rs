@@ -17,8 +17,8 @@ pub struct Design {
     pub frames: usize,
     /// Brightness scale β.
     pub brightness: f64,
-    /// Mean distance between neighbouring layers, millimetres. For a single layer, its distance to
-    /// the backlight; 0 if there is no directional backlight.
+    /// Mean distance between neighbouring layers, millimetres. For a single layer, the layer's
+    /// distance to the backlight; 0 if there is no directional backlight.
     pub gap_mm: f64,
     /// Field of view: [horizontal, vertical] full angles, degrees.
     pub fov_deg: [f64; 2],

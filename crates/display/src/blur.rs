@@ -1,6 +1,6 @@
 //! A Gaussian point spread over the pixels of a plane, and its transpose.
 //!
-//! Along one axis of n pixels the blur computes
+//! Along one axis of n pixels, the blur of standard deviation σ (in pixels) computes
 //!
 //! ```text
 //! out(i) = Σ_k w_k in(i + k) / Σ_k w_k      over the k with 0 ≤ i + k < n

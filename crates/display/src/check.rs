@@ -93,7 +93,7 @@ impl Display {
                 check(layer.d_mm > behind, &key("d_mm"), &expected, layer.d_mm.to_string())?;
             }
         }
-        // Check the directional backlight, which must be behind all layers.
+        // Check the directional backlight. No layer may be behind its lenslets.
         if let Backlight::Lenslets(backlight) = &self.backlight {
             finite("backlight.offset_mm", &backlight.offset_mm)?;
             positive("backlight.pitch_mm", backlight.pitch_mm)?;

@@ -1,9 +1,9 @@
 //! The paper's closed forms of the bound on depth of field, eqs. (23) to (26), with their
 //! assumptions about a display.
 //!
-//! Directions are slopes (d_r = 1). A layer's highest frequency is ω0 = 1/(2p), and one of A
-//! angular bins has the width Δs = (2/A) tan(α/2). Neighbouring layers are Δd apart, and z is the
-//! depth.
+//! Directions are slopes (the paper's d_r is 1). A layer of pitch p has the highest frequency ω0 =
+//! 1/(2p), and neighbouring layers are Δd apart. Lenslets have pitch Δx. Each of their A angular
+//! bins, over the angle α, has the width Δs = (2/A) tan(α/2). The depth is z.
 //!
 //! ```text
 //! (23) lens array               1/(2Δx)          if |z| ≤ Δx/Δs,                  else 1/(2|z|Δs)

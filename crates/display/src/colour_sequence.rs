@@ -17,7 +17,7 @@ pub enum ColourSequence {
 }
 
 impl ColourSequence {
-    /// Number of refreshes of the panels that one frame takes.
+    /// Returns the number of refreshes of the panels that one frame takes.
     pub fn fields(self) -> usize {
         match self {
             Self::Simultaneous => 1,
@@ -40,7 +40,7 @@ impl Default for ColourOrder {
 }
 
 impl ColourOrder {
-    /// True if the order is red, green, blue.
+    /// Returns true if the order is red, green, blue.
     pub fn is_default(&self) -> bool {
         *self == Self::default()
     }

@@ -13,6 +13,9 @@
 //! lenslets:   g = (1, d_b)/(2 Δx)  and  g = (0, 1)/(2 Δs),   Δs = (2/A) tan(α/2)
 //! ```
 //!
+//! Layer n has the distance d_n and the pitch p_n. The lenslets have the distance d_b, the pitch
+//! Δx, and A bins over the angle α.
+//!
 //! The paper's bounds (23) to (26) are special cases of ω(z) with d_b = 0. Like these bounds, ω(z)
 //! assumes continuous, band-limited layers and many frames, so it is a guide and not a strict
 //! limit.
@@ -31,8 +34,8 @@ impl Display {
         [0, 1].map(|axis| cutoff(&self.generators(axis), z_mm)).into_iter().fold(f64::INFINITY, f64::min)
     }
 
-    /// The depths, [low, high] in millimetres, at which frequencies up to `cutoff` (cycles per
-    /// millimetre) can be shown; `None` if there are none. A single layer without directional
+    /// Returns the depths, [low, high] in millimetres, at which frequencies up to `cutoff` (cycles
+    /// per millimetre) can be shown; `None` if there are none. A single layer without directional
     /// backlight shows these frequencies only in its own plane, so low = high.
     pub fn depths_shown(&self, cutoff: f64) -> Option<[f64; 2]> {
         let [x, y] = [0, 1].map(|axis| range(&self.generators(axis), cutoff));

@@ -17,8 +17,8 @@ pub struct LightField {
 /// light fields of pictures have none.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeenDepth {
-    /// Number of rows of the map, which covers the whole height of the view. It may be smaller than
-    /// the view's number of rows.
+    /// Number of rows of the map, which covers the whole height of the view. This number may be
+    /// smaller than the view's number of rows.
     pub rows: usize,
     /// Number of columns of the map, which covers the whole width of the view.
     pub cols: usize,

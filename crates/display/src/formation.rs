@@ -1,7 +1,7 @@
 //! Formation of an image from the layers of one frame.
 //!
-//! Let v_n be the value of layer n in frame m at the ray's intersection, and b_m the value of the
-//! backlight:
+//! Let v_n be the value of layer n in frame m of M, at the ray's intersection. Let b_m be the value
+//! of the backlight:
 //!
 //! ```text
 //! attenuating    L̃ = (1/M) Σ_m b_m Π_n v_n               (eqs. 7 and 18)

@@ -47,8 +47,9 @@ impl GridError {
 
 impl ViewGrid {
     /// Makes a grid of `views` = [horizontal, vertical] views over the full angles `fov_deg`, at
-    /// the centres of equal bins of slopes. View column a has the slope below; rows have the same
-    /// form, with the topmost view first. The spacing is Δv of eq. 23.
+    /// the centres of equal bins of slopes. View column a of A_x columns over the angle α_x has the
+    /// slope below. Rows have the same form, with the topmost view first. The spacing is Δv of eq.
+    /// 23.
     ///
     /// ```text
     /// s_x(a) = (a − (A_x−1)/2)·(2/A_x)·tan(α_x/2)
@@ -231,13 +232,13 @@ impl FieldGeometry {
         self.grid.check()
     }
 
-    /// Centre of column `col` on z = 0, millimetres.
+    /// Returns the centre of column `col` on z = 0, millimetres.
     #[inline]
     pub fn x_mm(&self, col: usize) -> f64 {
         (col as f64 - (self.cols as f64 - 1.0) / 2.0) * self.pitch_mm
     }
 
-    /// Centre of row `row` on z = 0, millimetres; row 0 is the top.
+    /// Returns the centre of row `row` on z = 0, millimetres; row 0 is the top.
     #[inline]
     pub fn y_mm(&self, row: usize) -> f64 {
         ((self.rows as f64 - 1.0) / 2.0 - row as f64) * self.pitch_mm

@@ -50,16 +50,16 @@ pub struct LensArray {
 }
 
 impl LensArray {
-    /// Full angle into which a lenslet emits light, degrees: 2 atan(p / 2f) for lens pitch p and
-    /// focal length f.
+    /// Returns the full angle into which a lenslet emits light, degrees: 2 atan(p / 2f) for lens
+    /// pitch p and focal length f.
     pub fn fov_deg(&self) -> f64 {
         2.0 * (0.5 * self.pitch_mm / self.focal_mm).atan().to_degrees()
     }
 }
 
 impl PanelStack {
-    /// Largest number of frames in a period that does not flicker at the refresh rate `refresh_hz`;
-    /// at least 1.
+    /// Returns the largest number of frames in a period that does not flicker at the refresh rate
+    /// `refresh_hz`; at least 1.
     pub fn steady_frames(refresh_hz: f64) -> usize {
         ((refresh_hz / Display::FLICKER_HZ + 1e-6).floor() as usize).max(1)
     }

@@ -1,7 +1,8 @@
 //! Intersections of the rays of a light field with the layers and the backlight.
 //!
-//! Column c of the field has its centre at x_c. Its ray at slope s hits layer n, of offset o_n,
-//! pitch p_n and W_n columns, at pixel position u. The formula for rows is the same, with y down:
+//! Column c of the field has its centre at x_c. Its ray at slope s hits layer n at pixel position
+//! u. This layer has the distance d_n, the offset o_n, the pitch p_n and W_n columns. The formula
+//! for rows is the same, with y down:
 //!
 //! ```text
 //! u = (x_c + d_n·s − o_n)/p_n + (W_n−1)/2
@@ -29,7 +30,7 @@ impl Tap {
     /// Value of `first` if the ray misses the layer.
     pub const MISSED: u32 = u32::MAX;
 
-    /// True if the ray misses the layer.
+    /// Returns true if the ray misses the layer.
     #[inline]
     pub fn is_missed(self) -> bool {
         self.first == Self::MISSED
@@ -127,9 +128,9 @@ impl BacklightMap {
         &self.y[view * self.rays[1]..(view + 1) * self.rays[1]]
     }
 
-    /// Returns the taps of some rays of every view, each tap changed by `change`. `rays` are the
-    /// ranges of these rays along x and along y. The second argument of `change` is the entry of
-    /// `first` for the tap's axis.
+    /// Returns the taps of some rays of every view. `rays` has the ranges of these rays along x and
+    /// along y. Each tap is replaced by the result of `change` for this tap and for the entry of
+    /// `first` (x, y) on the tap's axis.
     pub(crate) fn cut(
         &self,
         rays: [&std::ops::Range<usize>; 2],
@@ -275,9 +276,9 @@ impl Axis {
 }
 
 /// Returns the lenslet and the bin that each ray reads. The ray's position on the lenslets' plane
-/// selects the lenslet, and its slope selects the bin. Under `repeat` a ray outside the bins sees
-/// the picture of a neighbouring lenslet, as behind a real lens array. Bins then continue
-/// periodically, and the lenslet changes by one per period.
+/// selects the lenslet, and its slope selects the bin. Under [`OutsideBins::Repeat`] a ray outside
+/// the bins sees the picture of a neighbouring lenslet, as behind a real lens array. Bins then
+/// continue periodically, and the lenslet changes by one per period.
 fn backlight_taps(backlight: &LensletBacklight, rays: &[AxisRay], axis: Axis) -> Vec<BacklightTap> {
     let lenslets = backlight.lenslets[axis.index()] as f64;
     let bins = backlight.views[axis.index()] as f64;

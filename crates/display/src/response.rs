@@ -47,27 +47,28 @@ impl Response {
         }
     }
 
-    /// True if the three channels of a pixel share one value.
+    /// Returns true if the three channels of a pixel share one value.
     pub fn is_tied(&self) -> bool {
         self.tied
     }
 
-    /// True if rays read the stored values unchanged: without blur, colour filters or crosstalk.
+    /// Returns true if rays read the stored values unchanged: without blur, colour filters or
+    /// crosstalk.
     pub fn is_identity(&self) -> bool {
         !self.is_blurred() && self.filters.is_empty() && self.mix == IDENTITY
     }
 
-    /// True if there is any blur.
+    /// Returns true if there is any blur.
     pub fn is_blurred(&self) -> bool {
         !self.spread.is_identity()
     }
 
-    /// Crosstalk: row = emitted channel, column = mask channel.
+    /// Returns the crosstalk matrix: row = emitted channel, column = mask channel.
     pub fn mix(&self) -> [[f32; 3]; 3] {
         self.mix
     }
 
-    /// RGB factors of the colour filter on a column.
+    /// Returns the RGB factors of the colour filter on a column.
     #[inline]
     pub fn filter(&self, col: usize) -> [f32; 3] {
         if self.filters.is_empty() { [1.0; 3] } else { self.filters[col % self.filters.len()] }
@@ -88,7 +89,7 @@ impl Response {
         self.spread.apply::<false>([rows, cols], input, output, scratch);
     }
 
-    /// The transpose of [`blur`](Self::blur): ⟨blur(x), y⟩ = ⟨x, blur_adjoint(y)⟩.
+    /// Applies the transpose of [`blur`](Self::blur): ⟨blur(x), y⟩ = ⟨x, blur_adjoint(y)⟩.
     ///
     /// # Panics
     /// If a plane does not hold `rows · cols` values.

@@ -63,7 +63,7 @@ impl LayerStack {
         }
     }
 
-    /// Number of frames M.
+    /// Returns the number of frames M.
     pub fn frames(&self) -> usize {
         self.layers.first().map_or(0, |layer| layer.shape()[0])
     }

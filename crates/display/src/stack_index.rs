@@ -76,7 +76,7 @@ impl StackIndex {
     /// The version that is written.
     pub const VERSION: u32 = 1;
 
-    /// The index of the patterns of a display.
+    /// Returns the index of the patterns of a display.
     pub fn of(display: &Display, stack: &LayerStack) -> Self {
         Self { frames: stack.frames(), brightness: stack.brightness, ..Self::of_display(display) }
     }

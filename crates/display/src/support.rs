@@ -23,15 +23,15 @@ use crate::Display;
 use crate::depth::{cross, cutoff, width};
 
 impl Display {
-    /// ω(z) along one axis (0: x, 1: y), cycles per millimetre.
+    /// Returns ω(z) along one axis (0: x, 1: y), in cycles per millimetre.
     /// [`spatial_cutoff`](Self::spatial_cutoff) returns the smaller value of the two axes.
     pub fn spatial_cutoff_along(&self, axis: usize, z_mm: f64) -> f64 {
         cutoff(&self.generators(axis), z_mm)
     }
 
-    /// Corners of the support along one axis (0: x, 1: y), counterclockwise: [ω_x in cycles per
-    /// millimetre, ω_s in cycles per unit of slope]. There are two corners if the support is a
-    /// line.
+    /// Returns the corners of the support along one axis (0: x, 1: y), counterclockwise: [ω_x in
+    /// cycles per millimetre, ω_s in cycles per unit of slope]. There are two corners if the
+    /// support is a line.
     pub fn spectral_support(&self, axis: usize) -> Vec<[f64; 2]> {
         let mut generators = self.generators(axis);
         for g in &mut generators {

@@ -1,5 +1,5 @@
-//! Cuts a display into tiles. A tile has the pixels that it decides, the rays through these pixels,
-//! and all other pixels that these rays hit.
+//! Cuts a display into tiles. A tile has its own pixels, the rays through them, and all other
+//! pixels that these rays hit. Only the values of its own pixels are kept.
 //!
 //! ```text
 //! held   ┌───────────────────────┐   hit by rays through free pixels; fixed in a solve
@@ -263,7 +263,7 @@ fn even(range: &Range<usize>, count: usize) -> Range<usize> {
 }
 
 impl Region {
-    /// Number of rows and columns.
+    /// Returns the number of rows and columns.
     pub fn size(&self) -> [usize; 2] {
         [self.rows.len(), self.cols.len()]
     }

@@ -42,7 +42,7 @@ pub enum Channels<T> {
 }
 
 impl<T> Channels<T> {
-    /// Value of a channel: 0 red, 1 green, 2 blue.
+    /// Returns the value of a channel: 0 red, 1 green, 2 blue.
     ///
     /// # Panics
     /// If there is no such channel.

@@ -39,10 +39,10 @@ pub struct EyeBox {
 }
 
 impl Weights {
-    /// Weights that follow viewers. A ray has the weight `floor` + Σ weight · exp(−½ (r/σ)²). The
-    /// distance r of the ray from the eye is measured in the plane through the eye parallel to the
-    /// display. `floor` ≥ 0 is the least weight of every ray, so that directions between eye boxes
-    /// are solved too.
+    /// Returns the weights that follow viewers. A ray has the weight `floor` + Σ weight · exp(−½
+    /// (r/σ)²). The distance r of the ray from the eye is measured in the plane through the eye
+    /// parallel to the display. `floor` ≥ 0 is the least weight of every ray, so that directions
+    /// between eye boxes are solved too.
     ///
     /// # Errors
     /// If the geometry is invalid, or an eye is not in front of the display. Also if σ is not above
@@ -113,7 +113,7 @@ impl Weights {
         Ok(())
     }
 
-    /// Weight of one ray; `view` = [view_y, view_x].
+    /// Returns the weight of one ray; `view` = [view_y, view_x].
     #[inline]
     pub fn at(&self, view: [usize; 2], row: usize, col: usize) -> f32 {
         match self {

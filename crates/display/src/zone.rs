@@ -2,7 +2,7 @@
 //!
 //! The zone of an oblique light field is the set of slopes s with |s_x| ≤ tan(α_x/2) and |s_y| ≤
 //! tan(α_y/2). The zone of a perspective light field is the set of eye positions D·s for these
-//! slopes. With eye boxes, the zone is the union of the boxes.
+//! slopes, where D is the viewing distance. With eye boxes, the zone is the union of the boxes.
 //!
 //! The score `psnr_zone` is −10 log₁₀ of the mean squared error between seen picture / β and the
 //! scene's picture. The mean is over directions that are spread over the whole zone and that the
@@ -122,8 +122,8 @@ pub struct ZoneScore {
 }
 
 impl ZoneScore {
-    /// `psnr_zone`: PSNR of the mean error over all directions, dB. `None` if no pixel could be
-    /// scored.
+    /// Returns `psnr_zone`: the PSNR of the mean error over all directions, dB. `None` if no pixel
+    /// could be scored.
     pub fn psnr(&self) -> Option<f64> {
         mean(&self.scored()).map(psnr)
     }

@@ -42,7 +42,7 @@ pub struct LeftOut {
 /// Options of reading a light field.
 #[derive(Clone, Copy, Default)]
 pub struct Reading<'a> {
-    /// The display's footprint. It is needed only if [`GeometryFlags::prefilter`] is set.
+    /// The display's footprint. Required only if [`GeometryFlags::prefilter`] is set.
     pub footprint: Option<Footprint<'a>>,
     /// Largest number of views between the kept views that are read too.
     pub most_left_out: usize,
@@ -52,8 +52,8 @@ pub struct Reading<'a> {
     pub change: Option<&'a dyn Fn(&mut [f32])>,
 }
 
-/// Returns the folder for a light field's file, and the number of its bytes that may be in memory.
-/// The result `None` keeps the light field in memory.
+/// A function that returns the folder for a light field's file, and the number of its bytes that
+/// may be in memory. The result `None` keeps the light field in memory.
 pub type Paging<'a> = &'a dyn Fn(&FieldGeometry) -> Option<(&'a Path, usize)>;
 
 /// The parts of a source to read, and their geometry.
@@ -101,7 +101,8 @@ pub(crate) fn assemble(
     // Reserve a place for the result, and read views one at a time.
     let place = reading.paging.and_then(|paging| paging(&geometry));
     let mut all = match place {
-        // only reserve memory; a header may claim any size, so pages are touched when values arrive
+        // Only reserve memory, since a header may claim any size. The system provides the pages
+        // when values arrive.
         None => FieldWriter::Held { geometry: geometry.clone(), values: reserved(&path, count)? },
         Some(_) => FieldWriter::begin(geometry.clone(), place)?,
     };
@@ -190,8 +191,8 @@ fn left_out(
 /// The golden ratio's fraction, (√5 − 1)/2.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// The views that are averaged into every kept view, with their weights. The first list has an
-/// entry for every kept view row, and the second list has an entry for every kept view column.
+/// Returns the views that are averaged into every kept view, with their weights. The first list has
+/// an entry for every kept view row, and the second list has an entry for every kept view column.
 fn averaged(
     source: &Source,
     flags: &GeometryFlags,
@@ -313,7 +314,8 @@ impl Window {
     }
 }
 
-/// Positions of view columns (x, right) and view rows (y, up) relative to the centre, in steps.
+/// Returns the positions of view columns (x, right) and view rows (y, up) relative to the centre,
+/// in steps.
 fn positions(source: &Source) -> [Vec<f64>; 2] {
     if let Some(cameras) = &source.hints.cameras {
         return cameras.positions.clone();
@@ -345,8 +347,8 @@ fn find_focus(source: &mut Source, task: Task<'_>) -> Result<f64, FieldError> {
     Ok(focus_px)
 }
 
-/// Disparity between the two central views: the shift of content to the left (or down) while the
-/// viewpoint moves one step to the right (or up).
+/// Returns the disparity between the two central views: the shift of content to the left (or down)
+/// while the viewpoint moves one step to the right (or up).
 fn disparity_per_step(source: &mut Source) -> Result<Option<Motion>, FieldError> {
     let positions = positions(source);
     let [rows, cols] = source.views;

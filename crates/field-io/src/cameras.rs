@@ -111,7 +111,7 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
     grid(folder, cameras).map(Some)
 }
 
-/// All pictures of a folder, sorted by name.
+/// Returns all pictures of a folder, sorted by name.
 pub(crate) fn pictures(folder: &Path) -> Result<Vec<PathBuf>, FieldError> {
     let mut files = lumistack_files::list(folder).map_err(FieldError::io(folder, "list the folder"))?;
     files.retain(|path| has_picture_extension(path) && lumistack_files::is_file(path));
@@ -200,8 +200,8 @@ fn grid(folder: &Path, cameras: Vec<(CameraName, PathBuf)>) -> Result<Source, Fi
     })
 }
 
-/// Mean camera centre of each column (X, right) and of each row (Y, down), in the order of their
-/// numbers in the names.
+/// Mean camera centre of each column (X, right) and of each row (Y, down). The order is that of the
+/// row and column numbers in the names.
 struct Centres {
     x: Vec<f64>,
     y: Vec<f64>,
@@ -226,7 +226,7 @@ impl Centres {
         (differ(&x) && differ(&y)).then_some(Self { x, y })
     }
 
-    /// Positions in steps, right and up, in the order of this crate's views.
+    /// Returns the positions in steps, right and up, in the order of this crate's views.
     fn positions(mut self) -> [Vec<f64>; 2] {
         self.x.sort_by(f64::total_cmp);
         self.y.sort_by(f64::total_cmp);

@@ -96,7 +96,8 @@ pub fn round_to_half(values: &mut [f32]) {
     }
 }
 
-/// Name of a view's file: `view_YY_XX.exr`, with more digits for more than 100 views along an axis.
+/// Returns the name of a view's file: `view_YY_XX.exr`, with more digits for more than 100 views
+/// along an axis.
 pub fn view_file_name(views: [usize; 2], view: [usize; 2]) -> String {
     let digits = (views[0].max(views[1]).saturating_sub(1)).to_string().len().max(2);
     format!("view_{:0digits$}_{:0digits$}.exr", view[0], view[1])

@@ -59,8 +59,8 @@ fn is_unset(mirror: &[bool; 2]) -> bool {
     *mirror == [false; 2]
 }
 
-/// Values that are used if neither flags nor files define them. If a value is `None` here too, it
-/// is an error that the value is missing.
+/// Values that are used if neither flags nor files define them. If a value is `None` here too,
+/// opening fails.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GeometryDefaults {
     /// Width of the light field on the display plane z = 0, millimetres.
@@ -175,8 +175,8 @@ pub(crate) fn resolve(
     let pitch_mm = pitch(path, flags, defaults, hints, pixels, task)?;
     let own_slopes = physical_slopes(hints, picks, pixels);
     let (slopes, physical) = slopes(path, flags, defaults, hints, picks, own_slopes, task)?;
-    // Select the projection: by the flag, then by the file. If neither defines it, it is
-    // perspective if cameras or a viewing distance are known, and oblique otherwise.
+    // Select the projection: by the flag, then by the file. If neither defines a projection, the
+    // projection is perspective if cameras or a viewing distance are known, and oblique otherwise.
     let kind = flags.grid.or(hints.projection).unwrap_or(match flags.distance_mm {
         None if !physical => ProjectionKind::Oblique,
         _ => ProjectionKind::Perspective,
@@ -266,7 +266,7 @@ fn slopes(
 ) -> Result<([Vec<f64>; 2], bool), FieldError> {
     let counts = [picks[1].len(), picks[0].len()];
     let spread = |fov_deg: [f64; 2]| spread(path, fov_deg, hints, picks);
-    // Angles in the flags override all others. Warn if they differ from the files' angles.
+    // Angles in the flags override all other angles. Warn if they differ from the files' angles.
     if let Some(fov_deg) = flags.fov_deg {
         let slopes = spread(fov_deg)?;
         let of_file = |axis: usize| {
@@ -345,8 +345,9 @@ fn spread(path: &Path, fov_deg: [f64; 2], hints: &Hints, picks: &[Vec<usize>; 2]
     }))
 }
 
-/// True slopes of the cameras to the plane that is now z = 0. With disparity k and focal length f
-/// (both in pixels), a step sideways divided by the plane's distance is k/f.
+/// Returns the true slopes of the cameras to the plane that is now z = 0. The slope of one step is
+/// the step's length divided by the plane's distance. It equals k/f for disparity k and focal
+/// length f, both in pixels.
 fn physical_slopes(hints: &Hints, picks: &[Vec<usize>; 2], pixels: &Pixels) -> Option<[Vec<f64>; 2]> {
     let cameras = hints.cameras.as_ref()?;
     let per_step = cameras.slope_per_step + pixels.focus_px / cameras.focal_px?;
@@ -360,8 +361,8 @@ fn differ(own: f64, given: f64) -> bool {
     (own - given).abs() > 1e-6 * own.abs().max(given.abs()) + 1e-9
 }
 
-/// Full angle of the views, including half a bin past the first view and past the last view; 0 for
-/// one view.
+/// Returns the full angle of the views, including half a bin past the first view and past the last
+/// view; 0 for one view.
 pub(crate) fn full_angle_deg(slopes: &[f64]) -> f64 {
     match slopes {
         [first, .., last] => {

@@ -109,7 +109,7 @@ fn parse(text: &str) -> BTreeMap<String, String> {
     text.lines().filter(|line| !line.trim_start().starts_with(['#', ';'])).filter_map(pair).collect()
 }
 
-/// Number of cameras, [vertical, horizontal].
+/// Returns the number of cameras, [vertical, horizontal].
 fn grid_size(folder: &Path, parameters: &Parameters, count: usize, task: Task<'_>) -> Result<[usize; 2], FieldError> {
     if let (Some(cols), Some(rows)) = (parameters.count("num_cams_x")?, parameters.count("num_cams_y")?) {
         if count < rows * cols {

@@ -43,7 +43,7 @@ pub(crate) fn lend(file: &File, first: u64, count: usize) -> Option<Lender> {
         .then(|| Arc::new(Mapped { file, first: first as usize, count }) as Lender)
 }
 
-/// On 32 bits there are too few addresses for an array that exceeds memory.
+/// Returns `None`, since on 32 bits there are too few addresses for an array that exceeds memory.
 #[cfg(not(target_pointer_width = "64"))]
 pub(crate) fn lend(_file: &File, _first: u64, _count: usize) -> Option<Lender> {
     None

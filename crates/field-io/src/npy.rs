@@ -129,12 +129,12 @@ impl NpyFile {
         &self.shape
     }
 
-    /// Type of the file's values.
+    /// Returns the type of the file's values.
     pub fn scalar(&self) -> Scalar {
         self.scalar
     }
 
-    /// Number of values.
+    /// Returns the number of values.
     pub fn len(&self) -> usize {
         self.shape.iter().product()
     }
@@ -145,7 +145,7 @@ impl NpyFile {
     }
 
     /// Lends the values directly from the file. `None` if the file stores them differently from
-    /// this machine, or they take less than `least_bytes`.
+    /// this machine, or the values take less than `least_bytes`.
     pub(crate) fn lent(&self, least_bytes: u64) -> Option<lumistack_core::Lender> {
         let is_plain = self.scalar == Scalar::F32 && !self.big_endian;
         let is_large = 4 * self.len() as u64 >= least_bytes;
@@ -179,7 +179,7 @@ impl NpyFile {
 }
 
 impl Scalar {
-    /// Bytes of one value.
+    /// Returns the number of bytes of one value.
     pub fn bytes(self) -> usize {
         match self {
             Self::U8 => 1,

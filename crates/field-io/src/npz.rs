@@ -1,7 +1,7 @@
 //! NumPy's archives: `.npz`, arrays of little-endian `float32` in an uncompressed ZIP file.
 //!
-//! An archive is written front to back, without seeking and in blocks, so memory does not grow with
-//! the arrays. Equal values produce equal bytes.
+//! An archive is written front to back, some values at a time. So writing needs no seeking, and
+//! memory does not grow with the arrays. Equal values produce equal bytes.
 
 use std::io::{self, Write};
 

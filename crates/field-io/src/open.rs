@@ -49,7 +49,8 @@ pub fn open_for(
     assemble(&mut source, flags, defaults, reading, task)
 }
 
-/// The geometry of the light field that [`open`] would return, without reading all pictures.
+/// Returns the geometry of the light field that [`open`] would return, without reading all
+/// pictures.
 ///
 /// # Errors
 /// The errors of [`open`], except errors of pixel values.
@@ -64,8 +65,8 @@ pub fn geometry_of(
     plan(&mut source, flags, defaults, task).map(|plan| plan.geometry)
 }
 
-/// Upper bound of the bytes that the decoded file of a light field takes while views are read from
-/// it: 0 unless all views are in one picture.
+/// Returns an upper bound of the bytes that the decoded file of a light field takes while views are
+/// read from it: 0 unless all views are in one picture.
 pub fn picture_bytes(path: &Path) -> u64 {
     // a decoded picture takes at most 16 bytes per pixel (four floats), and decoding takes 8 more
     const BYTES: u64 = 24;

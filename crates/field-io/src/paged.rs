@@ -48,7 +48,7 @@ impl FieldWriter {
         }
     }
 
-    /// The geometry of the light field.
+    /// Returns the geometry of the light field.
     pub fn geometry(&self) -> &FieldGeometry {
         match self {
             Self::Held { geometry, .. } | Self::Paged(Paged { geometry, .. }) => geometry,
@@ -95,8 +95,9 @@ pub struct Paged {
 }
 
 impl Paged {
-    /// Creates the file on the disk of a folder. Later, `limit` bytes of the light field may be in
-    /// memory, and `limit` bytes of every array that is stored beside it.
+    /// Creates the file on the disk of a folder. `limit` is the largest number of bytes of the
+    /// finished light field that may be in memory. The same limit applies to each array that is
+    /// stored in the same folder.
     ///
     /// # Errors
     /// If the file cannot be created.
@@ -145,8 +146,8 @@ pub fn storage(folder: &Path, limit: usize) -> Storage {
     let folder = folder.to_owned();
     Arc::new(move |bytes| {
         let mut file = tempfile::tempfile_in(&folder)?;
-        // zeros are written so that a full disk is an error here; without them it would be a crash
-        // later
+        // Write zeros, so that a full disk is an error here. Without them, a later write into the
+        // mapping would crash the program.
         io::copy(&mut io::repeat(0).take(bytes as u64), &mut file)?;
         // SAFETY: the file has no name, so no other process writes it
         let map = unsafe { MmapMut::map_mut(&file) }?;

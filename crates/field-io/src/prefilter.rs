@@ -8,9 +8,10 @@
 //!
 //! δs is the [`angular_footprint`](lumistack_display::Display::angular_footprint) and Δs the step
 //! of the given views, per axis. A view represents its bin of slopes. Footprints of at most one bin
-//! have no effect, since radiance between the views is unknown. With more views the result
-//! approaches the result of the path tracer's `angular_filter = "display"`. For δs = nΔs, a plane
-//! at z with a grating of frequency ω keeps this factor of its contrast:
+//! have no effect, since radiance between the views is unknown. L is the given light field and L'
+//! the result. x is a pixel, and s_i and s_j are the slopes of views i and j. With more views the
+//! result approaches the result of the path tracer's `angular_filter = "display"`. For δs = nΔs, a
+//! plane at z with a grating of frequency ω keeps this factor of its contrast:
 //!
 //! ```text
 //! sin(πω|z|nΔs)/(n sin(πω|z|Δs)) → sinc(ω z δs)
@@ -27,13 +28,13 @@ pub type Footprint<'a> = &'a dyn Fn(&FieldGeometry) -> [f64; 2];
 /// For every kept view along one axis: the views that are averaged into it, and their weights.
 pub(crate) type Shares = Vec<Vec<(usize, f32)>>;
 
-/// The shares without a prefilter: every kept view has only itself.
+/// Returns the shares without a prefilter: every kept view has only itself.
 pub(crate) fn alone(picks: &[usize]) -> Shares {
     picks.iter().map(|&view| vec![(view, 1.0)]).collect()
 }
 
-/// Weights along an axis. `slopes` are the slopes of the kept views `picks`, and `positions` the
-/// positions of all views in any unit. `width` is the footprint.
+/// Returns the weights along an axis. `slopes` are the slopes of the kept views `picks`, and
+/// `positions` the positions of all views in any unit. `width` is the footprint.
 pub(crate) fn shares(slopes: &[f64], picks: &[usize], positions: &[f64], width: f64) -> Shares {
     let ([first, .., last], [from, .., to]) = (slopes, picks) else { return alone(picks) };
     let scale = (last - first) / (positions[*to] - positions[*from]);

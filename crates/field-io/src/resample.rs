@@ -1,5 +1,5 @@
-//! Area averaging in linear light: an output pixel is the mean of the rectangle of the source that
-//! it covers.
+//! Area averaging in linear light: an output pixel is the mean of the source over the rectangle
+//! that the output pixel covers.
 //!
 //! One function shifts, crops and reduces. A rectangle that starts between pixels mixes two
 //! neighbours, which shifts the picture.

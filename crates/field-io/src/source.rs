@@ -34,7 +34,7 @@ pub enum Kind {
 pub(crate) trait Views {
     /// Reads a view, `[row][col][rgb]`, linear, in the file's resolution.
     fn load(&mut self, view: [usize; 2]) -> Result<Vec<f32>, FieldError>;
-    /// The file that contains a view.
+    /// Returns the file that contains a view.
     fn file(&self, view: [usize; 2]) -> PathBuf;
 }
 

@@ -1,4 +1,4 @@
-//! Writes a stack region by region, so it is never in memory as a whole.
+//! Writes a stack region by region, so that the whole stack is never in memory.
 
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};

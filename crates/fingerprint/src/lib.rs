@@ -40,7 +40,8 @@ pub fn emit(more: &[&str]) {
     println!("cargo::rustc-env=LUMISTACK_FINGERPRINT={fingerprint}");
 }
 
-/// The fingerprint of the crate in `folder`, 32 hexadecimal digits. For `more` see [`emit`].
+/// Returns the fingerprint of the crate in `folder`, 32 hexadecimal digits. For `more` see
+/// [`emit`].
 ///
 /// # Errors
 /// If a file cannot be read.

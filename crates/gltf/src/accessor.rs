@@ -2,8 +2,8 @@
 //! first byte is read.
 //!
 //! Element i starts at byte `offset + stride · i` of its view. Integers become floats of the same
-//! value. With `normalized` they become f = c / (2ⁿ − 1) if unsigned, and f = max(c / (2ⁿ⁻¹ − 1),
-//! −1) if signed (glTF 2.0, sections 3.6.2 and 3.11).
+//! value. With `normalized`, an unsigned integer c of n bits becomes f = c / (2ⁿ − 1). A signed one
+//! becomes f = max(c / (2ⁿ⁻¹ − 1), −1) (glTF 2.0, sections 3.6.2 and 3.11).
 
 use gltf::json;
 use gltf::json::accessor::{ComponentType, Type};
@@ -21,7 +21,7 @@ const MAX_IMPLICIT_COUNT: u64 = 1 << 24;
 pub(crate) struct Format {
     pub(crate) types: &'static [Type],
     pub(crate) components: &'static [ComponentType],
-    /// The allowed types and component types in glTF's words, for messages.
+    /// The allowed types and component types by their names in glTF, for messages.
     pub(crate) text: &'static str,
 }
 
@@ -83,7 +83,7 @@ impl<'a> Accessor<'a> {
             return Err(Fault::new(format!("{place}/count"), format!("a count in 1..{most}"), count));
         }
         let count = count as usize;
-        // read the dense elements, and the sparse elements that replace some of them
+        // Open the dense elements, and the sparse elements that replace some of them.
         let dimensions = kind.multiplicity();
         let size = component.size() * dimensions;
         // allow a stride only for vectors, since only vertex attributes may be interleaved
@@ -104,8 +104,8 @@ impl<'a> Accessor<'a> {
         Ok(Self { used_at, count, dimensions, component, normalized, dense, sparse })
     }
 
-    /// Elements from a Draco stream, which replace the elements of an accessor. The index at
-    /// `used_at` refers to that accessor.
+    /// Returns the elements from a Draco stream, which replace the elements of an accessor. The
+    /// index at `used_at` refers to that accessor.
     pub(crate) fn decoded(
         document: &'a Document<'_>,
         index: json::Index<json::Accessor>,
@@ -126,8 +126,8 @@ impl<'a> Accessor<'a> {
         Ok(Self { used_at: used_at.to_owned(), count, dimensions, component, normalized, dense, sparse: None })
     }
 
-    /// Elements as floats. Components that the accessor lacks are set to `fill`, and components
-    /// past `N` are left out.
+    /// Returns the elements as floats. Components that the accessor lacks are set to `fill`, and
+    /// components past `N` are left out.
     pub(crate) fn floats<const N: usize>(
         &self,
         document: &Document<'_>,
@@ -168,7 +168,7 @@ impl<'a> Accessor<'a> {
         }
     }
 
-    /// Elements as integers. The component type must be unsigned.
+    /// Returns the elements as integers. The component type must be unsigned.
     pub(crate) fn integers<const N: usize>(
         &self,
         document: &Document<'_>,
@@ -330,7 +330,7 @@ impl<'a> Sparse<'a> {
     }
 }
 
-/// Little-endian integer of one, two or four bytes.
+/// Reads a little-endian integer of one, two or four bytes.
 fn unsigned(bytes: &[u8]) -> u32 {
     bytes.iter().rev().fold(0, |value, &byte| (value << 8) | u32::from(byte))
 }

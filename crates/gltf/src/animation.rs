@@ -1,6 +1,7 @@
 //! Animations sampled at one time: transforms of nodes and weights of morph targets.
 //!
-//! Between keys k and k+1, with u = (t − t_k) / (t_{k+1} − t_k) and Δ = t_{k+1} − t_k seconds:
+//! Key k has the time t_k and the value v_k. For a time t between keys k and k+1, let u = (t − t_k)
+//! / (t_{k+1} − t_k) and Δ = t_{k+1} − t_k, in seconds:
 //!
 //! * STEP gives v_k.
 //! * LINEAR gives (1−u)·v_k + u·v_{k+1}; rotations follow the shorter arc (slerp).
@@ -77,13 +78,13 @@ struct Channel {
     interpolation: Interpolation,
 }
 
-/// Names of the file's animations, in its order.
+/// Returns the names of the file's animations, in the file's order.
 pub(crate) fn names<'d>(document: &'d Document<'_>) -> Vec<Option<&'d str>> {
     let list = document.json("/animations").and_then(Value::as_array);
     list.into_iter().flatten().map(|animation| animation.get("name").and_then(Value::as_str)).collect()
 }
 
-/// Seconds from 0 to the last key of an animation.
+/// Returns the time in seconds from 0 to the last key of an animation.
 pub(crate) fn duration_s(document: &Document<'_>, number: usize) -> Result<f32, Fault> {
     let mut end_s = 0.0f32;
     let mut seen = HashSet::new();
@@ -95,7 +96,7 @@ pub(crate) fn duration_s(document: &Document<'_>, number: usize) -> Result<f32, 
     Ok(end_s)
 }
 
-/// Every node that the chosen animations move, with the values at the chosen time.
+/// Returns every node that the chosen animations move, with the values at the chosen time.
 pub(crate) fn sample(document: &Document<'_>, options: &LoadOptions) -> Result<HashMap<usize, NodePose>, Fault> {
     let names = names(document);
     let chosen = match &options.animation {
@@ -150,7 +151,7 @@ fn together(document: &Document<'_>, names: &[Option<&str>]) -> Result<Vec<Vec<C
     Ok(all)
 }
 
-/// The channels of an animation that move a node; warns of channels that are not supported.
+/// Returns the channels of an animation that move a node; warns of channels that are not supported.
 fn channels(document: &Document<'_>, number: usize) -> Result<Vec<Channel>, Fault> {
     let place = format!("/animations/{number}");
     let expected = |place: String, expected: &str| {
@@ -208,7 +209,7 @@ fn channels(document: &Document<'_>, number: usize) -> Result<Vec<Channel>, Faul
     Ok(channels)
 }
 
-/// Times of the keys, which increase; there is at least one.
+/// Returns the times of the keys, which increase; there is at least one.
 fn times(document: &Document<'_>, channel: &Channel) -> Result<Vec<f32>, Fault> {
     let place = format!("{}/input", channel.sampler);
     let accessor = Accessor::open(document, channel.input, &place, &TIMES)?;
@@ -324,7 +325,7 @@ fn rotation(document: &Document<'_>, channel: &Channel, time_s: f64) -> Result<D
     }
 }
 
-/// Weights of the node's morph targets; `None`, with a warning, if the node has none.
+/// Returns the weights of the node's morph targets; `None`, with a warning, if the node has none.
 fn weights(document: &Document<'_>, channel: &Channel, time_s: f64) -> Result<Option<Vec<f32>>, Fault> {
     let node = channel.node;
     let targets = match document.root.nodes[node].mesh {

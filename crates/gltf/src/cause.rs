@@ -1,5 +1,5 @@
-//! Finds the reason why a file has no visible triangle. The message has two parts: what the scene's
-//! structure lacks, and the first defect in data that the scene does not use.
+//! Finds the reason why a file has no visible triangle. The message has two statements: the element
+//! that the scene's structure lacks, and the first defect in data that the scene does not use.
 //!
 //! If a file is truncated, or its scene has lost its nodes, all data that the scene uses may be
 //! valid. A defect in the unused data then helps to explain why the scene is empty. The unused data
@@ -37,7 +37,7 @@ const ANY: Format = Format {
     text: "a type and a component type of glTF 2.0",
 };
 
-/// The error of a file whose scene has no mesh.
+/// Returns the error of a file whose scene has no mesh.
 pub(crate) fn nothing_to_show(document: &Document<'_>, nodes: &Nodes) -> Fault {
     let found = format!("none: {}", structure(document, nodes));
     let defect = match defect(document, nodes) {
@@ -60,15 +60,15 @@ pub(crate) fn no_area(document: &Document<'_>, found: &str, triangles: usize) ->
     }
 }
 
-/// The first primitive that was left out, with its reason, and the number of all primitives that
-/// were left out.
+/// Returns the first primitive that was left out, with its reason, and the number of all primitives
+/// that were left out.
 fn left_out(document: &Document<'_>) -> Option<String> {
     let (first, count) = &*document.left_out.borrow();
     let first = first.as_ref()?;
     Some(if *count > 1 { format!("{first} (primitives left out in all: {count})") } else { first.clone() })
 }
 
-/// The reason why the structure of the scene shows no mesh.
+/// Returns the reason why the structure of the scene shows no mesh.
 fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
     let root = &document.root;
     let meshes = root.meshes.len();

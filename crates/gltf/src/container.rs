@@ -54,7 +54,7 @@ const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 const HEADER_BYTES: usize = 12;
 const CHUNK_HEADER_BYTES: usize = 8;
 
-/// The JSON chunk and the binary chunk of a `.glb`.
+/// Returns the JSON chunk and the binary chunk of a `.glb`.
 fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), Fault> {
     let version = word(bytes, 4)?;
     if version != 2 {
@@ -74,7 +74,7 @@ fn split_glb(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), Fault> {
     Ok((json, bin))
 }
 
-/// The content of the chunk at `start`, and the start of the next chunk.
+/// Returns the content of the chunk at `start`, and the start of the next chunk.
 fn chunk<'a>(file: &'a [u8], start: usize, kind: &[u8; 4], name: &str) -> Result<(&'a [u8], usize), Fault> {
     let length = word(file, start)? as usize;
     let found = file.get(start + 4..start + CHUNK_HEADER_BYTES).unwrap_or_default();

@@ -28,8 +28,8 @@ pub(crate) struct Document<'a> {
     pub(crate) variant: Option<usize>,
     raw: Value,
     bin: Option<&'a [u8]>,
-    /// Content of every buffer's file or data URI. Buffers with the same URI share the entry of the
-    /// first of them.
+    /// Content of every buffer's file or data URI. Buffers with the same URI share one entry, whose
+    /// index is that of the first such buffer.
     buffers: Vec<OnceCell<Cow<'a, [u8]>>>,
     /// For every buffer, the index of the first buffer with the same URI.
     first_buffer: Vec<usize>,
@@ -78,17 +78,17 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// The JSON value at a pointer.
+    /// Returns the JSON value at a pointer.
     pub(crate) fn json(&self, place: &str) -> Option<&Value> {
         self.raw.pointer(place)
     }
 
-    /// The JSON value at a pointer, as text for messages.
+    /// Returns the JSON value at a pointer, as text for messages.
     pub(crate) fn quote(&self, place: &str) -> String {
         quote(self.json(place))
     }
 
-    /// The object that the index at `place` refers to.
+    /// Returns the object that the index at `place` refers to.
     pub(crate) fn get<T>(&self, index: json::Index<T>, place: &str) -> Result<&T, Fault>
     where
         json::Root: Get<T> + AsRef<[T]>,
@@ -141,7 +141,7 @@ impl<'a> Document<'a> {
         self.task.warn(place, reason);
     }
 
-    /// Number of bytes that may still be allocated.
+    /// Returns the number of bytes that may still be allocated.
     pub(crate) fn affordable_bytes(&self) -> u64 {
         self.max_decoded_bytes.saturating_sub(self.decoded_bytes.get())
     }
@@ -161,7 +161,7 @@ impl<'a> Document<'a> {
         })
     }
 
-    /// A part of a buffer. `place` is the object with the fields `buffer` and `byteLength`.
+    /// Returns a part of a buffer. `place` is the object with the fields `buffer` and `byteLength`.
     pub(crate) fn range(
         &self,
         buffer: json::Index<json::Buffer>,
@@ -181,7 +181,7 @@ impl<'a> Document<'a> {
         })
     }
 
-    /// The bytes of a buffer, read on first use.
+    /// Returns the bytes of a buffer, read on first use.
     pub(crate) fn buffer(&self, index: json::Index<json::Buffer>, place: &str) -> Result<&[u8], Fault> {
         let buffer = self.get(index, place)?;
         let cell = &self.buffers[self.first_buffer[index.value()]];
@@ -208,7 +208,8 @@ impl<'a> Document<'a> {
         })
     }
 
-    /// Content of a URI: the bytes of a data URI, or of a file relative to the glTF file.
+    /// Returns the content of a URI: the bytes of a data URI, or of a file relative to the glTF
+    /// file.
     pub(crate) fn read_uri(&self, uri: &str, place: &str, max_bytes: u64) -> Result<Vec<u8>, Fault> {
         self.task.cancel.check()?;
         if let Some(data) = uri.strip_prefix("data:") {
@@ -228,8 +229,8 @@ impl<'a> Document<'a> {
     }
 }
 
-/// For every entry, the index of the first entry with the same URI; for an entry without a URI, its
-/// own index.
+/// Returns, for every entry, the index of the first entry with the same URI; for an entry without a
+/// URI, its own index.
 fn firsts<'u>(uris: impl Iterator<Item = Option<&'u str>>) -> Vec<usize> {
     let mut known = HashMap::new();
     uris.enumerate().map(|(i, uri)| uri.map_or(i, |uri| *known.entry(uri).or_insert(i))).collect()
@@ -241,7 +242,7 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
     GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
 );
 
-/// Content of `data:<data>` (RFC 2397).
+/// Decodes the content of `data:<data>` (RFC 2397).
 fn decode_data_uri(data: &str, place: &str) -> Result<Vec<u8>, Fault> {
     let Some((kind, content)) = data.split_once(',') else {
         return Err(Fault::new(place, "a comma before the content of the data URI", shorten(data)));

@@ -27,7 +27,7 @@ pub enum GltfError {
     UnsupportedExtension {
         /// The file as the caller named it.
         file: String,
-        /// JSON pointer to the name of the unsupported extension in the file.
+        /// JSON pointer to the unsupported extension's name in the file.
         place: String,
         /// Name of the unsupported extension.
         name: String,

@@ -1,5 +1,5 @@
-//! The extensions that are read, and the handling of others. The table for users is in
-//! `docs/GLTF.md`; a test compares both.
+//! The extensions that are read, and the handling of others. `docs/GLTF.md` has a table of them for
+//! users; a test compares this table with the list here.
 
 use crate::document::Document;
 use crate::error::Fault;
@@ -88,7 +88,8 @@ mod tests {
 
     use super::*;
 
-    /// The rows of the table in `docs/GLTF.md`: extension, handling, and the test that shows it.
+    /// Returns the rows of the table in `docs/GLTF.md`: extension, handling, and the test that
+    /// shows it.
     fn rows() -> Vec<[&'static str; 3]> {
         let text = include_str!("../../../docs/GLTF.md");
         let table = text.split("| extension |").nth(1).expect("a table of extensions");

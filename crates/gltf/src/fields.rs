@@ -14,7 +14,7 @@ pub(crate) struct Fields<'d> {
 }
 
 impl<'d> Fields<'d> {
-    /// The object at a JSON pointer; `None` if the file has no value there.
+    /// Returns the object at a JSON pointer; `None` if the file has no value there.
     pub(crate) fn at(document: &'d Document<'_>, place: String) -> Result<Option<Self>, Fault> {
         match document.json(&place) {
             None => Ok(None),
@@ -23,12 +23,12 @@ impl<'d> Fields<'d> {
         }
     }
 
-    /// JSON pointer to the object.
+    /// Returns the JSON pointer to the object.
     pub(crate) fn here(&self) -> &str {
         &self.place
     }
 
-    /// JSON pointer to a member.
+    /// Returns the JSON pointer to a member.
     pub(crate) fn place(&self, key: &str) -> String {
         format!("{}/{key}", self.place)
     }
@@ -55,12 +55,13 @@ impl<'d> Fields<'d> {
         self.read(key, "a text", Value::as_str)
     }
 
-    /// A member that is a whole number; `None` if the member is absent.
+    /// Returns a member that is a whole number; `None` if the member is absent.
     pub(crate) fn count(&self, key: &str) -> Result<Option<u64>, Fault> {
         self.read(key, "a whole number", Value::as_u64)
     }
 
-    /// Index of an object of the file; [`Document::get`] checks it when the object is read.
+    /// Returns the index of an object of the file; [`Document::get`] checks it when the object is
+    /// read.
     pub(crate) fn index<T>(&self, key: &str) -> Result<Option<json::Index<T>>, Fault> {
         self.read(key, "an index", |value| value.as_u64().map(|index| json::Index::new(index as u32)))
     }
@@ -70,7 +71,7 @@ impl<'d> Fields<'d> {
         self.index(key)?.ok_or_else(|| Fault::new(self.place(key), "an index", "nothing"))
     }
 
-    /// Number of entries of a list; 0 if the list is absent.
+    /// Returns the number of entries of a list; 0 if the list is absent.
     pub(crate) fn list(&self, key: &str) -> Result<usize, Fault> {
         Ok(self.read(key, "a list", |value| value.as_array().map(Vec::len))?.unwrap_or(0))
     }

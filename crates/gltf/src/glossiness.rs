@@ -41,7 +41,7 @@ pub(crate) fn convert(loader: &mut Loader<'_, '_>, material: &mut Material, plac
     Ok(true)
 }
 
-/// Returns the index of a texture with roughness that replaces the texture `glossy` with
+/// Returns the index of a roughness texture that replaces `glossy`, a texture whose alpha is
 /// glossiness.
 fn roughness_texture(loader: &mut Loader<'_, '_>, glossy: usize, factor: f32, place: &str) -> Result<usize, Fault> {
     let source = loader.textures[glossy];

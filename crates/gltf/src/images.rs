@@ -80,7 +80,8 @@ impl Images {
         Ok(self.decoded.len() - 1)
     }
 
-    /// Index of an image whose green channel is 1 − `factor` · alpha of the image `from`.
+    /// Returns the index of an image whose green channel is 1 − `factor` · alpha of the image
+    /// `from`.
     pub(crate) fn roughness(
         &mut self,
         document: &Document<'_>,

@@ -79,7 +79,7 @@ pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// Reads the files to which a glTF file refers.
 pub trait AssetResolver {
-    /// The content of the file at `uri`, which is relative to the glTF file and already
+    /// Returns the content of the file at `uri`, which is relative to the glTF file and already
     /// percent-decoded. The glTF file is not trusted: `uri` may name any file (`../../secret`,
     /// `/dev/zero`), so the resolver decides which ones it reads.
     ///

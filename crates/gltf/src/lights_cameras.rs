@@ -20,7 +20,7 @@ use crate::images::Images;
 use crate::nodes::{Nodes, extras, rotation};
 use crate::quote::quote;
 
-/// The punctual lights of the scene's nodes.
+/// Returns the punctual lights of the scene's nodes.
 pub(crate) fn lights(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Light>, Fault> {
     let mut lights = Vec::new();
     for &node in &nodes.shown {
@@ -76,7 +76,7 @@ fn light_kind(document: &Document<'_>, source: &Source, place: &str) -> Result<L
     }
 }
 
-/// The cameras of the scene's nodes, in the file's order of cameras.
+/// Returns the cameras of the scene's nodes, in the file's order of cameras.
 pub(crate) fn cameras(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Camera>, Fault> {
     let mut cameras = Vec::new();
     for &node in &nodes.shown {
@@ -101,7 +101,7 @@ pub(crate) fn cameras(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Came
     Ok(cameras.into_iter().map(|(_, camera)| camera).collect())
 }
 
-/// Distance of the near plane, in scene units.
+/// Returns the distance of the near plane, in scene units.
 fn near(source: &json::Camera) -> Option<f32> {
     match (&source.perspective, &source.orthographic) {
         (Some(perspective), _) => Some(perspective.znear),
@@ -150,8 +150,8 @@ pub(crate) fn projection(document: &Document<'_>, source: &json::Camera, place: 
     }
 }
 
-/// The environment in the scene's extras: the picture `image`; a factor `strength`, one number or
-/// three; and a quaternion `rotation`.
+/// Returns the environment in the scene's extras: the picture `image`; a factor `strength`, one
+/// number or three; and a quaternion `rotation`.
 pub(crate) fn environment(
     document: &Document<'_>,
     nodes: &Nodes,

@@ -1,4 +1,4 @@
-//! Makes the parts of a scene from an opened file.
+//! Makes a scene from the bytes of a glTF file.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -130,7 +130,7 @@ fn load_scene(
     let triangles: usize = parts.meshes.iter().map(|mesh| mesh.triangles.len()).sum();
     parts.validate(task).map_err(|mut error| {
         // For an error of the whole scene, the validator's place is the file's name, with which the
-        // message begins anyway. The list of nodes is a more exact place.
+        // message begins anyway. Name the scene's list of nodes instead.
         if error.place == name {
             error.place = nodes.place();
             error.found = cause::no_area(&document, &error.found, triangles);
@@ -222,8 +222,8 @@ fn place_meshes(
     Ok(())
 }
 
-/// The primitives of a mesh that are splats: indices of their clouds, and the clouds' placements in
-/// the mesh.
+/// Reads the primitives of a mesh that are splats. Returns the indices of their clouds, and the
+/// placements of the clouds in the mesh.
 fn read_splats(
     document: &Document<'_>,
     mesh: &json::Mesh,

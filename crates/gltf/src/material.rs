@@ -102,14 +102,14 @@ impl Loader<'_, '_> {
             material.transmission_texture = self.texture_use(texture)?;
         }
         material_extensions::read(self, &mut material, place)?;
-        // KHR_materials_pbrSpecularGlossiness takes precedence, so it replaces the reflection
-        // values read above
+        // KHR_materials_pbrSpecularGlossiness takes precedence, so it replaces the values of the
+        // metallic-roughness model
         glossiness::convert(self, &mut material, place)?;
         let sets = fit_uv_sets(&mut material, place, self.document.task);
         Ok((material, sets))
     }
 
-    /// Lumistack's mark of a surface that represents a light source: `extras.lumistack.lamp`.
+    /// Reads Lumistack's mark of a surface that represents a light source: `extras.lumistack.lamp`.
     fn lamp(&self, place: &str) -> Result<Lamp, Fault> {
         let Some(lamp) = extras(self.document, place, &["lamp"]).and_then(|extras| extras.get("lamp")) else {
             return Ok(Lamp::No);

@@ -151,7 +151,7 @@ pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Opt
     Ok(Some(mesh))
 }
 
-/// Vertex indices in drawing order, all below `count`.
+/// Returns the vertex indices in drawing order, all below `count`.
 fn indices(document: &Document<'_>, request: &Request<'_>, count: usize) -> Result<Vec<u32>, Fault> {
     let Some(index) = request.primitive.indices else {
         document.spend(&request.place, count, size_of::<u32>())?;

@@ -15,7 +15,7 @@ use gltf::json;
 const NAMES: [&str; 2] = ["KHR_meshopt_compression", "EXT_meshopt_compression"];
 
 /// Largest ratio of unpacked to packed bytes. A block of 256 vertices takes at least one packed
-/// byte for every four bytes of a vertex. These are 4 · 256 = 1024 unpacked bytes.
+/// byte for every four bytes of a vertex. In 256 vertices, four bytes per vertex are 1024 bytes.
 const MAX_RATIO: u64 = 1024;
 
 /// A buffer view that is compressed by meshopt.
@@ -27,7 +27,7 @@ pub(crate) struct Packed<'d> {
 }
 
 impl<'d> Packed<'d> {
-    /// The compressed data of the view at `place`; `None` if the view is not compressed.
+    /// Returns the compressed data of the view at `place`; `None` if the view is not compressed.
     pub(crate) fn of(
         document: &'d Document<'_>,
         view: &json::buffer::View,

@@ -31,7 +31,7 @@ pub(crate) struct Nodes {
 }
 
 impl Nodes {
-    /// JSON pointer to the list of shown nodes.
+    /// Returns the JSON pointer to the list of shown nodes.
     pub(crate) fn place(&self) -> String {
         self.scene_place.clone().unwrap_or_else(|| "/nodes".to_owned())
     }
@@ -89,10 +89,10 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
     Ok(Nodes { scene_place, shown, scene_from_node, poses })
 }
 
-/// True if a node that the scene lists becomes a root of the scene. A scene should not list a node
-/// that has a parent, but many readers show such a node. If the scene shows an ancestor too, the
-/// node stays with its parent. Otherwise it is shown without its parents. `known` caches the
-/// results for ancestors.
+/// Returns true if a node that the scene lists becomes a root of the scene. A scene should not list
+/// a node that has a parent, but many readers show such a node. If the scene shows an ancestor too,
+/// the node stays with its parent. Otherwise it is shown without its parent. `known` keeps, for
+/// each ancestor, whether the scene shows it.
 fn adopt(
     document: &Document<'_>,
     node: usize,
@@ -159,8 +159,8 @@ fn placements(
     let nodes = &document.root.nodes;
     let mut placements: Vec<Option<DAffine3>> = vec![None; nodes.len()];
     for start in 0..nodes.len() {
-        // go up to the nearest ancestor that is placed already, then place the nodes of the path
-        // downwards
+        // Go up to the nearest ancestor whose placement is known. Then compute the placements of
+        // the nodes on the path, from there down.
         let mut path = Vec::new();
         let mut at = Some(start);
         while let Some(node) = at.filter(|&node| placements[node].is_none()) {
@@ -237,8 +237,8 @@ const TRANSLATION: Format = Format { types: &[Type::Vec3], components: &[F32], t
 const ROTATION: Format =
     Format { types: &[Type::Vec4], components: &[F32, I8, I16], text: "VEC4 of FLOAT, BYTE or SHORT" };
 
-/// `EXT_mesh_gpu_instancing`: placements of the copies of the node's mesh, in the node's space.
-/// `None` without the extension.
+/// Reads `EXT_mesh_gpu_instancing`: the placements of the copies of the node's mesh, in the node's
+/// space. `None` without the extension.
 pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<DAffine3>>, Fault> {
     let place = format!("/nodes/{node}/extensions/EXT_mesh_gpu_instancing");
     if document.json(&place).is_none() {

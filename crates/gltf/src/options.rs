@@ -1,4 +1,4 @@
-//! Options of a load: a time, an animation, a variant.
+//! Options for loading a file: a time, an animation, and a variant of materials.
 
 use crate::error::Fault;
 
@@ -38,7 +38,8 @@ impl Default for LoadOptions {
     }
 }
 
-/// Index of the entry that `wanted` names or numbers. A name takes precedence over a number.
+/// Returns the index of the entry that `wanted` names or numbers. A name takes precedence over a
+/// number.
 pub(crate) fn choose(what: &'static str, wanted: &str, names: &[Option<&str>]) -> Result<usize, Fault> {
     let by_name = names.iter().position(|name| *name == Some(wanted));
     let by_number = || wanted.parse().ok().filter(|&number: &usize| number < names.len());
@@ -48,7 +49,7 @@ pub(crate) fn choose(what: &'static str, wanted: &str, names: &[Option<&str>]) -
     })
 }
 
-/// Number and name of an entry, for messages.
+/// Returns the number and name of an entry, for messages.
 pub(crate) fn label(number: usize, name: Option<&str>) -> String {
     name.map_or_else(|| number.to_string(), |name| format!("{number} ({name})"))
 }

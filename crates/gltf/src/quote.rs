@@ -5,7 +5,7 @@ use serde_json::Value;
 /// Number of characters of the longest quotation in a message.
 const MAX_QUOTE_CHARS: usize = 60;
 
-/// A JSON value as text for messages.
+/// Returns a JSON value as text for messages.
 pub(crate) fn quote(value: Option<&Value>) -> String {
     value.map_or_else(|| "nothing".to_owned(), |value| shorten(&value.to_string()))
 }

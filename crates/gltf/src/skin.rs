@@ -1,8 +1,9 @@
 //! Skins: linear blend skinning, in the pose that the nodes have.
 //!
-//! p' = Σ w_j · G_j · B_j · p. For each joint j of a vertex p, w_j is the joint's weight. G_j is
-//! its global transform, and B_j its inverse bind matrix (glTF 2.0, section 3.7.3). The placement
-//! of the node that has the mesh is ignored.
+//! p' = Σ w_j · G_j · B_j · p. p is a vertex in the mesh's space, and p' in the scene's space. For
+//! each joint j of the vertex, w_j is the joint's weight. G_j is its global transform, and B_j its
+//! inverse bind matrix (glTF 2.0, section 3.7.3). The placement of the node that has the mesh is
+//! ignored.
 
 use glam::{Affine3A, DAffine3, DMat4, Mat3A, Vec3A};
 use gltf::json;
@@ -97,8 +98,8 @@ impl Pose {
             }
         }
         for (i, (matrix, weight)) in sums.into_iter().enumerate() {
-            // divide by the sum of weights, which need not be 1; without weights a vertex follows
-            // its first joint
+            // divide by the sum of weights, which need not be 1; without weights a vertex moves
+            // with its first joint
             let matrix = if weight > 0.0 {
                 Affine3A { matrix3: matrix.matrix3 * weight.recip(), translation: matrix.translation / weight }
             } else {
@@ -123,7 +124,7 @@ fn cofactors(m: &Mat3A) -> Mat3A {
     Mat3A::from_cols(y.cross(z), z.cross(x), x.cross(y))
 }
 
-/// True if a skin can deform the mesh; otherwise the node places it.
+/// Returns true if a skin can deform the mesh; otherwise the node places it.
 pub(crate) fn has_joints(mesh: &json::Mesh) -> bool {
     let joints = gltf::json::validation::Checked::Valid(Semantic::Joints(0));
     mesh.primitives.iter().any(|primitive| primitive.attributes.contains_key(&joints))

@@ -42,7 +42,7 @@ pub(crate) struct Splats {
     pub(crate) mesh_from_cloud: DAffine3,
 }
 
-/// True if the primitive at `place` has splats.
+/// Returns true if the primitive at `place` has splats.
 pub(crate) fn is_splats(document: &Document<'_>, place: &str) -> bool {
     document.json(&format!("{place}/extensions/{NAME}")).is_some()
 }
@@ -55,7 +55,7 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
     if mode != 0 {
         return Err(Fault::new(format!("{place}/mode"), "0 (POINTS), as splats have", mode));
     }
-    // the value that each warning names replaces an unknown value
+    // An unknown value is replaced by the value that the warning names.
     let text = |key: &str| document.json(&format!("{here}/{key}")).and_then(serde_json::Value::as_str);
     let encoding = match text("colorSpace") {
         Some("srgb_rec709_display") => Encoding::Srgb,
@@ -136,7 +136,8 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
             }
         }
     }
-    // the harmonics come coefficient by coefficient, so interleave them splat by splat
+    // `harmonics` is ordered by coefficient, then by splat. A cloud has all coefficients of a splat
+    // together, so reorder them.
     let count = positions.len();
     document.spend(place, count, harmonics.len() * size_of::<[f32; 3]>())?;
     let interleaved = (0..count).flat_map(|i| harmonics.iter().flat_map(move |of_all| of_all[i]));

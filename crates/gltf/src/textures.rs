@@ -25,8 +25,8 @@ pub(crate) struct Loader<'d, 'f> {
     pub(crate) images: Images,
     /// Position in `textures` of a texture; the key is the texture's index in the file.
     position: HashMap<usize, usize>,
-    /// Index of an image with roughness that was made from an image with glossiness. The key is the
-    /// index of the image with glossiness, and the bits of the factor on it.
+    /// Index of each roughness image that was made from a glossiness image. The key is the index of
+    /// the glossiness image, and the bits of the factor by which its alpha is multiplied.
     pub(crate) roughness_images: HashMap<(usize, u32), usize>,
 }
 
@@ -44,7 +44,7 @@ impl<'d, 'f> Loader<'d, 'f> {
         Self { document, textures: Vec::new(), images: Images::default(), position, roughness_images }
     }
 
-    /// The texture to which a member of an extension refers.
+    /// Returns the texture to which a member of an extension refers.
     pub(crate) fn untyped_texture(&mut self, fields: &Fields<'_>, key: &str) -> Result<Option<TextureUse>, Fault> {
         let place = fields.place(key);
         let Some(info) = Fields::at(self.document, place.clone())? else { return Ok(None) };
@@ -134,9 +134,10 @@ pub(crate) fn untyped_transform(value: &Value, place: &str) -> Result<TextureTra
     })
 }
 
-/// `KHR_texture_transform`: scale, then rotation, then offset. Positive angles turn u towards −v,
-/// which is counter-clockwise on the picture, since v points down. The extension's text does not
-/// define the direction of rotation, but its test scene and all common viewers agree.
+/// Returns the map of `KHR_texture_transform`: scale, then rotation, then offset. Positive angles
+/// turn u towards −v, which is counter-clockwise on the picture, since v points down. The
+/// extension's text does not define the direction of rotation, but its test scene and all common
+/// viewers agree.
 fn affine(transform: &TextureTransform) -> Affine2 {
     let (scale, offset) = (Vec2::from(transform.scale.0), Vec2::from(transform.offset.0));
     Affine2::from_scale_angle_translation(scale, -transform.rotation.0, offset)

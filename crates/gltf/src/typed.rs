@@ -1,8 +1,8 @@
 //! From JSON to typed values, with the place of an error as a JSON pointer.
 //!
 //! This deserializer is like the one of `serde_json::Value`, but it records the place of an error.
-//! Where a type expects a text, a list, an object or a truth value, it accepts only this kind of
-//! JSON. So the compiler leaves out the code that would read other kinds.
+//! Where a type expects a text, a list, an object or a truth value, the deserializer accepts only
+//! this kind of JSON. So the compiler leaves out the code that would read other kinds.
 //!
 //! The alternative is `serde_path_to_error`, a wrapper around the deserializer of `serde_json`.
 //! With it, the code that reads each type is compiled once more. In a module for the web, the

@@ -2,8 +2,9 @@
 //!
 //! The reader of glTF passes [`Packed`] content to
 //! [`AssetResolver::unpack`](crate::AssetResolver::unpack), whose default is [`unpack`] here. A web
-//! page may have its decoders in a second module. Then [`to_bytes`](Packed::to_bytes) makes a
-//! request, [`answer`] answers it in the second module, and [`answered`] reads the answer.
+//! page may have its decoders in a second module. Then [`to_bytes`](Packed::to_bytes) encodes a
+//! request. In the second module, [`answer`] decodes the content, and returns the result as bytes,
+//! which [`answered`] reads.
 
 mod draco;
 mod kinds;
@@ -51,8 +52,8 @@ fn splats(found: Result<read::Found, read::ReadError>) -> Result<Unpacked, Unsou
     found.map(Unpacked::Splats).map_err(unsound)
 }
 
-/// Decodes packed content that came as bytes; the answer is bytes too. `None` if the bytes do not
-/// come from [`Packed::to_bytes`].
+/// Decodes packed content from the bytes of a request. Returns the result as bytes. `None` if the
+/// bytes do not come from [`Packed::to_bytes`].
 pub fn answer(request: &[u8]) -> Option<Vec<u8>> {
     wire::request(request, |packed| wire::answer(&unpack(packed)))
 }

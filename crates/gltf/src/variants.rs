@@ -8,14 +8,15 @@ use crate::error::Fault;
 use crate::fields::Fields;
 use crate::quote::quote;
 
-/// Names of the variants, in the file's order.
+/// Returns the names of the variants, in the file's order.
 pub(crate) fn names<'d>(document: &'d Document<'_>) -> Vec<Option<&'d str>> {
     let list = document.json("/extensions/KHR_materials_variants/variants").and_then(Value::as_array);
     list.into_iter().flatten().map(|variant| variant.get("name").and_then(Value::as_str)).collect()
 }
 
-/// The material of the primitive at `place` in the chosen variant. It is the primitive's default
-/// material if no variant is chosen, or if the primitive has no mapping for it.
+/// Returns the material of the primitive at `place` in the chosen variant. It is the primitive's
+/// default material if no variant is chosen, or if the primitive has no mapping for the chosen
+/// variant.
 pub(crate) fn material(
     document: &Document<'_>,
     primitive: &json::mesh::Primitive,

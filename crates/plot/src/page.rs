@@ -50,8 +50,8 @@ pub fn line(points: &[(f64, f64)], labels: [&str; 2]) -> Result<String, PlotErro
     })
 }
 
-/// Draws bars in percent. `band` is the range on the horizontal axis of a band behind the bars;
-/// `lines` are positions of vertical lines in front of the bars.
+/// Draws bars in percent. `band` is the range, on the horizontal axis, of a coloured area behind
+/// the bars; `lines` are positions of vertical lines in front of the bars.
 ///
 /// # Errors
 /// If the plot cannot be drawn.

@@ -26,7 +26,7 @@ pub struct Axes {
 pub struct Curve {
     /// Name in the legend; empty for none.
     pub name: String,
-    /// Points of the line. A point that is not finite interrupts it.
+    /// Points of the line. A point that is not finite interrupts the line.
     pub points: Vec<[f64; 2]>,
     /// Index of the colour in [`COLOURS`]; larger indices are black.
     pub colour: usize,

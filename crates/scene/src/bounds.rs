@@ -27,27 +27,27 @@ impl Bounds {
         self.max = self.max.max(other.max);
     }
 
-    /// True if the box is empty.
+    /// Returns true if the box is empty.
     pub fn is_empty(&self) -> bool {
         !(self.min.cmple(self.max)).all()
     }
 
-    /// True if a point is in the box or on its surface.
+    /// Returns true if a point is in the box or on its surface.
     pub fn contains(&self, point: Vec3) -> bool {
         point.cmpge(self.min).all() && point.cmple(self.max).all()
     }
 
-    /// Centre of the box; meaningless for an empty box.
+    /// Returns the centre of the box; meaningless for an empty box.
     pub fn centre(&self) -> Vec3 {
         0.5 * (self.min + self.max)
     }
 
-    /// Lengths of the edges along x, y and z.
+    /// Returns the lengths of the edges along x, y and z.
     pub fn size(&self) -> Vec3 {
         self.max - self.min
     }
 
-    /// The eight corners of the box.
+    /// Returns the eight corners of the box.
     pub fn corners(&self) -> [Vec3; 8] {
         std::array::from_fn(|i| {
             Vec3::new(

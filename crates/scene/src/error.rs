@@ -15,7 +15,7 @@ pub struct SceneError {
 }
 
 impl SceneError {
-    /// An error at a place in the file.
+    /// Makes an error at a place in the file.
     pub fn new(place: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self { place: place.into(), expected: expected.into(), found: found.into() }
     }

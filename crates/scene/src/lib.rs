@@ -1,9 +1,9 @@
 //! The scene in the form that all stages after the import read, and the window: the rectangle of
 //! the scene that a display shows.
 //!
-//! Importers fill [`SceneParts`] and call [`SceneParts::validate`], which returns a [`Scene`]. Its
-//! indices, numbers and transforms are valid, so renderers need no checks. Lengths are in scene
-//! units, angles in radians, and light is in linear sRGB.
+//! Importers fill [`SceneParts`] and call [`SceneParts::validate`], which returns a [`Scene`]. The
+//! scene's indices, numbers and transforms are valid, so renderers need no checks. Lengths are in
+//! scene units, angles in radians, and light is in linear sRGB.
 
 mod bounds;
 mod error;

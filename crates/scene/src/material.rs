@@ -158,7 +158,7 @@ pub enum Lamp {
 }
 
 impl Default for Material {
-    /// glTF's default material: white, metallic 1, roughness 1.
+    /// Returns glTF's default material: white, metallic 1, roughness 1.
     fn default() -> Self {
         Self {
             name: String::new(),
@@ -195,7 +195,7 @@ impl Default for Material {
 }
 
 impl Material {
-    /// Every use of a texture, with glTF's name of its slot.
+    /// Returns every use of a texture, with glTF's name of its slot.
     pub fn textures(&self) -> impl Iterator<Item = (&'static str, &TextureUse)> {
         let clearcoat = self.clearcoat.as_ref();
         let sheen = self.sheen.as_ref();
@@ -221,9 +221,9 @@ impl Material {
         .filter_map(|(slot, texture)| texture.map(|texture| (slot, texture)))
     }
 
-    /// The coordinate set that tangents must follow. It is the set of the normal map, or else of
-    /// the coat's normal map, or else of the anisotropy texture. `None` if the material needs no
-    /// tangents.
+    /// Returns the coordinate set that tangents must follow. It is the set of the normal map, or
+    /// else of the coat's normal map, or else of the anisotropy texture. `None` if the material
+    /// needs no tangents.
     pub fn tangent_uv_set(&self) -> Option<usize> {
         let coat = self.clearcoat.as_ref().and_then(|coat| coat.normal_texture.as_ref());
         let mapped = self.normal_texture.as_ref().or(coat).map(|texture| texture.uv_set);
@@ -231,7 +231,7 @@ impl Material {
         mapped.or(stretched)
     }
 
-    /// True if the surface can emit light.
+    /// Returns true if the surface can emit light.
     pub fn is_emissive(&self) -> bool {
         self.emission.max_element() > 0.0 || self.unlit
     }
@@ -324,7 +324,7 @@ pub enum Pixels {
 }
 
 impl Pixels {
-    /// Number of texels.
+    /// Returns the number of texels.
     pub fn len(&self) -> usize {
         match self {
             Self::Rgba8(texels) => texels.len(),
@@ -333,7 +333,7 @@ impl Pixels {
         }
     }
 
-    /// True if there are no texels.
+    /// Returns true if there are no texels.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

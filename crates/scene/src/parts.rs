@@ -73,8 +73,8 @@ pub struct Light {
     pub position: Vec3,
     /// Unit direction in which light travels; unused by point lights.
     pub direction: Vec3,
-    /// Linear RGB. For points and spots it is the radiant intensity (scale of candela), for
-    /// directional lights the irradiance (scale of lux).
+    /// Linear RGB. For point and spot lights this is the radiant intensity (candela up to a
+    /// factor), for directional lights the irradiance (lux up to a factor).
     pub intensity: Vec3,
     /// Kind of the light, which decides how it spreads.
     pub kind: LightKind,
@@ -95,8 +95,8 @@ pub enum LightKind {
     /// The light's rays are parallel.
     Directional,
     /// Light from a disc of the sky with one radiance, such as the sun. `intensity` is the
-    /// irradiance of a surface that faces the disc's centre. It lights surfaces, but cameras and
-    /// mirrors do not show it.
+    /// irradiance of a surface that faces the disc's centre. This light illuminates surfaces, but
+    /// cameras and mirrors do not show the disc.
     Distant {
         /// Angle from the disc's centre to its edge, 0..=π/2.
         half_angle_rad: f32,

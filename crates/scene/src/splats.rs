@@ -3,7 +3,7 @@
 //! ```text
 //! G(x) = exp(−½ (x − μ)ᵀ Σ⁻¹ (x − μ)),   Σ = M R diag(s²) Rᵀ Mᵀ
 //! μ, R, s: position, rotation and standard deviations of a splat
-//! M: the linear part of scene_from_cloud
+//! M: the linear part of scene_from_cloud; c_lm, Y_lm: coefficients and spherical harmonics
 //! colour = max(0, ½ + Σ_lm c_lm Y_lm(direction from the viewer to μ))
 //! ```
 //!
@@ -73,22 +73,22 @@ const REACH: f32 = 0.5;
 const LEAST_OPACITY: f32 = 0.1;
 
 impl Cloud {
-    /// Number of splats.
+    /// Returns the number of splats.
     pub fn len(&self) -> usize {
         self.positions.len()
     }
 
-    /// True if there are no splats.
+    /// Returns true if there are no splats.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
 
-    /// Number of coefficients per splat and channel.
+    /// Returns the number of coefficients per splat and channel.
     pub fn coefficients(&self) -> usize {
         (self.degree + 1).pow(2)
     }
 
-    /// Size of the cloud's arrays in bytes.
+    /// Returns the size of the cloud's arrays in bytes.
     pub fn bytes(&self) -> usize {
         self.len() * (size_of::<Vec3>() * 2 + size_of::<Quat>() + size_of::<f32>() * (1 + 3 * self.coefficients()))
     }
@@ -116,7 +116,7 @@ impl Cloud {
         chosen(&mut self.harmonics, values, kept);
     }
 
-    /// The reason why a splat is not a Gaussian; `None` if it is one.
+    /// Returns the reason why a splat is not a Gaussian; `None` if it is one.
     fn fault(&self, i: usize) -> Option<&'static str> {
         let (scale, rotation, values) = (self.scales[i], self.rotations[i], 3 * self.coefficients());
         if !self.positions[i].is_finite() {
@@ -217,8 +217,9 @@ impl Cloud {
         turned(&mut self.harmonics, values, &order);
     }
 
-    /// Bounds of the placed cloud without its floaters. They hold the bulk of its splats on every
-    /// axis, and the splats near the bulk. To find the bulk, splats are weighted by opacity × area.
+    /// Returns the bounds of the placed cloud without its floaters. The bounds hold the bulk of the
+    /// cloud's splats on every axis, and the splats near the bulk. To find the bulk, splats are
+    /// weighted by opacity × area.
     pub(crate) fn seen_bounds(&self, scene_from_cloud: Affine3A) -> Bounds {
         let points: Vec<Vec3> = self.positions.iter().map(|p| scene_from_cloud.transform_point3(*p)).collect();
         // Compute the area that each splat covers. The largest tenth of the splats are sky and

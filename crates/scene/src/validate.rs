@@ -30,44 +30,45 @@ impl Deref for Scene {
 }
 
 impl Scene {
-    /// Bounds of all placed triangles, and of all splats except stray ones far from the others;
-    /// never empty.
+    /// Returns the bounds of all placed triangles, and of all splats except floaters, which are far
+    /// from most splats; never empty.
     pub fn bounds(&self) -> Bounds {
         self.bounds
     }
 
-    /// Bounds of everything that the viewer sees: of all objects except [unseen
+    /// Returns the bounds of everything that the viewer sees: of all objects except [unseen
     /// lamps](Lamp::Unseen) and floating splats. If the viewer sees nothing, they are the bounds of
     /// all objects.
     pub fn seen_bounds(&self) -> Bounds {
         self.seen_bounds
     }
 
-    /// True if the viewer can see an instance. Only an [unseen lamp](Lamp::Unseen) is invisible.
+    /// Returns true if the viewer can see an instance. Only an [unseen lamp](Lamp::Unseen) is
+    /// invisible.
     pub fn is_seen(&self, instance: &crate::Instance) -> bool {
         self.materials[self.meshes[instance.mesh].material].lamp != Lamp::Unseen
     }
 
-    /// Number of triangles, including the copies that instances make.
+    /// Returns the number of triangles, including the copies that instances make.
     pub fn triangle_count(&self) -> usize {
         self.instances.iter().map(|instance| self.meshes[instance.mesh].triangles.len()).sum()
     }
 
-    /// Number of splats, including the copies that placements make.
+    /// Returns the number of splats, including the copies that placements make.
     pub fn splat_count(&self) -> usize {
         self.placed_clouds.iter().map(|placed| self.clouds[placed.cloud].len()).sum()
     }
 
-    /// Centres of all placed splats, in scene space.
+    /// Returns the centres of all placed splats, in scene space.
     pub fn splat_positions(&self) -> impl Iterator<Item = Vec3> {
         self.placed_clouds.iter().flat_map(|placed| {
             self.clouds[placed.cloud].positions.iter().map(|at| placed.scene_from_cloud.transform_point3(*at))
         })
     }
 
-    /// True if something lights the scene: an environment, a punctual light, or a surface that
-    /// emits more than white (radiance 1). A dimmer surface, such as a label or a display in the
-    /// scene, is visible but does not light other objects.
+    /// Returns true if something lights the scene: an environment, a punctual light, or a surface
+    /// that emits more than white (radiance 1). A dimmer surface, such as a label or a display in
+    /// the scene, is visible but does not light other objects.
     pub fn is_lit(&self) -> bool {
         // values of a floating-point picture may exceed 1, but codes are at most 1
         let brightest = |texture: &TextureUse| match &self.images[self.textures[texture.texture].image].pixels {
@@ -433,7 +434,7 @@ fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<
     Ok(before - mesh.triangles.len())
 }
 
-/// Unit normal of a triangle; `None` for a triangle without area.
+/// Returns the unit normal of a triangle; `None` for a triangle without area.
 fn face_normal(positions: &[Vec3], triangle: [u32; 3]) -> Option<Vec3> {
     // compute in f64, scaled to the longest edge, so that tiny and huge triangles keep their
     // normals

@@ -30,7 +30,7 @@ impl Similarity {
         self.scale * (self.rotation * vector)
     }
 
-    /// The inverse of [`point`](Self::point).
+    /// Applies the inverse of [`point`](Self::point).
     pub fn inverse_point(&self, point: DVec3) -> DVec3 {
         (self.rotation.inverse() * (point - self.translation)) / self.scale
     }
@@ -75,9 +75,9 @@ pub enum WindowError {
 const FRAMING_MARGIN: f64 = 0.02;
 
 impl Window {
-    /// The camera's plane of focus, as wide as the camera's frustum at that distance. Without a
-    /// focus distance the plane passes through the centre of the scene's bounds. Objects in front
-    /// of the camera's near plane are not seen.
+    /// Returns the camera's plane of focus, as wide as the camera's frustum at that distance.
+    /// Without a focus distance the plane passes through the centre of the scene's bounds. Objects
+    /// in front of the camera's near plane are not seen.
     ///
     /// # Errors
     /// If the rectangle is empty, infinite or behind the camera.
@@ -112,8 +112,8 @@ impl Window {
         Ok(Self { scene_from_display: Similarity { rotation, scale, translation }, size_mm, near_mm })
     }
 
-    /// A window with its centre at `centre`, seen along `forward` with `up` upwards, and `width`
-    /// scene units wide.
+    /// Returns a window with its centre at `centre`, seen along `forward` with `up` upwards, and
+    /// `width` scene units wide.
     ///
     /// # Errors
     /// If the vectors are zero or parallel, or the width is not a positive number.
@@ -137,8 +137,8 @@ impl Window {
         })
     }
 
-    /// A window in the same plane. Its centre is the point (x, y) of this window, in millimetres,
-    /// and its size is this window's size times `factor`.
+    /// Returns a window in the same plane. Its centre is the point (x, y) of this window, in
+    /// millimetres, and its size is this window's size times `factor`.
     #[must_use]
     pub fn scaled_about(&self, point_mm: [f64; 2], factor: f64) -> Self {
         let map = self.scene_from_display;
@@ -147,8 +147,8 @@ impl Window {
         Self { scene_from_display, size_mm: self.size_mm, near_mm: self.near_mm.map(|near| near / factor) }
     }
 
-    /// The window, moved back along its normal by `by_mm`, so that depth −`by_mm` becomes its
-    /// plane. The view from straight ahead stays the same. For parallel projections the window
+    /// Returns the window, moved back along its normal by `by_mm`, so that depth −`by_mm` becomes
+    /// its plane. The view from straight ahead stays the same. For parallel projections the window
     /// keeps its size. For an eye at distance `eye_mm` it grows with the distance, and eye and
     /// frustum stay the same.
     #[must_use]

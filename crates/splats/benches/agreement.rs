@@ -78,7 +78,7 @@ fn write(folder: &Path, name: &str, cloud: &Cloud, projection: Projection) -> Va
     })
 }
 
-/// Random numbers from 0 to 1.
+/// Returns a function that returns random numbers from 0 to 1.
 fn random(mut state: u64) -> impl FnMut() -> f32 {
     move || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -94,7 +94,7 @@ fn push(cloud: &mut Cloud, at: Vec3, turn: Quat, scale: Vec3, opacity: f32, harm
     cloud.harmonics.extend(harmonics);
 }
 
-/// Discs that face the viewer, 6 mm behind one another.
+/// Makes discs that face the viewer, 6 mm behind one another.
 fn apart() -> Cloud {
     let mut next = random(3);
     let mut cloud = Cloud { degree: 1, ..Cloud::default() };
@@ -108,7 +108,7 @@ fn apart() -> Cloud {
     cloud
 }
 
-/// Flat splats on three bumpy shells. Splats are about as large as the distance to their
+/// Makes flat splats on three bumpy shells. Splats are about as large as the distance to their
 /// neighbours.
 fn capture(count: usize) -> Cloud {
     let mut next = random(7);

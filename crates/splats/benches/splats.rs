@@ -95,8 +95,8 @@ fn main() {
     println!("peak memory {peak:.0} MB, agreement {:.1} dB", -10.0 * error.log10());
 }
 
-/// Splats on bumpy closed surfaces, similar to captures. They are flat and about as large as the
-/// distance to their neighbours, and some of them are faint.
+/// Makes splats on bumpy closed surfaces, similar to captures. The splats are flat and about as
+/// large as the distance to their neighbours, and some of them are faint.
 fn scene(count: usize, degree: usize) -> Arc<Scene> {
     let mut state = 7u64;
     let mut next = || {
@@ -127,10 +127,10 @@ fn scene(count: usize, degree: usize) -> Arc<Scene> {
     Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).expect("a scene"))
 }
 
-/// A renderer for a single picture, on all threads.
+/// Renders a single picture in a simple way, on all threads.
 ///
-/// It projects, shades and sorts all splats. Then each tile blends the splats that overlap it,
-/// until its pixels are opaque.
+/// The function projects, shades and sorts all splats. Then each tile blends the splats that
+/// overlap it, until its pixels are opaque.
 fn naive(scene: &Scene, window: &Window, geometry: &FieldGeometry, slope: [f64; 2]) -> Vec<[f32; 3]> {
     const TILE: usize = 16;
     struct Flat {
@@ -254,8 +254,8 @@ fn basis(d: Vec3) -> [f32; 16] {
     ]
 }
 
-/// Processor time of all threads since the start, in seconds. Other programs disturb it less than
-/// they disturb the clock.
+/// Returns the processor time of all threads since the start, in seconds. Other programs disturb it
+/// less than they disturb the clock.
 fn processor_s() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit(')').next().unwrap_or("").split_whitespace().skip(11).take(2);
@@ -263,7 +263,7 @@ fn processor_s() -> f64 {
     fields.flat_map(str::parse::<f64>).sum::<f64>() / 100.0
 }
 
-/// Peak resident memory since the start, in MB; 0 if the system does not report it.
+/// Returns the peak resident memory since the start, in MB; 0 if the system does not report it.
 fn peak_mb() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find(|line| line.starts_with("VmHWM"));

@@ -6,7 +6,8 @@ use serde_json::{Map, Value, json};
 const FLOAT: u32 = 5126;
 const POINTS: u32 = 0;
 
-/// A `.glb` file with one cloud. Its node has `rotation` (x, y, z, w) and a uniform `scale`.
+/// Returns a `.glb` file with one cloud. The cloud's node has `rotation` (x, y, z, w) and a uniform
+/// `scale`.
 ///
 /// `None` if the cloud exceeds the 32-bit lengths of the container.
 pub fn glb(cloud: &Cloud, rotation: [f32; 4], scale: f64) -> Option<Vec<u8>> {

@@ -1,5 +1,5 @@
-//! Renders views of splats. They are sorted and binned once for many views, and blended in each
-//! view's exact order.
+//! Renders views of splats. The splats are sorted, and listed per tile, once for many views. They
+//! are blended in each view's exact order.
 //!
 //! ```text
 //! C = Σ_i c_i α_i Π_{j<i} (1 − α_j)
@@ -14,10 +14,11 @@
 //!
 //! A naive renderer projects, shades and sorts all splats for every view. This renderer transforms
 //! and sorts them by depth once per window. Blocks of views share lists of splats per tile. Each
-//! view sorts the splats of a list again by its own distances, a part at a time. A splat is
-//! projected and shaded only if nearer splats do not hide it.
+//! view sorts the splats of a list again, some at a time, by their distances in this view. A splat
+//! is projected and shaded only if nearer splats do not hide it.
 //!
-//! The filter P with its lowered peak is the 2D filter of mip-splatting (Yu et al., CVPR 2024).
+//! The filter, which widens a splat by P and lowers its peak, is the 2D filter of mip-splatting (Yu
+//! et al., CVPR 2024).
 
 mod blend;
 mod harmonics;
@@ -52,7 +53,7 @@ pub struct SplatView {
     /// transmittance T of all splats, 0..1.
     pub light: Tensor<3>,
     /// `[row][col]`: z in display space, in millimetres, of the splat at which the transmittance
-    /// falls below one half. NaN if it stays above.
+    /// falls below one half. NaN if the transmittance stays above one half.
     pub z_mm: Tensor<2>,
 }
 
@@ -74,7 +75,7 @@ pub enum Wanted {
 }
 
 impl Renderer {
-    /// A renderer of the scene's splats; `None` if the scene has none.
+    /// Returns a renderer of the scene's splats; `None` if the scene has none.
     pub fn new(scene: Arc<Scene>) -> Option<Self> {
         let space = Space::of(&scene)?;
         Some(Self { scene, space })
@@ -234,8 +235,8 @@ fn bin(prepared: &Prepared, ends: &[Eye], tiles: [usize; 2]) -> (Vec<usize>, Vec
     (starts, lists)
 }
 
-/// The tiles in which a splat may be visible: first column, end of columns, first row, end of rows.
-/// All four are 0 if there is no such tile.
+/// Returns the tiles in which a splat may be visible: first column, end of columns, first row, end
+/// of rows. All four are 0 if there is no such tile.
 fn tiles_of(splat: &Splat, ends: &[Eye], tiles: [usize; 2]) -> [u16; 4] {
     let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
     for eye in ends {

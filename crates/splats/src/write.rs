@@ -12,7 +12,7 @@ use lumistack_scene::Cloud;
 
 pub use sog::sog;
 
-/// A `.ply` file of the cloud: binary, little endian, without a change of axes.
+/// Returns a `.ply` file of the cloud: binary, little endian, without a change of axes.
 pub fn ply(cloud: &Cloud) -> Vec<u8> {
     let rest = 3 * (cloud.coefficients() - 1);
     let mut names: Vec<String> =
@@ -42,7 +42,7 @@ pub fn ply(cloud: &Cloud) -> Vec<u8> {
 /// Number of fractional bits of positions in an `.spz` file.
 const FRACTION: u32 = 12;
 
-/// An `.spz` file of version 3: quantized, and compressed with gzip.
+/// Returns an `.spz` file of version 3: quantized, and compressed with gzip.
 ///
 /// Positions have steps of 2⁻¹² and are within ±2048. The caller scales clouds that need other
 /// steps or bounds.

@@ -93,7 +93,7 @@ fn spz_of_every_version_is_read() {
     }
 }
 
-/// Decompressed data of an `.spz` file of version 3.
+/// Returns the decompressed data of an `.spz` file of version 3.
 fn unpacked(packed: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
     std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(packed), &mut bytes).unwrap();
@@ -106,7 +106,7 @@ fn gzip(bytes: &[u8]) -> Vec<u8> {
     file.finish().unwrap()
 }
 
-/// A Zstandard frame of uncompressed blocks.
+/// Makes a Zstandard frame of uncompressed blocks.
 fn zstd(bytes: &[u8]) -> Vec<u8> {
     let mut frame = vec![0x28, 0xb5, 0x2f, 0xfd, 0xe0];
     frame.extend((bytes.len() as u64).to_le_bytes());
@@ -167,7 +167,7 @@ fn older(cloud: &Cloud, version: u32) -> Vec<u8> {
     gzip(&file)
 }
 
-/// A `.ply` file in PlayCanvas' compressed form.
+/// Makes a `.ply` file in PlayCanvas' compressed form.
 fn packed_ply(cloud: &Cloud) -> Vec<u8> {
     let rest = 3 * (cloud.coefficients() - 1);
     let mut names = Vec::new();

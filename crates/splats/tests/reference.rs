@@ -26,8 +26,8 @@ impl Random {
     }
 }
 
-/// Splats in and around the cube −1..1: from needles to spheres, and from thinner than a pixel to
-/// wider than a tile.
+/// Makes splats in and around the cube −1..1: from needles to spheres, and from thinner than a
+/// pixel to wider than a tile.
 fn cloud(count: usize, degree: usize, seed: u64) -> Cloud {
     let mut random = Random(seed);
     let mut cloud = Cloud { degree, ..Cloud::default() };
@@ -53,7 +53,7 @@ fn scene(clouds: Vec<(Cloud, Affine3A)>) -> Arc<Scene> {
     Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
 }
 
-/// Two clouds, one of them rotated, scaled unevenly and moved.
+/// Returns two clouds, one of them rotated, scaled unevenly and moved.
 fn two_clouds() -> Arc<Scene> {
     let turned = Affine3A::from_scale_rotation_translation(
         Vec3::new(0.8, 0.5, 0.6),
@@ -99,7 +99,7 @@ fn render(
     views
 }
 
-/// Real spherical harmonics of KHR_gaussian_splatting's appendix A.
+/// Returns the real spherical harmonics of KHR_gaussian_splatting's appendix A.
 fn harmonics(d: DVec3) -> [f64; 16] {
     let (x, y, z) = (d.x, d.y, d.z);
     let pi = std::f64::consts::PI;
@@ -129,7 +129,7 @@ fn harmonics(d: DVec3) -> [f64; 16] {
 type Projected = (f64, DVec2, DMat2, f64, DVec3, f64);
 
 /// Projects all splats onto the plane z = 0 along the rays of one view, and sorts them, nearest
-/// first. The projection is linear near each centre (its Jacobian).
+/// first. Near each centre, the projection is replaced by its linear part (the Jacobian).
 fn project(scene: &Scene, window: &Window, projection: Projection, slope: [f64; 2]) -> Vec<Projected> {
     let map = window.scene_from_display;
     let mut all = Vec::new();
@@ -177,8 +177,8 @@ fn project(scene: &Scene, window: &Window, projection: Projection, slope: [f64; 
     all
 }
 
-/// A pixel's colour and transmittance. A surface at depth `cut`, in millimetres, hides the splats
-/// behind it.
+/// Returns a pixel's colour and transmittance. A surface at depth `cut`, in millimetres, hides the
+/// splats behind it.
 fn pixel(splats: &[Projected], at: DVec2, pitch: f64, cut: f64) -> [f64; 4] {
     let (mut sum, mut through) = (DVec3::ZERO, 1.0);
     for (_, centre, covariance, opacity, colour, z) in splats {

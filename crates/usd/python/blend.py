@@ -54,7 +54,7 @@ def main():
 
 
 class Unfit(Exception):
-    """The error that this Blender cannot read the file; another one may be able to."""
+    """The error that this Blender cannot read the file; another Blender may be able to."""
 
 
 class Refused(Exception):

@@ -66,8 +66,8 @@ def mesh(prim, writer, time, pose=None):
 
 
 def one_sided(gprim, time):
-    """True if the file declares that only the front is visible. Without a declaration both sides
-    are visible, as in USD's renderers."""
+    """Returns true if the file declares that only the front is visible. Without a declaration both
+    sides are visible, as in USD's renderers."""
     attribute = gprim.GetDoubleSidedAttr()
     return attribute.HasAuthoredValue() and not attribute.Get(time)
 

@@ -100,7 +100,8 @@ def brightness(prim, time, default):
 
 
 def value(prim, name, time):
-    """The value of a light's input. In files from before 2021 its name lacks the prefix `inputs:`."""
+    """Returns the value of a light's input. In files from before 2021 the input's name lacks the
+    prefix `inputs:`."""
     for full in ("inputs:" + name, name):
         attribute = prim.GetAttribute(full)
         if attribute and attribute.HasValue():
@@ -138,7 +139,7 @@ def picture(prim, writer, time):
 
 
 def pole_is_z(prim, name):
-    """True if the top of a dome's picture is at +z of the light's space instead of +y."""
+    """Returns true if the top of a dome's picture is at +z of the light's space instead of +y."""
     if name != "DomeLight_1":
         return False
     axis = prim.GetAttribute("poleAxis").Get()

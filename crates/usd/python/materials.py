@@ -37,7 +37,8 @@ ACESCG = ((1.70505, -0.62179, -0.08326), (-0.13026, 1.14080, -0.01055), (-0.0240
 
 
 def material(prim, writer, time):
-    """The entry of a material: place, name, `model` (None if the shader is unknown) and `inputs`.
+    """Returns the entry of a material: place, name, `model` (None if the shader is unknown) and
+    `inputs`.
     """
     entry = {"place": str(prim.GetPath()), "name": prim.GetName(), "model": None, "inputs": {}}
     source = UsdShade.Material(prim)
@@ -75,7 +76,8 @@ def material(prim, writer, time):
 
 
 def needs_materialx(prim):
-    """True if a prim, or one of its ancestors, refers to a MaterialX file that OpenUSD cannot open.
+    """Returns true if a prim, or one of its ancestors, refers to a MaterialX file that OpenUSD
+    cannot open.
     """
     if Sdf.FileFormat.FindByExtension("mtlx"):
         return False
@@ -284,8 +286,8 @@ class Graph:
         return {"texture": rescaled(texture, [scale[0], scale[1], 1.0], [0.0] * 3)}
 
     def operation(self, shader, kind, output):
-        """Computes the result of a MaterialX node of arithmetic. Its inputs may be constants. They
-        may be textures if the result is a texture with another scale and bias."""
+        """Computes the result of an arithmetic node of MaterialX. The node's inputs may be
+        constants. They may be textures if the result is a texture with another scale and bias."""
         parts = kind[3:].split("_")
         name, count = parts[0], SIZES.get(parts[-1].replace("FA", ""), 3)
         if name == "convert":
@@ -503,7 +505,8 @@ class Graph:
     # Texture coordinates
 
     def coordinates(self, given, depth):
-        """The primvar of texture coordinates, and the affine map that is applied to its values."""
+        """Returns the primvar of texture coordinates, and the affine map that is applied to its
+        values."""
         attribute, shader, _ = self.producer(given)
         if not shader or depth > 50:
             return "st", IDENTITY

@@ -100,7 +100,7 @@ def definitions():
 
 
 def complete():
-    """True if OpenUSD has a library with the shaders, or the environment names one."""
+    """Returns true if OpenUSD has a library with the shaders, or the environment names one."""
     plugin = Plug.Registry().GetPluginWithName("usdMtlx")
     library = os.path.join(plugin.resourcePath, "libraries", "bxdf", "standard_surface.mtlx") if plugin else ""
     return os.path.exists(library) or bool(os.environ.get("PXR_MTLX_STDLIB_SEARCH_PATHS"))

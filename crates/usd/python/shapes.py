@@ -19,7 +19,7 @@ SOLIDS = {
 
 
 def is_shape(prim, writer):
-    """True if `shape` can read the prim; a shape of an unknown type causes a warning."""
+    """Returns true if `shape` can read the prim; a shape of an unknown type causes a warning."""
     name = str(prim.GetTypeName())
     if name in SOLIDS or prim.IsA(UsdGeom.BasisCurves) or prim.IsA(UsdGeom.Points):
         return True

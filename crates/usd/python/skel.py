@@ -89,8 +89,8 @@ class Skeletons:
             return points, None
 
     def of_mesh(self, query, target, joints, writer):
-        """Transforms of the joints that a mesh lists, in the mesh's order. Joints that the skeleton
-        lacks do not move, as in UsdSkel."""
+        """Returns the transforms of the joints that a mesh lists, in the mesh's order. Joints that
+        the skeleton lacks do not move, as in UsdSkel."""
         # AnimMapper.RemapTransforms does the same, but its arguments changed several times.
         order = target.GetJointOrder()
         if not order:

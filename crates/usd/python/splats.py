@@ -14,7 +14,7 @@ HARMONICS = "radiance:sphericalHarmonicsCoefficients"
 
 
 def is_field(prim):
-    """True if the prim is a particle field with any kernel."""
+    """Returns true if the prim is a particle field with any kernel."""
     return str(prim.GetTypeName()) in ("ParticleField", SPLAT) or "ParticleField" in known_bases(prim)
 
 
@@ -25,8 +25,8 @@ def known_bases(prim):
 
 
 def is_shown(prim, writer):
-    """True if a particle field consists of splats, which are rendered. A field with another kernel
-    causes a warning."""
+    """Returns true if a particle field consists of splats, which are rendered. A field with another
+    kernel causes a warning."""
     purpose = prim.GetAttribute("purpose")
     if purpose and purpose.Get() in ("proxy", "guide"):
         # An older OpenUSD does not compute the purpose of unknown types, so read the prim's own

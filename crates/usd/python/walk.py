@@ -64,8 +64,8 @@ def walk_stage(stage, request):
 
 
 def meters_per_unit(stage):
-    """The stage's unit, in metres. Some programs store it as a 32-bit number, which UsdGeom's own
-    function refuses."""
+    """Returns the stage's unit, in metres. Some programs store it as a 32-bit number, which
+    UsdGeom's own function refuses."""
     value = stage.GetMetadata("metersPerUnit")
     return float(value) if isinstance(value, (int, float)) and value > 0 else UsdGeom.LinearUnits.centimeters
 
@@ -113,7 +113,7 @@ def time_code(stage, time_s):
 
 
 def variant_sets(stage):
-    """Every variant set outside of prototypes, as (prim, name, choices, selection)."""
+    """Yields every variant set outside of prototypes, as (prim, name, choices, selection)."""
     for prim in Usd.PrimRange.Stage(stage, ANYWHERE):
         if prim.HasVariantSets():
             sets = prim.GetVariantSets()
@@ -234,8 +234,8 @@ class Walker:
     # Prims
 
     def frame(self, root, predicate, children_only=False):
-        """Returns all visible content of a prim and its descendants, each piece as (kind, payload,
-        links). The links transform the piece to the space of the prim's parent."""
+        """Returns all visible content of a prim and its descendants, each object as (kind, payload,
+        links). The links transform the object to the space of the prim's parent."""
         placed = []
         info = UsdGeom.Imageable(root).ComputePurposeInfo() if not root.IsPseudoRoot() else None
         todo = [(root, IDENTITY, info)]
@@ -272,8 +272,8 @@ class Walker:
         return placed
 
     def attempt(self, read, prim, *rest):
-        """The result of `read` for a prim. If a value has a wrong type, the prim is left out with a
-        warning, and other prims stay."""
+        """Returns the result of `read` for a prim. If a value has a wrong type, the prim is left
+        out with a warning, and other prims stay."""
         try:
             return read(prim, *rest)
         except (Tf.ErrorException, TypeError, ValueError, OverflowError) as error:
@@ -380,8 +380,8 @@ class Walker:
         return self.frames[key]
 
     def is_unlike_others(self, prim):
-        """True if instances of one prototype may have different content. They may, if a collection
-        of an ancestor binds materials, or if a skeleton is outside of the prototype."""
+        """Returns true if instances of one prototype may have different content. This is so if a
+        collection of an ancestor binds materials, or if a skeleton is outside of the prototype."""
         while prim and not prim.IsPseudoRoot():
             if prim.IsA(UsdSkel.Root) or any("material:binding:collection" in name for name in prim.GetPropertyNames()):
                 return True
@@ -389,7 +389,8 @@ class Walker:
         return False
 
     def point_instancer(self, prim, matrix):
-        """The prototypes of a point instancer, each with a link that has the matrices of its copies."""
+        """Returns the prototypes of a point instancer, each with a link that has the matrices of
+        its copies."""
         instancer = UsdGeom.PointInstancer(prim)
         place = prim.GetPath()
         if place in self.open_frames:

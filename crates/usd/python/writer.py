@@ -70,7 +70,8 @@ class Writer:
             self._files[os.path.abspath(path)] = True
 
     def image(self, key, make):
-        """The index of the image with this key. `make` creates the image's entry if the key is new."""
+        """Returns the index of the image with this key. `make` creates the image's entry if the key
+        is new."""
         if key not in self._images:
             self.images.append(make())
             self._images[key] = len(self.images) - 1

@@ -58,7 +58,7 @@ pub struct BlendContents {
 }
 
 impl BlendContents {
-    /// Time from the first frame to the last, in seconds.
+    /// Returns the time from the first frame to the last, in seconds.
     pub fn duration_s(&self) -> f64 {
         f64::from(self.frames[1] - self.frames[0]) / self.frames_per_second
     }
@@ -95,7 +95,7 @@ pub struct BlendAccount {
 }
 
 /// Exports a file's scene in Blender. The time is in seconds after the scene's first frame; `None`
-/// stands for the saved frame. Warnings are in the account.
+/// stands for the saved frame. The warnings are in [`BlendAccount::warnings`].
 ///
 /// # Errors
 /// If no Blender is found, Blender refuses the file or fails, or the task is cancelled.
@@ -121,7 +121,8 @@ pub fn blend_surroundings() -> String {
     format!("{MODULES:?} {BOOT} {found:?}")
 }
 
-/// Length of a file and time of its last change in nanoseconds; `None` if it does not exist.
+/// Returns the length of a file and time of its last change in nanoseconds; `None` if it does not
+/// exist.
 pub fn file_stamp(path: &Path) -> Option<[u64; 2]> {
     let known = std::fs::metadata(path).ok()?;
     let changed = known.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;

@@ -1,4 +1,5 @@
-//! Runs the walker in the user's Python, and reads the package that it writes.
+//! Runs the walker (the Python code that reads a stage) in the user's Python, and reads the scene
+//! package that the walker writes.
 //!
 //! The child's standard output is a file without a name, so no file is left if the parent or the
 //! child dies. The request is JSON and contains the walker's source. The end of standard error is
@@ -38,7 +39,7 @@ const POLL: Duration = Duration::from_millis(5);
 /// Number of bytes at the end of a child's standard error that are kept.
 const SAID: usize = 16 << 10;
 
-/// The task of the walker, which it reads as JSON.
+/// A request to the walker, in the form that is passed to the walker as JSON.
 #[derive(Debug, Serialize)]
 pub(crate) struct Request<'a> {
     pub(crate) path: &'a str,
@@ -47,7 +48,7 @@ pub(crate) struct Request<'a> {
     pub(crate) contents_only: bool,
 }
 
-/// The package that the walker wrote to a file, and the Python that ran the walker.
+/// The scene package that the walker wrote to a file, and the Python that ran the walker.
 pub(crate) struct Answer {
     file: Option<Mmap>,
     /// The Python that wrote the file.
@@ -58,7 +59,7 @@ impl Answer {
     /// Parses the file that the walker wrote.
     ///
     /// # Errors
-    /// If the file is not a package.
+    /// If the file is not a scene package.
     pub(crate) fn package(&self, name: &str) -> Result<Package<'_>, UsdError> {
         let bytes = self.file.as_deref().unwrap_or_default();
         Package::parse(bytes).map_err(|found| UsdError::Child { file: name.into(), python: self.python.clone(), found })
@@ -214,7 +215,7 @@ fn ended(status: ExitStatus, said: &str) -> String {
     format!("{status}{}", last_line(said))
 }
 
-/// The last lines of standard error, or of standard output if standard error is empty.
+/// Returns the last lines of standard error, or of standard output if standard error is empty.
 pub(crate) fn last_lines(said: &str, printed: &str) -> String {
     let text = if said.trim().is_empty() { printed } else { said };
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();

@@ -202,8 +202,8 @@ fn samples(curves: &Curves<'_>, count: usize, segments: usize, steps: usize) -> 
     samples
 }
 
-/// Where the data of one curve begin in the data of its prim, and the geometry that receives the
-/// curve's triangles.
+/// The indices at which the data of one curve begin in the data of its prim, and the geometry that
+/// receives the curve's triangles.
 struct Place<'g> {
     curve: usize,
     first_point: usize,

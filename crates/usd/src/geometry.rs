@@ -58,7 +58,7 @@ impl Geometry {
 
 #[cfg(test)]
 impl Geometry {
-    /// Enclosed volume, by the divergence theorem. It is positive if triangles are
+    /// Returns the enclosed volume, by the divergence theorem. It is positive if triangles are
     /// counter-clockwise seen from outside.
     pub(crate) fn volume(&self) -> f64 {
         self.corners().map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()

@@ -122,8 +122,8 @@ pub(crate) fn sphere(radius: f32) -> Geometry {
     geometry
 }
 
-/// `UsdGeomCube` with the edge length `size`; in `face_of_triangle` the faces −x, +x, −y, +y, −z,
-/// +z are 0 to 5.
+/// Makes a `UsdGeomCube` with the edge length `size`; in `face_of_triangle` the faces −x, +x, −y,
+/// +y, −z, +z are 0 to 5.
 pub(crate) fn cube(size: f32) -> Geometry {
     let mut geometry = Geometry::default();
     let half = 0.5 * size;
@@ -139,7 +139,8 @@ pub(crate) fn cube(size: f32) -> Geometry {
     geometry
 }
 
-/// `UsdGeomCylinder`, closed at both ends. The two radii differ only for `UsdGeomCylinder_1`.
+/// Makes a `UsdGeomCylinder`, closed at both ends. The two radii differ only for
+/// `UsdGeomCylinder_1`.
 pub(crate) fn cylinder(top_radius: f32, bottom_radius: f32, height: f32, axis: Axis) -> Geometry {
     let mut geometry = Geometry::default();
     let half = 0.5 * height;
@@ -151,7 +152,7 @@ pub(crate) fn cylinder(top_radius: f32, bottom_radius: f32, height: f32, axis: A
     axis.apply(geometry)
 }
 
-/// `UsdGeomCone` with a closed base; the tip is at +height/2.
+/// Makes a `UsdGeomCone` with a closed base; the tip is at +height/2.
 pub(crate) fn cone(radius: f32, height: f32, axis: Axis) -> Geometry {
     let mut geometry = Geometry::default();
     let half = 0.5 * height;
@@ -166,8 +167,8 @@ pub(crate) fn cone(radius: f32, height: f32, axis: Axis) -> Geometry {
     axis.apply(geometry)
 }
 
-/// `UsdGeomCapsule`; the two radii differ only for `UsdGeomCapsule_1`. `height` does not include
-/// the rounded ends.
+/// Makes a `UsdGeomCapsule`; the two radii differ only for `UsdGeomCapsule_1`. `height` does not
+/// include the rounded ends.
 ///
 /// The side is tangent to the caps, so the surface is smooth for any radii. The caps join the side
 /// at the polar angle acos((bottom − top) / height), which is not at the equator if the radii
@@ -193,8 +194,8 @@ pub(crate) fn capsule(top_radius: f32, bottom_radius: f32, height: f32, axis: Ax
     axis.apply(geometry)
 }
 
-/// `UsdGeomPlane`. For the axis x, width and length are along z and y; for y, along x and z; for z,
-/// along x and y.
+/// Makes a `UsdGeomPlane`. For the axis x, width and length are along z and y; for y, along x and
+/// z; for z, along x and y.
 pub(crate) fn plane(width: f32, length: f32, axis: Axis) -> Geometry {
     let mut geometry = Geometry::default();
     let (normal, along_width, along_length) = match axis {

@@ -1,4 +1,4 @@
-//! Lights of a package (UsdLux).
+//! Converts the lights of a scene package (UsdLux).
 //!
 //! A light with a surface has the radiance L = intensity · 2^exposure · colour · colour
 //! temperature, divided by its area in the scene if normalized. It becomes a black emitting mesh,
@@ -29,7 +29,7 @@ const SIDES: usize = 48;
 /// Number of segments of each edge of the octahedron that represents a sphere: 288 triangles.
 const SPHERE_PARTS: u32 = 6;
 
-/// A light of a package, as the walker writes it.
+/// A light of a scene package, in the form in which the walker (Python) writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Entry {
@@ -275,7 +275,7 @@ pub(crate) fn emissive(entry: &serde_json::Value, material: &Material, area: f32
     Some(emissive)
 }
 
-/// The emission of a mesh that is a light, as the walker writes it.
+/// The emission of a mesh that is a light, in the form in which the walker (Python) writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct MeshEntry {
@@ -304,7 +304,7 @@ fn sphere(radius: f32) -> Geometry {
     ball
 }
 
-/// A rectangle that faces −z. Seen from that side, its picture is upright.
+/// Returns a rectangle that faces −z. Seen from that side, its picture is upright.
 fn rectangle(width: f32, height: f32) -> Geometry {
     let mut geometry = Geometry::default();
     let corners = [(1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(x, y): (f32, f32)| {
@@ -315,7 +315,7 @@ fn rectangle(width: f32, height: f32) -> Geometry {
     geometry
 }
 
-/// A disc that faces −z.
+/// Makes a disc that faces −z.
 fn disc(radius: f32) -> Geometry {
     let mut geometry = Geometry::default();
     let centre = geometry.vertex(Vec3::ZERO, Vec3::NEG_Z, Vec2::splat(0.5));
@@ -330,7 +330,7 @@ fn disc(radius: f32) -> Geometry {
     geometry
 }
 
-/// The side of a cylinder along x.
+/// Makes the side of a cylinder along x.
 fn tube(radius: f32, length: f32) -> Geometry {
     let mut geometry = Geometry::default();
     for i in 0..=SIDES {

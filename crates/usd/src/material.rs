@@ -1,4 +1,5 @@
-//! Materials of a package: converts the inputs of a surface shader to the slots of a [`Material`].
+//! Converts the materials of a scene package: the inputs of a surface shader to the slots of a
+//! [`Material`].
 //!
 //! Supported shaders: UsdPreviewSurface (both workflows); and from MaterialX standard_surface,
 //! open_pbr_surface, gltf_pbr and surface_unlit. They are mapped to metallic-roughness and its
@@ -28,7 +29,7 @@ pub(crate) struct Loaded {
     pub(crate) reads_colors: bool,
 }
 
-/// A material of a package, as the walker writes it.
+/// A material of a scene package, in the form in which the walker (Python) writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Entry {

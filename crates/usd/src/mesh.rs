@@ -177,7 +177,7 @@ mod tests {
     use super::*;
     use crate::polygons::Interpolation;
 
-    /// A mesh with a single face, which is in the plane z = 0.
+    /// Returns a mesh with a single face, which is in the plane z = 0.
     fn face(points: &[[f32; 2]]) -> Polygons {
         Polygons {
             points: points.iter().map(|&[x, y]| [x, y, 0.0]).collect(),
@@ -187,14 +187,15 @@ mod tests {
         }
     }
 
-    /// Area of a polygon by the shoelace formula; positive if the polygon is counter-clockwise.
+    /// Returns the area of a polygon by the shoelace formula; positive if the polygon is
+    /// counter-clockwise.
     fn shoelace(points: &[[f32; 2]]) -> f64 {
         let next = points.iter().cycle().skip(1);
         0.5 * points.iter().zip(next).map(|(a, b)| f64::from(a[0] * b[1] - b[0] * a[1])).sum::<f64>()
     }
 
-    /// Signed and absolute area of all triangles. They are equal if no triangle is outside the
-    /// polygon or overlaps another.
+    /// Returns the signed and absolute area of all triangles. They are equal if no triangle is
+    /// outside the polygon or overlaps another.
     fn areas(geometry: &Geometry) -> [f64; 2] {
         let signed: Vec<f64> = geometry.corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a).z).collect();
         [signed.iter().sum(), signed.iter().map(|area| area.abs()).sum()]
@@ -245,7 +246,7 @@ mod tests {
         assert!(!triangulate(&face(&crossed)).triangles.is_empty());
     }
 
-    /// Two unit squares next to each other, which share two points.
+    /// Returns two unit squares next to each other, which share two points.
     fn pair() -> Polygons {
         Polygons {
             points: [[0., 0.], [1., 0.], [1., 1.], [0., 1.], [2., 0.], [2., 1.]].map(|[x, y]| [x, y, 0.0]).to_vec(),

@@ -1,4 +1,5 @@
-//! Scene packages, which the walker writes: a JSON header, and arrays to which it refers.
+//! Scene packages: a JSON header, and arrays to which the header refers. The walker, which is the
+//! Python code that reads a stage, writes them.
 //!
 //! A file consists of the magic `LUMIPKG1`, the header's length as a little-endian u64, the header,
 //! and the arrays. Each array starts at a multiple of 64 bytes; `buffers` in the header lists their
@@ -117,7 +118,7 @@ pub struct TimeRange {
 }
 
 impl TimeRange {
-    /// Time from the first time code to the last, in seconds.
+    /// Returns the time from the first time code to the last, in seconds.
     pub fn duration_s(&self) -> f64 {
         (self.time_codes[1] - self.time_codes[0]) / self.time_codes_per_second
     }

@@ -1,4 +1,4 @@
-//! A checked polygon mesh of a package: every index is in range, and every list has the right
+//! A checked polygon mesh of a scene package: every index is in range, and every list has the right
 //! length.
 
 use crate::error::Fault;
@@ -70,7 +70,7 @@ impl<const N: usize> Attribute<N> {
         self.values[self.index(at)]
     }
 
-    /// True if all corners at one point have the same value.
+    /// Returns true if all corners at one point have the same value.
     pub(crate) fn is_smooth(&self) -> bool {
         matches!(self.interpolation, Interpolation::Constant | Interpolation::Varying | Interpolation::Vertex)
     }

@@ -1,4 +1,4 @@
-//! Converts a package to the parts of a scene.
+//! Converts a scene package to a scene.
 //!
 //! A shape is converted to meshes once per combination of materials. Its copies are instances of
 //! these meshes, at any depth of nested prototypes. A stage whose z axis points up is rotated by
@@ -29,7 +29,7 @@ const MOST_INSTANCES: usize = 1 << 26;
 /// Albedo of a surface without a material and without a display colour, as in UsdPreviewSurface.
 const GREY: f32 = 0.18;
 
-/// Converts a package to a scene; `name` is the file's name in messages.
+/// Converts a scene package to a scene; `name` is the file's name in messages.
 ///
 /// # Errors
 /// If the package is inconsistent or nothing in it can be rendered.
@@ -145,8 +145,8 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    /// Adds the lights of the package to the scene: meshes with emission, point lights and the
-    /// environment.
+    /// Adds the lights of the scene package to the scene: meshes with emission, point lights and
+    /// the environment.
     fn light(&mut self, textures: &mut Textures<'_>, scene_from_stage: &DAffine3) {
         let mut lights = Lights::default();
         for entry in &self.package.header.lights {

@@ -1,4 +1,4 @@
-//! Implicit shapes, curves and points of a package.
+//! Converts implicit shapes, curves and points of a scene package to triangles.
 
 use glam::{Vec3, Vec4};
 use lumistack_core::Task;

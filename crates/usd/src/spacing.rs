@@ -1,4 +1,5 @@
-//! Widths for curves and points without widths, as a fraction of the distance between neighbours.
+//! Widths for curves and points whose file states no widths, as a fraction of the distance between
+//! neighbours.
 
 use glam::Vec3;
 

@@ -7,7 +7,7 @@ use lumistack_scene::{Cloud, Encoding, MAX_DEGREE};
 use crate::error::Fault;
 use crate::package::{Array, Package, SplatsEntry};
 
-/// The cloud of a particle field; empty if the field has no positions.
+/// Returns the cloud of a particle field; empty if the field has no positions.
 ///
 /// As in the schema, arrays that are too long are cut, and arrays that are too short are ignored.
 pub(crate) fn cloud(package: &Package<'_>, entry: &SplatsEntry, task: Task<'_>) -> Result<Cloud, Fault> {

@@ -4,9 +4,9 @@
 //! USD shader may read any channel of any picture, with scale and bias.
 //!
 //! If all channels are where the slot reads them, the slot uses the decoded picture. Otherwise a
-//! picture is baked: v = scale · texel + bias per channel, in linear light, then encoded for the
-//! slot. USD's colour space "auto" is sRGB for 8-bit pictures in slots of colour, and raw
-//! elsewhere.
+//! new picture is computed (baked): v = scale · texel + bias per channel, in linear light, then
+//! encoded for the slot. USD's colour space "auto" is sRGB for 8-bit pictures in slots of colour,
+//! and raw elsewhere.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -41,7 +41,7 @@ pub(crate) struct Source {
 }
 
 impl Source {
-    /// True if all lists have the same length and all numbers are finite.
+    /// Returns true if all lists have the same length and all numbers are finite.
     pub(crate) fn is_sound(&self) -> bool {
         let count = self.channels.len();
         let finite = |list: &[f32]| list.iter().all(|value| value.is_finite());
@@ -98,7 +98,7 @@ pub(crate) enum Kind {
     Normal,
 }
 
-/// An image of a scene package, in the form in which the USD script (Python) writes it.
+/// An image of a scene package, in the form in which the walker (Python) writes it.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 struct Entry {
@@ -124,8 +124,8 @@ impl<'a> Textures<'a> {
         Self { package, task, pictures, made, images: Vec::new(), textures: Vec::new() }
     }
 
-    /// A picture of the package, which is decoded at first use; `None`, after a warning, if it
-    /// cannot be read.
+    /// Returns a picture of the scene package, which is decoded at first use; `None`, after a
+    /// warning, if it cannot be read.
     pub(crate) fn picture(&mut self, image: usize) -> Option<Rc<Picture>> {
         if let Some(known) = self.pictures.get(&image) {
             return known.clone();
@@ -236,8 +236,8 @@ impl<'a> Textures<'a> {
                 _ => None,
             });
         }
-        // Use the decoded picture if all channels are where the slot reads them, otherwise bake
-        // one.
+        // Use the decoded picture if all channels are where the slot reads them. Otherwise compute
+        // a new picture.
         let made = match direct(&channels, kind, &pictures) {
             Some(pixels) => {
                 let picture = pictures.iter().flatten().next()?;

@@ -1,8 +1,8 @@
-"""Walks files in one process. Standard input lists the files, one per line. The only argument is a
-folder for the packages 0, 1, 2, ...
+"""Runs the walker (`python/walk.py`) on USD files, in one process. Standard input lists the files,
+one per line. The only argument is a folder for the scene packages 0, 1, 2, ...
 
 Prints a line of JSON for each file: counts by OpenUSD itself, without the walker; and the reason if
-there is no package.
+there is no scene package.
 """
 
 import json

@@ -52,13 +52,13 @@ const GLYPHS: [(char, [u8; GLYPH_ROWS]); 41] = [
     (':', [0b00000, 0b01100, 0b01100, 0b00000, 0b01100, 0b01100, 0b00000]),
 ];
 
-/// Width of a line of text in columns, without the gap after its last glyph.
+/// Returns the width of a line of text in columns, without the gap after its last glyph.
 pub(crate) fn columns(text: &str) -> usize {
     (text.chars().count() * ADVANCE).saturating_sub(1)
 }
 
-/// True if the dot at `column` and `row` (from the top) of a line of text is set. Dots outside of
-/// the line are not set.
+/// Returns true if the dot at `column` and `row` (from the top) of a line of text is set. Dots
+/// outside of the line are not set.
 ///
 /// Characters that the font lacks are blank.
 pub(crate) fn is_set(text: &str, column: usize, row: usize) -> bool {

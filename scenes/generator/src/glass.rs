@@ -1,6 +1,6 @@
 //! `glass`: mirrors, glass, panes and screens on glazed tiles.
 //!
-//! The camera looks down by 22 degrees. Together the objects use the parts of glTF that plain
+//! The camera looks down by 22 degrees. Together the objects use the features of glTF that plain
 //! indexed triangles do not need:
 //!
 //! * sparse accessors, a triangle strip, a primitive without indices and normals,
@@ -95,7 +95,7 @@ fn add_table_and_wall(document: &mut Document) -> Result<(), GeneratorError> {
     Ok(())
 }
 
-/// A framed mirror that leans back, and mirror balls.
+/// Adds a framed mirror that leans back, and mirror balls.
 fn add_mirrors(document: &mut Document) {
     let metal = |name: &str, color: [f64; 3], roughness: f64| {
         json!({

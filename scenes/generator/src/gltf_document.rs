@@ -56,7 +56,7 @@ pub(crate) struct Document {
 }
 
 impl Document {
-    /// An empty document; its files will be `name.gltf` and `name.bin`.
+    /// Makes an empty document; its files will be `name.gltf` and `name.bin`.
     pub(crate) fn new(name: &'static str) -> Self {
         let mut document = Self {
             name,
@@ -305,7 +305,7 @@ impl Document {
     }
 }
 
-/// True if a material, or a part of it, refers to a texture.
+/// Returns true if a material, or a part of it, refers to a texture.
 fn has_texture(value: &Value) -> bool {
     value
         .as_object()

@@ -123,7 +123,7 @@ pub(crate) fn hash(x: u32, y: u32, seed: u32) -> f64 {
     f64::from(state) / f64::from(u32::MAX)
 }
 
-/// True if the distance of `x` from a multiple of `period` is less than `half_width`.
+/// Returns true if the distance of `x` from a multiple of `period` is less than `half_width`.
 pub(crate) fn ruled(x: f64, period: f64, half_width: f64) -> bool {
     let offset = x.rem_euclid(period);
     offset.min(period - offset) < half_width

@@ -42,7 +42,7 @@ pub(crate) struct Sky {
 }
 
 impl Sky {
-    /// Radiance from a unit direction.
+    /// Returns the radiance from a unit direction.
     pub(crate) fn radiance(&self, direction: DVec3) -> DVec3 {
         let target = if direction.y >= 0.0 { self.zenith } else { self.ground };
         // the slope of the blend is 0 at the horizon and the poles, so that the upper and lower

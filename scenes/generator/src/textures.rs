@@ -9,8 +9,8 @@ use crate::paint::{Picture, Rgba, fractal_noise, hash, mix, noise, paint, paint_
 /// Number of checks along each side of [`checkerboard`].
 pub(crate) const CHECKS_PER_TILE: u32 = 8;
 
-/// A checkerboard of two stones with grain. Every check has inlaid lines and a small star. It
-/// tiles.
+/// Returns a checkerboard of two stones with grain. Every check has inlaid lines and a small star.
+/// It tiles.
 pub(crate) fn checkerboard() -> Picture {
     let (ivory, slate) = (rgb(228, 218, 196), rgb(58, 74, 88));
     paint(1024, 1024, 3, |u, v| {
@@ -33,7 +33,8 @@ pub(crate) fn checkerboard() -> Picture {
     })
 }
 
-/// Wallpaper: stripes with a woven thread, and a small flower at each point of a lattice. It tiles.
+/// Returns wallpaper: stripes with a woven thread, and a small flower at each point of a lattice.
+/// It tiles.
 pub(crate) fn wallpaper() -> Picture {
     let (ground, stripe, flower) = (rgb(96, 128, 132), rgb(116, 147, 146), rgb(205, 205, 178));
     paint(1024, 1024, 3, |u, v| {
@@ -66,8 +67,8 @@ const CARD_TEXT: [&str; 8] = [
     "PRODUCTS: A TENSOR OF LOW RANK.",
 ];
 
-/// A printed card with the proportions 3 : 2. A dot of its small letters is 3 pixels wide; the card
-/// has 768 columns.
+/// Returns a printed card with the proportions 3 : 2. A dot of its small letters is 3 pixels wide;
+/// the card has 768 columns.
 pub(crate) fn text_card() -> Picture {
     let (paper, ink, red) = (rgb(240, 235, 220), rgb(34, 34, 48), rgb(176, 42, 36));
     paint(768, 512, 1, |u, v| {
@@ -102,8 +103,8 @@ pub(crate) fn text_card() -> Picture {
     })
 }
 
-/// A beach ball as an equirectangular picture: twelve stripes along meridians, and thin lines along
-/// parallels.
+/// Returns a beach ball as an equirectangular picture: twelve stripes along meridians, and thin
+/// lines along parallels.
 pub(crate) fn striped_ball() -> Picture {
     let (white, red, blue) = (rgb(236, 232, 224), rgb(190, 50, 40), rgb(40, 80, 150));
     paint(512, 256, 3, |u, v| {
@@ -118,7 +119,7 @@ pub(crate) fn striped_ball() -> Picture {
     })
 }
 
-/// Brushed metal as glTF stores it: roughness in green, metalness in blue; it tiles.
+/// Returns brushed metal as glTF stores it: roughness in green, metalness in blue; it tiles.
 pub(crate) fn brushed_metal() -> Picture {
     paint(256, 256, 1, |u, v| {
         let streaks = 0.7 * noise(u, v, 4, 128, 3) + 0.3 * noise(u, v, 8, 256, 4);
@@ -126,7 +127,7 @@ pub(crate) fn brushed_metal() -> Picture {
     })
 }
 
-/// Graph paper, one tile = 40 mm: lines every 2 mm, heavier every 10 mm.
+/// Returns graph paper, one tile = 40 mm: lines every 2 mm, heavier every 10 mm.
 pub(crate) fn graph_paper(paper: Rgba, line: Rgba) -> Picture {
     paint(256, 256, 4, |u, v| {
         let (x, y) = (40.0 * u, 40.0 * v);
@@ -140,7 +141,8 @@ pub(crate) fn graph_paper(paper: Rgba, line: Rgba) -> Picture {
     })
 }
 
-/// Two resolution charts side by side: a Siemens star (left) and groups of line pairs (right).
+/// Returns two resolution charts side by side: a Siemens star (left) and groups of line pairs
+/// (right).
 pub(crate) fn resolution_charts() -> Picture {
     let (white, black) = (rgb(242, 242, 242), rgb(14, 14, 14));
     let ink = |on: bool| if on { black } else { white };
@@ -175,8 +177,8 @@ pub(crate) fn resolution_charts() -> Picture {
     })
 }
 
-/// Height of the glazed tiles of [`tile_colors`] and [`tile_normals`], in an arbitrary unit. The
-/// picture has 2 x 2 bevelled tiles, each with a raised ripple around its middle.
+/// Returns the height of the glazed tiles of [`tile_colors`] and [`tile_normals`], in an arbitrary
+/// unit. The picture has 2 x 2 bevelled tiles, each with a raised ripple around its middle.
 fn tile_height(u: f64, v: f64) -> f64 {
     let (across, along) = ((2.0 * u).rem_euclid(1.0) - 0.5, (2.0 * v).rem_euclid(1.0) - 0.5);
     let edge = (0.5 - across.abs().max(along.abs())) / 0.05;
@@ -186,7 +188,7 @@ fn tile_height(u: f64, v: f64) -> f64 {
     bevel * bevel * (3.0 - 2.0 * bevel) + ripple
 }
 
-/// Normal map of the glazed tiles.
+/// Returns the normal map of the glazed tiles.
 pub(crate) fn tile_normals() -> Picture {
     paint_normals(512, 0.012, tile_height)
 }
@@ -212,8 +214,8 @@ pub(crate) fn tile_colors() -> Picture {
     })
 }
 
-/// A screen of leaves on a lattice, for the alpha mode MASK. Alpha is 1 on leaves and bars, and 0
-/// between them. It tiles.
+/// Returns a screen of leaves on a lattice, for the alpha mode MASK. Alpha is 1 on leaves and bars,
+/// and 0 between them. It tiles.
 pub(crate) fn leaf_screen() -> Picture {
     let (leaf, vein, bar) = (rgb(64, 110, 48), rgb(138, 168, 84), rgb(92, 70, 44));
     paint(256, 256, 4, |u, v| {
@@ -234,8 +236,8 @@ pub(crate) fn leaf_screen() -> Picture {
     })
 }
 
-/// Stained glass, for the alpha mode BLEND: coloured panes with different alpha, separated by lead
-/// lines.
+/// Returns stained glass, for the alpha mode BLEND: coloured panes with different alpha, separated
+/// by lead lines.
 pub(crate) fn stained_glass() -> Picture {
     let lead = rgb(24, 24, 26);
     let panes = [rgb(200, 40, 50), rgb(240, 180, 30), rgb(30, 120, 200), rgb(40, 160, 90)];
@@ -254,7 +256,8 @@ pub(crate) fn stained_glass() -> Picture {
     })
 }
 
-/// The print on both sides of the paper ribbon: staves with notes, and a fine line along the edges.
+/// Returns the print on both sides of the paper ribbon: staves with notes, and a fine line along
+/// the edges.
 pub(crate) fn sheet_music() -> Picture {
     let (paper, ink) = (rgb(238, 230, 208), rgb(30, 28, 34));
     paint(1024, 256, 2, |u, v| {

@@ -26,7 +26,7 @@ pub(crate) struct Window {
 }
 
 impl Window {
-    /// Rotation that takes display axes to world axes.
+    /// Returns the rotation that takes display axes to world axes.
     pub(crate) fn world_from_display(&self) -> DMat3 {
         DMat3::from_rotation_x(-self.pitch_rad)
     }
@@ -59,7 +59,7 @@ impl Window {
     }
 }
 
-/// A node with a translation in metres and a rotation.
+/// Returns a node with a translation in metres and a rotation.
 pub(crate) fn node_at(name: &str, translation: DVec3, rotation: DQuat) -> Value {
     let mut node = json!({ "name": name });
     if translation != DVec3::ZERO {
@@ -71,7 +71,7 @@ pub(crate) fn node_at(name: &str, translation: DVec3, rotation: DQuat) -> Value 
     node
 }
 
-/// A node's scale by the same factor on every axis.
+/// Returns a node's scale by the same factor on every axis.
 pub(crate) fn uniform_scale(factor: f64) -> Value {
     json!([rounded(factor), rounded(factor), rounded(factor)])
 }

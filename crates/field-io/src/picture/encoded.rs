@@ -9,7 +9,7 @@ use super::samples::{PIXEL_LIMIT, Picture, Samples};
 use crate::FieldError;
 
 /// Number of bytes at the end of a JPEG that must contain its end marker. Cameras append small
-/// extras after the marker.
+/// amounts of data after the marker.
 const JPEG_TAIL: u64 = 1 << 16;
 /// Largest memory that a decoder may take, bytes.
 const DECODER_BYTES: u64 = 3 << 30;

@@ -45,7 +45,7 @@ impl Picture {
         if is_exr(path) { openexr::size(path) } else { encoded::size(path) }
     }
 
-    /// [columns, rows].
+    /// Returns [columns, rows].
     pub fn size(&self) -> [usize; 2] {
         [self.cols, self.rows]
     }
@@ -56,7 +56,7 @@ impl Picture {
         !matches!(self.samples, Samples::Linear(_))
     }
 
-    /// All pixels, `[row][col][rgb]`, linear.
+    /// Returns all pixels, `[row][col][rgb]`, linear.
     pub fn into_linear(self) -> Vec<f32> {
         match self.samples {
             Samples::Linear(data) => data,
@@ -64,8 +64,8 @@ impl Picture {
         }
     }
 
-    /// The pixels of a rectangle, `[row][col][rgb]`, linear. `corner` is its [column, row], and
-    /// `size` its [columns, rows].
+    /// Returns the pixels of a rectangle, `[row][col][rgb]`, linear. `corner` is its [column, row],
+    /// and `size` its [columns, rows].
     ///
     /// # Panics
     /// If the rectangle extends past the picture.

@@ -76,8 +76,8 @@ pub fn exr_bytes(size: [usize; 2], rgb: &[f32], precision: Precision) -> io::Res
     Ok(bytes)
 }
 
-/// Encodes a picture. The encoder reads pixels from `rgb` block by block, so memory never holds a
-/// second copy of all pixels.
+/// Encodes a picture. The encoder reads pixels from `rgb` one compressed block at a time, so memory
+/// never holds a second copy of all pixels.
 fn encode(
     writer: impl io::Write + io::Seek,
     size: [usize; 2],
@@ -102,7 +102,7 @@ fn encode(
     }
 }
 
-/// Channels B, G and R of a picture, each named with a prefix.
+/// Returns the channels B, G and R of a picture, each named with a prefix.
 fn channels(prefix: &str, size: [usize; 2], rgb: &[f32], precision: Precision) -> [AnyChannel<FlatSamples>; 3] {
     assert_eq!(rgb.len(), 3 * size[0] * size[1], "values fill the picture");
     [("B", 2), ("G", 1), ("R", 0)].map(|(name, index)| {
@@ -280,9 +280,10 @@ pub(super) fn read_noted(path: &Path) -> Result<(Picture, Option<String>), Field
     Ok((Picture { cols, rows, samples: Samples::Linear(data) }, note))
 }
 
-/// Indices of the channels R, G and B. They have no prefix, or the first prefix ("layer.R") that
-/// has all three. If there are no such channels, the index of luminance is returned three times.
-/// Colours in OpenEXR are premultiplied by alpha, so they are already composited over black.
+/// Returns the indices of the channels R, G and B. They have no prefix, or the first prefix
+/// ("layer.R") that has all three. If there are no such channels, the index of luminance is
+/// returned three times. Colours in OpenEXR are premultiplied by alpha, so they are already
+/// composited over black.
 fn rgb_channels(names: &[String]) -> Option<[usize; 3]> {
     let find = |prefix: &str, name: &str| {
         names.iter().position(|n| n.strip_prefix(prefix).is_some_and(|rest| rest.eq_ignore_ascii_case(name)))

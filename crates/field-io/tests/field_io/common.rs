@@ -7,7 +7,8 @@ use lumistack_core::{Cancel, Collector, Task, Tensor};
 use lumistack_display::{FieldGeometry, LightField, Projection, ViewGrid};
 use lumistack_field_io::{FieldError, GeometryDefaults, GeometryFlags};
 
-/// A light field of random multiples of 1/1024 in 0..1, which half floats represent exactly.
+/// Returns a light field of random multiples of 1/1024 in 0..1, which half floats represent
+/// exactly.
 pub fn random_field(views: [usize; 2], size: [usize; 2], projection: Projection, seed: u64) -> LightField {
     let geometry = FieldGeometry {
         rows: size[1],
@@ -49,8 +50,8 @@ pub fn defaults() -> GeometryDefaults {
     GeometryDefaults { width_mm: Some(400.0), fov_deg: Some([20.0, 20.0]) }
 }
 
-/// A folder of third-party files next to the workspace. If it is missing, the test is reported as
-/// skipped, and the result is `None`.
+/// Returns a folder of third-party files next to the workspace. If it is missing, the test is
+/// reported as skipped, and the result is `None`.
 pub fn assets(variable: &str, default: &str, below: &str) -> Option<PathBuf> {
     let path = lumistack_testkit::skip::folder(variable, &format!("../shared/{default}"))?.join(below);
     if path.exists() {

@@ -13,7 +13,7 @@ const CODE: f32 = 1e-6;
 /// Tolerance of slopes from files with 17 digits, after a few operations.
 const EXACT: f64 = 1e-12;
 
-/// A picture with the view's column in red, its row in green, and the pixel column in blue.
+/// Saves a picture with the view's column in red, its row in green, and the pixel column in blue.
 fn labelled(path: &Path, label: [u8; 2]) {
     save_png(path, [6, 4], |x, _| [label[0], label[1], 10 * x as u8]);
 }
@@ -87,7 +87,8 @@ fn numbered_and_hci_views_go_from_the_top_left() {
     assert_eq!(label(&field.unwrap(), [1, 2]), [2, 1]);
     assert!(warnings.iter().any(|w| w.contains("the cameras' own angles are 0.9° × 0.6°")), "{warnings:?}");
     // Without a default angle, the slopes follow from the cameras: they are 50 mm apart, at a
-    // distance of 10 m. The viewing distance is width · f / sensor.
+    // distance of 10 m. The viewing distance is the light field's width · focal length / sensor
+    // width.
     let own = GeometryDefaults { width_mm: Some(350.0), fov_deg: None };
     let field = open(folder.path(), &GeometryFlags::default(), &own).0.unwrap();
     let grid = &field.geometry().grid;
@@ -177,8 +178,9 @@ fn the_shop_is_put_in_focus_and_can_keep_its_own_angles() {
     let field = field.unwrap();
     println!("{warnings:#?}");
     assert!(warnings.iter().any(|w| w.contains("is moved to z = 0")), "{warnings:?}");
-    // The plane at z = 0 had a disparity of 9 ± 3 pixels per view. The focal length is 800 pixels,
-    // and kept views are four views apart, so their slopes differ by 4 · (9 ± 3)/800.
+    // The plane that was moved to z = 0 had a disparity of 9 ± 3 pixels per view. The focal length
+    // is 800 pixels, and kept views are four views apart, so their slopes differ by 4 · (9 ±
+    // 3)/800.
     let grid = &field.geometry().grid;
     assert!((6.0 / 800.0 * 4.0..12.0 / 800.0 * 4.0).contains(&grid.slope_x[2]), "{grid:?}");
     assert!((grid.slope_x[2] - grid.slope_y[0]).abs() < EXACT);

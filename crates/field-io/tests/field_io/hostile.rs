@@ -19,7 +19,8 @@ fn plain_error(path: &Path) -> String {
     error_of(path, &GeometryFlags::default(), &defaults())
 }
 
-/// Lengths to which a file of `length` bytes is truncated. They cut headers, tables and data.
+/// Returns the lengths to which a file of `length` bytes is truncated. They cut headers, tables and
+/// data.
 fn cuts(length: usize) -> Vec<usize> {
     let mut cuts: Vec<usize> = (0..32).chain([length / 4, length / 2, length * 3 / 4]).collect();
     cuts.extend(length.saturating_sub(20)..length);
@@ -127,7 +128,7 @@ fn truncated_pictures_are_errors() {
     }
 }
 
-/// Peak memory of this process, bytes.
+/// Returns the peak memory of this process, bytes.
 #[cfg(target_os = "linux")]
 fn peak_bytes() -> usize {
     let status = fs::read_to_string("/proc/self/status").unwrap();

@@ -23,8 +23,8 @@ pub(super) fn decode(bytes: &[u8], attributes: &[u32], max_bytes: u64) -> Result
         let dimensions = usize::from(source.num_components());
         let size = component.as_ref().map_or(0, |component| component.size()) * dimensions;
         used += (vertices * size) as u64;
-        // over the limit nothing is unpacked; the caller counts these bytes too, and refuses the
-        // file
+        // Over the limit, expand no elements. The caller counts the bytes too, and refuses the
+        // file.
         let elements = if used > max_bytes { Ok(Vec::new()) } else { elements(source, vertices, size) };
         Some(Attribute { component, dimensions, elements })
     };
@@ -47,7 +47,7 @@ fn component(of: DataType) -> Result<ComponentType, String> {
     })
 }
 
-/// The elements of all vertices, or the index of the first vertex without an element.
+/// Returns the elements of all vertices, or the index of the first vertex without an element.
 fn elements(source: &PointAttribute, vertices: usize, size: usize) -> Result<Vec<u8>, u32> {
     let stride = usize::try_from(source.byte_stride()).unwrap_or_default();
     let mut bytes = Vec::with_capacity(vertices * size);

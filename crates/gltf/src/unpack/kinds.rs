@@ -7,9 +7,10 @@ use lumistack_splats::read::Found;
 /// Packed content that a library decodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Packed<'a> {
-    /// A picture whose size is read from its header: [`Unpacked::Size`].
+    /// A picture, of which only the size is read, from its header. The result is
+    /// [`Unpacked::Size`].
     Size(Use, &'a [u8]),
-    /// A picture that is decoded: [`Unpacked::Pixels`].
+    /// A picture, all of whose texels are decoded. The result is [`Unpacked::Pixels`].
     Picture(Use, &'a [u8]),
     /// A Draco mesh, which is decoded to [`Unpacked::Mesh`].
     Draco {
@@ -40,7 +41,8 @@ pub enum Packed<'a> {
         /// Largest number of bytes that the splats may take.
         max_bytes: u64,
     },
-    /// A file of splats, and the files beside it with their names: [`Unpacked::Splats`].
+    /// A file of splats, and the names and contents of the files beside it. The result is
+    /// [`Unpacked::Splats`].
     Capture(&'a [u8], Vec<(&'a str, &'a [u8])>),
 }
 
@@ -142,8 +144,8 @@ impl Unsound {
 }
 
 impl Packed<'_> {
-    /// The error for content on which the decoder of a library panics, since the library does not
-    /// check for this kind of defect.
+    /// Returns the error for content on which the decoder of a library panics, since the library
+    /// does not check for this kind of defect.
     pub fn stopped(&self) -> Unsound {
         let expected = match self {
             Self::Size(..) | Self::Picture(..) => "a sound picture",

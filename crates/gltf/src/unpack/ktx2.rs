@@ -2,8 +2,9 @@
 //! UASTC.
 //!
 //! Every offset and size of the container is checked here before the decoder sees it. Only the
-//! largest level is decoded; the path tracer makes its own pyramid. Sources: KTX 2.0 specification,
-//! sections 3 and 5; KHR_texture_basisu, "KTX v2 Images with Basis Universal Supercompression".
+//! largest level is decoded; the path tracer computes smaller levels itself. Sources: KTX 2.0
+//! specification, sections 3 and 5; KHR_texture_basisu, "KTX v2 Images with Basis Universal
+//! Supercompression".
 
 #[cfg(feature = "ktx2")]
 use std::ops::Range;

@@ -82,7 +82,7 @@ fn unreadable(format: ImageFormat, error: ImageError) -> Unsound {
     Unsound::new(format!("a readable {format:?} picture of at most {MAX_SIDE} texels a side"), error)
 }
 
-/// True if the codes have 16 bits.
+/// Returns true if the codes have 16 bits.
 fn is_deep(decoder: &impl ImageDecoder) -> bool {
     let color = decoder.color_type();
     color.bytes_per_pixel() / color.channel_count() > 1

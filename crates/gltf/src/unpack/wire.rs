@@ -1,5 +1,5 @@
-//! Requests and answers as bytes, little-endian. Numbers have 64 bits. Before each list stands its
-//! length.
+//! Converts requests, and results of decoding (answers), to bytes and back. The bytes are
+//! little-endian. Numbers have 64 bits. The length of a list precedes the list.
 
 use glam::{Quat, Vec3};
 use gltf::json::accessor::ComponentType;
@@ -100,7 +100,7 @@ impl<'a> In<'a> {
 }
 
 impl Packed<'_> {
-    /// The request as bytes, for [`answer`](super::answer) in another module.
+    /// Returns the request as bytes, for [`answer`](super::answer) in another module.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = Out::default();
         match *self {
@@ -161,7 +161,7 @@ pub(super) fn request<T>(bytes: &[u8], with: impl FnOnce(&Packed<'_>) -> T) -> O
     Some(with(&packed))
 }
 
-/// An answer as bytes.
+/// Returns the result of decoding as bytes.
 pub(super) fn answer(answer: &Result<Unpacked, Unsound>) -> Vec<u8> {
     let mut out = Out::default();
     match answer {
@@ -230,7 +230,8 @@ fn triple(values: [f32; 3]) -> [u8; 12] {
     bytes
 }
 
-/// The answer that the bytes hold; `None` if the bytes do not come from [`answer`](super::answer).
+/// Reads a result of decoding from bytes; `None` if the bytes do not come from
+/// [`answer`](super::answer).
 pub fn answered(bytes: &[u8]) -> Option<Result<Unpacked, Unsound>> {
     let from = &mut In(bytes);
     Some(Ok(match from.number()? {

@@ -9,7 +9,8 @@ use serde_json::{Value, json};
 
 const TOLERANCE: f32 = 1e-5;
 
-/// Two nodes with triangles; the mesh of node 0 has two morph targets that lift it by 1 and by 10.
+/// Returns two nodes with triangles; the mesh of node 0 has two morph targets that lift it by 1 and
+/// by 10.
 fn animated(animations: impl FnOnce(&mut Builder) -> Vec<Value>) -> Builder {
     let mut b = Builder::triangle();
     let one = b.floats("VEC3", &[0.0, 0.0, 1.0].repeat(3));
@@ -23,7 +24,7 @@ fn animated(animations: impl FnOnce(&mut Builder) -> Vec<Value>) -> Builder {
     b
 }
 
-/// An animation with one channel.
+/// Returns an animation with one channel.
 fn one_channel(node: usize, path: &str, interpolation: &str, input: usize, output: usize) -> Value {
     json!({"channels": [{"sampler": 0, "target": {"node": node, "path": path}}],
         "samplers": [{"input": input, "output": output, "interpolation": interpolation}]})
@@ -43,7 +44,7 @@ fn assert_near(found: Vec3, expected: Vec3) {
     assert!((found - expected).abs().max_element() < TOLERANCE, "expected {expected}, found {found}");
 }
 
-/// Position of a point of an instance in the scene.
+/// Returns the position of a point of an instance in the scene.
 fn placed(scene: &Scene, instance: usize, point: Vec3) -> Vec3 {
     scene.instances[instance].scene_from_mesh.transform_point3(point)
 }
@@ -87,7 +88,7 @@ fn splines_have_the_values_and_tangents_of_their_keys() {
     }
 }
 
-/// Scale of node 1 along each of its axes. A scale may be zero.
+/// Returns the scale of node 1 along each of its axes. A scale may be zero.
 fn at_scale(b: &Builder, time_s: f64) -> Vec3 {
     let mut b = b.clone();
     // the translation of a child shows the scale, even if a scale of zero hides the mesh
@@ -199,8 +200,8 @@ fn outputs_may_be_sparse() {
     assert_near(placed(&at(&b, 1.5), 0, Vec3::ZERO), 2.0 * Vec3::X);
 }
 
-/// A file with at most three animations: the first two move different nodes, the third moves the
-/// same node as the first.
+/// Returns a file with at most three animations: the first two move different nodes, the third
+/// moves the same node as the first.
 fn several(count: usize) -> Builder {
     animated(|b| {
         let input = b.floats("SCALAR", &[0.0]);

@@ -44,7 +44,7 @@ fn grid(scene: &Scene) -> Grid {
     (vertices.collect(), triangles)
 }
 
-/// The grid before it was compressed.
+/// Returns the grid before it was compressed.
 fn plain() -> Grid {
     let grid = grid(&load(&data("grid.glb")).0.unwrap());
     assert_eq!((grid.0.len(), grid.1.len()), (20, 24));
@@ -154,7 +154,7 @@ fn claims_that_no_stream_can_back_are_refused_before_memory_is_taken() {
     }
 }
 
-/// A file with a triangle that shows a picture.
+/// Returns a file with a triangle that shows a picture.
 fn picture(bytes: &[u8]) -> Builder {
     let mut b = Builder::triangle();
     let view = b.view(bytes);

@@ -179,7 +179,7 @@ fn load_posed(bytes: &[u8], resolver: &Folder) -> Result<Scene, GltfError> {
     lumistack_gltf::load_with("test.gltf", bytes, resolver, &options, Task::quiet(&warnings, &cancel))
 }
 
-/// The error codes in the validator's report on a file.
+/// Returns the error codes in the validator's report on a file.
 fn verdict(path: &Path) -> Option<Vec<String>> {
     let report = std::fs::read(path.with_added_extension("report.json")).ok()?;
     let report: Value = serde_json::from_slice(&report).unwrap();
@@ -188,8 +188,8 @@ fn verdict(path: &Path) -> Option<Vec<String>> {
     Some(errors.map(|message| message["code"].as_str().unwrap().to_owned()).collect())
 }
 
-/// A `.gltf` file with a triangle added to its scene, so that only the file's defects can be a
-/// reason to refuse it.
+/// Returns a `.gltf` file with a triangle added to its scene, so that only the file's defects can
+/// be a reason to refuse it.
 fn with_a_triangle(path: &Path) -> Option<Vec<u8>> {
     let file: Value = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
     let (mut b, [_, node]) = add_triangle(&file)?;
@@ -355,7 +355,7 @@ fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     Some((b, [mesh, node]))
 }
 
-/// Copies of a file. Each copy shows a triangle and one more object of the file.
+/// Returns copies of a file. Each copy shows a triangle and one more object of the file.
 fn shown_in_turn(file: &Value) -> Vec<(String, Value)> {
     let count = |list: &str| file.get(list).and_then(Value::as_array).map_or(0, Vec::len);
     let mut variants = Vec::new();

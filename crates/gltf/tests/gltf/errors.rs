@@ -17,7 +17,7 @@ fn triangle_with(change: impl FnOnce(&mut Builder)) -> Builder {
     builder
 }
 
-/// A triangle with a base colour texture; `image` is the JSON of its image.
+/// Returns a triangle with a base colour texture; `image` is the JSON of its image.
 fn textured(image: serde_json::Value) -> Builder {
     triangle_with(|b| {
         b.push("images", image);
@@ -84,7 +84,7 @@ fn broken_pictures() {
     assert_eq!(message, format!("test.gltf: /images/0/bufferView: expected {expected}"));
 }
 
-/// The checksum of PNG chunks (ISO 3309).
+/// Returns the checksum of PNG chunks (ISO 3309).
 fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(u32::MAX, |crc, &byte| {
         (0..8).fold(crc ^ u32::from(byte), |crc, _| if crc & 1 == 1 { (crc >> 1) ^ 0xEDB8_8320 } else { crc >> 1 })

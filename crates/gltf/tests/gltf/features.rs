@@ -15,7 +15,7 @@ fn assert_near(found: Vec3, expected: Vec3) {
     assert!((found - expected).abs().max_element() < TOLERANCE, "expected {expected}, found {found}");
 }
 
-/// Positions of the corners of every triangle of a mesh.
+/// Returns the positions of the corners of every triangle of a mesh.
 fn corners(scene: &lumistack_scene::Scene, mesh: usize) -> Vec<[Vec3; 3]> {
     let mesh = &scene.meshes[mesh];
     mesh.triangles.iter().map(|triangle| triangle.map(|i| mesh.positions[i as usize])).collect()
@@ -279,7 +279,7 @@ fn morph_targets_count_at_their_weights() {
     assert_eq!(scene.meshes[1].positions[0].z, 2.0);
 }
 
-/// A triangle whose material has many textures and extensions.
+/// Returns a triangle whose material has many textures and extensions.
 fn painted() -> Builder {
     let mut b = Builder::triangle();
     let uvs = b.floats("VEC2", &[0.0, 0.0, 1.0, 0.0, 0.0, 1.0]);

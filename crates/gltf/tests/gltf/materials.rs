@@ -6,7 +6,7 @@ use lumistack_gltf::LoadOptions;
 use lumistack_scene::{Anisotropy, Clearcoat, Iridescence, Material, Pixels, Sheen, TextureUse};
 use serde_json::{Value, json};
 
-/// A triangle with a material, 15 textures of one picture, and coordinate sets 0, 1 and 4.
+/// Returns a triangle with a material, 15 textures of one picture, and coordinate sets 0, 1 and 4.
 fn triangle_with(material: Value) -> Builder {
     let mut b = Builder::triangle();
     let uvs = b.floats("VEC2", &[0.0, 0.0, 1.0, 0.0, 0.0, 1.0]);
@@ -31,7 +31,8 @@ fn texture(number: usize) -> (Value, Option<TextureUse>) {
     (json, Some(TextureUse { texture: 0, uv_set: number % 2, texture_from_mesh }))
 }
 
-/// Sets the texture's index of a use to 0, since the index depends on the order of reading.
+/// Sets the texture's index to 0 in a use of a texture, since the index depends on the order in
+/// which textures are read.
 fn moved(found: Option<TextureUse>) -> Option<TextureUse> {
     found.map(|found| TextureUse { texture: 0, ..found })
 }

@@ -14,7 +14,7 @@ const SEED: u64 = 2012;
 /// Longest time that one broken file of a few kilobytes may take.
 const MAX_LOAD_TIME: Duration = Duration::from_secs(5);
 
-/// A file of about 4 kB that uses nearly every feature that is read.
+/// Returns a file of about 4 kB that uses nearly every feature that is read.
 fn everything() -> Builder {
     let mut b = Builder::triangle();
     let indices = b.accessor(U16, "SCALAR", 3, &[0, 0, 1, 0, 2, 0]);

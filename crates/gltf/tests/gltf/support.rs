@@ -40,8 +40,8 @@ impl AssetResolver for Memory {
         found.map(|(_, bytes)| bytes.clone()).ok_or_else(|| "No such file".to_owned())
     }
 
-    /// Passes content and answer on as bytes, as a web page does whose decoders are in another
-    /// module.
+    /// Passes the content, and the result of decoding it, on as bytes. A web page whose decoders
+    /// are in another module does the same.
     fn unpack(&self, packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
         let answer = unpack::answer(&packed.to_bytes()).expect("a request");
         let answer = unpack::answered(&answer).expect("an answer");
@@ -83,20 +83,20 @@ pub fn load(bytes: &[u8]) -> (Result<Scene, GltfError>, Vec<String>) {
     load_with(bytes, &Memory(Vec::new()))
 }
 
-/// The scene of a file that loads without a warning.
+/// Returns the scene of a file that loads without a warning.
 pub fn scene(builder: &Builder) -> Scene {
     let (scene, warnings) = load(&builder.glb());
     assert_eq!(warnings, Vec::<String>::new());
     scene.unwrap()
 }
 
-/// The error of a file that is refused.
+/// Returns the error of a file that is refused.
 pub fn error(builder: &Builder) -> String {
     load(&builder.glb()).0.unwrap_err().to_string()
 }
 
-/// A folder of files of other projects. If it is missing, prints a line that says so and returns
-/// `None`.
+/// Returns a folder of files of other projects. If it is missing, prints a line that says so and
+/// returns `None`.
 pub fn assets(folder: &str) -> Option<PathBuf> {
     let path = lumistack_testkit::skip::folder("LUMISTACK_ASSETS", "../shared/scenes")?.join(folder);
     if !path.is_dir() {
@@ -129,7 +129,7 @@ impl Builder {
         Self { json: json!({"asset": {"version": "2.0"}}), bin: Vec::new() }
     }
 
-    /// One triangle (0,0,0) (1,0,0) (0,1,0) without indices, on node 0 of a scene.
+    /// Returns one triangle (0,0,0) (1,0,0) (0,1,0) without indices, on node 0 of a scene.
     pub fn triangle() -> Self {
         let mut builder = Self::new();
         let positions = builder.floats("VEC3", &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
@@ -191,7 +191,7 @@ impl Builder {
         self
     }
 
-    /// The file as `.glb`.
+    /// Returns the file as `.glb`.
     pub fn glb(&self) -> Vec<u8> {
         let mut json = self.json.clone();
         if json.get("buffers").is_none() {
@@ -211,13 +211,13 @@ impl Builder {
         file
     }
 
-    /// The file as `.gltf` with its buffer in a data URI.
+    /// Returns the file as `.gltf` with its buffer in a data URI.
     pub fn gltf(&self) -> Vec<u8> {
         let uri = format!("data:application/octet-stream;base64,{}", STANDARD.encode(&self.bin));
         self.gltf_with_buffer(&uri)
     }
 
-    /// The file as `.gltf` with its buffer at a URI.
+    /// Returns the file as `.gltf` with its buffer at a URI.
     pub fn gltf_with_buffer(&self, uri: &str) -> Vec<u8> {
         let mut json = self.json.clone();
         json["buffers"] = json!([{"byteLength": self.bin.len(), "uri": uri}]);
@@ -225,7 +225,7 @@ impl Builder {
     }
 }
 
-/// A PNG picture, with one colour per texel.
+/// Returns a PNG picture, with one colour per texel.
 pub fn png(width: u32, texels: &[[u8; 4]]) -> Vec<u8> {
     let height = texels.len() as u32 / width;
     let image = image::RgbaImage::from_raw(width, height, texels.as_flattened().to_vec()).unwrap();

@@ -3,8 +3,8 @@
 //! Block matching searches, for every pixel, the shift along the row for which a square around the
 //! pixel matches best. The measure is the sum of absolute differences of √luminance over the
 //! square. A parabola refines the shift. Between oblique views, content at depth z is shifted by
-//! −z·Δs/p pixels per step Δs of slope. Between pinholes at distance D, it is shifted by q =
-//! −z·Δs/(1 − z/D) millimetres.
+//! −z·Δs/p pixels. Here Δs is the difference of the views' slopes, and p the pixel pitch. Between
+//! pinholes at distance D, it is shifted by q = −z·Δs/(1 − z/D) millimetres.
 //!
 //! If no shift is clearly better, a pixel takes the clear shift that is nearest in its row. A row
 //! without a clear shift gets the depth of the display plane. A median over squares removes

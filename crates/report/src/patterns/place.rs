@@ -1,8 +1,8 @@
 //! Selects the position of the close-ups: where masks have the finest changes between frames.
 //!
-//! The energy of a mask pixel is a sum over frames and channels. It sums the squared differences to
-//! the right and to the lower neighbour. If there are several frames, the sum takes each frame's
-//! deviation from the mean over frames instead of the mask itself.
+//! The energy of a mask pixel is a sum over frames and channels. Its terms are the squared
+//! differences between the pixel and its right and lower neighbours. If there are several frames,
+//! each frame's deviation from the mean over frames replaces the mask.
 //!
 //! The selected point of z = 0 maximizes a sum over the layers. A layer contributes the energy
 //! within its close-up, divided by the energy of the whole layer.

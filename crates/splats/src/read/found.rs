@@ -15,7 +15,7 @@ pub enum Axes {
 }
 
 impl Axes {
-    /// Rotation from the file's axes to the scene's.
+    /// Returns the rotation from the file's axes to the scene's.
     pub fn scene_from_file(self) -> Quat {
         match self {
             Self::RightUpBack => Quat::IDENTITY,
@@ -67,7 +67,8 @@ pub(super) fn constant(colour: f32) -> f32 {
     (colour - 0.5) / 0.282_094_8
 }
 
-/// Degree of the harmonics that have this number of coefficients, not counting the constant one.
+/// Returns the degree of the harmonics that have this number of coefficients, not counting the
+/// constant one.
 pub(super) fn degree_of(coefficients: usize) -> Option<usize> {
     [0, 3, 8, 15].iter().position(|known| *known == coefficients)
 }
@@ -83,7 +84,7 @@ pub(super) fn from_smallest_three(rest: [f32; 3], largest: usize) -> [f32; 4] {
     all
 }
 
-/// An empty cloud with capacity for `count` splats.
+/// Makes an empty cloud with capacity for `count` splats.
 pub(super) fn cloud(place: &str, count: usize, degree: usize) -> Cloud {
     Cloud {
         place: place.to_owned(),

@@ -130,7 +130,8 @@ impl<'a> Element<'a> {
         Err(ReadError::new(format!("element {}, property {name}", self.name), "uint", format!("{:?}", column.kind)))
     }
 
-    /// The columns `f_rest_0`, `f_rest_1`, …, and the degree of the harmonics that they hold.
+    /// Returns the columns `f_rest_0`, `f_rest_1`, …, and the degree of the harmonics that they
+    /// hold.
     fn rest(&self) -> Result<(Vec<Column<'a>>, usize), ReadError> {
         let rest: Vec<Column<'a>> = (0..).map_while(|i| self.find(&format!("f_rest_{i}"))).take(73).collect();
         let degree = rest.len().is_multiple_of(3).then(|| degree_of(rest.len() / 3)).flatten();

@@ -62,7 +62,8 @@ impl Header {
         Ok(Self { version, count: word(8) as usize, degree, fractional_bits, flags: bytes[14] })
     }
 
-    /// Number of bytes per splat of positions, opacities, colours, scales, rotations and harmonics.
+    /// Returns the number of bytes per splat of positions, opacities, colours, scales, rotations
+    /// and harmonics.
     fn strides(&self) -> [usize; 6] {
         let position = if self.version == 1 { 6 } else { 9 };
         let rotation = if self.version >= 3 { 4 } else { 3 };
@@ -152,7 +153,8 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
     Ok(found)
 }
 
-/// Size of all splats after decompression, in bytes; an error if it exceeds `max_bytes`.
+/// Returns the size of all splats after decompression, in bytes; an error if it exceeds
+/// `max_bytes`.
 fn size(stride: usize, header: &Header, max_bytes: u64) -> Result<u64, ReadError> {
     let bytes = stride as u64 * header.count as u64;
     if bytes > max_bytes {

@@ -83,8 +83,8 @@ impl Kernel for Blend {
     unsafe fn run<V: Lanes>(args: Self::Args<'_>) -> bool {
         let Args { splats, chosen, first, cuts, sums } = args;
         let mut open = false;
-        // SAFETY: the caller's machine has V. Every array has PIXELS values, COUNT of them from `i`
-        // on are read and written, and COUNT divides PIXELS.
+        // SAFETY: the caller's machine has the instruction set of V. Every array has PIXELS values,
+        // COUNT of them from `i` on are read and written, and COUNT divides PIXELS.
         unsafe {
             let (zero, one) = (V::splat(0.0), V::splat(1.0));
             let (limit, dark, half) = (V::splat(LIMIT), V::splat(DARK), V::splat(0.5));

@@ -5,7 +5,7 @@
 /// Number of basis functions up to degree 3.
 pub(crate) const MOST: usize = 16;
 
-/// Y_lm of a unit direction, in the order of degree l, then of order m.
+/// Returns Y_lm of a unit direction, in the order of degree l, then of order m.
 #[inline]
 pub(crate) fn basis([x, y, z]: [f32; 3]) -> [f32; MOST] {
     let (xx, yy, zz) = (x * x, y * y, z * z);

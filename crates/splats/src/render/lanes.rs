@@ -8,8 +8,9 @@ use lumistack_simd::{Kernel, Lanes};
 use super::harmonics::{MOST, basis};
 use super::prepare::{CUTOFF, Eye, NEAREST, PIXEL_VARIANCE, Splat, TILE};
 
-/// Number of views of a block. More views save sorting; fewer views save memory, and the projection
-/// of splats that only some views show.
+/// Number of views of a block. With more views, the lists of splats per tile are made for fewer
+/// blocks. With fewer views, less memory is needed, and fewer splats are projected into views that
+/// do not show them.
 pub(crate) const VIEWS: usize = 16;
 /// One value for each view of a block of views.
 pub(crate) type Lane = [f32; VIEWS];
@@ -65,7 +66,7 @@ impl Projected {
     };
 }
 
-/// A splat, the eyes of the views, and the place for the result.
+/// A splat, the eyes of the views, and the memory for the result.
 pub(crate) struct Args<'a> {
     pub(crate) splat: &'a Splat,
     pub(crate) eyes: &'a Eyes,
@@ -170,8 +171,8 @@ impl Kernel for Project {
         let coefficients = harmonics.as_chunks::<3>().0;
         let mut v = 0;
         while v < VIEWS {
-            // SAFETY: the caller's machine has V. Every lane has VIEWS values, COUNT of them from
-            // `v` on are read and written, and COUNT divides VIEWS.
+            // SAFETY: the caller's machine has the instruction set of V. Every lane has VIEWS
+            // values, COUNT of them from `v` on are read and written, and COUNT divides VIEWS.
             unsafe {
                 let half = V::splat(0.5);
                 let (mut red, mut green, mut blue) = (half, half, half);

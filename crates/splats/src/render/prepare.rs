@@ -2,8 +2,9 @@
 //!
 //! Coordinates are pixels of the light field. The column is x and the row is y; both are whole
 //! numbers at the centres of pixels. The axis z points from the window to the viewer. A ray of
-//! slope s = (s_x, s_y), with y downwards, is p + z s. The projection of a splat onto z = 0 along
-//! such rays is linear, so it is exact:
+//! slope s = (s_x, s_y), with y downwards, that crosses z = 0 at p has the points p + z s. Let a
+//! splat have the centre (x, y, z) and the covariance Σ. Its projection onto z = 0 along such rays
+//! is linear, so it is exact. The projection has the centre p and the covariance Σ':
 //!
 //! ```text
 //! p = (x − z s_x, y − z s_y),   Σ' = J Σ Jᵀ,   J = m (1 0 −s_x; 0 1 −s_y),   m = 1
@@ -71,8 +72,8 @@ impl Eye {
         }
     }
 
-    /// Slopes of the ray through a splat's centre, and the magnification m; `None` for a splat
-    /// behind the eye.
+    /// Returns the slopes of the ray through a splat's centre, and the magnification m; `None` for
+    /// a splat behind the eye.
     #[inline]
     fn ray(&self, [x, y, z]: [f32; 3]) -> Option<([f32; 2], f32)> {
         match *self {

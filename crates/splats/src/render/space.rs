@@ -46,7 +46,7 @@ impl Space {
     }
 }
 
-/// The sRGB encoding, extended to values above 1.
+/// Returns the sRGB encoding, extended to values above 1.
 fn encode(linear: f32) -> f32 {
     if linear <= 0.003_130_8 { 12.92 * linear.max(0.0) } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }

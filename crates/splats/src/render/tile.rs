@@ -9,7 +9,7 @@
 //! parallel rays:   distance = −(s·p + z (1 + s²)) ≥ −s·c − |s|₁ r − z₁ (1 + s²)
 //! from an eye:     distance² = (D − z)² (1 + s²)  ≥ (D − z₁)² (1 + least s²)
 //!
-//! s    slope of the ray through the splat's centre
+//! s    slope of the ray through the splat's centre; |s|₁ = |s_x| + |s_y|
 //! p, z projected centre of the splat, and its depth
 //! D    distance of the eye from the window
 //! c    centre of the tile
@@ -68,7 +68,8 @@ impl<'a> Shared<'a> {
         }
     }
 
-    /// Coefficients of a splat, `[coefficient][rgb]`; empty if no colours are computed.
+    /// Returns the harmonic coefficients of a splat, `[coefficient][rgb]`; empty if no colours are
+    /// computed.
     fn harmonics(&self, splat: &Splat) -> &'a [f32] {
         if !self.with_colour {
             return &[];
@@ -88,7 +89,7 @@ impl<'a> Shared<'a> {
         &self.scene.clouds[self.scene.placed_clouds[splat.placed as usize].cloud]
     }
 
-    /// True if a splat's colours are in the space in which splats are blended.
+    /// Returns true if a splat's colours are in the space in which splats are blended.
     fn is_same_space(&self, splat: &Splat) -> bool {
         self.cloud(splat).encoding == self.space
     }
@@ -187,7 +188,7 @@ impl Canvas {
         }
     }
 
-    /// One bit for each block in which a sample has an unfinished pixel.
+    /// Returns one bit for each block in which a sample has an unfinished pixel.
     fn open(&self) -> u16 {
         self.open.iter().fold(0, |all, open| all | open)
     }
@@ -209,7 +210,7 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
     let origin = tile.map(|number| (number * TILE) as f32);
     let mut canvases: Vec<Canvas> = views.cuts.iter().map(|cuts| Canvas::new(*cuts, tile)).collect();
     let splat = |number: usize| &shared.prepared.splats[list[number] as usize];
-    // For each chunk, find the depth of its first splat and its largest extent.
+    // For each chunk, find the depth of its first splat, and the largest extent of its splats.
     let mut chunks = Vec::with_capacity(list.len().div_ceil(CHUNK));
     for first in (0..list.len()).step_by(CHUNK) {
         let mut most = 0.0f32;
@@ -279,15 +280,15 @@ pub(crate) fn render(shared: &Shared<'_>, views: &Views<'_>, list: &[u32], tile:
     out
 }
 
-/// Extent of a splat from its centre, along its longest axis, in pixels, in any view between
-/// `ends`.
+/// Returns the largest extent of a splat from its centre, along x or y, in any view between `ends`,
+/// in pixels.
 fn reach(splat: &Splat, ends: &[Eye]) -> f32 {
     let seen = ends.iter().filter_map(|eye| eye.project(splat));
     let variance = seen.map(|seen| seen.covariance[0].max(seen.covariance[2])).fold(0.0, f32::max);
     CUTOFF * (variance + PIXEL_VARIANCE).sqrt()
 }
 
-/// Lower bound of the distances of the splats that the eye shows in the tile.
+/// Returns a lower bound of the distances of the splats that the eye shows in the tile.
 ///
 /// The depths of the splats are at most `z`, and they extend at most `reach` from their centres.
 fn least_distance(eye: Eye, origin: [f32; 2], z: f32, reach: f32) -> f32 {

@@ -11,7 +11,7 @@ use serde_json::json;
 const MOST: usize = 1 << 16;
 const PER_ROW: usize = 64;
 
-/// The files of a SOG of version 2, with their names; `meta.json` is the first.
+/// Returns the files of a SOG of version 2, with their names; `meta.json` is the first.
 ///
 /// All colours share 256 values, and so do all scales. Positions have 2¹⁶ values per axis.
 ///

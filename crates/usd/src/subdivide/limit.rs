@@ -128,9 +128,9 @@ fn smooth_normal(topology: &Topology, scheme: Scheme, fan: &Fan, at: impl Fn(u32
     along_cos.cross(along_sin)
 }
 
-/// Normal of a vertex v on one side of a crease, from two tangents. The side has k ≥ 2 faces. Its
-/// edges at v end at e₀ to e_k, and f_i is the corner of face i opposite to v. With θ = π/k and
-/// R = (1 + cos θ)/sin θ:
+/// Returns the normal of a vertex v on one side of a crease, from two tangents. The side has k ≥ 2
+/// faces. Its edges at v end at e₀ to e_k, and f_i is the corner of face i opposite to v. With θ =
+/// π/k and R = (1 + cos θ)/sin θ:
 ///
 /// ```text
 /// along    e₀ − e_k
@@ -156,9 +156,10 @@ fn crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -
     (at(first) - at(last)).cross(across)
 }
 
-/// Normal on one side of a crease of triangles (Hoppe et al. 1994). The side has k faces, and its
-/// edges end at e₀ to e_k; θ is π/k. The tangent across the crease is −sin θ (e₀ + e_k) + (2 − 2
-/// cos θ) Σ sin iθ e_i. A crease with fewer than four faces on this side has weights of its own.
+/// Returns the normal on one side of a crease of triangles (Hoppe et al. 1994). The side has k
+/// faces, and its edges end at e₀ to e_k; θ is π/k. The tangent across the crease is −sin θ (e₀ +
+/// e_k) + (2 − 2 cos θ) Σ sin iθ e_i. A crease with fewer than four faces on this side has weights
+/// of its own.
 fn triangle_crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -> DVec3) -> DVec3 {
     let points: Vec<DVec3> = spokes(topology, fan).into_iter().map(&at).collect();
     let here = at(vertex);

@@ -90,7 +90,8 @@ const MOST_TRIANGLES: usize = 200_000;
 /// Number of levels for a mesh of few faces, whose outline would still show corners after [`LEVEL`]
 /// levels.
 const SPARSE_LEVEL: u32 = 4;
-/// Largest number of triangles after more than [`LEVEL`] levels.
+/// Largest number of triangles of a mesh that is refined by more than [`LEVEL`] levels, after its
+/// refinement.
 const SPARSE_TRIANGLES: usize = 8_000;
 
 /// Returns the number of levels for a mesh whose faces have `corner_count` corners in total.

@@ -20,7 +20,7 @@ impl Mesh {
         Self { points, counts, indices: faces.concat() }
     }
 
-    /// A cube with corners at ±1.
+    /// Makes a cube with corners at ±1.
     fn cube() -> Self {
         let points =
             (0..8).map(|i| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32) * 2.0 - 1.0).collect();
@@ -34,7 +34,8 @@ impl Mesh {
         Self::new(points, &faces)
     }
 
-    /// A grid of quadrilaterals over 0..n with random heights; `torus` joins opposite sides.
+    /// Returns a grid of quadrilaterals over 0..n with random heights; `torus` joins opposite
+    /// sides.
     fn grid(n: i32, torus: bool, seed: u64) -> Self {
         let mut stream = Stream::new(seed);
         let side = if torus { n } else { n + 1 };
@@ -407,7 +408,7 @@ fn boundaries_follow_their_rule_and_holes_are_left_out() {
     assert_eq!(limit(&holes, 2, &mesh.flat()), limit(&with(Boundary::EdgeOnly), 2, &mesh.flat()));
 }
 
-/// Three quadrilaterals in a 3 × 1 strip with a seam between the second and the third.
+/// Returns three quadrilaterals in a 3 × 1 strip with a seam between the second and the third.
 fn strip() -> (Mesh, Vec<f32>, Vec<u32>) {
     let points = (0..8).map(|i| Vec3::new((i % 4) as f32, (i / 4) as f32, 0.0)).collect();
     let mesh = Mesh::new(points, &[&[0, 1, 5, 4], &[1, 2, 6, 5], &[2, 3, 7, 6]]);

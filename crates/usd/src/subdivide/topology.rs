@@ -184,8 +184,8 @@ impl Topology {
         &self.edges[self.edge_of_corner[corner as usize] as usize]
     }
 
-    /// True if a vertex is on an edge that does not join exactly two faces, as at the mesh's
-    /// boundary.
+    /// Returns true if a vertex is on an edge that does not join exactly two faces, as at the
+    /// mesh's boundary.
     pub(super) fn is_boundary(&self, vertex: u32) -> bool {
         self.edges_at(vertex).any(|edge| !edge.joined)
     }

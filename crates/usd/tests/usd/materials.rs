@@ -1,4 +1,4 @@
-//! Materials, textures and lights of packages that the test writes; no Python is needed.
+//! Materials, textures and lights of scene packages that the test writes; no Python is needed.
 
 use std::io::Cursor;
 
@@ -8,8 +8,8 @@ use lumistack_scene::{AlphaMode, LightKind, Material, Pixels, Scene};
 use lumistack_usd::{Package, scene_from_package};
 use serde_json::{Value, json};
 
-/// A scene of one plane with one material and lights. It has a picture of 2 × 1 texels, and one
-/// that is missing.
+/// Returns a scene of one plane with one material and lights. It has a picture of 2 × 1 texels, and
+/// one that is missing.
 fn scene(material: Value, lights: Value) -> (Scene, Vec<Warning>) {
     let mut png = Vec::new();
     let texels = vec![255, 0, 51, 255, 0, 102, 204, 128];
@@ -49,7 +49,7 @@ fn preview(inputs: Value) -> (Scene, Material, Vec<Warning>) {
     shader("UsdPreviewSurface", inputs)
 }
 
-/// An input that reads these channels of the scene's first picture.
+/// Returns an input that reads these channels of the scene's first picture.
 fn texture(channels: &[usize], scale: f32, bias: f32, space: &str) -> Value {
     let list = |value: f32| vec![value; channels.len()];
     json!({"texture": {
@@ -288,7 +288,7 @@ fn lit(light: Value) -> (Scene, Vec<Warning>) {
     scene(json!({"place": "/m", "name": "m", "model": "UsdPreviewSurface", "inputs": {}}), json!([light]))
 }
 
-/// A matrix that scales by 2 and moves to (1, 2, 3).
+/// Returns a matrix that scales by 2 and moves to (1, 2, 3).
 fn placed() -> Value {
     json!([2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 1, 2, 3, 1])
 }

@@ -1,4 +1,5 @@
-//! Packages without Python: a valid package becomes a scene, and no damage to it can cause a panic.
+//! Scene packages without Python: a valid package becomes a scene, and no damage to it can cause a
+//! panic.
 
 use lumistack_core::{Cancel, Collector, Task, seed};
 use lumistack_scene::Scene;
@@ -82,7 +83,7 @@ fn sample() -> (Value, Vec<u8>) {
     (header, buffers.bytes)
 }
 
-/// Loads a package; `None` if the file is not a package.
+/// Loads a scene package; `None` if the file is not a scene package.
 fn load(bytes: &[u8]) -> Option<Result<Scene, UsdError>> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let package = Package::parse(bytes).ok()?;

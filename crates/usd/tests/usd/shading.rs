@@ -438,8 +438,8 @@ fn shapes_other_than_meshes_are_there() {
     near(extent("/can"), Vec3::new(2.0, 1.0, 1.0));
     near(extent("/dots"), Vec3::new(1.0, 1.0, 10.0));
     assert!((extent("/hair").y - 5.0).abs() < 1e-5);
-    // On the limit surface of a cube, the middle of a face is at 68/81 of its distance. Four levels
-    // turn 6 faces into 3072 triangles.
+    // On the limit surface of a cube, the middle of a face is nearer to the centre than on the
+    // cube, by the factor 68/81. Four levels turn 6 faces into 3072 triangles.
     near(extent("/smooth"), Vec3::splat(68.0 / 81.0));
     let smooth = scene.meshes.iter().find(|mesh| mesh.place == "/smooth").unwrap();
     assert_eq!((smooth.triangles.len(), smooth.positions.len()), (3072, 1538));

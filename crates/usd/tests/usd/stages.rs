@@ -230,7 +230,8 @@ fn time_is_counted_from_the_first_time_code() {
     }
 }
 
-/// A leg of three joints, with meshes on it. The knee at (0, 1, 0) is rotated by 90° about z.
+/// Returns a leg of three joints as USD text, with `meshes` on it. The knee at (0, 1, 0) is rotated
+/// by 90° about z.
 fn leg(meshes: &str) -> String {
     let matrices = [0, 1, 2].map(|y| format!("((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, {y}, 0, 1))")).join(", ");
     let local = [0, 1, 1].map(|y| format!("((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, {y}, 0, 1))")).join(", ");
@@ -255,8 +256,8 @@ fn leg(meshes: &str) -> String {
     )
 }
 
-/// A triangle on the leg. Corner i follows the joint with index `indices[i]` in the mesh's own list
-/// of joints.
+/// Returns a triangle on the leg as USD text. Corner i follows the joint with index `indices[i]` in
+/// the mesh's own list of joints.
 fn on_leg(name: &str, joints: &str, indices: [usize; 3], interpolation: &str) -> String {
     format!(
         r#"def Mesh "{name}" (prepend apiSchemas = ["SkelBindingAPI"]) {{

@@ -54,12 +54,12 @@ impl Scene {
         self.document[section].as_array().map_or(&[], Vec::as_slice)
     }
 
-    /// Every primitive of every mesh.
+    /// Returns every primitive of every mesh.
     pub(super) fn primitives(&self) -> Vec<&Value> {
         self.list("meshes").iter().flat_map(|mesh| mesh["primitives"].as_array().expect("primitives")).collect()
     }
 
-    /// The camera node's transform.
+    /// Returns the camera node's transform.
     pub(super) fn camera_transform(&self) -> DMat4 {
         let mut found = None;
         self.visit(&mut |node, world| {
@@ -70,7 +70,7 @@ impl Scene {
         found.expect("a camera node")
     }
 
-    /// All triangles under the default scene.
+    /// Returns all triangles under the default scene.
     pub(super) fn world_triangles(&self) -> Vec<Triangle> {
         let mut triangles = Vec::new();
         self.visit(&mut |node, world| {
@@ -204,7 +204,7 @@ impl Scene {
         }
     }
 
-    /// Vertex numbers of every triangle.
+    /// Returns the vertex numbers of every triangle.
     fn corner_indices(&self, primitive: &Value) -> Vec<[u32; 3]> {
         let order: Vec<u32> = match primitive.get("indices") {
             Some(accessor) => self.indices(index(accessor)),
