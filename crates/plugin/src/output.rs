@@ -31,8 +31,8 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
-    /// The plugin's parameters. They are checked before `open`, which receives a value of the right
-    /// type and in range for each parameter.
+    /// Describes the plugin's parameters. They are checked before `open`, which receives a value of
+    /// the right type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Opens an output. As a check, a host may open and drop an output before it begins to make the
@@ -78,7 +78,7 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     fn finish(self) -> Result<(), PluginError>;
 }
 
-/// The C functions of a plugin type.
+/// Returns the C functions of a plugin type.
 pub(crate) const fn vtable_of<P: OutputPlugin>() -> &'static OutputVtable {
     &Instance::<P>::VTABLE
 }

@@ -92,7 +92,7 @@ impl Events {
         lock(&self.attached).end();
     }
 
-    /// Detaches a program. Without effect if a later program is attached.
+    /// Detaches a program. Has no effect if a later program is attached.
     fn detach(&self, number: u64) {
         let mut attached = lock(&self.attached);
         if attached.number == number {

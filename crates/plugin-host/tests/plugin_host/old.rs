@@ -36,7 +36,7 @@ fn library(folder: &Path) -> PathBuf {
     library
 }
 
-/// The entry function of a plugin in the library, which stays loaded.
+/// Returns the entry function of a plugin in the library. The library stays loaded.
 fn entry(library: &Path, id: &str) -> Entry {
     // SAFETY: the library has no initializers.
     let library = Box::leak(Box::new(unsafe { Library::new(library) }.unwrap()));
@@ -153,7 +153,7 @@ fn the_old_node_makes_patterns() {
     });
 }
 
-/// The numbers that `old_output` writes.
+/// Returns the numbers that `old_output` writes.
 fn numbers(sample: &Sample, time: Time) -> Vec<f64> {
     let stack = sample.stack().unwrap();
     let mut expected = vec![f64::from(port::LAYER_STACK), time.index as f64, time.seconds];
