@@ -161,7 +161,7 @@ impl Work {
         self.device = Some(device);
     }
 
-    /// True if a device solves.
+    /// Returns true if a device solves.
     pub fn is_on_device(&self) -> bool {
         HAS_DEVICES && self.device.is_some()
     }
@@ -187,7 +187,7 @@ impl Work {
         Ok(())
     }
 
-    /// The chosen display. After a light field is read, the display is adapted to it.
+    /// Returns the chosen display. After a light field is read, the display is adapted to it.
     pub fn display(&self) -> &Display {
         &self.display
     }
@@ -199,28 +199,29 @@ impl Work {
         self.settings.job(&self.path, resolution)
     }
 
-    /// The current patterns; `None` before the first patterns.
+    /// Returns the current patterns; `None` before the first patterns.
     pub fn stack(&self) -> Option<&LayerStack> {
         self.stack.as_ref()
     }
 
-    /// Number of times that [`Self::stack`] changed to new patterns.
+    /// Returns the number of times that [`Self::stack`] changed to new patterns.
     pub fn shown(&self) -> u32 {
         self.shown
     }
 
-    /// PSNR of the current patterns over the views for which they were solved, dB. NaN before the
-    /// first patterns.
+    /// Returns the PSNR of the current patterns over the views for which they were solved, dB. NaN
+    /// before the first patterns.
     pub fn psnr(&self) -> f64 {
         self.psnr
     }
 
-    /// Warnings for the user since the last call. Equal texts are returned only once.
+    /// Returns the warnings for the user since the last call. Equal texts are returned only once.
     pub fn warnings(&self) -> Vec<String> {
         self.warnings.take().iter().map(ToString::to_string).collect()
     }
 
-    /// Finished fraction of the planned pieces, 0..1. It is 0 until the scene is placed.
+    /// Returns the finished fraction of the planned pieces, 0..1. It is 0 until the scene is
+    /// placed.
     pub fn share(&self) -> f64 {
         if self.planned == 0 { 0.0 } else { 1.0 - self.pieces.len() as f64 / self.planned as f64 }
     }

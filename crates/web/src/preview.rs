@@ -232,7 +232,7 @@ impl Preview {
         Ok(())
     }
 
-    /// [rows, cols] of a part's picture.
+    /// Returns [rows, cols] of a part's picture.
     pub fn size_of(&self, part: Part) -> [usize; 2] {
         match (part, &self.display.backlight) {
             (Part::Layer { layer, .. }, _) => {
@@ -245,7 +245,7 @@ impl Preview {
         }
     }
 
-    /// The light field's pixels and views.
+    /// Returns the light field's pixels and views.
     ///
     /// # Errors
     /// If they are invalid.

@@ -183,7 +183,7 @@ def render_views(
 
 
 def focus_of(bpy: Any, camera: Any) -> float | None:
-    """Distance of a camera's plane of focus, scene units; None without focus."""
+    """Returns the distance of a camera's plane of focus, scene units; None without focus."""
     dof = camera.data.dof
     held = dof.focus_object
     if held is not None:

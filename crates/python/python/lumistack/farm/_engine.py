@@ -435,7 +435,7 @@ class Engine:
         return {"url": self.store.store.url, "plan": self.plan, "needs": ordered, "sent": self.sent}
 
     def memory_of(self, usable: list[str]) -> float:
-        """The largest memory that a worker offers, bytes; 0 if any worker offers none."""
+        """Returns the largest memory that a worker offers, bytes; 0 if any worker offers none."""
         info = self.dask.scheduler_info(n_workers=-1)["workers"]
         offers = [float(info[address].get("resources", {}).get(MEMORY, 0.0)) for address in usable if address in info]
         return max(offers) if offers and min(offers) > 0 else 0.0

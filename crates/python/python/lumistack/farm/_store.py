@@ -159,7 +159,7 @@ class Run:
         self.store, self.plan = Store(url), plan
 
     def unit(self, unit: str) -> str:
-        """Name of the list of a unit's files."""
+        """Returns the name of the list of a unit's files."""
         return f"{self.plan}/units/{unit}.json"
 
     def begin(self, folder: Path, sent: list[Path]) -> None:
