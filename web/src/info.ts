@@ -82,17 +82,20 @@ export function infoOf(json: string): Info {
   };
 }
 
-/** Slopes at the edge of the zone along x and y. They are never 0, since callers divide by them. */
+/**
+* Returns the slopes at the edge of the zone along x and y. These slopes are never 0, since callers
+* divide by them.
+*/
 export function zoneSlope(info: Info): Slope {
   return [Math.max(Math.tan(info.zone.x_rad), 1e-6), Math.max(Math.tan(info.zone.y_rad), 1e-6)];
 }
 
-/** The slope of a view of the target. */
+/** Returns the slope of a view of the target. */
 export function viewSlope(info: Info, row: number, col: number): Slope {
   return info.views.slopes[row * info.views.cols + col] ?? [0, 0];
 }
 
-/** Row and column of the target's view that is nearest to a slope. */
+/** Returns row and column of the target's view that is nearest to a slope. */
 export function nearestView({ views }: Info, [x, y]: Slope): [number, number] {
   const nearest = (slopes: number[], slope: number): number =>
     slopes.reduce((best, each, i) => (Math.abs(each - slope) < Math.abs(slopes[best]! - slope) ? i : best), 0);

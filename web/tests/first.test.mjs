@@ -52,7 +52,7 @@ function hold(matching = /layer/) {
   };
 }
 
-/** Colour of the screen at a point in the upper half of the picture. */
+/** Returns the colour of the screen at a point in the upper half of the picture. */
 async function middle(page) {
   const box = await page.evaluate(() => {
     const { x, y, width, height } = document.querySelector("lumistack-viewer").shadowRoot.querySelector("#shown").getBoundingClientRect();

@@ -209,7 +209,7 @@ test("a broken file gives the command's error, and the page stays usable", { ski
   await at.context().close();
 });
 
-/** Root mean square difference between the patterns of two runs. */
+/** Returns the root mean square difference between the patterns of two runs. */
 function apart(a, b) {
   let [squares, count] = [0, 0];
   for (let layer = 0; layer < 3; layer++) {

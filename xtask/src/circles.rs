@@ -1,6 +1,5 @@
-//! Finds cycles of files in a crate, which use each other directly or through other files. Cycles
-//! are bad: a reader who wants to understand one file of a cycle must also read all its other
-//! files.
+//! Finds cycles in a crate: files that use each other, directly or through other files. Cycles are
+//! bad: a reader who wants to understand one file of a cycle must also read all its other files.
 //!
 //! A file uses another file if its code names an item that the other file defines. `use`
 //! declarations and full paths are followed through re-exports to the definition. Re-exports, `mod`

@@ -209,8 +209,8 @@ fn module(&Module { package: name_of_package, features, name, profile, bare }: &
 }
 
 const WASM: &str = "wasm32-unknown-unknown";
-/// Flags of rustc. They enable fixed-width vectors, which every browser has had since 2023, and
-/// remove paths of the build machine from messages.
+/// Returns flags of rustc. The flags enable fixed-width vectors, which every browser has had since
+/// 2023, and remove paths of the build machine from messages.
 fn rustflags() -> Vec<String> {
     let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
     let home = home.or_else(|| std::env::home_dir().map(|home| home.join(".cargo"))).unwrap_or_default();
@@ -390,7 +390,7 @@ fn collect(path: &Path, files: &mut Vec<PathBuf>) -> Outcome {
     Ok(())
 }
 
-/// Cargo's target folder.
+/// Returns Cargo's target folder.
 pub fn target_folder() -> Outcome<PathBuf> {
     let metadata = output_of(command("cargo").args(["metadata", "--format-version", "1", "--no-deps"]))
         .and_then(|text| serde_json::from_str::<Value>(&text).ok())
