@@ -2,10 +2,10 @@
 //! and compares them with the committed files.
 //!
 //! `web/dist` is committed, so that the program can write previews on machines without a
-//! WebAssembly toolchain. It contains three hashes: of the modules' sources, of the other sources,
-//! and of its own files. If a hash differs from the hash of the present files, the page was not
-//! rebuilt after a change, or was changed by hand. If all hashes agree, tests use the committed
-//! files, since a build of the same sources would take minutes and give the same bytes.
+//! WebAssembly toolchain. This folder contains three hashes: of the modules' sources, of the other
+//! sources, and of its own files. If a hash differs from the hash of the present files, the page
+//! was not rebuilt after a change, or was changed by hand. If all hashes agree, tests use the
+//! committed files, since a build of the same sources would take minutes and give the same bytes.
 
 use std::fs;
 use std::path::{Path, PathBuf};

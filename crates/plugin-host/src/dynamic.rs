@@ -77,7 +77,8 @@ impl Registry {
     /// Adds all plugins in these paths. [`Registry::failed`] lists every file that is no plugin
     /// library.
     ///
-    /// This runs no library code: the first use of a plugin loads its library, in a child process.
+    /// This function runs no library code: the first use of a plugin loads its library, in a child
+    /// process.
     pub fn load(&mut self, paths: &PluginPaths) {
         let limits = paths.limits.map_or_else(Limits::of_system, Ok).unwrap_or_else(|(variable, found)| {
             self.failed.push(LoadError::Setting { variable, found });

@@ -325,8 +325,8 @@ impl Drop for OutputFile {
     fn drop(&mut self) {
         if self.open {
             let file = self.file;
-            // SAFETY: the context belongs to the table. A failure is ignored: the host discards open
-            // files when the output closes.
+            // SAFETY: the context belongs to the table. A failure is ignored: the host discards
+            // open files when the output closes.
             let _ = self.host.call(|table, error| unsafe { (table.file_abort)(table.context, file, error) });
         }
     }

@@ -164,7 +164,7 @@ unsafe extern "C" fn submit<P: OutputPlugin>(
     // SAFETY: the host passes the handle of `open`.
     let this = unsafe { &*instance.cast::<Instance<P>>() };
     this.guarded(error, || {
-        // SAFETY: the host lends both until this call returns.
+        // SAFETY: the host lends time and data until this call returns.
         let (time, input) = unsafe {
             needs((*data).size, size_of::<Data>())?;
             (Time::from_abi(time)?, Input::new(data, this.host.clone())?)

@@ -67,8 +67,8 @@ impl PlaneView<'_> {
         );
         let [r, c, k, _] = self.plane.strides;
         let offset = row as isize * r + col as isize * c + channel as isize * k;
-        // SAFETY: the index is in range, so `offset` leads to an element (guaranteed to `new`). It
-        // may be unaligned.
+        // SAFETY: the index is in range, so `offset` leads to an element (guaranteed to `new`). The
+        // element may be unaligned.
         unsafe { self.plane.data.cast::<u8>().offset(offset).cast::<f32>().read_unaligned() }
     }
 

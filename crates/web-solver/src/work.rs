@@ -249,8 +249,8 @@ impl Work {
         })
     }
 
-    /// Traces a view with all its samples for another work, which gave the view's number. The other
-    /// work must have the same scene and settings. Returns the values of a
+    /// Traces a view with all its samples for another `Work`, which gave the view's number. The
+    /// other `Work` must have the same scene and settings. Returns the values of a
     /// [`lumistack_pathtracer::SplitView`].
     ///
     /// # Errors

@@ -1,5 +1,5 @@
-//! A work that takes views from other works computes the same patterns as a work that traces all
-//! views itself.
+//! A `Work` that takes traced views from other objects of this type computes the same patterns as a
+//! `Work` that traces all views itself.
 
 use std::path::Path;
 

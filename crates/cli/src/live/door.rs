@@ -6,8 +6,8 @@
 //!         ◀── {"event": "attached"}, then events in lines, as on standard output with --json
 //! ```
 //!
-//! The socket listens on the loopback interface. One program at a time is attached. When the
-//! program has sent its last line, the display keeps its state.
+//! The socket listens on the loopback interface. Only one program at a time can be attached. When
+//! the program has sent its last line, the display keeps its state.
 
 use std::io::{self, BufReader, Cursor, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};

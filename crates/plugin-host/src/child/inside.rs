@@ -162,7 +162,8 @@ struct Link {
     active: AtomicUsize,
     /// Time of the program's last answer about cancellation, and whether the user has cancelled.
     asked: Mutex<(Option<Instant>, bool)>,
-    /// The plugin's functions. They are empty if loading failed; the program then sends no calls.
+    /// The plugin's functions. The cell is empty if loading failed; the program then sends no
+    /// calls.
     functions: OnceLock<Arc<dyn Functions>>,
     instance: Mutex<Instance>,
 }
@@ -269,8 +270,8 @@ unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorS
     }
 }
 
-// SAFETY of all functions below: the plugin passes back the context of their table. It lends texts
-// and bytes for the call, and passes null or a valid sink for errors.
+// SAFETY of all functions below: the plugin passes back the context of their table. The plugin
+// lends texts and bytes for the call, and passes null or a valid sink for errors.
 
 unsafe extern "C" fn log(context: *const c_void, level: u32, message: Str) {
     // SAFETY: see above.

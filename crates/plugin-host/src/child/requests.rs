@@ -1,5 +1,5 @@
-//! Serves a child's requests. They use services of the host, and data and sinks that are lent to a
-//! call.
+//! Serves a child's requests. The requests use services of the host, and data and sinks that are
+//! lent to a call.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};

@@ -120,7 +120,7 @@ impl std::ops::Deref for Owner {
 impl Drop for Owner {
     fn drop(&mut self) {
         // The plugin may use the objects that the host lends only while this output exists.
-        // `all_mut` waits until no request uses them. Then they are removed.
+        // `all_mut` waits until no request uses the objects, which are then removed.
         self.lending.all_mut().clear();
         self.shut_down();
     }

@@ -195,7 +195,7 @@ class Attached(Program):
 
     def __init__(self, run: Path) -> None:
         """Attaches to the program of a run folder. Raises OSError, with a message, if no program
-        runs there, or if it refuses."""
+        runs there, or if the program refuses."""
         super().__init__()
         path = run / "cache" / "live.json"
         expected = f"{run}: expected the run folder of a `lumistack live` that runs"

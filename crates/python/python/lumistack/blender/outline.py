@@ -45,8 +45,8 @@ def depth_box(size_mm: Sequence[float], depth_mm: Sequence[float] | None, distan
 
 
 def cone(size_mm: Sequence[float], fov_deg: Sequence[float]) -> list[Line]:
-    """Returns the outline of the viewing zone. Its planes go through the window's edges and lean
-    outwards by half the field of view."""
+    """Returns the outline of the viewing zone. The zone's planes go through the window's edges and
+    lean outwards by half the field of view."""
     reach = CONE * size_mm[0]
     x, y = size_mm[0] / 2, size_mm[1] / 2
     out_x, out_y = (reach * math.tan(math.radians(angle) / 2) for angle in fov_deg)

@@ -49,7 +49,8 @@ class NoExporter(RuntimeError):
 
 
 def export_scene(bpy: Any, path: str | Path) -> None:
-    """Writes the scene at the current frame. Its pictures are written to a folder beside the file."""
+    """Writes the scene at the current frame. The scene's pictures are written to a folder beside
+    the file."""
     if not bpy.app.build_options.usd:
         raise NoExporter(f"Blender {bpy.app.version_string} was built without USD: hand the scene over as glTF")
     known = bpy.ops.wm.usd_export.get_rna_type().properties.keys()

@@ -418,8 +418,8 @@ class Engine:
             future.add_done_callback(self.ended.put)
 
     def of_store(self, unit: Unit) -> dict[str, Any] | None:
-        """Returns the data with which a worker executes a unit through a store. It names all units on
-        which the unit depends, directly or through other units. None without a store."""
+        """Returns the data with which a worker executes a unit through a store. The data name all
+        units on which the unit depends, directly or through other units. None without a store."""
         if self.store is None:
             return None
         needs: dict[str, None] = {}
