@@ -65,7 +65,8 @@ class Session:
         self._display = ("", "")
         #: A text about content that glTF cannot express, or the error of the last export.
         self._lost = ""
-        #: The last error of the settings or the export, for the panel; and the reason of the end.
+        #: The last error of the settings or the export, for the panel; and the reason why the session
+        #: ended.
         self.note = self.reason = ""
         self.export_s = 0.0
         self.exports = 0

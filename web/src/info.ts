@@ -23,7 +23,10 @@ export interface Around {
   /** Pixel columns and rows of a view. */
   cols: number;
   rows: number;
-  /** Slopes of the columns of views, which rise, and of the rows of views, which fall. */
+  /**
+  * Slopes of the columns of views, in rising order, and slopes of the rows of views, in falling
+  * order.
+  */
   slope_x: number[];
   slope_y: number[];
 }

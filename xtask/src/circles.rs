@@ -30,7 +30,7 @@ struct Source {
 }
 
 /// Finds the cycles of the crate with the root file `root`. Each cycle has two lists: its files,
-/// and one line for every use of a file of the cycle by another file of the cycle.
+/// and one line for every use between two of these files.
 pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let mut files = BTreeMap::new();
     read(root, Vec::new(), &mut files)?;

@@ -163,8 +163,8 @@ pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
     // SAFETY: a function of this name is a plugin's entry, by the convention of the interface.
     let entry = unsafe { library.get::<Entry>(symbol.as_bytes()) }
         .map_err(|_| LoadError::NoEntry { path: path.into(), symbol: symbol.clone() })?;
-    // SAFETY: as above; the function returns null or a descriptor that lives as long as the
-    // library, which is never unloaded.
+    // SAFETY: the entry function returns null or a descriptor that lives as long as the library,
+    // which is never unloaded.
     let plugin = unsafe { Plugin::from_descriptor(entry()) }
         .map_err(|reason| LoadError::Descriptor { path: path.into(), reason })?;
     let found = &plugin.info().id;

@@ -162,7 +162,7 @@ unsafe extern "C" fn make_field<P: SourcePlugin>(
         let [_, _, rows, cols, channels] = made.radiance().shape();
         for [y, x] in made.geometry().grid.iter() {
             let plane = dense(made.view([y, x]), [rows, cols, channels]);
-            // SAFETY: as above; the plane is lent for the call.
+            // SAFETY: the context belongs to the sink; the plane is lent for the call.
             call(|error| unsafe { (sink.view_plane)(sink.context, y, x, &plane, error) })?;
         }
         Ok(())

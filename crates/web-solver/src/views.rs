@@ -16,9 +16,9 @@ use crate::error::Error;
 use crate::settings::Settings;
 use crate::subject::Held;
 
-/// Number of the stream of random numbers for the target's views, as in the command.
+/// Number of the stream of random numbers for the target's views; the command uses the same number.
 const TARGET: u64 = 0;
-/// Seed of the job, as in the command.
+/// Seed of the job; the command uses the same seed.
 const SEED: u64 = 1;
 
 /// A selection of views: all pairs of these rows and columns of the grid.

@@ -16,7 +16,8 @@ use crate::settings::Settings;
 use crate::subject::Held;
 use crate::views::{Picked, Views};
 
-/// The first patterns are solved for at most this number of rows, and of columns, of views.
+/// Largest number of rows of views for which the first patterns are solved. The number of columns
+/// of views has the same limit.
 const FIRST: usize = 3;
 /// Iterations of a solve for unfinished views. Few suffice, since the solve starts from the current
 /// patterns.
@@ -29,7 +30,7 @@ const SPLAT_VIEWS: usize = 5;
 /// Number of parts into which the final rendering of views is divided. After every part except the
 /// last, the patterns are solved again.
 const REFRESHES: usize = 4;
-/// Seed of the solver, as in the command.
+/// Seed of the solver; the command uses the same seed.
 const SEED: u64 = 1;
 
 /// False in the module without WebGPU, which omits the code for devices, so that it is small.

@@ -25,8 +25,8 @@ pub struct Preview {
     pub target: Target,
     /// The files, in the order in which they are loaded.
     pub files: Vec<File>,
-    /// PSNR of views of the patterns in the files, which are rounded to 8 bits, against views of
-    /// the unrounded patterns, dB.
+    /// Effect of the rounding to 8 bits, dB: PSNR of views of the patterns in the files against
+    /// views of the unrounded patterns.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rounding_db: Option<f64>,
 }

@@ -49,8 +49,8 @@ unsafe extern "C" fn read_asset(
     bytes: *const ByteSink,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: the plugin returns the context of `import`, a reference valid until it returns, and
-    // lends text and sink.
+    // SAFETY: the plugin returns the context of `import`: a reference that is valid until `import`
+    // returns. The plugin also lends text and sink.
     unsafe {
         answer(error, || {
             let read = *context.cast::<&ReadAsset<'_>>();
@@ -350,7 +350,7 @@ unsafe extern "C" fn stack_step(
 
 unsafe extern "C" fn stack_solution(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status {
     let take = || {
-        // SAFETY: as above; the plugin lends the text.
+        // SAFETY: the plugin returns the sink's context, and lends the text.
         let (mut built, text) = unsafe { (Builder::<Stack>::of(context), lent_text(solution_json, "solution")?) };
         let told = serde_json::from_str(text).map_err(|error| PluginError::failed("solution", error))?;
         if built.made.solution.replace(told).is_some() {

@@ -44,8 +44,9 @@ fn entry(library: &Path, id: &str) -> Entry {
     *unsafe { library.get::<Entry>(format!("{ENTRY_PREFIX}{id}").as_bytes()) }.unwrap()
 }
 
-/// Calls `check` with a function that returns a plugin of the library: first from a registry, whose
-/// plugins run in processes of their own, then in this process.
+/// Calls `check` twice, each time with a function that returns a plugin of the library. The first
+/// function takes plugins from a registry, so they run in processes of their own. Plugins of the
+/// second function run in this process.
 fn in_both_ways(check: impl Fn(&dyn Fn(&str) -> Plugin)) {
     let folder = tempfile::tempdir().unwrap();
     let library = library(folder.path());

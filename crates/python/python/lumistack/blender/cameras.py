@@ -134,7 +134,7 @@ def window_of_camera(
 
 
 def window_of_job(job: dict[str, object], size_mm: tuple[float, float]) -> Window:
-    """Returns the window of the table [window] of a job, the inverse of `Window.as_job`."""
+    """Converts the table [window] of a job to a window. This is the inverse of `Window.as_job`."""
     centre, forward, up = (z_up(job[key]) for key in ("centre", "forward", "up"))  # type: ignore[arg-type]
     back = _unit(_times(forward, -1.0))
     right = _unit(_cross(up, back))

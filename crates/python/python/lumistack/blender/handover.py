@@ -29,7 +29,7 @@ from .unshown import is_rendered, is_volume_alone
 #: Width and height, in pixels, of the picture of a world that is not a plain colour.
 SKY = (512, 256)
 SKY_SAMPLES = 32
-#: Rings of a ball and corners of a disk that emit light.
+#: Number of rings of a ball that emits light, and number of corners of a disk that emits light.
 RINGS, CORNERS = 8, 24
 Warn = Callable[[str, str], None]
 Rows = list[list[float]]

@@ -13,7 +13,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-#: Number of characters of a key that the name of its folder contains.
+#: The name of a folder of views contains this number of characters of the views' key.
 NAMED_BY = 16
 View = tuple[int, int]
 
