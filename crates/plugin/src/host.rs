@@ -100,7 +100,7 @@ impl Host {
 
     /// Returns true after the user cancelled, or after the output was closed.
     pub fn is_cancelled(&self) -> bool {
-        // SAFETY: the context belongs to the table; texts are lent for the call.
+        // SAFETY: the context belongs to the table.
         self.with(|table| unsafe { (table.is_cancelled)(table.context) != 0 }).unwrap_or(true)
     }
 

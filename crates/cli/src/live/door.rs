@@ -134,7 +134,7 @@ impl Door {
         let token = random_word()?;
         let write = || {
             let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
-            // so that the thread notices the end
+            // calls of `accept` must not block, so that the thread notices the end
             listener.set_nonblocking(true)?;
             let port = listener.local_addr()?.port();
             // only this user can read temporary files

@@ -205,7 +205,8 @@ impl Session {
         // SAFETY: guaranteed by the caller.
         let result = self.wait(&waits, doing, limit, &|| unsafe { is_cancelled(host) });
         {
-            // Requests that use the lent objects hold the lock, so this waits for them.
+            // Requests that use the lent objects hold the lock, so `all_mut` waits for these
+            // requests.
             let mut all = self.lending.all_mut();
             all.remove(&call);
         }

@@ -194,7 +194,7 @@ unsafe extern "C" fn layer_plane(
         // SAFETY: the plugin provides memory for the plane.
         unsafe { give(plane, values.block([frame]), [rows, cols, channels]) }
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, lend) }
 }
 
@@ -219,7 +219,7 @@ unsafe extern "C" fn emission_plane(
         // SAFETY: as in `layer_plane`.
         unsafe { give(plane, emission.block([frame, bin_y, bin_x]), [rows, cols, channels]) }
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, lend) }
 }
 
@@ -242,7 +242,7 @@ unsafe extern "C" fn view_plane(
         // SAFETY: as in `layer_plane`.
         unsafe { give(plane, field.view([view_y, view_x]), [rows, cols, channels]) }
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, lend) }
 }
 
@@ -264,7 +264,7 @@ unsafe extern "C" fn weight_plane(
         // SAFETY: as in `layer_plane`.
         unsafe { give(plane, weights.block([view_y, view_x]), [rows, cols, 1]) }
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, lend) }
 }
 

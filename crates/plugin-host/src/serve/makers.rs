@@ -216,7 +216,7 @@ unsafe extern "C" fn field_geometry(context: *mut c_void, geometry_json: Str, er
         field.made = Some((black, vec![false; views]));
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
@@ -244,7 +244,7 @@ unsafe extern "C" fn field_view(
         field.view_mut([view_y, view_x]).copy_from_slice(&values);
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
@@ -257,7 +257,7 @@ unsafe extern "C" fn stack_brightness(context: *mut c_void, brightness: f64, err
         unsafe { Builder::<Stack>::of(context) }.made.stack.brightness = brightness;
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
@@ -288,7 +288,7 @@ unsafe extern "C" fn stack_layer(
         stack.layers[layer].block_mut([frame]).copy_from_slice(&values);
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
@@ -321,7 +321,7 @@ unsafe extern "C" fn stack_emission(
         emission.block_mut([frame, bin_y, bin_x]).copy_from_slice(&values);
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
@@ -344,7 +344,7 @@ unsafe extern "C" fn stack_step(
         built.made.steps.push((Step { iteration, objective, psnr_view }, seconds));
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
@@ -358,7 +358,7 @@ unsafe extern "C" fn stack_solution(context: *mut c_void, solution_json: Str, er
         }
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
