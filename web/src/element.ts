@@ -562,8 +562,8 @@ export class LumistackViewer extends HTMLElement {
       picture: async (slope, eyeMm) => {
         const seen: State = { ...this.state, mode: "perceived", eyeMm: eyeMm ?? this.state.eyeMm };
         const { content } = this;
-        // The page that solves may have replaced the patterns. The new patterns can be used if they
-        // have the same size.
+        // The page that solves (`solve.html`) may have replaced the patterns. The new patterns can
+        // be used if they have the same size.
         const same = content?.info.field.cols === info.field.cols && content.info.field.rows === info.field.rows;
         // The simulator executes these two calls in this order, and no other call between them.
         content?.apply(seen);

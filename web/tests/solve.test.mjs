@@ -1,4 +1,5 @@
-// The page that solves: its patterns, its saved files, and its errors agree with the patterns, files and errors of the command.
+// The page that solves (`solve.html`): its patterns, its saved files, and its errors agree with the
+// patterns, files and errors of the command.
 import assert from "node:assert/strict";
 import { execFileSync, spawnSync } from "node:child_process";
 import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";

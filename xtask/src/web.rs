@@ -27,7 +27,7 @@ struct Module {
     bare: bool,
 }
 
-/// The viewer's module, and the modules of the page that solves.
+/// The viewer's module, and the modules of the page that solves (`solve.html`).
 const MODULES: [Module; 4] = [
     Module { package: "lumistack-web", features: "", name: "lumistack_web", profile: "web", bare: false },
     Module {

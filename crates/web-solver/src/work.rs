@@ -239,11 +239,11 @@ impl Work {
     }
 
     /// Returns the number of a view for another thread to trace; `None` if there is none. Each view
-    /// is returned once. The last views are returned first, since this work traces the first views
-    /// next.
+    /// is returned once. The last views are returned first, since this `Work` traces the first
+    /// views next.
     pub fn give(&mut self) -> Option<usize> {
         let views = self.views.as_mut()?;
-        // the first piece is traced by this work in any case
+        // this `Work` traces the first piece in any case
         self.pieces.iter().skip(1).rev().find_map(|piece| match piece {
             Piece::Trace { view, .. } => views.give(*view),
             _ => None,

@@ -42,7 +42,7 @@ fn views_of_other_works_give_the_same_patterns() {
     let mut alone = placed();
     let all = finish(&mut alone, |_| ());
     let mut helper = placed();
-    // The helper answers after `delay` further pieces. With a long delay the work traces some of
+    // The helper answers after `delay` further pieces. With a long delay the `Work` traces some of
     // these views itself, and later takes them a second time.
     for delay in [0, 1, 2, 9, 40] {
         let mut work = placed();
