@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The work of the button, as a generator of steps.
 
-A step is a view that Blender's main thread renders, or work on another thread to wait for.
-`operators` does the steps one by one from a timer, so that the window responds. `command` and a
-render farm do all steps in one call. Every finished view and every finished time step is stored in
-a file. A second run skips views and time steps whose file exists.
+A step is a view that Blender's main thread renders, or work on another thread, for whose end the
+job waits. `operators` does the steps one by one from a timer, so that the window responds.
+`command` and a render farm do all steps in one call. Every finished view and every finished time
+step is stored in a file. A second run skips views and time steps whose file exists.
 """
 
 from __future__ import annotations
