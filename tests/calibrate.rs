@@ -47,8 +47,8 @@ fn keep(picture: &Picture, name: &str) {
     }
 }
 
-/// True if a window shows the picture that `lumistack simulate` writes for an angle. The window
-/// enlarges each pixel by a whole factor. A rounding difference of one code is allowed.
+/// Returns true if a window shows the picture that `lumistack simulate` writes for an angle. The
+/// window enlarges each pixel by a whole factor. A rounding difference of one code is allowed.
 fn shows_simulation(window: &Picture, run: &Path, from: [f64; 2]) -> bool {
     let file = run.join("simulated.png");
     let view = format!("{:.6},{:.6}", from[0], from[1]);

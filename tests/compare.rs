@@ -93,8 +93,8 @@ impl Camera {
     }
 }
 
-/// A photograph is compared with the simulation from three poses of the camera. It agrees for the
-/// known pose and for the pose that is computed from the corners, but not for a wrong pose.
+/// A photograph is compared with the simulation from three poses of the camera. The two agree for
+/// the known pose and for the pose that is computed from the corners, but not for a wrong pose.
 #[test]
 fn a_photograph_is_compared_at_its_pose_and_exposure() {
     const EXPOSURE: f64 = 0.6;

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::common::{fail, lumistack, root, succeed};
 
-/// A sweep of 18 small designs on a light field that needs no rendering.
+/// Returns the job of a sweep of 18 small designs on a light field that needs no rendering.
 fn small_sweep(folder: &Path) -> std::path::PathBuf {
     let job = folder.join("small.toml");
     let text = "[source]\nplugin = \"test_views\"\nparams = { pattern = \"cards\", depth_mm = 120.0 }\n\n[display]\npreset = \"fig7-uniform\"\nresolution = [64, 40]\n\n\

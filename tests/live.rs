@@ -283,7 +283,7 @@ impl Attached {
         writeln!(self.0.get_mut(), "{command}").unwrap();
     }
 
-    /// The next event; `None` after the end.
+    /// Returns the next event; `None` after the end.
     fn next(&mut self) -> Option<Value> {
         let mut line = String::new();
         self.0.read_line(&mut line).unwrap();

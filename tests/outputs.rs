@@ -1,5 +1,5 @@
-//! Tests of outputs, which independent software reads, of light fields from source plugins, and of
-//! files in parameters of plugins.
+//! Tests outputs, which independent software reads. Also tests light fields from source plugins,
+//! and files that parameters of plugins name.
 
 use std::path::Path;
 use std::process::Command;

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use crate::common::{fail, lumistack, root, succeed};
 
-/// File name of a plugin's library.
+/// Returns the file name of a plugin's library.
 fn file_name(id: &str) -> String {
     format!("{}lumistack_plugin_{id}{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX)
 }

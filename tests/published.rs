@@ -1,4 +1,4 @@
-//! The README of the published crate `lumistack-cli`.
+//! Tests the README of the published crate `lumistack-cli`.
 
 use crate::common;
 use crate::common::triangle::write_triangle;

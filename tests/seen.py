@@ -39,10 +39,12 @@ def picture(direction, half):
 def runs(slope, side):
     """Traces `many` rays per pixel along one axis: 0 is x, 1 is y.
 
-    Neighbouring rays that read the same pixels of all parts form a group, called a run; only its first ray is traced further.
-    Returns three arrays. The array places[part, run, pixel] has the pixel of each part that the run reads. With a backlight of
-    lenslets, the last part is the angular bin. The array shares[run, pixel] has the run's fraction of the pixel's width. The
-    array inside[run, pixel] is true if the run hits all parts.
+    Neighbouring rays that read the same pixels of all parts (the layers and a backlight of
+    lenslets) form a group, called a run. Only the first ray of a run is traced further. Returns
+    three arrays. The array places[part, run, pixel] has the pixel of each part that the run reads.
+    With a backlight of lenslets, the last part is the angular bin. The array shares[run, pixel] has
+    the run's fraction of the pixel's width. The array inside[run, pixel] is true if the run hits
+    all parts.
     """
     count, sign = ((cols, 1), (rows, -1))[side]
     offset = ((np.arange(many) + 0.5) / many - 0.5)[:, None]

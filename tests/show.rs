@@ -16,9 +16,9 @@ use crate::common::{self, poke};
 
 const FRAMES: usize = 4;
 
-/// A display of three layers for three outputs. The first layer has one panel pixel per mask pixel.
-/// The second layer is upside down and has another gamma. The third layer is mirrored, and has 2 ×
-/// 2 panel pixels per mask pixel.
+/// Returns a display of three layers for three outputs. The first layer has one panel pixel per
+/// mask pixel. The second layer is upside down and has another gamma. The third layer is mirrored,
+/// and has 2 × 2 panel pixels per mask pixel.
 fn display(outputs: &[Screen]) -> Display {
     let mut display = Display::uniform([320, 180], 0.5, [3, 3], [10.0, 10.0], &[-10.0, 0.0, 10.0], FRAMES);
     display.brightness = 0.5;
@@ -85,8 +85,8 @@ fn expected(seed: u64, n: usize, frame: usize, [cols, rows]: [usize; 2]) -> Pict
     Picture { size: [cols, rows], rgb }
 }
 
-/// The expected pictures of every output, each with its stack's seed and its frame's number. They
-/// are computed once, since a test compares many screenshots with them.
+/// Computes the expected pictures of every output, each with its stack's seed and its frame's
+/// number. This is done once, since a test compares many screenshots with them.
 fn expected_on(outputs: &[Screen], seeds: &[u64]) -> Vec<Vec<((u64, usize), Picture)>> {
     let all: Vec<(u64, usize)> = seeds.iter().flat_map(|seed| (0..FRAMES).map(move |frame| (*seed, frame))).collect();
     let of =

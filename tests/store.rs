@@ -2,8 +2,8 @@
 //! not needed.
 //!
 //! Only one run at a time uses a folder, and files of other programs are not replaced. If an output
-//! refuses a display, the error comes before the work; if it cannot be written, only this output
-//! fails.
+//! refuses a display, the error comes before the work; if an output cannot be written, only this
+//! output fails.
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
@@ -431,7 +431,7 @@ fn unneeded_files_are_removed_and_reported() {
     assert!(error.contains("the folder of a run"), "{error}");
 }
 
-/// Names of the cached files of the placement.
+/// Returns the names of the cached files of the placement.
 fn placed(run: &Path) -> Vec<String> {
     let files = fs::read_dir(run.join("cache")).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
     files.filter(|name| ["side-", "window-", "fit-"].iter().any(|kind| name.starts_with(kind))).collect()

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The work of the button, as a generator of steps.
 
-A step is a view that Blender's main thread renders, or work on another thread to wait for.
-`operators` does the steps one by one from a timer, so that the window responds. `command` and a
-render farm do all steps in one call. Every finished view and every finished time step is a file, and
-a second run skips those that exist.
+A step is a view that Blender's main thread renders, or work on another thread, for whose end the
+job waits. `operators` does the steps one by one from a timer, so that the window responds.
+`command` and a render farm do all steps in one call. Every finished view and every finished time
+step is stored in a file. A second run skips views and time steps whose file exists.
 """
 
 from __future__ import annotations
@@ -320,7 +320,7 @@ def depth_sentence(scene, display: lumistack.Display, window: cameras.Window) ->
 
 
 def depths_shown(scene, display, window) -> list[float]:
-    """Depths at which the display shows the visible content, mm."""
+    """Returns the depths at which the display shows the visible content, mm."""
     fit = depth.Fit(0.0, scene.lumistack.depth_scale)
     distance_mm = display.distance_mm
     return [depth.shown_at(z, fit, distance_mm) for z in rig.depths_through(bpy, scene, window, distance_mm)]
@@ -344,7 +344,7 @@ def fit_depth(scene, compress: bool) -> str:
 
 
 def output_folder(scene) -> Path:
-    """Folder of a scene's results."""
+    """Returns the folder of a scene's results."""
     text = scene.lumistack.folder or "//lumistack"
     if text.startswith("//") and not bpy.data.filepath:
         return Path(bpy.app.tempdir) / text[2:]

@@ -65,7 +65,8 @@ class Session:
         self._display = ("", "")
         #: A text about content that glTF cannot express, or the error of the last export.
         self._lost = ""
-        #: The last error of the settings or the export, for the panel; and the reason of the end.
+        #: The last error of the settings or the export, for the panel; and the reason why the session
+        #: ended.
         self.note = self.reason = ""
         self.export_s = 0.0
         self.exports = 0
@@ -204,13 +205,14 @@ class Session:
 
 
 def run_of(scene) -> Path | None:
-    """The run folder of the program to which the scene's session attaches; None if it starts one."""
+    """Returns the run folder of the program to which the scene's session attaches; None if it
+    starts one."""
     text = scene.lumistack.live_run.strip()
     return Path(bpy.path.abspath(text)) if text else None
 
 
 def words_of(scene, job: Path, run: Path) -> list[str]:
-    """The command line that starts the program."""
+    """Returns the command line that starts the program."""
     words = [sys.executable, "-m", "lumistack", "--json", "live", str(job), "-o", str(run)]
     show = scene.lumistack.live_show
     return [*words, *([] if show == "PAGE" else ["--show", show.lower()]), *(["--no-open"] if bpy.app.background else [])]

@@ -77,13 +77,14 @@ def placement(scene) -> tuple[object, cameras.Window] | None:
 
 
 def _key(scene) -> object:
-    """Key of the window: the camera's data, and the frame, which determines the content."""
+    """Returns a key that changes when the window may change: the camera's data and the frame
+    number."""
     camera = key_of_camera(scene)
     return camera and (camera, scene.frame_current)
 
 
 def key_of_camera(scene) -> object:
-    """Key of the camera's data that determine the window; None without a camera."""
+    """Returns a key of the camera's data on which the window depends; None without a camera."""
     camera = scene.camera
     if camera is None or camera.type != "CAMERA":
         return None

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reads rendered views from files, if requested with the scene's colour management. Also shows
-simulated views in Blender's image editor."""
+"""Reads rendered views from files, and on request applies the scene's colour management to them.
+Also shows simulated views in Blender's image editor."""
 
 from __future__ import annotations
 

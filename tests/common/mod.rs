@@ -11,12 +11,12 @@ pub mod triangle;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// The repository's root folder.
+/// Returns the repository's root folder.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// The binary under test.
+/// Returns the binary under test.
 pub fn lumistack() -> Command {
     Command::new(env!("CARGO_BIN_EXE_lumistack"))
 }
@@ -40,7 +40,7 @@ pub fn fail(command: &mut Command) -> String {
     text
 }
 
-/// `report.json` of a run folder.
+/// Returns `report.json` of a run folder.
 pub fn report(run_dir: &Path) -> serde_json::Value {
     let text = std::fs::read(run_dir.join("report.json")).expect("the run has a report");
     serde_json::from_slice(&text).expect("report.json is JSON")
@@ -79,12 +79,12 @@ pub fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     list
 }
 
-/// The third-party scenes; `None`, with a message, if they are missing.
+/// Returns the third-party scenes; `None`, with a message, if they are missing.
 pub fn assets() -> Option<PathBuf> {
     lumistack_testkit::skip::folder("LUMISTACK_ASSETS", "../shared/scenes")
 }
 
-/// The reference light fields; `None`, with a message, if they are missing.
+/// Returns the reference light fields; `None`, with a message, if they are missing.
 pub fn light_fields() -> Option<PathBuf> {
     lumistack_testkit::skip::folder("LUMISTACK_LIGHTFIELDS", "../shared/lightfields")
 }

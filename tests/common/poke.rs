@@ -1,5 +1,5 @@
-//! Keyboard and pointer events for an X server without input devices. It implements the needed
-//! parts of the X protocol and of its extension XTEST.
+//! Sends keyboard and pointer events to an X server without input devices. This file implements the
+//! needed parts of the X protocol and of its extension XTEST.
 //!
 //! Source: X Window System Protocol, version 11, encoding; X Test Extension Protocol.
 
@@ -80,15 +80,16 @@ impl Poke {
         self.say(42, 0, &[window, 0]);
     }
 
-    /// The window with the keyboard focus.
+    /// Returns the window with the keyboard focus.
     pub fn focused(&mut self) -> u32 {
         // request GetInputFocus
         let answer = self.ask(&[43, 0, 1, 0]);
         u32::from_le_bytes(answer[8..12].try_into().unwrap())
     }
 
-    /// Makes this client the window manager. If `is` is false, it becomes an ordinary client again.
-    /// The window manager receives the requests that concern children of the root window.
+    /// Makes this client the window manager. If `is` is false, this client becomes an ordinary
+    /// client again. The window manager receives the requests that concern children of the root
+    /// window.
     pub fn manage(&mut self, is: bool) {
         // request ChangeWindowAttributes: set the event mask, with or without SubstructureRedirect
         self.say(2, 0, &[self.root, 1 << 11, u32::from(is) << 20]);

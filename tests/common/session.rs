@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 /// Name, [columns, rows] and [x, y] of an output.
 pub type Screen = (&'static str, [usize; 2], [i32; 2]);
 
-/// Outputs of a sway session that are not nested.
+/// Outputs of a sway session that is not nested.
 pub const SWAY: [Screen; 3] =
     [("HEADLESS-1", [320, 240], [0, 0]), ("HEADLESS-2", [400, 300], [320, 0]), ("HEADLESS-3", [640, 360], [720, 0])];
 
@@ -191,7 +191,7 @@ impl Session {
         self.outer.as_ref().expect("a nested session")
     }
 
-    /// The number of an X server's display.
+    /// Returns the number of an X server's display.
     pub fn x_display(&self) -> u32 {
         self.env("DISPLAY").trim_start_matches(':').parse().unwrap()
     }
@@ -257,18 +257,18 @@ Section \"Screen\"\nIdentifier \"s\"\nDevice \"d\"\nMonitor \"m\"\nDefaultDepth 
         command
     }
 
-    /// A screenshot of an output of sway: [columns, rows] and `[row][col][rgb]`.
+    /// Takes a screenshot of an output of sway: [columns, rows] and `[row][col][rgb]`.
     pub fn grim(&self, output: &str) -> Option<Picture> {
         let shot = self.command("grim").args(["-t", "ppm", "-o", output, "-"]).output().ok()?;
         Picture::from_ppm(&shot.stdout)
     }
 
-    /// A screenshot of all outputs of sway.
+    /// Takes a screenshot of all outputs of sway.
     pub fn grim_all(&self) -> Option<Picture> {
         Picture::from_ppm(&self.command("grim").args(["-t", "ppm", "-"]).output().ok()?.stdout)
     }
 
-    /// A screenshot of all outputs of an X server.
+    /// Takes a screenshot of all outputs of an X server.
     pub fn import(&self) -> Option<Picture> {
         let shot = self.command("import").args(["-silent", "-window", "root", "-depth", "8", "ppm:-"]).output().ok()?;
         Picture::from_ppm(&shot.stdout)

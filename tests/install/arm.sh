@@ -1,7 +1,7 @@
 #!/bin/sh
-# Runs the first job of the README with the program for ARM in qemu. Compares the quality of the
-# result with the quality of a result of the program for this machine. The job has a ninth of the
-# pixels of the other tests, since qemu takes some forty times as long as this machine's processor.
+# Runs the first job of the README with the program for ARM in qemu. Compares the result's quality
+# with the quality that the program for this machine gives. The job has a ninth of the pixels of the
+# other tests, since qemu takes some forty times as long as this machine's processor.
 SMALL=32x20
 . "$(dirname "$0")/common.sh"
 packages qemu-user libc6-arm64-cross libgcc-s1-arm64-cross

@@ -1,9 +1,8 @@
 #!/bin/sh
 # Runs the first job of the README with the program for Windows in Wine, in a folder with a
-# non-ASCII name and with few pixels. Compares the quality of the result with the quality of a
-# result of the program for Linux. Then runs the job in a folder with a long path, and two runs in
-# one folder. Rust's standard library needs bcryptprimitives.dll, which Wine 8 and older do not
-# have.
+# non-ASCII name and with few pixels. Compares the result's quality with the quality that the
+# program for Linux gives. Then runs the job in a folder with a long path, and two runs in one
+# folder. Rust's standard library needs bcryptprimitives.dll, which Wine 8 and older do not have.
 . "$(dirname "$0")/common.sh"
 packages wine wine64 unzip xvfb
 zip=$(one "lumistack-*-x86_64-pc-windows-gnu.zip")

@@ -8,8 +8,9 @@ export class Address {
   private timer: ReturnType<typeof setTimeout> | undefined;
 
   /**
-  * The part of the address after `#`, which describes a state. It includes the viewing position,
-  * unless the view swings or looks straight ahead. With `always` it always includes the position.
+  * Returns the part of the address after `#`, which describes a state. The text includes the
+  * viewing position, unless the view swings or looks straight ahead. With `always` the text always
+  * includes the position.
   */
   static hash(state: State, slope: Slope, always: boolean): string {
     const still = always || (!state.swing && slope.some((value) => value !== 0));

@@ -43,7 +43,8 @@ export class Surroundings {
 
 /**
 * Returns the two views next to a slope, one on either side, each as [index, weight]. `slopes` must
-* be evenly spaced. If the slope is outside their range, the outermost view has all the weight.
+* be evenly spaced. If the slope is outside the range of `slopes`, the outermost view has all the
+* weight.
 */
 export function between(slopes: readonly number[], slope: number): [[number, number], [number, number]] {
   const last = slopes.length - 1;

@@ -19,7 +19,7 @@ export function toPng(canvas: HTMLCanvasElement): Promise<Blob> {
   return new Promise((resolve, reject) => canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("the browser made no picture"))), "image/png"));
 }
 
-/** The format in which this browser records a canvas; undefined if it cannot record one. */
+/** Returns the format in which this browser records a canvas; undefined if it cannot record one. */
 export function videoFormat(): string | undefined {
   if (typeof MediaRecorder === "undefined" || !("captureStream" in HTMLCanvasElement.prototype)) return undefined;
   return FORMATS.find((format) => MediaRecorder.isTypeSupported(format));
@@ -55,7 +55,7 @@ export function record(width: number, height: number, format: string): Recording
   };
 }
 
-/** The file name for a title: "Still life" → "still-life". */
+/** Returns the file name for a title: "Still life" → "still-life". */
 export function fileName(title: string): string {
   return (
     title

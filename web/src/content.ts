@@ -98,7 +98,9 @@ export class StackContent implements Content {
     this.sendOptions();
   }
 
-  /** The mask of a layer in a frame. The index after the last layer stands for the backlight. */
+  /**
+  * Returns the mask of a layer in a frame. The index after the last layer stands for the backlight.
+  */
   mask(layer: number, frame: number): Shot {
     const { layers, backlight, field } = this.info;
     const { cols, rows } = layers[layer] ?? backlight ?? field;

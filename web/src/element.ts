@@ -193,15 +193,15 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-  * RGBA bytes of the current picture, in the light field's size. In the side-by-side comparison
-  * they are the bytes of the display's picture alone, without the target.
+  * Returns the RGBA bytes of the current picture, in the light field's size. In the side-by-side
+  * comparison these are the bytes of the display's picture alone, without the target.
   */
   async pixels(): Promise<ImageData> {
     const shot = this.shot();
     return shot ? this.stage.pixels(shot) : new ImageData(1, 1);
   }
 
-  /** The current picture as PNG. */
+  /** Returns the current picture as PNG. */
   async screenshot(): Promise<Blob> {
     const shot = this.shot();
     if (!shot) throw new Error("there is no picture yet");
@@ -544,13 +544,16 @@ export class LumistackViewer extends HTMLElement {
     this.ticker.redraw();
   }
 
-  /** The picture to show; undefined while no frame is complete. */
+  /** Returns the picture to show; undefined while no frame is complete. */
   private shot(): Shot | undefined {
     const { content } = this;
     return content && content.frames.length > 0 ? content.shot(this.state, this.motion.slope) : undefined;
   }
 
-  /** The seen pictures that other displays (headset, lenticular panel) show; undefined without patterns. */
+  /**
+  * Returns the seen pictures that other displays (headset, lenticular panel) show; undefined
+  * without patterns.
+  */
   private views(): Views | undefined {
     const info = this.content?.info;
     if (!info || this.content?.frames.length === 0) return undefined;
@@ -559,8 +562,8 @@ export class LumistackViewer extends HTMLElement {
       picture: async (slope, eyeMm) => {
         const seen: State = { ...this.state, mode: "perceived", eyeMm: eyeMm ?? this.state.eyeMm };
         const { content } = this;
-        // The page that solves may have replaced the patterns. The new patterns can be used if they
-        // have the same size.
+        // The page that solves (`solve.html`) may have replaced the patterns. The new patterns can
+        // be used if they have the same size.
         const same = content?.info.field.cols === info.field.cols && content.info.field.rows === info.field.rows;
         // The simulator executes these two calls in this order, and no other call between them.
         content?.apply(seen);

@@ -124,8 +124,8 @@ class Theatre {
   }
 
   /**
-  * Requests a picture for an eye that has moved. Until it arrives, the display shows the previous
-  * picture, at its current place.
+  * Requests a picture for an eye that has moved. Until the new picture arrives, the display shows
+  * the previous picture, at the display's current place.
   */
   private update(eye: Eye, slope: Slope, distanceMm: number): void {
     const moved = Math.hypot(slope[0] - eye.slope[0], slope[1] - eye.slope[1]) > STILL || Math.abs(distanceMm - eye.distanceMm) > 1;

@@ -23,7 +23,10 @@ export interface Around {
   /** Pixel columns and rows of a view. */
   cols: number;
   rows: number;
-  /** Slopes of the columns of views, which rise, and of the rows of views, which fall. */
+  /**
+  * Slopes of the columns of views, in rising order, and slopes of the rows of views, in falling
+  * order.
+  */
   slope_x: number[];
   slope_y: number[];
 }
@@ -82,17 +85,20 @@ export function infoOf(json: string): Info {
   };
 }
 
-/** Slopes at the edge of the zone along x and y. They are never 0, since callers divide by them. */
+/**
+* Returns the slopes at the edge of the zone along x and y. These slopes are never 0, since callers
+* divide by them.
+*/
 export function zoneSlope(info: Info): Slope {
   return [Math.max(Math.tan(info.zone.x_rad), 1e-6), Math.max(Math.tan(info.zone.y_rad), 1e-6)];
 }
 
-/** The slope of a view of the target. */
+/** Returns the slope of a view of the target. */
 export function viewSlope(info: Info, row: number, col: number): Slope {
   return info.views.slopes[row * info.views.cols + col] ?? [0, 0];
 }
 
-/** Row and column of the target's view that is nearest to a slope. */
+/** Returns row and column of the target's view that is nearest to a slope. */
 export function nearestView({ views }: Info, [x, y]: Slope): [number, number] {
   const nearest = (slopes: number[], slope: number): number =>
     slopes.reduce((best, each, i) => (Math.abs(each - slope) < Math.abs(slopes[best]! - slope) ? i : best), 0);

@@ -194,8 +194,8 @@ export class Painter {
 }
 
 /**
- * Returns true if the driver's name shows that it draws in software. Some browsers give a context
- * in software in spite of `failIfMajorPerformanceCaveat`.
+ * Returns true if the driver's name shows that the driver draws in software. Some browsers give a
+ * context in software in spite of `failIfMajorPerformanceCaveat`.
  */
 function isSoftware(context: WebGL2RenderingContext): boolean {
   let name = String(context.getParameter(context.RENDERER));

@@ -31,7 +31,10 @@ export function slopesAcross({ views }: Pick<Info, "views">, count: number): Slo
   });
 }
 
-/** A quilt, the end of its file's name (which states the layout), and the width of a view over its height. */
+/**
+* A quilt with two further values: the end of its file's name, which states the layout, and the
+* width of a view over its height.
+*/
 export interface Quilt {
   blob: Blob;
   ending: string;

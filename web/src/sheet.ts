@@ -118,7 +118,10 @@ export class Sheet {
   }
 }
 
-/** Rows of the sheet from top to bottom: the layers from front to rear, then the backlight. */
+/**
+* Returns the rows of the sheet from top to bottom: the layers from front to rear, then the
+* backlight.
+*/
 function rowNames(info: Info): { layer: number; name: string; detail: string }[] {
   const count = info.layers.length;
   const rows = info.layers.map((layer, i) => ({
@@ -141,7 +144,10 @@ export function sizeOf(info: Info, layer: number): [number, number] {
   return [found.cols, found.rows];
 }
 
-/** Index of the last row of masks: the backlight's row if it is directional, otherwise the row of the last layer. */
+/**
+* Returns the index of the last row of masks: the row of a directional backlight, otherwise the row
+* of the last layer.
+*/
 export function lastMask(info: Info): number {
   return Math.max(info.layers.length - (info.directional && info.backlight ? 0 : 1), 0);
 }

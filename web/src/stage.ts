@@ -79,7 +79,7 @@ export class Stage {
     this.busy = false;
   }
 
-  /** RGBA bytes of a picture, in its own size. */
+  /** Returns the RGBA bytes of a picture, in its own size. */
   async pixels(shot: Shot): Promise<ImageData> {
     if (!this.engine) return new ImageData(1, 1);
     return shot.kind === "between" ? this.engine.call("between", [shot.u, shot.v]) : this.engine.call("pixels", [shot, this.size]);

@@ -67,7 +67,10 @@ export function complete(page) {
   );
 }
 
-/** The current picture as {width, height, data: Buffer of RGBA}, seen from `slope` if it is given. */
+/**
+* Returns the current picture as {width, height, data: Buffer of RGBA}, seen from `slope` if it is
+* given.
+*/
 export async function pixels(page, slope) {
   const { width, height, text } = await page.evaluate(async (at) => {
     const viewer = document.querySelector("lumistack-viewer");
@@ -86,7 +89,7 @@ export const LINEAR = Float64Array.from({ length: 256 }, (_, code) => {
   return v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
 });
 
-/** The text of a part of the element; undefined if the part is not visible. */
+/** Returns the text of a part of the element; undefined if the part is not visible. */
 export function text(page, selector) {
   return page.evaluate((within) => {
     const element = document.querySelector("lumistack-viewer").shadowRoot.querySelector(within);

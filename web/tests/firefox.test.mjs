@@ -1,4 +1,5 @@
-// The page that solves in Firefox, driven by WebDriver BiDi: it computes and shows the same patterns as in Chromium.
+// The page that solves (`solve.html`) in Firefox, driven by WebDriver BiDi: it computes and shows
+// the same patterns as in Chromium.
 import assert from "node:assert/strict";
 import { existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";

@@ -1,5 +1,5 @@
-// The first seconds of a page. It shows a poster at once, then small views in which the user can look around. There is a hint, and the view swings. Then
-// the picture appears.
+// The first seconds of a page. The page shows a poster at once, then small views in which the user
+// can look around. There is a hint, and the view swings. Then the picture appears.
 import assert from "node:assert/strict";
 import { cpSync, existsSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
@@ -52,7 +52,7 @@ function hold(matching = /layer/) {
   };
 }
 
-/** Colour of the screen at a point in the upper half of the picture. */
+/** Returns the colour of the screen at a point in the upper half of the picture. */
 async function middle(page) {
   const box = await page.evaluate(() => {
     const { x, y, width, height } = document.querySelector("lumistack-viewer").shadowRoot.querySelector("#shown").getBoundingClientRect();

@@ -45,7 +45,7 @@ async function drop(...paths) {
   assert.equal(await text(page, "#drop"), undefined, "the invitation to drop stays");
 }
 
-/** Files of a run folder with patterns and a preview. */
+/** Returns the files of a run folder with patterns and a preview. */
 function run(title) {
   const preview = JSON.parse(twoSquares().get("stack/preview.json").toString());
   const files = new Map([["report.html", "<p>report"], ["job.toml", ""], ["layers/stack.json", "{}"], ["target/view_00_00.exr", "x"]]);

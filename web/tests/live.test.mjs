@@ -23,7 +23,7 @@ let browser;
 let live;
 let address;
 
-/** A glTF document with a card that emits light of one colour. */
+/** Returns a glTF document with a card that emits light of one colour. */
 function card(red, green, blue) {
   const corners = new Float32Array([-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, -1, 0, 1, 1, 0, -1, 1, 0]);
   const data = Buffer.from(corners.buffer).toString("base64");
@@ -65,7 +65,7 @@ after(async () => {
 });
 
 const say = (command) => live.stdin.write(`${JSON.stringify(command)}\n`);
-/** Red, green and blue of the picture's middle pixel. */
+/** Returns red, green and blue of the picture's middle pixel. */
 const middle = async (page) => {
   const { width, height, data } = await pixels(page, [0, 0]);
   return [...data.subarray(4 * (Math.floor(height / 2) * width + Math.floor(width / 2)))].slice(0, 3);

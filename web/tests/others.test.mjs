@@ -58,7 +58,10 @@ test("the dialog fits phones and desktops, axe finds nothing, and nothing is loa
   }
 });
 
-/** The preview with two squares, ten times as large, so that it is wide enough for a headset. */
+/**
+* Returns the preview with two squares. The preview is ten times as large, so that it is wide enough
+* for a headset.
+*/
 function large() {
   return altered(twoSquares(), {}, (preview) => {
     preview.display.field.pitch_mm *= 10;

@@ -15,7 +15,7 @@ after(async () => {
   await server?.close();
 });
 
-/** Centroid [row, col] of the dark pixels in the rows `from` to `to`. */
+/** Returns the centroid [row, col] of the dark pixels in the rows `from` to `to`. */
 function darkCentre({ width, data }, from, to) {
   let [weight, row, col] = [0, 0, 0];
   for (let r = from; r < to; r++) {

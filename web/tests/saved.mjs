@@ -1,6 +1,6 @@
 // Reads the zip that the page saves.
 
-/** The files of a zip without compression: path → bytes. */
+/** Returns the files of a zip without compression: path → bytes. */
 export function unpacked(zip) {
   const files = new Map();
   for (let at = 0; zip.readUInt32LE(at) === 0x04034b50; ) {
@@ -12,7 +12,7 @@ export function unpacked(zip) {
   return files;
 }
 
-/** The values of a float32 array file. */
+/** Returns the values of a float32 array file. */
 export function npy(bytes) {
   const values = bytes.subarray(10 + bytes.readUInt16LE(8));
   return new Float32Array(values.buffer.slice(values.byteOffset, values.byteOffset + values.length));

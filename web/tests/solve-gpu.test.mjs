@@ -1,5 +1,5 @@
-// The page that solves on a graphics processor by WebGPU: its patterns agree with the patterns of the processor, and the processor solves if there is
-// no device.
+// The page that solves (`solve.html`), on a graphics processor by WebGPU: its patterns agree with
+// the patterns of the processor, and the processor solves if there is no device.
 import assert from "node:assert/strict";
 import { mkdirSync, mkdtempSync, readFileSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";

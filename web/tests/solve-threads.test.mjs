@@ -1,4 +1,5 @@
-// The page that solves with several threads: its patterns are those of one thread, also if threads fail or the user interferes.
+// The page that solves (`solve.html`), with several threads: its patterns are those of one thread,
+// also if threads fail or the user interferes.
 import assert from "node:assert/strict";
 import { mkdirSync, readFileSync } from "node:fs";
 import { join } from "node:path";

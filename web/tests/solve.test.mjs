@@ -1,4 +1,5 @@
-// The page that solves: its patterns, its saved files, and its errors agree with the patterns, files and errors of the command.
+// The page that solves (`solve.html`): its patterns, its saved files, and its errors agree with the
+// patterns, files and errors of the command.
 import assert from "node:assert/strict";
 import { execFileSync, spawnSync } from "node:child_process";
 import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
@@ -209,7 +210,7 @@ test("a broken file gives the command's error, and the page stays usable", { ski
   await at.context().close();
 });
 
-/** Root mean square difference between the patterns of two runs. */
+/** Returns the root mean square difference between the patterns of two runs. */
 function apart(a, b) {
   let [squares, count] = [0, 0];
   for (let layer = 0; layer < 3; layer++) {

@@ -1,4 +1,4 @@
-// A light field for the tests of the page that solves.
+// A light field for the tests of `solve.html`, the page that solves.
 import { writeFileSync } from "node:fs";
 
 /** Writes an array of 3 × 5 views of stripes at two depths, as .npy. */

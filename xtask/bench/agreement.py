@@ -29,7 +29,7 @@ TESTS_PER_SCENE = 3
 
 
 def incomplete_beta(a, b, x):
-    """Regularized incomplete beta function by Lentz's continued fraction."""
+    """Computes the regularized incomplete beta function by Lentz's continued fraction."""
     if x <= 0.0 or x >= 1.0:
         return min(max(x, 0.0), 1.0)
     if x > (a + 1.0) / (a + b + 2.0):

@@ -1,5 +1,6 @@
-"""Computes a sequence on one and on two workers, and compares the times with the predicted times. It also checks that the results have the
-same bytes after kills of workers and of the client, and after a full disk. `cargo xtask bench farm` runs it."""
+"""Computes a sequence on one and on two workers, and compares the times with the predicted times.
+Also checks that the results have the same bytes after kills of workers and of the client, and after
+a full disk. `cargo xtask bench farm` runs it."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def main(displays: list[dict[str, Any]], program: str, work: Path, site: Path, f
     body = INTRO.format(style=STYLE, count=len(cards), cards="".join(cards))
     page = PAGE.format(title="Displays", root="../", nav=navigation("displays/index", True), body=body)
     (site / "displays/index.html").write_text(page)
-    # the page that solves, with its built-in scenes
+    # copy the page that solves (`solve.html`), with its built-in scenes
     shutil.copytree(ROOT / "web/dist", site / "solve", ignore=shutil.ignore_patterns("types", "live.js", "sources.blake3", "index.html"))
     shutil.copyfile(ROOT / "web/dist/solve.html", site / "solve/index.html")
     for link in re.findall(r'(?:href|src)="([^"]+)"', page):

@@ -42,13 +42,14 @@ impl Case {
         Self::new(name, &text(&root().join("scenes").join(name).join(format!("{name}.gltf"))))
     }
 
-    /// The case with 840 × 525 pixels, the size of the light fields of the paper's prototypes.
+    /// Returns the case with 840 × 525 pixels, the size of the light fields of the paper's
+    /// prototypes.
     fn large(self) -> Self {
         Self { name: format!("{}, 840 × 525", self.name), resolution: [840, 525], ..self }
     }
 
-    /// Text of the job. It ends with `rest`, which contains further keys of `[display]` and then
-    /// other tables.
+    /// Returns the text of the job. It ends with `rest`, which contains further keys of `[display]`
+    /// and then other tables.
     fn job(&self, rest: &str) -> String {
         format!(
             "scene = {:?}\n[window]\nfit_depth = \"compress\"\n[display]\npreset = {:?}\nresolution = {:?}\nframes = {}\n{}\n{rest}",
@@ -72,20 +73,21 @@ impl Run {
         self.report[key].as_f64().unwrap_or(f64::NAN)
     }
 
-    /// Zone score, score of the worst tenth of the directions, SSIM and FLIP, as cells of a table.
+    /// Formats zone score, score of the worst tenth of the directions, SSIM and FLIP, as cells of a
+    /// table.
     fn quality(&self) -> String {
         let [ssim, flip] = ["ssim", "flip"].map(|key| self.report["zone"][key].as_f64().unwrap_or(f64::NAN));
         let [zone, worst] = ["psnr_zone", "psnr_zone_worst_tenth"].map(|key| self.number(key));
         format!("{zone:.2} | {worst:.2} | {ssim:.3} | {flip:.3}")
     }
 
-    /// Columns × rows of the solved views.
+    /// Formats the number of the solved views as columns × rows.
     fn views(&self) -> String {
         let count = |key| self.target[key].as_array().map_or(0, Vec::len);
         format!("{} × {}", count("slope_x"), count("slope_y"))
     }
 
-    /// Time of a stage, seconds; 0 if its result was cached.
+    /// Returns the time of a stage, seconds; 0 if its result was cached.
     fn stage(&self, name: &str) -> f64 {
         let stages = self.report["stages"].as_array().into_iter().flatten();
         let of = stages.filter(|stage| stage["name"] == name && stage["cached"] == false);

@@ -208,7 +208,7 @@ fn extension(python: &Path, wheels: &[PathBuf], platforms: &[&str]) -> Outcome<P
     Ok(zip_of(machine()?))
 }
 
-/// Path of a platform's zip.
+/// Returns the path of a platform's zip.
 fn zip_of(platform: &str) -> PathBuf {
     folder().join(format!("lumistack-{}-{}.zip", env!("CARGO_PKG_VERSION"), platform.replace('-', "_")))
 }
@@ -217,7 +217,7 @@ fn name_of(wheel: &Path) -> String {
     wheel.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Blender's name of this machine's platform.
+/// Returns Blender's name of this machine's platform.
 fn machine() -> Outcome<&'static str> {
     let (system, machine) = (std::env::consts::OS, std::env::consts::ARCH);
     PLATFORMS

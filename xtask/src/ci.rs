@@ -87,7 +87,7 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
             steps.step("site", site::docs)
         },
         || {
-            // programs of panels wait for compositors, so the processors have time for both
+            // programs of panels wait for compositors, so the processors have time for both steps
             beside(
                 || steps.step("panels (beside the next two)", || panels::sessions(full)),
                 || {

@@ -1,6 +1,5 @@
-//! Finds cycles of files in a crate, which use each other directly or through other files. Cycles
-//! are bad: a reader who wants to understand one file of a cycle must also read all its other
-//! files.
+//! Finds cycles in a crate: files that use each other, directly or through other files. Cycles are
+//! bad: a reader who wants to understand one file of a cycle must also read all its other files.
 //!
 //! A file uses another file if its code names an item that the other file defines. `use`
 //! declarations and full paths are followed through re-exports to the definition. Re-exports, `mod`
@@ -31,7 +30,7 @@ struct Source {
 }
 
 /// Finds the cycles of the crate with the root file `root`. Each cycle has two lists: its files,
-/// and one line for every use of a file of the cycle by another file of the cycle.
+/// and one line for every use between two of these files.
 pub fn of_crate(root: &Path) -> Result<Vec<[Vec<String>; 2]>, String> {
     let mut files = BTreeMap::new();
     read(root, Vec::new(), &mut files)?;

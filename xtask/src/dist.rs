@@ -37,8 +37,8 @@ On Linux `tarball --target x86_64-pc-windows-gnu` makes a zip with a program for
 Every part contains the licences of all dependencies. SHA256SUMS has the checksums of target/dist.
 ";
 
-/// The parts, in the order in which they are made. The extension comes after the wheels that it
-/// contains.
+/// The parts of a release, in the order in which they are made. The extension comes after the
+/// wheels that it contains.
 const PARTS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "sbom"];
 
 /// Makes the parts that the arguments select; `None` if an argument is wrong.
@@ -130,7 +130,7 @@ fn write(folder: &Path, name: &str, bytes: &[u8]) -> Outcome {
     Ok(())
 }
 
-/// Files of a folder whose names have an ending, sorted by name.
+/// Returns the files of a folder whose names have an ending, sorted by name.
 fn files_of(folder: &Path, ending: &str) -> Outcome<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).filter(|path| path.is_file()).collect();

@@ -21,7 +21,8 @@ const LIBRARIES: [(&str, &str); 4] = [
     ("/usr/share/doc/libxkbcommon-x11-0", "libxkbcommon-x11-0"),
 ];
 
-/// Numbers of repetitions if `full` is set: of starts of presentations, and of pauses of a solver.
+/// Numbers of repetitions if `full` is set: how often presentations are started, and how often a
+/// solver pauses.
 const FULL_TURNS: [&str; 2] = ["50", "5"];
 
 /// Builds and tests the windows. With `full` it repeats tests that would fail only rarely, which

@@ -32,7 +32,8 @@ pub fn check() -> Outcome {
         let mut check = command("cargo");
         check.args(["check", "--quiet", "--package", "lumistack-cli", "--features", "panels", "--target", target]);
         // A dependency assembles a file for the target, which a compiler for Linux cannot do. A
-        // check of types needs no object files, so `true` replaces compiler and archiver.
+        // check of types needs no object files, so the program `true` replaces compiler and
+        // archiver.
         if cfg!(target_os = "linux") {
             for tool in ["CC", "AR"] {
                 check.env(format!("{tool}_{}", target.replace('-', "_")), "true");

@@ -249,7 +249,7 @@ fn string(text: &str, quote: char) -> usize {
     text.len()
 }
 
-/// Returns the length of the raw string of Rust at the start of `text`, if there is one.
+/// Returns the length of Rust's raw string at the start of `text`; `None` if there is none.
 fn raw_string(text: &str) -> Option<usize> {
     let inner = text.strip_prefix("br").or_else(|| text.strip_prefix('r'))?;
     let hashes = inner.len() - inner.trim_start_matches('#').len();
@@ -259,8 +259,8 @@ fn raw_string(text: &str) -> Option<usize> {
     Some(body.find(&close).map_or(text.len(), |end| start + end + close.len()))
 }
 
-/// Returns the length of the character literal of Rust at the start of `text`. If `text` begins
-/// with a lifetime instead, it returns 1, the length of the quote.
+/// Returns the length of Rust's character literal at the start of `text`. If `text` begins with a
+/// lifetime instead, it returns 1, the length of the quote.
 fn character(text: &str) -> usize {
     let mut letters = text.char_indices().skip(1);
     match (letters.next(), letters.next()) {

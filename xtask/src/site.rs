@@ -15,7 +15,7 @@ pub fn docs() -> Outcome {
     run(command(tools::python()?).args(["xtask/site/displays.py", "--check"]))
 }
 
-/// Builds the documentation, and makes every display of the gallery. It uses the results of earlier
+/// Builds the documentation, and makes every display of the gallery. Uses the results of earlier
 /// calls again.
 pub fn build() -> Outcome {
     pages(true)?;

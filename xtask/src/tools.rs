@@ -7,12 +7,12 @@ use std::sync::OnceLock;
 /// The result of a step; an error is one sentence.
 pub type Outcome<T = ()> = Result<T, String>;
 
-/// The workspace's root folder.
+/// Returns the workspace's root folder.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask is a folder of the workspace").to_owned()
 }
 
-/// The folder of scenes of other projects: LUMISTACK_ASSETS, or its default.
+/// Returns the folder of scenes of other projects: LUMISTACK_ASSETS, or its default.
 pub fn assets() -> PathBuf {
     std::env::var_os("LUMISTACK_ASSETS").map_or_else(|| root().join("../shared/scenes"), PathBuf::from)
 }

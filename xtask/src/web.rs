@@ -2,10 +2,10 @@
 //! and compares them with the committed files.
 //!
 //! `web/dist` is committed, so that the program can write previews on machines without a
-//! WebAssembly toolchain. It contains three hashes: of the modules' sources, of the other sources,
-//! and of its own files. If a hash differs from the hash of the present files, the page was not
-//! rebuilt after a change, or was changed by hand. If all hashes agree, tests use the committed
-//! files, since a build of the same sources would take minutes and give the same bytes.
+//! WebAssembly toolchain. This folder contains three hashes: of the modules' sources, of the other
+//! sources, and of its own files. If a hash differs from the hash of the present files, the page
+//! was not rebuilt after a change, or was changed by hand. If all hashes agree, tests use the
+//! committed files, since a build of the same sources would take minutes and give the same bytes.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -27,7 +27,7 @@ struct Module {
     bare: bool,
 }
 
-/// The viewer's module, and the modules of the page that solves.
+/// The viewer's module, and the modules of the page that solves (`solve.html`).
 const MODULES: [Module; 4] = [
     Module { package: "lumistack-web", features: "", name: "lumistack_web", profile: "web", bare: false },
     Module {
@@ -209,8 +209,8 @@ fn module(&Module { package: name_of_package, features, name, profile, bare }: &
 }
 
 const WASM: &str = "wasm32-unknown-unknown";
-/// Flags of rustc. They enable fixed-width vectors, which every browser has had since 2023, and
-/// remove paths of the build machine from messages.
+/// Returns flags of rustc. The flags enable fixed-width vectors, which every browser has had since
+/// 2023, and remove paths of the build machine from messages.
 fn rustflags() -> Vec<String> {
     let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
     let home = home.or_else(|| std::env::home_dir().map(|home| home.join(".cargo"))).unwrap_or_default();
@@ -390,7 +390,7 @@ fn collect(path: &Path, files: &mut Vec<PathBuf>) -> Outcome {
     Ok(())
 }
 
-/// Cargo's target folder.
+/// Returns Cargo's target folder.
 pub fn target_folder() -> Outcome<PathBuf> {
     let metadata = output_of(command("cargo").args(["metadata", "--format-version", "1", "--no-deps"]))
         .and_then(|text| serde_json::from_str::<Value>(&text).ok())

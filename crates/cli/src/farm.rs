@@ -291,7 +291,7 @@ fn planned(
     Ok((plan, dir))
 }
 
-/// Words of the command line that starts this program again.
+/// Returns the words of the command line that starts this program again.
 fn own_words() -> Vec<String> {
     let program = std::env::current_exe().map_or("lumistack".into(), |path| path.to_string_lossy().into_owned());
     let stem = Path::new(&program).file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -353,8 +353,8 @@ fn print(plan: &FarmPlan, dir: &Path, workers: &[usize], json: bool) {
     say!("{count} units in {folder}; predicted time by number of workers: {predicted}");
 }
 
-/// Ends the process when standard input ends. Then the worker that started this process is gone.
-/// The end is safe at any time, since files appear only when they are complete.
+/// Ends the process when standard input ends, since the worker that started this process is then
+/// gone. This is safe at any time, since files appear only when they are complete.
 fn end_with_input() {
     std::thread::spawn(|| {
         let mut rest = [0; 64];

@@ -1,5 +1,5 @@
-//! The `lumistack` program: it handles Ctrl-C and runs a command. It also starts itself with a
-//! special first argument, and then runs a plugin.
+//! The `lumistack` program: it handles Ctrl-C and runs a command. To run a plugin, the program
+//! starts a second process of itself, with a special first argument.
 
 use std::process::ExitCode;
 

@@ -27,8 +27,8 @@ pub(crate) fn name() -> &'static str {
     NAME.get().map_or("lumistack", String::as_str)
 }
 
-/// Replaces `lumistack` by [`name`] in the hints of a text, `` `lumistack ...` ``, and in its lines
-/// of examples.
+/// Replaces `lumistack` by [`name`] in a text: in hints of the form `` `lumistack ...` ``, and in
+/// lines with examples.
 pub(crate) fn hinted(text: &str) -> String {
     hinted_as(text, name())
 }

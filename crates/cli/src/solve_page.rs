@@ -1,5 +1,5 @@
-//! `lumistack preview --solve`: the page that solves. The program contains its files, and writes
-//! them to a folder that the server serves.
+//! `lumistack preview --solve`: the page that solves light fields. The program contains the page's
+//! files, and writes them to a folder that the server serves.
 
 use std::fs;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! Prints errors of usage, and help: clap's text with the name under which the command was started,
-//! and without terms of Rust.
+//! Prints help and errors of usage. The texts are clap's, but with the name under which the command
+//! was started, and without terms of Rust.
 
 use std::io::{IsTerminal, Write};
 

@@ -9,7 +9,8 @@ use lumistack_plugin::Export;
 pub const PLUGIN_FINGERPRINT: &str = lumistack_plugin::FINGERPRINT;
 
 /// Builds the list of compiled-in plugins and the hashes of their crates' sources. Each line of the
-/// call names the feature that enables a crate, and the module that ends with `export_plugin!`.
+/// macro's input names the feature that enables a crate, and the module that ends with
+/// `export_plugin!`.
 macro_rules! plugins {
     ($($feature:literal: $krate:ident $(:: $module:ident)*;)*) => {
         pub(crate) static BUILT_IN: &[(&LazyLock<Export>, &str)] = &[$(

@@ -77,7 +77,8 @@ impl Registry {
     /// Adds all plugins in these paths. [`Registry::failed`] lists every file that is no plugin
     /// library.
     ///
-    /// This runs no library code: the first use of a plugin loads its library, in a child process.
+    /// This function runs no library code: the first use of a plugin loads its library, in a child
+    /// process.
     pub fn load(&mut self, paths: &PluginPaths) {
         let limits = paths.limits.map_or_else(Limits::of_system, Ok).unwrap_or_else(|(variable, found)| {
             self.failed.push(LoadError::Setting { variable, found });
@@ -162,8 +163,8 @@ pub(crate) fn open(path: &Path, id: &str) -> Result<Plugin, LoadError> {
     // SAFETY: a function of this name is a plugin's entry, by the convention of the interface.
     let entry = unsafe { library.get::<Entry>(symbol.as_bytes()) }
         .map_err(|_| LoadError::NoEntry { path: path.into(), symbol: symbol.clone() })?;
-    // SAFETY: as above; the function returns null or a descriptor that lives as long as the
-    // library, which is never unloaded.
+    // SAFETY: the entry function returns null or a descriptor that lives as long as the library,
+    // which is never unloaded.
     let plugin = unsafe { Plugin::from_descriptor(entry()) }
         .map_err(|reason| LoadError::Descriptor { path: path.into(), reason })?;
     let found = &plugin.info().id;

@@ -36,10 +36,10 @@ pub fn conformance_but_for(export: &'static LazyLock<Export>, at_default: &[&str
 /// plugin's C functions.
 ///
 /// An output describes itself, declares all its parameters with units and ranges, and refuses other
-/// parameters. It accepts all its ports, and produces identical files in a second run and from any
-/// thread. It stops on cancellation, reports a full disk, leaves no file open, and writes through
-/// the host only. Most rules are checked with default parameters, and again with all switches on.
-/// Parameters in `at_default` keep their defaults.
+/// parameters. It accepts data of all its ports, and produces identical files in a second run and
+/// from any thread. It stops on cancellation, reports a full disk, leaves no file open, and writes
+/// through the host only. Most rules are checked with default parameters, and again with all
+/// switches on. Parameters in `at_default` keep their defaults.
 ///
 /// A node or a source produces identical results in a second run, stops on cancellation, and
 /// accepts every display or refuses it with a reason. An importer fails without a panic on invalid

@@ -51,7 +51,7 @@ impl MemoryHost {
         self.cancel.cancel();
     }
 
-    /// The bytes of the committed files, by path.
+    /// Returns the bytes of the committed files, by path.
     pub fn files(&self) -> BTreeMap<String, Vec<u8>> {
         self.state().committed.clone()
     }

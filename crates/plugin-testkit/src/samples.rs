@@ -39,7 +39,7 @@ impl Sample {
         self.data().port()
     }
 
-    /// The layer stack; `None` if the sample has a light field.
+    /// Returns the layer stack; `None` if the sample has a light field.
     pub fn stack(&self) -> Option<&LayerStack> {
         match &self.kind {
             Kind::Stack(stack) => Some(stack),
@@ -47,7 +47,7 @@ impl Sample {
         }
     }
 
-    /// The light field; `None` if the sample has a layer stack.
+    /// Returns the light field; `None` if the sample has a layer stack.
     pub fn field(&self) -> Option<&LightField> {
         match &self.kind {
             Kind::Field(field) => Some(field),
@@ -56,7 +56,7 @@ impl Sample {
     }
 }
 
-/// All samples; [`Sample::port`] states the port of each.
+/// Returns all samples. [`Sample::port`] states a sample's port, the kind of its data.
 pub fn samples() -> Vec<Sample> {
     let layered = three_layers();
     let directional = one_directional_layer();

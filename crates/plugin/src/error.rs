@@ -24,12 +24,12 @@ pub enum PluginError {
 }
 
 impl PluginError {
-    /// The error of a failed operation, with the cause.
+    /// Makes the error of a failed operation, with the cause.
     pub fn failed(doing: &str, error: impl std::fmt::Display) -> Self {
         Self::Failed(format!("{doing}: {error}"))
     }
 
-    /// The error for a display that the plugin does not support.
+    /// Makes the error for a display that the plugin does not support.
     pub fn display(display: &Display, expected: impl std::fmt::Display, found: impl std::fmt::Display) -> Self {
         Self::Refused(format!("display `{}`: expected {expected}, found {found}", display.name))
     }

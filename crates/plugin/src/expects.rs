@@ -1,4 +1,4 @@
-//! Checks with which nodes refuse displays that they do not support. Each error names the display,
+//! Functions by which nodes refuse displays that they do not support. Each error names the display,
 //! the expected and the found property.
 
 use lumistack_display::{Backlight, Display, Formation, LensletBacklight};

@@ -68,12 +68,12 @@ impl Export {
         Self { id, descriptor }
     }
 
-    /// Name in job files and on the command line.
+    /// Returns the plugin's name in job files and on the command line.
     pub fn id(&self) -> &'static str {
         self.id
     }
 
-    /// The C descriptor.
+    /// Returns the C descriptor.
     pub fn descriptor(&self) -> &Descriptor {
         &self.descriptor
     }

@@ -13,8 +13,8 @@ use serde_json::Value;
 use crate::wire::{call, needs};
 use crate::{PlaneView, PluginError, Port, ViewPoint};
 
-/// The host's services. A clone uses the same services. They end when the output is closed: after
-/// that, calls return errors.
+/// The host's services. A clone uses the same services. The services end when the output is closed:
+/// after that, calls return errors.
 #[derive(Clone)]
 pub struct Host(Arc<RwLock<Option<Table>>>);
 
@@ -43,7 +43,7 @@ impl Host {
     /// the call. Services never call back into the plugin, so no thread takes the lock twice.
     fn with<T>(&self, function: impl FnOnce(&HostServices) -> T) -> Option<T> {
         let guard = self.0.read().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: valid until `close`, which waits for the lock.
+        // SAFETY: the table is valid until `close`, which waits for the lock.
         guard.as_ref().map(|table| function(unsafe { &*table.0 }))
     }
 
@@ -74,19 +74,19 @@ impl Host {
     /// presentation.
     pub fn tell(&self, event: &Value) {
         let json = event.to_string();
-        // SAFETY: as in `log`.
+        // SAFETY: the context belongs to the table; texts are lent for the call.
         self.with(|table| unsafe { (table.tell)(table.context, Str::new(&json)) });
     }
 
     fn log(&self, level: u32, message: &str) {
-        // SAFETY: the table's own context; the text is lent for the call.
+        // SAFETY: the context belongs to the table; the text is lent for the call.
         self.with(|table| unsafe { (table.log)(table.context, level, Str::new(message)) });
     }
 
     /// Begins a stage of `total` steps of the given `unit` ("files"). The stage ends when the
     /// returned object is dropped.
     pub fn stage(&self, name: &str, total: u64, unit: &str) -> Stage {
-        // SAFETY: as in `log`.
+        // SAFETY: the context belongs to the table; texts are lent for the call.
         self.with(|table| unsafe { (table.progress_begin)(table.context, Str::new(name), total, Str::new(unit)) });
         Stage(self.clone())
     }
@@ -100,7 +100,7 @@ impl Host {
 
     /// Returns true after the user cancelled, or after the output was closed.
     pub fn is_cancelled(&self) -> bool {
-        // SAFETY: as in `log`.
+        // SAFETY: the context belongs to the table.
         self.with(|table| unsafe { (table.is_cancelled)(table.context) != 0 }).unwrap_or(true)
     }
 
@@ -145,7 +145,8 @@ impl Host {
     /// If the path is absolute or leaves the folder, or the host cannot write.
     pub fn create(&self, path: &str) -> Result<OutputFile, PluginError> {
         let mut file = 0;
-        // SAFETY: as in `log`; `file` is written before the call returns.
+        // SAFETY: the context belongs to the table, and the text is lent for the call; `file` is
+        // written before the call returns.
         self.call(|table, error| unsafe { (table.file_open)(table.context, Str::new(path), &mut file, error) })?;
         Ok(OutputFile { host: self.clone(), file, path: path.into(), open: true })
     }
@@ -270,14 +271,14 @@ impl Stage {
     /// Reports that `steps` more steps are complete. `note` is a short text next to the progress
     /// bar, or empty.
     pub fn advance(&self, steps: u64, note: &str) {
-        // SAFETY: the table's own context; the text is lent for the call.
+        // SAFETY: the context belongs to the table; the text is lent for the call.
         self.0.with(|table| unsafe { (table.progress_advance)(table.context, steps, Str::new(note)) });
     }
 }
 
 impl Drop for Stage {
     fn drop(&mut self) {
-        // SAFETY: the table's own context.
+        // SAFETY: the context belongs to the table.
         self.0.with(|table| unsafe { (table.progress_end)(table.context) });
     }
 }
@@ -299,7 +300,7 @@ impl OutputFile {
     /// If the host cannot write them.
     pub fn append(&mut self, bytes: &[u8]) -> Result<(), PluginError> {
         let file = self.file;
-        // SAFETY: the table's own context; the bytes are lent for the call.
+        // SAFETY: the context belongs to the table; the bytes are lent for the call.
         self.host.call(|table, error| unsafe { (table.file_append)(table.context, file, Bytes::new(bytes), error) })
     }
 
@@ -310,11 +311,11 @@ impl OutputFile {
     pub fn commit(mut self) -> Result<(), PluginError> {
         self.open = false;
         let file = self.file;
-        // SAFETY: the table's own context.
+        // SAFETY: the context belongs to the table.
         self.host.call(|table, error| unsafe { (table.file_commit)(table.context, file, error) })
     }
 
-    /// The path given to [`Host::create`].
+    /// Returns the path given to [`Host::create`].
     pub fn path(&self) -> &str {
         &self.path
     }
@@ -324,8 +325,8 @@ impl Drop for OutputFile {
     fn drop(&mut self) {
         if self.open {
             let file = self.file;
-            // SAFETY: the table's own context. A failure is ignored: the host discards open files
-            // when the output closes.
+            // SAFETY: the context belongs to the table. A failure is ignored: the host discards
+            // open files when the output closes.
             let _ = self.host.call(|table, error| unsafe { (table.file_abort)(table.context, file, error) });
         }
     }

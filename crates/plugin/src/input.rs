@@ -78,7 +78,7 @@ impl<'a> Input<'a> {
         })
     }
 
-    /// The port of the data.
+    /// Returns the port of the data.
     pub fn port(&self) -> Port {
         match self {
             Self::LayerStack(_) => Port::LayerStack,
@@ -88,24 +88,24 @@ impl<'a> Input<'a> {
 }
 
 impl PluginError {
-    /// The error for data of a port that the plugin does not accept.
+    /// Makes the error for data of a port that the plugin does not accept.
     pub fn unexpected(data: &Input<'_>) -> Self {
         Self::Refused(format!("data of port {} are not accepted", data.port()))
     }
 }
 
 impl StackInput<'_> {
-    /// Number of layers N.
+    /// Returns the number of layers N.
     pub fn layer_count(&self) -> usize {
         self.layers.len()
     }
 
-    /// [rows, cols] of a layer; layer 0 is the rearmost. `None` if there is no such layer.
+    /// Returns [rows, cols] of a layer; layer 0 is the rearmost. `None` if there is no such layer.
     pub fn layer_size(&self, layer: usize) -> Option<[usize; 2]> {
         self.layers.get(layer).copied()
     }
 
-    /// Number of time-multiplexed frames M.
+    /// Returns the number of time-multiplexed frames M.
     pub fn frames(&self) -> usize {
         self.frames
     }
@@ -115,18 +115,18 @@ impl StackInput<'_> {
         self.brightness
     }
 
-    /// [bins_y, bins_x, lenslet_rows, lenslet_cols] of a directional backlight.
+    /// Returns [bins_y, bins_x, lenslet_rows, lenslet_cols] of a directional backlight.
     pub fn emission_shape(&self) -> Option<[usize; 4]> {
         self.emission
     }
 
-    /// Geometry of the light field that the stack was solved for.
+    /// Returns the geometry of the light field that the stack was solved for.
     pub fn target(&self) -> &FieldGeometry {
         &self.target
     }
 
-    /// Depth of the central view of the light field that the stack was solved for, if the host has
-    /// it.
+    /// Returns the depth of the central view of the light field that the stack was solved for, if
+    /// the host has it.
     pub fn target_depth(&self) -> Option<&SeenDepth> {
         self.depth.as_ref()
     }
@@ -137,8 +137,9 @@ impl StackInput<'_> {
         self.target_views
     }
 
-    /// Radiance `[row][col][rgb]` of one view of the light field that the stack was solved for;
-    /// `view` is [view_y, view_x]. `None` if the host has only the light field's geometry.
+    /// Returns the radiance `[row][col][rgb]` of one view of the light field that the stack was
+    /// solved for; `view` is [view_y, view_x]. `None` if the host has only the light field's
+    /// geometry.
     ///
     /// # Errors
     /// If there is no such view, or the host cannot lend it.
@@ -147,26 +148,26 @@ impl StackInput<'_> {
             return Ok(None);
         }
         let [y, x] = view;
-        // SAFETY: the context is the data's own.
+        // SAFETY: the context belongs to the data.
         self.lent.plane(|data, plane, error| unsafe { (data.view_plane)(data.context, y, x, plane, error) }).map(Some)
     }
 
-    /// Transmittance `[row][col][rgb]` of one layer and frame.
+    /// Returns the transmittance `[row][col][rgb]` of one layer and frame.
     ///
     /// # Errors
     /// If there is no such layer or frame, or the host cannot lend it.
     pub fn layer(&self, layer: usize, frame: usize) -> Result<PlaneView<'_>, PluginError> {
-        // SAFETY: the context is the data's own.
+        // SAFETY: the context belongs to the data.
         self.lent.plane(|data, plane, error| unsafe { (data.layer_plane)(data.context, layer, frame, plane, error) })
     }
 
-    /// Emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame.
+    /// Returns the emission `[lenslet_row][lenslet_col][rgb]` of one angular bin and frame.
     ///
     /// # Errors
     /// If the backlight is not directional or there is no such bin or frame, or the host cannot
     /// lend it.
     pub fn emission(&self, frame: usize, bin_y: usize, bin_x: usize) -> Result<PlaneView<'_>, PluginError> {
-        // SAFETY: the context is the data's own.
+        // SAFETY: the context belongs to the data.
         self.lent.plane(|data, plane, error| unsafe {
             (data.emission_plane)(data.context, frame, bin_y, bin_x, plane, error)
         })
@@ -187,7 +188,7 @@ impl StackInput<'_> {
     /// # Errors
     /// If the viewpoint is invalid, or the host cannot compute the view.
     pub fn simulate(&self, from: ViewPoint) -> Result<PlaneView<'_>, PluginError> {
-        // SAFETY: the data are the running submit's.
+        // SAFETY: the data belong to the running `submit`.
         unsafe { self.lent.host.simulate(self.lent.data, from) }
     }
 }
@@ -198,17 +199,18 @@ impl FieldInput<'_> {
         &self.geometry
     }
 
-    /// Depth of the central view, [view rows / 2, view columns / 2], if the host has it.
+    /// Returns the depth of the central view, [view rows / 2, view columns / 2], if the host has
+    /// it.
     pub fn depth(&self) -> Option<&SeenDepth> {
         self.depth.as_ref()
     }
 
-    /// Radiance `[row][col][rgb]` of `view` = [view_y, view_x].
+    /// Returns the radiance `[row][col][rgb]` of `view` = [view_y, view_x].
     ///
     /// # Errors
     /// If there is no such view, or the host cannot lend it.
     pub fn view(&self, view: [usize; 2]) -> Result<PlaneView<'_>, PluginError> {
-        // SAFETY: the context is the data's own.
+        // SAFETY: the context belongs to the data.
         self.lent.plane(|data, plane, error| unsafe { (data.view_plane)(data.context, view[0], view[1], plane, error) })
     }
 
@@ -247,7 +249,7 @@ impl FieldInput<'_> {
                 let shape = [views_y, views_x, *rows, *cols];
                 let mut tensor = Tensor::zeros(["view_y", "view_x", "row", "col"], shape);
                 for [y, x] in grid.iter() {
-                    // SAFETY: the context is the data's own.
+                    // SAFETY: the context belongs to the data.
                     let plane = self
                         .lent
                         .plane(|data, plane, error| unsafe { (data.weight_plane)(data.context, y, x, plane, error) })?;
@@ -303,7 +305,7 @@ impl Lent<'_> {
         let frames = stack.frames();
         for (n, layer) in stack.layers.iter_mut().enumerate() {
             for frame in 0..frames {
-                // SAFETY: the context is the data's own.
+                // SAFETY: the context belongs to the data.
                 let plane = self
                     .plane(|data, plane, error| unsafe { (data.layer_plane)(data.context, n, frame, plane, error) })?;
                 fill(layer.block_mut([frame]), &plane, || format!("layer {n}, frame {frame}"))?;
@@ -312,7 +314,7 @@ impl Lent<'_> {
         if let Some(emission) = &mut stack.emission {
             let [_, bins_y, bins_x, ..] = emission.shape();
             for (frame, y, x) in bins(frames, [bins_y, bins_x]) {
-                // SAFETY: the context is the data's own.
+                // SAFETY: the context belongs to the data.
                 let plane = self.plane(|data, plane, error| unsafe {
                     (data.emission_plane)(data.context, frame, y, x, plane, error)
                 })?;

@@ -26,13 +26,13 @@ pub trait ImporterPlugin: 'static {
     /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
-    /// The plugin's parameters. They are checked before `import`, which receives a value of the
-    /// right type and in range for each parameter.
+    /// Describes the plugin's parameters. They are checked before `import`, which receives a value
+    /// of the right type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Reads the file `file`, and others in its folder, through `assets`. Returns a glTF 2.0
-    /// document, `.glb` or `.gltf`. The host validates the document. It reads the files that the
-    /// document names from the imported file's folder.
+    /// document, `.glb` or `.gltf`. The host validates the document. The host also reads the files
+    /// that the document names from the imported file's folder.
     ///
     /// # Errors
     /// If the file is invalid; the message names the position in the file.
@@ -47,8 +47,8 @@ pub trait SourcePlugin: 'static {
     /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
-    /// The plugin's parameters. They are checked before `make`, which receives a value of the right
-    /// type and in range for each parameter.
+    /// Describes the plugin's parameters. They are checked before `make`, which receives a value of
+    /// the right type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Makes the light field of one time step: linear radiance, finite and at least 0. Its geometry
@@ -67,8 +67,8 @@ pub trait NodePlugin: 'static {
     /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
-    /// The plugin's parameters. They are checked before `make`, which receives a value of the right
-    /// type and in range for each parameter.
+    /// Describes the plugin's parameters. They are checked before `make`, which receives a value of
+    /// the right type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Solves the layer stack of one time step. The stack must match the display, with values in
@@ -94,24 +94,24 @@ impl Assets<'_> {
     pub fn read(&self, path: &str) -> Result<Vec<u8>, PluginError> {
         let mut bytes = Vec::new();
         let sink = ByteSink { size: size_of::<ByteSink>(), context: (&raw mut bytes).cast(), write: append };
-        // SAFETY: the table's own context; the text and the sink are lent for the call.
+        // SAFETY: the context belongs to the table; the text and the sink are lent for the call.
         call(|error| unsafe { (self.0.read)(self.0.context, Str::new(path), &sink, error) })?;
         Ok(bytes)
     }
 }
 
-/// The C functions of an importer.
+/// Returns the C functions of an importer.
 pub(crate) fn importer_vtable<P: ImporterPlugin>() -> ImporterVtable {
     let extensions: &'static str = P::EXTENSIONS.join(" ").leak();
     ImporterVtable { size: size_of::<ImporterVtable>(), extensions: Str::new(extensions), import: Some(import::<P>) }
 }
 
-/// The C functions of a source.
+/// Returns the C functions of a source.
 pub(crate) fn source_vtable<P: SourcePlugin>() -> SourceVtable {
     SourceVtable { size: size_of::<SourceVtable>(), make: Some(make_field::<P>) }
 }
 
-/// The C functions of a node.
+/// Returns the C functions of a node.
 pub(crate) fn node_vtable<P: NodePlugin>() -> NodeVtable {
     NodeVtable { size: size_of::<NodeVtable>(), make: Some(make_stack::<P>) }
 }
@@ -132,7 +132,7 @@ unsafe extern "C" fn import<P: ImporterPlugin>(
         needs(scene.size, size_of::<ByteSink>())?;
         needs(assets.size, size_of::<abi::Assets>())?;
         let bytes = P::import(&host.get(), params, file, &Assets(assets))?;
-        // SAFETY: the sink's own context; the bytes are lent for the call.
+        // SAFETY: the context belongs to the sink; the bytes are lent for the call.
         call(|error| unsafe { (scene.write)(scene.context, Bytes::new(&bytes), error) })
     };
     // SAFETY: the host passes null or a valid sink.
@@ -157,12 +157,12 @@ unsafe extern "C" fn make_field<P: SourcePlugin>(
         let made = P::make(&host.get(), params, &display, time)?;
         let geometry = serde_json::to_string(&Geometry::from(made.geometry()))
             .map_err(|error| PluginError::failed("geometry", error))?;
-        // SAFETY: the sink's own context; the text is lent for the call.
+        // SAFETY: the context belongs to the sink; the text is lent for the call.
         call(|error| unsafe { (sink.geometry)(sink.context, Str::new(&geometry), error) })?;
         let [_, _, rows, cols, channels] = made.radiance().shape();
         for [y, x] in made.geometry().grid.iter() {
             let plane = dense(made.view([y, x]), [rows, cols, channels]);
-            // SAFETY: as above; the plane is lent for the call.
+            // SAFETY: the context belongs to the sink; the plane is lent for the call.
             call(|error| unsafe { (sink.view_plane)(sink.context, y, x, &plane, error) })?;
         }
         Ok(())
@@ -202,7 +202,7 @@ unsafe extern "C" fn make_stack<P: NodePlugin>(
         made.check(&input.display)
             .map_err(|error| PluginError::Failed(format!("the plugin made a wrong stack: {error}")))?;
         // Send brightness, layers and emission, plane by plane.
-        // SAFETY: the sink's own context; planes are lent for the call.
+        // SAFETY: the context belongs to the sink; planes are lent for the call.
         call(|error| unsafe { (sink.brightness)(sink.context, made.brightness, error) })?;
         for (n, layer) in made.layers.iter().enumerate() {
             let [frames, rows, cols, channels] = layer.shape();

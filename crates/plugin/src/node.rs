@@ -49,7 +49,7 @@ pub struct Solution {
 }
 
 impl NodeInput<'_> {
-    /// The host's services: messages, progress and cancellation.
+    /// Returns the host's services: messages, progress and cancellation.
     pub fn host(&self) -> &Host {
         &self.host
     }
@@ -74,7 +74,7 @@ impl NodeInput<'_> {
         self.field.seed()
     }
 
-    /// Weights of the light field's rays.
+    /// Returns the weights of the light field's rays.
     ///
     /// # Errors
     /// If the host cannot lend them, or they are invalid.
@@ -82,8 +82,8 @@ impl NodeInput<'_> {
         self.field.weights()
     }
 
-    /// Layer stack to start from, such as the stack of the previous time step; `None` if the host
-    /// gives none.
+    /// Returns the layer stack to start from, such as the stack of the previous time step; `None`
+    /// if the host gives none.
     ///
     /// # Errors
     /// If the host cannot lend it.
@@ -98,7 +98,7 @@ impl NodeInput<'_> {
     /// If the host refuses it.
     pub fn step(&self, step: Step) -> Result<(), PluginError> {
         let Step { iteration, objective, psnr_view } = step;
-        // SAFETY: the sink's own context, valid as long as the input.
+        // SAFETY: the context belongs to the sink, valid as long as the input.
         call(|error| unsafe { (self.sink.step)(self.sink.context, iteration, objective, psnr_view, error) })
     }
 
@@ -108,7 +108,8 @@ impl NodeInput<'_> {
     /// If the host refuses it.
     pub fn solution(&self, solution: &Solution) -> Result<(), PluginError> {
         let json = serde_json::to_string(solution).map_err(|error| PluginError::failed("solution", error))?;
-        // SAFETY: as in `step`; the text is lent for the call.
+        // SAFETY: the context belongs to the sink, which is valid as long as the input; the text is
+        // lent for the call.
         call(|error| unsafe { (self.sink.solution)(self.sink.context, Str::new(&json), error) })
     }
 }

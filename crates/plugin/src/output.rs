@@ -31,8 +31,8 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// A struct with one field per parameter of the schema; a field has its parameter's name.
     type Params: DeserializeOwned;
 
-    /// The plugin's parameters. They are checked before `open`, which receives a value of the right
-    /// type and in range for each parameter.
+    /// Describes the plugin's parameters. They are checked before `open`, which receives a value of
+    /// the right type and in range for each parameter.
     fn schema() -> Schema;
 
     /// Opens an output. As a check, a host may open and drop an output before it begins to make the
@@ -78,7 +78,7 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     fn finish(self) -> Result<(), PluginError>;
 }
 
-/// The C functions of a plugin type.
+/// Returns the C functions of a plugin type.
 pub(crate) const fn vtable_of<P: OutputPlugin>() -> &'static OutputVtable {
     &Instance::<P>::VTABLE
 }
@@ -164,7 +164,7 @@ unsafe extern "C" fn submit<P: OutputPlugin>(
     // SAFETY: the host passes the handle of `open`.
     let this = unsafe { &*instance.cast::<Instance<P>>() };
     this.guarded(error, || {
-        // SAFETY: the host lends both until this call returns.
+        // SAFETY: the host lends time and data until this call returns.
         let (time, input) = unsafe {
             needs((*data).size, size_of::<Data>())?;
             (Time::from_abi(time)?, Input::new(data, this.host.clone())?)

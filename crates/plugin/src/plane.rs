@@ -40,7 +40,7 @@ impl PlaneView<'_> {
         Ok(view)
     }
 
-    /// Number of rows; row 0 is the top.
+    /// Returns the number of rows; row 0 is the top.
     pub fn rows(&self) -> usize {
         self.plane.shape[0]
     }
@@ -50,7 +50,7 @@ impl PlaneView<'_> {
         self.plane.shape[1]
     }
 
-    /// Number of channels: 3 for colours (red, green, blue), 1 for weights.
+    /// Returns the number of channels: 3 for colours (red, green, blue), 1 for weights.
     pub fn channels(&self) -> usize {
         self.plane.shape[2]
     }
@@ -67,8 +67,8 @@ impl PlaneView<'_> {
         );
         let [r, c, k, _] = self.plane.strides;
         let offset = row as isize * r + col as isize * c + channel as isize * k;
-        // SAFETY: the index is in range, so `offset` leads to an element (guaranteed to `new`). It
-        // may be unaligned.
+        // SAFETY: the index is in range, so `offset` leads to an element (guaranteed to `new`). The
+        // element may be unaligned.
         unsafe { self.plane.data.cast::<u8>().offset(offset).cast::<f32>().read_unaligned() }
     }
 
@@ -83,8 +83,8 @@ impl PlaneView<'_> {
         if !ordered || !data.is_aligned() || self.count() == 0 {
             return None;
         }
-        // SAFETY: aligned, and the strides state that the elements are contiguous (guaranteed to
-        // `new`).
+        // SAFETY: `data` is aligned, and the strides state that the elements are contiguous
+        // (guaranteed to `new`).
         Some(unsafe { std::slice::from_raw_parts(data, rows * cols * channels) })
     }
 
@@ -118,7 +118,7 @@ impl PlaneView<'_> {
 impl Drop for PlaneView<'_> {
     fn drop(&mut self) {
         if let Some(release) = self.plane.release {
-            // SAFETY: called once, with the plane's own owner.
+            // SAFETY: `release` is called once, with the plane's own owner.
             unsafe { release(self.plane.owner) };
         }
     }

@@ -21,7 +21,7 @@ impl Port {
     /// All ports.
     pub const ALL: [Self; 4] = [Self::Scene, Self::LightField, Self::LayerStack, Self::File];
 
-    /// The port's bit in a descriptor.
+    /// Returns the port's bit in a descriptor.
     pub const fn bit(self) -> u32 {
         match self {
             Self::Scene => port::SCENE,

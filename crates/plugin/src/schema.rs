@@ -225,7 +225,7 @@ impl Schema {
             .collect()
     }
 
-    /// The schema as JSON, for a descriptor.
+    /// Returns the schema as JSON, for a descriptor.
     pub fn to_json(&self) -> String {
         serde_json::to_string(self).expect("a schema holds only texts, booleans and numbers")
     }

@@ -5,7 +5,7 @@
 //! layouts, byte orders, `float16` and `float64` are copied. `uint8` and `uint16` are sRGB codes,
 //! as in pictures, and become linear. Other types are refused.
 //!
-//! An [`Array`] exports its values read-only. They exist as long as a buffer refers to them.
+//! An [`Array`] exports its values read-only. The values exist as long as a buffer refers to them.
 
 use std::ffi::{CString, c_int};
 use std::sync::Arc;

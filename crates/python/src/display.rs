@@ -144,8 +144,8 @@ impl Display {
         self.0.depth_of_field(self.0.field.pitch_mm).map(Into::into)
     }
 
-    /// Returns this display, adapted to a light field. It gets the views, angles and size of the
-    /// light field. The resolutions of the masks, the lenslets and the angular bins change
+    /// Returns this display, adapted to a light field. The result has the views, angles and size of
+    /// the light field. The resolutions of the masks, the lenslets and the angular bins change
     /// accordingly. Raises SettingError if a directional backlight cannot separate the views.
     fn adapted_to(&self, py: Python<'_>, light_field: &LightField) -> PyResult<Self> {
         adapted(py, &self.0, &light_field.field).map(Self)

@@ -193,8 +193,8 @@ impl LayerStack {
     /// Returns the PSNR in dB, with peak 1, of the emitted light field against the target light
     /// field. All rays with a weight above 0 count equally; weights: as for factorize().
     ///
-    /// It compares L̃/β, which an adapted viewer sees, with L. With raw=True it compares L̃ with
-    /// βL, which gives a PSNR that is higher by −20 log10 β.
+    /// The PSNR compares L̃/β, which an adapted viewer sees, with L. With raw=True it compares L̃
+    /// with βL, which gives a PSNR that is higher by −20 log10 β.
     #[pyo3(signature = (light_field, *, weights=None, raw=false))]
     fn psnr(
         &self,
@@ -217,9 +217,9 @@ impl LayerStack {
     ///
     /// references: a LightField that render() made with zone_directions; its reference pictures are
     /// compared with the seen pictures. If the light field has no reference pictures, its views are
-    /// compared. Then it should not be the target of the patterns. Returns a dictionary with
-    /// psnr_zone, psnr_zone_worst_tenth (over the worst tenth of the directions) and directions, a
-    /// list of (slope, psnr).
+    /// compared. Then the light field should not be the target of the patterns. Returns a
+    /// dictionary with psnr_zone, psnr_zone_worst_tenth (over the worst tenth of the directions)
+    /// and directions, a list of (slope, psnr).
     #[pyo3(signature = (references, *, callback=None))]
     fn psnr_zone<'py>(
         &self,

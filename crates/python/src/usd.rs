@@ -1,5 +1,5 @@
-//! Reads USD in the caller's own Python. It runs the walker of `lumistack-usd`, Python code that
-//! traverses a stage, and reads the walker's arrays without a copy.
+//! Reads USD in the caller's own Python. For this, the module runs the walker of `lumistack-usd`
+//! (Python code that traverses a stage), and reads the walker's arrays without a copy.
 
 use std::ffi::CString;
 use std::path::Path;

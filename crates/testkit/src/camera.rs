@@ -23,7 +23,7 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Direction in display space of a point of the photograph.
+    /// Returns the direction in display space of a point of the photograph.
     fn ray(&self, px: [f64; 2]) -> [f64; 3] {
         let centre = self.size.map(|count| (f64::from(count) - 1.0) / 2.0);
         let unit = 0.5 * f64::from(self.size[0]).hypot(f64::from(self.size[1]));

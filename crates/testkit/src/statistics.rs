@@ -25,7 +25,7 @@ pub struct Mean {
 }
 
 impl Mean {
-    /// Mean of independent samples.
+    /// Returns the mean of independent samples.
     pub fn of(samples: impl IntoIterator<Item = f64>) -> Self {
         // Welford's recurrence sums the squares without loss of precision
         let (mut count, mut mean, mut squares) = (0.0, 0.0, 0.0);
@@ -39,8 +39,9 @@ impl Mean {
         Self { value: mean, standard_error }
     }
 
-    /// z of the hypothesis that the mean is `expected`. An absolute systematic error of the code
-    /// (rounding, an interpolated table) is allowed, so it is first subtracted from the difference.
+    /// Returns the statistic z of the hypothesis that the mean is `expected`. An absolute
+    /// systematic error of the code (rounding, an interpolated table) is allowed, so it is first
+    /// subtracted from the difference.
     pub fn z(self, expected: f64, systematic_error: f64) -> f64 {
         let excess = ((self.value - expected).abs() - systematic_error).max(0.0);
         if excess == 0.0 { 0.0 } else { excess / self.standard_error }

@@ -1,5 +1,5 @@
 //! Decoders of pictures, packed meshes and captures, readers of light fields, and the writer of zip
-//! files. The page that solves needs them rarely.
+//! files. The page that computes patterns in the browser rarely needs these functions.
 //!
 //! In the page this crate is a WebAssembly module of its own, which is loaded at its first use. If
 //! a decoder stops on damaged content, only this module stops. Outside of the browser,

@@ -71,7 +71,7 @@ impl Files {
 }
 
 impl<'a> Beside<'a> {
-    /// Path of a file relative to the folder; `None` if it is outside the folder.
+    /// Returns the path of a file relative to the folder; `None` if it is outside the folder.
     fn name(&self, path: &'a str) -> Option<&'a str> {
         if self.folder.is_empty() { Some(path) } else { path.strip_prefix(self.folder)?.strip_prefix('/') }
     }

@@ -9,8 +9,8 @@
 //! The first pieces compute noisy views of a few directions, and patterns for these views. Later
 //! pieces render all views with all their samples. Meanwhile, three times, they solve for the views
 //! that are already rendered. The last views and patterns equal the results of the command for the
-//! same job. Other threads may trace views: [`Work::give`] names a view, a copy of the work traces
-//! it ([`Work::trace`]), and [`Work::take`] receives its values.
+//! same job. Other threads may trace views: [`Work::give`] names a view, a copy of the `Work`
+//! traces it ([`Work::trace`]), and [`Work::take`] receives its values.
 //!
 //! [`patterns`] encodes patterns for the viewer, and as a zip for the command.
 

@@ -117,7 +117,7 @@ fn npy(shape: &[usize], data: &[f32]) -> Vec<u8> {
     bytes
 }
 
-/// Values of a display as JSON; the page sets its sliders to these values.
+/// Returns values of a display as JSON; the page sets its sliders to these values.
 pub fn about(display: &Display) -> Value {
     let gaps = display.layers.windows(2).map(|pair| pair[1].d_mm - pair[0].d_mm);
     let count = display.layers.len().saturating_sub(1).max(1);

@@ -28,8 +28,8 @@ pub struct Preset {
     pub display: Display,
 }
 
-/// The displays that come with the program. The module contains them as JSON, since a reader of
-/// TOML would be a tenth of the module.
+/// Returns the displays that come with the program. The module contains them as JSON, since a
+/// reader of TOML would be a tenth of the module.
 ///
 /// # Errors
 /// No error can occur, since a test reads the presets and compares them with the display files of
@@ -120,8 +120,8 @@ impl Settings {
         Ok(display)
     }
 
-    /// Geometry for a light field whose files do not state it: the display's geometry, as in the
-    /// command. The largest width of its views is the chosen number of columns.
+    /// Returns the geometry for a light field whose files do not state it: the display's geometry,
+    /// as in the command. The largest width of its views is the chosen number of columns.
     pub(crate) fn wanted(&self, display: &Display) -> Wanted {
         Wanted { width_mm: display.field_pixels().size_mm()[0], fov_deg: display.field.fov_deg, cols: self.cols }
     }
@@ -142,18 +142,18 @@ impl Settings {
         text
     }
 
-    /// The settings with which views are rendered.
+    /// Returns the settings with which views are rendered.
     pub(crate) fn render(&self) -> RenderJob {
         RenderJob { zone_samples: ZoneSamples::Count(self.zone_samples), field_mib: FIELD_MIB, ..RenderJob::default() }
     }
 
-    /// The noise filter for the views of a display; it is the command's choice.
+    /// Returns the noise filter for the views of a display; it is the command's choice.
     pub(crate) fn denoise(display: &Display) -> Denoise {
         if matches!(display.field.views, Views::Fixed(_)) { Denoise::Off } else { Denoise::Shared }
     }
 
-    /// Iterations of the last solve. There are two defaults: one for fixed views, such as a given
-    /// light field, and one for views that the program chooses.
+    /// Returns the number of iterations of the last solve. There are two defaults: one for fixed
+    /// views, such as a given light field, and one for views that the program chooses.
     pub(crate) fn iterations(&self, display: &Display) -> u32 {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         let default = if fixed { lumistack_factorizer::Settings::default().iterations } else { ZONE_ITERATIONS };

@@ -16,7 +16,8 @@ impl From<Error> for JsValue {
 
 type Thrown<T> = Result<T, JsValue>;
 
-/// The presets as JSON: each has its name, its title, and the values for the page's sliders.
+/// Returns the presets as JSON: each has its name, its title, and the values for the page's
+/// sliders.
 #[wasm_bindgen]
 pub fn presets() -> String {
     let about = |Preset { name, display }: Preset| json!({"name": name, "title": display.name, "about": patterns::about(&display)});
@@ -67,7 +68,7 @@ impl Solver {
         Ok(self.work.change(Settings::from_json(settings)?)?)
     }
 
-    /// Name of the current stage: `scene`, `views`, `patterns` or `done`.
+    /// Returns the name of the current stage: `scene`, `views`, `patterns` or `done`.
     pub fn stage(&self) -> String {
         match self.work.stage() {
             Stage::Scene => "scene",
@@ -78,28 +79,28 @@ impl Solver {
         .into()
     }
 
-    /// Finished fraction of the work, 0..1.
+    /// Returns the finished fraction of the work, 0..1.
     pub fn share(&self) -> f64 {
         self.work.share()
     }
 
-    /// Number of times that new patterns were ready to show.
+    /// Returns the number of times that new patterns were ready to show.
     pub fn shown(&self) -> u32 {
         self.work.shown()
     }
 
-    /// PSNR of the current patterns over the views for which they were solved, dB. NaN before the
-    /// first patterns.
+    /// Returns the PSNR of the current patterns over the views for which they were solved, dB. NaN
+    /// before the first patterns.
     pub fn psnr(&self) -> f64 {
         self.work.psnr()
     }
 
-    /// Warnings since the last call.
+    /// Returns the warnings since the last call.
     pub fn warnings(&self) -> Vec<String> {
         self.work.warnings()
     }
 
-    /// Number of a view that another thread may trace; `undefined` if there is none.
+    /// Returns the number of a view that another thread may trace; `undefined` if there is none.
     pub fn give(&mut self) -> Option<usize> {
         self.work.give()
     }
@@ -114,18 +115,18 @@ impl Solver {
         Ok(self.work.take(number, values)?)
     }
 
-    /// The viewer's `preview.json` for patterns of the current display.
+    /// Returns the viewer's `preview.json` for patterns of the current display.
     pub fn preview(&self, title: &str) -> Thrown<String> {
         Ok(patterns::preview(self.work.display(), title)?)
     }
 
-    /// Codes of the current patterns, in the order of the preview's files.
+    /// Returns the codes of the current patterns, in the order of the preview's files.
     pub fn codes(&self) -> Uint8Array {
         let codes = self.work.stack().map(|stack| patterns::codes(self.work.display(), stack));
         Uint8Array::from(codes.unwrap_or_default().as_slice())
     }
 
-    /// A run folder of the current patterns as a zip.
+    /// Returns a run folder of the current patterns as a zip.
     pub fn zip(&self) -> Thrown<Uint8Array> {
         let stack = self.work.stack().ok_or_else(|| Error::value("zip", "patterns", "none yet"))?;
         Ok(Uint8Array::from(patterns::zip(self.work.display(), stack, &self.work.job())?.as_slice()))
@@ -154,7 +155,7 @@ impl Solver {
         Ok(self.work.advance()?)
     }
 
-    /// True if a graphics processor solves.
+    /// Returns true if a graphics processor solves.
     pub fn on_device(&self) -> bool {
         self.work.is_on_device()
     }

@@ -16,9 +16,9 @@ use crate::error::Error;
 use crate::settings::Settings;
 use crate::subject::Held;
 
-/// Number of the stream of random numbers for the target's views, as in the command.
+/// Number of the stream of random numbers for the target's views; the command uses the same number.
 const TARGET: u64 = 0;
-/// Seed of the job, as in the command.
+/// Seed of the job; the command uses the same seed.
 const SEED: u64 = 1;
 
 /// A selection of views: all pairs of these rows and columns of the grid.
@@ -50,7 +50,7 @@ pub(crate) struct Views {
 }
 
 impl Picked {
-    /// All views of a grid.
+    /// Returns all views of a grid.
     pub(crate) fn all(grid: &ViewGrid) -> Self {
         let [rows, cols] = grid.views();
         Self { rows: (0..rows).collect(), cols: (0..cols).collect() }
@@ -67,7 +67,7 @@ impl Picked {
         Self { rows: pick(rows), cols: pick(cols) }
     }
 
-    /// The picked views as [view_y, view_x], row by row.
+    /// Returns the picked views as [view_y, view_x], row by row.
     pub(crate) fn views(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
         self.rows.iter().flat_map(|&y| self.cols.iter().map(move |&x| [y, x]))
     }
@@ -125,7 +125,7 @@ impl Views {
         &self.geometry.grid
     }
 
-    /// Paths per pixel of a finished view.
+    /// Returns the number of paths per pixel of a finished view.
     pub(crate) fn samples(&self) -> u32 {
         self.paths.samples
     }

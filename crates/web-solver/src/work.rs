@@ -16,7 +16,8 @@ use crate::settings::Settings;
 use crate::subject::Held;
 use crate::views::{Picked, Views};
 
-/// The first patterns are solved for at most this number of rows, and of columns, of views.
+/// Largest number of rows of views for which the first patterns are solved. The number of columns
+/// of views has the same limit.
 const FIRST: usize = 3;
 /// Iterations of a solve for unfinished views. Few suffice, since the solve starts from the current
 /// patterns.
@@ -29,7 +30,7 @@ const SPLAT_VIEWS: usize = 5;
 /// Number of parts into which the final rendering of views is divided. After every part except the
 /// last, the patterns are solved again.
 const REFRESHES: usize = 4;
-/// Seed of the solver, as in the command.
+/// Seed of the solver; the command uses the same seed.
 const SEED: u64 = 1;
 
 /// False in the module without WebGPU, which omits the code for devices, so that it is small.
@@ -161,7 +162,7 @@ impl Work {
         self.device = Some(device);
     }
 
-    /// True if a device solves.
+    /// Returns true if a device solves.
     pub fn is_on_device(&self) -> bool {
         HAS_DEVICES && self.device.is_some()
     }
@@ -187,7 +188,7 @@ impl Work {
         Ok(())
     }
 
-    /// The chosen display. After a light field is read, the display is adapted to it.
+    /// Returns the chosen display. After a light field is read, the display is adapted to it.
     pub fn display(&self) -> &Display {
         &self.display
     }
@@ -199,28 +200,29 @@ impl Work {
         self.settings.job(&self.path, resolution)
     }
 
-    /// The current patterns; `None` before the first patterns.
+    /// Returns the current patterns; `None` before the first patterns.
     pub fn stack(&self) -> Option<&LayerStack> {
         self.stack.as_ref()
     }
 
-    /// Number of times that [`Self::stack`] changed to new patterns.
+    /// Returns the number of times that [`Self::stack`] changed to new patterns.
     pub fn shown(&self) -> u32 {
         self.shown
     }
 
-    /// PSNR of the current patterns over the views for which they were solved, dB. NaN before the
-    /// first patterns.
+    /// Returns the PSNR of the current patterns over the views for which they were solved, dB. NaN
+    /// before the first patterns.
     pub fn psnr(&self) -> f64 {
         self.psnr
     }
 
-    /// Warnings for the user since the last call. Equal texts are returned only once.
+    /// Returns the warnings for the user since the last call. Equal texts are returned only once.
     pub fn warnings(&self) -> Vec<String> {
         self.warnings.take().iter().map(ToString::to_string).collect()
     }
 
-    /// Finished fraction of the planned pieces, 0..1. It is 0 until the scene is placed.
+    /// Returns the finished fraction of the planned pieces, 0..1. It is 0 until the scene is
+    /// placed.
     pub fn share(&self) -> f64 {
         if self.planned == 0 { 0.0 } else { 1.0 - self.pieces.len() as f64 / self.planned as f64 }
     }
@@ -237,19 +239,19 @@ impl Work {
     }
 
     /// Returns the number of a view for another thread to trace; `None` if there is none. Each view
-    /// is returned once. The last views are returned first, since this work traces the first views
-    /// next.
+    /// is returned once. The last views are returned first, since this `Work` traces the first
+    /// views next.
     pub fn give(&mut self) -> Option<usize> {
         let views = self.views.as_mut()?;
-        // the first piece is traced by this work in any case
+        // this `Work` traces the first piece in any case
         self.pieces.iter().skip(1).rev().find_map(|piece| match piece {
             Piece::Trace { view, .. } => views.give(*view),
             _ => None,
         })
     }
 
-    /// Traces a view with all its samples for another work, which gave the view's number. The other
-    /// work must have the same scene and settings. Returns the values of a
+    /// Traces a view with all its samples for another `Work`, which gave the view's number. The
+    /// other `Work` must have the same scene and settings. Returns the values of a
     /// [`lumistack_pathtracer::SplitView`].
     ///
     /// # Errors

@@ -37,7 +37,7 @@ fn finish(mut work: Work) -> (LayerStack, Work) {
     (work.stack().unwrap().clone(), work)
 }
 
-/// The warnings about changes to the processor.
+/// Returns the warnings about changes to the processor.
 fn changes(work: &Work) -> Vec<String> {
     work.warnings().into_iter().filter(|warning| warning.contains("processor")).collect()
 }

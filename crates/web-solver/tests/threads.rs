@@ -1,5 +1,5 @@
-//! A work that takes views from other works computes the same patterns as a work that traces all
-//! views itself.
+//! A `Work` that takes traced views from other objects of this type computes the same patterns as a
+//! `Work` that traces all views itself.
 
 use std::path::Path;
 
@@ -42,7 +42,7 @@ fn views_of_other_works_give_the_same_patterns() {
     let mut alone = placed();
     let all = finish(&mut alone, |_| ());
     let mut helper = placed();
-    // The helper answers after `delay` further pieces. With a long delay the work traces some of
+    // The helper answers after `delay` further pieces. With a long delay the `Work` traces some of
     // these views itself, and later takes them a second time.
     for delay in [0, 1, 2, 9, 40] {
         let mut work = placed();

@@ -72,7 +72,7 @@ const HEAT: [[f32; 3]; 6] = [
     [252.0, 255.0, 214.0],
 ];
 
-/// The error map's colours as `#rrggbb`, for evenly spaced errors from 0 to [`HEAT_TOP`].
+/// Returns the error map's colours as `#rrggbb`, for evenly spaced errors from 0 to [`HEAT_TOP`].
 #[cfg(target_arch = "wasm32")]
 pub(crate) fn heat_stops() -> [String; HEAT.len()] {
     HEAT.map(|[r, g, b]| format!("#{:02x}{:02x}{:02x}", r as u8, g as u8, b as u8))

@@ -85,7 +85,8 @@ impl Field {
         Ok(())
     }
 
-    /// The codes of a view, given by its index row by row; `None` until the view has arrived.
+    /// Returns the codes of a view, given by its index row by row; `None` until the view has
+    /// arrived.
     pub fn codes(&self, view: usize) -> Option<&[u8]> {
         self.codes.get(view)?.as_deref()
     }
@@ -109,8 +110,8 @@ impl Field {
         shares
     }
 
-    /// The picture at the position (u, v), sRGB bytes `[row][col][rgba]`. It is black if none of
-    /// the views around the position has arrived.
+    /// Returns the picture at the position (u, v), sRGB bytes `[row][col][rgba]`. It is black if
+    /// none of the views around the position has arrived.
     pub fn render(&self, u: f64, v: f64) -> Vec<u8> {
         let mut sum = vec![0.0f32; 4 * self.size[0] * self.size[1]];
         for (view, share) in self.blend(u, v) {

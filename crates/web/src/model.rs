@@ -60,17 +60,17 @@ impl Model {
         Ok(Self { preview, geometry, options, codes, complete, built })
     }
 
-    /// The preview.
+    /// Returns the preview.
     pub fn preview(&self) -> &Preview {
         &self.preview
     }
 
-    /// The light field for which the patterns were made.
+    /// Returns the light field for which the patterns were made.
     pub fn geometry(&self) -> &FieldGeometry {
         &self.geometry
     }
 
-    /// The current options.
+    /// Returns the current options.
     pub fn options(&self) -> &Options {
         &self.options
     }
@@ -128,17 +128,17 @@ impl Model {
         Ok(())
     }
 
-    /// Number of complete frames.
+    /// Returns the number of complete frames.
     pub fn frames_ready(&self) -> usize {
         self.complete.len()
     }
 
-    /// Numbers of the complete frames, in the order of their completion.
+    /// Returns the numbers of the complete frames, in the order of their completion.
     pub fn complete(&self) -> &[usize] {
         &self.complete
     }
 
-    /// Number of the target's views that have arrived.
+    /// Returns the number of the target's views that have arrived.
     pub fn targets_ready(&self) -> usize {
         let targets = self.preview.files.iter().zip(&self.codes);
         targets.filter(|(file, codes)| matches!(file.part, Part::Target { .. }) && codes.is_some()).count()
@@ -158,13 +158,13 @@ impl Model {
         Ok(())
     }
 
-    /// The factor on the emitted light; 1/β unless the options set it.
+    /// Returns the factor on the emitted light; 1/β unless the options set it.
     pub fn gain(&self) -> f32 {
         self.options.gain.unwrap_or(1.0 / self.preview.brightness) as f32
     }
 
-    /// The slices whose mean is the picture: the slice of the selected frame if this frame is
-    /// complete, otherwise the slices of all complete frames.
+    /// Returns the slices whose mean is the picture: the slice of the selected frame if this frame
+    /// is complete, otherwise the slices of all complete frames.
     pub fn slots(&self) -> Slots {
         let chosen = self.options.frame.and_then(|frame| self.complete.iter().position(|&of| of == frame));
         match chosen {
@@ -173,13 +173,13 @@ impl Model {
         }
     }
 
-    /// The codes of a part, `[row][col][rgb]`; `None` until its file has arrived.
+    /// Returns the codes of a part, `[row][col][rgb]`; `None` until its file has arrived.
     pub fn codes(&self, part: Part) -> Option<&[u8]> {
         let at = self.preview.files.iter().position(|file| file.part == part)?;
         self.codes[at].as_deref()
     }
 
-    /// The response of layer `n`'s hardware; `None` for an identity.
+    /// Returns the response of layer `n`'s hardware; `None` for an identity.
     fn response(&self, n: usize) -> Option<Response> {
         self.preview.display.layers[n].response().filter(|response| !response.is_identity())
     }
@@ -190,7 +190,7 @@ impl Model {
         self.response(n).is_none()
     }
 
-    /// The values of layer `n` in the given frames after the hardware's response,
+    /// Returns the values of layer `n` in the given frames after the hardware's response,
     /// `[frame][row][col][rgb]`. The options' black level is not applied.
     pub fn hit_values(&self, n: usize, frames: &[usize]) -> Tensor<4> {
         let [cols, rows] = self.preview.display.layers[n].resolution;
@@ -258,8 +258,8 @@ impl Model {
         Some(values)
     }
 
-    /// The seen picture from a slope with the current options. If the options set a pupil, each
-    /// pixel is the mean over points of the pupil, with one ray for each point.
+    /// Returns the seen picture from a slope with the current options. If the options set a pupil,
+    /// each pixel is the mean over points of the pupil, with one ray for each point.
     fn emitted(&self, slope: [f64; 2], projection: Projection) -> EmittedView {
         let built = self.built();
         if built.stack.frames() == 0 {
@@ -290,18 +290,18 @@ impl Model {
         mean
     }
 
-    /// The tables for the shader that draws the view from a slope.
+    /// Returns the tables for the shader that draws the view from a slope.
     pub fn tables(&self, slope: [f64; 2], projection: Projection) -> Tables {
         let display = self.options.built(&self.preview.display);
         Tables::new(&display, &self.geometry, &self.options.pupil(&display, projection), slope, projection)
     }
 
-    /// Projection of the drawn views.
+    /// Returns the projection of the drawn views.
     pub fn projection(&self) -> Projection {
         self.options.projection(self.geometry.grid.projection)
     }
 
-    /// The seen picture from a slope times the gain, linear `[row][col][rgb]`.
+    /// Returns the seen picture from a slope times the gain, linear `[row][col][rgb]`.
     pub fn view_linear(&self, slope: [f64; 2]) -> Vec<f32> {
         let gain = self.gain();
         let mut values = self.emitted(slope, self.projection()).radiance.into_data();
@@ -309,12 +309,12 @@ impl Model {
         values
     }
 
-    /// The seen picture from a slope times the gain, as sRGB bytes `[row][col][rgba]`.
+    /// Returns the seen picture from a slope times the gain, as sRGB bytes `[row][col][rgba]`.
     pub fn render(&self, slope: [f64; 2]) -> Vec<u8> {
         to_rgba(&self.view_linear(slope))
     }
 
-    /// A view of the target as sRGB bytes `[row][col][rgba]`.
+    /// Returns a view of the target as sRGB bytes `[row][col][rgba]`.
     ///
     /// # Errors
     /// If there is no such view or it has not arrived.
@@ -322,8 +322,8 @@ impl Model {
         Ok(opaque(self.target(view)?))
     }
 
-    /// The mask of a layer in a frame as it looks on a light table: its linear transmittances,
-    /// encoded as sRGB bytes `[row][col][rgba]`.
+    /// Returns the mask of a layer in a frame as it looks on a light table: its linear
+    /// transmittances, encoded as sRGB bytes `[row][col][rgba]`.
     ///
     /// # Errors
     /// If there is no such layer or frame, or the mask's file has not arrived.
@@ -332,8 +332,8 @@ impl Model {
         Ok(on_light_table(codes.ok_or_else(|| err(format!("layer {layer}, frame {frame}: missing, or not yet here")))?))
     }
 
-    /// The backlight's emission in a frame, with angular bins side by side as in its file: linear
-    /// values, encoded as sRGB bytes `[row][col][rgba]`.
+    /// Returns the backlight's emission in a frame, with angular bins side by side as in its file:
+    /// linear values, encoded as sRGB bytes `[row][col][rgba]`.
     ///
     /// # Errors
     /// If the backlight is uniform, there is no such frame, or the emission's file has not arrived.
@@ -342,9 +342,9 @@ impl Model {
         Ok(on_light_table(codes.ok_or_else(|| err(format!("backlight, frame {frame}: missing, or not yet here")))?))
     }
 
-    /// The error map at a slope, compared with the target's view L nearest to the slope. The error
-    /// of a pixel is the largest channel of |gain · L̃ − L|. A pixel is black if the display drops
-    /// the rays of at least half of its area, since they miss a layer.
+    /// Returns the error map at a slope, compared with the target's view L nearest to the slope.
+    /// The error of a pixel is the largest channel of |gain · L̃ − L|. A pixel is black if the
+    /// display drops the rays of at least half of its area, since they miss a layer.
     ///
     /// # Errors
     /// If the view has not arrived.
@@ -362,8 +362,9 @@ impl Model {
             .collect())
     }
 
-    /// PSNR of L̃/β against the target's view nearest to a slope, dB. `None` if this view has not
-    /// arrived, no frame is complete, or the display drops all rays, since they miss a layer.
+    /// Returns the PSNR of L̃/β against the target's view nearest to a slope, dB. `None` if this
+    /// view has not arrived, no frame is complete, or the display drops all rays, since they miss a
+    /// layer.
     pub fn psnr(&self, slope: [f64; 2]) -> Option<f64> {
         let view = self.nearest_view(slope);
         let target: Vec<f32> = self.target(view).ok()?.iter().map(|code| DECODED[usize::from(*code)]).collect();
@@ -371,7 +372,7 @@ impl Model {
         (error.count > 0).then(|| error.psnr())
     }
 
-    /// The picture that the display emits towards a view of the target.
+    /// Returns the picture that the display emits towards a view of the target.
     fn emitted_at(&self, view: [usize; 2]) -> EmittedView {
         self.emitted(self.slope_of(view), self.geometry.grid.projection)
     }
@@ -382,7 +383,7 @@ impl Model {
         [self.geometry.grid.slope_x[view[1]], self.geometry.grid.slope_y[view[0]]]
     }
 
-    /// The codes of a view of the target.
+    /// Returns the codes of a view of the target.
     ///
     /// # Errors
     /// If there is no such view or it has not arrived.
@@ -391,7 +392,7 @@ impl Model {
             .ok_or_else(|| err(format!("target view {}, {}: missing, or not yet here", view[0], view[1])))
     }
 
-    /// [view_y, view_x] of the target's view nearest to a slope.
+    /// Returns [view_y, view_x] of the target's view nearest to a slope.
     pub fn nearest_view(&self, slope: [f64; 2]) -> [usize; 2] {
         let nearest = |slopes: &[f64], slope: f64| {
             let distance = |i: usize| (slopes[i] - slope).abs();

@@ -76,7 +76,7 @@ impl Options {
         Ok(options)
     }
 
-    /// The display with the construction errors that these options set.
+    /// Returns the display with the construction errors that these options set.
     pub fn built(&self, display: &Display) -> Display {
         let mut built = display.clone();
         let middle = (built.layers.len() as f64 - 1.0) / 2.0;
@@ -93,15 +93,15 @@ impl Options {
         built
     }
 
-    /// Projection of the drawn views: perspective if the options set the eye's distance, otherwise
-    /// `target`, the projection of the target's views.
+    /// Returns the projection of the drawn views: perspective if the options set the eye's
+    /// distance, otherwise `target`, the projection of the target's views.
     pub fn projection(&self, target: Projection) -> Projection {
         self.eye_distance_mm.map_or(target, |distance_mm| Projection::Perspective { distance_mm })
     }
 
-    /// The points of the pupil whose views are averaged. They are a square grid of slopes, relative
-    /// to the slope of the pupil's centre. Only points on the pupil's disc count. A pinhole has one
-    /// point.
+    /// Returns the points of the pupil whose views are averaged. They are a square grid of slopes,
+    /// relative to the slope of the pupil's centre. Only points on the pupil's disc count. A
+    /// pinhole has one point.
     pub fn pupil(&self, display: &Display, target: Projection) -> Pupil {
         let distance_mm = match self.projection(target) {
             Projection::Perspective { distance_mm } => distance_mm,
@@ -133,7 +133,7 @@ pub struct Pupil {
 }
 
 impl Pupil {
-    /// Indices [y, x] of the points on the disc.
+    /// Returns the indices [y, x] of the points on the disc.
     pub fn places(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
         let count = self.offsets.len();
         self.on_disc.iter().enumerate().filter(|(_, on)| **on).map(move |(i, _)| [i / count, i % count])

@@ -25,8 +25,8 @@ pub struct Preview {
     pub target: Target,
     /// The files, in the order in which they are loaded.
     pub files: Vec<File>,
-    /// PSNR of views of the patterns in the files, which are rounded to 8 bits, against views of
-    /// the unrounded patterns, dB.
+    /// Effect of the rounding to 8 bits, dB: PSNR of views of the patterns in the files against
+    /// views of the unrounded patterns.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rounding_db: Option<f64>,
 }
@@ -232,7 +232,7 @@ impl Preview {
         Ok(())
     }
 
-    /// [rows, cols] of a part's picture.
+    /// Returns [rows, cols] of a part's picture.
     pub fn size_of(&self, part: Part) -> [usize; 2] {
         match (part, &self.display.backlight) {
             (Part::Layer { layer, .. }, _) => {
@@ -245,7 +245,7 @@ impl Preview {
         }
     }
 
-    /// The light field's pixels and views.
+    /// Returns the light field's pixels and views.
     ///
     /// # Errors
     /// If they are invalid.

@@ -17,7 +17,7 @@ impl From<Error> for JsValue {
 
 type Thrown<T> = Result<T, JsValue>;
 
-/// The error of a call of `draw` without a context.
+/// Returns the error of a call of `draw` without a context.
 fn detached() -> Error {
     err("the viewer has no context: attach one before drawing")
 }
@@ -26,20 +26,20 @@ fn clamped(bytes: &[u8]) -> Uint8ClampedArray {
     Uint8ClampedArray::from(bytes)
 }
 
-/// Version of the program.
+/// Returns the version of the program.
 #[wasm_bindgen]
 pub fn version() -> String {
     env!("CARGO_PKG_VERSION").into()
 }
 
-/// The error map's colours for evenly spaced errors, separated by commas, for a gradient in a style
-/// sheet.
+/// Returns the error map's colours for evenly spaced errors, separated by commas, for a gradient in
+/// a style sheet.
 #[wasm_bindgen]
 pub fn heat() -> String {
     heat_stops().join(",")
 }
 
-/// The error that the last colour of the error map shows.
+/// Returns the error that the last colour of the error map shows.
 #[wasm_bindgen]
 pub fn heat_top() -> f32 {
     HEAT_TOP
@@ -90,28 +90,28 @@ impl Viewer {
         clamped(&self.model.render([sx, sy]))
     }
 
-    /// A view of the target as sRGB bytes.
+    /// Returns a view of the target as sRGB bytes.
     pub fn render_target(&self, view_row: usize, view_col: usize) -> Thrown<Uint8ClampedArray> {
         Ok(clamped(&self.model.render_target([view_row, view_col])?))
     }
 
-    /// A layer's mask in a frame as sRGB bytes, in the layer's size.
+    /// Returns a layer's mask in a frame as sRGB bytes, in the layer's size.
     pub fn render_layer(&self, layer: usize, frame: usize) -> Thrown<Uint8ClampedArray> {
         Ok(clamped(&self.model.render_layer(layer, frame)?))
     }
 
-    /// The backlight's emission in a frame as sRGB bytes, with angular bins side by side.
+    /// Returns the backlight's emission in a frame as sRGB bytes, with angular bins side by side.
     pub fn render_backlight(&self, frame: usize) -> Thrown<Uint8ClampedArray> {
         Ok(clamped(&self.model.render_backlight(frame)?))
     }
 
-    /// The error map of the target's view nearest to a slope.
+    /// Returns the error map of the target's view nearest to a slope.
     pub fn render_error(&self, sx: f64, sy: f64) -> Thrown<Uint8ClampedArray> {
         Ok(clamped(&self.model.render_error([sx, sy])?))
     }
 
-    /// PSNR against the target's view nearest to a slope, dB; undefined until this view has
-    /// arrived.
+    /// Returns the PSNR against the target's view nearest to a slope, dB; undefined until this view
+    /// has arrived.
     pub fn psnr(&self, sx: f64, sy: f64) -> Option<f64> {
         self.model.psnr([sx, sy])
     }
@@ -158,18 +158,18 @@ impl LightField {
         Ok(self.0.put([view_row, view_col], rgba.to_vec())?)
     }
 
-    /// Pixel rows.
+    /// Returns the pixel rows.
     pub fn rows(&self) -> usize {
         self.0.size[0]
     }
 
-    /// Pixel columns.
+    /// Returns the pixel columns.
     pub fn cols(&self) -> usize {
         self.0.size[1]
     }
 
-    /// The picture at the position (u, v) between the views, as sRGB bytes. u is 0..1 from left to
-    /// right, v is 0..1 from top to bottom.
+    /// Returns the picture at the position (u, v) between the views, as sRGB bytes. u is 0..1 from
+    /// left to right, v is 0..1 from top to bottom.
     pub fn render(&self, u: f64, v: f64) -> Uint8ClampedArray {
         clamped(&self.0.render(u, v))
     }

@@ -114,9 +114,9 @@ impl<'a> Cut<'a> {
         Self { list, numbers, width, parts: counts.into_iter().max().unwrap_or(0) }
     }
 
-    /// Every part has `rows` rows, each for a layer or for the backlight. The function writes the
-    /// row with the number `row` of every part. `rays(i)` returns the first three numbers of the
-    /// texel for part i of the list.
+    /// Writes one row of every part, the row with the number `row`. A part has `rows` rows, each
+    /// for a layer or for the backlight. `rays(i)` returns the first three numbers of the texel for
+    /// part i of the list.
     fn fill(&self, table: &mut [f32], [rows, row]: [usize; 2], rays: impl Fn(usize) -> [f32; 3]) {
         for (i, (part, number)) in self.list.iter().zip(&self.numbers).enumerate() {
             let at = 4 * ((number * rows + row) * self.width + part.pixel as usize);

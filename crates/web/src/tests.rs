@@ -108,7 +108,7 @@ impl Sample {
         model
     }
 
-    /// The seen picture L̃ that the forward model computes.
+    /// Returns the seen picture L̃ that the forward model computes.
     fn emitted(&self, display: &Display, projection: Projection, slope: [f64; 2]) -> Vec<f32> {
         let geometry = self.geometry.with_grid(ViewGrid::single(projection, slope));
         let simulator = Simulator::new(display, &self.stack);
@@ -121,7 +121,7 @@ fn plain() -> Display {
     Display { brightness: 0.25, ..plain }
 }
 
-/// Displays that together cover every variant of the shader.
+/// Returns displays that together cover every variant of the shader.
 pub(crate) fn displays() -> Vec<Display> {
     let mut directional = plain();
     directional.backlight = Backlight::Lenslets(LensletBacklight::new(-20.0, [4, 3], 4.0, [3, 2], [20.0, 20.0]));

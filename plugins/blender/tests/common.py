@@ -49,7 +49,7 @@ def run(scene, **values):
 
 
 def picture_of(path):
-    """Values of an OpenEXR picture, [row, column, channel]."""
+    """Returns the values of an OpenEXR picture, [row, column, channel]."""
     import bpy
     import numpy
 

@@ -11,12 +11,12 @@ MEAN = 0.02
 
 
 def hit_masks(field):
-    """[view, row, column]: true if the shape covers at least half of a pixel."""
+    """Returns masks [view, row, column]: true if the shape covers at least half of a pixel."""
     return field.radiance[..., 1].reshape(-1, *field.shape[2:4]) >= 0.5
 
 
 def grown(mask):
-    """The masks, grown by one pixel in all directions, also diagonally."""
+    """Returns the masks, grown by one pixel in all directions, also diagonally."""
     import numpy
 
     padded = numpy.pad(mask, ((0, 0), (1, 1), (1, 1)))

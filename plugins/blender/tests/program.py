@@ -74,7 +74,8 @@ def check(bpy, folder, place):
     display.write_text(DISPLAY + "".join(LAYER % depth for depth in (-12.0, 0.0, 12.0)), encoding="utf-8")
     with bpy.context.temp_override(window=None):
         assert not hasattr(bpy.context, "active_object"), "this context is not that of a command"
-        # Views by Blender need version 4.2, the extension's oldest; the export does not.
+        # Views by Blender need version 4.2, the oldest that the extension supports. The export also
+        # works in older versions.
         for renderer in ("lumistack", "both") if bpy.app.version >= (4, 2) else ("lumistack",):
             out = folder / renderer
             words = ["make", "--display", str(display), "--iterations", "1", "--samples", "1", "--look", "linear", "--renderer", renderer, "-o", str(out)]

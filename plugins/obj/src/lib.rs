@@ -74,7 +74,7 @@ impl ImporterPlugin for Obj {
         let collected = RefCell::new(Vec::new());
         let library = |path: &Path| {
             let found = materials(host, assets, file, &forward(path));
-            // The parser of shapes needs only the names and the indices of materials.
+            // `tobj`, the parser of OBJ files, needs only the names and the indices of materials.
             let known =
                 found.iter().enumerate().map(|(i, material)| (material.name.clone(), i)).collect::<HashMap<_, _>>();
             let nameless = vec![Material::default(); found.len()];

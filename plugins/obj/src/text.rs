@@ -1,5 +1,5 @@
-//! Normalizes the lines of OBJ and MTL files for the parser of shapes, which accepts fewer forms
-//! than programs write.
+//! Normalizes the lines of OBJ and MTL files for the OBJ parser of the crate `tobj`, which accepts
+//! fewer forms than programs write.
 //!
 //! A backslash at the end of a line continues the line, and `#` begins a comment. Names and
 //! comments may have any encoding, and `vt` may have a single coordinate. Faces may refer to
@@ -41,8 +41,8 @@ pub(crate) fn joined(text: &str) -> impl Iterator<Item = (usize, Cow<'_, str>)> 
     })
 }
 
-/// A reader of an OBJ file's normalized lines, for the parser of shapes. [`line`](Self::line)
-/// returns the number of the current line, for error messages.
+/// A reader of an OBJ file's normalized lines, for the parser of the crate `tobj`.
+/// [`line`](Self::line) returns the number of the current line, for error messages.
 pub(crate) struct Shapes<'a> {
     lines: Box<dyn Iterator<Item = (usize, Cow<'a, str>)> + 'a>,
     current: Vec<u8>,
@@ -66,7 +66,7 @@ impl<'a> Shapes<'a> {
         Self { lines: Box::new(joined(text)), current: Vec::new(), at: 0, line: Rc::default(), counts: [0; 3] }
     }
 
-    /// Number of the line that was read last.
+    /// Returns the number of the line that was read last.
     pub(crate) fn line(&self) -> Rc<Cell<usize>> {
         self.line.clone()
     }

@@ -14,8 +14,8 @@ pub struct KeepError {
     found: String,
 }
 
-/// Returns the text of a display file, updated with the nudges, homographies and outputs of the
-/// display's panels. All else stays unchanged.
+/// Returns the text of a display file, updated with the nudges (shifts of a panel's picture),
+/// homographies and outputs of the display's panels. All else stays unchanged.
 ///
 /// # Errors
 /// If the text is not TOML, or its layers do not match the display.

@@ -124,12 +124,12 @@ impl Picture {
         Self { shows, size: output, lookup, encoder }
     }
 
-    /// [columns, rows] of the output.
+    /// Returns [columns, rows] of the output.
     pub fn size(&self) -> [usize; 2] {
         self.size
     }
 
-    /// [darkest, brightest] value of the panel, linear.
+    /// Returns [darkest, brightest] value of the panel, linear.
     pub(crate) fn range(&self) -> [f32; 2] {
         match (&self.encoder.layer, &self.encoder.backlight) {
             (Some(layer), _) => layer.range(),
@@ -143,7 +143,7 @@ impl Picture {
         self.encoder.codes(rgb)
     }
 
-    /// The panel that the output shows.
+    /// Returns the panel that the output shows.
     pub fn shows(&self) -> Shows {
         self.shows
     }

@@ -1,5 +1,5 @@
 //! Output plugin `panels`: shows every layer on its output, or a preview in a window, until the
-//! user closes it.
+//! user closes the presentation.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

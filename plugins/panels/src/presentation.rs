@@ -89,7 +89,7 @@ pub enum Command {
     Step(i64),
     /// Shift a panel's picture by [right, down] panel pixels.
     Nudge(Shows, [f64; 2]),
-    /// Emit [`Event::Save`], with which the program saves the nudges.
+    /// Emit [`Event::Save`], with which the program saves the panels' shifts.
     Save,
     /// Set the direction of the preview's viewer, degrees to the right and up.
     Look([f64; 2]),

@@ -31,7 +31,7 @@ struct Table {
     devices: Vec<Device>,
 }
 
-/// All devices of the table.
+/// Returns all devices of the table.
 pub fn devices() -> &'static [Device] {
     static DEVICES: OnceLock<Vec<Device>> = OnceLock::new();
     DEVICES.get_or_init(|| {

@@ -77,12 +77,12 @@ impl Layout {
         self.columns * self.rows
     }
 
-    /// [columns, rows] of a tile.
+    /// Returns [columns, rows] of a tile.
     pub fn tile(&self) -> [usize; 2] {
         [self.size[0] / self.columns, self.size[1] / self.rows]
     }
 
-    /// [column, row] of the top left pixel of a view's tile.
+    /// Returns [column, row] of the top left pixel of a view's tile.
     pub fn corner(&self, view: usize) -> [usize; 2] {
         let tile = self.tile();
         [view % self.columns * tile[0], self.size[1] - (view / self.columns + 1) * tile[1]]

@@ -52,7 +52,7 @@ pub enum Source<'a> {
 }
 
 /// Largest distance from a view of the data, in units of views, at which a position counts as the
-/// view's.
+/// position of that view.
 const SAME_PLACE: f64 = 1e-6;
 
 /// Returns the positions a_i of `count` views of a quilt, among the `available` views per row of
@@ -78,7 +78,7 @@ pub fn row_of(rows: usize, given: i64) -> Result<usize, PluginError> {
 }
 
 impl Source<'_> {
-    /// Pixels and views of the source.
+    /// Returns the pixels and views of the source.
     pub fn geometry(&self) -> &FieldGeometry {
         match self {
             Self::Stack(stack) => stack.target(),

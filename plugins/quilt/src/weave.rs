@@ -128,7 +128,7 @@ impl Calibration {
         })
     }
 
-    /// Returns [P, T, the sign of s] of the equations of this file.
+    /// Returns [P, T, sign of s]. The head of this file defines these symbols.
     fn lenses(&self) -> [f64; 3] {
         let [width, height] = self.screen.map(|side| side as f64);
         let sign = if self.flip_x { -1.0 } else { 1.0 };

@@ -46,8 +46,9 @@ enum Up {
 }
 
 impl Up {
-    /// Returns the rotation from the axes of the file to those of the scene. It turns this axis
-    /// upwards. `auto` uses `axes`, the axes of the file's format.
+    /// Returns the rotation from the axes of the file to those of the scene. The rotation turns
+    /// this axis, the value of the parameter `up`, upwards. `auto` uses `axes`, the axes of the
+    /// file's format.
     fn rotation(self, axes: Axes) -> glam::Quat {
         use std::f32::consts::FRAC_PI_2;
         match self {

@@ -46,7 +46,8 @@ fn conforms() {
 }
 
 /// For every sample stack, with a uniform or directional backlight, the page's picture equals the
-/// picture of the display model. They may differ by the rounding that preview.json states.
+/// picture of the display model. The two pictures may differ by the rounding that preview.json
+/// states.
 #[test]
 fn the_page_agrees_with_the_display_model() {
     for sample in samples().iter().filter(|sample| sample.stack().is_some()) {

@@ -1,5 +1,5 @@
-// The page that solves: another thread computes patterns for a scene or light field. Until the
-// thread has ended its work, the viewer shows its intermediate patterns.
+// The page that solves (`solve.html`): another thread computes patterns for a scene or light field.
+// Until the thread has ended its work, the viewer shows its intermediate patterns.
 import type { LumistackViewer } from "../element.js";
 import { download, videoFormat } from "../capture.js";
 import { filesByName, filesOf } from "../drop.js";

@@ -1,7 +1,7 @@
 // Threads that trace views for the thread that solves. Each is a copy of that thread: the memory of
 // the solver's module contains the placed scene, so a module with a copy of this memory can trace
-// its views. Threads with common memory would need less of it, but browsers allow them only to
-// pages whose server sends special headers.
+// the scene's views. Threads with common memory would need less memory, but browsers allow them
+// only to pages whose server sends special headers.
 
 /** Messages to a thread of the pool. */
 export type PoolRequest =
@@ -26,7 +26,10 @@ const MOST_THREADS = 5;
 */
 const VIEWS = 2;
 
-/** Largest memory of all copies, bytes: a quarter of the device's memory, or 512 MiB if the browser does not report it. */
+/**
+* Returns the largest memory of all copies, bytes: a quarter of the device's memory, or 512 MiB if
+* the browser does not report it.
+*/
 function mostBytes(): number {
   return ((navigator as { deviceMemory?: number }).deviceMemory ?? 2) * 2 ** 28;
 }
@@ -36,8 +39,9 @@ export class Pool {
   private readonly threads = new Map<Worker, number[]>();
 
   /**
-  * Starts threads one after another, so that together with the solver's thread `wanted` threads
-  * render, or fewer if memory is short. `waiting` are views that the solver gave and no thread has.
+  * Starts threads one after another, until `wanted` threads render, the solver's thread included.
+  * Fewer threads are started if memory is short. `waiting` contains the views that the solver gave
+  * and that no thread has.
   */
   constructor(
     wanted: number | undefined,

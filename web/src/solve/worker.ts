@@ -294,11 +294,12 @@ onmessage = ({ data }: MessageEvent<SolverRequest | PoolRequest>) =>
         const bytes = solver!.zip() as Uint8Array<ArrayBuffer>;
         return send({ kind: "zip", bytes }, [bytes.buffer]);
       }
-      // The pool sends these messages: this thread is then one of its threads.
+      // A pool sends these messages only to its own threads, so this thread belongs to a pool.
       case "copy": {
         const { image } = data;
         ({ memory, __wbindgen_externrefs: objects } = initSync({ module: data.module }));
-        // The memory contains numbers of places in the table, so the copy needs these places too.
+        // The copied memory contains indices into the table of JavaScript objects. So this table
+        // must be as long as the original table.
         objects.grow(data.slots - objects.length);
         memory.grow((image.byteLength - memory.buffer.byteLength) / PAGE);
         new Uint8Array(memory.buffer).set(new Uint8Array(image));

@@ -58,7 +58,7 @@ pub fn deb(architecture: &str, files: &[File]) -> Outcome<Vec<u8>> {
     Ok(archive)
 }
 
-/// The text of `copyright`: Lumistack's licences, then the licences of its dependencies.
+/// Returns the text of `copyright`: Lumistack's licences, then the licences of its dependencies.
 fn copyright(files: &[File], parts: &File) -> Vec<u8> {
     let own =
         ["LICENSE-MIT", "LICENSE-APACHE"].iter().filter_map(|name| files.iter().find(|file| file.path.ends_with(name)));

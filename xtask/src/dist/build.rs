@@ -76,7 +76,7 @@ impl Target {
         self.debian.is_some()
     }
 
-    /// Name of the program's file.
+    /// Returns the name of the program's file.
     pub fn program(&self) -> &'static str {
         if self.is_windows() { "lumistack.exe" } else { "lumistack" }
     }

@@ -38,18 +38,18 @@ struct Part {
 /// All parts, by `name version`.
 pub struct Licences(BTreeMap<String, Part>);
 
-/// Collects all parts of programs and modules for some targets, by cargo.
+/// Collects the packages (parts) of programs and modules for some targets, by cargo.
 pub fn collect(targets: &[Target]) -> Outcome<Licences> {
     let of_targets = targets.iter().flat_map(|target| RELEASED.map(|words| (words, target.triple)));
     described(of_targets.chain(PAGES.map(|words| (words, WASM))).map(in_target).collect::<Outcome<Vec<_>>>()?.concat())
 }
 
-/// Collects the parts of the viewer's module.
+/// Collects the packages of the viewer's module.
 pub fn of_viewer() -> Outcome<Licences> {
     described(in_target((VIEWER, WASM))?)
 }
 
-/// Looks up cargo's data about the parts with these ids.
+/// Looks up cargo's data about the packages with these ids.
 fn described(ids: Vec<String>) -> Outcome<Licences> {
     // Read the packages from cargo's metadata and their checksums from the lock file.
     let said = output_of(command("cargo").args(["metadata", "--format-version", "1", "--locked"]));
@@ -63,7 +63,7 @@ fn described(ids: Vec<String>) -> Outcome<Licences> {
     let of_cargo: HashMap<&str, String> =
         packages.iter().map(|package| (package["id"].as_str().unwrap_or_default(), id(package))).collect();
     let nodes = metadata["resolve"]["nodes"].as_array().into_iter().flatten();
-    // Find the dependencies between the parts, for the bill of materials.
+    // Find the dependencies between the packages, for the bill of materials.
     let mut uses: HashMap<String, BTreeSet<String>> = nodes
         .filter_map(|node| {
             let of = of_cargo.get(node["id"].as_str()?)?.clone();
@@ -128,7 +128,8 @@ impl Licences {
         }
     }
 
-    /// Lists all parts with their licences, then every licence text with the parts that have it.
+    /// Lists all packages with their licences, then every licence text with the packages that have
+    /// it.
     pub fn text(&self) -> String {
         let mut text =
             String::from("Lumistack is made of these packages of Rust. The licence of each follows its name.\n\n");

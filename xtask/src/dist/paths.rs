@@ -1,5 +1,5 @@
-//! Keeps the paths of the building machine out of releases. They contain the name of a user, and
-//! differ between machines, so the same sources would give files with other bytes.
+//! Keeps the paths of the building machine out of releases. These paths contain the name of a user,
+//! and differ between machines, so the same sources would give files with other bytes.
 //!
 //! The compiler writes the paths of source files into messages of panics. A flag replaces the
 //! beginning of these paths, and a check finds paths that remain.

@@ -6,8 +6,8 @@
 //!         ◀── {"event": "attached"}, then events in lines, as on standard output with --json
 //! ```
 //!
-//! The socket listens on the loopback interface. One program at a time is attached. When the
-//! program has sent its last line, the display keeps its state.
+//! The socket listens on the loopback interface. Only one program at a time can be attached. When
+//! the program has sent its last line, the display keeps its state.
 
 use std::io::{self, BufReader, Cursor, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
@@ -92,7 +92,7 @@ impl Events {
         lock(&self.attached).end();
     }
 
-    /// Detaches a program. Without effect if a later program is attached.
+    /// Detaches a program. Has no effect if a later program is attached.
     fn detach(&self, number: u64) {
         let mut attached = lock(&self.attached);
         if attached.number == number {
@@ -134,7 +134,7 @@ impl Door {
         let token = random_word()?;
         let write = || {
             let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
-            // so that the thread notices the end
+            // calls of `accept` must not block, so that the thread notices the end
             listener.set_nonblocking(true)?;
             let port = listener.local_addr()?.port();
             // only this user can read temporary files

@@ -10,11 +10,12 @@
 //!     moves a page's viewer, who counts as a tracked head; without x and y the viewer leaves
 //! ```
 //!
-//! An edition is a version of preview.json. The query states the page's state (`after`), its
-//! edition and its message (`said`). In the response, `files` has the length of each file that
-//! preview.json lists, in its order, and `said` is the number of the newest message. The response
-//! contains the text of preview.json if the page has another edition. A response without a newer
-//! state has no files.
+//! An edition is a version of preview.json. WORD is a secret that the page has received. In the
+//! query of `/.live`, `after` is the number of the page's state. `edition` names the page's
+//! edition, and `said` is the number of its message. In the response, `files` has the length of
+//! each file that preview.json lists, in the order of this list. In the response, `said` is the
+//! number of the newest message. The response contains the text of preview.json if the page has
+//! another edition. A response without a newer state has no files.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -73,8 +74,8 @@ impl<'a> Guest<'a> {
         Ok(Self { word: random_word()?, distance_mm, requests })
     }
 
-    /// Moves the viewer to the slope of a query. Returns whether the query has the secret and a
-    /// valid slope.
+    /// Moves the viewer to the slope that a query states. Returns whether the query has the secret
+    /// and a valid slope.
     fn look(&self, query: &str) -> bool {
         let Some(slope) = slope_of(query).filter(|_| value(query, "viewer") == Some(&self.word)) else {
             return false;
@@ -124,14 +125,15 @@ impl<'a> PageFeed<'a> {
         self.stopped.store(true, Ordering::SeqCst);
     }
 
-    /// Encodes the newest state, once, and returns its number. `None` if there is no state, or if
-    /// its files cannot be made.
+    /// Encodes the newest state, unless this is done already, and returns the state's number.
+    /// Returns `None` if there is no state, or if its files cannot be made.
     pub(super) fn prepare(&self) -> Option<u64> {
         Some(self.newest()?.number)
     }
 
     fn newest(&self) -> Option<Made> {
-        // One thread encodes the state. The lock makes other threads wait for its result.
+        // One thread encodes the state. The lock makes other threads wait until the state is
+        // encoded.
         let mut made = lock(&self.made);
         let known = made.as_ref().map_or(0, |made| made.number);
         if let Some((number, state)) = self.states.after(known) {

@@ -48,7 +48,7 @@ impl<'a> Once<'a> {
 
 impl Warnings for Once<'_> {
     fn warn(&self, warning: Warning) {
-        // On the page, errors of the live display itself need no place in front of the message.
+        // On the page, messages of the live display itself need no prefix that names their origin.
         let is_own = warning.place == "live";
         self.messages.say(if is_own { warning.message.clone() } else { warning.to_string() });
         self.events.send(&json!({"event": "warning", "place": warning.place, "message": warning.message}));

@@ -1,5 +1,5 @@
-//! Detection of changed files by their length and time of modification. It works on every file
-//! system, for programs that replace files and for programs that write into them.
+//! Detects changed files by their length and time of modification. This works on every file system,
+//! for programs that replace files and for programs that write into them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

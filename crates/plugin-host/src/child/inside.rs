@@ -162,7 +162,8 @@ struct Link {
     active: AtomicUsize,
     /// Time of the program's last answer about cancellation, and whether the user has cancelled.
     asked: Mutex<(Option<Instant>, bool)>,
-    /// The plugin's functions. They are empty if loading failed; the program then sends no calls.
+    /// The plugin's functions. The cell is empty if loading failed; the program then sends no
+    /// calls.
     functions: OnceLock<Arc<dyn Functions>>,
     instance: Mutex<Instance>,
 }
@@ -269,36 +270,36 @@ unsafe fn bytes<'a>(ptr: *const u8, len: usize, what: &str, error: *const ErrorS
     }
 }
 
-// SAFETY of all functions below: the plugin passes back the context of their table. It lends texts
-// and bytes for the call, and passes null or a valid sink for errors.
+// SAFETY of all functions below: the plugin passes back the context of their table. The plugin
+// lends texts and bytes for the call, and passes null or a valid sink for errors.
 
 unsafe extern "C" fn log(context: *const c_void, level: u32, message: Str) {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { link_of(context).say(Say::Log { level, message: text(message) }) };
 }
 
 unsafe extern "C" fn progress_begin(context: *const c_void, stage: Str, total: u64, unit: Str) {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { link_of(context).say(Say::ProgressBegin { stage: text(stage), total, unit: text(unit) }) };
 }
 
 unsafe extern "C" fn progress_advance(context: *const c_void, steps: u64, note: Str) {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { link_of(context).say(Say::ProgressAdvance { steps, note: text(note) }) };
 }
 
 unsafe extern "C" fn progress_end(context: *const c_void) {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { link_of(context).say(Say::ProgressEnd) };
 }
 
 unsafe extern "C" fn is_cancelled(context: *const c_void) -> u8 {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { link_of(context).is_cancelled().into() }
 }
 
 unsafe extern "C" fn file_open(context: *const c_void, path: Str, file: *mut u64, error: *const ErrorSink) -> Status {
-    // SAFETY: see above; the plugin provides memory for the handle.
+    // SAFETY: the comment before `log` has the rules; the plugin provides memory for the handle.
     unsafe {
         match bytes(path.ptr, path.len, "file name", error) {
             Ok(path) => {
@@ -315,7 +316,7 @@ unsafe extern "C" fn file_open(context: *const c_void, path: Str, file: *mut u64
 }
 
 unsafe extern "C" fn file_append(context: *const c_void, file: u64, content: Bytes, error: *const ErrorSink) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe {
         match bytes(content.ptr, content.len, "bytes of a file", error) {
             Ok(content) => in_parts(content, |part| link_of(context).status(Request::FileAppend { file }, part, error)),
@@ -334,12 +335,12 @@ fn in_parts(bytes: &[u8], mut send: impl FnMut(&[u8]) -> Status) -> Status {
 }
 
 unsafe extern "C" fn file_commit(context: *const c_void, file: u64, error: *const ErrorSink) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { link_of(context).status(Request::FileCommit { file }, &[], error) }
 }
 
 unsafe extern "C" fn file_abort(context: *const c_void, file: u64, error: *const ErrorSink) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { link_of(context).status(Request::FileAbort { file }, &[], error) }
 }
 
@@ -350,7 +351,7 @@ unsafe extern "C" fn simulate(
     plane: *mut Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: see above; the data belong to the running call.
+    // SAFETY: the comment before `log` has the rules; the data belong to the running call.
     unsafe {
         let (kind, value_bits) = ((*view).kind, (*view).value.map(f64::to_bits));
         fetch((*data).context, |call| Request::Simulate { call, kind, value_bits }, plane, error)
@@ -358,7 +359,7 @@ unsafe extern "C" fn simulate(
 }
 
 unsafe extern "C" fn tell_program(context: *const c_void, event_json: Str) {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { link_of(context).say(Say::Tell { json: text(event_json) }) };
 }
 
@@ -382,7 +383,7 @@ unsafe extern "C" fn layer_plane(
     plane: *mut Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { fetch(context, |call| Request::LayerPlane { call, layer, frame }, plane, error) }
 }
 
@@ -394,7 +395,7 @@ unsafe extern "C" fn emission_plane(
     plane: *mut Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { fetch(context, |call| Request::EmissionPlane { call, frame, bin_y, bin_x }, plane, error) }
 }
 
@@ -405,7 +406,7 @@ unsafe extern "C" fn view_plane(
     plane: *mut Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { fetch(context, |call| Request::ViewPlane { call, view_y, view_x }, plane, error) }
 }
 
@@ -416,7 +417,7 @@ unsafe extern "C" fn weight_plane(
     plane: *mut Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { fetch(context, |call| Request::WeightPlane { call, view_y, view_x }, plane, error) }
 }
 
@@ -479,7 +480,7 @@ unsafe extern "C" fn read_asset(
     sink: *const ByteSink,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: see above; the plugin lends the sink.
+    // SAFETY: the comment before `log` has the rules; the plugin lends the sink.
     unsafe {
         let Running { link, call } = running(context);
         let path = match bytes(path.ptr, path.len, "file name", error) {
@@ -496,7 +497,7 @@ unsafe extern "C" fn read_asset(
 }
 
 unsafe extern "C" fn give_scene(context: *mut c_void, content: Bytes, error: *const ErrorSink) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe {
         let Running { link, call } = running(context);
         match bytes(content.ptr, content.len, "bytes", error) {
@@ -507,7 +508,7 @@ unsafe extern "C" fn give_scene(context: *mut c_void, content: Bytes, error: *co
 }
 
 unsafe extern "C" fn give_geometry(context: *mut c_void, geometry_json: Str, error: *const ErrorSink) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe {
         let Running { link, call } = running(context);
         match bytes(geometry_json.ptr, geometry_json.len, "geometry", error) {
@@ -524,12 +525,12 @@ unsafe extern "C" fn give_view(
     plane: *const Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { give(context, |call, shape| Request::GiveView { call, view_y, view_x, shape }, plane, error) }
 }
 
 unsafe extern "C" fn give_brightness(context: *mut c_void, brightness: f64, error: *const ErrorSink) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe {
         let Running { link, call } = running(context);
         link.status(Request::GiveBrightness { call: *call, bits: brightness.to_bits() }, &[], error)
@@ -543,7 +544,7 @@ unsafe extern "C" fn give_layer(
     plane: *const Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { give(context, |call, shape| Request::GiveLayer { call, layer, frame, shape }, plane, error) }
 }
 
@@ -555,7 +556,7 @@ unsafe extern "C" fn give_emission(
     plane: *const Plane,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe { give(context, |call, shape| Request::GiveEmission { call, frame, bin_y, bin_x, shape }, plane, error) }
 }
 
@@ -566,7 +567,7 @@ unsafe extern "C" fn give_step(
     psnr_view: f64,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe {
         let Running { link, call } = running(context);
         let [objective_bits, psnr_bits] = [objective, psnr_view].map(f64::to_bits);
@@ -575,7 +576,7 @@ unsafe extern "C" fn give_step(
 }
 
 unsafe extern "C" fn give_solution(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status {
-    // SAFETY: see above.
+    // SAFETY: guaranteed by the plugin, as the comment before `log` states.
     unsafe {
         let Running { link, call } = running(context);
         match bytes(solution_json.ptr, solution_json.len, "solution", error) {

@@ -40,7 +40,7 @@ impl Launcher {
         let _ = OF_PROCESS.set(self);
     }
 
-    /// The launcher set for this process.
+    /// Returns the launcher set for this process.
     pub fn of_process() -> Option<Self> {
         OF_PROCESS.get().cloned()
     }

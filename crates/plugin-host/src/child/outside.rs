@@ -169,7 +169,7 @@ unsafe impl Functions for Remote {
         instance: *mut *mut c_void,
         error: *const ErrorSink,
     ) -> Status {
-        // SAFETY: as in `import`; the host provides memory for the handle.
+        // SAFETY: guaranteed by the caller; the host provides memory for the handle.
         unsafe {
             let owner = match self.start(&|| is_cancelled(host)) {
                 Ok((owner, _)) => owner,
@@ -228,7 +228,8 @@ unsafe impl Functions for Remote {
     }
 
     unsafe fn close(&self, instance: *mut c_void) {
-        // SAFETY: as in `submit`, and the handle is released once.
+        // SAFETY: guaranteed by the caller. `instance` is a handle that `open` returned, and is
+        // released once.
         unsafe {
             let Opened { owner, host } = *Box::from_raw(instance.cast::<Opened>());
             // If the child has died, the call that ran at that time has reported it.

@@ -11,7 +11,7 @@ use crate::serve::PluginInfo;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-/// Longest head, bytes. It is far above the size of parameters, displays and geometries.
+/// Longest head, bytes. This limit is far above the size of parameters, displays and geometries.
 const MAX_HEAD: u32 = 64 << 20;
 /// Longest body, bytes. A plane of 35 000 × 10 000 pixels fits.
 const MAX_BODY: u64 = 4 << 30;

@@ -1,5 +1,5 @@
-//! Serves a child's requests. They use services of the host, and data and sinks that are lent to a
-//! call.
+//! Serves a child's requests. The requests use services of the host, and data and sinks that are
+//! lent to a call.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
@@ -63,7 +63,8 @@ impl Lending {
         self.all.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits until no request uses the objects of any call. Then returns the objects, mutable.
+    /// Waits until no request uses the objects of any call. Then locks the objects for changes, and
+    /// returns them.
     pub(super) fn all_mut(&self) -> RwLockWriteGuard<'_, HashMap<u64, Lent>> {
         self.all.write().unwrap_or_else(PoisonError::into_inner)
     }
@@ -234,7 +235,7 @@ const CALL_RETURNED: &str = "this object was lent to a call that has returned";
 /// The table is valid.
 pub(super) unsafe fn forward(host: &HostServices, say: &Say) {
     let context = host.context;
-    // SAFETY: the table's own context; the texts are lent for the call.
+    // SAFETY: `context` belongs to the table; the texts are lent for the call.
     unsafe {
         match say {
             Say::Log { level, message } => (host.log)(context, *level, Str::new(message)),

@@ -120,7 +120,7 @@ impl std::ops::Deref for Owner {
 impl Drop for Owner {
     fn drop(&mut self) {
         // The plugin may use the objects that the host lends only while this output exists.
-        // `all_mut` waits until no request uses them. Then they are removed.
+        // `all_mut` waits until no request uses the objects, which are then removed.
         self.lending.all_mut().clear();
         self.shut_down();
     }
@@ -205,7 +205,8 @@ impl Session {
         // SAFETY: guaranteed by the caller.
         let result = self.wait(&waits, doing, limit, &|| unsafe { is_cancelled(host) });
         {
-            // Requests that use the lent objects hold the lock, so this waits for them.
+            // Requests that use the lent objects hold the lock, so `all_mut` waits for these
+            // requests.
             let mut all = self.lending.all_mut();
             all.remove(&call);
         }

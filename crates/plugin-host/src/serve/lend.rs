@@ -194,7 +194,7 @@ unsafe extern "C" fn layer_plane(
         // SAFETY: the plugin provides memory for the plane.
         unsafe { give(plane, values.block([frame]), [rows, cols, channels]) }
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, lend) }
 }
 
@@ -219,7 +219,7 @@ unsafe extern "C" fn emission_plane(
         // SAFETY: as in `layer_plane`.
         unsafe { give(plane, emission.block([frame, bin_y, bin_x]), [rows, cols, channels]) }
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, lend) }
 }
 
@@ -242,7 +242,7 @@ unsafe extern "C" fn view_plane(
         // SAFETY: as in `layer_plane`.
         unsafe { give(plane, field.view([view_y, view_x]), [rows, cols, channels]) }
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, lend) }
 }
 
@@ -264,15 +264,14 @@ unsafe extern "C" fn weight_plane(
         // SAFETY: as in `layer_plane`.
         unsafe { give(plane, weights.block([view_y, view_x]), [rows, cols, 1]) }
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, lend) }
 }
 
 /// Computes a view of a layer stack on loan; the plane owns its values.
 ///
-/// # Safety
-/// `data` comes from [`Lent::to_abi`] and is still on loan; `from` is a valid view and `plane`
-/// memory for a plane.
+/// # Safety `data` comes from [`Lent::to_abi`] and is still on loan; `from` is a valid view, and
+/// `plane` is memory for a plane.
 pub(crate) unsafe fn simulate(data: *const Data, from: *const View, plane: *mut Plane) -> Result<(), PluginError> {
     // SAFETY: guaranteed by the caller.
     let (lent, kind, value) = unsafe { (lent((*data).context), (*from).kind, (*from).value) };

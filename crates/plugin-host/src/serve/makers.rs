@@ -49,8 +49,8 @@ unsafe extern "C" fn read_asset(
     bytes: *const ByteSink,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: the plugin returns the context of `import`, a reference valid until it returns, and
-    // lends text and sink.
+    // SAFETY: the plugin returns the context of `import`: a reference that is valid until `import`
+    // returns. The plugin also lends text and sink.
     unsafe {
         answer(error, || {
             let read = *context.cast::<&ReadAsset<'_>>();
@@ -216,7 +216,7 @@ unsafe extern "C" fn field_geometry(context: *mut c_void, geometry_json: Str, er
         field.made = Some((black, vec![false; views]));
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
@@ -244,7 +244,7 @@ unsafe extern "C" fn field_view(
         field.view_mut([view_y, view_x]).copy_from_slice(&values);
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
@@ -257,7 +257,7 @@ unsafe extern "C" fn stack_brightness(context: *mut c_void, brightness: f64, err
         unsafe { Builder::<Stack>::of(context) }.made.stack.brightness = brightness;
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
@@ -288,7 +288,7 @@ unsafe extern "C" fn stack_layer(
         stack.layers[layer].block_mut([frame]).copy_from_slice(&values);
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
@@ -321,7 +321,7 @@ unsafe extern "C" fn stack_emission(
         emission.block_mut([frame, bin_y, bin_x]).copy_from_slice(&values);
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
@@ -344,13 +344,13 @@ unsafe extern "C" fn stack_step(
         built.made.steps.push((Step { iteration, objective, psnr_view }, seconds));
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 
 unsafe extern "C" fn stack_solution(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status {
     let take = || {
-        // SAFETY: as above; the plugin lends the text.
+        // SAFETY: the plugin returns the sink's context, and lends the text.
         let (mut built, text) = unsafe { (Builder::<Stack>::of(context), lent_text(solution_json, "solution")?) };
         let told = serde_json::from_str(text).map_err(|error| PluginError::failed("solution", error))?;
         if built.made.solution.replace(told).is_some() {
@@ -358,7 +358,7 @@ unsafe extern "C" fn stack_solution(context: *mut c_void, solution_json: Str, er
         }
         Ok(())
     };
-    // SAFETY: null or a valid sink.
+    // SAFETY: `error` is null or a valid sink.
     unsafe { answer(error, take) }
 }
 

@@ -41,7 +41,7 @@ pub fn path_parts(path: &str) -> Result<Vec<&str>, PluginError> {
     }
 }
 
-/// Detects names of Windows' devices, with or without an extension. They are refused on every
+/// Detects names of Windows' devices, with or without an extension. Such names are refused on every
 /// system.
 fn is_device(part: &str) -> bool {
     let stem = part.split('.').next().unwrap_or_default().trim_end().to_ascii_lowercase();

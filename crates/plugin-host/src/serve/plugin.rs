@@ -117,7 +117,7 @@ impl Plugin {
                 size_of::<Descriptor>()
             )));
         }
-        // SAFETY: it is at least as long as this version's struct.
+        // SAFETY: the descriptor is at least as long as this version's struct.
         let descriptor = unsafe { &*descriptor };
         // SAFETY: the texts live as long as the process.
         let text = |text: Str, what: &str| unsafe { lent_text(text, what) };
@@ -181,7 +181,7 @@ impl Plugin {
         Ok(&self.functions)
     }
 
-    /// The plugin's functions, for a process that runs them for another process.
+    /// Returns the plugin's functions, for a process that runs them for another process.
     pub fn functions(&self) -> &Arc<dyn Functions> {
         &self.functions
     }
@@ -210,7 +210,7 @@ unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), Str
     let size = if table.is_null() { 0 } else { unsafe { *table.cast::<usize>() } };
     match descriptor.kind {
         kind::IMPORTER if size >= size_of::<ImporterVtable>() => {
-            // SAFETY: guaranteed by the caller, and it is long enough.
+            // SAFETY: guaranteed by the caller, and the table is long enough.
             let found = unsafe { &*table.cast::<ImporterVtable>() };
             let whole = found.import.is_some();
             whole

@@ -26,8 +26,8 @@ pub enum LogLevel {
 
 /// Services of a host for its plugins. Plugins call them from any thread.
 pub trait Services: Sync {
-    /// The task of the plugin. It receives the plugin's progress, and its cancel flag stops the
-    /// plugin.
+    /// Returns the task of the plugin. The task receives the plugin's progress, and the task's
+    /// cancel flag stops the plugin.
     fn task(&self) -> Task<'_>;
     /// Receives a warning for the user.
     fn warn(&self, message: &str);
@@ -73,7 +73,8 @@ pub trait Services: Sync {
     fn no_files(&self) -> PluginError {
         PluginError::Refused("this host accepts no files".into())
     }
-    /// The port of the data that an output will receive; `None` if it is unknown at `open`.
+    /// Returns the port (the kind of data) that an output will receive; `None` if it is unknown at
+    /// `open`.
     fn port(&self) -> Option<Port> {
         None
     }
@@ -150,7 +151,8 @@ unsafe extern "C" fn file_open<S: Services>(
     file: *mut u64,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: as in `log`; the plugin provides memory for the handle.
+    // SAFETY: the plugin returns the table's context, lends the texts, and provides memory for the
+    // handle.
     unsafe {
         answer(error, || {
             let path = lent_text(path, "file name")?;
@@ -166,7 +168,7 @@ unsafe extern "C" fn file_append<S: Services>(
     bytes: Bytes,
     error: *const ErrorSink,
 ) -> Status {
-    // SAFETY: as in `log`; the plugin lends the bytes.
+    // SAFETY: the plugin returns the table's context, and lends the bytes.
     unsafe { answer(error, || services::<S>(context).file_append(file, lent_bytes(bytes, "bytes of a file")?)) }
 }
 

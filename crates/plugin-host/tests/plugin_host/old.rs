@@ -36,7 +36,7 @@ fn library(folder: &Path) -> PathBuf {
     library
 }
 
-/// The entry function of a plugin in the library, which stays loaded.
+/// Returns the entry function of a plugin in the library. The library stays loaded.
 fn entry(library: &Path, id: &str) -> Entry {
     // SAFETY: the library has no initializers.
     let library = Box::leak(Box::new(unsafe { Library::new(library) }.unwrap()));
@@ -44,8 +44,9 @@ fn entry(library: &Path, id: &str) -> Entry {
     *unsafe { library.get::<Entry>(format!("{ENTRY_PREFIX}{id}").as_bytes()) }.unwrap()
 }
 
-/// Calls `check` with a function that returns a plugin of the library: first from a registry, whose
-/// plugins run in processes of their own, then in this process.
+/// Calls `check` twice, each time with a function that returns a plugin of the library. The first
+/// function takes plugins from a registry, so they run in processes of their own. Plugins of the
+/// second function run in this process.
 fn in_both_ways(check: impl Fn(&dyn Fn(&str) -> Plugin)) {
     let folder = tempfile::tempdir().unwrap();
     let library = library(folder.path());
@@ -153,7 +154,7 @@ fn the_old_node_makes_patterns() {
     });
 }
 
-/// The numbers that `old_output` writes.
+/// Returns the numbers that `old_output` writes.
 fn numbers(sample: &Sample, time: Time) -> Vec<f64> {
     let stack = sample.stack().unwrap();
     let mut expected = vec![f64::from(port::LAYER_STACK), time.index as f64, time.seconds];

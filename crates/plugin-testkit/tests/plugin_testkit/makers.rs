@@ -224,7 +224,7 @@ mod raw {
                 ..Plane::empty()
             };
             let (layer, frame) = (number(0) as usize, number(1) as usize);
-            // SAFETY: the sink's own context; the plane describes `values`.
+            // SAFETY: the context belongs to the sink; the plane describes `values`.
             let status = unsafe { (sink.layer_plane)(sink.context, layer, frame, &plane, error) };
             if status != Status::OK {
                 return status;
@@ -243,7 +243,7 @@ fn pieces_that_do_not_fit_are_refused_where_they_are_given() {
         vtable: (&raw const *vtable).cast(),
         ..*Plugin::compiled_in(&flat::PLUGIN).map(|_| flat::PLUGIN.descriptor()).unwrap()
     };
-    // SAFETY: a copy of a valid descriptor with another table of the same kind.
+    // SAFETY: the descriptor is a copy of a valid descriptor with another table of the same kind.
     let plugin = unsafe { Plugin::from_descriptor(&descriptor) }.unwrap();
     let display = Display::uniform([4, 3], 1.0, [3, 1], [20.0, 10.0], &[0.0], 2);
     let field = LightField::black(display.geometry().unwrap()).unwrap();

@@ -221,7 +221,7 @@ fn descriptors_of_other_versions_are_refused() {
     // SAFETY: the entry returns a static descriptor.
     let descriptor = unsafe { *lumistack_plugin_entry() };
     let refused = |descriptor: abi::Descriptor| {
-        // SAFETY: a copy of a valid descriptor, with numbers changed.
+        // SAFETY: the descriptor is a copy of a valid one, with changed numbers.
         unsafe { Plugin::from_descriptor(&descriptor) }.unwrap_err().to_string()
     };
     assert!(refused(abi::Descriptor { abi_major: 9, ..descriptor }).contains("version 9."));

@@ -64,7 +64,7 @@ pub unsafe fn write_error(error: *const ErrorSink, text: &str) {
     }
 }
 
-/// Makes a sink that stores the written text in `text`. It is valid as long as `text` is.
+/// Makes a sink that stores the written text in `text`. The sink is valid as long as `text` is.
 pub fn keeping(text: &mut String) -> ErrorSink {
     ErrorSink { size: size_of::<ErrorSink>(), context: (&raw mut *text).cast(), write: keep_text }
 }
@@ -124,15 +124,16 @@ pub unsafe fn lent_bytes<'a>(bytes: Bytes, what: &str) -> Result<&'a [u8], Plugi
     Ok(unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) })
 }
 
-/// The function [`ErrorSink::write`] of the sink that [`keeping`] makes.
+/// Copies an error text into the string of the sink that [`keeping`] makes. This function is the
+/// sink's [`ErrorSink::write`].
 unsafe extern "C" fn keep_text(context: *mut c_void, text: Str) {
     // SAFETY: the callee lends the text for this call; `context` is the string of `keeping`, whose
     // owner waits for the callee.
     unsafe { *context.cast::<String>() = lent_lossy(text).into_owned() };
 }
 
-/// [`ByteSink::write`](lumistack_plugin_abi::ByteSink::write) into a `Vec<u8>`, to which `context`
-/// points.
+/// Appends bytes to the `Vec<u8>` to which `context` points. This is the function
+/// [`ByteSink::write`](lumistack_plugin_abi::ByteSink::write) of a sink that collects bytes.
 ///
 /// # Safety
 /// `context` points to a vector without other users during the call; the bytes are lent for the

@@ -20,8 +20,8 @@ _VIEWS_OF_TWO = 5
 
 
 def light_field(light_field: LightField) -> str | None:
-    """HTML of a light field: a view with a slider for each axis of views, and a table of properties.
-    None without NumPy."""
+    """Returns the HTML of a light field: a view with a slider for each axis of views, and a table
+    of properties. None without NumPy."""
     if not _has_numpy():
         return None
     view_rows, view_cols, rows, cols, _ = light_field.shape
@@ -38,8 +38,8 @@ def light_field(light_field: LightField) -> str | None:
 
 
 def layer_stack(stack: LayerStack) -> str | None:
-    """HTML of patterns: the seen picture with a slider for the angle, the masks of the first frame, and
-    a table of properties. None without NumPy."""
+    """Returns the HTML of patterns: the seen picture with a slider for the angle, the masks of the
+    first frame, and a table of properties. None without NumPy."""
     if not _has_numpy():
         return None
     slopes = sorted(stack.display.slopes[0])
@@ -127,7 +127,7 @@ def _range(slopes: list[float]) -> str:
 
 
 def _srgb(linear: Any) -> Any:
-    """8-bit sRGB of linear light (IEC 61966-2-1), [row, col, rgb]."""
+    """Converts linear light to 8-bit sRGB codes (IEC 61966-2-1), [row, col, rgb]."""
     import numpy
 
     light = numpy.clip(numpy.asarray(linear, numpy.float32), 0.0, 1.0)
@@ -155,7 +155,7 @@ def _png(linear: Any) -> str:
 
 
 def _viewer(name: str, facts: dict[str, str], views: list[list[str]]) -> str:
-    """HTML of a table next to a picture; sliders select one of several pictures."""
+    """Returns the HTML of a table next to a picture; sliders select one of several pictures."""
     rows = "".join(f"<tr><th style='text-align:left'>{key}</th><td style='text-align:left'>{value}</td></tr>" for key, value in facts.items())
     middle = (len(views) // 2, len(views[0]) // 2)
     pictures = "".join(

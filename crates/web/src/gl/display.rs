@@ -212,7 +212,7 @@ impl Drop for Gpu {
     }
 }
 
-/// The display's properties as macros for the shader.
+/// Returns the display's properties as macros for the shader.
 fn defines(model: &Model) -> String {
     let display = &model.preview().display;
     let count = display.layers.len();

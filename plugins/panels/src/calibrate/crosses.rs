@@ -1,9 +1,9 @@
 //! Detects dark crosses on a bright ground.
 //!
 //! Pixels that are darker than their surroundings form connected components. Components that fill
-//! little of their bounding box are crosses. A disc is the mark of the central cross. From the
-//! central cross a search proceeds from neighbour to neighbour. The centre of a cross is the
-//! intersection of two lines, each of which is fitted to two opposite arms.
+//! little of their bounding box are crosses. A disc marks the central cross. From the central cross
+//! a search proceeds from neighbour to neighbour. The centre of a cross is the intersection of two
+//! lines, each of which is fitted to two opposite arms.
 
 use std::collections::{BTreeMap, VecDeque};
 

@@ -33,8 +33,8 @@ const RESIZE_TIMEOUT: Duration = Duration::from_secs(5);
 /// Time in which a thread must end. After this time the connection to the windowing system is
 /// closed, since a hidden surface can block the present loop for ever.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(2);
-/// Delay before a graphics failure is reported. Its cause may be a lost output or session, which is
-/// detected within this delay and then reported instead.
+/// Delay before a graphics failure is reported. The failure's cause may be a lost output or
+/// session. Such a loss is detected within this delay, and is then reported instead.
 const FAILURE_DELAY: Duration = Duration::from_millis(500);
 /// Time without a refresh after which the user gets a warning.
 const STALL_TIMEOUT: Duration = Duration::from_secs(2);
@@ -90,7 +90,7 @@ pub fn present(
 }
 
 struct App<'a> {
-    /// The settings; `None` after the threads have started, which take them.
+    /// The settings; `None` after the threads have started, since the threads take them.
     settings: Option<Settings>,
     cancelled: &'a dyn Fn() -> bool,
     emit: Arc<dyn Fn(Event) + Send + Sync>,
@@ -107,7 +107,7 @@ struct App<'a> {
     pointer: Option<PhysicalPosition<f64>>,
     modifiers: ModifiersState,
     selected: usize,
-    /// True if the nudges changed and were not saved.
+    /// True if shifts of panels (nudges) have changed and are not saved.
     unsaved: bool,
     result: Option<Result<(), WindowError>>,
 }
@@ -514,7 +514,7 @@ impl App<'_> {
 
     /// Executes the command of a key. Escape or q ends the presentation. Space holds a frame or
     /// resumes. Comma and full stop show the previous and the next frame. Tab selects a panel, and
-    /// arrows shift it by a pixel (Shift: 10 pixels, Control: 0.1). The key s saves the nudges, and
+    /// arrows shift it by a pixel (Shift: 10 pixels, Control: 0.1). The key s saves the shifts, and
     /// the key r requests a report. In a preview, arrows turn the view by one degree.
     fn key(&mut self, event_loop: &ActiveEventLoop, key: &Key) {
         let Some(running) = &self.running else { return };

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! main thread   windows, keys, outputs that appear and disappear  (winit requires this thread)
-//! producer      encodes stacks, patterns and nudges into codes, uploads them, fills the feed
+//! producer      encodes stacks, patterns and panel shifts into codes, uploads them, fills the feed
 //! present loop  per refresh: one frame on every surface in one submission; takes the feed's frames
 //!               at the start of a period
 //! ```

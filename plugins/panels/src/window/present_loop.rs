@@ -20,8 +20,8 @@ pub(super) struct SharedState {
     pub(super) report: AtomicBool,
     /// True if a window has changed its size.
     pub(super) resized: AtomicBool,
-    /// Sum of the numbers of refreshes and of swaps; 0 before the first frame set. It grows as long
-    /// as the loop is not blocked.
+    /// Number of refreshes plus number of swaps; 0 before the first frame set. This sum grows as
+    /// long as the loop is not blocked.
     pub(super) progress: AtomicU64,
     /// Index of the screen whose image is being acquired or presented. If the loop stalls, this
     /// screen is reported.

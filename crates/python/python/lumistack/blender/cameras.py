@@ -1,12 +1,14 @@
 """The window in a scene, and Blender's camera for every view through it.
 
-At the point (x, y) of the plane z = 0, the view of slope s shows the content on the line (x, y, 0)
-+ z (s, 1).
+At the point (x, y) of the plane z = 0, the view of slope s = (s_x, s_y) shows the content on the
+line (x, y, 0) + z (s, 1).
 
     oblique        all rays of a view have its slope: an orthographic camera with a sheared matrix,
                    (x, y, z) -> (x + z s_x, y + z s_y, z)
     perspective    a pinhole at the eye (D s_x, D s_y, D) that looks straight ahead; its picture is
                    shifted to the window: shift = -D s / width, in widths of the picture
+
+Here D is the distance of the eye from the window, and `width` is the window's width.
 
 Blender composes a camera's matrix from location, rotation and scale, which cannot express a shear.
 So the shear is set as the camera's `matrix_parent_inverse`.
@@ -132,7 +134,7 @@ def window_of_camera(
 
 
 def window_of_job(job: dict[str, object], size_mm: tuple[float, float]) -> Window:
-    """Returns the window of the table [window] of a job, the inverse of `Window.as_job`."""
+    """Converts the table [window] of a job to a window. This is the inverse of `Window.as_job`."""
     centre, forward, up = (z_up(job[key]) for key in ("centre", "forward", "up"))  # type: ignore[arg-type]
     back = _unit(_times(forward, -1.0))
     right = _unit(_cross(up, back))

@@ -32,7 +32,8 @@ class Field:
 
 
 def fields_of(plugin: Mapping[str, Any]) -> list[Field]:
-    """The properties of a plugin that `lumistack.plugins()` describes."""
+    """Returns the properties for the parameters of a plugin. `plugin` is an entry of
+    `lumistack.plugins()`."""
     return [_field(plugin["id"], param) for param in plugin.get("params", ())]
 
 
@@ -59,7 +60,7 @@ def _field(plugin: str, param: Mapping[str, Any]) -> Field:
 
 
 def identifier(plugin: str, name: str) -> str:
-    """A property's name: letters, digits and underscores, at most 63 characters."""
+    """Returns the name of a property: letters, digits and underscores, at most 63 characters."""
     return re.sub(r"\W", "_", f"{plugin}_{name}", flags=re.ASCII)[:63]
 
 

@@ -145,7 +145,7 @@ class Glb:
 
 
 def radiance_hdr(width: int, height: int, texels: Sequence[Sequence[float]]) -> bytes:
-    """A Radiance picture with shared exponents, not compressed."""
+    """Returns a Radiance picture with shared exponents, not compressed."""
     header = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
     return header + b"".join(map(_rgbe, texels))
 

@@ -29,7 +29,7 @@ from .unshown import is_rendered, is_volume_alone
 #: Width and height, in pixels, of the picture of a world that is not a plain colour.
 SKY = (512, 256)
 SKY_SAMPLES = 32
-#: Rings of a ball and corners of a disk that emit light.
+#: Number of rings of a ball that emits light, and number of corners of a disk that emits light.
 RINGS, CORNERS = 8, 24
 Warn = Callable[[str, str], None]
 Rows = list[list[float]]
@@ -300,7 +300,7 @@ def panel(width: float, height: float, is_round: bool) -> tuple[list[list[float]
 
 
 def surface(positions: Sequence[Sequence[float]], triangles: Sequence[Sequence[int]]) -> float:
-    """Area of triangles."""
+    """Returns the area of triangles."""
     total = 0.0
     for a, b, c in triangles:
         u = [positions[b][axis] - positions[a][axis] for axis in range(3)]
@@ -311,7 +311,7 @@ def surface(positions: Sequence[Sequence[float]], triangles: Sequence[Sequence[i
 
 
 def _without_scale(matrix: Any) -> Any:
-    """A point light's ball does not scale with its object."""
+    """Removes the scale from a matrix. A point light's ball does not scale with its object."""
     return matrix.normalized()
 
 

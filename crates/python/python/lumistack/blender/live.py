@@ -195,7 +195,7 @@ class Attached(Program):
 
     def __init__(self, run: Path) -> None:
         """Attaches to the program of a run folder. Raises OSError, with a message, if no program
-        runs there, or if it refuses."""
+        runs there, or if the program refuses."""
         super().__init__()
         path = run / "cache" / "live.json"
         expected = f"{run}: expected the run folder of a `lumistack live` that runs"
@@ -248,8 +248,8 @@ class Files:
     """Numbered files of one folder. Only the newest `KEPT` files stay."""
 
     def __init__(self, folder: Path, stem: str, suffix: str) -> None:
-        """Makes the folder. The files of earlier sessions count, since a running program, to which
-        an earlier session was attached, still reads the newest file. Raises OSError."""
+        """Makes the folder. Numbers continue after the files of earlier sessions, since a running
+        program may still read the newest of these files. Raises OSError."""
         self._folder, self._stem, self._suffix = folder, stem, suffix
         folder.mkdir(parents=True, exist_ok=True)
         numbers = [path.name[len(stem) + 1 : -len(suffix)] for path in folder.glob(f"{stem}-*{suffix}")]

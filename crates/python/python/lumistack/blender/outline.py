@@ -45,8 +45,8 @@ def depth_box(size_mm: Sequence[float], depth_mm: Sequence[float] | None, distan
 
 
 def cone(size_mm: Sequence[float], fov_deg: Sequence[float]) -> list[Line]:
-    """Returns the outline of the viewing zone. Its planes go through the window's edges and lean
-    outwards by half the field of view."""
+    """Returns the outline of the viewing zone. The zone's planes go through the window's edges and
+    lean outwards by half the field of view."""
     reach = CONE * size_mm[0]
     x, y = size_mm[0] / 2, size_mm[1] / 2
     out_x, out_y = (reach * math.tan(math.radians(angle) / 2) for angle in fov_deg)
@@ -77,13 +77,13 @@ def of_cage(matrix: Sequence[float], width: float) -> tuple[float, tuple[float, 
 
 
 def is_in_front(eye_mm: Sequence[float], size_mm: Sequence[float]) -> bool:
-    """True if an eye is in front of the window, at a distance of more than a hundredth of the window's
-    width."""
+    """Returns true if an eye is in front of the window, at a distance of more than a hundredth of
+    the window's width."""
     return eye_mm[2] > 0.01 * size_mm[0]
 
 
 def in_cone(eye_mm: Sequence[float], fov_deg: Sequence[float]) -> bool:
-    """True if the direction from the window's centre to an eye lies in the field of view."""
+    """Returns true if an eye is in the field of view, seen from the window's centre."""
     if eye_mm[2] <= 0.0:
         return False
     return all(abs(place) <= eye_mm[2] * math.tan(math.radians(angle) / 2) for place, angle in zip(eye_mm, fov_deg, strict=False))

@@ -1,5 +1,5 @@
-"""Renders views with Blender's engines. It sets a camera for each view, and render settings that
-make the views comparable. Afterwards it restores the scene's settings."""
+"""Renders views with Blender's engines. This module sets a camera for each view, and render
+settings that make the views comparable. Afterwards it restores the scene's settings."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def render_views(
 
 
 def focus_of(bpy: Any, camera: Any) -> float | None:
-    """Distance of a camera's plane of focus, scene units; None without focus."""
+    """Returns the distance of a camera's plane of focus, scene units; None without focus."""
     dof = camera.data.dof
     held = dof.focus_object
     if held is not None:
@@ -198,8 +198,8 @@ def focus_of(bpy: Any, camera: Any) -> float | None:
 
 
 def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: float | None = None, camera: Any = None) -> Window:
-    """Returns the window in front of the scene's camera. It is at the given distance, or else at
-    the camera's plane of focus, or else at the middle of the visible depths."""
+    """Returns the window in front of the scene's camera. The window is at the given distance, or
+    else at the camera's plane of focus, or else at the middle of the visible depths."""
     camera = camera or scene.camera
     if camera is None:
         raise NoWindow("the scene has no camera: add one (Add > Camera, then View > Cameras > Set Active Object as Camera)")

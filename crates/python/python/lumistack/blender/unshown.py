@@ -67,8 +67,8 @@ def unshown(bpy: Any, scene: Any, depsgraph: Any = None) -> list[str]:
 
 
 def is_volume_alone(held: Any) -> bool:
-    """True if an object has a volume and no surface, such as a smoke domain. The box around such a
-    volume must not be exported."""
+    """Returns true if an object has a volume and no surface, such as a smoke domain. The box around
+    such a volume must not be exported."""
     outputs = [_output(slot.material) for slot in held.material_slots if slot.material is not None]
     return bool(outputs) and all(
         output is not None and output.inputs["Volume"].is_linked and not output.inputs["Surface"].is_linked for output in outputs
@@ -76,7 +76,7 @@ def is_volume_alone(held: Any) -> bool:
 
 
 def is_rendered(held: Any) -> bool:
-    """True if an object and its collections are enabled for renders."""
+    """Returns true if an object and its collections are enabled for renders."""
     return not held.hide_render and not (held.users_collection and all(each.hide_render for each in held.users_collection))
 
 
@@ -125,7 +125,7 @@ def _materials(shown: Any) -> Iterable[Any]:
 
 
 def _output(material: Any) -> Any:
-    """The output node that Cycles uses; None for a material without nodes."""
+    """Returns the output node that Cycles uses; None for a material without nodes."""
     tree = material.node_tree
     # Later versions of Blender use the nodes of every material, and `use_nodes` may be missing.
     if tree is None or not getattr(material, "use_nodes", True):
@@ -169,7 +169,8 @@ def _reason(node: Any, socket: Any) -> str | None:
 
 
 def _is_factor(node: Any) -> bool:
-    """True if a mix is a picture times a constant or a vertex colour, which glTF supports."""
+    """Returns true if a mix is a product that glTF supports: a picture times a constant or vertex
+    colours."""
     if node.blend_type != "MULTIPLY" or getattr(node, "data_type", "RGBA") != "RGBA":
         return False
     linked = [socket for socket in node.inputs if socket.enabled and socket.is_linked]

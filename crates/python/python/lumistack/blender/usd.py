@@ -33,8 +33,8 @@ SETTINGS = {
 
 
 def is_readable(bpy: Any) -> bool:
-    """True if this Python reads USD files. The module bpy hides Blender's own OpenUSD, so this
-    function searches for it."""
+    """Returns true if this Python reads USD files. The module bpy hides Blender's own OpenUSD, so
+    this function searches for it."""
     if importlib.util.find_spec("pxr") is None:
         version = f"python{sys.version_info[0]}.{sys.version_info[1]}"
         home = Path(bpy.utils.resource_path("LOCAL")) / "python"
@@ -49,7 +49,8 @@ class NoExporter(RuntimeError):
 
 
 def export_scene(bpy: Any, path: str | Path) -> None:
-    """Writes the scene at the current frame. Its pictures are written to a folder beside the file."""
+    """Writes the scene at the current frame. The scene's pictures are written to a folder beside
+    the file."""
     if not bpy.app.build_options.usd:
         raise NoExporter(f"Blender {bpy.app.version_string} was built without USD: hand the scene over as glTF")
     known = bpy.ops.wm.usd_export.get_rna_type().properties.keys()

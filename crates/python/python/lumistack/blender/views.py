@@ -13,7 +13,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-#: Number of characters of a key that the name of its folder contains.
+#: The name of a folder of views contains this number of characters of the views' key.
 NAMED_BY = 16
 View = tuple[int, int]
 
@@ -44,7 +44,7 @@ class Views:
         return self.path(view).is_file()
 
     def missing(self) -> list[View]:
-        """The views that are not rendered yet, in order."""
+        """Returns the views that are not rendered yet, in order."""
         return [view for view in self.all() if not self.is_there(view)]
 
     def begin(self, view: View) -> Path:

@@ -15,9 +15,9 @@ class Stopped(Exception):
 class Work:
     """Work on a thread of its own.
 
-    make(report) does the work. It must call report(stage, fraction) regularly, which raises Stopped
-    after a request to stop. make may pass report as the callback to functions of the package. Then
-    these functions also stop.
+    make(report) does the work. The function make must call report(stage, fraction) regularly, which
+    raises Stopped after a request to stop. make may pass report as the callback to functions of the
+    package. Then these functions also stop.
     """
 
     def __init__(self, make: Callable[[Callable[[str, float], None]], Any]) -> None:

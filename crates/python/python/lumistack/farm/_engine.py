@@ -418,8 +418,8 @@ class Engine:
             future.add_done_callback(self.ended.put)
 
     def of_store(self, unit: Unit) -> dict[str, Any] | None:
-        """Returns the data with which a worker executes a unit through a store. It names all units on
-        which the unit depends, directly or through other units. None without a store."""
+        """Returns the data with which a worker executes a unit through a store. The data name all
+        units on which the unit depends, directly or through other units. None without a store."""
         if self.store is None:
             return None
         needs: dict[str, None] = {}
@@ -435,7 +435,7 @@ class Engine:
         return {"url": self.store.store.url, "plan": self.plan, "needs": ordered, "sent": self.sent}
 
     def memory_of(self, usable: list[str]) -> float:
-        """The largest memory that a worker offers, bytes; 0 if any worker offers none."""
+        """Returns the largest memory that a worker offers, bytes; 0 if any worker offers none."""
         info = self.dask.scheduler_info(n_workers=-1)["workers"]
         offers = [float(info[address].get("resources", {}).get(MEMORY, 0.0)) for address in usable if address in info]
         return max(offers) if offers and min(offers) > 0 else 0.0

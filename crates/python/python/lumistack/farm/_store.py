@@ -6,9 +6,9 @@ the files of units through it.
     URL/PLAN/start.json              files of the run folder before the first unit, including the plan
     URL/PLAN/sent/N.json             files of a folder that the client sends
 
-Each worker has its own run folder, the mirror. For a unit the worker first copies the files of the
-units on which the unit depends into its mirror. Then it executes the unit in the mirror, and copies
-the files that the unit has written to the store.
+Each worker has its own run folder, the mirror. Before a unit, the worker copies the files of all
+units on which this unit depends into its mirror. Then it executes the unit in the mirror, and
+copies the files that the unit has written to the store.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ class Run:
         self.store, self.plan = Store(url), plan
 
     def unit(self, unit: str) -> str:
-        """Name of the list of a unit's files."""
+        """Returns the name of the list of a unit's files."""
         return f"{self.plan}/units/{unit}.json"
 
     def begin(self, folder: Path, sent: list[Path]) -> None:

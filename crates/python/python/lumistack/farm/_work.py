@@ -59,8 +59,8 @@ def probe(words: list[str] | None, folder: str, store: dict[str, Any] | None = N
 
 
 def _is_wanted() -> bool:
-    """Returns true if the client still waits for the task of this thread. It does not wait if it has
-    ended or has cancelled the task."""
+    """Returns true if the client still waits for the task of this thread. The client does not wait
+    if it has ended or has cancelled the task."""
     try:
         from distributed import get_worker
 
