@@ -1,4 +1,4 @@
-// Threads that trace views for the thread that solves. Each is a copy of that thread: the memory of
+// Threads that trace views for the thread that solves. Each is a copy of that thread. The memory of
 // the solver's module contains the placed scene, so a module with a copy of this memory can trace
 // the scene's views. Threads with common memory would need less memory, but browsers allow them
 // only to pages whose server sends special headers.

@@ -40,8 +40,9 @@ pub struct FactorizeJob {
     /// or many. Without `tiles` and `tile_mib` it is solved as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tiles: Option<[usize; 2]>,
-    /// Memory of a solve, MiB, 1 to 16777216. The display is cut into the fewest tiles of which
-    /// none needs more memory. Not together with `tiles`.
+    /// Memory of a solve, MiB, 1 to 16777216. The display is cut into more and more tiles, until
+    /// no tile needs more memory or tiles are as small as about 64 pixels. Not together with
+    /// `tiles`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tile_mib: Option<u64>,
     /// Folder `layers` of an earlier run, whose patterns are the start instead of `start`.

@@ -3,12 +3,12 @@
 At the point (x, y) of the plane z = 0, the view of slope s = (s_x, s_y) shows the content on the
 line (x, y, 0) + z (s, 1).
 
-    oblique        all rays of a view have its slope: an orthographic camera with a sheared matrix,
-                   (x, y, z) -> (x + z s_x, y + z s_y, z)
-    perspective    a pinhole at the eye (D s_x, D s_y, D) that looks straight ahead; its picture is
-                   shifted to the window: shift = -D s / width, in widths of the picture
+All rays of an oblique view have its slope. Its camera is orthographic, with the sheared matrix
+(x, y, z) -> (x + z s_x, y + z s_y, z).
 
-Here D is the distance of the eye from the window, and `width` is the window's width.
+The camera of a perspective view is a pinhole at the eye (D s_x, D s_y, D) that looks straight ahead.
+Its picture is shifted to the window by -D s / width, in widths of the picture. D is the distance of
+the eye from the window, and `width` is the window's width.
 
 Blender composes a camera's matrix from location, rotation and scale, which cannot express a shear.
 So the shear is set as the camera's `matrix_parent_inverse`.
