@@ -76,13 +76,13 @@ fn positions_that_make_no_sense_are_refused() {
 }
 
 /// Returns the mean squared error of the picture that the display shows along a slope, against
-/// [`Content::Two`].
-fn seen_from(stack: &LayerStack, target: &Target, slope: [f64; 2]) -> f64 {
+/// the content.
+fn seen_from(stack: &LayerStack, target: &Target, content: Content, slope: [f64; 2]) -> f64 {
     let geometry = target.field.geometry();
     let from = geometry.with_grid(ViewGrid::single(geometry.grid.projection, slope));
     let map = RayMap::new(&target.display, &from);
     let shown = Simulator::new(&target.display, stack).view(&map, &from, [0, 0]);
-    let wanted = super::fields::view(Content::Two, &from);
+    let wanted = super::fields::view(content, &from);
     let (mut sum, mut count) = (0.0, 0);
     for (i, (shown, wanted)) in shown.radiance.data().iter().zip(wanted).enumerate() {
         // compare only pixels away from the border, since rays near the border miss layers
@@ -101,12 +101,13 @@ const DISTANCE_MM: f64 = 1500.0;
 /// views of the zone have nearly no weight.
 const NARROW_MM: f64 = 20.0;
 
-/// Returns a target that is too deep for its display. The display has a zone of ±16°.
-fn deep() -> std::sync::Arc<Target> {
+/// Returns a target that is too deep for its display, with a row of views. The display has a zone
+/// of ±16°.
+fn deep(content: Content, views: usize) -> std::sync::Arc<Target> {
     /// Field of view for which the third view from either end of 13 views is at 10°, degrees.
     const FOV_DEG: f64 = 31.97;
-    let plain = Display::uniform([80, 50], 1.0, [13, 1], [FOV_DEG, 1.0], &[-6.0, 6.0], 6);
-    target(&Display { brightness: 0.3, ..plain }, Content::Two, 0.0, 0)
+    let plain = Display::uniform([80, 50], 1.0, [views, 1], [FOV_DEG, 1.0], &[-6.0, 6.0], 6);
+    target(&Display { brightness: 0.3, ..plain }, content, 0.0, 0)
 }
 
 /// Two viewers stand at ±10°, in front of a display with a zone of ±16°. The content is too deep
@@ -116,7 +117,7 @@ fn deep() -> std::sync::Arc<Target> {
 fn two_viewers_get_what_the_whole_zone_cannot_have() {
     const UPDATES: u32 = 60;
     let (warnings, cancel) = (Collector::default(), Cancel::default());
-    let (task, target) = (Task::quiet(&warnings, &cancel), deep());
+    let (task, target) = (Task::quiet(&warnings, &cancel), deep(Content::Two, 13));
     let slope = 10f64.to_radians().tan();
     let mut tracker = Tracker::default();
     tracker.see(&[-1.0, 1.0].map(|side| [side * slope * DISTANCE_MM, 0.0, DISTANCE_MM]), ms(0)).unwrap();
@@ -126,7 +127,7 @@ fn two_viewers_get_what_the_whole_zone_cannot_have() {
         Solver::new(Settings::default()).step(&Processor, &target, &weights, UPDATES, task).unwrap().stack
     });
     let [zone, tracked] = [&zone, &tracked].map(|stack| {
-        let errors = [-1.0, 1.0].map(|side| seen_from(stack, &target, [side * slope, 0.0]));
+        let errors = [-1.0, 1.0].map(|side| seen_from(stack, &target, Content::Two, [side * slope, 0.0]));
         -10.0 * (0.5 * (errors[0] + errors[1])).log10()
     });
     println!("at ±10°: {zone:.1} dB of the zone, {tracked:.1} dB tracked");
@@ -137,7 +138,7 @@ fn two_viewers_get_what_the_whole_zone_cannot_have() {
 /// follow it with five updates per report of the tracker, and are shown two reports later.
 ///
 /// The worst twentieth of the pictures that the head sees is at most 3 dB below the median picture.
-/// The patterns are also better than the patterns of the whole zone.
+/// It is also better than the median picture of patterns for the whole zone.
 #[test]
 fn patterns_follow_a_head_that_sways() {
     const UPDATES: u32 = 5;
@@ -145,6 +146,9 @@ fn patterns_follow_a_head_that_sways() {
     const LATENCY_MS: u64 = 2 * REPORT_MS;
     const WARM_UP_MS: u64 = 1000;
     const END_MS: u64 = 7000;
+    /// At the head, the views of the target are 36 mm apart. With 13 views, 72 mm apart, the worst
+    /// twentieth is 9 dB below the median: between two views, no ray constrains the patterns.
+    const VIEWS: usize = 25;
     // Two slow sways, and the error of a tracker that rounds to millimetres.
     let head = |at_ms: u64| {
         let at = at_ms as f64 / 1000.0;
@@ -152,7 +156,7 @@ fn patterns_follow_a_head_that_sways() {
         [sway(130.0, 0.21, 0.0) + sway(25.0, 0.8, 1.0), sway(10.0, 0.3, 2.0), DISTANCE_MM + sway(50.0, 0.13, 3.0)]
     };
     let (warnings, cancel) = (Collector::default(), Cancel::default());
-    let (task, target) = (Task::quiet(&warnings, &cancel), deep());
+    let (task, target) = (Task::quiet(&warnings, &cancel), deep(Content::Waves, VIEWS));
     let (mut tracker, mut solver) = (Tracker::default(), Solver::new(Settings::default()));
     let zone = Solver::new(Settings::default()).step(&Processor, &target, &Weights::Uniform, 60, task).unwrap().stack;
     let (mut tracked, mut untracked) = (Vec::new(), Vec::new());
@@ -163,18 +167,17 @@ fn patterns_follow_a_head_that_sways() {
         let solved = solver.step(&Processor, &target, &weights, UPDATES, task).unwrap();
         if now_ms >= WARM_UP_MS {
             let [x, y, z] = head(now_ms + LATENCY_MS);
-            let psnr = |stack: &LayerStack| -10.0 * seen_from(stack, &target, [x / z, y / z]).log10();
+            let psnr = |stack: &LayerStack| -10.0 * seen_from(stack, &target, Content::Waves, [x / z, y / z]).log10();
             tracked.push(psnr(&solved.stack));
             untracked.push(psnr(&zone));
         }
     }
-    [&mut tracked, &mut untracked].map(|scores| scores.sort_by(f64::total_cmp));
+    for scores in [&mut tracked, &mut untracked] {
+        scores.sort_by(f64::total_cmp);
+    }
     let [fifth, median] = [tracked.len() / 20, tracked.len() / 2].map(|at| tracked[at]);
-    println!(
-        "{} pictures: median {median:.1} dB, 5th percentile {fifth:.1} dB; zone {:.1} dB",
-        tracked.len(),
-        untracked[untracked.len() / 2]
-    );
+    let of_zone = untracked[untracked.len() / 2];
+    println!("median {median:.1} dB, 5th percentile {fifth:.1} dB, for the zone {of_zone:.1} dB");
     assert!(fifth > median - 3.0, "{fifth} {median}");
-    assert!(fifth > untracked[untracked.len() / 2], "{fifth} {untracked:?}");
+    assert!(fifth > of_zone, "{fifth} {of_zone}");
 }

@@ -1,7 +1,7 @@
 """The window in a scene, and Blender's camera for every view through it.
 
-At the point (x, y) of the plane z = 0, the view of slope s = (s_x, s_y) shows the content on the
-line (x, y, 0) + z (s, 1).
+A view has a slope s = (s_x, s_y). At the point (x, y) of the plane z = 0 it shows the content on
+the line (x, y, 0) + z (s, 1).
 
 All rays of an oblique view have its slope. Its camera is orthographic, with the sheared matrix
 (x, y, z) -> (x + z s_x, y + z s_y, z).
