@@ -9,7 +9,8 @@ pub struct Settings {
     pub samples: u32,
     /// Gives further rays and paths to noisy pixels of a
     /// [split view](crate::Renderer::render_split), whose light other views cannot share. It is for
-    /// views that are seen one by one. Other functions ignore it. Default false.
+    /// views that are seen one by one. Other functions ignore it. Default false. On wasm32 it is
+    /// always false, since pages would load its code without need.
     pub further_paths: bool,
     /// Largest number of scattering events of a path, 0..=1024. The event at the first hit counts,
     /// so 0 shows emission only. Longer paths are cut off, which is the renderer's only systematic
@@ -59,6 +60,13 @@ pub struct SettingsError {
     pub expected: &'static str,
     /// The value found.
     pub found: String,
+}
+
+impl Settings {
+    /// Returns true if split views get further rays and paths.
+    pub(crate) fn has_further_paths(&self) -> bool {
+        !cfg!(target_arch = "wasm32") && self.further_paths
+    }
 }
 
 impl Default for Settings {

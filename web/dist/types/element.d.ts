@@ -49,11 +49,11 @@ export declare class LumistackViewer extends HTMLElement {
     /** The renderer: "webgl2" or "cpu". */
     get path(): Path;
     /**
-    * RGBA bytes of the current picture, in the light field's size. In the side-by-side comparison
-    * they are the bytes of the display's picture alone, without the target.
+    * Returns the RGBA bytes of the current picture, in the light field's size. In the side-by-side
+    * comparison these are the bytes of the display's picture alone, without the target.
     */
     pixels(): Promise<ImageData>;
-    /** The current picture as PNG. */
+    /** Returns the current picture as PNG. */
     screenshot(): Promise<Blob>;
     /** Saves a quilt of 8 × 6 views for lenticular displays: a PNG, `TITLE_qs8x6aASPECT.png`. */
     saveQuilt(): Promise<void>;
@@ -103,9 +103,12 @@ export declare class LumistackViewer extends HTMLElement {
     private stateChanged;
     private writeAddress;
     private layOut;
-    /** The picture to show; undefined while no frame is complete. */
+    /** Returns the picture to show; undefined while no frame is complete. */
     private shot;
-    /** The seen pictures that other displays (headset, lenticular panel) show; undefined without patterns. */
+    /**
+    * Returns the seen pictures that other displays (headset, lenticular panel) show; undefined
+    * without patterns.
+    */
     private views;
     /**
     * True while the poster or small views replace the picture. The mean of only a few frames is

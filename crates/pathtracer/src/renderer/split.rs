@@ -66,7 +66,7 @@ impl SplitView {
 
     /// Returns the number of values per pixel of views with these settings.
     pub fn values_of(settings: &Settings) -> usize {
-        if settings.further_paths { MORE_PARTS } else { PARTS }
+        if settings.has_further_paths() { MORE_PARTS } else { PARTS }
     }
 
     /// Makes a view from the tensor that [`values`](Self::values) returns; `None` if the tensor has
@@ -138,7 +138,7 @@ impl Renderer {
         task: Task<'_>,
     ) -> Result<SplitView, RenderError> {
         let finite = |pixel: &PixelMean| settings.samples - pixel.not_finite;
-        let values = if settings.further_paths {
+        let values = if settings.has_further_paths() {
             let apart =
                 |pixel: &PixelMean, first: &FirstSums| first.apart(pixel.mean, finite(pixel), [settings.samples; 2]);
             let values = self.view_of::<true, APART>(window, geometry, view, settings, task, apart, all_parts)?;
@@ -168,7 +168,7 @@ impl Renderer {
         let all = |pixel: &PixelMean, first: &FirstSums| {
             let finite = settings.samples - pixel.not_finite;
             let mut values = [0.0; VARIANCE + FEATURES];
-            if settings.further_paths {
+            if settings.has_further_paths() {
                 values[..APART].copy_from_slice(&first.apart(pixel.mean, finite, [settings.samples; 2]));
             } else {
                 values[..PARTS].copy_from_slice(&first.split(pixel.mean, finite, settings.samples));
@@ -180,7 +180,7 @@ impl Renderer {
         let all =
             self.view_of::<true, { VARIANCE + FEATURES }>(window, geometry, view, settings, task, all, all_parts)?;
         let [apart, mut variance, features] = ranges(&all, [("part", APART), ("rgb", 3), ("feature", FEATURES)]);
-        let values = if settings.further_paths {
+        let values = if settings.has_further_paths() {
             self.with_further_paths(window, geometry, view, settings, task, &apart, Some(&mut variance))?
         } else {
             further::joined::<PARTS>(&apart)
