@@ -316,7 +316,8 @@ fn another_program_attaches_by_a_token_and_leaves_the_display_running() {
         assert_eq!(stranger.next(), None, "{wrong}");
     }
 
-    // the program receives the address and the last state, and its commands change the display
+    // The attached program receives the event `serving` with the address, and the newest state. Its
+    // command changes the display.
     let mut program = Attached::connect(&run, &format!("{token}\n{}\n", json!({"set": {"display.brightness": 0.4}})));
     assert_eq!(program.next().unwrap(), json!({"event": "attached"}));
     assert_eq!(program.next().unwrap()["event"], "serving");

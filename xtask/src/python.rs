@@ -19,7 +19,8 @@ const TOOLS: [&str; 10] = [
     "moto[server]==5.*",
 ];
 
-/// Packages for pip that notebooks use. Tests pass arrays and plots to them.
+/// Arguments of pip: packages that are common in notebooks. Tests check that these packages accept
+/// arrays and plots of `lumistack`.
 const NOTEBOOKS: [&str; 4] = ["--only-binary=:all:", "matplotlib==3.*", "xarray", "pillow"];
 
 /// The oldest Python that the wheel supports.

@@ -348,7 +348,7 @@ mod tests {
         assert_eq!(analysis.thickness_mm, 8.5);
         assert!(analysis.timing.flickers && analysis.timing.wanted_hz == 720.0);
         let text = analysis.text();
-        assert!(text.contains("eq. 26") && text.contains("the lens array is at -8.5 mm"), "{text}");
+        assert!(text.contains("eq. 26") && text.contains("the lens array is at z = -8.5 mm, not at z = 0"), "{text}");
     }
 
     #[test]

@@ -99,7 +99,7 @@ impl Display {
     fn lenses(&self, axis: usize, broken: &mut Vec<String>) -> Option<Form> {
         let Backlight::Lenslets(backlight) = &self.backlight else { return None };
         if backlight.d_mm != 0.0 {
-            broken.push(format!("the lens array is at {} mm", backlight.d_mm));
+            broken.push(format!("the lens array is at z = {} mm, not at z = 0", backlight.d_mm));
         }
         let step = 2.0 / backlight.views[axis] as f64 * (0.5 * backlight.fov_deg[axis].to_radians()).tan();
         Some(Form::Lenses { lenslet_mm: backlight.pitch_mm, step })
@@ -188,7 +188,7 @@ mod tests {
         assert_eq!(directional.closed_form(0), None, "the paper has no equation for one layer alone");
         directional.backlight = Backlight::Lenslets(LensletBacklight::new(-8.5, [9, 9], 2.5, [5, 5], [48.0, 48.0]));
         let form = directional.closed_form(1).unwrap();
-        assert_eq!(form.broken, ["the lens array is at -8.5 mm"]);
+        assert_eq!(form.broken, ["the lens array is at z = -8.5 mm, not at z = 0"]);
         assert_eq!(directional.lens_array_form(1).unwrap().equation, 23);
         let four = Display::uniform([16, 10], 0.5, [5, 5], [20.0, 20.0], &[-3.0, -1.0, 1.0, 3.0], 1);
         assert_eq!(four.closed_form(0), None);

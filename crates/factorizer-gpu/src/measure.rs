@@ -18,7 +18,7 @@ const MULTIPLY_ADDS: f64 = 8.0 * 4.0 * 64.0;
 /// Number of threads; each copies 16 bytes. Their data exceed the caches of graphics processors.
 const THREADS: u64 = 1 << 24;
 const ROUNDS: usize = 5;
-/// Shortest time of a submission that is measured.
+/// A timed submission takes at least this long, seconds: dispatches are added until it does.
 const LEAST_SECONDS: f64 = 0.02;
 
 /// Runs each kernel several times and takes the fastest run.

@@ -463,7 +463,8 @@ pub(crate) fn rays_through<'a>(
 #[derive(Default)]
 pub(crate) struct Windows {
     values: Vec<f32>,
-    /// For each factor, the index in `values` at which its line begins.
+    /// For each factor, the index in `values` at which its mixed line begins. The last entry is the
+    /// length of `values`.
     starts: Vec<usize>,
 }
 

@@ -25,22 +25,22 @@ const UNLIT: f64 = 1e-4;
 /// light reaches it. So any number whose square is a normal f32 suffices.
 const LIFTED: f32 = 1e-4;
 
-/// For each pixel of factor `n`, the limit: the largest Σ w a_m² of an unlit pixel, which is (UNLIT
-/// β)² Σ w over the pixel's rays.
+/// Returns a limit for each pixel of factor `n`. The pixel is unlit if Σ w a_m² over its rays is at
+/// most the limit, which is (UNLIT β)² Σ w over the same rays.
 ///
-/// The order is `[line][x]` as the factor's lines are stored. The limit of a pixel without rays is
-/// negative.
+/// The order is `[line][x]`, as the factor's lines are stored. A pixel without rays has a negative
+/// limit, so it is never unlit.
 pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
     let map = &plan.maps[n];
     let stride = map.layout.stride;
     let share = share(plan);
     let mut limits = vec![0.0f32; map.layout.lines() * stride];
     bands::for_each_chunk(
-        // sum the weights w over the rays through each pixel of the line
         &mut limits,
         stride,
         || vec![0.0; plan.cols],
         |weighted, line, limits| {
+            // sum the weights w over the rays through each pixel of the line
             for view_y in 0..plan.views[0] {
                 for &(row, line_weight) in map.rays_of_line(view_y, line) {
                     for view_x in 0..plan.views[1] {
@@ -59,9 +59,9 @@ pub(crate) fn limits(plan: &Plan, n: usize) -> Vec<f32> {
                     }
                 }
             }
+            // scale the sum to the limit, and exempt pixels without rays
             limits.iter_mut().for_each(|limit| *limit = if *limit > 0.0 { *limit * share } else { -1.0 });
         },
-        // scale the sum to the limit, and exempt pixels without rays
     );
     limits
 }

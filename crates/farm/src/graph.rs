@@ -93,7 +93,7 @@ pub struct Graph {
 pub(crate) struct Group<'a> {
     /// Common beginning of the units' ids.
     pub(crate) name: &'a str,
-    /// The units, in the order of their blocks.
+    /// The units, by ascending number of their block.
     pub(crate) units: Vec<&'a Unit>,
     /// Numbers of the groups whose results this group reads, ascending.
     pub(crate) inputs: Vec<usize>,

@@ -62,7 +62,8 @@ pub fn predict(graph: &Graph, workers: usize, overhead_seconds: f64) -> Predicti
     let mut running: BinaryHeap<Reverse<(u64, usize)>> = BinaryHeap::new();
     let (mut now, mut sum) = (0.0, 0.0);
     loop {
-        // Give every free worker the ready unit with the longest path.
+        // Each free worker takes, of the ready units that are left, the unit with the longest path
+        // to the end of the graph.
         while running.len() < workers
             && let Some((_, Reverse(index))) = ready.pop()
         {

@@ -122,7 +122,9 @@ fn adopt(
         document.task.warn(place, format!("{found}; it stays a child of that node"));
         return false;
     }
-    document.task.warn(place, format!("{found}, which the scene does not show; it is shown without its parent"));
+    document
+        .task
+        .warn(place, format!("{found}, which the scene does not show; the child is shown without this parent"));
     parents[node] = None;
     true
 }

@@ -88,9 +88,9 @@ impl Tracker {
         Ok(())
     }
 
-    /// Predicts the positions of the viewers at the time `now` + `latency`. Returns no positions,
-    /// and the weight 1 of the whole zone, if there is no viewer or the tracker has been silent for
-    /// long.
+    /// Predicts the positions of the viewers at the time `now` + `latency`. After [`SILENCE`]
+    /// without a report, `zone` grows from 0 to 1 within [`FADE`]. Then, or without viewers, the
+    /// result has no positions and `zone` is 1.
     pub fn boxes(&self, now: Duration, latency: Duration) -> Boxes {
         let Some(seen) = self.seen else { return Boxes { heads_mm: Vec::new(), zone: 1.0 } };
         let silent = now.saturating_sub(seen);

@@ -9,9 +9,10 @@
 //! A unit checks that its worker has the same code as the plan, and waits for its input units. Then
 //! it executes its steps and records that it is done.
 //!
-//! Units share the lock of the run folder. A time step or a node has a folder with a lock of its
-//! own. A unit holds this lock alone while it writes results into that folder. The last unit
-//! executes a whole run, and alone holds the lock of the run folder.
+//! Every unit except the last holds a shared lock of the run folder. The folder of a time step or
+//! node has its own lock, which a unit holds exclusively while it writes results there. The last
+//! unit runs the whole job: it reuses all results and writes the reports. It holds the lock of the
+//! run folder exclusively.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

@@ -31,7 +31,7 @@ pub(crate) fn decibels_fine(value: f64) -> String {
     }
 }
 
-/// Formats a fraction or a count in two or three digits.
+/// Formats a value with two decimals below 9.95, one below 99.5, and none above.
 pub(crate) fn number_short(value: f64) -> String {
     match value.abs() {
         v if v >= 99.5 => format!("{value:.0}"),

@@ -225,8 +225,8 @@ mod tests {
         assert!((map.point(DVec3::ZERO) - DVec3::new(1.0, 1.0, 0.0)).length() < 1e-6);
         assert!((map.point(DVec3::new(200.0, 0.0, 0.0)) - DVec3::new(1.0, 1.0, -3.2)).length() < 1e-6);
         assert!((map.point(DVec3::new(0.0, 0.0, 1.0)) - DVec3::new(1.016, 1.0, 0.0)).length() < 1e-6);
-        // a near plane half a unit in front of the camera is 1.5 units in front of the window, at
-        // 0.016 units per millimetre
+        // The window is 2 units away from the camera, and the near plane 0.5 units. So the near
+        // plane is 1.5 units nearer to the viewer than the window. A millimetre is 0.016 units.
         assert!((window.near_mm.unwrap() - 1.5 / 0.016).abs() < 1e-3);
         assert!(
             (map.inverse_point(map.point(DVec3::new(1.0, -2.0, 3.0))) - DVec3::new(1.0, -2.0, 3.0)).length() < 1e-9

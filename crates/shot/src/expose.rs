@@ -60,8 +60,8 @@ pub fn brightest<'a, E>(
     let every = all.div_ceil(MOST_RAYS).max(1);
     let mut rays = Vec::with_capacity(all / every + 1);
     for (number, &view) in views.iter().enumerate() {
-        // rays are spread evenly over all views, so the first ray of a view depends on the views
-        // before it
+        // Every `every`-th ray is taken, counted through all views. So the index of a view's first
+        // ray depends on the number of rays in the views before it.
         let first = (every - number * size % every) % every;
         rays.extend(picture(view)?.chunks_exact(3).enumerate().skip(first).step_by(every).map(|(i, rgb)| {
             let surface = depths.is_surface(view, i / geometry.cols, i % geometry.cols, geometry);

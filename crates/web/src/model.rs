@@ -190,8 +190,9 @@ impl Model {
         self.response(n).is_none()
     }
 
-    /// Returns the values of layer `n` in the given frames after the hardware's response,
-    /// `[frame][row][col][rgb]`. The options' black level is not applied.
+    /// Returns the values of layer `n` that rays hit, in the given frames: the stored values after
+    /// the hardware's response, `[frame][row][col][rgb]`. The black level in `options` is not
+    /// applied.
     pub fn hit_values(&self, n: usize, frames: &[usize]) -> Tensor<4> {
         let [cols, rows] = self.preview.display.layers[n].resolution;
         let mut values = Tensor::zeros(LayerStack::LAYER_AXES, [frames.len(), rows, cols, 3]);

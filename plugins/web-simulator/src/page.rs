@@ -1,4 +1,5 @@
-//! Writes the files of the site, and the site in one file.
+//! Writes the site as a folder of files and, if requested, as one file that contains the page and
+//! its pictures.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;

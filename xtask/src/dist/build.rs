@@ -148,7 +148,8 @@ fn mingw() -> Outcome {
     tools::apt(&["gcc-mingw-w64-x86-64"], "link programs for Windows")
 }
 
-/// Builds the program, including the windows for panels, and returns its path.
+/// Builds the program with the feature `panels`, which drives physical panels. Returns the path of
+/// the program.
 pub fn program(target: &Target) -> Outcome<PathBuf> {
     tools::rust_target(target.triple)?;
     let words = [&["--release", "--locked", "--bin", "lumistack"][..], &PACKAGES, &["--target"]].concat();

@@ -529,7 +529,8 @@ fn scenes_that_list_children_are_shown() {
     let shown_there = format!("{child}; it stays a child of that node");
     assert_eq!(corner(&under(json!([0, 1]))), (vec![3.0], vec![format!("/scenes/0/nodes/0: {shown_there}")]));
     assert_eq!(corner(&under(json!([1, 0]))), (vec![3.0], vec![format!("/scenes/0/nodes/1: {shown_there}")]));
-    let alone = format!("/scenes/0/nodes/0: {child}, which the scene does not show; it is shown without its parent");
+    let alone =
+        format!("/scenes/0/nodes/0: {child}, which the scene does not show; the child is shown without this parent");
     assert_eq!(corner(&under(json!([0]))), (vec![0.0], vec![alone]));
     let again = "/scenes/0/nodes/1: expected every node once, found node 1 again; it is shown once";
     assert_eq!(corner(&under(json!([1, 1]))), (vec![3.0], vec![again.into()]));

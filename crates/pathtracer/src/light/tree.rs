@@ -71,8 +71,8 @@ pub(crate) struct Emitter {
 /// samples choose a light. 0 if nothing is known about these numbers.
 pub(crate) type Parts = u32;
 
-/// Rounds the chance of the first child to whole parts, unless it would get none or all of the
-/// parts. Returns the chance, and the numbers of parts of the first and of the second child.
+/// Rounds the chance of the first child to whole parts. The chance stays unrounded if the first
+/// child would get no part or all parts. Also returns how many parts each child gets.
 #[inline]
 pub(super) fn whole_parts(chance: f32, parts: Parts) -> (f32, [Parts; 2]) {
     let first = (chance * parts as f32 + 0.5) as Parts;

@@ -124,8 +124,8 @@ fn a_distant_light_gives_its_irradiance_times_the_cosine_of_its_centre() {
     }
 }
 
-/// Returns the irradiance at the origin from a square of radiance L and half width w. The square is
-/// at height h, parallel to the plane and centred above the origin:
+/// Returns the irradiance at the origin of the plane z = 0, from a square of radiance L and half
+/// width w. The square is parallel to the plane, at height h, and centred above the origin:
 ///
 /// ```text
 /// E = 4 L s atan s,   s = w/√(w² + h²)

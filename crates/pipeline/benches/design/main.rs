@@ -205,7 +205,7 @@ fn killing() -> Outcome {
     }
     // The last process finishes the sweep.
     if !start(&killed)?.wait()?.success() {
-        return Err("the sweep does not continue".into());
+        return Err("the restarted sweep ended with an error; expected it to continue from its finished designs".into());
     }
     for name in ["sweep.csv", "sweep.json"] {
         if std::fs::read(whole.join(name))? != std::fs::read(killed.join(name))? {

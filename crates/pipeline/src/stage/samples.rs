@@ -414,7 +414,8 @@ fn part(
     centre_mm: [f64; 2],
     margin: usize,
 ) -> Part {
-    // The section is a small display with the same layers.
+    // A part is a small display with the same layers. The resolution of the light field and of
+    // every layer is reduced to the part's share.
     let shares = [cols as f64 / geometry.cols as f64, rows as f64 / geometry.rows as f64];
     let cut =
         |resolution: [usize; 2]| [0, 1].map(|axis| ((resolution[axis] as f64 * shares[axis]).ceil() as usize).max(1));

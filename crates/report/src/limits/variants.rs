@@ -182,7 +182,7 @@ pub(super) fn simulated_error(
     Ok((error, tone))
 }
 
-/// Sums of the linear regression of L on L̃/β.
+/// Sums for linear regressions between L̃/β and L.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Tone {
     count: f64,
@@ -209,9 +209,9 @@ impl Tone {
         Self { count: self.count + other.count, sums }
     }
 
-    /// Returns (offset, slope, fraction) of the regression, with x = L̃/β and y = L. The mean tone
-    /// curve is x = offset + slope·y. The fraction is the part of the squared error that the best
-    /// straight line y ≈ a + b·x would remove.
+    /// Returns (offset, slope, fraction) with x = L̃/β and y = L. Offset and slope are those of the
+    /// line x ≈ offset + slope·y, the mean tone curve. The fraction is the part of the squared
+    /// error that the best line y ≈ a + b·x would remove.
     pub(super) fn fit(self) -> Option<(f64, f64, f64)> {
         let [x, y, xx, xy, yy] = self.sums.map(|sum| sum / self.count);
         let (var_x, var_y, cov) = (xx - x * x, yy - y * y, xy - x * y);

@@ -10,8 +10,9 @@
 //! p = (x − z s_x, y − z s_y),   Σ' = J Σ Jᵀ,   J = m (1 0 −s_x; 0 1 −s_y),   m = 1
 //! ```
 //!
-//! The ray from an eye at e through the centre μ has s = (e − μ)/(D − z) and m = D/(D − z). Here D
-//! is the distance of the eye from the window, and z the depth of μ. Within one splat rays are
+//! The ray from an eye through the splat's centre has s = (e − c)/(D − z) and m = D/(D − z). Here e
+//! and c = (x, y) are the columns and rows of the eye and of the centre, and D is the distance of
+//! the eye from the window. Within one splat rays are
 //! treated as parallel. This is the affine approximation that KHR_gaussian_splatting prescribes,
 //! for the sheared frustum of the window.
 
