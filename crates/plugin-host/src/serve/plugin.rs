@@ -124,7 +124,7 @@ impl Plugin {
         // Parse and check id, parameters, functions, ports and extensions.
         let id = text(descriptor.id, "id")?.to_string();
         if !is_plugin_id(&id) {
-            return Err(PluginError::Refused(format!("`{id}` cannot be a plugin's id")));
+            return Err(invalid_id(&id));
         }
         let refused = |what: String| PluginError::Refused(format!("plugin `{id}`: {what}"));
         let schema: Schema = serde_json::from_str(text(descriptor.schema_json, "parameters")?)
@@ -166,7 +166,7 @@ impl Plugin {
     pub fn elsewhere(info: PluginInfo, functions: Arc<dyn Functions>) -> Result<Self, PluginError> {
         let refused = |what: String| PluginError::Refused(format!("plugin `{}`: {what}", info.id));
         if !is_plugin_id(&info.id) {
-            return Err(PluginError::Refused(format!("`{}` cannot be a plugin's id", info.id)));
+            return Err(invalid_id(&info.id));
         }
         info.schema.check().map_err(refused)?;
         Ok(Self { info, functions })
@@ -246,4 +246,10 @@ unsafe fn vtable_of(descriptor: &Descriptor) -> Result<(PluginKind, Vtable), Str
             kind::OUTPUT
         )),
     }
+}
+
+/// Returns the error for a plugin whose id is not valid.
+fn invalid_id(found: &str) -> PluginError {
+    let expected = "lower-case letters, digits and underscores, beginning with a letter";
+    PluginError::Refused(format!("id of a plugin: expected {expected}, found `{found}`"))
 }
