@@ -226,8 +226,8 @@ impl Analysis {
     }
 }
 
-/// Returns the fraction of the hits between two depths. A bar that crosses a limit contributes in
-/// proportion to its part between the limits.
+/// Returns the fraction of the hits between two depths. A bar that crosses a limit contributes the
+/// fraction of its width that is between the limits.
 fn share_between(bars: &[[f64; 3]], low: f64, high: f64) -> Option<f64> {
     let all: f64 = bars.iter().map(|bar| bar[2]).sum();
     let inside =

@@ -433,9 +433,9 @@ mod tests {
         assert!((many.bound - 2.0 * 40.0 / (40.0 + 80.0)).abs() < 1e-9);
     }
 
-    /// The paper's Figure 11, over the whole emission. A layer in front of integral imaging
-    /// improves the contrast on the display plane even with a single frame. Off the display plane
-    /// the layer needs more than one frame.
+    /// Repeats the paper's Figure 11, but measures the contrast over rays of the whole zone, so
+    /// also between the views. A layer in front of the lens array improves the contrast on the
+    /// display plane, even with one frame. Off the display plane this needs more than one frame.
     #[test]
     fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();

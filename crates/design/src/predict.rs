@@ -34,7 +34,8 @@ pub fn features(display: &Display) -> [f64; 3] {
     let steps =
         [0, 1].map(|axis| 2.0 / display.views()[axis] as f64 * (0.5 * display.field.fov_deg[axis].to_radians()).tan());
     let step = steps[0].max(steps[1]);
-    // A display with a single direction shows no depth, so only the display plane counts.
+    // A display with a single direction shows no depth, so the bound is sampled only on the display
+    // plane.
     let reach = if step > 0.0 { display.field.pitch_mm / step } else { 0.0 };
     let share = |i: usize| {
         let z = reach * (2.0 * i as f64 / (DEPTHS - 1) as f64 - 1.0);

@@ -37,7 +37,7 @@ enum Form {
     LayerOnLenses { lenslet_mm: f64, step: f64, own: f64 },
 }
 
-/// Relative difference up to which two numbers count as equal, since files round numbers.
+/// Relative difference up to which two numbers are taken as equal, since files round numbers.
 const ROUNDING: f64 = 1e-9;
 
 impl Display {

@@ -260,7 +260,8 @@ impl<'a> Reads<'a> {
 const SHORT_RUN: usize = 4;
 
 /// Combines each `formed[col][rgb]` with the layer's value at the ray. If the ray misses the layer,
-/// the value stays: the layer counts as clear, or the ray is invalid and is set to 0 later.
+/// the value stays: either the layer is treated as clear, or the ray is invalid and is set to 0
+/// later.
 fn combine_layer(
     formed: &mut [f32],
     values: &Tensor<4>,
@@ -301,8 +302,8 @@ fn combine_layer(
     }
 }
 
-/// Combines each `formed[col][rgb]` with the backlight's emission at the ray; 0 if the ray is dark
-/// or misses the backlight.
+/// Combines each `formed[col][rgb]` with the backlight's emission at the ray. The emission is 0 if
+/// the ray is dark or misses the backlight.
 fn combine_backlight(
     formed: &mut [f32],
     emission: &Tensor<6>,

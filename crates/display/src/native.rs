@@ -15,7 +15,8 @@ const VIEWS_PER_BIN: f64 = 3.0;
 /// The native step is the smallest of these changes of slope:
 ///
 /// * p / max |Δd|, where p is the pitch, and |Δd| a layer's distance from the display plane or from
-///   the next layer. It moves a layer by one pixel against the light field or the next layer.
+///   the next layer. This change moves a layer by one pixel against the light field or the next
+///   layer.
 /// * The change that moves the rays by one bin of the backlight.
 ///
 /// Suppose that all layers have one pitch, and the first change is the smallest. Then every

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use crate::Sampling;
 
 /// One physical panel. In a browser all values are defaults: nothing uses them there, and the code
-/// to read them would take a twentieth of the page.
+/// that reads them would be a twentieth of the page's size.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 #[cfg_attr(not(target_arch = "wasm32"), derive(Deserialize), serde(deny_unknown_fields))]
 pub struct Panel {
@@ -102,12 +102,13 @@ mod unread {
     }
 }
 
-/// A matrix counts as singular if its determinant, relative to the size of its entries, is below
+/// A matrix is taken as singular if its determinant, relative to the size of its entries, is below
 /// this limit.
 const SINGULAR: f64 = 1e-9;
 
 impl Panel {
-    /// Returns the first invalid key, the expected value and the value found.
+    /// Returns the first invalid key, the expected value and the value found; `None` if all keys
+    /// are valid.
     pub(crate) fn problem(&self) -> Option<(&'static str, &'static str, String)> {
         if !matches!(self.rotate_deg, 0 | 90 | 180 | 270) {
             return Some(("rotate_deg", "0, 90, 180 or 270", self.rotate_deg.to_string()));
@@ -132,7 +133,8 @@ impl Panel {
 }
 
 impl Lens {
-    /// Returns the first invalid key, the expected value and the value found.
+    /// Returns the first invalid key, the expected value and the value found; `None` if all keys
+    /// are valid.
     pub(crate) fn problem(&self) -> Option<(&'static str, &'static str, String)> {
         for (key, length) in [("pitch_mm", self.pitch_mm), ("focal_mm", self.focal_mm)] {
             if let Some(length) = length

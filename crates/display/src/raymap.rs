@@ -70,7 +70,8 @@ impl AxisTaps {
         &self.taps[view * self.rays..(view + 1) * self.rays]
     }
 
-    /// Returns the taps of a range of rays of every view, each changed by `change`.
+    /// Returns the taps of the rays `rays` of every view, after `change` has been applied to each
+    /// tap.
     pub(crate) fn cut(&self, rays: &std::ops::Range<usize>, change: impl Fn(&Tap) -> Tap) -> Self {
         let views = self.taps.chunks_exact(self.rays.max(1));
         let taps = views.flat_map(|view| view[rays.clone()].iter().map(&change));

@@ -10,7 +10,7 @@
 //! ```
 //!
 //! Between the pairs the function is linear. The table does not state the brightness of the darkest
-//! and the brightest state: the display's keys `black_level` and `peak` do.
+//! and the brightest state: the display's keys `black_level` and `peak` state it.
 
 use lumistack_core::colour::{srgb_decode, srgb_encode};
 use schemars::JsonSchema;
@@ -95,7 +95,8 @@ impl Transfer {
         matches!(self, Self::Gamma(Channels::Rgb(_)) | Self::Table(Channels::Rgb(_)))
     }
 
-    /// Returns the first invalid key under `transfer`, the expected value and the value found.
+    /// Returns the first invalid key under `transfer`, the expected value and the value found;
+    /// `None` if all keys are valid.
     pub(crate) fn problem(&self) -> Option<(String, &'static str, String)> {
         let key = |name: &str, channels: usize, i: usize| {
             if channels == 1 { name.to_string() } else { format!("{name}[{i}]") }

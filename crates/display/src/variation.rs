@@ -26,8 +26,7 @@ pub struct Variation {
     /// [horizontal, vertical] full angles of view of the light field and the backlight, degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fov_deg: Option<[f64; 2]>,
-    /// [columns, rows] of lenslets. Their pitch changes, so that they cover the same width as
-    /// before.
+    /// [columns, rows] of lenslets. Their pitch changes so that their total width stays the same.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lenslets: Option<[usize; 2]>,
 }

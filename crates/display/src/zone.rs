@@ -129,7 +129,7 @@ impl ZoneScore {
     }
 
     /// Returns the PSNR of the mean error over the worst tenth of the directions, dB. The number of
-    /// these directions is rounded up.
+    /// these directions is rounded up. `None` if no pixel could be scored.
     pub fn worst_tenth(&self) -> Option<f64> {
         let mut scored = self.scored();
         scored.sort_by(|a, b| b.total_cmp(a));
@@ -202,8 +202,8 @@ mod tests {
         assert!(Zone::Eyes(Vec::new()).directions(32).is_empty());
     }
 
-    /// Two noisy references give the error of the seen picture alone, though the squared error of
-    /// the noise is 19 times as large.
+    /// With two noisy references the score is the error of the seen picture alone. The mean square
+    /// of the noise is 19 times that error.
     #[test]
     fn noise_of_the_references_does_not_count() {
         let pixels = 40_000;

@@ -57,7 +57,7 @@ fn described(adapter: &wgpu::Adapter) -> Adapter {
         driver: [info.driver, info.driver_info].join(" ").trim().to_owned(),
         buffer_bytes: [limits.max_buffer_size, limits.max_storage_buffer_binding_size],
         // A browser does not report the kind of an adapter, so every browser adapter of kind
-        // `other` counts as a graphics processor.
+        // `other` is taken as a graphics processor.
         is_hardware: ["discrete", "integrated", "virtual"].contains(&kind)
             || (info.backend == wgpu::Backend::BrowserWebGpu && kind == "other"),
     }

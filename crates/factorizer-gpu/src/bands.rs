@@ -10,7 +10,7 @@ use std::ops::Range;
 
 use crate::tables::Tables;
 
-/// The parts of buffers that one dispatch binds (windows). Except for `lines`, the ranges count
+/// The parts of buffers that one dispatch binds (windows). Except for `lines`, the ranges are in
 /// 4-byte words of a channel's buffers.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Band {
@@ -94,8 +94,8 @@ impl BandSizes<'_> {
         })
     }
 
-    /// Returns the range of some lines in words, extended to an aligned start. `None` if the range
-    /// is larger than a binding may be.
+    /// Returns the words that hold `lines`, where a line has `words` words. The start is moved down
+    /// to an aligned word. `None` if the range is larger than a binding may be.
     fn window(&self, lines: Range<usize>, words: u64) -> Option<Range<u64>> {
         let align = self.align.div_ceil(4);
         let start = lines.start as u64 * words / align * align;

@@ -93,7 +93,8 @@ impl Gpu {
         self
     }
 
-    /// Makes shaders sum without subgroups, so that tests compare both ways.
+    /// Makes shaders sum without subgroups, so that tests can compare these sums with sums by
+    /// subgroups.
     #[must_use]
     pub fn without_subgroups(mut self) -> Self {
         self.parts = 1;

@@ -82,12 +82,13 @@ impl Device {
         Ok(Self { gpu: Arc::new(gpu) })
     }
 
-    /// True if shaders sum their results by subgroups: if the adapter has them.
+    /// Returns true if shaders sum their results by subgroups, an optional feature of adapters.
     pub fn has_subgroups(&self) -> bool {
         self.gpu.parts > 1
     }
 
-    /// Opens the device again without subgroups, so that tests compare both ways.
+    /// Opens the device again without subgroups, so that tests can compare sums with and without
+    /// them.
     ///
     /// # Errors
     /// As [`open`](Self::open).

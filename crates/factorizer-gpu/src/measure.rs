@@ -53,8 +53,8 @@ pub(crate) fn limits(gpu: &Gpu) -> Limits {
     });
     let groups = (threads / 64) as u32;
     let across = groups.min(1 << 12);
-    // Returns the shortest time per dispatch. One submission holds so many dispatches that starting
-    // and ending it does not count.
+    // Returns the shortest time per dispatch. One submission holds so many dispatches that the time
+    // to start and end it is negligible.
     let fastest = |entry: &str| {
         let pipeline = gpu.pipeline(&module, &layout, entry);
         let timed = |dispatches: u32| {

@@ -8,7 +8,8 @@ use crate::gpu::Gpu;
 pub(crate) struct Values {
     /// Values that rays read.
     pub(crate) current: Vec<wgpu::Buffer>,
-    /// Output of the next update. After that update it has the previous values.
+    /// Buffers that the next update writes. They are then swapped with `current`, so they hold the
+    /// values before the last update.
     pub(crate) next: Vec<wgpu::Buffer>,
     /// The last iterate, if rays read extrapolated values.
     pub(crate) latest: Option<Vec<wgpu::Buffer>>,

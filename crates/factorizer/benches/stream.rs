@@ -116,7 +116,8 @@ fn half(value: f64) -> u16 {
     if exponent <= 0 { 0 } else { (exponent as u16) << 10 | (bits >> 13 & 0x3ff) as u16 }
 }
 
-/// Anonymous memory of this process according to the system; 0 if it is unknown.
+/// Returns the anonymous memory of this process, as the system reports it, bytes; 0 if it is
+/// unknown.
 fn anonymous_bytes() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"));

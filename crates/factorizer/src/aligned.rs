@@ -46,7 +46,7 @@ impl Clone for Aligned {
 
 /// Allocates `count` cache lines and initializes them on all threads.
 ///
-/// `make(first, part)` writes every line of its part; `first` is the part's first index.
+/// `make(first, part)` writes every line of `part`; `first` is the index of the part's first line.
 fn made(count: usize, make: impl Fn(usize, &mut [MaybeUninit<CacheLine>]) + Sync + Send) -> Vec<CacheLine> {
     let mut lines = Vec::with_capacity(count);
     let spare = &mut lines.spare_capacity_mut()[..count];

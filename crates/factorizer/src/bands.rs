@@ -1,4 +1,5 @@
-//! Distributes work over all threads of the current rayon pool. Without rayon, one thread does it.
+//! Distributes work over all threads of the current rayon pool. Without rayon, one thread does all
+//! work.
 //!
 //! A band is one part of the output, and one thread computes it in a fixed order. So results do not
 //! depend on the number of threads.
@@ -38,7 +39,7 @@ pub(crate) fn map<T: Send + Clone + Default, S>(
     results
 }
 
-/// True if `holds` is true of every part of `data`.
+/// Returns true if `holds` returns true for every part of `data`.
 pub(crate) fn all<T: Sync>(data: &[T], holds: impl Fn(&[T]) -> bool + Sync + Send) -> bool {
     /// Number of values of one part.
     const PART: usize = 1 << 16;

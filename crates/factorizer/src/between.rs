@@ -131,7 +131,7 @@ fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     (0..plan.maps.len()).map(of).collect()
 }
 
-/// For every view column that has valid rays, the shares that pixels get from these rays.
+/// Returns, for every view column that has valid rays, the shares that pixels get from these rays.
 fn shares(plan: &Plan, n: usize) -> Vec<ColumnShares> {
     let map = &plan.maps[n];
     let (pad, cols) = (map.layout.pad as isize, map.layout.cols());
@@ -207,7 +207,7 @@ impl BetweenBand<'_> {
         let windows = windows.lines();
         let rows = spare.rows.clone();
         let list = rays_between(std::mem::take(rays), plan, factors, at, (spare, &windows), ahead);
-        // the block before the first block counts as zeros
+        // the terms of the block before the first block are zeros
         let count = list.views.len() * (plan.frames + 2) * lumistack_simd::MAX_LANES;
         if before.len() < count {
             *before = Aligned::filled(0.0, count);
@@ -222,7 +222,7 @@ impl BetweenBand<'_> {
         let end = layout.pad + layout.cols().next_multiple_of(lanes);
         for start in (first..end).step_by(PART) {
             let part = start..(start + PART).min(end);
-            // the sums that the previous line's rays added for this line come first
+            // begin with the sums that the rays between the previous line and this line have added
             for (high, low) in high.chunks_exact_mut(layout.stride).zip(low.chunks_exact_mut(PART)) {
                 low[..part.len()].copy_from_slice(&high[part.clone()]);
                 high[part.clone()].fill(0.0);

@@ -70,7 +70,7 @@ pub trait Updater {
     ///
     /// With `extrapolation` = β_k, rays then read the extrapolated values x + β_k (x − x'), clamped
     /// to the box. x and x' are this and the previous iterate. If L̃ is not linear, `local` selects
-    /// the curvature at the current point.
+    /// the curvature at the current point instead of its upper bound.
     fn apply(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool);
 
     /// Returns error and gain of the last [`apply`](Self::apply).
@@ -244,12 +244,13 @@ impl Plan {
         self.maps[n].layout.outside
     }
 
-    /// True if every ray reads one pixel of factor `n`.
+    /// Returns true if every ray reads one pixel of factor `n`.
     pub fn is_nearest(&self, n: usize) -> bool {
         self.maps[n].nearest
     }
 
-    /// True if so few rays read each pixel of factor `n` that a plain sum in f32 is precise.
+    /// Returns true if so few rays read each pixel of factor `n` that a plain sum in f32 is
+    /// precise.
     pub fn has_short_sums(&self, n: usize) -> bool {
         self.maps[n].short_sums
     }
@@ -276,12 +277,12 @@ impl Plan {
         &self.runs[view_x]
     }
 
-    /// True if the rays of a field row are valid in a view row.
+    /// Returns true if the rays of a field row are valid in a view row.
     pub fn counts_row(&self, view_y: usize, row: usize) -> bool {
         self.valid_rows[view_y][row]
     }
 
-    /// True if L is stored in half floats.
+    /// Returns true if L is stored in half floats.
     pub fn has_half_target(&self) -> bool {
         matches!(self.target.row(0, 0, 0), Row::Half(_))
     }

@@ -140,7 +140,8 @@ impl Engine {
         &self.factors[n].row(channel, line, frame)[layout.pad..layout.pad + layout.cols()]
     }
 
-    /// Selects the instruction set. `fast` permits the fast kernel for factors at constant shifts.
+    /// Selects the instruction set. `fast` permits the fast kernel for factors that all rays of a
+    /// view read at a constant shift.
     pub fn use_kernel(&mut self, backend: lumistack_simd::Backend, fast: bool) {
         Arc::make_mut(&mut self.plan).use_backend(backend);
         self.fast = fast;
@@ -161,9 +162,9 @@ impl Engine {
         self.plan.target.weight_scale
     }
 
-    /// True if the fast kernel updates factor `n`, since all rays of a view read it at a constant
-    /// shift. The fast kernel is used even if rays read other factors between columns, since the
-    /// kernel of [`between`] was no faster.
+    /// Returns true if the fast kernel updates factor `n`, since all rays of a view read it at a
+    /// constant shift. The fast kernel is used even if rays read other factors between columns,
+    /// since the kernel of [`between`] was no faster.
     pub fn is_fast(&self, n: usize) -> bool {
         self.fast && self.plan.is_product() && self.plan.maps[n].shifted
     }

@@ -156,7 +156,7 @@ unsafe fn squared_shifted<V: Lanes>(
                 error = error.where_else(zero.below(root), zero);
             }
             plain = error.mul_add(error, plain);
-            // add the f32 sums to the f64 sums after few blocks, so that they stay precise
+            // add the f32 sums to the f64 sums after few blocks, so that the f32 sums stay precise
             if (index + 1) % BLOCKS_PER_SUM == 0 || col + V::COUNT >= run.end {
                 total.plain += sum::<V>(plain);
                 total.weighted += if root_weights.is_some() { sum::<V>(weighted) } else { 0.0 };

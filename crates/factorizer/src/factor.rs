@@ -21,7 +21,7 @@ pub(crate) const PAD: usize = 16;
 /// Sizes of a factor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
-    /// Angular bins [vertical, horizontal]; [1, 1] for a layer.
+    /// Number of angular bins, [vertical, horizontal]; [1, 1] for a layer.
     pub(crate) bins: [usize; 2],
     /// Rows and columns within one bin.
     pub(crate) size: [usize; 2],

@@ -440,7 +440,7 @@ fn solve_coarse(
     Ok(Some(run.finish().into_factors()?))
 }
 
-/// True if every layer and the backlight have equal masks in all frames.
+/// Returns true if every layer and the backlight have equal masks in all frames.
 fn frames_are_equal(stack: &LayerStack) -> bool {
     let frames = stack.frames();
     let equal = |data: &[f32]| {

@@ -25,8 +25,8 @@
 //!    together. The rest of G follows from a_m in a small buffer.
 //! 3. **Buffers.** Otherwise the a_m and e of a group of views are buffered, 10 kB for 25 views and
 //!    6 frames. Then the sums are made tile by tile, each in registers. So any number of frames
-//!    runs the same code, and 12 frames spill as little as 6. Groups leave room in the first-level
-//!    cache.
+//!    runs the same code, and 12 frames spill as little as 6. A group is small enough to leave room
+//!    in the first-level cache.
 //! 4. **Prefetch.** An update reads many rows side by side: frames × layers × view rows of the
 //!    factors, and one row of the target per view. Hardware prefetchers do not follow so many rows.
 //!    So each view prefetches a few rows of factors two vectors ahead. It prefetches its row of the

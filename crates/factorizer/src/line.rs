@@ -138,7 +138,7 @@ impl Kernel for Fetch {
         let frames = block.frames;
         let copy = |from: &[f32], to: &mut [f32], at: usize| {
             let (from, to) = (&from[..V::COUNT], &mut to[at * V::COUNT..][..V::COUNT]);
-            // SAFETY: the machine has the instruction set of V; both parts have COUNT values
+            // SAFETY: the machine has the instruction set of V; both slices have COUNT values
             unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
         };
         for m in 0..frames {
@@ -171,7 +171,7 @@ impl Kernel for StoreSums {
         let mut rows = to.chunks_mut(stride);
         let mut store_sums = |from: &[f32], at: usize| {
             let (from, to) = (&from[at * V::COUNT..][..V::COUNT], &mut rows.next().unwrap_or_default()[..V::COUNT]);
-            // SAFETY: the machine has the instruction set of V; both parts have COUNT values
+            // SAFETY: the machine has the instruction set of V; both slices have COUNT values
             unsafe { V::load(from.as_ptr()).store(to.as_mut_ptr()) };
         };
         (0..frames).for_each(|m| store_sums(&block.residual, m));

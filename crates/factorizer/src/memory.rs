@@ -93,8 +93,8 @@ fn bytes_beside_target(display: &Display, geometry: &FieldGeometry, threads: usi
     4 * (4 * patterns + sums + tables) / 3 + 2 * patterns + threads * expanded + SMALL
 }
 
-/// For every layer and the backlight: columns and rows, and the number of columns past their edges
-/// that rays may read.
+/// Returns, for every layer and the backlight, the numbers of columns and rows, and the number of
+/// columns past the edges that rays may read.
 fn factors(display: &Display, geometry: &FieldGeometry) -> Vec<([u64; 2], u64)> {
     let steepest = geometry.grid.slope_x.iter().fold(0.0f64, |most, slope| most.max(slope.abs()));
     let width = geometry.cols as f64 * geometry.pitch_mm;
@@ -114,7 +114,7 @@ fn factors(display: &Display, geometry: &FieldGeometry) -> Vec<([u64; 2], u64)> 
     factors
 }
 
-/// True if every layer has the pixel pitch of the field.
+/// Returns true if every layer has the pixel pitch of the field.
 fn same_pitch(display: &Display, geometry: &FieldGeometry) -> bool {
     display.layers.iter().all(|layer| (layer.pitch_mm / geometry.pitch_mm - 1.0).abs() < 1e-9)
 }

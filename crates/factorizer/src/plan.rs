@@ -156,17 +156,17 @@ impl Plan {
         self.maps.len()
     }
 
-    /// True if an update of factor `n` reports the error of all rays.
+    /// Returns true if an update of factor `n` reports the error of all rays.
     pub fn sees_all_rays(&self, n: usize) -> bool {
         self.maps[n].complete
     }
 
-    /// True if layers attenuate.
+    /// Returns true if layers attenuate.
     pub(crate) fn is_product(&self) -> bool {
         self.formation == Formation::Attenuating
     }
 
-    /// True if L̃ is linear in the values of factor `n`, so that its Gram matrix bounds the
+    /// Returns true if L̃ is linear in the values of factor `n`, so that its Gram matrix bounds the
     /// curvature.
     pub fn is_bounded(&self, n: usize) -> bool {
         self.formation != Formation::Polarization || n >= self.layers
@@ -177,14 +177,14 @@ impl Plan {
         self.tile.as_ref()?.free.as_ref()?.get(n)
     }
 
-    /// True if a line of factor `n` has pixels that may change.
+    /// Returns true if a line of factor `n` has pixels that may change.
     pub(crate) fn may_change(&self, n: usize, line: usize) -> bool {
         let rows = self.maps[n].layout.size[0];
         self.free(n).is_none_or(|free| free.rows.contains(&(line % rows)))
     }
 
-    /// For each column of factor `n`'s padded lines, `[x]`, true if it may not change; `None` if
-    /// all may.
+    /// Returns, for each column of factor `n`'s padded lines, true if the column may not change,
+    /// `[x]`; `None` if all columns may change.
     pub(crate) fn fixed_columns(&self, n: usize) -> Option<Vec<bool>> {
         let (free, layout) = (self.free(n)?, &self.maps[n].layout);
         let mut fixed = vec![true; layout.stride];

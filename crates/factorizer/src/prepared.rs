@@ -47,7 +47,7 @@ impl<'a> Prepared<'a> {
     }
 
     /// Converts the patterns to factors. All values, now and later, are at least `floor` and within
-    /// the hardware's box. `tries_local`: see [`Begin::tries_local`].
+    /// the hardware's box. [`Begin::tries_local`] describes `tries_local`.
     pub(crate) fn into_begin(self, floor: f32, tries_local: bool) -> Begin {
         let Self { plan, display, patterns, .. } = self;
         let mut ranges = ranges_of(display);

@@ -1,5 +1,5 @@
 //! Patterns for panels of few bits: confines one mask at a time to the panel's levels, and lets the
-//! other masks compensate for its error.
+//! other masks compensate for this mask's error.
 //!
 //! The masks are confined frame by frame and layer by layer to the levels that the panel can show
 //! ([`lumistack_display::Layer::levels`]). After each mask is confined, its layer is updated. A
@@ -19,10 +19,10 @@ use crate::{FactorizeError, Problem};
 
 /// Number of sweeps of coordinate steps per update.
 const SWEEPS: u32 = 4;
-/// Number of iterations over all layers after the last mask is confined.
+/// Number of iterations over all factors after the last mask is confined to its levels.
 const LAST_ROUNDS: u32 = 3;
 
-/// True if any layer has few levels.
+/// Returns true if any layer has few levels.
 pub fn has_levels(problem: &Problem) -> bool {
     problem.display.layers.iter().any(|layer| layer.bits.is_some())
 }

@@ -479,7 +479,7 @@ impl Windows {
         Self { values: vec![0.0; starts[plan.maps.len()]], starts }
     }
 
-    /// True if a row of rays reads factor `k` in this memory, not in the factor itself.
+    /// Returns true if a row of rays reads factor `k` in this memory, not in the factor itself.
     pub(crate) fn holds(plan: &Plan, k: usize, rays: RowOfRays) -> bool {
         let map = &plan.maps[k];
         map.between && (map.mixes_columns || map.y[rays.view_y][rays.row].t != 0.0)

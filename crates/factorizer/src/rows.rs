@@ -45,12 +45,12 @@ impl RowFunctions {
         }
     }
 
-    /// Writes the values of a factor that rays read.
+    /// Writes to `to` the values that rays read in a factor.
     pub(crate) fn read(&self, from: Reading, to: &mut [f32]) {
         unsafe { (self.read)((from, to)) }
     }
 
-    /// Multiplies `to` by the values of a factor that rays read.
+    /// Multiplies `to` by the values that rays read in a factor.
     pub(crate) fn multiply(&self, from: Reading, to: &mut [f32]) {
         unsafe { (self.multiply)((from, to)) }
     }

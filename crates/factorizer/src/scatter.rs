@@ -17,8 +17,8 @@
 //!
 //! Lines come in bands, one after another. Each line passes its sums `high` on to the next line.
 //! Factors are read in two steps as well. First, two lines of the factor are mixed, once for all
-//! view columns. Then the columns of that mixture are read. If lines were updated in parts of 128
-//! columns, whose rows stay in the first-level cache, an update took 1.25 times as long.
+//! view columns. Then the columns of that mixture are read. A version that updated lines in parts
+//! of 128 columns, whose rows stay in the first-level cache, took 1.25 times as long.
 //!
 //! Under bilinear sampling a ray reads a mean Σ_t s_t f_t of the pixels t with the shares s_t. If
 //! these pixels change by δ_t, Jensen's inequality gives (e − a·Σ_t s_t δ_t)² ≤ Σ_t s_t (e −
@@ -143,7 +143,7 @@ impl ScatterBand<'_> {
             }
         }
         self.before = Some(at);
-        // The sums that the previous line's rays added for this line come first.
+        // Begin with the sums that the rays between the previous line and this line have added.
         self.scratch.lines.swap(0, 1);
         self.scratch.lines[1].clear();
         self.add_rays(at, needed, false);

@@ -144,14 +144,14 @@ impl Block {
                 let at = m * V::COUNT;
                 let (f, n, d) = (get::<V>(&self.values, at), get::<V>(&self.residual, at), get::<V>(&self.emitted, at));
                 let moved = f.mul(n.div(d)).max(V::splat(low)).min(V::splat(high));
-                // if the sum d is below f32's normal range, it counts as 0, and the value stays
+                // if the sum d is below f32's normal range, it is treated as 0, and the value stays
                 put(moved.where_else(V::splat(f32::MIN_POSITIVE).below(d), f), &mut self.values, at);
             }
             V::splat(0.0)
         }
     }
 
-    /// Coordinate descent with the values and the residual sums in registers.
+    /// Runs coordinate descent with the values and the residual sums in registers.
     ///
     /// Every coordinate step waits for the previous step. That takes the latency of 5 instructions
     /// through registers, and three times as long through memory. Two vectors side by side do not
@@ -249,8 +249,8 @@ impl Block {
         }
     }
 
-    /// Coordinate steps for values that are confined to levels. Along a coordinate the objective is
-    /// a parabola, so the level nearest to its minimum is the best one.
+    /// Makes coordinate steps for values that are confined to levels. Along a coordinate the
+    /// objective is a parabola, so the level nearest to its minimum is the best one.
     #[inline(always)]
     unsafe fn descend_levels<V: Lanes>(&mut self, sweeps: u32, [low, high]: [f32; 2], levels: &Levels) -> V {
         let (n, frames) = (V::COUNT, self.frames);

@@ -102,7 +102,8 @@ enum RayWeights {
 }
 
 impl Target {
-    /// Copies the problem's target and weights. The copy of a target in a file is in a file, too.
+    /// Copies the problem's target and weights. If the target is in a file, the copy is also in a
+    /// file.
     ///
     /// # Errors
     /// If the file for the copy cannot be written.
@@ -217,12 +218,12 @@ impl Target {
         Self { stride, rows: rows.len(), views: views.len(), order: Order::Views, values, weights, ..*self }
     }
 
-    /// True if all rays have weight 1.
+    /// Returns true if all rays have weight 1.
     pub(crate) fn is_uniform(&self) -> bool {
         matches!(self.weights, RayWeights::Uniform)
     }
 
-    /// True if L may hold infinite values or NaN; half floats hold only finite values.
+    /// Returns true if L may hold infinite values or NaN; half floats hold only finite values.
     pub(crate) fn may_be_infinite(&self) -> bool {
         matches!(self.values, Radiance::Float(_))
     }

@@ -27,7 +27,7 @@ use lumistack_scene::{
 
 /// Size of an environment map at which the error of bilinear interpolation is negligible.
 const SKY: [usize; 2] = [1024, 512];
-/// Largest number of scattering events of a path; the event at the first hit counts.
+/// Largest number of scattering events of a path; the event at the first hit is included.
 const MAX_BOUNCES: u32 = 6;
 /// Number of texels per edge of the floor's texture. Each texel is several pixels wide, so that no
 /// renderer filters the texture.

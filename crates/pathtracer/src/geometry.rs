@@ -433,13 +433,13 @@ impl SurfacePoint<'_> {
         uv_per_length(uvs, normal_and_doubled_area(self.record.corners).1) * self.shrinking
     }
 
-    /// True if all vertex normals equal the geometric normal.
+    /// Returns true if all vertex normals equal the geometric normal.
     #[inline]
     pub(crate) fn is_flat(&self) -> bool {
         self.record.flags & FLAT != 0
     }
 
-    /// True if the mesh has vertex colours.
+    /// Returns true if the mesh has vertex colours.
     pub(crate) fn is_colored(&self) -> bool {
         self.record.flags & COLORED != 0
     }

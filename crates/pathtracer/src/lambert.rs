@@ -17,7 +17,7 @@ pub(crate) struct Lambert {
     normals: Normals,
 }
 
-/// True if a material scatters by Lambert's law alone, for all texels of its textures.
+/// Returns true if a material scatters by Lambert's law alone, for all texels of its textures.
 pub(crate) fn is_lambertian(material: &Material) -> bool {
     let no_gloss = material.ior == 1.0 || material.specular == 0.0 && material.specular_texture.is_none();
     let no_layers = !Layers::are_named(material) && material.iridescence.is_none();

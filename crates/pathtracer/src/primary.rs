@@ -214,7 +214,7 @@ impl PixelRays {
     }
 }
 
-/// True if a line intersects the box −`half`..`half`.
+/// Returns true if a line intersects the box −`half`..`half`.
 fn passes_through(origin: DVec3, direction: DVec3, half: DVec3) -> bool {
     // A line parallel to two planes of the box is between them everywhere or nowhere. This test
     // avoids 0 · ∞ for such a line.

@@ -49,7 +49,7 @@ impl Tree {
         hits.iter().flatten().count()
     }
 
-    /// True if the segment from `origin` to `origin + t_max · direction` hits no triangle.
+    /// Returns true if the segment from `origin` to `origin + t_max · direction` hits no triangle.
     #[inline]
     pub fn is_open(&self, origin: Vec3, direction: Vec3, t_max: f32, scratch: &mut Scratch) -> bool {
         self.0.transmittance(&Ray { origin, direction, t_max }, &mut scratch.0, |_| Vec3::ZERO) == Vec3::ONE

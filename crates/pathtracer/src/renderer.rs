@@ -648,7 +648,7 @@ mod tests {
             let share = if alpha_mode == AlphaMode::Opaque { 0.05 } else { 1.3 };
             assert!(square(&copied, &shared) < share * noise, "{} against noise {noise}", square(&copied, &shared));
             // The bound is five standard errors of the difference of two means. The three channels
-            // of a pixel come from the same paths, so they count as one sample.
+            // of a pixel come from the same paths, so they are treated as one sample.
             let bound = 5.0 * (noise / (copied.data().len() / 3) as f64).sqrt();
             assert!((mean(&copied) - mean(&shared)).abs() < bound, "{} and {}", mean(&copied), mean(&shared));
             assert!(mean(&copied) > 0.1);

@@ -144,8 +144,8 @@ fn sobol_second(mut index: u32) -> u32 {
     result
 }
 
-/// Owen's nested uniform scrambling: each bit is flipped by a hash of the bits above it. This
-/// function is slow and exact, and only the bank uses it.
+/// Applies Owen's nested uniform scrambling: each bit is flipped by a hash of the bits above it.
+/// This function is slow and exact, and only the bank uses it.
 fn owen_scramble(value: u32, key: u64) -> u32 {
     let mut result = value;
     for bit in 0..32 {

@@ -7,14 +7,15 @@ use thiserror::Error;
 pub struct Settings {
     /// Paths per pixel and view, 1..=65536. Powers of two stratify best. Default 32.
     pub samples: u32,
-    /// Gives further rays and paths to noisy pixels of a
-    /// [split view](crate::Renderer::render_split), whose light other views cannot share. It is for
-    /// views that are seen one by one. Other functions ignore it. Default false. On wasm32 it is
-    /// always false, since pages would load its code without need.
+    /// Gives further rays and paths to noisy pixels of a [split
+    /// view](crate::Renderer::render_split): pixels whose light other views cannot share. This
+    /// setting is for views that are seen one by one. Functions that render no split view ignore
+    /// it. Default false. On wasm32 it is always false, since pages would load its code without
+    /// need.
     pub further_paths: bool,
-    /// Largest number of scattering events of a path, 0..=1024. The event at the first hit counts,
-    /// so 0 shows emission only. Longer paths are cut off, which is the renderer's only systematic
-    /// error. Default 8.
+    /// Largest number of scattering events of a path, 0..=1024. The event at the first hit is
+    /// included, so 0 shows emission only. Longer paths are cut off, which is the renderer's only
+    /// systematic error. Default 8.
     pub max_bounces: u32,
     /// Bounce after which Russian roulette may end a path, 0..=1024; the estimate stays unbiased.
     /// Default 3.

@@ -294,7 +294,7 @@ impl Materials {
     }
 }
 
-/// True if the material has any of the [`Extras`].
+/// Returns true if the material has any of the [`Extras`].
 fn has_extras(material: &Material) -> bool {
     material.specular != 1.0
         || material.specular_color != Vec3::ONE
@@ -306,13 +306,13 @@ fn has_extras(material: &Material) -> bool {
         || (is_solid(material) && material.dispersion > 0.0)
 }
 
-/// True if light can enter a solid behind the surface.
+/// Returns true if light can enter a solid behind the surface.
 fn is_solid(material: &Material) -> bool {
     material.solid && material.transmission > 0.0
 }
 
-/// True for a thin wall as smooth as a mirror. Light passes it without a change of direction, so
-/// light sampling may look through it.
+/// Returns true for a thin wall as smooth as a mirror. Light passes it without a change of
+/// direction, so light sampling may look through it.
 fn is_clear_wall(material: &Material) -> bool {
     !material.solid && material.transmission > 0.0 && material.roughness * material.roughness < MIRROR_ALPHA
 }

@@ -154,7 +154,7 @@ fn srgb_table() -> &'static [f32; 256] {
     TABLE.get_or_init(|| std::array::from_fn(|code| srgb_decode(code as f32 / 255.0)))
 }
 
-/// Bilinear or nearest lookup; the centres of texels are at half-integers.
+/// Looks a texel up, bilinear or nearest; the centres of texels are at half-integers.
 #[inline]
 fn interpolate(
     texture: &Texture,
@@ -201,8 +201,8 @@ fn neighbours(coordinate: f32, size: usize, wrap: Wrap, shift: f32) -> (usize, u
     (first as usize, second as usize, share)
 }
 
-/// Floor without a library call, exact for |x| < 2³¹. The result for a larger |x| has the right
-/// sign, so that it becomes texel 0 or the last texel.
+/// Returns the floor of x without a library call, exact for |x| < 2³¹. The result for a larger |x|
+/// has the right sign, so that it becomes texel 0 or the last texel.
 #[inline]
 fn floor(x: f32) -> f32 {
     let whole = x as i32 as f32;

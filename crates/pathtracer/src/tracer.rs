@@ -396,7 +396,8 @@ impl Tracer<'_> {
         cosine_directions(&u, going.count_ones() as usize)
     }
 
-    /// A vertex of a path: adds its emission and one sampled light, and returns the next ray.
+    /// Scatters a path at a vertex: adds the vertex's emission and one sampled light, and returns
+    /// the next ray. `None` if the path ends.
     #[inline]
     fn scatter<const FIRST: bool>(
         &self,
@@ -508,7 +509,7 @@ impl Tracer<'_> {
         Some(vertex.leave(scatter.direction))
     }
 
-    /// True if a ray hits a surface.
+    /// Returns true if a ray hits a surface.
     pub(crate) fn hits_surface(&self, ray: Ray, stack: &mut Stack) -> bool {
         self.first_surface(ray, stack).is_some()
     }
@@ -603,7 +604,7 @@ impl Tracer<'_> {
         shadows.count += 1;
     }
 
-    /// True if the hit surface is a lamp that viewers do not see.
+    /// Returns true if the hit surface is a lamp that viewers do not see.
     fn is_unseen(&self, hit: &Hit) -> bool {
         self.traits[self.geometry.material_index(hit.triangle)] & UNSEEN != 0
     }
@@ -734,7 +735,7 @@ impl Vertex<'_> {
 
     /// Returns this vertex as a [`Receiver`], which the choice of a light reads. If `horizon` is
     /// true and the triangle approximates a smooth opaque surface, lights below the triangle's
-    /// plane count, too.
+    /// plane are included too.
     #[inline(always)]
     fn receiver(&self, surface: &Surface, horizon: bool) -> Receiver {
         let tilt = if horizon && self.may_bulge(surface) {
@@ -746,8 +747,8 @@ impl Vertex<'_> {
         Receiver { position: self.point.position, normal: (!surface.transmits()).then_some(self.normal), tilt }
     }
 
-    /// True if the triangle approximates a smooth opaque surface. Light may then arrive from below
-    /// the triangle's plane.
+    /// Returns true if the triangle approximates a smooth opaque surface. Light may then arrive
+    /// from below the triangle's plane.
     fn may_bulge(&self, surface: &Surface) -> bool {
         !self.point.is_flat() && !surface.transmits()
     }

@@ -269,7 +269,7 @@ mod tests {
         let framed = Window::framing_points(corners(), DVec3::NEG_Z, DVec3::Y, SIZE_MM).unwrap();
         assert!((framed.scene_from_display.scale / window.scene_from_display.scale - 1.0).abs() < 1e-6);
         assert!((framed.scene_from_display.translation - window.scene_from_display.translation).length() < 1e-6);
-        // seen from above, the scene's depth of 10 units becomes its height
+        // seen from above, the scene's depth of 10 units is vertical in the window
         let above = Window::framing_points(corners(), DVec3::NEG_Y, DVec3::NEG_Z, SIZE_MM).unwrap();
         let edge = above.scene_from_display.inverse_point(DVec3::new(1.0, 4.0, -5.0));
         assert!((edge.y - 125.0 / 1.02).abs() < 1e-6 && edge.x > 0.0 && edge.z > 0.0, "{edge}");

@@ -31,19 +31,20 @@ pub trait Lanes: Copy {
     unsafe fn mul(self, other: Self) -> Self;
     /// self / other.
     unsafe fn div(self, other: Self) -> Self;
-    /// The lesser value of each lane. The result for NaN is unspecified.
+    /// Returns the lesser value of each lane. The result for NaN is unspecified.
     unsafe fn min(self, other: Self) -> Self;
-    /// The greater value of each lane. The result for NaN is unspecified.
+    /// Returns the greater value of each lane. The result for NaN is unspecified.
     unsafe fn max(self, other: Self) -> Self;
-    /// self · factor + addend. It is rounded once if the instruction set has an instruction for it,
-    /// otherwise twice.
+    /// Returns self · factor + addend. The result is rounded once if the instruction set has an
+    /// instruction for it, otherwise twice.
     unsafe fn mul_add(self, factor: Self, addend: Self) -> Self;
-    /// addend − self · factor, rounded as [`mul_add`](Self::mul_add).
+    /// Returns addend − self · factor, rounded as [`mul_add`](Self::mul_add).
     unsafe fn neg_mul_add(self, factor: Self, addend: Self) -> Self;
-    /// self · factor + addend. All machines except WebAssembly round it once, so they give the same
-    /// bits. Machines without an instruction for it call a library function for each lane.
+    /// Returns self · factor + addend. All machines except WebAssembly round the result once, so
+    /// they give the same bits. Machines without an instruction for it call a library function for
+    /// each lane.
     unsafe fn fused_mul_add(self, factor: Self, addend: Self) -> Self;
-    /// addend − self · factor, rounded as [`fused_mul_add`](Self::fused_mul_add).
+    /// Returns addend − self · factor, rounded as [`fused_mul_add`](Self::fused_mul_add).
     unsafe fn fused_neg_mul_add(self, factor: Self, addend: Self) -> Self;
 
     /// self ≤ other; false for NaN.
@@ -54,12 +55,12 @@ pub trait Lanes: Copy {
     unsafe fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// a ∨ b.
     unsafe fn either(a: Self::Mask, b: Self::Mask) -> Self::Mask;
-    /// `self` where the mask is true, `other` elsewhere.
+    /// Returns `self` where the mask is true, and `other` elsewhere.
     unsafe fn where_else(self, mask: Self::Mask, other: Self) -> Self;
-    /// The mask as one bit per lane; lane 0 is the lowest bit.
+    /// Returns the mask as one bit per lane; lane 0 is the lowest bit.
     unsafe fn bits(mask: Self::Mask) -> u32;
 
-    /// The lanes moved up by one; lane 0 is the last lane of `before`.
+    /// Returns the lanes moved up by one; lane 0 of the result is the last lane of `before`.
     #[inline(always)]
     unsafe fn moved_up(self, before: Self) -> Self {
         let mut values = [0.0f32; 2 * crate::MAX_LANES];
@@ -71,8 +72,8 @@ pub trait Lanes: Copy {
         }
     }
 
-    /// Calls another kernel with the same vectors. The call is out of line, unless the compiler
-    /// finds inlining cheap.
+    /// Calls another kernel with the same type of vector, so with the same instruction set. The
+    /// call is out of line, unless the compiler finds inlining cheap.
     unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output;
 
     /// Reads an array of exactly `COUNT` values.
@@ -83,7 +84,7 @@ pub trait Lanes: Copy {
         unsafe { Self::load(values.as_ptr()) }
     }
 
-    /// The lanes as an array of exactly `COUNT` values.
+    /// Returns the lanes as an array of exactly `COUNT` values.
     #[inline(always)]
     unsafe fn to_array<const N: usize>(self) -> [f32; N] {
         const { assert!(N == Self::COUNT, "an array of another length") };

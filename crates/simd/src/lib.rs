@@ -46,7 +46,7 @@ pub use wasm::Simd128;
 #[cfg(target_arch = "x86_64")]
 pub use x86::{Avx2, Avx512};
 
-/// Largest number of lanes of any vector: 16. Every lane count divides it.
+/// Largest number of lanes of any vector. It is a multiple of every lane count.
 pub const MAX_LANES: usize = 16;
 
 /// Hash of this crate's sources, computed at build. It is part of the key of every cached result

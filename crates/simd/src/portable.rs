@@ -1,4 +1,5 @@
-//! Vectors as arrays of eight values, in scalar code. The tests compare all other backends with it.
+//! Vectors as arrays of eight values, in scalar code. The tests compare all other backends with
+//! this code.
 
 use std::array::from_fn;
 
@@ -26,8 +27,8 @@ impl Portable {
     }
 }
 
-/// a · b + c. It is rounded twice on WebAssembly, like the products and sums of its vectors, and
-/// once on all other machines.
+/// Returns a · b + c, rounded once. On WebAssembly product and sum are rounded separately, as in
+/// its vectors.
 #[inline(always)]
 fn fused(a: f32, b: f32, c: f32) -> f32 {
     if cfg!(target_arch = "wasm32") { a * b + c } else { a.mul_add(b, c) }

@@ -102,7 +102,7 @@ impl Kernel for Halves {
     #[inline(always)]
     unsafe fn run<V: Lanes>((from, to): (&[u16], &mut [f32])) {
         for (from, to) in from.chunks_exact(V::COUNT).zip(to.chunks_exact_mut(V::COUNT)) {
-            // SAFETY: the machine has the instruction set of V; both parts have COUNT values
+            // SAFETY: the machine has the instruction set of V; both slices have COUNT values
             unsafe { V::load_half(from.as_ptr()).store(to.as_mut_ptr()) };
         }
     }

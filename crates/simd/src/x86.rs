@@ -4,8 +4,8 @@ use std::arch::x86_64::*;
 
 use crate::lanes::{Kernel, Lanes};
 
-/// The caller has detected all enabled features: a backend of this file exists only after the
-/// detection.
+/// Runs a kernel with AVX2, FMA and F16C. The machine has these features, since a backend of this
+/// file exists only after their detection.
 #[target_feature(enable = "avx2,fma,f16c")]
 pub(crate) unsafe fn avx2<K: Kernel>(args: K::Args<'_>) -> K::Output {
     // SAFETY: passed on from the caller

@@ -168,8 +168,8 @@ fn ball_colour(ball: &Ball, at: Vector, direction: Vector) -> Vector {
     })
 }
 
-/// Surroundings that a mirror reflects: sky above, squares below. The squares fade towards the
-/// horizon, where no pixel resolves them.
+/// Returns the colour of the surroundings that a mirror reflects: sky above, squares below. The
+/// squares fade towards the horizon, where no pixel resolves them.
 fn surroundings([x, y, z]: Vector) -> Vector {
     if y >= 0.0 {
         return [0.36 + 0.19 * y, 0.36 + 0.34 * y, 0.34 + 0.56 * y];

@@ -214,7 +214,7 @@ impl Oracle {
     }
 }
 
-/// For each channel, the stored values of a layer that a ray through these pixels reads.
+/// Returns, for each channel, the stored values of a layer that a ray through these pixels reads.
 fn entries(layer: &Layer, pixels: &[(usize, f64)]) -> [Vec<Entry>; 3] {
     let [cols, rows] = layer.resolution;
     let tied = layer.colour == LayerColour::Mono;

@@ -48,7 +48,7 @@ fn kernels() -> Vec<(Backend, bool)> {
 const RULES: [(Rule, f32, Option<u32>); 2] =
     [(Rule::Multiplicative, FLOOR, None), (Rule::Block { sweeps: 4 }, 0.0, Some(4))];
 
-/// True if a rule applies to problems of a kind.
+/// Returns true if a rule applies to problems of a kind.
 fn fits(rule: Rule, kind: Kind) -> bool {
     rule != Rule::Multiplicative || kind != Kind::Polarization
 }

@@ -212,8 +212,8 @@ fn spent() -> Outcome<Duration> {
     Ok(Duration::from_millis(TICK_MS * ticks.iter().sum::<u64>()))
 }
 
-/// Returns the radiance that counts as white: the fraction [`BELOW_WHITE`] of all values is at most
-/// this.
+/// Returns the radiance that is taken as white: the fraction [`BELOW_WHITE`] of all values is at
+/// most this.
 fn white(picture: &Tensor<3>) -> f32 {
     let mut values = picture.data().to_vec();
     let place = ((values.len() - 1) as f64 * BELOW_WHITE) as usize;

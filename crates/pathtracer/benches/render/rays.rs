@@ -1,6 +1,6 @@
-//! Rays per second of the tree alone, compared with Embree on the same rays and threads. Beams and
-//! packets consist of rays through neighbouring pixels (`primary`), or of rays through one pixel
-//! (`pixels`), as in the path tracer.
+//! Measures rays per second of the tree alone, and of Embree on the same rays and threads. Beams
+//! and packets consist of rays through neighbouring pixels (`primary`), or of rays through one
+//! pixel (`pixels`), as in the path tracer.
 
 use std::path::Path;
 use std::time::Instant;

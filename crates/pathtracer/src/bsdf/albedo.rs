@@ -202,7 +202,7 @@ fn integrate(o: Vec3, alpha: Vec2, samples: u32, lattice_step: u32) -> [f32; 4] 
     [full, metal, dielectric, f32::NAN]
 }
 
-/// Albedos of the GGX lobe, in which each of N functions of o·h replaces Fresnel's term.
+/// Returns the albedos of the GGX lobe if each of N functions of o·h replaces Fresnel's term.
 fn mean_of_lobe<const N: usize>(
     o: Vec3,
     alpha: Vec2,

@@ -12,8 +12,8 @@ pub(crate) fn cosine_direction(u: [f32; 2]) -> Vec3 {
     Vec3::new(x, y, (1.0 - x * x - y * y).max(1e-12).sqrt())
 }
 
-/// [`cosine_direction`] for the first `count` of N pairs of numbers, as arrays of x, y and z. The
-/// values for later pairs are meaningless.
+/// Computes [`cosine_direction`] for the first `count` of N pairs of numbers, as arrays of x, y and
+/// z. The values for later pairs are meaningless.
 #[inline]
 pub(crate) fn cosine_directions<const N: usize>(u: &[[f32; N]; 2], count: usize) -> [[f32; N]; 3] {
     /// The number of values that fit into one vector on every machine.

@@ -85,8 +85,8 @@ pub(crate) fn rise(reflectance: f32, f0: f32) -> f32 {
 }
 
 impl Film {
-    /// Returns the reflectance with the film. `bare` is the reflectance without it, of a base whose
-    /// f₀ is `base_f0`.
+    /// Returns the reflectance with the film. `bare` is the reflectance without the film, and
+    /// `base_f0` is f₀ of the base.
     pub(crate) fn over(&self, bare: Vec3, base_f0: Vec3, cosine: f32) -> Vec3 {
         bare.lerp(self.reflectance(base_f0, cosine), self.factor)
     }

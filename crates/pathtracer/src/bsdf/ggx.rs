@@ -53,7 +53,7 @@ pub(crate) fn reflection_pdf(o: Vec3, h: Vec3, alpha: Vec2) -> f32 {
     density(h, alpha) / (2.0 * (o.z + smith_root(o, alpha)))
 }
 
-/// [`density`] times [`visibility`], and the density per solid angle with which
+/// Returns [`density`] times [`visibility`], and the density per solid angle with which
 /// [`sample_reflection`] finds `i`.
 #[inline]
 pub(crate) fn reflection(o: Vec3, i: Vec3, h: Vec3, alpha: Vec2) -> (f32, f32) {
@@ -75,7 +75,8 @@ fn cap_share(o: Vec3, alpha: Vec2) -> f32 {
     (1.0 - a2) * s2 / (s2 + a2 * o.z * o.z)
 }
 
-/// Density per solid angle of the normal that [`sample_normal`] returns: G₁(o) D(h) (o·h) / o_z.
+/// Returns the density per solid angle of the normal that [`sample_normal`] returns: G₁(o) D(h)
+/// (o·h) / o_z.
 #[inline]
 pub(crate) fn normal_pdf(o: Vec3, h: Vec3, alpha: Vec2) -> f32 {
     4.0 * o.dot(h).max(0.0) * reflection_pdf(o, h, alpha)

@@ -30,7 +30,7 @@ pub(crate) trait Lobe {
     /// proportion to it.
     fn albedo(&self) -> f32;
 
-    /// True if the lobe can be evaluated; otherwise it is a mirror.
+    /// Returns true if the lobe can be evaluated; otherwise it is a mirror.
     fn is_rough(&self, facet: &Facet) -> bool;
 
     /// Returns f |cos| with the scattering function f, and the density with which
@@ -55,10 +55,10 @@ pub(crate) trait Layer: Lobe + Sized {
     /// The layer's parameters at a point.
     type Parameters: Copy + Debug;
 
-    /// True if the material names the layer, even if the layer has no effect.
+    /// Returns true if the material names the layer, even if the layer has no effect.
     fn is_named(material: &Material) -> bool;
 
-    /// True if the layer has an effect somewhere.
+    /// Returns true if the layer has an effect somewhere.
     fn is_seen(material: &Material) -> bool;
 
     /// Returns the layer's textures; `slot` prepares a texture.

@@ -55,12 +55,12 @@ macro_rules! lobes {
         }
 
         impl Layers {
-            /// True if the material names any layer, even if the layer has no effect.
+            /// Returns true if the material names any layer, even if the layer has no effect.
             pub(crate) fn are_named(material: &Material) -> bool {
                 false $(|| $Layer::is_named(material))*
             }
 
-            /// True if any layer has an effect.
+            /// Returns true if any layer has an effect.
             pub(crate) fn are_seen(material: &Material) -> bool {
                 false $(|| $Layer::is_seen(material))*
             }
@@ -112,7 +112,7 @@ macro_rules! lobes {
                 [rough, std::array::from_fn(|lobe| rough[lobe] && transmits[lobe])]
             }
 
-            /// True if light from behind crosses into a solid.
+            /// Returns true if light from behind crosses into a solid.
             #[inline]
             pub(crate) fn refracts(&self) -> bool {
                 false $(|| $Base::REFRACTS && self.$base.is_some())* $(|| $Layer::REFRACTS && self.$layer.is_some())*

@@ -113,13 +113,13 @@ impl Bsdf {
         self.facet.scene_from_local.z_axis
     }
 
-    /// True if any lobe can be evaluated, so that light sampling makes sense.
+    /// Returns true if any lobe can be evaluated, so that light sampling makes sense.
     pub(crate) fn is_smooth(&self) -> bool {
         let [rough, _] = self.lobes.rough(&self.facet);
         self.chances.iter().zip(rough).any(|(&chance, rough)| rough && chance > 0.0)
     }
 
-    /// True if the surface can be evaluated for light from behind it.
+    /// Returns true if the surface can be evaluated for light from behind it.
     pub(crate) fn transmits(&self) -> bool {
         let [_, transmits] = self.lobes.rough(&self.facet);
         self.chances.iter().zip(transmits).any(|(&chance, transmits)| transmits && chance > 0.0)

@@ -167,7 +167,7 @@ impl Fibres {
         let (sin_phi, cos_phi) = sin_cos_turns(u[0] / FIBRE_SHARE);
         let h = Vec3::new(sine * cos_phi, sine * sin_phi, (1.0 - sine * sine).max(0.0).sqrt());
         // A normal h that faces away from the viewer gives the same direction as −h. But −h points
-        // into the surface, so no fibre has it.
+        // into the surface, so no fibre has this normal.
         let i = ggx::reflect(o, h);
         (o.dot(h) > 0.0 && i.z > 0.0).then_some(i)
     }

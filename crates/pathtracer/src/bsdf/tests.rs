@@ -364,8 +364,8 @@ fn single_scattering_is_reciprocal() {
             let mut direction =
                 || Vec3::from_array([(); 3].map(|()| 2.0 * stream.next_f32() - 1.0)).normalize_or(Vec3::Z);
             let (o, i) = (direction(), direction());
-            // f for light from `to`, seen from `from`. The shading normal is on the side of `from`,
-            // since `Bsdf` expects it on the viewer's side.
+            // Computes f for light from `to`, as seen from `from`. The shading normal is on the
+            // side of `from`, since `Bsdf` expects it on the viewer's side.
             let seen = |from: Vec3, to: Vec3| {
                 let side = from.z.signum();
                 let frame = Frame { tangent: frame.tangent, ..Frame::flat(side * Vec3::Z, side * Vec3::Z) };
@@ -458,8 +458,9 @@ fn dispersion_keeps_white_white() {
     assert_eq!(appearance().disperse(None, || panic!("drawn for nothing")), None);
 }
 
-/// Chi-square test of the directions of [`Bsdf::sample`] against the density of [`Bsdf::evaluate`].
-/// Samples that are absorbed, or reflected by a mirror, are counted in one more cell.
+/// Tests, by chi-square, that the directions of [`Bsdf::sample`] follow the density of
+/// [`Bsdf::evaluate`]. Samples that are absorbed, or reflected by a mirror, are counted in one more
+/// cell.
 fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
     let [rows, cols] = CELLS;
     let local = |z: f32, phi: f32| {

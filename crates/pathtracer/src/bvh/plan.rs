@@ -88,7 +88,7 @@ impl Plan {
         Self(plan)
     }
 
-    /// True if a subtree becomes a block or an instance.
+    /// Returns true if a subtree becomes a block or an instance.
     pub(super) fn is_end(&self, index: u32) -> bool {
         self.0[index as usize][0] == END
     }

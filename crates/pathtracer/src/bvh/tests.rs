@@ -209,8 +209,8 @@ fn hostile_triangles_are_found_as_by_testing_each() {
         let open = bvh.transmittance(&ray, &mut stack, |_| Vec3::ZERO);
         assert_eq!(open == Vec3::ONE, expected.is_none());
         if let (Some(hit), Some((t, _))) = (hit, expected) {
-            // Any one of coincident triangles is right. t counts lengths of the direction, so its
-            // error is multiplied by that length.
+            // Any one of coincident triangles is right. The unit of t is the direction's length, so
+            // the error of t is multiplied by that length.
             found += 1;
             let error = (f64::from(hit.t) - t).abs() * f64::from(ray.direction.length());
             assert!(error < 10.0 * DISTANCE_TOLERANCE, "{error} {ray:?}");

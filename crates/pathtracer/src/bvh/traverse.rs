@@ -24,15 +24,15 @@
 //! * A hit becomes a [`Hit`] once, at the end (4 to 12 % more rays).
 //!
 //! These variants were tried on FlightHelmet, on 15 copies of it (1.4 million triangles) and on
-//! still-life. The machine was a Zen 4, with one pinned thread. The figures are of the fastest of
-//! several rounds:
+//! still-life. The machine was a Zen 4, with one pinned thread. Each percentage is from the fastest
+//! of several rounds:
 //!
 //! * No branch on the number of children entered (none, one or two): 5 % slower, since a predicted
 //!   branch waits for no data.
 //! * A branch on the nearer of two children: 1 to 3 % slower.
 //! * The triangle test prepared at a ray's first block: primary rays 5 % slower.
-//! * Each shadow ray first tested against the block that stopped the last one: 2 % slower, since
-//!   most shadow rays arrive.
+//! * Each shadow ray first tested against the block that stopped the previous shadow ray: 2 %
+//!   slower, since most shadow rays reach the light.
 //! * No prefetch: 10 to 20 % slower on 15 copies. Prefetch of the postponed children alone: 0 to 10
 //!   % slower there.
 //! * Large pages instead of small ones: no difference on the helmet.
@@ -595,8 +595,8 @@ impl Shear {
         }
     }
 
-    /// True if the direction of `ray` has its largest component along the same axis as the ray of
-    /// this shear, with the same sign.
+    /// Returns true if the direction of `ray` has its largest component along the same axis as the
+    /// ray of this shear, with the same sign.
     #[inline(always)]
     pub(super) fn has_axes_of(&self, ray: &Ray) -> bool {
         let direction = ray.direction.to_array();

@@ -16,8 +16,8 @@ pub(super) const INSTANCE: u32 = 1 << 30;
 pub(super) const EMPTY: u32 = u32::MAX;
 /// Bits of a triangle reference that hold the triangle's index; all other bits are flags.
 pub(super) const INDEX_MASK: u32 = (1 << 29) - 1;
-/// Largest number of triangles that references can address. A mesh's triangles count once, for any
-/// number of instances.
+/// Largest number of triangles that references can address. A mesh's triangles are included once,
+/// for any number of instances.
 pub(crate) const MAX_TRIANGLES: usize = INDEX_MASK as usize;
 /// The largest number of instances of shared trees.
 pub(crate) const MAX_INSTANCES: usize = INSTANCE as usize - 1;

@@ -16,10 +16,10 @@
 //! and s', a point at depth z moves by (s − s')·z. The weight w is 1 if u sees the same surface at
 //! p_u, and falls to 0 if it sees another surface. This value follows from the distance of u's
 //! point from the plane of p's point. The weight is also multiplied by ρ_p of view u. Light from
-//! dark surfaces, which is noisy once it is divided by ρ_p, thus counts little. Nothing is averaged
-//! over neighbouring pixels, so shadows and textures stay sharp up to a pixel's rounding. E is read
-//! at the pixel nearest to p_u. G stays as rendered, and so does D where no other view sees the
-//! surface.
+//! dark surfaces, which is noisy once it is divided by ρ_p, thus contributes little. Nothing is
+//! averaged over neighbouring pixels, so shadows and textures stay sharp up to a pixel's rounding.
+//! E is read at the pixel nearest to p_u. G stays as rendered, and so does D where no other view
+//! sees the surface.
 //!
 //! So a point that hundreds of views see has the samples of all of them. Each of these views costs
 //! one shift and one comparison. Averages over rows and then over columns take as many steps as the
@@ -61,7 +61,7 @@ const LEAST_COSINE: f32 = 0.8;
 const LEAST_REFLECTANCE: f32 = 0.02;
 
 /// Data of a pixel for the filter. It is kept small, 20 bytes, since the pixels of all views are in
-/// memory at once.
+/// memory together.
 #[derive(Clone, Copy, Default)]
 #[repr(C)]
 struct Point {

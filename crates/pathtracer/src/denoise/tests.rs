@@ -82,7 +82,7 @@ fn edge(x: f64, _: f64) -> f64 {
     if x < 3.3 { 0.3 } else { 1.2 }
 }
 
-/// Checks at every third pixel, each with two values whose noise has the standard deviation
+/// Makes checks at every third pixel, each with two values whose noise has the standard deviation
 /// `noise`.
 fn checks(truth: &Tensor<3>, noise: f64, seed: u64) -> Checks {
     let mut stream = Stream::new(seed);

@@ -32,8 +32,8 @@ const EQUAL_SHARE: f64 = 0.3;
 const POWER_POINTS: usize = 6;
 /// Step between two successive values of the 24-bit random numbers that choose a light.
 const DIGIT: f32 = 1.0 / (1u32 << 24) as f32;
-/// Two triangles count as a parallelogram if its fourth corner deviates by at most this fraction of
-/// a diagonal. Such a deviation comes from the rounding of corners.
+/// Two triangles are taken as a parallelogram if its fourth corner deviates by at most this
+/// fraction of a diagonal. Such a deviation comes from the rounding of corners.
 const PARALLELOGRAM_TOLERANCE: f32 = 1e-6;
 /// Number of distributions by which a light is chosen. Distribution k is used for 2ᵏ to 2ᵏ⁺¹ − 1
 /// [`Parts`]. The last one is also used for all larger numbers, and the first one for 0.
@@ -124,12 +124,12 @@ impl Lights {
         Self { triangles, light_of_triangle, environment, points, directional, tree, choices }
     }
 
-    /// True if nothing emits.
+    /// Returns true if nothing emits.
     pub(crate) fn is_dark(&self) -> bool {
         self.choices.is_empty() && self.environment.is_none()
     }
 
-    /// True if [`sample`](Self::sample) can return a light.
+    /// Returns true if [`sample`](Self::sample) can return a light.
     pub(crate) fn can_be_sampled(&self) -> bool {
         !self.choices.is_empty()
     }
@@ -143,7 +143,7 @@ impl Lights {
         (radiance, chance * pdf)
     }
 
-    /// True if there are point lights or spotlights. For these lights the tilt of receivers
+    /// Returns true if there are point lights or spotlights. For these lights the tilt of receivers
     /// matters.
     #[inline]
     pub(crate) fn has_horizon(&self) -> bool {

@@ -38,8 +38,8 @@ const BUCKETS: usize = 12;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Receiver {
     pub(crate) position: Vec3,
-    /// Unit normal of an opaque surface, which receives light from its side only. `None` for
-    /// surfaces that light passes through.
+    /// Unit normal of an opaque surface, which receives light only from the normal's side. `None`
+    /// for surfaces that light passes through.
     pub(crate) normal: Option<Vec3>,
     /// Cosine and sine of the tilt: the angle by which light may come from below the plane of the
     /// surface. The tilt is not 0 for triangles that approximate a smooth surface.
@@ -280,7 +280,7 @@ impl Emitter {
     }
 }
 
-/// Axis and half angle of a cone that holds the cones of two emitters.
+/// Returns the axis and half angle of a cone that holds the cones of two emitters.
 fn cone_union(a: &Emitter, b: &Emitter) -> (Vec3, f32) {
     // a two-sided light shines along both directions of its axis
     let other_axis = if (a.two_sided || b.two_sided) && a.axis.dot(b.axis) < 0.0 { -b.axis } else { b.axis };
@@ -527,7 +527,8 @@ mod tests {
                         let exact = tree.chance(light, &receiver, 0) * parts as f32;
                         // Counts are exact only if all chances are whole parts. A light that is too
                         // weak for a whole part keeps its small chance, and the chances of other
-                        // lights are smaller by it. So the counts of other lights may differ.
+                        // lights are smaller by this chance. So the counts of other lights may
+                        // differ.
                         let least = (0..4).map(|other| tree.chance(other, &receiver, parts) * parts as f32);
                         let whole = least.into_iter().all(|share| (share - share.round()).abs() < 1e-3);
                         assert!(!whole || (expected - count as f32).abs() < 1e-3, "{count} of {expected}");

@@ -86,7 +86,7 @@ impl Renderer {
     }
 }
 
-/// True if this pixel was chosen in its square of [`SPACING`] × [`SPACING`] pixels.
+/// Returns true if this pixel was chosen in its square of [`SPACING`] × [`SPACING`] pixels.
 fn is_drawn(seed: u64, row: usize, col: usize) -> bool {
     let chosen = seed::derive(seed, &[(row / SPACING) as u64, (col / SPACING) as u64]) as usize % (SPACING * SPACING);
     chosen == row % SPACING * SPACING + col % SPACING

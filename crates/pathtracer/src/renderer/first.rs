@@ -138,7 +138,7 @@ impl FirstSums {
     }
 
     /// Returns the values of [`split`](Self::split), then the reflectance over the paths alone,
-    /// then the light that all rays themselves see. The other light does not contain the latter.
+    /// then the light that all rays themselves see. This last light is not part of the other light.
     /// The first `paths` of the `rays` continue as paths.
     pub(super) fn apart(&self, mean: Vec3, finite: u32, [paths, rays]: [u32; 2]) -> [f32; APART] {
         let of_paths = 1.0 / paths.max(1) as f32;

@@ -388,7 +388,8 @@ fn the_angular_filter_blurs_what_is_off_the_plane() {
 
 /// A lens focused on the display plane blurs the edge of a card at depth z over a disc. The disc's
 /// diameter is |z| times the lens's diameter. The profile is the fraction of a disc on one side of
-/// a chord. If the chord is u radii from the middle, it is 1/2 + (u√(1 − u²) + asin u)/π.
+/// a chord. If the chord is u radii from the middle, this fraction is 1/2 + (u√(1 − u²) + asin
+/// u)/π.
 #[test]
 fn a_lens_blurs_with_a_disc() {
     let geometry = one_view(SIZE, [0.0, 0.0]);
