@@ -53,7 +53,8 @@ impl Display {
     ///
     /// The backlight's bins follow the views per axis: the number of bins per view stays the same.
     /// So a backlight that was made for the display's views has one bin for each view of the light
-    /// field. It has more bins if rays of perspective or one-sided views leave these bins.
+    /// field. The backlight has more bins if rays of perspective or one-sided views leave these
+    /// bins.
     ///
     /// # Errors
     /// If the light field's rays spread over too many widths of a view. The backlight would then

@@ -137,9 +137,9 @@ impl ViewGrid {
     }
 
     /// Returns views outside the zone, in the middle row: `steps` views on the left of the leftmost
-    /// column and `steps` views on the right of the rightmost one. They are one mean spacing apart.
-    /// If the grid has one column, the views are above and below it instead. `None` if `steps` is 0
-    /// or all slopes are equal.
+    /// column and `steps` views on the right of the rightmost one. Neighbouring views are one mean
+    /// spacing apart. If the grid has one column, the views are above and below it instead. `None`
+    /// if `steps` is 0 or all slopes are equal.
     pub fn outside(&self, steps: usize) -> Option<Self> {
         let beyond = |slopes: &[f64]| {
             let (low, high) = slopes.iter().fold((f64::MAX, f64::MIN), |(low, high), s| (low.min(*s), high.max(*s)));

@@ -122,7 +122,7 @@ impl Transfer {
     }
 }
 
-/// Returns the value in column `to` of a table at the place where column `from` has `value`, by
+/// Returns the value in column `to` of a table at the position where column `from` has `value`, by
 /// linear interpolation between the pairs. Both columns are scaled to 0..1.
 fn interpolate(table: &[[f64; 2]], [from, to]: [usize; 2], value: f32) -> f32 {
     let (first, last) = (table[0], table[table.len() - 1]);

@@ -81,7 +81,7 @@ impl Serialize for Views {
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Steps {
-    /// [x, y] tangents of the angles between neighbouring views.
+    /// [x, y] difference of the slopes of neighbouring views.
     step: [f64; 2],
 }
 

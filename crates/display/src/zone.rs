@@ -146,8 +146,8 @@ fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Returns the PSNR with peak 1, dB. Errors below the square of a tenth of a 16-bit step are raised
-/// to this square, since noise may make an error 0 or negative.
+/// Returns the PSNR with peak 1, dB. Smaller errors are raised to 1.5e-6², since noise may make an
+/// error 0 or negative. 1.5e-6 is a tenth of a 16-bit step.
 fn psnr(mse: f64) -> f64 {
     const LEAST: f64 = 1.5e-6 * 1.5e-6;
     -10.0 * mse.max(LEAST).log10()

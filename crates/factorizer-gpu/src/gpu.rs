@@ -31,8 +31,8 @@ pub struct Gpu {
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
     pub(crate) limits: wgpu::Limits,
-    /// Largest number of results that a workgroup writes. It writes one per subgroup, or a single
-    /// one if shaders do not sum by subgroups.
+    /// Largest number of results that a workgroup writes: one result per subgroup, or a single
+    /// result if shaders do not sum by subgroups.
     pub(crate) parts: usize,
     programs: Mutex<HashMap<String, wgpu::ComputePipeline>>,
     failure: Arc<Mutex<Option<String>>>,

@@ -21,7 +21,7 @@ const ROUNDS: usize = 5;
 /// A timed submission takes at least this long, seconds: dispatches are added until it does.
 const LEAST_SECONDS: f64 = 0.02;
 
-/// Runs each kernel several times and takes the fastest run.
+/// Measures the limits. Each kernel runs several times, and the fastest run is taken.
 pub(crate) fn limits(gpu: &Gpu) -> Limits {
     // use fewer threads if their data exceed the device's buffers
     let fits = gpu.limits.max_storage_buffer_binding_size.min(gpu.limits.max_buffer_size) / 16;

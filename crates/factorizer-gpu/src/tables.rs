@@ -42,7 +42,7 @@ pub(crate) struct FactorTables {
 impl Tables {
     pub(crate) fn new(plan: &Plan) -> Self {
         let ([views_y, views_x], [rows, cols]) = (plan.views(), plan.field());
-        // add a flag for every row and column of rays, which is 1 if the rays are valid
+        // add a flag for every row and column of rays: 1 if the rays are valid, otherwise 0
         let mut words = Vec::new();
         let counted_rows = 0;
         for view_y in 0..views_y {

@@ -3,8 +3,8 @@
 //! A solver is a schedule: it chooses the factor to update, the extrapolation, and restarts. It
 //! calls an [`Updater`], which does the computation, and never reads the updater's patterns.
 //! [`Processor`](crate::Processor) is the executor of this crate. Another executor gets the same
-//! [`Plan`], whose tables define the pixels that every ray reads. It returns the same results up to
-//! rounding.
+//! [`Plan`], whose tables define the pixels that every ray reads. That executor returns the same
+//! results up to rounding.
 
 use std::ops::Range;
 use std::sync::Arc;

@@ -359,8 +359,8 @@ impl Ongoing {
     }
 }
 
-/// Returns whether a warm start is better than the start by the settings `fresh`, which includes
-/// coarser levels.
+/// Returns true if a warm start is better than a fresh start by the settings `fresh`. The fresh
+/// start includes coarser levels.
 ///
 /// If the warm start has the lower objective, the answer is yes. Otherwise both starts take one
 /// iteration of `warm_solver`, and the answer is yes if the warm start then leads by 1 dB. The

@@ -184,8 +184,8 @@ impl Kernel for StoreSums {
     }
 }
 
-/// Destination of a block's values: the lines' values from the block's first pixel on, and the box
-/// of the values.
+/// Destination of a block's values: the values of a line from the block's first pixel on, and the
+/// box to which the values are clamped.
 struct Stepped<'a> {
     values: &'a mut [f32],
     extrapolation: Option<(f32, &'a mut [f32])>,

@@ -335,8 +335,8 @@ pub(crate) struct RawMap {
 /// Returns the pixel index minus the field column.
 ///
 /// Returns `None` if this shift differs between rays of the runs, or if a ray reads two pixels.
-/// Also returns `None` if, at this shift, a ray that misses the factor would read one of its
-/// pixels.
+/// Also returns `None` if, at this shift, a ray that misses the factor would read one of the
+/// factor's pixels.
 fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<isize> {
     let mut counted = runs.iter().flat_map(Clone::clone);
     let shift = counted.clone().find_map(|c| taps[c].map(|tap| tap.first as isize - c as isize))?;

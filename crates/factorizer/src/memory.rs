@@ -23,8 +23,9 @@ const SMALL: u64 = 1 << 20;
 /// * the factors during the run, and the patterns before and after it,
 /// * tables, and the buffers of each thread.
 ///
-/// It does not include the caller's own target, which may be in a mapped file, nor the weights. A
-/// target whose values half floats cannot hold exactly is kept in f32, which takes twice as much.
+/// The bound does not include the caller's own target, which may be in a mapped file, nor the
+/// weights. A target whose values half floats cannot hold exactly is kept in f32, which takes twice
+/// as much.
 pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -> u64 {
     4 * target_bytes(geometry) / 3 + bytes_beside_target(display, geometry, threads)
 }
@@ -77,8 +78,8 @@ fn bytes_beside_target(display: &Display, geometry: &FieldGeometry, threads: usi
     let sums: u64 = factors.iter().enumerate().map(summed).sum();
     // bytes of the ray tables
     let tables = TABLE_BYTES * factors.len() as u64 * (view_cols * cols + view_rows * rows);
-    // For each factor without a constant shift, every thread keeps values along rays. They take at
-    // most three rows per view row, for the field rows around a line.
+    // For each factor without a constant shift, every thread keeps values along rays. These values
+    // take at most three rows per view row, for the field rows around a line.
     let longest = factors.iter().map(|([factor_cols, _], reach)| factor_cols + 2 * reach).max().unwrap_or(0).max(cols);
     let lines = 3 * view_rows * frames * (longest + 6 * pad) * 4;
     let expanded = match (&display.backlight, display.sampling) {

@@ -39,7 +39,7 @@ impl<'a, T> Place<'a, T> {
         }
     }
 
-    /// Returns a place in a row of `len` values, which may be written while the place exists.
+    /// Returns a place in a row of `len` values. The values may be written while the place exists.
     fn within(row: *const T, len: usize, offset: isize) -> Self {
         let _ = len;
         Self {
@@ -489,7 +489,7 @@ impl Windows {
     /// lines, and repeats the border pixels once.
     ///
     /// # Safety
-    /// No reference to these values exists.
+    /// `window` points to memory for a line of factor `k`, to which no reference exists.
     pub(crate) unsafe fn mix(
         window: *mut f32,
         plan: &Plan,

@@ -40,8 +40,8 @@ impl AdjointSums {
         let filters: Vec<[f32; 3]> = (0..cols).map(|col| response.filter(col)).collect();
         let mix = response.mix();
         let mut scratch = Vec::new();
-        // Blur the filter of each channel, which is the same in every row. Mixed over channels, the
-        // blurred filters give ρ_i of the file's head: the sum of row i of A.
+        // Blur the filter of each channel; a filter is the same in every row. Mixed over channels,
+        // the blurred filters give ρ_i of the file's head: the sum of row i of A.
         let passed = [0, 1, 2].map(|c: usize| {
             let filter: Vec<f32> = filters.iter().map(|filter| filter[c]).collect();
             let mut blurred = vec![0.0; cols];

@@ -29,8 +29,8 @@ pub trait Run {
     /// Runs one iteration: updates every factor once.
     ///
     /// Fails when cancelled; the patterns so far remain usable. The check is made per line of a
-    /// factor, or per factor on a device. It also fails if the device is lost, and the patterns
-    /// with it.
+    /// factor, or per factor on a device. The iteration also fails if the device, and with it the
+    /// patterns, are lost.
     fn step(&mut self, cancel: &Cancel) -> Result<(), FactorizeError>;
 
     /// Computes the objective of the current patterns.

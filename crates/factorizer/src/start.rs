@@ -11,7 +11,7 @@ use crate::expand::{Rays, wanted};
 use crate::line::LineOf;
 use crate::plan::{Plan, TilePlace};
 
-/// Smallest value of a start, and of solvers with a multiplicative rule.
+/// Smallest value in a start, and in the patterns of solvers with a multiplicative rule.
 pub const FLOOR: f32 = 1e-4;
 
 /// Kind of start.
@@ -162,7 +162,7 @@ fn sizes(stack: &LayerStack) -> Vec<[usize; 2]> {
     layers.chain(stack.emission.iter().map(|emission| [emission.shape()[3], emission.shape()[4]])).collect()
 }
 
-/// Returns the values of each layer, then those of the backlight.
+/// Returns the values of each layer, then the values of the backlight.
 fn parts(stack: &mut LayerStack) -> impl Iterator<Item = &mut [f32]> {
     let layers = stack.layers.iter_mut().map(|layer| layer.data_mut());
     layers.chain(stack.emission.iter_mut().map(|emission| emission.data_mut()))

@@ -49,8 +49,8 @@ impl SumLine<'_, '_> {
     }
 }
 
-/// Adds all rays of a line to its sums. Returns Σ w e², with each ray weighted by its share in the
-/// line.
+/// Adds the terms of all rays through a line to the line's sums. Returns Σ w e², with each ray
+/// weighted by its share in the line.
 fn add_line(plan: &Plan, factors: &[Factor], at: LineOf, needed: Sums, local: bool, scratch: &mut Scratch) -> f64 {
     let map = &plan.maps[at.factor];
     let (frames, stride) = (plan.frames, map.layout.stride);

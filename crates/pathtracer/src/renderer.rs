@@ -480,7 +480,7 @@ impl Renderer {
     }
 }
 
-/// Extracts the radiance from the values of a pixel, whose first three values are the radiance.
+/// Extracts the radiance from the values of a pixel: the first three values.
 fn rgb(values: &[f32]) -> [f32; 3] {
     [values[0], values[1], values[2]]
 }

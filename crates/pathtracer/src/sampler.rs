@@ -2,8 +2,8 @@
 //! pairs of dimensions.
 //!
 //! Each pair of dimensions takes the first two dimensions of Sobol's sequence. Owen's nested
-//! uniform scrambling permutes its values and its order (Owen 1995; shuffling as in Burley 2020,
-//! "Practical Hash-based Owen Scrambling").
+//! uniform scrambling permutes the sequence's values and their order (Owen 1995; shuffling as in
+//! Burley 2020, "Practical Hash-based Owen Scrambling").
 //!
 //! Scrambling at every draw costs more than tracing, so a bank of [`PATTERNS`] scrambled sequences
 //! is made once. Each draw picks a pattern and flips bits of the sample's index and of the values,
@@ -80,7 +80,7 @@ impl SampleBank {
 
     /// Returns the random numbers of sample `first` and the samples after it, for the pixel with
     /// this hash. `first` must be a multiple of a power of two, and at most that number of samples
-    /// may be drawn. Otherwise they would extend over the end of the bank's sequence.
+    /// may be drawn. Otherwise the samples would extend over the end of the bank's sequence.
     pub(crate) fn draws(&self, pixel: u64, first: u32) -> Draws<'_> {
         let pixel = if first < self.length { pixel } else { seed::derive(pixel, &[u64::from(first / self.length)]) };
         Draws { bank: self, pixel, first: first & (self.length - 1) }

@@ -12,8 +12,8 @@
 //! the sample: p_b² for w_b, p_l² for w_l.
 //!
 //! For alpha of mode `Blend`, chance decides whether the surface is there for a scattered ray. A
-//! shadow ray passes the surface, and its light is multiplied by the transparent fraction. Both
-//! ways have the right mean.
+//! shadow ray passes the surface, and its light is multiplied by the transparent fraction. The mean
+//! is right in both cases.
 //!
 //! The samples of a pixel are traced together, one vertex of all paths at a time. First rays are
 //! close together and traverse the tree as a beam. Random numbers of a vertex share their hash.
@@ -65,8 +65,8 @@ const INSTANCE_STEP: u64 = 0x2545_f491_4f6c_dd1d;
 const WAVE_PAIR: u64 = ALPHA_PAIRS - 1;
 /// Largest chance of a path to survive roulette, so that paths in lossless scenes end too.
 const MOST_SURVIVAL: f32 = 0.95;
-/// Factor on a lobe's α. After a lobe of α = 1, a footprint widens by this fraction of the
-/// distance.
+/// Smallest spread of a ray's footprint after a scattering event at a lobe with α = 1, as a
+/// fraction of the distance. For other lobes it is multiplied by α.
 const SCATTER_SPREAD: f32 = 0.1;
 /// Approximate reflectance of a dielectric at normal incidence.
 const DIELECTRIC_SHARE: f32 = 0.04;
@@ -551,8 +551,8 @@ impl Tracer<'_> {
         Bsdf::new(appearance, to_viewer, &frame, *front)
     }
 
-    /// Returns the scattering function for a material that scatters by Lambert's law alone, in
-    /// place of [`bsdf`](Self::bsdf).
+    /// Returns the scattering function for a material that scatters by Lambert's law alone, instead
+    /// of [`bsdf`](Self::bsdf).
     #[inline]
     fn lambert(&self, vertex: &Vertex<'_>) -> Lambert {
         let Vertex { material, point, front, normal, width } = vertex;

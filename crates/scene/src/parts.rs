@@ -76,7 +76,7 @@ pub struct Light {
     /// Linear RGB. For point and spot lights this is the radiant intensity (candela up to a
     /// factor), for directional lights the irradiance (lux up to a factor).
     pub intensity: Vec3,
-    /// Kind of the light, which decides how it spreads.
+    /// Kind of the light. The kind decides how the light spreads.
     pub kind: LightKind,
 }
 

@@ -155,7 +155,7 @@ fn place_of(group: vec3<u32>) -> u32 {
 }
 
 //@ if subgroups
-// Writes the sum of each subgroup's results, which needs no barrier. The sums of absent subgroups
+// Writes the sum of each subgroup's results. This needs no barrier. The sums of absent subgroups
 // are 0.
 fn reduce(thread: Thread, found: vec2<f32>) {
     let sum = subgroupAdd(found);

@@ -36,7 +36,8 @@ pub(crate) enum Kind {
     Responses,
     Additive,
     Polarization,
-    /// Everything is random: sampling, projection, missing, layers, backlight and weights.
+    /// Everything is random: sampling, projection, the rule for missed layers, layers, backlight
+    /// and weights.
     Anything,
 }
 

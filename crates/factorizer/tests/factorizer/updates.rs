@@ -33,7 +33,8 @@ const PSNR_TOLERANCE: f64 = 1e-3;
 /// A value is compared only if its influence on the emission is larger than this. Rounding decides
 /// values with less influence.
 const DETERMINED: f64 = 0.1;
-/// Largest allowed difference between the emission of updates in f32 and that of the oracle in f64.
+/// Largest allowed difference between the emission of updates in f32 and the oracle's emission in
+/// f64.
 const SEEN_TOLERANCE: f64 = 1e-5;
 const SEEDS: [u64; 12] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
 

@@ -122,7 +122,7 @@ pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
 }
 
 /// Returns B of a dielectric of any index n: the albedo if the rise s(o·h) of `fresnel.rs` replaces
-/// Fresnel's term. It is interpolated linearly in the root of the cosine, in √α, and in the root of
+/// Fresnel's term. B is interpolated linearly in the root of the cosine, in √α, and in the root of
 /// (n − 1)/(n + 1).
 pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
     static TABLE: OnceLock<Table<3, 1>> = OnceLock::new();

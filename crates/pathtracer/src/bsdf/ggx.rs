@@ -82,8 +82,8 @@ pub(crate) fn normal_pdf(o: Vec3, h: Vec3, alpha: Vec2) -> f32 {
     4.0 * o.dot(h).max(0.0) * reflection_pdf(o, h, alpha)
 }
 
-/// Returns the weight G₂/G₁ of a sample: the direction `i` to which a sampled visible normal
-/// reflects or refracts `o`.
+/// Returns the weight G₂/G₁ of a sampled direction `i`, to which a sampled visible normal reflects
+/// or refracts `o`.
 #[inline]
 pub(crate) fn masking_ratio(o: Vec3, i: Vec3, alpha: Vec2) -> f32 {
     let i_z = i.z.abs();

@@ -114,7 +114,7 @@ pub(crate) struct Microfacet {
 
 /// A direction that a lobe chose.
 pub(crate) enum Sample {
-    /// A direction of a rough lobe, whose value is still to be evaluated.
+    /// A direction of a rough lobe. The lobe's value for this direction is still to be evaluated.
     Rough {
         /// Direction in the scene.
         direction: Vec3,
@@ -191,8 +191,8 @@ impl Surface<'_> {
         }
     }
 
-    /// Returns the fraction of the light that reaches the dielectric of the base, without its
-    /// glass. `below` is the fraction that reaches the base.
+    /// Returns the fraction of the light that reaches the dielectric of the base, except its glass.
+    /// `below` is the fraction that reaches the base.
     #[inline]
     pub(crate) fn layered(&self, below: f32) -> f32 {
         below * (1.0 - self.metallic) * (1.0 - self.glass_share)

@@ -199,7 +199,7 @@ impl Collapse<'_> {
         // (binary node, wide node to fill, number of siblings that are postponed on the way to it)
         let mut open = vec![(0u32, root, 0usize)];
         while let Some((binary_index, node, postponed)) = open.pop() {
-            // every postponed child needs a place on the stack of a traversal
+            // every postponed child needs an entry on the stack of a traversal
             let children = self.plan.children(self.binary, binary_index);
             let postponed = postponed + children.len() - 1;
             stack_depth = stack_depth.max(postponed + 1);

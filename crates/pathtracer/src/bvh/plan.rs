@@ -1,9 +1,9 @@
 //! Chooses the subtrees of a binary tree that become nodes and blocks.
 //!
-//! It minimizes the expected cost of a ray (Ylitie, Karras, Laine 2017, "Efficient incoherent ray
-//! traversal on GPUs through compressed wide BVHs", section 3). A node costs its surface area, and
-//! so does a block. C(n, j) is the least cost of the subtree n if it becomes at most j children.
-//! `first` and `second` are the two children of n.
+//! The choice minimizes the expected cost of a ray (Ylitie, Karras, Laine 2017, "Efficient
+//! incoherent ray traversal on GPUs through compressed wide BVHs", section 3). A node costs its
+//! surface area, and so does a block. C(n, j) is the least cost of the subtree n if it becomes at
+//! most j children. `first` and `second` are the two children of n.
 //!
 //! ```text
 //! cost of a subtree as one child: the less of

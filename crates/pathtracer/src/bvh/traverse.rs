@@ -16,8 +16,8 @@
 //! * The whole loop is one function compiled for the instruction set.
 //! * A ray enters few nodes (FlightHelmet: 2.2 nodes and 1.0 blocks), so preparing the ray takes a
 //!   notable part of the time. Values that only the test of a block needs therefore stay scalars.
-//!   Trees without instances have a loop of their own, whose rays never change. These two measures
-//!   together give a fifth to a third more rays per second.
+//!   Trees without instances have a loop of their own, in which rays never change. These two
+//!   measures together give a fifth to a third more rays per second.
 //! * A block's test runs to its end even if the edge functions already exclude all its triangles. A
 //!   branch there would be unpredictable; without it 4 to 9 % more scattered and shadow rays are
 //!   traced.
@@ -478,7 +478,7 @@ impl<F: FnMut(&Hit) -> Vec3> Kernel for Transmittance<F> {
 }
 
 impl Placed {
-    /// Returns the ray in the tree's space. Each t gives the same point as before.
+    /// Returns the ray in the tree's space. Each t gives the same point in both spaces.
     #[inline(always)]
     fn tree_ray(&self, ray: &Ray) -> Ray {
         // The subtraction comes first, since its result is exact close to the instance. If the

@@ -148,8 +148,8 @@ impl Scratch {
         }
     }
 
-    /// Adds each pixel of `block`, weighted, to the sums of the pixel of `centre` that is `shift`
-    /// ([down, right]) away. It does so for all answers.
+    /// For each pixel of `centre`, adds the weighted pixel of `block` that is `shift` ([down,
+    /// right]) away to the sums of all answers.
     fn add(
         &mut self,
         centre: &Block,

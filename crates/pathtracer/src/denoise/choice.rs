@@ -38,13 +38,12 @@ pub(super) fn choose(frame: &Frame, bands: &[Answers]) -> Tensor<3> {
 }
 
 /// Returns the weight of each candidate in every pixel. The weight follows from the candidate's
-/// squared error, which is estimated in the surrounding pixels, divided by the variance of the
-/// noise.
+/// squared error divided by the variance of the noise, averaged over the surrounding pixels.
 ///
 /// F_a is the answer from one half of the samples, and u_b is the picture of the other half. The
-/// mean of (F_a − u_b)² is the squared error of F_a plus the noise of u_b, which is equal for all
-/// answers. The filter returns the mean of the answers from both halves. The error of this mean is
-/// smaller than the mean error of the two answers, and `gain` is the difference.
+/// mean of (F_a − u_b)² is the squared error of F_a plus the noise of u_b. This noise is equal for
+/// all answers. The filter returns the mean of the answers from both halves. The error of this mean
+/// is smaller than the mean error of the two answers, and `gain` is the difference.
 fn shares(frame: &Frame, halves: &[Vec<[f32; 3]>; 2], answers: [&[Vec<[f32; 3]>; 2]; CHOICES]) -> Vec<[f32; CHOICES]> {
     let count = halves[0].len();
     let (rows, cols) = (frame.rows, frame.cols);

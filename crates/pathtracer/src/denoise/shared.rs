@@ -78,8 +78,9 @@ struct Point {
 // SAFETY: sixteen bytes of floats and four single bytes, without gaps
 unsafe impl Plain for Point {}
 
-/// Light divided by reflectance, which is not negative. The first channel has a negative sign, and
-/// may be −0, until another view that sees the same surface has contributed.
+/// Light divided by reflectance. No value is negative, so the sign of the first channel stores one
+/// bit. The sign is negative (also −0) until another view that sees the same surface has
+/// contributed.
 #[derive(Clone, Copy, Default)]
 #[repr(transparent)]
 struct Light([f32; 3]);
@@ -183,8 +184,8 @@ impl<'a> SharedLight<'a> {
             announce(of_light, size_of_val(light));
             for (point, light) in points.iter_mut().zip(light) {
                 point.light = *light;
-                // If the pixel's own paths missed the surface, it now has light from its row of
-                // views. So its weight must not be 0.
+                // If the pixel's own paths missed the surface, the pixel now has light from other
+                // views of the same row. So its weight must not be 0.
                 point.weight = point.weight.max(u8::from(light.is_shared()));
             }
         }

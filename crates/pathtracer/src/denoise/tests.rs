@@ -1,4 +1,4 @@
-//! Tests the filter on pictures whose truth is known, and the figures that it reports.
+//! Tests the filter on pictures whose truth is known, and the errors and biases that it reports.
 
 use glam::Vec3;
 use lumistack_core::seed::Stream;
@@ -129,7 +129,7 @@ fn noise_goes_and_checks_tell_how_much_is_left() {
     }
 }
 
-/// The figures report the bias of a filter that dims.
+/// [`figures`] reports the bias of a filter that dims.
 #[test]
 fn a_bias_is_told() {
     let geometry = geometry([1, 1], Projection::Oblique);

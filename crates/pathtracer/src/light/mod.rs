@@ -70,7 +70,7 @@ struct TriangleLight {
     partner: Option<u32>,
     area: f32,
     double_sided: bool,
-    /// Corners of the triangle; or one corner of the parallelogram and its two neighbours.
+    /// Corners of the triangle. For a parallelogram, one corner and the two corners next to it.
     corners: [Vec3; 3],
     normal: Vec3,
     offset: f32,
@@ -469,7 +469,7 @@ mod tests {
 
     /// Points sampled on lights follow their density (chi-square over the PARTS² cells of each
     /// triangle). Scattered rays that hit a light are weighted by the same density. There are four
-    /// receivers, each with [`FALSE_ALARM_RATE`].
+    /// receivers, each tested with the false-alarm rate [`FALSE_ALARM_RATE`].
     #[test]
     fn points_of_lights_follow_their_density() {
         let scene = lit_scene();

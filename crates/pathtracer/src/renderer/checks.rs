@@ -1,12 +1,13 @@
 //! Checks: a few pixels of a view, which are rendered twice more, independently of all other
-//! renders. They measure the error of a denoised picture F, which is independent of them:
+//! renders. The checks measure the error of a denoised picture F, which does not depend on the
+//! checks:
 //!
 //! ```text
 //! E[(F − c₁)(F − c₂)] = E[(F − truth)²]
 //! ```
 //!
-//! Here c₁ and c₂ are the two renders of a pixel, whose noises are independent. One pixel is drawn
-//! in every square of [`SPACING`] × [`SPACING`].
+//! Here c₁ and c₂ are the two renders of a pixel, with independent noise. One pixel is drawn in
+//! every square of [`SPACING`] × [`SPACING`].
 
 use lumistack_core::{NoProgress, Task, seed};
 use lumistack_display::FieldGeometry;

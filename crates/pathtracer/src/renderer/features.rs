@@ -1,8 +1,8 @@
 //! Data of a view's first surfaces. They guide a denoiser, and picture files can store them as
 //! layers.
 //!
-//! Every value is a mean over the paths of a pixel that hit a surface. They are the paths that give
-//! the pixel's light. [`Renderer::render_view_and_features`] records the surfaces while it renders.
+//! Every value is a mean over the paths of a pixel that hit a surface. These paths also give the
+//! pixel's light. [`Renderer::render_view_and_features`] records the surfaces while it renders.
 //! [`Renderer::render_features`] traces the same rays only to their first hits.
 
 use glam::Vec3;
@@ -89,7 +89,7 @@ impl Features {
         [rows, cols]
     }
 
-    /// Returns the guides over the samples of two renders of one view, which must have equal
+    /// Returns the guides over the samples of two renders of one view. The renders must have equal
     /// numbers of samples. The central depth is the central depth of `self`.
     ///
     /// # Panics
@@ -137,8 +137,9 @@ impl Renderer {
         Ok(GuidedView { radiance, variance, features: Features { values } })
     }
 
-    /// Returns the guides of one view. Its rays are those that [`render_view`](Self::render_view)
-    /// traces with the same settings. No light is computed. Does not advance the progress.
+    /// Returns the guides of one view. The view's rays are the rays that
+    /// [`render_view`](Self::render_view) traces with the same settings. No light is computed. Does
+    /// not advance the progress.
     ///
     /// # Errors
     /// The same errors as [`render_view`](Self::render_view).

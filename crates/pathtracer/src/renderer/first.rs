@@ -10,11 +10,11 @@ use crate::tracer::First;
 pub(crate) const FEATURES: usize = 11;
 /// Number of values per pixel of a view whose diffuse and other light are separate.
 pub(super) const PARTS: usize = 13;
-/// Number of values per pixel if some rays end at the first surface: those of [`PARTS`], then the
-/// reflectance over the paths alone.
+/// Number of values per pixel if some rays end at the first surface: the values of [`PARTS`], then
+/// the reflectance over the paths alone.
 pub(super) const MORE_PARTS: usize = PARTS + 3;
-/// Number of values of [`FirstSums::apart`]: those of [`MORE_PARTS`], then the light that the rays
-/// themselves see. The other light then lacks this light.
+/// Number of values of [`FirstSums::apart`]: the values of [`MORE_PARTS`], then the light that the
+/// rays themselves see. The values of [`MORE_PARTS`] then lack this light.
 pub(super) const APART: usize = MORE_PARTS + 3;
 
 /// Converts points and directions of render space to depths and directions of display space.
@@ -138,8 +138,8 @@ impl FirstSums {
     }
 
     /// Returns the values of [`split`](Self::split), then the reflectance over the paths alone,
-    /// then the light that all rays themselves see. This last light is not part of the other light.
-    /// The first `paths` of the `rays` continue as paths.
+    /// then the light that all rays themselves see. The values of `split` lack this last light. The
+    /// first `paths` of the `rays` continue as paths.
     pub(super) fn apart(&self, mean: Vec3, finite: u32, [paths, rays]: [u32; 2]) -> [f32; APART] {
         let of_paths = 1.0 / paths.max(1) as f32;
         let mut values = [0.0; APART];

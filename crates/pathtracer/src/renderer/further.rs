@@ -38,10 +38,12 @@ use crate::settings::Settings;
 
 /// Stream of random numbers that no view uses for its other paths.
 const STREAM: u64 = 0xed9e_0001;
-/// Brighter pixels count as this multiple of the mean of the view, since no display shows more.
+/// The light of brighter pixels is limited to this multiple of the view's mean light, since no
+/// display shows more.
 const BRIGHTEST: f32 = 4.0;
 /// Two surfaces are treated as different if a point of one is farther than this from the plane of
-/// the other, in pixels. They also are if the cosine between their normals is below `LEAST_COSINE`.
+/// the other, in pixels. They are also different if the cosine between their normals is below
+/// `LEAST_COSINE`.
 const LEAST_STEP: f32 = 1.5;
 const LEAST_COSINE: f32 = 0.8;
 
@@ -139,7 +141,8 @@ impl Renderer {
                 let variance = &mut variance.data_mut()[3 * number..3 * number + 3];
                 for (own, more) in variance.iter_mut().zip(&more[APART..]) {
                     // Either the pixel's own paths or its further paths may be a single path, which
-                    // has no variance. It gets the variance per path of the other paths.
+                    // has no variance. The single path then gets the variance per path of the other
+                    // paths.
                     let [alone, more] = match [own.is_nan(), more.is_nan()] {
                         [true, _] => [more * paths / own_samples, *more],
                         [_, true] => [*own, *own * own_samples / paths],
@@ -170,7 +173,7 @@ fn join<const K: usize>(apart: &[f32]) -> [f32; K] {
     joined
 }
 
-/// Returns the further rays of each pixel of a split view of `samples` paths.
+/// Returns the further rays of each pixel, for a split view with `samples` paths per pixel.
 fn further(values: &Tensor<3>, pitch_mm: f32, samples: u32) -> Vec<Further> {
     let [rows, cols, _] = values.shape();
     let vector = |pixel: &[f32], first: usize| Vec3::from_slice(&pixel[first..first + 3]);

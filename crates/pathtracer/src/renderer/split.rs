@@ -123,7 +123,7 @@ impl SplitView {
 }
 
 impl Renderer {
-    /// Renders one view with its diffuse and other light separate. Its samples are those of
+    /// Renders one view with its diffuse and other light separate. The samples are the samples of
     /// [`render_view`](Self::render_view) with the same settings, and the [further
     /// paths](Settings::further_paths). Advances the progress as `render_view` does.
     ///

@@ -1,4 +1,4 @@
-//! The denoiser on rendered views, compared with long renders: its reported figures are true, and
+//! The denoiser on rendered views, compared with long renders: its reported errors are true, and
 //! means and edges are kept.
 
 use crate::common::{Builder, WINDOW_MM, diffuse, glowing, rectangle, window};

@@ -45,8 +45,8 @@ fn over_window(size: usize, f: impl Fn(f64, f64) -> f64) -> Vec<f64> {
         .collect()
 }
 
-/// Asserts that every pixel has the expected value up to a relative tolerance. It is for light
-/// whose only variance comes from the area of the pixel.
+/// Asserts that every pixel has the expected value up to a relative tolerance. This function is for
+/// light whose only variance comes from the area of the pixel.
 fn assert_pixels(radiance: &Tensor<3>, expected: &[f64], relative: f64) {
     for (pixel, expected) in radiance.data().chunks(3).zip(expected) {
         let found = f64::from(pixel[0]);
