@@ -94,7 +94,7 @@ pub struct Memory {
     pub geometry_bytes: usize,
     /// Number of bytes of the scene's meshes and images.
     pub scene_bytes: usize,
-    /// Number of bytes of the textures' coarser levels: up to a third of the images.
+    /// Number of bytes of the textures' coarser levels: up to a third of the bytes of the images.
     pub texture_bytes: usize,
 }
 

@@ -153,8 +153,8 @@ impl EnvironmentLight {
         let mut sum = 0.0;
         let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
         let (across, down) = (self.columns.joined, self.rows.joined);
-        // Add up points at the corners of squares of half a texel. The outermost points have half
-        // the weight, since neighbouring cells share them.
+        // Add up the values at the corners of squares of half a texel. The outermost corners have
+        // half the weight, since neighbouring cells share them.
         for j in 0..=2 * down {
             let v = v0 + (v1 - v0) * j as f32 / (2 * down) as f32;
             let mut line = 0.0;
