@@ -259,7 +259,7 @@ fn the_same_bytes_on_one_and_two_threads() {
     check_views_beyond_the_zone(&report(&one));
 }
 
-/// Checks the scores of views outside of the zone. They are one view spacing away from the
+/// Checks the scores of views outside of the zone. These views are one view spacing away from the
 /// outermost views, on both sides.
 fn check_views_beyond_the_zone(report: &serde_json::Value) {
     let slopes = |field: &str| -> Vec<f64> {

@@ -123,7 +123,7 @@ fn states_follow_commands_files_and_heads_and_the_last_is_a_run() {
     let packet: Vec<u8> = [5.0f64, 0.0, 10.0, 30.0, 0.0, 0.0].iter().flat_map(|value| value.to_le_bytes()).collect();
     tracker.send_to(&packet, ("127.0.0.1", port)).unwrap();
     live.state(|state| state["zone"] == 0.0);
-    // if no further positions arrive, rays of the whole viewing zone count again
+    // if no further positions arrive, the weight of the whole viewing zone becomes 1 again
     live.state(|state| state["zone"] == 1.0);
     // a position on standard input has the same effect as a tracker's packet
     live.command(&json!({"viewers": [[50, 0, 600]]}));

@@ -4,8 +4,10 @@ usage: metrics_reference.py [MAPS_DIR]
 
 Prints the contents of tests/metrics_reference.json. With MAPS_DIR, also writes every FLIP map there as raw float32.
 
-Pictures are computed by integer formulas of row, column and channel, so that other languages compute the same code values. Values are code/255, sRGB-encoded.
-SSIM is the mean over the channels. If a picture is smaller than SSIM's window, it is mirrored at the edges and all its pixels count (win_size=1).
+Pictures are computed by integer formulas of row, column and channel, so that other languages
+compute the same code values. Values are code/255, sRGB-encoded. SSIM is the mean over the channels.
+If a picture is smaller than SSIM's window, it is mirrored at the edges and all its pixels are
+included (win_size=1).
 """
 import json
 import sys

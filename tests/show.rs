@@ -144,8 +144,8 @@ fn frames_run_in_order_and_late_ones_are_counted() {
     let interval = report["interval_s"].as_f64().unwrap();
     let late = rows.windows(2).filter(|pair| pair[1][3] - pair[0][3] > 1.5 * interval).count() as i64;
     // Count the late frames in the log, and compare the number with the report. The log rounds
-    // times to microseconds, so a frame near the limit may count as late in only one of the two. So
-    // a difference of one frame is allowed.
+    // times to microseconds, so a frame near the limit may be late in only one of the two. So a
+    // difference of one frame is allowed.
     assert!((report["submitted"]["late"].as_i64().unwrap() - late).abs() <= 1, "{late} gaps in the log");
     // if the compositor reports presentation times, the times must rise and the skew must be known
     if report["presented"].as_object().is_some_and(|presented| !presented.is_empty()) {

@@ -25,8 +25,8 @@ from lumistack.blender.work import Work
 
 from . import digest, pictures, settings as settings_of
 
-#: Iterations of every time step after the first. Few suffice, since it starts with the previous
-#: patterns.
+#: Iterations of every time step after the first. Few suffice, since each time step starts with the
+#: previous patterns.
 NEXT_ITERATIONS = 5
 #: Names of each renderer's views, for messages.
 NAMES = {"BLENDER": "Blender's views", "GLTF": "Lumistack's views of the glTF file", "USD": "Lumistack's views of the USD file"}
@@ -260,7 +260,8 @@ class Job:
         def trace(report):
             loaded = lumistack.Scene(path, light={"automatic": False}, callback=report)
             return lumistack.render(
-                # The panel's settings control depth for both renderers, so the job must not fit it.
+                # The panel's settings control the depth for both renderers, so the job must not fit
+                # the depth.
                 loaded, display, window=window.as_job(), fit_depth="off", depth_scale=scale, samples=samples, light=light,
                 tone=tone, exposure_ev=exposure, cache=folder / "cache", callback=report,
             )  # fmt: skip

@@ -16,7 +16,7 @@ from . import jobs
 #: Colours of the drawings, linear RGBA.
 WINDOW, DEPTH, CONE = (1.0, 0.75, 0.1, 1.0), (0.2, 0.75, 1.0, 0.7), (0.6, 1.0, 0.4, 0.5)
 WIDTH_PX = 1.5
-#: Seconds without motion after which an arrow or frame counts as released.
+#: Seconds without motion after which an arrow or frame is regarded as released.
 REST_S = 0.4
 
 _handle = None

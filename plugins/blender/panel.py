@@ -24,8 +24,8 @@ class _Panel:
         return context.scene is not None
 
     def begin(self, context):
-        """Sets up the layout with names on the left, as in Blender's own panels. Returns it and the
-        scene's settings."""
+        """Sets up the layout with names on the left, as in Blender's own panels. Returns the layout
+        and the scene's settings."""
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
         return self.layout, context.scene.lumistack

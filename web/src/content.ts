@@ -63,7 +63,7 @@ export class StackContent implements Content {
     return true;
   }
 
-  /** Replaces all masks at once, so that no drawn picture mixes old and new masks. */
+  /** Replaces all masks together, so that no drawn picture mixes old and new masks. */
   async exchange(codes: Uint8Array<ArrayBuffer>): Promise<void> {
     await this.engine?.call("exchange", [codes], [codes.buffer]);
     if (this.whole) return;

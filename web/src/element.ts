@@ -235,7 +235,7 @@ export class LumistackViewer extends HTMLElement {
   /**
    * Shows patterns that are being computed. `json` is the text of their preview.json. `codes`
    * contains the pictures of all files that `json` lists, in this order, [row][col][rgb] each. If
-   * `json` is the current preview, only the patterns are replaced, all at once.
+   * `json` is the current preview, only the patterns are replaced, all in one step.
    */
   async showStack(json: string, codes: Uint8Array<ArrayBuffer>): Promise<void> {
     const { content } = this;
@@ -246,8 +246,8 @@ export class LumistackViewer extends HTMLElement {
   }
 
   /**
-   * Replaces all patterns of the current preview at once. `files` contains a PNG for every file of
-   * the preview, in the preview's order.
+   * Replaces all patterns of the current preview in one step. `files` contains a PNG for every file
+   * of the preview, in the preview's order.
    */
   async renew(files: readonly ArrayBuffer[]): Promise<void> {
     if (!(this.content instanceof StackContent)) return;

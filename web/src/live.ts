@@ -120,7 +120,7 @@ class Guest {
   private async run(): Promise<void> {
     this.running = true;
     // End the swing of an idle view, since a head does not swing by itself. An assignment to the
-    // slope ends it, even if the value stays the same.
+    // slope ends the swing, even if the value stays the same.
     this.viewer.slope = this.viewer.slope;
     let sent: { x: number; y: number; at: number } | undefined;
     for (; this.on; await rest(LOOK_MS)) {

@@ -23,7 +23,7 @@ export class Motion {
   /** The slope towards which the spring pulls the eye. */
   private goal: [number, number] = [0, 0];
   private zone: Slope = [1, 1];
-  /** Seconds since the last input. It starts at `IDLE_S`, so that the view swings at once. */
+  /** Seconds since the last input. It starts at `IDLE_S`, so that the view swings immediately. */
   private quietS = IDLE_S;
   private phaseS = 0;
   private held = false;
@@ -73,7 +73,7 @@ export class Motion {
     this.lookTo([this.goal[0] + step[0], this.goal[1] + step[1]]);
   }
 
-  /** Moves the eye to a slope at once, and ends the swing. */
+  /** Moves the eye to a slope immediately, and ends the swing. */
   standAt(slope: Slope): void {
     this.swing = false;
     this.input();

@@ -19,7 +19,7 @@ const methods = {
   put(index: number, bytes: ArrayBuffer): void {
     viewer!.put(index, new Uint8Array(bytes));
   },
-  /** Replaces the codes of all pictures at once. */
+  /** Replaces the codes of all pictures together. */
   exchange(codes: Uint8Array): void {
     viewer!.exchange(codes);
     painter!.forget();

@@ -35,7 +35,7 @@ for (const renderer of ["webgl2", "cpu"]) {
     const page = await open(browser, `${server.url}/?renderer=${renderer}`);
     assert.equal(await complete(page), undefined);
     const { far, near, pitchMm, rows } = SCENE;
-    // A slope of k·pitch/d moves the near square by k whole pixels. Rows count from the top.
+    // A slope of k·pitch/d moves the near square by k whole pixels. Rows are numbered from the top.
     for (const [kx, ky] of [[0, 0], [3, 0], [-3, 0], [0, 2], [0, -2], [5, 1]]) {
       const slope = [(kx * pitchMm) / near.dMm, (ky * pitchMm) / near.dMm];
       const shown = await pixels(page, slope);

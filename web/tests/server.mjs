@@ -5,7 +5,10 @@ import { extname, join, normalize } from "node:path";
 
 const TYPES = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".json": "application/json", ".png": "image/png", ".wasm": "application/wasm" };
 
-/** Serves files. `roots` maps URL prefixes to folders; the longest prefix of a path counts. `hook(path, response)` returns true if it has answered the request itself. */
+/**
+ * Serves files. `roots` maps URL prefixes to folders; the longest prefix of a path is used.
+ * `hook(path, response)` returns true if it has answered the request itself.
+ */
 export async function serve(roots, hook = () => false) {
   const server = createServer((request, response) => {
     const path = decodeURIComponent(new URL(request.url, "http://localhost").pathname);

@@ -1,8 +1,10 @@
 // Measures the simulator's page in headless Chromium: `node web.mjs FOLDER`. The folder contains the site and references.json.
 //
-// Prints when the poster is painted, when the user can look around ("interactive"), and when the first picture of the patterns is shown. These times
-// count from the start of the navigation. "longest task" is the longest task of the page's main thread, until two seconds after all files have arrived. The time of a
-// frame includes drawing and reading back the picture in the simulator's thread. In this browser WebGL2 draws in software.
+// Prints when the poster is painted, when the user can look around ("interactive"), and when the
+// first picture of the patterns is shown. These times are measured from the start of the
+// navigation. "longest task" is the longest task of the page's main thread, until two seconds after
+// all files have arrived. The time of a frame includes drawing and reading back the picture in the
+// simulator's thread. In this browser WebGL2 draws in software.
 import { createReadStream, existsSync, statSync } from "node:fs";
 import { createServer } from "node:http";
 import { createRequire } from "node:module";

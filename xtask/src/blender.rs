@@ -11,7 +11,7 @@ use crate::tools::{self, Outcome, command, install, output_of, run};
 /// tests also run in the older versions.
 const BLENDER: &str = "5.0.1";
 const OLDER: [&str; 2] = ["4.5.15", "4.2.23"];
-/// The version of Python that all these versions need.
+/// The version of Python that `BLENDER` and all versions in `OLDER` need.
 const PYTHON: &str = "3.11";
 /// Packages that build the wheel.
 const TOOLS: [&str; 3] = ["--only-binary=:all:", "maturin==1.16.*", "numpy"];

@@ -3,7 +3,7 @@
 //!
 //! A file uses another file if its code names an item that the other file defines. `use`
 //! declarations and full paths are followed through re-exports to the definition. Re-exports, `mod`
-//! lines and tests do not count as uses.
+//! lines and tests are not regarded as uses.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

@@ -1,7 +1,7 @@
 //! Extracts the prose of files: comments in sources, text in Markdown, messages of errors.
 //!
 //! A block is one paragraph, list item, table cell, picture, trailing comment or message. Fenced
-//! code, indented code and doctests are ignored, and a span in backticks counts as one word.
+//! code, indented code and doctests are ignored, and a span in backticks is regarded as one word.
 
 /// A block of prose. `line` is the number of its first line, from 1; `text` has its lines, joined
 /// by `\n`.

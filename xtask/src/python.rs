@@ -27,8 +27,8 @@ const NOTEBOOKS: [&str; 4] = ["--only-binary=:all:", "matplotlib==3.*", "xarray"
 const OLDEST: (u32, u32) = (3, 11);
 
 /// Packs a wheel with the module that the workspace's tests compile, installs it, checks it and
-/// measures it. If Python is too old or the tools cannot be fetched, it skips all these steps with
-/// a message.
+/// measures it. If Python is too old or the tools cannot be fetched, the function skips all these
+/// steps with a message.
 pub fn check() -> Outcome {
     let python = tools::python()?;
     if let Err(error) = fetch(&python) {

@@ -102,8 +102,8 @@ fn account(list: &str, is_ci: bool) -> Outcome {
     }
 }
 
-/// Installs Debian packages. If another program installs packages, it waits. If the package lists
-/// are missing or old, it updates them.
+/// Installs Debian packages. If another program installs packages, the function waits. If the
+/// package lists are missing or old, the function updates them.
 ///
 /// # Errors
 /// If the packages cannot be installed.

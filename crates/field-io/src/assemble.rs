@@ -98,7 +98,7 @@ pub(crate) fn assemble(
     let shape = LightField::shape_of(&geometry);
     let count = Tensor::element_count(shape)
         .ok_or_else(|| FieldError::malformed(&path, "size", "an array that fits in memory", format!("{shape:?}")))?;
-    // Reserve a place for the result, and read views one at a time.
+    // Reserve memory or begin a file for the result, and read views one at a time.
     let place = reading.paging.and_then(|paging| paging(&geometry));
     let mut all = match place {
         // Only reserve memory, since a header may claim any size. The system provides the pages

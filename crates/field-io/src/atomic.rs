@@ -71,7 +71,7 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
     }
     let mut beside = temporary_beside(folder)?;
     // The lock shows other processes that the writer is alive; see [`is_abandoned`]. On a file
-    // system without locks, no file counts as abandoned.
+    // system without locks, no file is regarded as abandoned.
     let _ = beside.as_file().try_lock();
     {
         let mut writer = BufWriter::with_capacity(1 << 16, beside.as_file_mut());
@@ -115,7 +115,8 @@ pub(crate) fn temporary_beside(folder: &Path) -> io::Result<tempfile::NamedTempF
     builder.tempfile_in(folder)
 }
 
-/// Makes the rename durable. Failure is not an error, since the file itself is written.
+/// Writes a folder's entries to disk, so that a rename in this folder survives a power failure.
+/// Failure is not an error, since the renamed file itself is on disk.
 fn sync_folder(folder: &Path) {
     if cfg!(unix)
         && let Ok(folder) = File::open(folder)

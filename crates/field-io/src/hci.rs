@@ -77,7 +77,8 @@ pub(crate) fn source(folder: &Path, task: Task<'_>) -> Result<Option<Source>, Fi
     }))
 }
 
-/// Keys of `parameters.cfg`, without their sections, since keys are unique in the file.
+/// Values of `parameters.cfg` by their keys. Sections are ignored, since every key occurs only once
+/// in the file.
 struct Parameters {
     path: PathBuf,
     values: BTreeMap<String, String>,

@@ -213,7 +213,7 @@ pub(crate) fn zeros(path: &Path, count: usize) -> Result<Vec<f32>, FieldError> {
     Ok(data)
 }
 
-/// Returns a vector with untouched capacity for `count` values, or an error if there is too little
+/// Returns an empty vector with a capacity of `count` values, or an error if there is too little
 /// memory.
 pub(crate) fn reserved(path: &Path, count: usize) -> Result<Vec<f32>, FieldError> {
     let mut data = Vec::new();

@@ -65,8 +65,8 @@ pub fn geometry_of(
     plan(&mut source, flags, defaults, task).map(|plan| plan.geometry)
 }
 
-/// Returns an upper bound of the bytes that the decoded file of a light field takes while views are
-/// read from it: 0 unless all views are in one picture.
+/// Returns an upper bound of the memory, in bytes, that a light field's decoded picture takes while
+/// the views are read. The result is 0 unless all views are in one picture.
 pub fn picture_bytes(path: &Path) -> u64 {
     // a decoded picture takes at most 16 bytes per pixel (four floats), and decoding takes 8 more
     const BYTES: u64 = 24;

@@ -33,8 +33,8 @@ pub enum FieldWriter {
 }
 
 impl FieldWriter {
-    /// Begins a light field. It is written to a file if `place` has a folder and a number of bytes
-    /// that may be in memory, and else to memory.
+    /// Begins a light field. `place` is the folder for its file, and the number of the file's bytes
+    /// that may be in memory. Without `place` the light field is kept in memory.
     ///
     /// # Errors
     /// If the file cannot be created.

@@ -28,7 +28,8 @@ pub type Footprint<'a> = &'a dyn Fn(&FieldGeometry) -> [f64; 2];
 /// For every kept view along one axis: the views that are averaged into it, and their weights.
 pub(crate) type Shares = Vec<Vec<(usize, f32)>>;
 
-/// Returns the shares without a prefilter: every kept view has only itself.
+/// Returns the views and weights without a prefilter: every kept view is only itself, with weight
+/// 1.
 pub(crate) fn alone(picks: &[usize]) -> Shares {
     picks.iter().map(|&view| vec![(view, 1.0)]).collect()
 }

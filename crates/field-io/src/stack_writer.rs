@@ -51,8 +51,9 @@ impl StackWriter {
         Ok(Self { folder: folder.to_owned(), index, arrays })
     }
 
-    /// Writes some regions of the stack. `regions` are the pixels of `part` in each layer, and in
-    /// the lenslets if there are any.
+    /// Writes one region of each layer, and of the lenslets if there are any. `part` has the
+    /// values. `regions` states their positions: first of the layers from rear to front, then of
+    /// the lenslets.
     ///
     /// # Errors
     /// If the disk is full or fails.

@@ -68,7 +68,7 @@ fn left_out(document: &Document<'_>) -> Option<String> {
     Some(if *count > 1 { format!("{first} (primitives left out in all: {count})") } else { first.clone() })
 }
 
-/// Returns the reason why the structure of the scene shows no mesh.
+/// Returns the reason why the scene shows no mesh, as found in the structure of the file.
 fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
     let root = &document.root;
     let meshes = root.meshes.len();

@@ -19,7 +19,7 @@ pub(crate) struct Container<'a> {
 }
 
 impl<'a> Container<'a> {
-    /// Reads a `.gltf` or `.glb` file; the first four bytes decide which it is.
+    /// Reads a `.gltf` or `.glb` file; the first four bytes decide which of the two it is.
     pub(crate) fn open(bytes: &'a [u8]) -> Result<Self, Fault> {
         if bytes.is_empty() {
             return Err(Fault::new("byte 0", "a glTF file", "an empty file"));

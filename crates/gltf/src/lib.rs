@@ -73,8 +73,8 @@ pub use error::GltfError;
 pub use load::{Contents, contents, load, load_with};
 pub use options::LoadOptions;
 
-/// Hash of this crate's sources, made at build. It is part of the key of every kept result that
-/// this code contributes to.
+/// Hash of this crate's sources, computed at build. It is part of the key of every cached result
+/// that depends on this code.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 
 /// Reads the files to which a glTF file refers.

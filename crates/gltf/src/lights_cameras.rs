@@ -200,7 +200,7 @@ pub(crate) fn environment(
     Ok(Some(Environment { image, strength, scene_from_environment }))
 }
 
-/// Converts a placement to 32-bit numbers, as scenes have them.
+/// Converts a placement to 32-bit numbers, which scenes use.
 pub(crate) fn affine(placement: &DAffine3) -> Affine3A {
     placement.as_affine3a()
 }

@@ -39,7 +39,7 @@ plugins! {
     "web-simulator": lumistack_plugin_web_simulator;
 }
 
-/// Returns true if two ids are equal, except that hyphens count as underscores.
+/// Returns true if two ids are equal when their hyphens are read as underscores.
 pub(crate) fn same_id(a: &str, b: &str) -> bool {
     let plain = |byte: u8| if byte == b'-' { b'_' } else { byte };
     a.len() == b.len() && a.bytes().zip(b.bytes()).all(|(a, b)| plain(a) == plain(b))

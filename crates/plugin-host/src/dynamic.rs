@@ -193,7 +193,8 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     let data = ReadCache::new(file);
     match FileKind::parse(&data) {
         // The file contains one library per machine, and the loader selects one of them. The
-        // exports are not read: the file counts as one plugin, whose id is the file's name.
+        // exports are not read. The file is listed as one plugin, whose id is `<name>` in the
+        // file's name `lumistack_plugin_<name>`.
         Ok(FileKind::MachOFat32 | FileKind::MachOFat64) => return Ok(vec![name]),
         Ok(_) => {}
         Err(_) => return Err(other("a file of another kind".into())),

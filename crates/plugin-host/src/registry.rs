@@ -83,7 +83,7 @@ impl Registry {
         }
     }
 
-    /// Returns the plugin with this id, in which hyphens count as underscores. For a plugin in a
+    /// Returns the plugin with this id. Hyphens in `id` are read as underscores. For a plugin in a
     /// library, the first call loads the library in a child process.
     ///
     /// # Errors

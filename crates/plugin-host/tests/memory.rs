@@ -6,7 +6,7 @@
 //! reproducible. `resident` is the kernel's `VmHWM` of `/proc/self/status`, which includes memory
 //! that the allocator has not returned. Both peaks are reached within the first frames. The layers
 //! are black: zeroed memory that is never written is not resident. So `resident` does not contain
-//! the stack either.
+//! the stack.
 
 #![cfg(target_os = "linux")]
 

@@ -8,7 +8,7 @@ use crate::PluginError;
 /// Requires `count` layers.
 ///
 /// # Errors
-/// On any other number.
+/// If the display has another number of layers.
 pub fn layers(display: &Display, count: usize) -> Result<(), PluginError> {
     let found = display.layers.len();
     let expected = match count {
@@ -22,7 +22,7 @@ pub fn layers(display: &Display, count: usize) -> Result<(), PluginError> {
 /// Requires attenuating layers.
 ///
 /// # Errors
-/// On any other formation.
+/// If the layers form the picture in another way.
 pub fn attenuating(display: &Display) -> Result<(), PluginError> {
     match display.formation {
         Formation::Attenuating => Ok(()),
@@ -33,7 +33,7 @@ pub fn attenuating(display: &Display) -> Result<(), PluginError> {
 /// Requires a uniform backlight.
 ///
 /// # Errors
-/// On a directional backlight.
+/// If the backlight is directional.
 pub fn uniform_backlight(display: &Display) -> Result<(), PluginError> {
     match display.backlight {
         Backlight::Uniform => Ok(()),
@@ -44,7 +44,7 @@ pub fn uniform_backlight(display: &Display) -> Result<(), PluginError> {
 /// Requires a directional backlight, and returns it.
 ///
 /// # Errors
-/// On a uniform backlight.
+/// If the backlight is uniform.
 pub fn lenslets(display: &Display) -> Result<&LensletBacklight, PluginError> {
     match &display.backlight {
         Backlight::Lenslets(lenslets) => Ok(lenslets),

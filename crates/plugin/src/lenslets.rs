@@ -242,8 +242,8 @@ mod tests {
         }
     }
 
-    /// The display model's tables must give a ray from a pixel's centre through the centre of its
-    /// lens the same lenslet and angular bin as `panel.spot`.
+    /// Take a ray from a pixel's centre through the centre of its lens. The display model's tables
+    /// must give this ray the same lenslet and angular bin as `panel.spot`.
     #[test]
     fn the_display_s_tables_agree_at_every_pixel() {
         let display = display();

@@ -31,8 +31,8 @@ pub trait ImporterPlugin: 'static {
     fn schema() -> Schema;
 
     /// Reads the file `file`, and others in its folder, through `assets`. Returns a glTF 2.0
-    /// document, `.glb` or `.gltf`. The host validates the document. The host also reads the files
-    /// that the document names from the imported file's folder.
+    /// document, `.glb` or `.gltf`. The host validates the document. If the document names further
+    /// files, the host reads them from the imported file's folder.
     ///
     /// # Errors
     /// If the file is invalid; the message names the position in the file.

@@ -192,8 +192,8 @@ impl Schema {
     /// Checks the given parameters (an object) and fills in the defaults of all other parameters.
     ///
     /// # Errors
-    /// On a parameter that does not exist (the message names the most similar one), is of the wrong
-    /// type or out of range.
+    /// If a parameter does not exist (the message names the most similar one), is of the wrong
+    /// type, or is out of range.
     pub fn resolve(&self, given: &Value) -> Result<Map<String, Value>, ParamError> {
         let empty = Map::new();
         let given = match given {
@@ -234,7 +234,7 @@ impl Schema {
     /// be in range.
     ///
     /// # Errors
-    /// A message for the plugin's author.
+    /// If a rule is violated: a message for the plugin's author.
     pub fn check(&self) -> Result<(), String> {
         for (i, param) in self.params.iter().enumerate() {
             let name = &param.name;

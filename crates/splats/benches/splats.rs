@@ -254,8 +254,8 @@ fn basis(d: Vec3) -> [f32; 16] {
     ]
 }
 
-/// Returns the processor time of all threads since the start, in seconds. Other programs disturb it
-/// less than they disturb the clock.
+/// Returns the processor time of all threads since the start, in seconds. Other programs affect
+/// this time less than they affect the elapsed time.
 fn processor_s() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit(')').next().unwrap_or("").split_whitespace().skip(11).take(2);

@@ -25,7 +25,7 @@ pub fn skipped(why: &str) {
     }
 }
 
-/// Prints that a test runs in another step of CI, `cargo xtask STEP`, which provides its
+/// Prints that a test runs in another step of CI, `cargo xtask STEP`, which provides the test's
 /// requirements.
 pub fn runs_in(step: &str) {
     println!("not here: `cargo xtask {step}` runs this test");
@@ -38,7 +38,7 @@ fn account(why: &str, test: Option<&str>, is_ci: bool, list: Option<&Path>) -> R
     if let Some(list) = list {
         let line = format!("test {}: {}\n", test.unwrap_or("?"), why.replace('\n', " "));
         let file = std::fs::OpenOptions::new().create(true).append(true).open(list);
-        // write the line at once, since tests run in parallel
+        // write the line in one call, since tests run in parallel
         if let Err(error) = file.and_then(|mut file| file.write_all(line.as_bytes())) {
             println!("{}: {error}", list.display());
         }

@@ -62,7 +62,7 @@ def material(prim, writer, time):
             return entry
         if kind not in unknown:
             unknown.append(kind)
-    # Otherwise report why the display colour is used.
+    # No surface shader is known, so report why the display colour is used.
     entry["place"] = str(prim.GetPath())
     if unknown:
         shown = ", ".join(kind or "one without an id" for kind in unknown)
@@ -297,8 +297,8 @@ class Graph:
             found = self.get(shader, "value") if name == "constant" else self.get(shader, "in")
             return found
         if name in FRAME:
-            # These nodes return the surface's own normal or tangent. None keeps the default of an
-            # input, which is the same vector, so nothing is lost.
+            # These nodes return the surface's own normal or tangent. With the result None, the
+            # input keeps its default. The default is the same vector, so nothing is lost.
             return None
         if name in OPERATIONS:
             count = SIZES.get(parts[1].replace("FA", ""), 3)

@@ -33,7 +33,8 @@ class Skeletons:
             writer.warn(root.GetPath(), "the root's skeletons cannot be read, so its shapes keep their rest pose: %s" % said(error))
 
     def key(self, prim):
-        """Returns a key of a shape's pose: two poses have different keys. None without a pose."""
+        """Returns a key of a shape's pose: different poses have different keys. None without a
+        pose."""
         found = self.skinned.get(prim.GetPath())
         if found is None:
             return None

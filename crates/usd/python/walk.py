@@ -72,7 +72,7 @@ def meters_per_unit(stage):
 
 def composition_errors(stage):
     """Yields layers and references that OpenUSD could not compose, as (place, message)."""
-    # OpenUSD 24.08 and newer list them per stage, older versions per prim and layer.
+    # OpenUSD 24.08 and newer list these errors per stage, older versions per prim and layer.
     if hasattr(stage, "GetCompositionErrors"):
         for error in stage.GetCompositionErrors():
             site = getattr(error, "rootSite", None)

@@ -3,7 +3,7 @@
 A file consists of the magic `LUMIPKG1`, the header's length as a little-endian u64, the header, and
 the arrays. Each array starts at a multiple of 64 bytes from the start of the file. The header
 refers to an array as `{"buffer": k, "type": "f32", "shape": [n, 3]}`. `buffers` lists the offset
-and the length of each array. Offsets count from the first multiple of 64 after the header.
+and the length of each array. Offsets are relative to the first multiple of 64 after the header.
 """
 
 import json

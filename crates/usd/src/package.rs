@@ -55,8 +55,8 @@ pub struct Header {
     pub(crate) images: Vec<serde_json::Value>,
     pub(crate) lights: Vec<serde_json::Value>,
     pub(crate) cameras: Vec<CameraEntry>,
-    /// Offset and length of every array in a file, in bytes. Offsets count from the first multiple
-    /// of 64 after the header.
+    /// Offset and length of every array in a file, in bytes. Offsets are relative to the first
+    /// multiple of 64 after the header.
     buffers: Vec<[u64; 2]>,
 }
 
@@ -302,8 +302,8 @@ pub(crate) struct Placement {
 pub(crate) struct Link {
     /// Matrices `[n][4][4]` for row vectors, as in USD: the translation is the last row.
     pub(crate) matrices: Array,
-    /// Index of the prototype that each matrix places, `[n]`. Only matrices of
-    /// [`prototype`](Self::prototype) apply to this chain.
+    /// Index of the prototype that each matrix places, `[n]`. Matrices whose index differs from
+    /// `prototype` do not apply to this chain. Without this array all matrices apply.
     #[serde(default)]
     pub(crate) prototypes: Option<Array>,
     /// Index of the prototype that this chain places.

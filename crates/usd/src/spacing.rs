@@ -35,8 +35,8 @@ pub(crate) fn width(places: &[Vec3], points: &[Vec3], rule: Rule) -> Option<f32>
     Some((rule.of_spacing * spacing).clamp(rule.smallest * diagonal, largest))
 }
 
-/// Returns the median distance of the positions to their nearest neighbours. Coincident positions
-/// do not count as neighbours. `None` if no position has a neighbour.
+/// Returns the median distance of the positions to their nearest neighbours. Positions that
+/// coincide are not regarded as neighbours. `None` if no position has a neighbour.
 fn median_spacing(places: &[Vec3]) -> Option<f32> {
     // compare an evenly spread sample of the positions with all positions
     let asked = places.len().min(ASKED);

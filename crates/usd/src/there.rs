@@ -19,7 +19,7 @@ pub type There = Result<(String, String), Vec<String>>;
 /// Finds the Python that reads USD files.
 ///
 /// # Errors
-/// If cancelled.
+/// If the search is cancelled.
 pub fn openusd(cancel: &Cancel) -> Result<There, UsdError> {
     first_of(
         &Surroundings::of_system().candidates(),
@@ -35,7 +35,7 @@ pub fn openusd(cancel: &Cancel) -> Result<There, UsdError> {
 /// Finds the Blender that reads `.blend` files.
 ///
 /// # Errors
-/// If cancelled.
+/// If the search is cancelled.
 pub fn blender(cancel: &Cancel) -> Result<There, UsdError> {
     first_of(
         &blend::candidates(),

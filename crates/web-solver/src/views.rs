@@ -180,7 +180,7 @@ impl Views {
         }
     }
 
-    /// Returns the number of a view. Only the first call for this view returns it.
+    /// Returns the number of a view at the first call for this view, and `None` at later calls.
     pub(crate) fn give(&mut self, view: [usize; 2]) -> Option<usize> {
         let number = self.number(view);
         (!std::mem::replace(&mut self.given[number], true)).then_some(number)

@@ -268,8 +268,8 @@ impl Work {
     pub fn take(&mut self, number: usize, values: Vec<f32>) -> Result<(), Error> {
         let views = views(&mut self.views)?;
         views.keep_values(number, values)?;
-        // Drop the pieces that trace this view, and every refresh without a view to trace since the
-        // refresh before it.
+        // Drop the pieces that trace this view. Also drop each refresh (a solve for unfinished
+        // views) if no view is traced between the previous refresh and this one.
         let (mut has_shown, mut drops) = (false, false);
         self.pieces.retain(|piece| {
             drops = match piece {

@@ -72,7 +72,8 @@ fn a_refresh_without_new_views_is_left_out() {
     while let Some(view) = work.give() {
         work.take(view, helper.trace(view).unwrap()).unwrap();
     }
-    // one refresh of three iterations, before the last solve
+    // all views were taken, so there is only one refresh, of three iterations, before the last
+    // solve
     finish(&mut work, |_| ());
     assert_eq!(work.shown(), 3 + 1);
     let mut alone = placed();

@@ -100,7 +100,7 @@ impl Options {
     }
 
     /// Returns the points of the pupil whose views are averaged. They are a square grid of slopes,
-    /// relative to the slope of the pupil's centre. Only points on the pupil's disc count. A
+    /// relative to the slope of the pupil's centre. Only points on the pupil's disc are used. A
     /// pinhole has one point.
     pub fn pupil(&self, display: &Display, target: Projection) -> Pupil {
         let distance_mm = match self.projection(target) {

@@ -9,7 +9,7 @@ from common import configure, disable, install
 
 #: The display of `case_live`: 112 × 70 pixels.
 LIVE_DISPLAY_SIZE = "[112, 70]"
-#: Seconds without a new state after which the display counts as settled.
+#: Seconds without a new state after which the display is regarded as settled.
 LIVE_REST = 1.0
 #: Largest mean difference of two pictures of a settled display.
 LIVE_NOISE = 0.003

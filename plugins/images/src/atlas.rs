@@ -26,7 +26,8 @@ struct Index<'a> {
     tiles: Vec<Tile>,
 }
 
-/// The place of one mask in the picture: columns x..x + width, and rows y..y + height from the top.
+/// The position of one mask in the picture: columns x..x + width, and rows y..y + height from the
+/// top.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
 struct Tile {

@@ -24,8 +24,8 @@ use crate::views::ViewSource;
 /// Stated length of the longer side of the cameras' sensors, millimetres. The value is arbitrary,
 /// since only its ratio to the focal length matters.
 const SENSOR_MM: f64 = 36.0;
-/// Largest difference between steps of slope that count as equal, as a fraction of the largest
-/// step.
+/// Largest difference between steps of slope that are regarded as equal, as a fraction of the
+/// largest step.
 const SAME_STEP: f64 = 1e-3;
 
 /// The format of a public archive.

@@ -49,8 +49,8 @@ impl Arrays {
     }
 }
 
-/// Makes the glTF document. All meshes are below one node, which scales them, and turns the file's
-/// upward axis to glTF's.
+/// Makes the glTF document. All meshes are children of one node, which scales them, and turns the
+/// file's upward axis to glTF's.
 pub(crate) fn document(
     models: &[Model],
     materials: &[MtlMaterial],

@@ -7,8 +7,8 @@ mod session;
 
 use session::{SWAY, Session};
 
-/// Time between two new stacks, seconds, above which the solver counts as stalled. A run with a
-/// stall has a gap of at least 2 s. In a run without a stall, a stack arrives every 0.3 s.
+/// Time between two new stacks, seconds, above which the solver is regarded as stalled. A run with
+/// a stall has a gap of at least 2 s. In a run without a stall, a stack arrives every 0.3 s.
 const STALL_S: f64 = 1.5;
 /// Allowed number of additional lost refreshes in a run with a stall, since the machine may be
 /// busy. A present loop that waited for the solver would lose 120 refreshes in 2 s.

@@ -51,8 +51,8 @@ pub enum Source<'a> {
     Field(&'a FieldInput<'a>),
 }
 
-/// Largest distance from a view of the data, in units of views, at which a position counts as the
-/// position of that view.
+/// Largest distance from a view of the data, in units of views, at which a position is regarded as
+/// the position of that view.
 const SAME_PLACE: f64 = 1e-6;
 
 /// Returns the positions a_i of `count` views of a quilt, among the `available` views per row of

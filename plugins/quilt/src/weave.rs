@@ -64,7 +64,7 @@ impl Calibration {
     /// Parses the JSON of `visual.json`. A number x may have the form `{"value": x}`.
     ///
     /// # Errors
-    /// On malformed JSON, and numbers that are missing or invalid.
+    /// If the JSON is malformed, or a number is missing or invalid.
     pub fn from_json(json: &Value) -> Result<Self, PluginError> {
         // Read a number, which may be in an object with the key `value`.
         let number = |key: &str| -> Option<f64> {

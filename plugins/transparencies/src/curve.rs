@@ -85,8 +85,8 @@ impl Film {
     }
 }
 
-/// A value counts as lost if it is below the darkest state by more than this: half a step between
-/// codes.
+/// A value is regarded as lost if it is below the darkest state by more than this: half a step
+/// between codes.
 const HALF_CODE: f64 = 0.5 / 255.0;
 
 /// Parses a list of pairs. It must contain the codes 0 and 255, so that no code is outside the

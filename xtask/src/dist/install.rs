@@ -28,7 +28,7 @@ pub fn test(ways: &[&str], dist: &Path) -> Outcome {
     let mut times = Vec::new();
     let mut failed = Vec::new();
     let has = |name: String| dist.join(format!("lumistack-{}-{name}", env!("CARGO_PKG_VERSION"))).is_file();
-    // without names, a way whose program was not made for this test is left out
+    // if the user names no way, leave out each way whose program is not in `dist`
     let made = |way: &str| match way {
         ARM => has("aarch64-unknown-linux-gnu.tar.gz".into()),
         WINDOWS => has(format!("{MINGW}.zip")),

@@ -1,5 +1,5 @@
 //! Keeps the paths of the building machine out of releases. These paths contain the name of a user,
-//! and differ between machines, so the same sources would give files with other bytes.
+//! and differ between machines, so two machines would make different files from the same sources.
 //!
 //! The compiler writes the paths of source files into messages of panics. A flag replaces the
 //! beginning of these paths, and a check finds paths that remain.

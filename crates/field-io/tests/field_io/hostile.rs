@@ -153,8 +153,8 @@ fn headers_that_claim_much_cost_nothing() {
     assert!(grown < 1 << 30, "{grown} bytes were touched");
 }
 
-/// A picture of a single value has the most pixels per byte of its file, and must be read. A header
-/// that claims more pixels than the file can hold is an error.
+/// A picture with the same value in all pixels has the most pixels per byte of its file. It must be
+/// read. A header that claims more pixels than the file can hold is an error.
 #[test]
 fn pictures_do_not_claim_more_pixels_than_they_can_hold() {
     let folder = tempfile::tempdir().unwrap();

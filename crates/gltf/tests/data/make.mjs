@@ -1,4 +1,4 @@
-// Writes the files of this folder with the encoders of others. Run once, by hand:
+// Writes the files of this folder with encoders of other projects. Run once, by hand:
 //   npm install @gltf-transform/core@4 @gltf-transform/extensions@4 @gltf-transform/functions@4 draco3dgltf meshoptimizer ktx2-encoder
 //   node make.mjs FOLDER
 // A grid of 5 × 4 vertices on z = sin(x) · y with normals and coordinates, on a node that turns; and a picture of 20 × 12 texels.

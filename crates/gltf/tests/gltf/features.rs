@@ -8,7 +8,7 @@ use lumistack_gltf::AssetResolver;
 use lumistack_scene::{AlphaMode, Filter, Light, LightKind, Pixels, Projection, TextureUse, Wrap};
 use serde_json::{Value, json};
 
-/// A few rounding errors of 32-bit numbers, at the size of these scenes.
+/// Tolerance of coordinates: a few rounding errors of 32-bit numbers, at the size of these scenes.
 const TOLERANCE: f32 = 1e-5;
 
 fn assert_near(found: Vec3, expected: Vec3) {

@@ -11,7 +11,8 @@ fn own(name: &str) -> String {
     format!("KHR_gaussian_splatting:{name}")
 }
 
-/// Returns three splats with harmonics of a degree, on a node that is moved and rotated.
+/// Returns three splats with spherical harmonics of the given degree, on a node that is moved and
+/// rotated.
 fn splats(degree: usize) -> Builder {
     let mut b = Builder::new();
     let mut attributes = json!({

@@ -213,7 +213,7 @@ impl Link {
             return cancelled;
         }
         let (answer, _) = self.ask(Request::IsCancelled, &[]);
-        // A failed request counts as a cancellation, so that the plugin stops.
+        // A failed request is treated as a cancellation, so that the plugin stops.
         answer.cancelled || answer.status != Status::OK.0
     }
 

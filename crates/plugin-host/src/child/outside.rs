@@ -17,8 +17,8 @@ use super::session::{Owner, Stopped};
 use crate::LoadError;
 use crate::serve::{Functions, Plugin};
 
-/// Loads a library in a child, and returns its plugin. Later, every open output and every call that
-/// makes data starts its own child.
+/// Loads a library in a child, and returns the library's plugin `id`. Later, every open output and
+/// every call that makes data starts its own child.
 pub(crate) fn probe(library: &Path, id: &str, launcher: Launcher, limits: Limits) -> Result<Plugin, LoadError> {
     let path = || library.to_path_buf();
     // The path must be absolute, since the loader searches other folders for a bare name.

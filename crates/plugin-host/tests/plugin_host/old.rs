@@ -1,5 +1,5 @@
-//! A library that was built against version 1.0 of the plugin boundary works as it did then, in a
-//! process of its own and in this process. `tests/fixtures/abi-1.0` has its source.
+//! A library that was built against version 1.0 of the plugin interface still works, in a process
+//! of its own and in this process. `tests/fixtures/abi-1.0` has its source.
 
 use std::path::{Path, PathBuf};
 

@@ -40,7 +40,7 @@ pub struct Found {
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{place}: expected {expected}, found {found}")]
 pub struct ReadError {
-    /// Place in the file of the wrong value.
+    /// Place of the wrong value in the file.
     pub place: String,
     /// The values that the format allows at this place.
     pub expected: String,

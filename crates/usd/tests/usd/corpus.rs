@@ -135,7 +135,8 @@ fn every_file_opens_or_fails_by_design() {
     walked.check(opens_or_fails_by_design);
 }
 
-/// Hostile files cause errors or warnings, but no crash. Some contain only inconsistent meshes.
+/// Hostile files cause errors or warnings, but no crash. Some files contain only inconsistent
+/// meshes.
 #[test]
 fn hostile_files_do_no_harm() {
     let Some(walked) = walk("hostile/usd") else { return };

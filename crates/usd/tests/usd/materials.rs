@@ -8,8 +8,8 @@ use lumistack_scene::{AlphaMode, LightKind, Material, Pixels, Scene};
 use lumistack_usd::{Package, scene_from_package};
 use serde_json::{Value, json};
 
-/// Returns a scene of one plane with one material and lights. It has a picture of 2 × 1 texels, and
-/// one that is missing.
+/// Returns a scene of one plane with one material and lights. The scene has one picture of 2 × 1
+/// texels, and refers to a picture that is missing.
 fn scene(material: Value, lights: Value) -> (Scene, Vec<Warning>) {
     let mut png = Vec::new();
     let texels = vec![255, 0, 51, 255, 0, 102, 204, 128];

@@ -256,7 +256,8 @@ fn normal_maps_arrive_through_the_nodes_that_lie_behind_them() {
     }
 }
 
-/// A lamp has the same emission in every supported shader, for constants and for textures.
+/// A surface that emits light has the same emission in every supported shader, for constants and
+/// for textures.
 #[test]
 fn a_lamp_is_as_bright_in_every_syntax() {
     let shader = |id: &str, inputs: &str| {

@@ -232,7 +232,7 @@ impl Gpu {
         });
         let bytes: Vec<u8> = [origin[0], origin[1], 0, 0].into_iter().flat_map(u32::to_ne_bytes).collect();
         self.queue.write_buffer(&place, 0, &bytes);
-        // Submit each picture's upload at once, so that a refresh waits for at most one upload.
+        // Submit each picture's upload immediately, so that a refresh waits for at most one upload.
         self.queue.submit([]);
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("picture"),

@@ -79,9 +79,9 @@ impl Watch {
     }
 
     /// Sets the keyboard focus to `window` on an X server without a window manager. The first call
-    /// does this. A later call repeats it if the focus was lost and no other window has it.
-    /// `unmanaged` states that window managers ignore this window. Then the first call sets the
-    /// focus even if there is a window manager.
+    /// sets the focus. A later call sets it again if `window` has lost the focus and no other
+    /// window has the focus. `unmanaged` states that window managers ignore this window. Then the
+    /// first call sets the focus even if there is a window manager.
     pub(super) fn keep_focus(&mut self, window: &Window, unmanaged: bool) {
         #[cfg(all(unix, not(target_os = "macos")))]
         if let Self::X11(server) = self {

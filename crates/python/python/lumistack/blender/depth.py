@@ -82,7 +82,8 @@ def in_scene(range_mm: Sequence[float] | None, depth_scale: float, distance_mm: 
 
 def best_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm: float | None, compress: bool) -> Fit:
     """Returns the movement of the window that brings most of the depths into the range. With
-    `compress` it also returns the scale of parallax that brings in the remaining depths."""
+    `compress` the function also returns the scale of parallax that brings in the remaining
+    depths."""
     ordered = sorted(depth for depth in depths_mm if math.isfinite(depth))
     if not ordered:
         return Fit(0.0, 1.0)

@@ -10,8 +10,9 @@ keys applied. This module adds the lights in the units of Cycles: watts W become
     area A          radiance W / (pi A)                   a surface that emits from its front
     world           its radiance                          environment
 
-A lamp's visibility for cameras is recorded with it. Cameras are exported with their plane of focus,
-the scene's own camera first. Content that cannot be exported causes a warning.
+For a light with a surface, the file also states if cameras see the surface. Cameras are exported
+with their plane of focus, the scene's own camera first. Content that cannot be exported causes a
+warning.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ class State:
 
 
 class Program:
-    """A display of a program: its state, and the changes that are sent to it."""
+    """A `lumistack live` program: the state of its display, and the changes that are sent to it."""
 
     #: The lines to the program.
     _commands: IO[bytes] | None
@@ -76,7 +76,8 @@ class Program:
             return self._sent is None
 
     def change(self, keys: Mapping[str, Any], since: float) -> None:
-        """Sets keys of the job, all at once; since: the time of the change (`time.monotonic`)."""
+        """Sets keys of the job, all in one step. `since`: the time of the change
+        (`time.monotonic`)."""
         with self._lock:
             self._sent = (since, self._state.content)
             self._state = replace(self._state, problem="")

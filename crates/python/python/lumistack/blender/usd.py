@@ -33,8 +33,8 @@ SETTINGS = {
 
 
 def is_readable(bpy: Any) -> bool:
-    """Returns true if this Python reads USD files. The module bpy hides Blender's own OpenUSD, so
-    this function searches for it."""
+    """Returns true if this Python can read USD files. The module bpy hides Blender's own OpenUSD,
+    so this function searches for it."""
     if importlib.util.find_spec("pxr") is None:
         version = f"python{sys.version_info[0]}.{sys.version_info[1]}"
         home = Path(bpy.utils.resource_path("LOCAL")) / "python"

@@ -2,7 +2,7 @@
 
 Every view is written under another name and renamed when it is complete, so an existing view is
 always finished. Views belong to a key, a digest of everything that they depend on, and are in a
-folder named after it.
+folder named after this key.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The client of a farm. It submits units whose inputs are finished, reads the results of units, and
-continues with the units that depend on these."""
+"""The client of a farm. It submits units whose inputs are finished, and reads the results of these
+units. Then it submits the units that depend on these results."""
 
 from __future__ import annotations
 
@@ -335,7 +335,8 @@ class Engine:
         for address in addresses:
             text = found.get(address) if isinstance(found, dict) else None
             if _json(text) is None:
-                # The worker did not answer: it was lost, or the next call checks it again.
+                # The worker did not answer, so it is not marked as checked. If it still exists, the
+                # next call checks it again.
                 continue
             reason = self.objection(text)
             self.checked[address] = reason
@@ -394,7 +395,7 @@ class Engine:
             self.attempts += 1
             options: dict[str, Any] = {}
             if offered:
-                # An estimate above the memory of all workers would never be scheduled.
+                # A unit whose estimate exceeds the memory of every worker would never be scheduled.
                 options["resources"] = {MEMORY: min(float(unit.memory_bytes), offered)}
             if not everyone:
                 options["workers"] = usable

@@ -133,7 +133,8 @@ class Store:
         return entries
 
     def pull(self, names: Iterable[str], folder: Path) -> list[str]:
-        """Copies the files that lists name into a folder; returns the lists that do not exist.
+        """Copies the files in the lists `names` into a folder. Returns the names of lists that do
+        not exist.
 
         A file that already has the content that its list states is not written again. Several lists may
         name a file, such as the plan's notes. Then the version of the last list is used.
