@@ -177,7 +177,7 @@ fn denoiser() -> Found {
     }
 }
 
-/// Lists the graphics processors that can solve.
+/// Lists the graphics processors that can compute patterns.
 fn graphics() -> Found {
     let adapters = match crate::devices::found() {
         Ok(adapters) => adapters,

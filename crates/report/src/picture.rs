@@ -211,6 +211,8 @@ impl Picture {
         Self { rows, cols, rgb: data.into_iter().map(|value| (value + 0.5) as u8).collect() }
     }
 
+    /// Encodes the picture as a data URI for a page.
+    ///
     /// # Errors
     /// If the encoder refuses the size.
     pub(crate) fn embedded(&self, encoding: Encoding) -> ImageResult<Embedded> {

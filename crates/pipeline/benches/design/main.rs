@@ -7,7 +7,8 @@
 //! lenslets.
 //!
 //! Second part: a process sweeps 100 small designs. It is killed (SIGKILL) and started again
-//! several times. Its table must have the bytes of a sweep without interruption.
+//! several times. In the end the table must have the same bytes as the table of a sweep without
+//! interruption.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
@@ -32,8 +33,8 @@ fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let result = match words.as_slice() {
-        // The function `killing` starts this program with these words as a child process, and kills
-        // it.
+        // The function `killing` starts this program as a child process with these arguments, and
+        // kills the process.
         ["child", job, folder] => child(Path::new(job), Path::new(folder)),
         // Print the data to which the constants of the prediction can be fitted.
         ["features", seed] => print_features(seed.parse().unwrap_or(1000)),

@@ -209,9 +209,10 @@ impl Tone {
         Self { count: self.count + other.count, sums }
     }
 
-    /// Returns (offset, slope, fraction) with x = L̃/β and y = L. Offset and slope are those of the
-    /// line x ≈ offset + slope·y, the mean tone curve. The fraction is the part of the squared
-    /// error that the best line y ≈ a + b·x would remove.
+    /// Returns (offset, slope, fraction) with x = L̃/β and y = L. Offset and slope belong to the
+    /// line x ≈ offset + slope·y, which is the mean tone curve. The fraction is the fraction of the
+    /// squared error that the best line y ≈ a + b·x would remove. `None` if x, y or the error
+    /// hardly varies.
     pub(super) fn fit(self) -> Option<(f64, f64, f64)> {
         let [x, y, xx, xy, yy] = self.sums.map(|sum| sum / self.count);
         let (var_x, var_y, cov) = (xx - x * x, yy - y * y, xy - x * y);
