@@ -1,5 +1,5 @@
-//! `lumistack doctor`: optional software and hardware of this machine, and how to get the missing
-//! parts.
+//! `lumistack doctor`: reports optional software and hardware of this machine, and how to get the
+//! missing parts.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! `lumistack farm`: a run on many machines.
+//! `lumistack farm`: executes a run on many machines.
 
 use std::io::Read;
 use std::num::NonZeroUsize;

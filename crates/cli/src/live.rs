@@ -1,4 +1,4 @@
-//! `lumistack live`: a display that follows its scene while settings, files, time and viewers
+//! `lumistack live`: shows a display that follows its scene while settings, files, time and viewers
 //! change.
 //!
 //! ```text
@@ -7,7 +7,7 @@
 //! viewers ────────▶ Tracker ────────────────weights────────▶
 //! ```
 //!
-//! Renderer, solver, page and panels run in a thread each.
+//! The renderer, the solver, the page and the panels run in one thread each.
 
 mod clock;
 mod control;

@@ -1,4 +1,4 @@
-//! `lumistack preview`: the browser simulator of a run on a local port.
+//! `lumistack preview`: serves the browser simulator of a run on a local port.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};

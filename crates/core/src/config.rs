@@ -1,5 +1,5 @@
-//! Strict configuration files: TOML whose unknown keys are errors that name the line and the
-//! nearest known key.
+//! Strict configuration files: TOML in which an unknown key is an error. Its message names the line
+//! and the nearest known key.
 
 use serde::de::DeserializeOwned;
 use thiserror::Error;

@@ -112,7 +112,7 @@ fn deep(content: Content, views: usize) -> std::sync::Arc<Target> {
 
 /// Two viewers stand at ±10°, in front of a display with a zone of ±16°. The content is too deep
 /// for the display. If only rays near the viewers have a weight, the PSNR at ±10° is at least 10 dB
-/// higher.
+/// higher than with equal weights.
 #[test]
 fn two_viewers_get_what_the_whole_zone_cannot_have() {
     const UPDATES: u32 = 60;

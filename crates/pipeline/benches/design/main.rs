@@ -2,7 +2,7 @@
 //! continues after it was killed.
 //!
 //! First part: a solver factorizes still-life (80 × 50 pixels, 3 × 3 views) for 40 random designs,
-//! and [`predicted_db`] predicts its PSNR. Designs are uniform or directional, with 1 to 5 layers
+//! and [`predicted_db`] predicts the PSNR. Designs are uniform or directional, with 1 to 5 layers
 //! and 1 to 8 frames. Their β is 0.1 to 1, their gaps are 15 to 70 mm, and a row has 10 to 80
 //! lenslets.
 //!

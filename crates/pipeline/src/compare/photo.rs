@@ -171,8 +171,8 @@ fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_
     let (a, b) = (h.x_axis.try_normalize()?, h.y_axis.try_normalize()?);
     let (sum, difference) = ((a + b).try_normalize()?, (a - b).try_normalize()?);
     let [r_1, r_2] = [sum + difference, sum - difference].map(|r| r * std::f64::consts::FRAC_1_SQRT_2);
-    // The cross product has the opposite sign, since the camera's frame is left-handed. The
-    // display's z axis points to the camera.
+    // In a right-handed frame, z is x × y. The camera's frame is left-handed, so the cross product
+    // gets the opposite sign. The display's z axis points to the camera.
     let r_3 = -r_1.cross(r_2);
     let t = h.z_axis / scale;
     Some([-r_1.dot(t), -r_2.dot(t), -r_3.dot(t)])

@@ -260,7 +260,8 @@ fn is_there(plan: &Plan, index: usize) -> bool {
     }
 }
 
-/// Sizes of a part's display and light field. They are floats, since they are multiplied.
+/// Sizes of a part's display and light field. They are floats, so that their products cannot
+/// overflow.
 struct Sizes {
     /// Pixels of a view.
     pixels: f64,
@@ -275,8 +276,8 @@ struct Sizes {
     memory: Memory,
 }
 
-/// Memory of a part's data, bytes, with a field for each kind of data. Of a light field in a mapped
-/// file, only the bytes in memory are included.
+/// Memory of a part's data, bytes, with a field for each kind of data. Light fields in mapped files
+/// are included only with their bytes in memory.
 struct Memory {
     /// Memory of the light fields: the target, and the light fields for the report.
     fields: f64,

@@ -44,8 +44,8 @@ pub struct Step {
     pub key: Option<String>,
     /// True if the run folder has the current result; `None` if only a run can find out.
     pub cached: Option<bool>,
-    /// Upper bound of the memory, bytes, computed from the sizes of arrays. Of a light field larger
-    /// than the job's `render.field_mib`, only the bytes in memory are included.
+    /// Upper bound of the memory, bytes, computed from the sizes of arrays. A light field larger
+    /// than the job's `render.field_mib` is included only with its bytes in memory.
     pub memory_bytes: u64,
     /// Estimated time on this machine, seconds; 0 if cached.
     pub seconds: f64,

@@ -24,9 +24,10 @@ pub(super) const USUAL_BITS: u32 = 8;
 pub(super) enum Variant {
     /// The display and the stack are unchanged.
     Given,
-    /// Values at the brightest state are slightly brighter.
+    /// Values that are at the brightest state become slightly brighter.
     Brighter,
-    /// Values at the darkest state become black, if the darkest state is not black already.
+    /// Values that are at the darkest state become black, unless the darkest state is black
+    /// already.
     Black,
     /// Values are rounded to the panels' codes.
     Quantized,

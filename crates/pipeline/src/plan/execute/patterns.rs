@@ -1,4 +1,5 @@
-//! The step from a light field to the patterns of a display, by the solver or a node plugin.
+//! The step that makes the patterns of a display from a light field, by the solver or a node
+//! plugin.
 
 use std::path::PathBuf;
 use std::sync::Arc;
