@@ -1,4 +1,4 @@
-//! The fingerprint of this crate's sources.
+//! Computes the fingerprint of this crate's sources.
 
 fn main() {
     lumistack_fingerprint::emit(&[]);

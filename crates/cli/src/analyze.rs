@@ -1,4 +1,4 @@
-//! `lumistack analyze`: what displays can show, from their geometry.
+//! `lumistack analyze`: computes the limits of displays from their geometry.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -208,8 +208,8 @@ fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
 
 type Measured = (String, Vec<Contrast>);
 
-/// Measures the contrast of gratings at many depths. The largest depth is the largest of these: 1.5
-/// times the depth of field, twice the distance of the outermost layer, and 10 mm.
+/// Measures the contrast of gratings at many depths. The largest depth is the maximum of three
+/// values: 1.5 times the depth of field, twice the distance of the outermost layer, and 10 mm.
 fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<Vec<Measured>, PipelineError> {
     let measure = |(display, analysis): (&Display, &Analysis)| {
         let ends = analysis.depth_of_field_mm.into_iter().flatten().map(|z| 1.5 * z.abs());

@@ -1,4 +1,4 @@
-//! `lumistack compare`: two runs, all displays of a run, or a run and a photograph.
+//! `lumistack compare`: compares two runs, all displays of a run, or a run with a photograph.
 
 use std::path::{Path, PathBuf};
 

@@ -25,8 +25,8 @@ macro_rules! tell {
 pub(crate) use tell;
 
 pub(crate) fn tell_line(text: std::fmt::Arguments<'_>) {
-    // Write each line at once, since standard error has no buffer, and several programs may share
-    // it. An error of this write cannot be reported.
+    // Write each line by a single call. Standard error has no buffer, so lines of several programs
+    // could mix otherwise. An error of this write cannot be reported.
     let _ = std::io::stderr().write_all(format!("{text}\n").as_bytes());
 }
 

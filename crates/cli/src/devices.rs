@@ -1,4 +1,4 @@
-//! `lumistack devices`: the graphics processors that can solve.
+//! `lumistack devices`: lists the graphics processors that can compute patterns.
 
 use lumistack_pipeline::PipelineError;
 use serde_json::json;

@@ -1,4 +1,4 @@
-//! `lumistack display`: a display file for the user's own panels, and its calibration from
+//! `lumistack display`: writes a display file for the user's own panels, and calibrates it from
 //! photographs.
 
 use std::path::{Path, PathBuf};

@@ -1,5 +1,5 @@
-//! `lumistack doctor`: optional software and hardware of this machine, and how to get the missing
-//! parts.
+//! `lumistack doctor`: reports optional software and hardware of this machine, and how to get the
+//! missing parts.
 
 use std::path::Path;
 
@@ -177,7 +177,7 @@ fn denoiser() -> Found {
     }
 }
 
-/// Lists the graphics processors that can solve.
+/// Lists the graphics processors that can compute patterns.
 fn graphics() -> Found {
     let adapters = match crate::devices::found() {
         Ok(adapters) => adapters,

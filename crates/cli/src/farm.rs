@@ -1,4 +1,4 @@
-//! `lumistack farm`: a run on many machines.
+//! `lumistack farm`: executes a run on many machines.
 
 use std::io::Read;
 use std::num::NonZeroUsize;
@@ -291,11 +291,11 @@ fn planned(
     Ok((plan, dir))
 }
 
-/// Returns the words of the command line that starts this program again.
+/// Returns the beginning of a command line that starts this program again.
 fn own_words() -> Vec<String> {
     let program = std::env::current_exe().map_or("lumistack".into(), |path| path.to_string_lossy().into_owned());
     let stem = Path::new(&program).file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    // In a Python interpreter the program is Python, so the words must also name the module.
+    // In a Python interpreter the program is Python, so the command line must also name the module.
     if !stem.starts_with("python") {
         return vec![program];
     }

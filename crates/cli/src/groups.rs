@@ -152,7 +152,7 @@ pub(crate) struct RenderArgs {
     pub(crate) files: FileArgs,
 }
 
-/// Files that a scene may read, and the memory of its pictures.
+/// Limits on the files that a scene may read, and on the memory of its pictures.
 #[derive(Clone, Debug, Default, ClapArgs)]
 pub(crate) struct FileArgs {
     /// Let a glTF or OBJ scene read files outside of its own folder

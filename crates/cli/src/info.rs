@@ -113,7 +113,8 @@ fn scene(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, Pipe
     Ok(value)
 }
 
-/// Describes the splats: number, degree of harmonics, bounds and memory; null if there are none.
+/// Describes the splats: number, degree of spherical harmonics, bounds and memory; null if there
+/// are none.
 fn splats(scene: &Scene) -> Value {
     if scene.placed_clouds.is_empty() {
         return Value::Null;
@@ -209,8 +210,9 @@ fn toml(path: &Path, registry: &Registry, task: Task<'_>) -> Result<Value, Pipel
     let job = match Job::load(path) {
         Ok(job) => job,
         Err(job_error) => {
-            // The file is neither a valid job nor a valid display. A file with [[layers]] counts as
-            // a display, any other file as a job, and the error for this kind is reported.
+            // The file is neither a valid job nor a valid display. A file with [[layers]] is
+            // regarded as a display, any other file as a job, and the error for this kind is
+            // reported.
             return match presets::load_file(path) {
                 Ok(found) => Ok(display(&found)),
                 Err(display_error) => {

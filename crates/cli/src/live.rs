@@ -1,4 +1,4 @@
-//! `lumistack live`: a display that follows its scene while settings, files, time and viewers
+//! `lumistack live`: shows a display that follows its scene while settings, files, time and viewers
 //! change.
 //!
 //! ```text
@@ -7,7 +7,7 @@
 //! viewers ────────▶ Tracker ────────────────weights────────▶
 //! ```
 //!
-//! Renderer, solver, page and panels run in a thread each.
+//! The renderer, the solver, the page and the panels run in one thread each.
 
 mod clock;
 mod control;
@@ -171,7 +171,7 @@ pub(crate) fn live_command(args: &Live, registry: &Registry, json: bool, task: T
         PipelineError::option("--port", "N", "a free port of this machine", format!("{} ({error})", args.port))
     })?;
     let socket = args.opentrack.map(open_socket).transpose()?;
-    // a video has its own light fields, so no program can change them
+    // no program can change the light fields of a video, so no socket is opened for it
     let door = (!args.times).then(|| Door::open(&folder.cache())).transpose()?;
 
     let title = job.name.clone();
@@ -259,7 +259,7 @@ fn serve_page(
     json: bool,
     task: Task<'_>,
 ) {
-    // The page's own files are written with the first state, so the address is printed after it.
+    // The page's own files are written with the first state, so the address is printed only then.
     while feed.prepare().is_none() {
         if shared.is_stopped() {
             return;

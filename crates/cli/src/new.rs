@@ -1,4 +1,4 @@
-//! `lumistack new`: a commented job file, from three answers.
+//! `lumistack new`: writes a job file with comments, from three answers or options.
 
 use std::fmt::Write as _;
 use std::io::Write as _;

@@ -1,4 +1,4 @@
-//! `--plan`: the steps of a run, in order, and which of them are cached.
+//! `--plan`: prints the steps of a run, in order, and which of them are cached.
 
 use std::path::Path;
 

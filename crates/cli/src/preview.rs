@@ -1,4 +1,4 @@
-//! `lumistack preview`: the browser simulator of a run on a local port.
+//! `lumistack preview`: serves the browser simulator of a run on a local port.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -124,7 +124,8 @@ fn outputs_of(run: &Path) -> Vec<PathBuf> {
     sites
 }
 
-/// Finds the first preview among a run's outputs, for the hint that a run prints at its end.
+/// Finds the first preview among a run's outputs, for the hint that a run prints at its end; `None`
+/// if there is no preview.
 pub(crate) fn written_preview(run: &Path) -> Option<PathBuf> {
     outputs_of(run).into_iter().next()
 }

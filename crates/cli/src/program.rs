@@ -22,7 +22,7 @@ pub(crate) fn remember(first: Option<&OsStr>) {
     NAME.get_or_init(|| started_as(&first, by_cargo, &folders));
 }
 
-/// Returns the words with which the user starts the command again.
+/// Returns the beginning of the command line with which the user starts the command again.
 pub(crate) fn name() -> &'static str {
     NAME.get().map_or("lumistack", String::as_str)
 }

@@ -16,7 +16,7 @@ pub(crate) fn asks(questions: bool, no_questions: bool) -> bool {
 pub(crate) struct Questions<'a> {
     /// Name of the command, for errors.
     pub(crate) command: &'static str,
-    /// Source of the answers; `None` if no questions may be put.
+    /// Source of the answers; `None` if no questions may be asked.
     pub(crate) input: Option<&'a mut dyn BufRead>,
 }
 

@@ -602,8 +602,8 @@ mod tests {
     fn against(clients: impl FnOnce(u16) + Send + 'static) {
         let folder = folder();
         let root = folder.path().join("site");
-        // The file exceeds the system's buffer for a connection, so its response must wait for the
-        // client.
+        // The file exceeds the system's buffer for a connection, so the server must wait until the
+        // client has read some of the response.
         std::fs::write(root.join("large.bin"), vec![7; 32 << 20]).unwrap();
         let server = listen(0).unwrap();
         let port = port_of(&server);

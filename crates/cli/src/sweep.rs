@@ -1,4 +1,4 @@
-//! `lumistack sweep`: many designs on one light field.
+//! `lumistack sweep`: solves many designs of a display and compares them.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;

@@ -1,4 +1,4 @@
-//! Numbers as bytes.
+//! Converts numbers to bytes.
 
 /// Appends each value as four little-endian bytes. The function exists because a caller may be
 /// compiled without optimization, which would make the caller's own loop over many values slow.

@@ -1,5 +1,5 @@
-//! Strict configuration files: TOML whose unknown keys are errors that name the line and the
-//! nearest known key.
+//! Strict configuration files: TOML in which an unknown key is an error. Its message names the line
+//! and the nearest known key.
 
 use serde::de::DeserializeOwned;
 use thiserror::Error;
@@ -101,7 +101,7 @@ const UNITS: [(&str, &str); 10] = [
 ];
 
 /// Reads the unknown name and the expected names from serde's message. Returns the expected name
-/// that is spelled most like the unknown one.
+/// that is spelled most like the unknown one; `None` if there is none.
 pub fn nearest_key(message: &str) -> Option<String> {
     if !message.starts_with("unknown ") {
         return None;

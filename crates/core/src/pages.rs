@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Size of a large page on most machines, bytes. No large pages are requested for arrays smaller
-/// than two of them.
+/// than two large pages.
 const LARGE_PAGE: usize = 2 << 20;
 
 /// Requests large pages from the system, which gives them only on Linux, if some are free. Call it

@@ -150,8 +150,8 @@ impl<const N: usize> Tensor<N> {
         self.data.as_slice()
     }
 
-    /// Returns the values of a range, row-major. If the values are in a file, only parts of it are
-    /// in memory, so callers read a large tensor in parts.
+    /// Returns the values of a range, row-major. If the values are in a file, only parts of the
+    /// file are in memory. So callers read a large tensor in parts.
     #[inline]
     pub fn part(&self, range: std::ops::Range<usize>) -> &[f32] {
         if let Some(window) = self.lender().and_then(|lender| lender.window()) {

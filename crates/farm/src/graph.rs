@@ -14,7 +14,7 @@ pub enum Kind {
     Views,
     /// One of the blocks into which the scene's pictures for the zone score are divided.
     Score,
-    /// A light field, made of its views, a file or a source.
+    /// A light field: rendered, read from a file, or made by a source plugin.
     Field,
     /// The patterns of one tile (a rectangle of the display) in one round over all tiles.
     Tile,

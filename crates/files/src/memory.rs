@@ -1,4 +1,4 @@
-//! Files of a page: held in memory under relative paths.
+//! Files of a web page, which are held in memory under relative paths.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;

@@ -45,7 +45,8 @@ impl<T> Mailbox<T> {
         newer(&self.held(), seen)
     }
 
-    /// Waits until [`after`](Self::after) returns a value, but at most for `limit`.
+    /// Waits until [`after`](Self::after) returns a value, but at most for `limit`. Returns the
+    /// value; `None` after the limit.
     pub fn wait_after(&self, seen: u64, limit: Duration) -> Option<(u64, Arc<T>)> {
         let held = self.posted.wait_timeout_while(self.held(), limit, |held| held.number <= seen);
         newer(&held.unwrap_or_else(PoisonError::into_inner).0, seen)

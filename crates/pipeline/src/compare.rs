@@ -39,13 +39,13 @@ pub struct RunComparison {
     pub second_zone: Option<ZoneLikeness>,
     /// Number of directions of the first run's viewing zone whose seen pictures were compared.
     pub directions: usize,
-    /// The second run compared with the first run, over the compared directions.
+    /// Scores of the second run against the first run, over the compared directions.
     pub between: Likeness,
     /// Number of views of the first run's target that were compared; 0 without a target.
     pub views: usize,
-    /// The first run compared with its target.
+    /// Scores of the first run against its target.
     pub first: Option<Likeness>,
-    /// The second run compared with the target of the first run.
+    /// Scores of the second run against the target of the first run.
     pub second: Option<Likeness>,
     /// Written pictures.
     #[serde(serialize_with = "lumistack_core::path_text::told_each")]

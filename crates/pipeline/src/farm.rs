@@ -155,8 +155,8 @@ pub fn farm_plan(
     let owned = folder::lock(dir, work_of(&job), &job, registry, task)?;
     Executor::new(&plan, registry, None, task).check()?;
     for part in &plan.parts {
-        // Check that no other process uses the folder of a time step, and that it has no files of
-        // other programs.
+        // Check that no other process uses the folder of a time step, and that the folder has no
+        // files of other programs.
         if matches!(part.kind, PartKind::Time(_)) && job.sweep.is_none() {
             drop(folder::lock(&dir.join(&part.folder), Work::Run, &part.job, registry, task)?);
         }

@@ -61,7 +61,7 @@ fn chosen<'a>(registry: &'a Registry, ids: &[String]) -> Result<Vec<(&'a PluginI
     ids.iter().map(one).collect()
 }
 
-/// Returns errors of libraries that could not be loaded, for the list of all plugins.
+/// Returns the errors of libraries that could not be loaded; empty if plugins are requested by id.
 fn failed(registry: &Registry, ids: &[String]) -> Vec<String> {
     if ids.is_empty() { registry.failed().iter().map(ToString::to_string).collect() } else { Vec::new() }
 }

@@ -270,8 +270,9 @@ impl Job {
         Ok(display.with_views_chosen(most))
     }
 
-    /// Returns the maximum number of views that a display may choose, which limits the time. It is
-    /// lower if Blender may render the views, since Blender takes minutes per view.
+    /// Returns the maximum number of views that a display may choose, which limits the time of a
+    /// run. The number is lower if Blender may render the views, since Blender takes minutes per
+    /// view.
     pub(crate) fn most_views(&self, display: &Display) -> usize {
         let [cols, rows] = display.field.resolution;
         let most = RenderJob::most_chosen_views(cols * rows);
@@ -305,9 +306,9 @@ impl Job {
     }
 
     /// Returns whether noisy pixels of the views get [further
-    /// paths](lumistack_pathtracer::Settings::further_paths). If a display chooses its views, the
-    /// solver averages the noise that further paths would remove. Fixed views may be seen one by
-    /// one.
+    /// paths](lumistack_pathtracer::Settings::further_paths). Only fixed views get them, since each
+    /// may be looked at alone. If a display chooses its views, the solver averages the noise that
+    /// further paths would remove.
     pub(crate) fn has_further_paths(&self, display: &Display) -> bool {
         self.denoise_for(display) == Denoise::Shared && matches!(display.field.views, Views::Fixed(_))
     }

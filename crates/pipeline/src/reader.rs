@@ -34,7 +34,8 @@ pub fn is_blend(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(lumistack_usd::BLEND_EXTENSION))
 }
 
-/// Returns the built-in reader of a file, by the file's extension.
+/// Returns the built-in reader of a file, by the file's extension; `None` if no built-in reader
+/// reads this extension.
 pub(crate) fn own_reader(path: &Path) -> Option<Reader> {
     let is_gltf = |extension: &std::ffi::OsStr| ["gltf", "glb"].iter().any(|own| extension.eq_ignore_ascii_case(own));
     if path.extension().is_some_and(is_gltf) {

@@ -187,6 +187,7 @@ pub(crate) const REPORT: StageInfo = StageInfo {
 };
 
 /// Returns the display of a job as TOML: a preset or a file, with the values that the job changes.
+/// `None` if the display cannot be loaded.
 fn display(job: &Job) -> Option<String> {
     job.resolve_display().ok().map(|display| display.without_panels().to_toml())
 }

@@ -12,7 +12,7 @@ const FONT: &[u8] = include_bytes!("../fonts/DejaVuSans-subset.ttf");
 /// Rasterizes an SVG at `scale` pixels per unit.
 ///
 /// # Errors
-/// If the text is not an SVG, or is too large.
+/// If the text is not an SVG, or the picture is too large.
 pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, PlotError> {
     raster(svg, scale)?.encode_png().map_err(PlotError::new)
 }

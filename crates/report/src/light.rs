@@ -1,8 +1,8 @@
 //! Absolute brightness: the fraction of the backlight's luminance that a display emits.
 //!
 //! `emitted` is the mean luminance of L̃ over all rays that scores include, relative to a backlight
-//! of 1. For emissive layers it is relative to an emission of 1. `open` is the mean luminance of
-//! the picture from straight ahead if all layers are fully open.
+//! of 1. For emissive layers, `emitted` is relative to an emission of 1. `open` is the mean
+//! luminance of the picture from straight ahead if all layers are fully open.
 
 use lumistack_core::colour::luminance;
 use lumistack_core::metrics::Mean;

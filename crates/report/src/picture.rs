@@ -125,8 +125,8 @@ pub(crate) fn signed_error(simulated: &[f32], target: &[f32], counts: impl Fn(us
 /// Returns the largest amplification of 1, 2, 5, 10, ... for which 99 of 100 errors stay within the
 /// range of the colours.
 pub(crate) fn amplification<'a>(errors: impl Iterator<Item = &'a Option<f32>>) -> u32 {
-    /// Errors that are all smaller are amplified as if they were this large, so that noise does not
-    /// fill the picture.
+    /// If the errors are smaller than this value, they are amplified as if they had this value, so
+    /// that noise does not fill the picture.
     const SMALLEST: f32 = 1e-4;
     let mut sizes: Vec<f32> = errors.flatten().map(|e| e.abs()).filter(|e| e.is_finite()).collect();
     if sizes.is_empty() {
@@ -211,6 +211,8 @@ impl Picture {
         Self { rows, cols, rgb: data.into_iter().map(|value| (value + 0.5) as u8).collect() }
     }
 
+    /// Encodes the picture as a data URI for a page.
+    ///
     /// # Errors
     /// If the encoder refuses the size.
     pub(crate) fn embedded(&self, encoding: Encoding) -> ImageResult<Embedded> {

@@ -277,7 +277,7 @@ fn a_foreign_grid_is_laid_out_as_the_eye_moves() {
     let target = noisy_field(&display, Some(grid));
     let stack = noisy_stack(&display);
     let report = built(&plain(&display, &stack, &target)).unwrap();
-    // The top left cell of the table is the last view of the file.
+    // The top left cell of the table is the last view in the report's JSON.
     let cells = report.html.split("class=\"heat\"").nth(1).unwrap();
     let first = cells.split("<td").nth(1).unwrap().split(['>', '<']).nth(1).unwrap();
     let last_view = json_psnr(&report.json["views"]["psnr_view"][1][1]);

@@ -22,7 +22,7 @@ const STUDIO: [usize; 2] = [128, 64];
 const PROBE: [usize; 2] = [96, 60];
 /// Number of paths per pixel of the picture that measures whether lamps light a scene.
 const PROBE_SAMPLES: u32 = 16;
-/// Surfaces whose exposed radiance is below this value count as unlit.
+/// Surfaces whose exposed radiance is below this value are regarded as unlit.
 const DARK: f64 = 0.02;
 /// Smallest fractions of the visible surfaces that the scene's own light must light. The first
 /// fraction applies if only glowing objects give light, the second if there are light sources. The

@@ -38,7 +38,7 @@ const PROBE_COLS: usize = 210;
 /// Quantiles of the visible depths that must fit, so that a few stray surfaces are ignored.
 const ENDS: [f64; 2] = [0.02, 0.98];
 /// Two positions of the window are equally good if the fractions of the scene that fit differ by
-/// less than this value.
+/// less than this value. Depth scales are equally good if they differ by less than this fraction.
 const AS_GOOD: f64 = 0.01;
 /// Depths may exceed the depth of field by this rounding error, mm.
 const ROUNDED: f64 = 1e-6;
@@ -179,8 +179,9 @@ struct Fit {
 }
 
 /// Finds the movement and the scale that bring most of the sorted `depths` between `low` and
-/// `high`. Among equally good movements, it takes the one that brings the middle of the depths
-/// nearest to the middle of that range.
+/// `high`. Among equally good movements, it takes the movements with the least compression. Among
+/// these, it takes the movement that brings the middle of the depths nearest to the middle of the
+/// range.
 fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale: f64, means: Means) -> Fit {
     let stay = Fit { moved_back_mm: 0.0, depth_scale: scale };
     let (Some(&nearest), Some(&farthest)) = (depths.last(), depths.first()) else { return stay };

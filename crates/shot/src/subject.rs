@@ -10,7 +10,7 @@ use crate::renderer::SceneRenderer;
 
 /// A lit scene, its renderer, and a cache of results about it.
 pub trait Subject {
-    /// Errors of the implementation, in addition to those of a shot.
+    /// Error of the implementation, which can also hold a [`ShotError`].
     type Error: From<ShotError> + From<Cancelled>;
 
     /// Returns the lit scene in front of which a display is placed.

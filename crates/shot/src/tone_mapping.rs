@@ -196,8 +196,8 @@ mod tests {
         assert!((exposure_of(&with, false, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
         with.extend(vec![(50.0, false); 40_000]);
         assert!((exposure_of(&with, false, ToneCurve::Linear) / plain - 1.0).abs() < 2e-3);
-        // A speck in front of the sky does not decide the exposure, and the sky is measured too. A
-        // speck in front of the studio's ground decides it.
+        // Surfaces that fill a tiny fraction of the views do not decide the exposure, since the sky
+        // is measured too. In front of the studio's ground they decide it.
         let mut speck = surfaces(&[0.01; 10]);
         speck.extend(vec![(2.0, false); 10_000]);
         assert!((exposure_of(&speck, false, ToneCurve::Linear) * 2.0 - 0.95).abs() < 1e-3);

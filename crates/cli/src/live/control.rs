@@ -23,8 +23,7 @@ enum Command {
     StopAtEnd,
 }
 
-/// Executes the commands of standard input until it ends. Wrong commands are reported and change
-/// nothing.
+/// Executes commands until standard input ends. Wrong commands are reported and change nothing.
 pub(super) fn read_commands(lines: impl BufRead, requests: &Requests, json: bool) {
     follow_lines(lines, requests, |error| match json {
         true => say!("{}", json!({"event": "refused", "message": error})),

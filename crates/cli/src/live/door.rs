@@ -28,7 +28,7 @@ const FIRST_TIME: Duration = Duration::from_secs(1);
 /// Largest length of the first line, bytes.
 const FIRST: usize = 1 << 10;
 /// Time limit for a program to read an event. A slower program is detached, since the solver waits
-/// for it.
+/// until the event is read.
 const WRITE_TIME: Duration = Duration::from_secs(1);
 /// Interval at which the socket is checked for a program.
 const TICK: Duration = Duration::from_millis(20);
@@ -74,7 +74,7 @@ impl Events {
         }
     }
 
-    /// Attaches a program and returns its number; `None` if another one is attached.
+    /// Attaches a program and returns its number; `None` if another program is attached.
     fn attach(&self, program: &TcpStream) -> io::Result<Option<u64>> {
         let mut attached = lock(&self.attached);
         if attached.program.is_some() {
@@ -158,7 +158,8 @@ impl Door {
         }
     }
 
-    /// Attaches the program if its first line has the token; else sends it one message.
+    /// Attaches the program if its first line has the token; otherwise sends the program one
+    /// message.
     fn greet(&self, program: &TcpStream, requests: &Arc<Requests>, events: &Arc<Events>) -> io::Result<()> {
         // on some systems, a connection inherits this setting from the listening socket
         program.set_nonblocking(false)?;
@@ -180,7 +181,8 @@ impl Door {
         // a thread that waits for a line cannot be ended, so it is detached
         std::thread::spawn(move || {
             follow_lines(lines, &requests, |error| events.send(&refused(&error)));
-            // a display that stops sends its last event first
+            // when the display stops, the program stays attached until it has received the last
+            // event
             if !requests.is_stopped() {
                 events.detach(number);
             }

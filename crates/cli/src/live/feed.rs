@@ -68,6 +68,8 @@ pub(super) struct Guest<'a> {
 }
 
 impl<'a> Guest<'a> {
+    /// Makes a viewer at this distance from the display, with a new secret.
+    ///
     /// # Errors
     /// If the system has no random numbers.
     pub(super) fn new(requests: &'a Requests, distance_mm: f64) -> Result<Self, PipelineError> {

@@ -143,7 +143,7 @@ pub(super) fn render(
             continue;
         }
         if is_video {
-            // Time steps are solved in order: the next one starts when the previous one has
+            // Time steps are solved in order: the next time step starts when the previous one has
             // patterns.
             match is_solved.then(|| player.next(now())) {
                 Some(Due::Time(time)) => {

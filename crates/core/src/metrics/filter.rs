@@ -59,7 +59,7 @@ pub(super) fn channels<T: Real>(
 }
 
 impl<T: Real> Plane<T> {
-    /// Combines the values of this plane and of another one into a plane of the same shape.
+    /// Combines this plane with another plane of the same shape, value by value.
     pub(super) fn with(&self, other: &Self, value: impl Fn(T, T) -> T) -> Self {
         Self { data: self.data.iter().zip(&other.data).map(|(a, b)| value(*a, *b)).collect(), ..*self }
     }

@@ -12,9 +12,9 @@
 //! ```
 //!
 //! Filters have their size in degrees of visual angle, so the error depends on the number of pixels
-//! per degree. Outside of the picture they read the outermost pixel. Every filter is separable. The
-//! filter of Cz is a sum of two Gaussians, which are two separate filters whose weights together
-//! sum to 1.
+//! per degree. Outside of the picture, filters read the outermost pixel. Every filter is separable.
+//! The filter of Cz is a sum of two Gaussians, which are two separate filters whose weights
+//! together sum to 1.
 //!
 //! Source: Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: A Difference
 //! Evaluator for Alternating Images", High Performance Graphics 2020 (LDR-FLIP). Checked against
@@ -184,7 +184,7 @@ fn scaled(weights: &[f64], factor: f64) -> Vec<f32> {
 }
 
 /// Conversions of colour spaces, all relative to the white point: y = Y/Y_n, Cx ∝ X/X_n − Y/Y_n, Cz
-/// ∝ Y/Y_n − Z/Z_n.
+/// ∝ Y/Y_n − Z/Z_n. The index n marks the white point.
 #[derive(Clone, Debug)]
 struct Colours {
     opponent_from_rgb: [[f32; 3]; 3],

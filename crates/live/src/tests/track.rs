@@ -44,7 +44,7 @@ fn without_a_tracker_the_zone_fades_back_in() {
     // when the tracker is silent, the weight of rays far from the head grows
     let far = [2000, 2500].map(|at| weights(at).at([1, 0], 25, 0));
     assert!(far[0] < 0.01 && (0.45..0.55).contains(&far[1]), "{far:?}");
-    // a viewer who comes back is followed at once
+    // a viewer who comes back is followed immediately
     let mut back = tracker.clone();
     back.see(&[[0.0, 0.0, 500.0]], ms(4000)).unwrap();
     assert_eq!(back.boxes(ms(4000), ms(100)), Boxes { heads_mm: vec![[0.0, 0.0, 500.0]], zone: 0.0 });
@@ -95,7 +95,7 @@ fn seen_from(stack: &LayerStack, target: &Target, content: Content, slope: [f64;
     sum / f64::from(count)
 }
 
-/// Distance of the viewers from [`deep`]'s display.
+/// Distance of the viewers from the display of [`deep`], mm.
 const DISTANCE_MM: f64 = 1500.0;
 /// Standard deviation σ of the viewers' weights. It is smaller than [`SIGMA_MM`], so that most
 /// views of the zone have nearly no weight.
@@ -112,7 +112,7 @@ fn deep(content: Content, views: usize) -> std::sync::Arc<Target> {
 
 /// Two viewers stand at ±10°, in front of a display with a zone of ±16°. The content is too deep
 /// for the display. If only rays near the viewers have a weight, the PSNR at ±10° is at least 10 dB
-/// higher.
+/// higher than with equal weights.
 #[test]
 fn two_viewers_get_what_the_whole_zone_cannot_have() {
     const UPDATES: u32 = 60;

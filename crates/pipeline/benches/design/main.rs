@@ -2,12 +2,13 @@
 //! continues after it was killed.
 //!
 //! First part: a solver factorizes still-life (80 × 50 pixels, 3 × 3 views) for 40 random designs,
-//! and [`predicted_db`] predicts its PSNR. Designs are uniform or directional, with 1 to 5 layers
+//! and [`predicted_db`] predicts the PSNR. Designs are uniform or directional, with 1 to 5 layers
 //! and 1 to 8 frames. Their β is 0.1 to 1, their gaps are 15 to 70 mm, and a row has 10 to 80
 //! lenslets.
 //!
 //! Second part: a process sweeps 100 small designs. It is killed (SIGKILL) and started again
-//! several times. Its table must have the bytes of a sweep without interruption.
+//! several times. In the end the table must have the same bytes as the table of a sweep without
+//! interruption.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
@@ -32,8 +33,8 @@ fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).filter(|word| word != "--bench").collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     let result = match words.as_slice() {
-        // The function `killing` starts this program with these words as a child process, and kills
-        // it.
+        // The function `killing` starts this program as a child process with these arguments, and
+        // kills the process.
         ["child", job, folder] => child(Path::new(job), Path::new(folder)),
         // Print the data to which the constants of the prediction can be fitted.
         ["features", seed] => print_features(seed.parse().unwrap_or(1000)),

@@ -1,5 +1,5 @@
-//! The page: for each file a row of three pictures, the scores, and a sentence that explains
-//! differences.
+//! Writes the page. For each file it has a row of three pictures, the scores, and a sentence that
+//! explains differences.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

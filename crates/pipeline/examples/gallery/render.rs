@@ -1,5 +1,5 @@
-//! Our renders: window and light are automatic, and the central view is rendered twice with half of
-//! the samples.
+//! Renders the scenes by our path tracer. Window and light are automatic. The central view is
+//! rendered twice, with half of the samples each.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;

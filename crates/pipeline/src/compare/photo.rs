@@ -46,9 +46,9 @@ pub enum Pose {
 /// Comparison of a photograph with the simulation.
 #[derive(Clone, Debug, Serialize)]
 pub struct PhotoComparison {
-    /// Photograph compared with the simulation, after the photograph's exposure is adapted.
+    /// Scores of the photograph against the simulation, after the photograph's exposure is adapted.
     pub likeness: Likeness,
-    /// Factor g on the photograph's linear values.
+    /// Factor g by which the photograph's linear values are multiplied.
     pub gain: f64,
     /// Fraction of the display's pixels at which the photograph is clipped. These pixels are
     /// excluded from the comparison.
@@ -152,7 +152,8 @@ const DIAGONAL_35MM: f64 = 43.266_615;
 const CLIPPED: f32 = 0.991;
 
 /// Returns the camera's position in display space, millimetres. `map` is the homography from the
-/// unit square to the picture. The unit square represents the display of `size_mm`.
+/// unit square to the picture. The unit square represents the display of `size_mm`. `None` if the
+/// homography is degenerate.
 fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_px: f64) -> Option<[f64; 3]> {
     let m = &map.0;
     let unit = DMat3::from_cols_array_2d(m).transpose();
@@ -170,8 +171,8 @@ fn eye_of(map: &Homography, size_mm: [f64; 2], [width, height]: [f64; 2], focal_
     let (a, b) = (h.x_axis.try_normalize()?, h.y_axis.try_normalize()?);
     let (sum, difference) = ((a + b).try_normalize()?, (a - b).try_normalize()?);
     let [r_1, r_2] = [sum + difference, sum - difference].map(|r| r * std::f64::consts::FRAC_1_SQRT_2);
-    // The cross product has the opposite sign, since the camera's frame is left-handed. The
-    // display's z axis points to the camera.
+    // In a right-handed frame, z is x × y. The camera's frame is left-handed, so the cross product
+    // gets the opposite sign. The display's z axis points to the camera.
     let r_3 = -r_1.cross(r_2);
     let t = h.z_axis / scale;
     Some([-r_1.dot(t), -r_2.dot(t), -r_3.dot(t)])

@@ -41,7 +41,7 @@ impl LiveSolver {
         let device = &job.factorize.device;
         // The search for graphics processors takes longer than a step, so `auto` searches only
         // once. A device that the job names is open already, unless it failed, so
-        // `SolverDevice::of` returns it at once.
+        // `SolverDevice::of` returns it immediately.
         if device != "auto" || self.device != "auto" {
             self.site = SolverDevice::of(device)?;
             self.device.clone_from(device);

@@ -8,9 +8,9 @@
 //! ```
 //!
 //! A stamp identifies a result by the content of its inputs, which exists only after the earlier
-//! stages. The keys of this file need only the job and the files that it names. A run writes the
-//! keys to `cache/steps.json`, where the next plan finds which results are current. With each key
-//! it writes the time of the step, and the files of the scene.
+//! stages. The keys of this file need only the job and the files that the job names. A run writes
+//! the keys to `cache/steps.json`, where the next plan finds which results are current. With each
+//! key it writes the time of the step, and the files of the scene.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -46,8 +46,8 @@ use crate::store::stamps::Stamps;
 const FILE: &str = "cache/steps.json";
 /// Number of hexadecimal digits that a plan shows of a key.
 const DIGITS: usize = 16;
-/// Mean number of rays per pixel that the zone score traces for a direction. The number counts the
-/// rays of both renders of the direction.
+/// Mean number of rays per pixel that the zone score traces for a direction. The number includes
+/// the rays of both renders of the direction.
 const SCORE_SAMPLES: f64 = 6.5;
 
 /// Record of an executed step.
@@ -220,6 +220,7 @@ fn add_content(
 }
 
 /// Adds the content of a file, or of all files in a folder and its subfolders, sorted by name.
+/// Returns `None` if a file cannot be read.
 fn add_files(key: &mut KeyBuilder, path: &Path) -> Option<()> {
     if !path.is_dir() {
         key.add("content", content_hash(path).ok()?.as_bytes());
@@ -259,7 +260,8 @@ fn is_there(plan: &Plan, index: usize) -> bool {
     }
 }
 
-/// Sizes of a part's display and light field. They are floats, since they are multiplied.
+/// Sizes of a part's display and light field. They are floats, so that their products cannot
+/// overflow.
 struct Sizes {
     /// Pixels of a view.
     pixels: f64,
@@ -274,8 +276,8 @@ struct Sizes {
     memory: Memory,
 }
 
-/// Memory of a part's data, bytes, with a field for each kind of data. A light field in a mapped
-/// file counts only by its bytes that are in memory.
+/// Memory of a part's data, bytes, with a field for each kind of data. Light fields in mapped files
+/// are included only with their bytes in memory.
 struct Memory {
     /// Memory of the light fields: the target, and the light fields for the report.
     fields: f64,
@@ -349,8 +351,8 @@ impl Memory {
         };
         let is_held = render.is_held(geometry);
         let others = others.iter().flatten().map(|grid| geometry.with_grid(grid.clone()));
-        // Pictures with integer codes have values that are not half floats. The solver's copy of
-        // the target then takes twice the memory.
+        // A given light field may come from pictures with integer codes, whose values are not half
+        // floats. Then the solver's copy of the target takes twice the memory.
         let wider = if job.light_field.is_some() { 8.0 * rays(geometry) } else { 0.0 };
         let solving = match (Tiles::of(&job.factorize, display, geometry), is_held) {
             (Some(tiles), _) => tiles.bytes(display, geometry) as f64 + wider / tiles.count() as f64,

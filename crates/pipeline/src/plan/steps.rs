@@ -45,7 +45,7 @@ pub struct Step {
     /// True if the run folder has the current result; `None` if only a run can find out.
     pub cached: Option<bool>,
     /// Upper bound of the memory, bytes, computed from the sizes of arrays. A light field larger
-    /// than the job's `render.field_mib` counts only by its parts that are in memory.
+    /// than the job's `render.field_mib` is included only with its bytes in memory.
     pub memory_bytes: u64,
     /// Estimated time on this machine, seconds; 0 if cached.
     pub seconds: f64,
@@ -199,7 +199,7 @@ impl Plan {
     }
 
     /// Returns the number of the time step that a part belongs to, and the index of the sequence's
-    /// part.
+    /// part. `None` if the part belongs to no sequence.
     pub(crate) fn time(&self, part: usize) -> Option<(usize, usize)> {
         let of_field = self.field_part(part);
         match (&self.parts[of_field].kind, self.parts[of_field].parent) {
@@ -209,7 +209,8 @@ impl Plan {
     }
 
     /// Returns the index of the same part at another time step of its sequence. For a node, this is
-    /// the node with the same number.
+    /// the node with the same number. `None` if the part belongs to no sequence, or the sequence
+    /// has no such time step.
     pub(crate) fn at_time(&self, part: usize, time: usize) -> Option<usize> {
         let (_, sequence) = self.time(part)?;
         let is_time =

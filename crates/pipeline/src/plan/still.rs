@@ -34,7 +34,8 @@ pub(crate) fn add_field(plan: &mut Plan, part: usize, before: Before<'_>) -> Str
     if denoised {
         last = plan.add_step(part, StepKind::Denoise, vec![last]);
     }
-    // The exposure of the first time step must be known, since it applies to this step too.
+    // The exposure of the first time step applies to all time steps, so the first light field must
+    // exist before this step.
     let mut inputs = ids(before.first);
     inputs.push(last);
     plan.add_step(part, StepKind::Expose, inputs)

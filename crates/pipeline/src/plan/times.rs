@@ -170,7 +170,8 @@ impl Times {
         FactorizeJob { warm_start: layers, iterations: Some(iterations), coarse_levels: None, solver, ..first.clone() }
     }
 
-    /// Returns the settings of a time step whose content differs too much from the previous one.
+    /// Returns the settings of a time step whose content differs too much from the content of the
+    /// previous time step.
     pub(crate) fn fresh(&self, job: &Job, node: Option<&NodeJob>) -> FactorizeJob {
         let first = node.and_then(|node| node.factorize.as_ref()).unwrap_or(&job.factorize);
         FactorizeJob { warm_start: None, iterations: Some(self.sequence.iterations), ..first.clone() }
@@ -259,8 +260,8 @@ fn given(window: &Window) -> WindowJob {
 }
 
 /// Returns the path of one light field per time step, sorted by name. The light fields are the
-/// subfolders of `folder`. Without subfolders they are its `.npy` files, and without `.npy` files
-/// its pictures.
+/// subfolders of `folder`. If `folder` has no subfolders, the light fields are its `.npy` files. If
+/// it has neither, they are its pictures.
 fn light_fields(folder: &Path, times: Option<usize>) -> Result<Vec<PathBuf>, PipelineError> {
     let error = |source| PipelineError::Read { path: folder.to_owned(), source };
     let mut entries = Vec::new();

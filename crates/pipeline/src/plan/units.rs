@@ -246,7 +246,7 @@ impl<'a> Cutter<'a> {
         matches!(part.kind, PartKind::Time(_)) && part.job.nodes.is_empty()
     }
 
-    /// Returns the steps that have no unit of their own, and that the unit of `step` executes too.
+    /// Returns the steps without a unit of their own that the unit of `step` executes too.
     fn merged_steps(&self, step: &Step) -> Vec<&'a Step> {
         let alike =
             |other: &&Step| other.part == step.part && step.kind == StepKind::Expose && other.kind == StepKind::Denoise;

@@ -39,8 +39,8 @@ pub fn oidn_version() -> Result<String, PipelineError> {
 /// To check a filter, some pixels are rendered again. Each of these renders has this many times the
 /// paths of a view.
 const CHECK_FACTOR: u32 = 2;
-/// Maximum number of views whose pixels are rendered again for the check. So many views, spread
-/// over the viewing zone, suffice to judge a filter.
+/// Maximum number of views whose pixels are rendered again for the check. This number of views,
+/// spread over the viewing zone, suffices to judge a filter.
 const CHECKED_VIEWS: usize = 25;
 /// Maximum number of samples of the path tracer.
 const MOST_SAMPLES: u32 = 65536;
@@ -56,7 +56,7 @@ pub(crate) struct Denoised {
     filtered: Vec<f32>,
 }
 
-/// Bytes per ray while the guided filter works. The filter needs all views at once.
+/// Bytes per ray while the guided filter works. The filter needs all views in memory together.
 pub(crate) const GUIDED_BYTES: u64 = 192;
 
 /// Checks before any rendering that the filter is installed, and that the job allows the memory

@@ -55,8 +55,8 @@ impl Solve<'_> {
         key
     }
 
-    /// Factorizes, with a warm start if patterns are given. `on_iteration` is called whenever the
-    /// objective is evaluated.
+    /// Factorizes the light field, with a warm start if patterns are given. `on_iteration` is
+    /// called whenever the objective is evaluated.
     ///
     /// # Errors
     /// If the settings are invalid, the solver fails, or the task is cancelled.
@@ -121,7 +121,7 @@ impl Step {
 }
 
 impl Convergence {
-    /// Converts the solution of a node plugin.
+    /// Converts the settings and the convergence that a node plugin reports.
     pub(crate) fn of_node(
         solution: lumistack_plugin_host::Solution,
         steps: &[(lumistack_plugin_host::Step, f64)],

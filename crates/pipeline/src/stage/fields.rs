@@ -164,8 +164,9 @@ impl Block {
     }
 }
 
-/// Returns a grid of held-out views. They are midpoints between neighbouring views, evenly spread,
-/// and at most `per_axis` per axis.
+/// Returns a grid of held-out views. Their slopes are midpoints between neighbouring views, evenly
+/// spread, and at most `per_axis` per axis. `None` if `per_axis` is 0 or the grid has only one
+/// view.
 pub(crate) fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid> {
     if per_axis == 0 || grid.views() == [1, 1] {
         return None;
@@ -179,6 +180,7 @@ pub(crate) fn held_out_grid(grid: &ViewGrid, per_axis: usize) -> Option<ViewGrid
 }
 
 /// Joins the first hits of the parts of a view; a part is a half of the samples, or the whole view.
+/// Returns `None` if there are no parts.
 fn joined(parts: Vec<Features>) -> Option<Features> {
     parts.into_iter().reduce(|all, part| all.joined(&part))
 }

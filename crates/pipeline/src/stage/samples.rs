@@ -125,7 +125,7 @@ fn measure(shot: Shot<'_>, display: &Display, cache_dir: &Path, task: Task<'_>) 
     let parts = parts(display, geometry, shot.window());
     std::fs::create_dir_all(cache_dir).map_err(PipelineError::write(cache_dir))?;
     let place: Place<'_> = (!job.render.is_held(geometry)).then(|| (cache_dir, window_bytes(job)));
-    // Choose the exposure from evenly spread rays of all parts.
+    // Choose the exposure from evenly spread rays of all sections.
     let rays: usize = parts.iter().map(Part::rays).sum();
     let every = rays.div_ceil(MOST_RAYS);
     let quiet = Task { progress: &NoProgress, ..task };
@@ -246,7 +246,7 @@ fn compare(
     Ok(sums)
 }
 
-/// Renders a part with one path per pixel and view. If the job shares light between views, the
+/// Renders a section with one path per pixel and view. If the job shares light between views, the
 /// shared light is averaged here too.
 fn render(
     shot: Shot<'_>,
@@ -332,7 +332,7 @@ pub(crate) fn bytes(job: &Job, display: &Display, geometry: &FieldGeometry, thre
     let Some(part) = parts.first() else { return 0 };
     let rays = part.rays() as u64;
     let exposure = 2 * size_of::<(f32, bool)>() as u64 * (count * rays).min(MOST_RAYS as u64);
-    // One part is rendered at a time, but all parts are solved in parallel.
+    // One section is rendered at a time, but all sections are solved in parallel.
     const SPLIT: u64 = size_of::<f32>() as u64 * SplitView::VALUES as u64;
     const FIELD: u64 = 12;
     let (rendering, solving) = if job.render.is_held(geometry) {
@@ -348,8 +348,9 @@ pub(crate) fn bytes(job: &Job, display: &Display, geometry: &FieldGeometry, thre
     exposure + rendering.max(solving)
 }
 
-/// Returns the number of bytes of a part's files that may be in memory. It is an eighth of the
-/// job's limit, since several parts are compared in parallel.
+/// Returns the number of bytes of a section's light field that may be in memory if the light field
+/// is in a file. It is an eighth of the number for a whole light field, since several sections are
+/// compared in parallel.
 fn window_bytes(job: &Job) -> usize {
     job.render.window_bytes() / 8
 }
@@ -414,8 +415,8 @@ fn part(
     centre_mm: [f64; 2],
     margin: usize,
 ) -> Part {
-    // A part is a small display with the same layers. The resolution of the light field and of
-    // every layer is reduced to the part's share.
+    // A section is a small display with the same layers. The resolutions of the light field and of
+    // every layer are reduced in proportion to the section's size.
     let shares = [cols as f64 / geometry.cols as f64, rows as f64 / geometry.rows as f64];
     let cut =
         |resolution: [usize; 2]| [0, 1].map(|axis| ((resolution[axis] as f64 * shares[axis]).ceil() as usize).max(1));
@@ -444,7 +445,7 @@ impl Part {
         self.geometry.rows * self.geometry.cols * self.geometry.grid.iter().count()
     }
 
-    /// Returns the views with slopes relative to the part's centre. Perspective views keep their
+    /// Returns the views with slopes relative to the section's centre. Perspective views keep their
     /// eye positions, and oblique views keep their slopes.
     fn moved(&self, grid: &ViewGrid) -> ViewGrid {
         let Projection::Perspective { distance_mm } = grid.projection else { return grid.clone() };
@@ -459,8 +460,8 @@ impl Part {
         self.moved(&grid.scaled(depth_scale))
     }
 
-    /// Returns the pixels whose rays stay within the section. If the section is the whole picture,
-    /// these are all pixels.
+    /// Returns the pixels inside the margin. If the margin is too wide for a small section, it is
+    /// reduced, so that some pixels are left.
     fn middle(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
         let FieldGeometry { rows, cols, .. } = self.geometry;
         let inside = |count: usize, margin: usize| {

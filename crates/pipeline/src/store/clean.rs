@@ -1,8 +1,8 @@
 //! Cleans run folders. Removes left-overs of killed runs, and cached files of other settings.
 //!
 //! Every run cleans its folder while it holds the lock. It removes left-overs when it begins, and
-//! views of other settings when it ends. `lumistack clean` cleans a folder without another run in
-//! it. It can also remove all files that only save time.
+//! views of other settings when it ends. `lumistack clean` cleans a folder without running its job
+//! again. It can also remove all files that only save time.
 
 use std::path::{Path, PathBuf};
 

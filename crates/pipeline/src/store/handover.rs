@@ -77,7 +77,8 @@ fn kept_or(
     surroundings: &str,
     folder: &Path,
 ) -> Result<HandedOver, PipelineError> {
-    // The key contains the file's path, the time, and the state of the files around it.
+    // The key contains the file's path, the time, and a text that identifies Blender and our script
+    // in Blender.
     let mut key = KeyBuilder::new("blend", code::SCENE);
     let place = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     key.add("path", place.as_os_str().as_encoded_bytes()).add_json("time", &time_s);

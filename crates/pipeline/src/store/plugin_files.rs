@@ -33,7 +33,7 @@ pub(crate) fn of<'a>(
 pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
     let mut job = job.with_automatic_settings();
     let folder = job.folder.clone();
-    // A scene with a built-in reader needs no importer, so its plugin libraries are not loaded.
+    // A scene with a built-in reader needs no importer, so do not load the libraries of importers.
     let foreign = job.scene.as_ref().filter(|scene| own_reader(scene).is_none());
     let extension = foreign.and_then(|scene| scene.extension());
     let extension = extension.map(|extension| extension.to_string_lossy().to_ascii_lowercase());

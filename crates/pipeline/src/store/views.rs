@@ -100,7 +100,8 @@ pub(crate) fn write_guides(path: &Path, guides: &Features) -> Result<(), Pipelin
     write_values(path, guides.values())
 }
 
-/// Reads a tensor `[row][col][k]` with `count` values per pixel, of index k.
+/// Reads a tensor `[row][col][k]` with `count` values per pixel, of index k. Returns `None` if the
+/// file is missing or damaged.
 fn read_values(path: &Path, geometry: &FieldGeometry, count: usize) -> Option<Tensor<3>> {
     let [rows, cols] = [geometry.rows, geometry.cols];
     let pictures = read_picture(path, [cols, count.div_ceil(3) * rows])?;

@@ -4,7 +4,7 @@
 //! pixel matches best. The measure is the sum of absolute differences of √luminance over the
 //! square. A parabola refines the shift. Between oblique views, content at depth z is shifted by
 //! −z·Δs/p pixels. Here Δs is the difference of the views' slopes, and p the pixel pitch. Between
-//! pinholes at distance D, it is shifted by q = −z·Δs/(1 − z/D) millimetres.
+//! pinholes at distance D, content is shifted by q = −z·Δs/(1 − z/D) millimetres.
 //!
 //! If no shift is clearly better, a pixel takes the clear shift that is nearest in its row. A row
 //! without a clear shift gets the depth of the display plane. A median over squares removes
@@ -215,7 +215,7 @@ fn filled(mut shifts: Vec<f32>, cols: usize) -> Vec<f32> {
     shifts
 }
 
-/// Returns, for each pixel, true if it is near a discontinuity of the shift.
+/// Returns, for each pixel, true if the pixel is near a discontinuity of the shift.
 fn edges(shifts: &[f32], rows: usize, cols: usize) -> Vec<bool> {
     let mut near = vec![false; rows * cols];
     let jump = (JUMP_SHARE * cols as f32).max(1.0);

@@ -1,4 +1,4 @@
-//! Limits of the solution: number of iterations, and number of mask values compared with rays.
+//! Limits of the solution: the number of iterations, and the number of pattern values per ray.
 
 use serde_json::json;
 

@@ -24,9 +24,10 @@ pub(super) const USUAL_BITS: u32 = 8;
 pub(super) enum Variant {
     /// The display and the stack are unchanged.
     Given,
-    /// Values at the brightest state are slightly brighter.
+    /// Values that are at the brightest state become slightly brighter.
     Brighter,
-    /// Values at the darkest state become black, if the darkest state is not black already.
+    /// Values that are at the darkest state become black, unless the darkest state is black
+    /// already.
     Black,
     /// Values are rounded to the panels' codes.
     Quantized,
@@ -209,9 +210,10 @@ impl Tone {
         Self { count: self.count + other.count, sums }
     }
 
-    /// Returns (offset, slope, fraction) with x = L̃/β and y = L. Offset and slope are those of the
-    /// line x ≈ offset + slope·y, the mean tone curve. The fraction is the part of the squared
-    /// error that the best line y ≈ a + b·x would remove.
+    /// Returns (offset, slope, fraction) with x = L̃/β and y = L. Offset and slope belong to the
+    /// line x ≈ offset + slope·y, which is the mean tone curve. The fraction is the fraction of the
+    /// squared error that the best line y ≈ a + b·x would remove. `None` if x, y or the error
+    /// hardly varies.
     pub(super) fn fit(self) -> Option<(f64, f64, f64)> {
         let [x, y, xx, xy, yy] = self.sums.map(|sum| sum / self.count);
         let (var_x, var_y, cov) = (xx - x * x, yy - y * y, xy - x * y);

@@ -1,4 +1,4 @@
-//! All views in one picture, for the view explorer.
+//! Arranges all views in one picture, for the view explorer.
 
 use lumistack_display::{FieldGeometry, SeenView, ViewGrid};
 

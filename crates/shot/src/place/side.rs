@@ -212,7 +212,8 @@ mod tests {
         let turned = |turn: Quat| vec![(card(3.0, 2.0), Affine3A::from_quat(turn))];
         let quarter = std::f32::consts::FRAC_PI_2;
         for double_sided in [false, true] {
-            // one card lies in xz with its front up, the other stands in yz with its front to +x
+            // one card lies in the plane xz with its front up, the other stands in the plane yz
+            // with its front to +x
             assert_eq!(chosen(&scene(turned(Quat::from_rotation_x(-quarter)), double_sided)), [0.0, 40.0]);
             assert_eq!(chosen(&scene(turned(Quat::from_rotation_y(quarter)), double_sided)), [90.0, 0.0]);
         }

@@ -34,9 +34,10 @@ pub struct Found {
 
 /// Finds the window in the scene.
 ///
-/// Without a camera the scene is framed from the front, or from the side that `side::choose`
-/// finds. The frame then shrinks to the visible scene and holds all of it. A camera that the job
-/// does not name and that has no focus moves closer until the scene would be cut off.
+/// Without a camera the scene is framed from the front, or from the side that `side::choose` finds.
+/// The frame then shrinks to the visible scene and holds all of it. If the job requests no camera
+/// and the file's camera has no focus, the camera's window shrinks about its centre. It shrinks at
+/// most until the scene covers about a quarter of the window, and never cuts off the scene.
 ///
 /// # Errors
 /// When the job names a camera that does not exist, or gives numbers that make no rectangle.
@@ -115,7 +116,7 @@ fn unlimited_window<S: Subject>(
 
 /// Scales a window in its own plane to the visible scene, without cutting off visible content. With
 /// `recentre` the window frames the scene, and may move within its plane. Otherwise the window
-/// shrinks about its centre until the scene covers [`COVERAGE`] of its area.
+/// shrinks about its centre, at most until the scene covers the fraction [`COVERAGE`] of its area.
 fn close_up<S: Subject>(
     subject: &S,
     window: Window,

@@ -1,5 +1,5 @@
-//! Checks the settings of a plan before its steps run. So a wrong setting is reported at once, and
-//! not after hours of rendering.
+//! Checks the settings of a plan before its steps run. So a wrong setting is reported immediately,
+//! and not after hours of rendering.
 
 use lumistack_plugin_host::PluginKind;
 

@@ -1,4 +1,4 @@
-//! Steps from a scene, a file or a source to the light field.
+//! Steps that make the light field from a scene, a file or a source plugin.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! The step from a light field to the patterns of a display, by the solver or a node plugin.
+//! The step that makes the patterns of a display from a light field, by the solver or a node
+//! plugin.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -33,7 +34,8 @@ impl Context<'_> {
         let weights = field::weights(&job.factorize, field.target.geometry())?;
         let target = &field.target;
         // Solve, or read the cached patterns. If the content of a time step differs too much from
-        // the previous one, the solver does not start from the previous patterns.
+        // the content of the previous time step, the solver does not start from the previous
+        // patterns.
         let (solved, cached) = match of_node.filter(|of_node| !node::is_factorized(Some(of_node))) {
             Some(node) => {
                 let given = NodeInput { node, seed: job.seed, display: &display, target, weights: &weights };

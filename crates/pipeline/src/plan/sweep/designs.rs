@@ -51,7 +51,8 @@ pub(crate) fn all(job: &Job, sweep: &SweepJob) -> Result<(Vec<Candidate>, Vec<Jo
                     if of.window.fit_depth == FitDepth::Auto {
                         of.window.fit_depth = FitDepth::Off;
                     }
-                    // Time steps render the pictures for the zone score only if they have reports.
+                    // Time steps render the pictures for the zone score only if they have reports,
+                    // so request reports.
                     of.sequence.iter_mut().for_each(|sequence| sequence.reports = true);
                     fields.push((display.clone(), of));
                     fields.len() - 1

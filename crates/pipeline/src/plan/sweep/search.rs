@@ -18,8 +18,8 @@ const LEAST: usize = 6;
 /// Designs whose scores differ by less than this value, dB, are regarded as equally good. The
 /// search prefers the cheapest of these designs.
 const EQUAL_DB: f64 = 0.3;
-/// Margin below the requested PSNR, dB. If the PSNR of a design after few iterations is even lower,
-/// the design ranks behind all other designs of the round.
+/// Margin below the requested PSNR, dB. A design whose PSNR after few iterations is lower by more
+/// than this margin ranks behind all other designs of the round.
 const DROP_DB: f64 = 8.0;
 
 /// Returns the candidates that satisfy the constraints.

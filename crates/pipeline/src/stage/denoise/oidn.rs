@@ -103,7 +103,8 @@ fn pfm(values: &[f32], rows: usize, cols: usize) -> Vec<u8> {
     bytes
 }
 
-/// Decodes a little-endian colour PFM file: [rows, columns] and values `[row][col][rgb]`.
+/// Decodes a little-endian colour PFM file: [rows, columns] and values `[row][col][rgb]`. `None` if
+/// the bytes are no such file.
 fn parse_pfm(bytes: &[u8]) -> Option<([usize; 2], Vec<f32>)> {
     let mut lines = bytes.splitn(4, |&byte| byte == b'\n');
     let mut line = || std::str::from_utf8(lines.next()?).ok();

@@ -1,4 +1,4 @@
-//! Light of splats on the meshes among them: an environment map of the splats around the meshes.
+//! Makes an environment map by which splats light the meshes among them.
 //!
 //! ```text
 //! L(ω) = linear light of the splats from direction ω, seen from the centre of the meshes

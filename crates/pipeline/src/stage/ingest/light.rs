@@ -39,9 +39,9 @@ pub fn load_environment(parts: &mut SceneParts, path: &Path, strength: f32) -> R
     Ok(())
 }
 
-/// Rotates an environment map as Blender and three.js do. Before the rotation, the central column
-/// of the map is the direction −z. The rotation turns the central column to +x, and the column at a
-/// quarter of the width to −z.
+/// Returns the rotation by which Blender and three.js turn an environment map. Before the rotation,
+/// the central column of the map is the direction −z. The rotation turns the central column to +x,
+/// and the column at a quarter of the width to −z.
 fn as_in_blender() -> Quat {
     Quat::from_rotation_y(-std::f32::consts::FRAC_PI_2)
 }
