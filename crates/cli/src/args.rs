@@ -78,7 +78,7 @@ pub(crate) enum Command {
     #[command(after_help = crate::farm::EXAMPLES)]
     Farm(Box<crate::farm::Farm>),
     /// Compare two runs, the displays of one run, or a run with a photograph of its panels. For two
-    /// runs, --focus also writes pictures of an eye that focuses at given distances
+    /// runs, --focus also writes pictures as seen by an eye that focuses at given distances
     #[command(after_help = crate::compare::EXAMPLES)]
     Compare(crate::compare::Compare),
     /// Show a run on physical panels: each layer on its own panel, one frame after another
@@ -314,9 +314,9 @@ pub(crate) struct Info {
     pub(crate) look_from: Option<Numbers<2>>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
-    /// compress, depth is also compressed, if the scene still does not fit. Auto acts as compress
-    /// if the scene does not fit, but keeps a window that the job places. `--fit-depth` without HOW
-    /// means move [default: auto]
+    /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing if
+    /// the scene fits; otherwise it acts as compress. But if the job places the window, auto only
+    /// compresses depth. `--fit-depth` without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]

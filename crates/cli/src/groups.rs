@@ -83,7 +83,8 @@ pub(crate) struct RenderArgs {
     /// Otherwise auto hides nothing
     #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
     pub(crate) near: Option<lumistack_pipeline::Near>,
-    /// Make light sources that have a surface visible [default: as the file states, otherwise no]
+    /// Show light sources that have a surface, such as area lights, in the views [default: as the
+    /// file states, otherwise no]
     #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub(crate) lights_visible: Option<bool>,
     /// Time at which the scene's animations are shown, seconds. Without this flag, glTF scenes have
@@ -115,8 +116,8 @@ pub(crate) struct RenderArgs {
     /// without light gets
     #[arg(long, value_name = "K")]
     pub(crate) environment_strength: Option<f32>,
-    /// Rotation of the environment about the up axis, degrees. A positive angle moves the part
-    /// straight ahead to the left
+    /// Rotation of the environment about the up axis, degrees. A positive angle turns the
+    /// environment to the left, as seen by a viewer who looks straight ahead
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     pub(crate) environment_rotation: Option<f64>,
     /// Background behind all surfaces: environment, or a colour such as #202028. A colour does not
@@ -132,9 +133,10 @@ pub(crate) struct RenderArgs {
     pub(crate) tone: Option<String>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
-    /// compress, depth is also compressed if the scene still does not fit. Auto acts as compress if
-    /// the scene does not fit, but keeps a window that the job places, and a depth scale that is
-    /// given. In a sweep auto acts as off. `--fit-depth` without HOW means move [default: auto]
+    /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing if
+    /// the scene fits; otherwise it acts as compress, with two exceptions. If the job places the
+    /// window, auto only compresses depth. If a depth scale is given, auto only moves the window.
+    /// In a sweep auto acts as off. `--fit-depth` without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
     /// Factor that multiplies the parallax between views, and so the visible depth
@@ -298,8 +300,8 @@ pub(crate) struct GeometryArgs {
     /// Reduce every view to this many columns and rows
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
-    /// Number of pixels by which a point of the display plane moves to the left between one view
-    /// and the next view to the right
+    /// Disparity of the display plane, pixels. From a view to its right neighbour, a point of the
+    /// display plane moves this far to the left
     #[arg(long, value_name = "PX", allow_hyphen_values = true)]
     pub(crate) focus_px: Option<f64>,
     /// Reverse the order of views from left to right

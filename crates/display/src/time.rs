@@ -18,8 +18,8 @@ impl Display {
 
     /// Returns a warning to the user if the display flickers; `None` if it does not.
     pub fn flicker_warning(&self) -> Option<String> {
-        // A display with exactly 60 periods per second must get no warning because of a rounding
-        // error.
+        // A rounding error must not cause a warning for a display with exactly 60 periods per
+        // second.
         const ROUNDING: f64 = 1e-9;
         if self.subframes() <= 1 || self.period_hz() >= Self::FLICKER_HZ * (1.0 - ROUNDING) {
             return None;

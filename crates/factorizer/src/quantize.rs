@@ -19,7 +19,7 @@ use crate::{FactorizeError, Problem};
 
 /// Number of sweeps of coordinate steps per update.
 const SWEEPS: u32 = 4;
-/// Number of iterations over all layers after the last mask is confined.
+/// Number of iterations over all factors after the last mask is confined to its levels.
 const LAST_ROUNDS: u32 = 3;
 
 /// True if any layer has few levels.

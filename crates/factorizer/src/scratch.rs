@@ -16,7 +16,8 @@ pub(crate) struct Scratch {
     pub(crate) emitted: Vec<f32>,
     /// The error e = βL − L̃ along a run.
     pub(crate) errors: Vec<f32>,
-    /// Curvature along a run, for formations whose curvature the Gram matrix does not bound.
+    /// Curvature along a run of columns. It is used only for a `Formation` whose curvature the Gram
+    /// matrix does not bound.
     pub(crate) curvature: Vec<f32>,
     /// Another row of this struct (error, emission, a_m or curvature), times the weights.
     pub(crate) weighted: Vec<f32>,

@@ -160,7 +160,8 @@ fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, F
     Ok(used)
 }
 
-/// Reads each mesh of the scene once per shape, and places it for each node that shows it.
+/// Reads each mesh of the scene, and places it for each node that shows it. Nodes with a skin or
+/// with morph weights get a copy of their own; all other nodes share one copy.
 fn place_meshes(
     document: &Document<'_>,
     nodes: &Nodes,

@@ -71,8 +71,8 @@ pub trait Lanes: Copy {
         }
     }
 
-    /// Calls another kernel with the same vectors. The call is out of line, unless the compiler
-    /// finds inlining cheap.
+    /// Calls another kernel with the same type of vector, so with the same instruction set. The
+    /// call is out of line, unless the compiler finds inlining cheap.
     unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output;
 
     /// Reads an array of exactly `COUNT` values.

@@ -57,7 +57,7 @@ def material(prim, writer, time):
                 if found is not None and found is not UNKNOWN:
                     entry["inputs"][given.GetBaseName()] = found
             if graph.unknown:
-                what = "the nodes %s are not supported; inputs that depend on them keep their defaults, mixtures use half of each"
+                what = "the nodes %s are not supported; inputs that depend on them keep their defaults, and a mix whose amount is not a constant uses half of each of its two inputs"
                 writer.warn(prim.GetPath(), what % ", ".join(sorted(graph.unknown)))
             return entry
         if kind not in unknown:

@@ -302,8 +302,9 @@ pub(crate) struct Placement {
 pub(crate) struct Link {
     /// Matrices `[n][4][4]` for row vectors, as in USD: the translation is the last row.
     pub(crate) matrices: Array,
-    /// Index of the prototype that each matrix places, `[n]`. Only matrices of
-    /// [`prototype`](Self::prototype) apply to this chain.
+    /// Index of the prototype that each matrix places, `[n]`. Matrices whose index differs from
+    /// [`prototype`](Self::prototype) do not apply to this chain. Without this array all matrices
+    /// apply.
     #[serde(default)]
     pub(crate) prototypes: Option<Array>,
     /// Index of the prototype that this chain places.

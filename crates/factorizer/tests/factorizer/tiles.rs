@@ -10,8 +10,8 @@ use lumistack_factorizer::device::Updater;
 use lumistack_factorizer::internals::Engine;
 use lumistack_factorizer::{FactorizeError, Problem, Settings, factorize, factorize_tile, random_start};
 
-/// Tolerance of a gain, relative to the previous objective. It is needed since the gain of a tile
-/// and of the whole display are summed in f32.
+/// Tolerance of a decrease of the objective, relative to the previous objective. The decreases for
+/// a tile and for the whole display are summed in f32, so they differ by rounding.
 const GAIN_TOLERANCE: f64 = 2e-5;
 const SEEDS: [u64; 3] = [1, 2, 3];
 

@@ -327,8 +327,9 @@ fn hostile_objects_do_no_harm_when_shown() {
     }
 }
 
-/// Adds a triangle that no scene shows yet to a file, and returns the indices of its mesh and its
-/// node. `None` if a member that should be a list is not one.
+/// Copies a file, and adds a mesh with one triangle and a node that has this mesh. The node is not
+/// in any scene. Returns the indices of mesh and node. `None` if a member that should be a list is
+/// not one.
 fn add_triangle(file: &Value) -> Option<(Builder, [usize; 2])> {
     let mut b = Builder { json: file.clone(), bin: Vec::new() };
     for list in ["scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers", "materials", "textures"] {

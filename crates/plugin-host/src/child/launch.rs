@@ -85,8 +85,8 @@ impl Limits {
     }
 }
 
-/// Parses the value of a limit's variable: seconds, with 0 for no limit. `None` if the value is
-/// invalid.
+/// Parses the value of an environment variable that sets a limit: seconds, with 0 for no limit.
+/// Returns `None` if the value is invalid.
 fn limit_of(text: &str) -> Option<Option<Duration>> {
     let limit = Duration::try_from_secs_f64(text.trim().parse().ok()?).ok()?;
     Some((!limit.is_zero()).then_some(limit))

@@ -335,7 +335,8 @@ class Engine:
         for address in addresses:
             text = found.get(address) if isinstance(found, dict) else None
             if _json(text) is None:
-                # The worker did not answer: it was lost, or the next call checks it again.
+                # The worker did not answer, so it is not marked as checked. If it still exists, the
+                # next call checks it again.
                 continue
             reason = self.objection(text)
             self.checked[address] = reason
