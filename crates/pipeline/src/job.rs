@@ -406,7 +406,11 @@ impl Job {
                 (false, Some(_)) => ("factorize", "`tensor-display`"),
                 _ => continue,
             };
-            return fail(format!("nodes[{i}].{unused}"), &format!("nothing, as only {owner} has it"), "a table".into());
+            return fail(
+                format!("nodes[{i}].{unused}"),
+                &format!("no such table, since only {owner} has one"),
+                "a table".into(),
+            );
         }
         if self.nodes.is_empty() {
             ids.push(NodeJob::TENSOR_DISPLAY);

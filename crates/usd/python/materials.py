@@ -214,7 +214,7 @@ class Graph:
             return {"primvar": name}
         # Other primvars are not supported; use the reader's fallback.
         found = self.get(shader, "fallback") or self.get(shader, "default")
-        self.writer.warn(shader.GetPath(), "the primvar %s is not read as a value (displayColor is); the reader's fallback is used" % name)
+        self.writer.warn(shader.GetPath(), "as a value, only the primvar displayColor is read, not %s; the reader's fallback is used" % name)
         return found
 
     def preview_texture(self, shader, output):
