@@ -583,7 +583,7 @@ mod tests {
             (format!("{nodes}[[nodes]]\nid = \"../a\"\n"), "nodes[2].id: expected a unique name"),
             (
                 format!("{nodes}params = {{ x = 1 }}\nfactorize = {{ }}\n"),
-                "nodes[1].factorize: expected nothing, as only `tensor-display` has it",
+                "nodes[1].factorize: expected no such table, since only `tensor-display` has one",
             ),
             (format!("{display}{}{}", output(""), output("")), "outputs[1]: expected a unique `name`"),
             (format!("{display}{}", output("name = \"a/b\"")), "outputs[0].name: expected letters"),

@@ -502,7 +502,8 @@ class Engine:
         told = []
         for message, units in causes.items():
             others = f" and {len(units) - 1} more" if len(units) > 1 else ""
-            told.append(f"unit {units[0]}{others} failed {MOST_FAILURES} times: {message}")
+            often = f"failed {MOST_FAILURES} times" if self.failures.get(units[0], 0) >= MOST_FAILURES else "given up"
+            told.append(f"unit {units[0]}{others} {often}: {message}")
         waits = f"; units that depend on failed units were not started: {len(outcome.left)}" if outcome.left else ""
         raise FarmError(f"{'; '.join(told)}{waits}; {kept}")
 
