@@ -47,10 +47,10 @@ pub(crate) struct Analyze {
     /// plotted, millimetres [default: the distance that display and scene need]
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
-    /// Also compute patterns of every display for gratings at many depths and frequencies, which
-    /// takes up to a minute per display. Three contrasts of each shown grating are reported. The
-    /// first is seen from the solver's views, the second from the whole viewing zone. The third is
-    /// seen from the whole zone after a solve for more views
+    /// Also compute patterns of every display for gratings (stripes of one frequency) at many
+    /// depths and frequencies, which takes up to a minute per display. Three contrasts of each
+    /// shown grating are reported. The first is measured at the solver's views, the second over the
+    /// whole viewing zone. The third is measured over the whole zone after a solve for more views
     #[arg(long)]
     contrast: bool,
     /// Folder for analysis.json and the plots, as SVG and PNG
