@@ -31,14 +31,16 @@ Examples:
 #[derive(Debug, clap::Args)]
 pub(crate) struct Analyze {
     /// Presets (see `lumistack displays`), display files or run folders. Changes to a display
-    /// follow its name after a colon: layers, frames, brightness, gap_mm, fov (HxV), lenslets (CxR)
+    /// follow its name after a colon, such as paper-three-layer:layers=2. These keys can be
+    /// changed: layers, frames, brightness, gap_mm, fov (HxV), lenslets (CxR)
     #[arg(required = true, value_name = "NAME|FILE|DIR[:KEY=VALUE,...]")]
     displays: Vec<Which>,
     /// A scene (or job) in which every display is placed, to compare the scene's depth with the
     /// display's depth of field
     #[arg(long, value_name = "SCENE|JOB", conflicts_with = "run")]
     scene: Option<PathBuf>,
-    /// A finished run; its scene's depth is compared with the depth of field of every display
+    /// A finished run. The depth of the run's scene is compared with the depth of field of every
+    /// display
     #[arg(long, value_name = "DIR")]
     run: Option<PathBuf>,
     #[command(flatten)]

@@ -112,7 +112,8 @@ pub(crate) enum Command {
     Devices,
     /// List the built-in displays (the presets)
     Displays,
-    /// Write a display file for your own panels, or measure the positions of the panels
+    /// Write a display file for your own panels, or measure the positions of the panels from
+    /// photographs
     Display {
         #[command(subcommand)]
         what: crate::display::DisplayCommand,
@@ -248,8 +249,8 @@ pub(crate) struct Simulate {
     /// right, Y up, degrees [default, without --eye and --sweep: 0,0]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with_all = ["eye", "sweep"])]
     pub(crate) view: Option<Numbers<2>>,
-    /// Position of an eye that is near (perspective projection): X to the right of, Y above and Z
-    /// in front of the display's centre, millimetres
+    /// Position of an eye that is near (perspective projection), millimetres from the display's
+    /// centre: X to the right, Y up, Z to the front
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "sweep")]
     pub(crate) eye: Option<Numbers<3>>,
     /// Write N views side by side, spread evenly over the horizontal field of view, 1 to 64

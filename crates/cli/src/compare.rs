@@ -32,15 +32,15 @@ Examples:
 pub(crate) struct Compare {
     /// A run folder
     run: PathBuf,
-    /// Another run folder, or a photograph (PNG, JPEG, EXR, ...). Without it, all displays of the
-    /// first run are compared
+    /// Another run folder, or a photograph (PNG, JPEG, EXR, ...). Without this argument, all
+    /// displays of the first run are compared
     other: Option<PathBuf>,
     /// Direction from the display to the camera of the photograph, if the camera was far away. X is
     /// to the right, Y up, degrees [default, without --eye and --focal-35mm: 0,0]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with = "eye")]
     view: Option<Numbers<2>>,
-    /// Position of the camera of the photograph, or of the eye of --focus. X is to the right of, Y
-    /// above and Z in front of the display's centre, millimetres [default for --focus: 0,0,600]
+    /// Position of the camera of the photograph, or of the eye of --focus, millimetres from the
+    /// display's centre: X to the right, Y up, Z to the front [default for --focus: 0,0,600]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     eye: Option<Numbers<3>>,
     /// Focal length of the photograph's lens, as equivalent for 35-mm film, millimetres (EXIF:

@@ -111,9 +111,9 @@ pub(crate) struct Calibrate {
     /// Another layer and its photograph; the flag may be given several times
     #[arg(long, value_name = "N=FILE", required = true)]
     pub(crate) photo: Vec<String>,
-    /// Position of the camera's lens: X right, Y up, Z in front of the display, millimetres. It
-    /// must be the position that --eye-mm of `lumistack show` had [default: the default of that
-    /// flag]
+    /// Position of the camera's lens: X right, Y up, Z in front of the display, millimetres. Use
+    /// the position that --eye-mm had in `lumistack show` [default: the default of --eye-mm in
+    /// `lumistack show`]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) eye_mm: Option<Numbers<3>>,
     /// Print the result, but do not write it to the display file

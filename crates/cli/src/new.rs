@@ -30,7 +30,7 @@ pub(crate) struct New {
     /// paper-three-layer]
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) display: Option<String>,
-    /// Output plugins [default: images,web_simulator]
+    /// Ids of the output plugins [default: images,web_simulator]
     #[arg(long, value_name = "ID,...", value_delimiter = ',')]
     pub(crate) outputs: Option<Vec<String>>,
     /// Use defaults instead of asking; --scene is required

@@ -99,7 +99,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         };
         let (all, centre, outer) = (sum(None), sum(Some(false)), sum(Some(true)));
         let mut text = format!(
-            "{what} are {} of the central view's rays, and cause {} of its squared error. In the leftmost and rightmost views, such rays are {} of all rays, and cause {} of the squared error. ",
+            "{what} are {} of the central view's rays, and have {} of its squared error. In the leftmost and rightmost views, such rays are {} of all rays, and have {} of the squared error. ",
             format::percent(centre.share_of_rays()),
             format::percent(centre.share_of_error()),
             format::percent(outer.share_of_rays()),
