@@ -93,7 +93,7 @@ async function ask(what: string, content: object, refusable = false): Promise<An
   } catch (error) {
     throw new Problem(
       `Looking Glass Bridge does not answer on this computer: ${problemOf(error, "").message}.`,
-      "Start it, allow this page to reach programs on this computer, and try again.",
+      "Start Looking Glass Bridge, allow this page to reach programs on this computer, and try again.",
       false,
     );
   }
