@@ -261,7 +261,7 @@ mod tests {
         let names: Vec<_> = loaded(&text).outputs.iter().map(|output| output.name().to_owned()).collect();
         assert_eq!(names, ["images", "preview"]);
         for (words, message) in [
-            (&["no-such-job.toml"][..], "--scene: expected Scene file"),
+            (&["no-such-job.toml"][..], "--scene: expected a value for this option (Scene file"),
             (&["no-such-job.toml", "--scene", "no.glb"], "found no such file"),
             (&["no-such-job.toml", "--scene", &scene, "--display", "paper-tree-layer"], "paper-three-layer"),
             (&["no-such-job.toml", "--scene", &scene, "--outputs", "panels"], "found `panels`"),
