@@ -79,8 +79,11 @@ impl FromStr for Which {
         let mut change = Variation::default();
         for part in changes.split(',').filter(|part| !part.is_empty()) {
             let (key, value) = part.split_once('=').ok_or_else(|| format!("expected KEY=VALUE, found `{part}`"))?;
-            let wrong =
-                || format!("{key}: expected a number, or a pair such as 20x20 for fov and lenslets, found `{value}`");
+            let wrong = || {
+                let expected =
+                    if matches!(key.trim(), "fov" | "lenslets") { "a pair such as 20x20" } else { "a number" };
+                format!("{key}: expected {expected}, found `{value}`")
+            };
             match key.trim() {
                 "layers" => change.layers = Some(value.parse().map_err(|_| wrong())?),
                 "frames" => change.frames = Some(value.parse().map_err(|_| wrong())?),

@@ -149,7 +149,9 @@ impl FromStr for List {
             let (from, to, step) = (number(from)?, number(to)?, number(step)?);
             let count = ((to - from) / step + 1e-9).floor();
             if !(step > 0.0 && (0.0..1e6).contains(&count)) {
-                return Err(format!("expected a rising range, found `{part}`"));
+                return Err(format!(
+                    "expected a rising range, with a step above 0 and at most a million numbers, found `{part}`"
+                ));
             }
             // Round to 9 decimals, since 0.1 + 2 · 0.1 is not exactly 0.3 in binary.
             numbers.extend((0..=count as usize).map(|i| ((from + i as f64 * step) * 1e9).round() / 1e9));

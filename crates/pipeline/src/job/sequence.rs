@@ -67,7 +67,7 @@ impl SequenceJob {
                 return fail("sequence.times", "1 to 9999", times.to_string());
             }
             None if !has_light_field => {
-                let expected = "the number of time steps, which only a folder of light fields determines";
+                let expected = "the number of time steps (`--times`), since the input is not a folder of light fields";
                 return fail("sequence.times", expected, "nothing".into());
             }
             _ => {}
