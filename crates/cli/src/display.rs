@@ -288,7 +288,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     let steady = PanelStack::steady_frames(refresh_hz);
     let frames = ask.value(
         "--frames",
-        "Time-multiplexed frames (more improve the picture, but flicker if a period repeats less than 60 times a second)",
+        "Number of frames (more frames improve the picture, but the display flickers if all frames repeat less than 60 times a second)",
         args.frames,
         Some((steady.to_string(), steady)),
         |text| text.parse().ok().filter(|count| (1..=1000).contains(count)),
