@@ -58,5 +58,5 @@ fn choices_of_the_other_format_are_refused() {
     assert!(text.contains("pose.variants: expected none, since only USD has variant sets"), "{text}");
     let mut usd = lumistack();
     usd.arg("render").arg(file(folder.path())).args(["--animation", "Walk", "-o"]).arg(folder.path().join("views"));
-    assert!(fail(&mut usd).contains("pose.animation: expected none, since USD has one timeline"));
+    assert!(fail(&mut usd).contains("pose.animation: expected no value, since a USD stage has only one timeline"));
 }

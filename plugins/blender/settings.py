@@ -125,7 +125,7 @@ def _settings_class():
         "file": StringProperty(name="File", description="Display file (.toml)", subtype="FILE_PATH", **draw),
         "grid": EnumProperty(
             name="Projection",
-            description="Directions of a view's rays",
+            description="Projection of the views",
             items=[
                 ("DISPLAY", "As the Display", "The display's own projection"),
                 ("OBLIQUE", "Parallel", "Every view is a parallel projection, as from far away"),
@@ -154,9 +154,9 @@ def _settings_class():
         "samples": IntProperty(name="Paths", description="Paths per pixel of Lumistack's path tracer", default=16, min=1, max=65536),
         "window_from": EnumProperty(
             name="Window",
-            description="Position of the display; it is as wide as the camera's picture there",
+            description="Position of the window; the window is as wide as the camera's picture at its distance",
             items=[
-                ("AUTO", "Automatic", "The camera's plane of focus, or without one the middle of its visible depths"),
+                ("AUTO", "Automatic", "The camera's plane of focus or, if its depth of field is off, the middle of the visible depths"),
                 ("DISTANCE", "Distance", "At a distance from the camera"),
             ],
             **draw,
@@ -164,7 +164,7 @@ def _settings_class():
         "distance": FloatProperty(name="Distance", description="From the camera to the window", subtype="DISTANCE", default=10.0, min=1e-4, max=1e6, **draw),
         "window_size": FloatProperty(
             name="Size",
-            description="Width of the window relative to the camera's picture in its plane",
+            description="Width of the window, relative to the width of the camera's picture in the window's plane",
             default=1.0, min=0.01, max=100.0, soft_min=0.1, soft_max=4.0, **draw,
         ),  # fmt: skip
         "window_shift": FloatVectorProperty(
@@ -180,7 +180,7 @@ def _settings_class():
         ),
         "moved_back_mm": FloatProperty(
             name="Move Back (mm)",
-            description="Moves the window along its normal, in millimetres of the display; the view from the middle stays",
+            description="Moves the window along its normal, in millimetres of the display; the view from straight ahead stays the same",
             default=0.0, min=-1e5, max=1e5, **draw,
         ),  # fmt: skip
         "depth_scale": FloatProperty(
@@ -213,11 +213,11 @@ def _settings_class():
         "exposure_ev": FloatProperty(name="Exposure", description="Stops", default=0.0, min=-20.0, max=20.0),
         "times": EnumProperty(
             name="Time",
-            items=[("CURRENT", "Current Frame", "A still"), ("RANGE", "Frame Range", "The scene's frames; each starts with the patterns of the previous one")],
+            items=[("CURRENT", "Current Frame", "A still"), ("RANGE", "Frame Range", "The scene's frames; each frame starts with the patterns of the previous frame")],
         ),
         "folder": StringProperty(name="Folder", description="Folder of views, patterns and outputs", subtype="DIR_PATH", default="//lumistack"),
         "live_run": StringProperty(
-            name="Attach To", description="Run folder of a lumistack live that already runs, which then follows this scene. Empty: a new one is started", subtype="DIR_PATH"
+            name="Attach To", description="Run folder of a lumistack live that already runs; this program then follows this scene. Empty: a new program is started", subtype="DIR_PATH"
         ),
         "live_show": EnumProperty(name="Show", description="Where a new live display appears", items=_SHOWN, default="PAGE"),
         "output": EnumProperty(name="Output", description="Additional output besides the patterns", items=_outputs(), default="NONE"),

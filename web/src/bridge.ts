@@ -93,7 +93,7 @@ async function ask(what: string, content: object, refusable = false): Promise<An
   } catch (error) {
     throw new Problem(
       `Looking Glass Bridge does not answer on this computer: ${problemOf(error, "").message}.`,
-      "Start it, allow this page to reach programs on this computer, and try again.",
+      "Start Looking Glass Bridge, allow this page to reach programs on this computer, and try again.",
       false,
     );
   }
@@ -104,5 +104,5 @@ async function ask(what: string, content: object, refusable = false): Promise<An
 
 function strange(what: string, expected: string, found?: unknown): Problem {
   const end = found === undefined ? "" : `, found “${String(found)}”`;
-  return new Problem(`Looking Glass Bridge answers to ${what} without ${expected}${end}.`, "See its own messages. The page speaks the protocol of Bridge 2.2.", false);
+  return new Problem(`Looking Glass Bridge answers to ${what} without ${expected}${end}.`, "See the messages of Bridge. The page speaks the protocol of Bridge 2.2.", false);
 }

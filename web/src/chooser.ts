@@ -25,7 +25,7 @@ export function listenToDrops(element: HTMLElement, overlay: HTMLElement, open: 
     event.preventDefault();
     show(0);
     void filesOf(event.dataTransfer).then(open, (error: unknown) =>
-      refuse(new Problem(`The dropped files could not be read: ${problemOf(error, "").message}`, "Try again, or choose them with the folder button.", false)),
+      refuse(new Problem(`The dropped files could not be read: ${problemOf(error, "").message}`, "Try again, or choose the files with the folder button.", false)),
     );
   });
 }

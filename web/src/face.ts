@@ -180,7 +180,7 @@ export class Face {
 function whereabouts(info: Info, mode: Mode, inside: boolean): string {
   if (info.layers.length === 0) return inside ? "Within the views." : "Outside the views.";
   if (mode === "compare") return "Compared with the nearest view.";
-  return inside ? "In the zone." : "Outside the zone that was optimised.";
+  return inside ? "In the zone." : "Outside the zone that the solver used.";
 }
 
 function facts(info: Info): string {

@@ -69,13 +69,13 @@ async function pixelsOf(file: File): Promise<ImageData> {
   try {
     bitmap = await createImageBitmap(file, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
   } catch (error) {
-    throw new Problem(`${file.name} is not a picture that this browser can read: ${problemOf(error, "").message}`, "Convert it to PNG or JPEG and try again.", false);
+    throw new Problem(`${file.name} is not a picture that this browser can read: ${problemOf(error, "").message}`, "Convert the file to PNG or JPEG and try again.", false);
   }
   const canvas = document.createElement("canvas");
   canvas.width = bitmap.width;
   canvas.height = bitmap.height;
   const context = canvas.getContext("2d", { willReadFrequently: true });
-  if (!context) throw new Problem(`${file.name} is too large for this browser: ${bitmap.width} × ${bitmap.height} pixels.`, "Reduce it and try again.", false);
+  if (!context) throw new Problem(`${file.name} is too large for this browser: ${bitmap.width} × ${bitmap.height} pixels.`, "Reduce the picture and try again.", false);
   context.drawImage(bitmap, 0, 0);
   bitmap.close();
   return context.getImageData(0, 0, canvas.width, canvas.height);

@@ -121,7 +121,7 @@ async function code<T>(loading: Promise<T>): Promise<T> {
   try {
     return await loading;
   } catch {
-    throw new Problem("The code for this display could not be loaded.", "Open the preview's folder with “lumistack preview”: a page in a single file does not contain it.", false);
+    throw new Problem("The code for this display could not be loaded.", "Open the preview's folder with “lumistack preview”: a page in a single file does not contain this code.", false);
   }
 }
 

@@ -298,7 +298,9 @@ fn chromium() -> Outcome<PathBuf> {
     let install = tools::apt(&["chromium"], "test the simulator's page");
     found().ok_or_else(|| {
         let error = install.err().unwrap_or_default();
-        format!("web: no browser to test the page with; install Chromium, or name one in LUMISTACK_CHROMIUM {error}")
+        format!(
+            "web: found no browser for the test of the page. Install Chromium, or set LUMISTACK_CHROMIUM to the path of a Chromium program. {error}"
+        )
     })
 }
 

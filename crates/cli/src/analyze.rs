@@ -31,14 +31,16 @@ Examples:
 #[derive(Debug, clap::Args)]
 pub(crate) struct Analyze {
     /// Presets (see `lumistack displays`), display files or run folders. Changes to a display
-    /// follow its name after a colon: layers, frames, brightness, gap_mm, fov (HxV), lenslets (CxR)
+    /// follow its name after a colon, such as paper-three-layer:layers=2. These keys can be
+    /// changed: layers, frames, brightness, gap_mm, fov (HxV), lenslets (CxR)
     #[arg(required = true, value_name = "NAME|FILE|DIR[:KEY=VALUE,...]")]
     displays: Vec<Which>,
     /// A scene (or job) in which every display is placed, to compare the scene's depth with the
     /// display's depth of field
     #[arg(long, value_name = "SCENE|JOB", conflicts_with = "run")]
     scene: Option<PathBuf>,
-    /// A finished run; its scene's depth is compared with the depth of field of every display
+    /// A finished run. The depth of the run's scene is compared with the depth of field of every
+    /// display
     #[arg(long, value_name = "DIR")]
     run: Option<PathBuf>,
     #[command(flatten)]
@@ -47,10 +49,10 @@ pub(crate) struct Analyze {
     /// plotted, millimetres [default: the distance that display and scene need]
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
-    /// Also compute patterns of every display for gratings at many depths and frequencies, which
-    /// takes up to a minute per display. Three contrasts of each shown grating are reported. The
-    /// first is seen from the solver's views, the second from the whole viewing zone. The third is
-    /// seen from the whole zone after a solve for more views
+    /// Also compute patterns of every display for gratings (stripes of one frequency) at many
+    /// depths and frequencies, which takes up to a minute per display. Three contrasts of each
+    /// shown grating are reported. The first is measured at the solver's views, the second over the
+    /// whole viewing zone. The third is measured over the whole zone after a solve for more views
     #[arg(long)]
     contrast: bool,
     /// Folder for analysis.json and the plots, as SVG and PNG
@@ -77,8 +79,11 @@ impl FromStr for Which {
         let mut change = Variation::default();
         for part in changes.split(',').filter(|part| !part.is_empty()) {
             let (key, value) = part.split_once('=').ok_or_else(|| format!("expected KEY=VALUE, found `{part}`"))?;
-            let wrong =
-                || format!("{key}: expected a number, or a pair such as 20x20 for fov and lenslets, found `{value}`");
+            let wrong = || {
+                let expected =
+                    if matches!(key.trim(), "fov" | "lenslets") { "a pair such as 20x20" } else { "a number" };
+                format!("{key}: expected {expected}, found `{value}`")
+            };
             match key.trim() {
                 "layers" => change.layers = Some(value.parse().map_err(|_| wrong())?),
                 "frames" => change.frames = Some(value.parse().map_err(|_| wrong())?),

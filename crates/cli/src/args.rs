@@ -21,11 +21,11 @@ pub(crate) struct Args {
     /// Print progress and results as JSON, one object per line
     #[arg(long, global = true)]
     pub(crate) json: bool,
-    /// Number of threads that compute; results do not depend on it [default: one per core]
+    /// Number of threads that compute; results do not depend on this number [default: one per core]
     #[arg(long, global = true, value_name = "N")]
     pub(crate) threads: Option<usize>,
-    /// Use the plugins in this shared library `lumistack_plugin_ID`, or in all such libraries of
-    /// this folder. These plugins take precedence over plugins with the same id in
+    /// Use the plugins of a shared library (a file named `lumistack_plugin_ID`), or of all such
+    /// libraries in a folder. These plugins take precedence over plugins with the same id in
     /// LUMISTACK_PLUGIN_PATH and in lumistack/plugins of your data folder. The flag may be given
     /// several times
     #[cfg(feature = "dynamic")]
@@ -52,10 +52,10 @@ pub(crate) enum Command {
     Render(Render),
     /// Compute patterns for views that you have, such as those that another program rendered
     #[command(
-        after_help = "The views (the light field) may be a folder that `lumistack render` wrote, a folder in HCI's or Stanford's form, a quilt, a picture of tiles, or an array [view_y][view_x][row][col][rgb] in a .npy file.\n\nExamples:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 -o runs/views\n  lumistack factorize times/ --sequence --fov 20x20 --pitch-mm 2.961 -o runs/times\n      a sequence, whose time steps are times/t0001.npy, times/t0002.npy, ..."
+        after_help = "The views (the light field) may be a folder that `lumistack render` wrote, a folder in the layout of the collections HCI or Stanford, a quilt, a picture of tiles, or an array [view_y][view_x][row][col][rgb] in a .npy file.\n\nExamples:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 -o runs/views\n  lumistack factorize times/ --sequence --fov 20x20 --pitch-mm 2.961 -o runs/times\n      a sequence, whose time steps are times/t0001.npy, times/t0002.npy, ..."
     )]
     Factorize(Factorize),
-    /// Write the picture that the display of a finished run shows, seen from a direction or
+    /// Write the picture that a viewer sees on the display of a finished run, from a direction or a
     /// position
     #[command(
         after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png      from 4° to the right and 2° below\n  lumistack simulate runs/still-life --eye 100,0,2000 -o eye.png  from 2 m in front and 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png       seven views from left to right"
@@ -63,22 +63,22 @@ pub(crate) enum Command {
     Simulate(Simulate),
     /// Show the display of a finished run in the browser, where you can look at it from all sides
     #[command(
-        after_help = "Examples:\n  lumistack preview runs/still-life     the display of this run\n  lumistack preview --solve             a page that computes the patterns of a model that you drop there\n\nThe command opens the page in your browser. Other machines cannot open it. When the run's patterns change, the page shows the new ones. A folder that the output plugin web_simulator wrote also works on any web server, and its file preview.html opens by a double click."
+        after_help = "Examples:\n  lumistack preview runs/still-life     the display of this run\n  lumistack preview --solve             a page that computes patterns for a model, which you drop onto the page\n\nThe command opens the page in your browser. Other machines cannot open the page. When the run's patterns change, the page shows the new ones. A folder that the output plugin web_simulator wrote also works on any web server, and its file preview.html opens by a double click."
     )]
     Preview(Preview),
     /// Report the limits that follow from the geometry of displays: depth of field, spectral
     /// support, viewing zone, refresh rate and brightness
     #[command(after_help = crate::analyze::EXAMPLES)]
     Analyze(crate::analyze::Analyze),
-    /// Compare many designs of a display for one scene, by a table and plots of PSNR and
-    /// brightness. With constraints, also propose a design
+    /// Compare many designs of a display for one scene, by a table and plots of PSNR (picture
+    /// quality, dB) and brightness. With constraints, the command also proposes a design
     #[command(after_help = crate::sweep::EXAMPLES)]
     Sweep(crate::sweep::Sweep),
-    /// Run a job or a sweep on many machines, through Dask or a farm manager
+    /// Run a job or a sweep on many machines, through Dask (a library for Python) or a farm manager
     #[command(after_help = crate::farm::EXAMPLES)]
     Farm(Box<crate::farm::Farm>),
     /// Compare two runs, the displays of one run, or a run with a photograph of its panels. For two
-    /// runs, --focus also writes pictures of an eye that focuses at given distances
+    /// runs, --focus also writes pictures as seen by an eye that focuses at given distances
     #[command(after_help = crate::compare::EXAMPLES)]
     Compare(crate::compare::Compare),
     /// Show a run on physical panels: each layer on its own panel, one frame after another
@@ -112,7 +112,8 @@ pub(crate) enum Command {
     Devices,
     /// List the built-in displays (the presets)
     Displays,
-    /// Write a display file for your own panels, or measure the positions of the panels
+    /// Write a display file for your own panels, or measure the positions of the panels from
+    /// photographs
     Display {
         #[command(subcommand)]
         what: crate::display::DisplayCommand,
@@ -126,7 +127,7 @@ pub(crate) enum Command {
         #[command(subcommand)]
         what: Setup,
     },
-    /// Print the JSON Schema of job or display files; editors use it to complete and check keys
+    /// Print the JSON Schema of job or display files, with which editors complete and check keys
     #[command(
         after_help = "Example:\n  lumistack schema display > display.schema.json\n\nEditors that use taplo, such as Visual Studio Code with Even Better TOML, need one more line. Write `#:schema ./display.schema.json` as the first line of your display file. The schema of job files includes the parameters of all plugins that are found."
     )]
@@ -248,15 +249,15 @@ pub(crate) struct Simulate {
     /// right, Y up, degrees [default, without --eye and --sweep: 0,0]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with_all = ["eye", "sweep"])]
     pub(crate) view: Option<Numbers<2>>,
-    /// Position of an eye that is near (perspective projection): X to the right of, Y above and Z
-    /// in front of the display's centre, millimetres
+    /// Position of an eye that is near (perspective projection), millimetres from the display's
+    /// centre: X to the right, Y up, Z to the front
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "sweep")]
     pub(crate) eye: Option<Numbers<3>>,
     /// Write N views side by side, spread evenly over the horizontal field of view, 1 to 64
     #[arg(long, value_name = "N")]
     pub(crate) sweep: Option<usize>,
     /// Write the light that the display emits. Without this flag the light is divided by the
-    /// brightness scale β, so that the picture is as bright as the scene's
+    /// brightness scale β, so that the picture is as bright as a picture of the scene
     #[arg(long)]
     pub(crate) raw: bool,
     /// Picture to write: .png (encoded as sRGB) or .exr (linear values)
@@ -284,8 +285,8 @@ pub(crate) struct Preview {
     /// --solve
     #[arg(required_unless_present = "solve")]
     pub(crate) dir: Option<PathBuf>,
-    /// Show another page, which computes patterns in the browser for a model or a light field that
-    /// you drop there
+    /// Show another page, which computes patterns in the browser. Drop a model or a light field
+    /// onto this page
     #[arg(long, conflicts_with = "dir")]
     pub(crate) solve: bool,
     /// Port of this machine at which the page is served; 0 for any free port
@@ -304,19 +305,19 @@ pub(crate) struct Info {
     /// built-in display or a display file
     #[arg(long, value_name = "NAME|FILE", help_heading = "Depth")]
     pub(crate) display: Option<OsString>,
-    /// Camera that sees the scene, by its name or its number from 0. Its plane of focus becomes the
-    /// display plane
+    /// Camera that sees the scene, by its name or its number from 0. The camera's plane of focus
+    /// becomes the display plane
     #[arg(long, value_name = "NAME|N", requires = "display", help_heading = "Depth")]
     pub(crate) camera: Option<String>,
-    /// View the scene from this azimuth and elevation, degrees. Azimuth 0 is the front, positive
-    /// azimuths lie to its right
+    /// View the scene from this azimuth and elevation, degrees. Azimuth 0 is the front; positive
+    /// azimuths lie to the right of the front
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true, requires = "display", help_heading = "Depth")]
     pub(crate) look_from: Option<Numbers<2>>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
-    /// compress, depth is also compressed, if the scene still does not fit. Auto acts as compress
-    /// if the scene does not fit, but keeps a window that the job places. `--fit-depth` without HOW
-    /// means move [default: auto]
+    /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing if
+    /// the scene fits; otherwise it acts as compress. But if the job places the window, auto only
+    /// compresses depth. `--fit-depth` without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]

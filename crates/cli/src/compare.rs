@@ -15,7 +15,7 @@ use crate::values::Numbers;
 pub(crate) const EXAMPLES: &str = "\
 Examples:
   lumistack compare runs/three-layer runs/directional -o compared
-      two runs, at the views of the first run: each with the target of the first run, and with each other
+      compares two runs with the target of the first run and with each other, at the views of the first run
   lumistack compare runs/figure-9 -o compared
       all displays of a run that has several, in one picture
   lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier
@@ -25,22 +25,22 @@ Examples:
   lumistack compare runs/a photo.jpg --focal-35mm 28 --corners 210,160,1830,150,1850,1170,190,1180
       the same, if the position of the camera is not known: it is computed from the corners
   lumistack compare runs/a runs/b --focus -60,0,60 -o compared
-      also pictures of an eye that focuses behind, on and in front of the display";
+      also pictures as seen by an eye that focuses behind, on and in front of the display";
 
 /// The runs or photograph to compare, and how.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Compare {
     /// A run folder
     run: PathBuf,
-    /// Another run folder, or a photograph (PNG, JPEG, EXR, ...). Without it, all displays of the
-    /// first run are compared
+    /// Another run folder, or a photograph (PNG, JPEG, EXR, ...). Without this argument, all
+    /// displays of the first run are compared
     other: Option<PathBuf>,
     /// Direction from the display to the camera of the photograph, if the camera was far away. X is
     /// to the right, Y up, degrees [default, without --eye and --focal-35mm: 0,0]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with = "eye")]
     view: Option<Numbers<2>>,
-    /// Position of the camera of the photograph, or of the eye of --focus. X is to the right of, Y
-    /// above and Z in front of the display's centre, millimetres [default for --focus: 0,0,600]
+    /// Position of the camera of the photograph, or of the eye of --focus, millimetres from the
+    /// display's centre: X to the right, Y up, Z to the front [default for --focus: 0,0,600]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     eye: Option<Numbers<3>>,
     /// Focal length of the photograph's lens, as equivalent for 35-mm film, millimetres (EXIF:
@@ -52,9 +52,10 @@ pub(crate) struct Compare {
     /// right, bottom left [default: the whole photograph]
     #[arg(long, value_name = "X,Y,X,Y,X,Y,X,Y", allow_hyphen_values = true)]
     corners: Option<Numbers<8>>,
-    /// Also write pictures of an eye that focuses at these distances, one for each run and
-    /// distance. LIST has distances in front of the display plane, millimetres, separated by
-    /// commas; they are negative behind it. This works for two runs only
+    /// Also write pictures as seen by an eye that focuses at these distances, one picture for each
+    /// run and distance. LIST has distances in front of the display plane, millimetres, separated
+    /// by commas. Distances behind the display plane are negative. This option works for two runs
+    /// only
     #[arg(long, value_name = "LIST", value_delimiter = ',', allow_hyphen_values = true, requires = "output")]
     focus: Vec<f64>,
     /// Diameter of the pupil of the eye of --focus, millimetres

@@ -111,9 +111,9 @@ pub(crate) struct Calibrate {
     /// Another layer and its photograph; the flag may be given several times
     #[arg(long, value_name = "N=FILE", required = true)]
     pub(crate) photo: Vec<String>,
-    /// Position of the camera's lens: X right, Y up, Z in front of the display, millimetres. It
-    /// must be the position that --eye-mm of `lumistack show` had [default: the default of that
-    /// flag]
+    /// Position of the camera's lens: X right, Y up, Z in front of the display, millimetres. Use
+    /// the position that --eye-mm had in `lumistack show` [default: the default of --eye-mm in
+    /// `lumistack show`]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) eye_mm: Option<Numbers<3>>,
     /// Print the result, but do not write it to the display file
@@ -288,7 +288,7 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     let steady = PanelStack::steady_frames(refresh_hz);
     let frames = ask.value(
         "--frames",
-        "Time-multiplexed frames (more improve the picture, but flicker if a period repeats less than 60 times a second)",
+        "Number of frames (more frames improve the picture, but the display flickers if all frames repeat less than 60 times a second)",
         args.frames,
         Some((steady.to_string(), steady)),
         |text| text.parse().ok().filter(|count| (1..=1000).contains(count)),

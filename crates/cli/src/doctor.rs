@@ -91,7 +91,7 @@ fn program_itself() -> Found {
     if cfg!(debug_assertions) {
         return Found::Poor(
             found,
-            "this is a development build, about half as fast as one by `cargo build --release`".into(),
+            "this is a development build, about half as fast as a build by `cargo build --release`".into(),
         );
     }
     Found::Good(found)

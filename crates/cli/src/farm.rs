@@ -485,7 +485,7 @@ fn engine(
     task.cancel.check()?;
     match status.success() {
         true => Ok(()),
-        false => Err(PipelineError::value("farm", "run", "all units done", "units that are not, listed above")),
+        false => Err(PipelineError::value("farm", "run", "all units done", "unfinished units, which are listed above")),
     }
 }
 

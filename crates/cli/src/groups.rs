@@ -44,8 +44,9 @@ pub(crate) struct RenderArgs {
     /// so large that the display also shows correct pictures between the views
     #[arg(long, value_name = "auto|CxR")]
     pub(crate) views: Option<Views>,
-    /// Number of paths per pixel, summed over all views. With auto, the number is so large that
-    /// more paths would hardly improve the display's picture [default: auto]
+    /// Number of paths (samples of the light) per pixel, summed over all views. With auto, the
+    /// number is so large that more paths would hardly improve the display's picture [default:
+    /// auto]
     #[arg(long, value_name = "auto|N")]
     pub(crate) zone_samples: Option<lumistack_pipeline::ZoneSamples>,
     /// Number of paths per pixel of each view; use it instead of --zone-samples
@@ -67,14 +68,14 @@ pub(crate) struct RenderArgs {
     /// and Lumistack's path tracer renders the views, otherwise off
     #[arg(long, value_name = "KIND")]
     pub(crate) denoise: Option<lumistack_pipeline::Denoise>,
-    /// Camera that sees the scene, by its name or its number from 0. Its plane of focus becomes the
-    /// display plane
+    /// Camera that sees the scene, by its name or its number from 0. The camera's plane of focus
+    /// becomes the display plane
     #[arg(long, value_name = "NAME|N")]
     pub(crate) camera: Option<String>,
     /// View the scene from this azimuth and elevation, degrees, even if the file has a camera.
-    /// Azimuth 0 is the front, +z; positive azimuths lie to its right, towards +x. Without a camera
-    /// and this flag, the scene is seen from the front, or from another side if the front shows
-    /// hardly anything
+    /// Azimuth 0 is the front, +z; positive azimuths lie to the right of the front, towards +x.
+    /// Without a camera and this flag, the scene is seen from the front, or from another side if
+    /// the front shows hardly anything
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
     pub(crate) look_from: Option<Numbers<2>>,
     /// Hide content that is farther in front of the window than this distance: auto, off, or a
@@ -83,7 +84,8 @@ pub(crate) struct RenderArgs {
     /// Otherwise auto hides nothing
     #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
     pub(crate) near: Option<lumistack_pipeline::Near>,
-    /// Make light sources that have a surface visible [default: as the file states, otherwise no]
+    /// Show light sources that have a surface, such as area lights, in the views [default: as the
+    /// file states, otherwise no]
     #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub(crate) lights_visible: Option<bool>,
     /// Time at which the scene's animations are shown, seconds. Without this flag, glTF scenes have
@@ -115,8 +117,8 @@ pub(crate) struct RenderArgs {
     /// without light gets
     #[arg(long, value_name = "K")]
     pub(crate) environment_strength: Option<f32>,
-    /// Rotation of the environment about the up axis, degrees. A positive angle moves the part
-    /// straight ahead to the left
+    /// Rotation of the environment about the up axis, degrees. A positive angle turns the
+    /// environment to the left, as seen by a viewer who looks straight ahead
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     pub(crate) environment_rotation: Option<f64>,
     /// Background behind all surfaces: environment, or a colour such as #202028. A colour does not
@@ -132,9 +134,10 @@ pub(crate) struct RenderArgs {
     pub(crate) tone: Option<String>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
-    /// compress, depth is also compressed if the scene still does not fit. Auto acts as compress if
-    /// the scene does not fit, but keeps a window that the job places, and a depth scale that is
-    /// given. In a sweep auto acts as off. `--fit-depth` without HOW means move [default: auto]
+    /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing if
+    /// the scene fits; otherwise it acts as compress, with two exceptions. If the job places the
+    /// window, auto only compresses depth. If a depth scale is given, auto only moves the window.
+    /// In a sweep auto acts as off. `--fit-depth` without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
     /// Factor that multiplies the parallax between views, and so the visible depth
@@ -167,8 +170,9 @@ pub(crate) struct FileArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Factorization")]
 pub(crate) struct FactorizeArgs {
-    /// Number of iterations of the solver. Each updates every layer, and a directional backlight,
-    /// once [default: 50, or 16 for a scene whose number of views is automatic]
+    /// Number of iterations of the solver. Each iteration updates every layer once, and a
+    /// directional backlight, if there is one [default: 50, or 16 for a scene whose number of views
+    /// is automatic]
     #[arg(long, value_name = "N")]
     pub(crate) iterations: Option<u32>,
     #[arg(long, value_name = "NAME", help = format!("Solver, which computes the patterns: {}", either(solver_names())))]
@@ -193,7 +197,7 @@ pub(crate) struct FactorizeArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Sequence")]
 pub(crate) struct SequenceArgs {
-    /// Number of time steps. Each has a run folder (t0001, t0002, ...), and its solver starts from
+    /// Number of time steps. Each time step has a run folder (t0001, t0002, ...), and starts from
     /// the patterns of the previous time step
     #[arg(long, value_name = "N")]
     pub(crate) times: Option<usize>,
@@ -205,8 +209,8 @@ pub(crate) struct SequenceArgs {
     /// right, Y up, Z to the viewer
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) shift_mm: Option<Numbers<3>>,
-    /// Time that the scene's animations advance from the first time step to the last, seconds. They
-    /// start at --time, or at 0 [default: 0, they stand still]
+    /// Time that the scene's animations advance from the first time step to the last, seconds. The
+    /// animations start at --time, or at 0 [default: 0: they stand still]
     #[arg(long, value_name = "S", allow_hyphen_values = true)]
     pub(crate) duration_s: Option<f64>,
     /// Number of iterations at every time step after the first [default: 5]
@@ -298,8 +302,8 @@ pub(crate) struct GeometryArgs {
     /// Reduce every view to this many columns and rows
     #[arg(long, value_name = "CxR")]
     pub(crate) resolution: Option<Size>,
-    /// Number of pixels by which a point of the display plane moves to the left between one view
-    /// and the next view to the right
+    /// Disparity of the display plane, pixels. From a view to its right neighbour, a point of the
+    /// display plane moves this far to the left
     #[arg(long, value_name = "PX", allow_hyphen_values = true)]
     pub(crate) focus_px: Option<f64>,
     /// Reverse the order of views from left to right

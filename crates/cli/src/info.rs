@@ -127,8 +127,8 @@ fn splats(scene: &Scene) -> Value {
         "clouds": scene.placed_clouds.len(),
         "degree of harmonics": scene.clouds.iter().map(|cloud| cloud.degree).max(),
         "colours": scene.clouds.first().map(|cloud| format!("{:?}", cloud.encoding)),
-        "bounds with floaters min": all.min.to_array(),
-        "bounds with floaters max": all.max.to_array(),
+        "bounds with stray splats min": all.min.to_array(),
+        "bounds with stray splats max": all.max.to_array(),
         "memory": format!("{:.1} MB", bytes as f64 / 1e6),
     })
 }

@@ -30,7 +30,7 @@ pub(crate) struct New {
     /// paper-three-layer]
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) display: Option<String>,
-    /// Output plugins [default: images,web_simulator]
+    /// Ids of the output plugins [default: images,web_simulator]
     #[arg(long, value_name = "ID,...", value_delimiter = ',')]
     pub(crate) outputs: Option<Vec<String>>,
     /// Use defaults instead of asking; --scene is required
@@ -156,27 +156,27 @@ fn quoted(text: &str) -> String {
     json!(text).to_string()
 }
 
-/// The text of a job file. A line with `#` before a key shows the key's default.
+/// The text of a job file. A key with `#` before it is not set; its value is an example.
 const TEMPLATE: &str = "#:schema ./job.schema.json
 # Made by `lumistack new`. `lumistack run` with this file renders the scene and solves for the display's patterns. The same command continues a stopped run.
-# Paths are relative to this file. docs/JOB.md explains every key. A key with `#` before it has its default.
+# Paths are relative to this file. docs/JOB.md explains every key. A line with `#` before a key is an example: the key has its default, until you remove the `#`.
 scene = {scene}
 
 [display]
 {display}
 # pixels of the light field, columns and rows: fewer pixels are solved faster, and the display keeps its size
 #resolution = [420, 262]
-# time-multiplexed frames
+# number of frames that the display shows in quick succession: more frames give a better picture
 #frames = 6
 
 [window]
-# direction of the viewer, degrees to the right and up; without it the file's camera, or the front
+# direction of the viewer, degrees to the right and up; without this key the file's camera, or the front
 #look_from = [20.0, 10.0]
 # \"off\" leaves the depth of the scene as it is, even if the display cannot show it
 #fit_depth = \"auto\"
 
 [light]
-# stops brighter or darker
+# number of stops by which the picture is brighter, or darker (below 0)
 #exposure_ev = 0.0
 #tone = \"auto\"
 
@@ -261,7 +261,7 @@ mod tests {
         let names: Vec<_> = loaded(&text).outputs.iter().map(|output| output.name().to_owned()).collect();
         assert_eq!(names, ["images", "preview"]);
         for (words, message) in [
-            (&["no-such-job.toml"][..], "--scene: expected Scene file"),
+            (&["no-such-job.toml"][..], "--scene: expected a value for this option (Scene file"),
             (&["no-such-job.toml", "--scene", "no.glb"], "found no such file"),
             (&["no-such-job.toml", "--scene", &scene, "--display", "paper-tree-layer"], "paper-three-layer"),
             (&["no-such-job.toml", "--scene", &scene, "--outputs", "panels"], "found `panels`"),

@@ -35,7 +35,14 @@ impl Questions<'_> {
             return Ok(given);
         }
         let Some(input) = &mut self.input else {
-            let missing = || PipelineError::value(self.command, flag, question, "nothing, and no terminal to ask");
+            let missing = || {
+                PipelineError::value(
+                    self.command,
+                    flag,
+                    format!("a value for this option ({question})"),
+                    "nothing, and no terminal on which to ask",
+                )
+            };
             return default.map(|(_, value)| value).ok_or_else(missing);
         };
         loop {

@@ -39,10 +39,10 @@ pub(crate) struct Sweep {
     /// of time and memory
     #[arg(long)]
     plan: bool,
-    /// Number of plots of PSNR [default: few]. With few, there are at most six: maps over one pair
-    /// of axes, and curves along every other axis. The pair is the first in this list whose two
-    /// axes the sweep varies: frames and layers, frames and brightness, layers and brightness. With
-    /// all, there are maps over each pair of the list, and curves along every axis
+    /// Plots of PSNR to write [default: few]. With few, there are at most six plots: maps over one
+    /// pair of axes, and curves along every other axis. The pair is the first in this list whose
+    /// two axes the sweep varies: frames and layers, frames and brightness, layers and brightness.
+    /// With all, there are maps over each pair of the list, and curves along every axis
     #[arg(long, value_enum)]
     plots: Option<PlotsArg>,
     #[command(flatten)]
@@ -104,7 +104,7 @@ struct Axes {
 #[command(next_help_heading = "Search")]
 struct Search {
     /// Search for the best design and propose it. All designs are solved with few iterations, and
-    /// only the promising ones to the end
+    /// only the promising designs are solved to the end
     #[arg(long)]
     search: bool,
     /// Largest distance from the rearmost to the frontmost layer or lens array, millimetres
@@ -114,15 +114,15 @@ struct Search {
     /// 60 times a second
     #[arg(long, value_name = "HZ")]
     max_refresh_hz: Option<f64>,
-    /// Number of available panels. A design needs one for each layer, and one behind the lenslets
-    /// of a directional backlight
+    /// Number of available panels. A design needs one panel for each layer, and one panel behind
+    /// the lenslets of a directional backlight
     #[arg(long, value_name = "N")]
     max_panels: Option<usize>,
     /// Smallest brightness scale β
     #[arg(long, value_name = "B")]
     min_brightness: Option<f64>,
-    /// Sufficient PSNR, dB. The proposed design is then the one that reaches it with the fewest
-    /// panels and frames
+    /// Sufficient PSNR, dB. The proposed design is then the design that reaches this PSNR with the
+    /// fewest panels and frames
     #[arg(long, value_name = "DB")]
     enough_db: Option<f64>,
 }
@@ -149,7 +149,9 @@ impl FromStr for List {
             let (from, to, step) = (number(from)?, number(to)?, number(step)?);
             let count = ((to - from) / step + 1e-9).floor();
             if !(step > 0.0 && (0.0..1e6).contains(&count)) {
-                return Err(format!("expected a rising range, found `{part}`"));
+                return Err(format!(
+                    "expected a rising range, with a step above 0 and at most a million numbers, found `{part}`"
+                ));
             }
             // Round to 9 decimals, since 0.1 + 2 · 0.1 is not exactly 0.3 in binary.
             numbers.extend((0..=count as usize).map(|i| ((from + i as f64 * step) * 1e9).round() / 1e9));

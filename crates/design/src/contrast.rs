@@ -437,7 +437,7 @@ mod tests {
     /// also between the views. A layer in front of the lens array improves the contrast on the
     /// display plane, even with one frame. Off the display plane this needs more than one frame.
     #[test]
-    fn a_layer_helps_integral_imaging_on_the_screen_and_off_it_only_with_frames() {
+    fn a_layer_helps_on_the_display_plane_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();
         // At this depth the frequency is above the limit 1/(2Δx) of the lens array alone. It is
         // below the bound 1/(2 z Δs) with the layer, where Δs is the width of an angular bin.
@@ -450,8 +450,8 @@ mod tests {
         let (alone, one, many) = (gratings(&lenses(1, true)), gratings(&lenses(1, false)), gratings(&lenses(6, false)));
         println!("lenses alone {alone:?}, with a layer {one:?}, and six frames {many:?}");
         assert!(alone.iter().all(|contrast| contrast.abs() < 0.1), "the lens array alone: {alone:?}");
-        assert!(one[0] > 0.9, "on the screen, one frame: {}", one[0]);
-        assert!(one[1].abs() < 0.1, "off the screen, one frame: {}", one[1]);
+        assert!(one[0] > 0.9, "on the display plane, one frame: {}", one[0]);
+        assert!(one[1].abs() < 0.1, "off the display plane, one frame: {}", one[1]);
         assert!(many[0] > 0.9 && many[1] > SHOWN, "six frames: {many:?}");
     }
 

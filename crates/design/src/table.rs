@@ -412,7 +412,7 @@ fn of_zone(rows: &[Row]) -> bool {
 fn value_label(rows: &[Row]) -> String {
     match of_zone(rows) {
         true => "PSNR over the whole zone, dB".into(),
-        false => format!("PSNR at the target views, dB; a frame marks {GOOD_DB:.0} dB or more"),
+        false => format!("PSNR at the target views, dB; cells with an outline have {GOOD_DB:.0} dB or more"),
     }
 }
 

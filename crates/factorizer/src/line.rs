@@ -125,8 +125,9 @@ impl LineStep<'_> {
     }
 }
 
-/// Copies a vector of pixels of a line, from x on, into a block: the values, and the sums of these
-/// pixels. The sums of each quantity are a row that begins at x. The rows are `stride` apart.
+/// Copies one vector of a line's pixels, beginning at pixel x, into a block: their values and their
+/// sums. In the slice of sums, each quantity has a row. The slice begins at pixel x of the first
+/// row, and the rows are `stride` apart.
 pub(crate) struct Fetch;
 
 impl Kernel for Fetch {

@@ -42,8 +42,8 @@ pub struct GeometryFlags {
     /// by area averaging.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[usize; 2]>,
-    /// Disparity that is moved to z = 0: shift of content to the left, in file pixels, per view to
-    /// the right.
+    /// Disparity of the content that is moved to z = 0. From a view to its right neighbour, this
+    /// content moves to the left by this number of file pixels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub focus_px: Option<f64>,
     /// Reverse the order of views along [x, y].

@@ -257,9 +257,9 @@ impl<'a> Elements<'a> {
             let needed = (count as u64 - 1).saturating_mul(stride as u64).saturating_add(size as u64);
             let followed = stride > size && needed <= room;
             let message = if followed {
-                format!("expected no stride, found {stride}; {place} is read with it")
+                format!("expected no stride, found {stride}; {place} is read with this stride")
             } else {
-                format!("expected no stride, found {stride}; {place} is read without one")
+                format!("expected no stride, found {stride}; {place} is read without a stride")
             };
             document.task.warn(format!("{}/byteStride", view.place), message);
             stride = if followed { stride } else { size };

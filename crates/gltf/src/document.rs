@@ -112,7 +112,11 @@ impl<'a> Document<'a> {
         let total = self.decoded_bytes.get().saturating_add(bytes);
         if total > self.max_decoded_bytes {
             let expected = format!("a scene that decodes to at most {} MiB", self.max_decoded_bytes >> 20);
-            return Err(Fault::new(place, expected, format!("{bytes} bytes more here")));
+            return Err(Fault::new(
+                place,
+                expected,
+                format!("more: this part needs {bytes} bytes in addition to the parts before it"),
+            ));
         }
         self.decoded_bytes.set(total);
         Ok(())

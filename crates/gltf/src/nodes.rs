@@ -57,7 +57,7 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
                 document.get(node, &place(i))?;
                 if std::mem::replace(&mut listed[node.value()], true) {
                     let found =
-                        format!("expected every node once, found node {} again; it is shown once", node.value());
+                        format!("expected every node once, found node {} again; the node is shown once", node.value());
                     document.task.warn(place(i), found);
                 } else {
                     roots.push((node.value(), place(i)));

@@ -127,7 +127,7 @@ pub enum RenderError {
     },
     /// The tree cannot hold as many triangles as the scene has.
     #[error(
-        "scene: expected at most {} triangles, where a mesh that is placed often is counted once, found {found}",
+        "scene: expected at most {} triangles (each mesh is counted once, even if it is placed several times), found {found}",
         bvh::MAX_TRIANGLES
     )]
     TooManyTriangles {

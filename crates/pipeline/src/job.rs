@@ -407,7 +407,11 @@ impl Job {
                 (false, Some(_)) => ("factorize", "`tensor-display`"),
                 _ => continue,
             };
-            return fail(format!("nodes[{i}].{unused}"), &format!("nothing, as only {owner} has it"), "a table".into());
+            return fail(
+                format!("nodes[{i}].{unused}"),
+                &format!("no such table, since only {owner} has one"),
+                "a table".into(),
+            );
         }
         if self.nodes.is_empty() {
             ids.push(NodeJob::TENSOR_DISPLAY);
@@ -580,7 +584,7 @@ mod tests {
             (format!("{nodes}[[nodes]]\nid = \"../a\"\n"), "nodes[2].id: expected a unique name"),
             (
                 format!("{nodes}params = {{ x = 1 }}\nfactorize = {{ }}\n"),
-                "nodes[1].factorize: expected nothing, as only `tensor-display` has it",
+                "nodes[1].factorize: expected no such table, since only `tensor-display` has one",
             ),
             (format!("{display}{}{}", output(""), output("")), "outputs[1]: expected a unique `name`"),
             (format!("{display}{}", output("name = \"a/b\"")), "outputs[0].name: expected letters"),

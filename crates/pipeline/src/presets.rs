@@ -52,6 +52,8 @@ mod tests {
         for (name, text) in PRESETS {
             let display = load(name).unwrap_or_else(|error| panic!("{name}: {error}"));
             assert!(display.frames >= 1);
+            let first = text.lines().next().unwrap();
+            assert!(first.ends_with('.'), "{name}: `lumistack displays` prints the first line, a sentence: {first}");
             for line in text.lines().filter(|line| line.contains(" = ") && !line.starts_with('#')) {
                 let source = line.split_once(" # ").map_or("", |(_, source)| source);
                 let known = ["paper: ", "derived: ", "ours"].iter().any(|tag| source.starts_with(tag));

@@ -57,6 +57,10 @@ impl RunFolder {
     /// # Errors
     /// If display or patterns are missing or wrong, or do not match.
     pub fn open(dir: &Path) -> Result<Self, PipelineError> {
+        if dir.is_dir() && !dir.join("display.toml").exists() {
+            let expected = "a run, with display.toml and layers/stack.json in it";
+            return Err(PipelineError::value(dir, "folder", expected, "no display.toml in it"));
+        }
         let display = presets::load_file(&dir.join("display.toml"))?;
         let layers = dir.join("layers");
         let stack = lumistack_field_io::read_stack(&layers).map_err(field_error)?;

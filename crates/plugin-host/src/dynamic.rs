@@ -197,11 +197,11 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
         // file's name `lumistack_plugin_<name>`.
         Ok(FileKind::MachOFat32 | FileKind::MachOFat64) => return Ok(vec![name]),
         Ok(_) => {}
-        Err(_) => return Err(other("a file of another kind".into())),
+        Err(_) => return Err(other("a file that is not a library".into())),
     }
     let library = match object::File::parse(&data) {
         Ok(library) => library,
-        Err(error) => return Err(other(format!("a damaged one: {error}"))),
+        Err(error) => return Err(other(format!("a damaged library: {error}"))),
     };
     let (format, machine) = (library.format(), library.architecture());
     if format != BinaryFormat::native_object() || native().is_some_and(|native| native != machine) {
@@ -211,9 +211,9 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     }
     let kind = library.kind();
     if kind != ObjectKind::Dynamic {
-        return Err(other(format!("a file of another kind ({kind:?})").to_lowercase()));
+        return Err(other(format!("an object file that is not a shared library ({kind:?})").to_lowercase()));
     }
-    let exports = library.exports().map_err(|error| other(format!("a damaged one: {error}")))?;
+    let exports = library.exports().map_err(|error| other(format!("a damaged library: {error}")))?;
     let names = exports.iter().filter_map(|export| std::str::from_utf8(export.name()).ok());
     // Mach-O prefixes C symbols with an underscore
     let ids = names.filter_map(|name| name.strip_prefix('_').unwrap_or(name).strip_prefix(ENTRY_PREFIX));

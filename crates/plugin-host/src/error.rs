@@ -42,7 +42,7 @@ pub enum HostError {
         reason: String,
     },
     /// Two plugins have the same id.
-    #[error("plugin `{0}`: expected an id that no other built-in plugin has, found it twice")]
+    #[error("plugin `{0}`: expected an id that no other built-in plugin has, found two plugins with this id")]
     DuplicatePlugin(String),
     /// The plugin refuses these parameters or data.
     #[error("{} `{plugin}`: {reason}", kind.name())]
@@ -185,7 +185,7 @@ pub enum LoadError {
         cause: String,
     },
     /// The program has set no launcher of plugin processes.
-    #[error("{}: the process for it cannot be started: no launcher is set", path.display())]
+    #[error("{}: cannot start a process for this library: the program has set no launcher", path.display())]
     NoLauncher {
         /// The path of the file.
         path: PathBuf,

@@ -300,7 +300,7 @@ pub(crate) fn simulate<'py>(
     Array::numpy(py, Part::Picture(Arc::new(picture)))
 }
 
-/// Writes patterns or a light field with an output plugin; plugins() lists them.
+/// Writes patterns or a light field with an output plugin; plugins() lists the plugins.
 ///
 /// * `what`: a LayerStack or a LightField
 /// * plugin: id of the output plugin
@@ -463,8 +463,8 @@ pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &serde_json::to_value(Job::new(Default::default())).expect("jobs serialize"))
 }
 
-/// Sets the number of worker threads of the process; results do not depend on it. Call this
-/// function before any other work.
+/// Sets the number of worker threads of the process; results do not depend on this number. Call
+/// this function before any other work.
 #[pyfunction]
 pub(crate) fn set_threads(py: Python<'_>, count: usize) -> PyResult<()> {
     lumistack_pipeline::set_threads(count).map_err(|error| setting(py, format!("set_threads: {error}")))

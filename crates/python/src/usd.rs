@@ -63,12 +63,13 @@ pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path
         let message = "variants: expected none with a stage, since its own selections are used, found some";
         return Err(setting(py, message));
     }
-    for (name, value) in [("animation", &pose.animation), ("variant", &pose.variant)] {
+    let unused = [
+        ("animation", "a USD stage has only one timeline", &pose.animation),
+        ("variant", "USD scenes use the key `variants`", &pose.variant),
+    ];
+    for (name, reason, value) in unused {
         if let Some(value) = value {
-            let message = format!(
-                "{name}: expected none, since USD has one timeline and sets of variants (`variants`), found {value}"
-            );
-            return Err(setting(py, message));
+            return Err(setting(py, format!("{name}: expected no value, since {reason}, found {value}")));
         }
     }
     if stage.is_none() && !path.exists() {

@@ -180,7 +180,7 @@ def test_a_poisoned_unit_ends_with_one_message_and_all_else_done(place: Path, cl
         lumistack.farm.run(job, place / "poisoned", client=cluster, threads=1)
     message = str(caught.value)
     assert "unit t0002/read failed 3 times" in message and "t2.npy" in message, message
-    assert "units that depend on it were not started" in message
+    assert "units that depend on failed units were not started" in message
     done = {unit["id"] for unit in lumistack.farm.plan(job, place / "poisoned")["units"] if unit["done"]}
     assert {"t0001/read", "t0001/factorize", "t0003/read"} <= done and "t0003/factorize" not in done
     # After the damaged file is corrected, the same command continues.

@@ -101,7 +101,7 @@ def test_mistakes_are_reported(tmp_path: Path) -> None:
     empty = Usd.Stage.CreateInMemory()
     with pytest.raises(lumistack.SceneError, match="expected at least one"):
         Scene(empty)
-    with pytest.raises(lumistack.SettingError, match="animation: expected none"):
+    with pytest.raises(lumistack.SettingError, match="animation: expected no value"):
         Scene(stage_of_boxes(), animation="walk")
 
 

@@ -198,12 +198,12 @@ pub enum ReportError {
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
     /// A picture could not be encoded.
-    #[error("encoding a picture: {0}")]
+    #[error("cannot encode a picture: {0}")]
     Picture(#[from] image::ImageError),
     /// A plot could not be drawn.
     #[error(transparent)]
     Plot(#[from] lumistack_plot::PlotError),
     /// The display could not be written as JSON.
-    #[error("writing report.json: {0}")]
+    #[error("cannot write report.json: {0}")]
     Json(#[from] serde_json::Error),
 }

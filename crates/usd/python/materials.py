@@ -57,7 +57,7 @@ def material(prim, writer, time):
                 if found is not None and found is not UNKNOWN:
                     entry["inputs"][given.GetBaseName()] = found
             if graph.unknown:
-                what = "the nodes %s are not supported; inputs that depend on them keep their defaults, mixtures use half of each"
+                what = "the nodes %s are not supported; inputs that depend on them keep their defaults, and a mix whose amount is not a constant uses half of each of its two inputs"
                 writer.warn(prim.GetPath(), what % ", ".join(sorted(graph.unknown)))
             return entry
         if kind not in unknown:
@@ -214,7 +214,7 @@ class Graph:
             return {"primvar": name}
         # Other primvars are not supported; use the reader's fallback.
         found = self.get(shader, "fallback") or self.get(shader, "default")
-        self.writer.warn(shader.GetPath(), "the primvar %s is not read as a value (displayColor is); the reader's fallback is used" % name)
+        self.writer.warn(shader.GetPath(), "as a value, only the primvar displayColor is read, not %s; the reader's fallback is used" % name)
         return found
 
     def preview_texture(self, shader, output):

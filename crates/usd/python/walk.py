@@ -150,7 +150,7 @@ def choose_variants(stage, wanted, writer):
             if not changed:
                 break
         else:
-            writer.warn(text, "the selection added variant sets eight times; later ones may keep their own selections")
+            writer.warn(text, "the selection added variant sets eight times; sets that were added later may keep their own selections")
         if not found:
             shown = list(known.values())
             listed = "; ".join(shown[:12]) + ("; and %d more" % (len(shown) - 12) if len(shown) > 12 else "")

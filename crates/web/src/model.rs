@@ -330,7 +330,9 @@ impl Model {
     /// If there is no such layer or frame, or the mask's file has not arrived.
     pub fn render_layer(&self, layer: usize, frame: usize) -> Result<Vec<u8>, Error> {
         let codes = self.codes(Part::Layer { layer, frame });
-        Ok(on_light_table(codes.ok_or_else(|| err(format!("layer {layer}, frame {frame}: missing, or not yet here")))?))
+        Ok(on_light_table(
+            codes.ok_or_else(|| err(format!("layer {layer}, frame {frame}: missing, or not loaded yet")))?,
+        ))
     }
 
     /// Returns the backlight's emission in a frame, with angular bins side by side as in its file:
@@ -340,7 +342,7 @@ impl Model {
     /// If the backlight is uniform, there is no such frame, or the emission's file has not arrived.
     pub fn render_backlight(&self, frame: usize) -> Result<Vec<u8>, Error> {
         let codes = self.codes(Part::Emission { frame });
-        Ok(on_light_table(codes.ok_or_else(|| err(format!("backlight, frame {frame}: missing, or not yet here")))?))
+        Ok(on_light_table(codes.ok_or_else(|| err(format!("backlight, frame {frame}: missing, or not loaded yet")))?))
     }
 
     /// Returns the error map at a slope, compared with the target's view L nearest to the slope.
@@ -390,7 +392,7 @@ impl Model {
     /// If there is no such view or it has not arrived.
     pub fn target(&self, view: [usize; 2]) -> Result<&[u8], Error> {
         self.codes(Part::Target { view })
-            .ok_or_else(|| err(format!("target view {}, {}: missing, or not yet here", view[0], view[1])))
+            .ok_or_else(|| err(format!("target view {}, {}: missing, or not loaded yet", view[0], view[1])))
     }
 
     /// Returns [view_y, view_x] of the target's view nearest to a slope.

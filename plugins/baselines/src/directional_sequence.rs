@@ -79,8 +79,12 @@ impl NodePlugin for DirectionalSequence {
         // rays through the pixel.
         let layer = &map.layers[shown];
         let shape = [frames, layer.rows, layer.cols, 3];
-        let count = Tensor::<4>::element_count(shape)
-            .ok_or_else(|| PluginError::Refused(format!("a layer of shape {shape:?} is too large")))?;
+        let count = Tensor::<4>::element_count(shape).ok_or_else(|| {
+            PluginError::Refused(format!(
+                "the layer has too many values: {frames} frames × {} × {} pixels × 3 channels; reduce the resolution",
+                layer.rows, layer.cols
+            ))
+        })?;
         let (mut sums, mut rays) = (vec![0.0f64; count], vec![0u32; count / 3]);
         let [views_y, views_x] = geometry.grid.views();
         let stage = host.stage("directional sequence", (views_y * views_x) as u64, "views");

@@ -53,8 +53,11 @@ impl NodePlugin for IntegralImaging {
 
         // Average the target over the rays of each lenslet and bin.
         let [frames, bins_y, bins_x, rows, cols, _] = shape;
-        let count = Tensor::<5>::element_count([bins_y, bins_x, rows, cols, 3])
-            .ok_or_else(|| PluginError::Refused(format!("a backlight of shape {shape:?} is too large")))?;
+        let count = Tensor::<5>::element_count([bins_y, bins_x, rows, cols, 3]).ok_or_else(|| {
+            PluginError::Refused(format!(
+                "one frame of the backlight has too many values: {bins_y} × {bins_x} angular bins × {rows} × {cols} lenslets × 3 channels; reduce the resolution or the number of angular bins"
+            ))
+        })?;
         let (mut sums, mut rays) = (vec![0.0f64; count], vec![0u32; count / 3]);
         let [views_y, views_x] = geometry.grid.views();
         let stage = host.stage("integral imaging", (views_y * views_x) as u64, "views");

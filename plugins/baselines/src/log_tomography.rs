@@ -43,7 +43,7 @@ impl NodePlugin for LogTomography {
                 "darkest",
                 0.01,
                 1e-6..=0.5,
-                "Target values below this are raised to it, since their logarithms would dominate the objective.",
+                "Target values below this value are raised to it, since their logarithms would dominate the objective.",
             )
             .unit("1"),
         ])
@@ -116,8 +116,12 @@ impl Volume {
         let mut volume = Self { values: Vec::new(), gradient: Vec::new(), rays: Vec::new(), range: Vec::new() };
         for (layer, map) in display.layers.iter().zip(&map.layers) {
             let shape = [map.rows, map.cols, 3];
-            let count = Tensor::<3>::element_count(shape)
-                .ok_or_else(|| PluginError::Refused(format!("a layer of shape {shape:?} is too large")))?;
+            let count = Tensor::<3>::element_count(shape).ok_or_else(|| {
+                PluginError::Refused(format!(
+                    "a layer has too many values: {} × {} pixels × 3 channels; reduce the resolution",
+                    map.rows, map.cols
+                ))
+            })?;
             let [darkest, brightest] = layer.range();
             // Limit black to 6·10⁻⁶ ≈ e⁻¹², since x = −log f is infinite at 0. Smaller values are
             // invisible.

@@ -84,8 +84,12 @@ impl NodePlugin for ParallaxBarrier {
         stack.layers[1].data_mut().fill(shut);
 
         let shape = [display.frames, rear.rows, rear.cols, 3];
-        let count = Tensor::<4>::element_count(shape)
-            .ok_or_else(|| PluginError::Refused(format!("a rear layer of shape {shape:?} is too large")))?;
+        let count = Tensor::<4>::element_count(shape).ok_or_else(|| {
+            PluginError::Refused(format!(
+                "the rear layer has too many values: {} frames × {} × {} pixels × 3 channels; reduce the resolution",
+                display.frames, rear.rows, rear.cols
+            ))
+        })?;
         // For each rear pixel, sum the target over the rays that also pass through an open mask
         // pixel, and count these rays.
         let (mut sums, mut rays) = (vec![0.0f32; count], vec![0u32; count / 3]);

@@ -115,7 +115,7 @@ pub(crate) fn schema() -> Schema {
             "bits",
             0,
             0..=16,
-            "Bits per channel of the panels, for masks in PNG pictures; 0 for the display file's bits, or the picture's if the file has none. A code of fewer bits fills the picture's highest bits.",
+            "Bits per channel of the panels, for masks in PNG pictures. 0 uses the bits that the display file states, or the bits of the picture if the file states none. A code of fewer bits fills the picture's highest bits.",
         )
         .unit("bits"),
         Param::choice(
@@ -127,7 +127,7 @@ pub(crate) fn schema() -> Schema {
                 ("blue_noise", "A threshold map of 64 × 64 pixels without low frequencies."),
                 ("diffusion", "Error diffusion to neighbouring pixels (Floyd and Steinberg)."),
             ],
-            "Dithering of masks between two codes of their panel; it preserves the mean light.",
+            "Dithering of masks between two codes of their panel; dithering preserves the mean light.",
         ),
         Param::choice(
             "views",
@@ -178,10 +178,10 @@ pub(crate) fn schema() -> Schema {
             false,
             "Write panel_frame_MM.png: for a directional backlight, the picture of the panel behind the lens array, in panel pixels.",
         ),
-        Param::int("panel_columns", 0, 0..=32768, "Columns of the panel behind the lenses; 0 for the display file's.").unit("px"),
-        Param::int("panel_rows", 0, 0..=32768, "Rows of the panel behind the lenses; 0 for the display file's.").unit("px"),
-        Param::float("panel_pitch_mm", 0.0, 0.0..=100.0, "Pixel pitch of the panel behind the lenses; 0 for the display file's.").unit("mm"),
-        Param::float("lens_pitch_mm", 0.0, 0.0..=1000.0, "Measured distance between lens axes; 0 for the display file's.").unit("mm"),
+        Param::int("panel_columns", 0, 0..=32768, "Columns of the panel behind the lenses; 0 uses the value of the display file.").unit("px"),
+        Param::int("panel_rows", 0, 0..=32768, "Rows of the panel behind the lenses; 0 uses the value of the display file.").unit("px"),
+        Param::float("panel_pitch_mm", 0.0, 0.0..=100.0, "Pixel pitch of the panel behind the lenses; 0 uses the value of the display file.").unit("mm"),
+        Param::float("lens_pitch_mm", 0.0, 0.0..=1000.0, "Measured distance between lens axes; 0 uses the value of the display file.").unit("mm"),
         Param::float(
             "lens_focal_mm",
             0.0,

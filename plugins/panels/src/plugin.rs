@@ -73,7 +73,7 @@ impl OutputPlugin for Panels {
                 "outputs",
                 [
                     ("outputs", "One surface per output."),
-                    ("span", "One surface across all outputs, so that all layers flip together."),
+                    ("span", "One surface across all outputs, so that all layers change their frames together."),
                     (
                         "window",
                         "An ordinary window with a preview of the display; the mouse moves the viewer.",
@@ -121,7 +121,7 @@ impl OutputPlugin for Panels {
                 "layer",
                 -1,
                 -1..=1 << 10,
-                "Layer that shows the picture; 0 is the rearmost, -1 the one nearest to the display plane.",
+                "Layer that shows the picture; 0 is the rearmost layer, -1 the layer nearest to the display plane.",
             )
             .unit("1"),
             Param::bool("log", false, "Include the time of every submission in reports."),

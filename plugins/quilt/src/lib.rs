@@ -145,7 +145,7 @@ impl OutputPlugin for Quilt {
                 "aspect",
                 0.0,
                 0.0..=10.0,
-                "Width over height of one view on the screen, independent of its tile. 0 uses the aspect of the calibration's screen. Without a calibration it uses the device's, and without a device the views'.",
+                "Width over height of one view on the screen, independent of its tile. 0 uses the aspect of the calibration's screen; without a calibration the aspect of the device; without a device the aspect of the views.",
             )
             .unit("1"),
             Param::choice(
@@ -162,7 +162,7 @@ impl OutputPlugin for Quilt {
                 "view_row",
                 -1,
                 -1..=9999,
-                "Row of views to use. 0 is the topmost row and -1 the central one; of two central rows the upper one.",
+                "Row of views to use. 0 is the topmost row and -1 the central row; of two central rows the upper row is used.",
             )
             .unit("rows"),
             Param::choice(

@@ -121,7 +121,7 @@ impl OutputPlugin for Transparencies {
                 "dpi",
                 0,
                 0..=4800,
-                "Resolution of the pictures in the file, by nearest pixels. 0 keeps the masks' resolution, for printers that enlarge pictures without smoothing, as the file requests.",
+                "Resolution of the pictures in the file; every pixel has the value of the nearest mask pixel. 0 keeps the masks' resolution: the file then requests that the printer enlarges pictures without smoothing.",
             )
             .unit("dots/inch"),
             Param::text(
@@ -138,7 +138,7 @@ impl OutputPlugin for Transparencies {
             .unit("1"),
             Param::bool("mirror", false, "Mirror films left to right, for films whose printed side faces away from the viewer."),
             Param::float("border_mm", 12.0, 8.0..=100.0, "Width of the border around the masks, which contains the registration marks.").unit("mm"),
-            Param::float("film_mm", 0.1, 0.0..=10.0, "Thickness of a film, subtracted from the spacers.").unit("mm"),
+            Param::float("film_mm", 0.1, 0.0..=10.0, "Thickness of a film, which is subtracted from the thickness of the spacers.").unit("mm"),
             Param::float(
                 "spacer_index",
                 1.0,

@@ -75,13 +75,13 @@ impl OutputPlugin for WebSimulator {
             Param::text(
                 "title",
                 "",
-                "Title of the page: the scene's name; empty for the display's name. A file's name is converted to words.",
+                "Title of the page, such as the scene's name; empty for the display's name. The name of a file is converted to words.",
             ),
             Param::text("caption", "", "One sentence below the title; empty for a sentence about the display."),
             Param::text(
                 "address",
                 "",
-                "Where the site will be, such as https://example.org/still-life/: previews of links to it show the picture. Many services require it.",
+                "Address at which the site will be, such as https://example.org/still-life/. Previews of links to the site then show its picture; many services require this address.",
             ),
             Param::bool(
                 "target",
@@ -93,7 +93,7 @@ impl OutputPlugin for WebSimulator {
                 "single_file_mb",
                 30.0,
                 1.0..=2000.0,
-                "Largest preview.html; a larger one is left out with a message, since browsers open it slowly.",
+                "Largest size of preview.html. A larger file is left out with a message, since browsers open it slowly.",
             )
             .unit("MB"),
         ])

@@ -26,7 +26,7 @@ const WANTED = "Drop a .glb, a .gltf with its files, a capture (.ply, .spz, .sog
 
 export async function builtIn(name: string): Promise<Input> {
   const scene = SCENES[name];
-  if (!scene) throw new Problem(`There is no scene “${name}” in this page.`, `There are ${Object.keys(SCENES).join(", ")}.`, false);
+  if (!scene) throw new Problem(`There is no scene “${name}” in this page.`, `The scenes are ${Object.keys(SCENES).join(", ")}.`, false);
   const files = scene.files.map(async (file): Promise<[string, Blob]> => {
     const response = await fetch(new URL(`scenes/${name}/${file}`, import.meta.url));
     if (!response.ok) throw new Problem(`scenes/${name}/${file} could not be fetched: the server answers ${response.status}.`, "Check that the folder scenes is in the same folder as this page.", false);

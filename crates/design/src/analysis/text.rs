@@ -100,7 +100,7 @@ impl Analysis {
             "views outside of the zone are not constrained"
         };
         format!(
-            "{h}° × {v}°, {} × {} views {step:.2}° apart; from {} mm on the whole display is seen; at {} mm, from an area of {width} × {height} mm; {:.1} views between \
+            "{h}° × {v}°, {} × {} views {step:.2}° apart; the whole display is seen from {} mm on, and at {} mm from an area of {width} × {height} mm; {:.1} views between \
              two eyes; {beside}",
             zone.views[0],
             zone.views[1],

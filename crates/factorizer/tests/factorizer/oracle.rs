@@ -15,8 +15,8 @@ struct Entry {
     at: usize,
     /// Weight of the stored value in the value that the ray reads.
     share: f64,
-    /// Weight in the bound of the curvature. It is `share` times the sum of the shares of all
-    /// stored values that form the hit pixel.
+    /// Weight in the bound of the curvature. It is `share` times a sum. The sum is over the weights
+    /// with which stored values are mixed into the hit pixel.
     bound: f64,
 }
 

@@ -230,7 +230,7 @@ fn scenes_with_nothing_to_see() {
     let (result, warnings) = load(&flat.glb());
     assert_eq!(
         result.unwrap_err().to_string(),
-        format!("test.gltf: /scenes/0: {nothing}: the one triangle has no area")
+        format!("test.gltf: /scenes/0: {nothing}: the only triangle has no area")
     );
     assert_eq!(warnings, ["test.gltf: /meshes/0/primitives/0: triangles without area: 1 of 1; they are left out"]);
 }

@@ -532,7 +532,7 @@ fn scenes_that_list_children_are_shown() {
     let alone =
         format!("/scenes/0/nodes/0: {child}, which the scene does not show; the child is shown without this parent");
     assert_eq!(corner(&under(json!([0]))), (vec![0.0], vec![alone]));
-    let again = "/scenes/0/nodes/1: expected every node once, found node 1 again; it is shown once";
+    let again = "/scenes/0/nodes/1: expected every node once, found node 1 again; the node is shown once";
     assert_eq!(corner(&under(json!([1, 1]))), (vec![3.0], vec![again.into()]));
     // a node with two parents keeps the first
     let mut b = under(json!([1, 2]));
@@ -550,9 +550,9 @@ fn scenes_that_list_children_are_shown() {
 fn strides_where_none_belong_are_said() {
     for (bytes, stride, expected) in [
         (&[0u8, 0, 1, 0, 2, 0][..], 2, None),
-        (&[0, 0, 9, 9, 1, 0, 9, 9, 2, 0], 4, Some("found 4; /accessors/1 is read with it")),
-        (&[0, 0, 1, 0, 2, 0], 12, Some("found 12; /accessors/1 is read without one")),
-        (&[0, 0, 1, 0, 2, 0], 1, Some("found 1; /accessors/1 is read without one")),
+        (&[0, 0, 9, 9, 1, 0, 9, 9, 2, 0], 4, Some("found 4; /accessors/1 is read with this stride")),
+        (&[0, 0, 1, 0, 2, 0], 12, Some("found 12; /accessors/1 is read without a stride")),
+        (&[0, 0, 1, 0, 2, 0], 1, Some("found 1; /accessors/1 is read without a stride")),
     ] {
         let mut b = Builder::triangle();
         let indices = b.accessor(U16, "SCALAR", 3, bytes);

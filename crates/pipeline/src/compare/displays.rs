@@ -51,6 +51,9 @@ pub struct DisplaysComparison {
 /// # Errors
 /// If the run has no nodes or no target, or files cannot be read or written.
 pub fn compare_displays(run: &Path, out: Option<&Path>, task: Task<'_>) -> Result<DisplaysComparison, PipelineError> {
+    if run.is_dir() && !run.join("job.toml").exists() {
+        return Err(PipelineError::value(run, "folder", "a run, with job.toml in it", "no job.toml in it"));
+    }
     let job = Job::load(&run.join("job.toml"))?;
     if job.nodes.is_empty() {
         let expected = "the run of a job with `[[nodes]]`, or a second run or photograph to compare with";

@@ -67,7 +67,7 @@ impl SequenceJob {
                 return fail("sequence.times", "1 to 9999", times.to_string());
             }
             None if !has_light_field => {
-                let expected = "the number of time steps, which only a folder of light fields determines";
+                let expected = "the number of time steps (`--times`), since the input is not a folder of light fields";
                 return fail("sequence.times", expected, "nothing".into());
             }
             _ => {}
@@ -78,7 +78,7 @@ impl SequenceJob {
         }
         if self.duration_s != 0.0 && has_light_field {
             let expected = "`duration_s` for a scene or a source only";
-            return fail("sequence", expected, "it with light fields".into());
+            return fail("sequence", expected, "`duration_s` with light fields".into());
         }
         // Check ranges. The types allow any number, also NaN.
         if self.chunk_times == Some(0) {

@@ -279,7 +279,7 @@ pub(crate) fn denoised(
             &path,
             "content",
             "the scores that were just written",
-            "others or none; another program changes this folder",
+            "other scores, or none; another program changes this folder",
         )
     };
     let mut figures = read_figures(&folder).ok_or_else(missing)?;

@@ -131,7 +131,7 @@ pub(crate) fn on_device<T>(
 pub(crate) fn check(device: &str) -> Result<(), PipelineError> {
     let is_gpu = device == "gpu" || device.strip_prefix("gpu:").is_some_and(|name| !name.is_empty());
     if is_gpu && !cfg!(feature = "gpu") {
-        let expected = "`auto` or `cpu`: this program is built without the feature `gpu`";
+        let expected = "`auto` or `cpu`, since this program is built without the feature `gpu`";
         return Err(PipelineError::job("factorize.device", expected, format!("`{device}`")));
     }
     if is_gpu || device == "auto" || device == "cpu" {

@@ -276,7 +276,12 @@ fn load_gltf(
 fn load_usd(path: &Path, pose: &PoseJob, task: Task<'_>) -> Result<Read, PipelineError> {
     let PoseJob { time_s, animation, variant, variants, .. } = pose.clone();
     if let Some(animation) = animation {
-        return Err(PipelineError::value(path, "pose.animation", "none, since USD has one timeline", animation));
+        return Err(PipelineError::value(
+            path,
+            "pose.animation",
+            "no value, since a USD stage has only one timeline",
+            animation,
+        ));
     }
     if let Some(variant) = variant {
         let expected = "`pose.variants`, a list of `set=variant` or `/prim{set=variant}`";

@@ -63,7 +63,7 @@ impl Owner {
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child = command.spawn().map_err(|error| {
-            Stopped::Died(format!("the process for it cannot be started: {}: {error}", program.display()))
+            Stopped::Died(format!("cannot start a process for this library: {}: {error}", program.display()))
         })?;
         let (input, output, errors) = (child.stdin.take(), child.stdout.take(), child.stderr.take());
         let (Some(mut input), Some(mut output), Some(errors)) = (input, output, errors) else {

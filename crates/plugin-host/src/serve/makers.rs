@@ -236,7 +236,10 @@ unsafe extern "C" fn field_view(
         let what = || format!("view {view_y}, {view_x}");
         let [views_y, views_x, rows, cols, channels] = field.radiance().shape();
         if view_y >= views_y || view_x >= views_x {
-            return Err(PluginError::Refused(format!("{}: expected a view below {views_y}, {views_x}", what())));
+            return Err(PluginError::Refused(format!(
+                "{}: expected a view row below {views_y} and a view column below {views_x}",
+                what()
+            )));
         }
         // SAFETY: the plugin lends the plane for the call.
         let values = unsafe { values_of(plane, [rows, cols, channels], f32::MAX, &what)? };

@@ -364,8 +364,8 @@ fn a_program_that_cannot_be_started_is_named() {
     };
     let nothing = lumistack_plugin_host::Launcher { program: "/no/such/program".into(), args: Vec::new() };
     let error = load(Some(nothing));
-    assert!(error.contains("the process for it cannot be started: /no/such/program: "), "{error}");
-    assert!(load(None).contains("the process for it cannot be started: no launcher is set"));
+    assert!(error.contains("cannot start a process for this library: /no/such/program: "), "{error}");
+    assert!(load(None).contains("cannot start a process for this library: the program has set no launcher"));
     // Use a launcher whose program does not run plugins.
     let other = lumistack_plugin_host::Launcher { program: "echo".into(), args: Vec::new() };
     let error = load(Some(other));

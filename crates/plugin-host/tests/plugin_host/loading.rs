@@ -56,10 +56,10 @@ fn elf_header(machine: u16) -> Vec<u8> {
 fn files_that_are_no_libraries_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let at = |id: &str, bytes: &[u8]| failure(&write(folder.path(), id, bytes));
-    assert_eq!(at("text", b"#!/bin/sh\necho no\n"), "expected a shared library, found a file of another kind");
-    assert_eq!(at("empty", b""), "expected a shared library, found a file of another kind");
+    assert_eq!(at("text", b"#!/bin/sh\necho no\n"), "expected a shared library, found a file that is not a library");
+    assert_eq!(at("empty", b""), "expected a shared library, found a file that is not a library");
     let damaged = at("damaged", b"\x7fELF\x02\x01\x01 cut off here");
-    assert!(damaged.starts_with("expected a shared library, found a damaged one: "), "{damaged}");
+    assert!(damaged.starts_with("expected a shared library, found a damaged library: "), "{damaged}");
     fs::create_dir(folder.path().join(file_name("folder"))).unwrap();
     let registry = load(&[folder.path()]);
     let texts: Vec<String> = registry.failed().iter().map(ToString::to_string).collect();
@@ -94,7 +94,10 @@ fn libraries_for_other_machines_are_recognized() {
     // A program is no library, even if it is for this machine.
     let program = folder.path().join(file_name("program"));
     compile(&["-no-pie", "-o"], &program, "int main(void) { return 0; }");
-    assert_eq!(failure(&program), "expected a shared library, found a file of another kind (executable)");
+    assert_eq!(
+        failure(&program),
+        "expected a shared library, found an object file that is not a shared library (executable)"
+    );
 }
 
 #[test]

@@ -99,7 +99,7 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         };
         let (all, centre, outer) = (sum(None), sum(Some(false)), sum(Some(true)));
         let mut text = format!(
-            "{what} are {} of the central view's rays, with {} of its squared error. In the leftmost and rightmost views they are {}, with {}. ",
+            "{what} are {} of the central view's rays, and have {} of its squared error. In the leftmost and rightmost views, such rays are {} of all rays, and have {} of the squared error. ",
             format::percent(centre.share_of_rays()),
             format::percent(centre.share_of_error()),
             format::percent(outer.share_of_rays()),
@@ -107,9 +107,9 @@ pub(super) fn depth_limits(input: &ReportInput, task: Task) -> Result<Vec<Limit>
         );
         text += &if all.gain() > 0.0 {
             let gain = format::decibels_fine(all.gain());
-            format!("If they were as good as all other rays, these three views would be {gain} dB better.")
+            format!("If such rays were as good as all other rays, these three views would be {gain} dB better.")
         } else {
-            "They are no worse than other rays.".into()
+            "Such rays are no worse than other rays.".into()
         };
         let figures = json!({
             "share_of_rays_middle": centre.share_of_rays(),

@@ -23,7 +23,7 @@ pub(super) fn section(budget: &DepthBudget) -> Result<Markup, ReportError> {
                     @match &of_field {
                         Some([low, high]) => {
                             "The display can show the finest detail of its pixels from " (low) " to " (high) " mm (positive is towards the viewer). "
-                            strong { (format::percent(budget.inside)) } " of the hits in all views are there, and " (format::percent(budget.inside_middle)) " of the hits in the central view. "
+                            strong { (format::percent(budget.inside)) } " of the hits in all views are in this range, and " (format::percent(budget.inside_middle)) " of the hits in the central view. "
                         }
                         None => "The display shows the finest detail of the light field's pixels at no depth. ",
                     }

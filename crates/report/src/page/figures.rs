@@ -258,7 +258,7 @@ pub(super) fn limits(input: &ReportInput, found: &Found) -> Markup {
         section id="limits" {
             h2 { "Limits of the result" }
             p {
-                "Measured on this layer stack, without solving again. Each line has the gain of the PSNR if one effect were absent and all else unchanged; the largest is first. Effects overlap, so the "
+                "Measured on this layer stack, without solving again. Each line has the gain of the PSNR if one effect were absent and all else unchanged; the largest gain is first. Effects overlap, so the "
                 "gains do not add up. Effects that need another simulation are measured only at the central view and the corners."
             }
             ol class="limits" {
@@ -289,7 +289,7 @@ pub(super) fn convergence(input: &ReportInput) -> Result<Markup, ReportError> {
                 None => p class="quiet" { "There is no history of the solver: another source or an earlier run made the layer stack." },
                 Some(last) => p {
                     "After " (format::counted(last.iteration as usize, "iteration")) " and " (format::duration(last.seconds)) ": " (format::decibels(last.psnr_view)) " dB. "
-                    "A curve that still rises at its right end needs more iterations; a flat one is at the limit of its layers, frames and brightness."
+                    "A curve that still rises at its right end needs more iterations; a flat curve has reached the limit of the layers, frames and brightness."
                 },
             }
             @if let Some(solution) = input.solution { p { (solved_by(solution)) } }

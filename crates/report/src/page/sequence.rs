@@ -111,7 +111,7 @@ fn plots(times: &[SequenceTime], id: &str) -> Result<Markup, ReportError> {
             p {
                 "Left: the PSNR of every time step. The first time step has no warm start. If the curve falls after it, more iterations at later time steps help."
                 @if flicker.is_some() {
-                    " Next: flicker, the unwanted change. It is the rms over all rays and channels of the change of the error L̃/β − L since the previous time step, in dB below full "
+                    " Next: flicker, the unwanted change. Flicker is the rms, over all rays and channels, of the change of the error L̃/β − L since the previous time step, in dB below full "
                     "brightness, so higher means less flicker. A constant error does not flicker. If errors of time steps are independent, flicker is 3 dB below the PSNR."
                 }
                 @if still.is_some() && !same {
@@ -146,7 +146,7 @@ fn table(times: &[SequenceTime], id: &str) -> Markup {
         section id=(id) {
             h2 { "Every time step" }
             p {
-                "A \"warm\" start uses the patterns of the previous time step. If a fresh start is better after an iteration, as after a cut, it is used instead. "
+                "A \"warm\" start uses the patterns of the previous time step. If a fresh start is better after an iteration, as after a cut, the fresh start is used instead. "
                 "\"start, dB\" is the PSNR before the first iteration."
             }
             details open[times.len() <= 60] {

@@ -60,7 +60,7 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
         section {
             h2 { "Look around" }
             p {
-                "Move the pointer across either picture, as your eye would move in front of the display (or focus it and use the arrow keys). Moving right, things in front of the display's plane shift to the "
+                "Move the pointer across either picture, as your eye would move in front of the display (or focus a picture and use the arrow keys). Moving right, things in front of the display's plane shift to the "
                 "left and things behind it to the right, in both pictures alike."
             }
             div id="look" tabindex="0" data-across=(sheets.across.join("|")) data-up=(sheets.up.join("|")) {
@@ -92,7 +92,7 @@ pub(super) fn comparisons(input: &ReportInput, measured: &Measured) -> Markup {
             h2 { "Views side by side" }
             p {
                 "Corner views are the hardest: their rays are the most oblique, so things far from the display blur or double there first. Seen pictures, averaged over the area of every pixel, come from directions of the zone that were not targets of the optimization; ghosts and noise that "
-                "only they show mean that the target's views are too far apart. Views outside the outermost ones are not constrained, so the picture may break up there."
+                "only seen pictures show mean that the target's views are too far apart. Views outside the outermost ones are not constrained, so the picture may break up there."
                 @if !one_view { (missing) }
                 (shrunk_note(measured.rows_shrunk))
             }

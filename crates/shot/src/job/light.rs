@@ -20,8 +20,8 @@ pub struct LightJob {
     pub environment: Option<PathBuf>,
     /// Factor on the environment's radiance.
     pub environment_strength: f32,
-    /// Rotation of the environment about the scene's up axis, degrees. A positive angle moves the
-    /// part of the environment that is straight ahead to the left.
+    /// Rotation of the environment about the scene's up axis, degrees. A positive angle turns the
+    /// environment to the left, as seen by a viewer who looks straight ahead.
     pub environment_rotation_deg: f64,
     /// Background where a ray misses every surface; it does not light surfaces.
     pub background: Background,
@@ -31,7 +31,7 @@ pub struct LightJob {
     /// dark.
     pub automatic: bool,
     /// Show the scene file's light sources that have a surface. Without this key the scene file
-    /// decides. If it does not, they are invisible.
+    /// decides. If the file does not decide, these light sources are invisible.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub visible: Option<bool>,
     /// Exposure in stops. It is added to the automatic exposure, or applied to scene radiance if

@@ -187,8 +187,8 @@ pub enum AngularFilter {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Denoise {
-    /// [`Shared`](Self::Shared) if the display chooses the views and Lumistack's path tracer
-    /// renders them, otherwise [`Off`](Self::Off).
+    /// [`Shared`](Self::Shared) if the number of views is automatic and Lumistack's path tracer
+    /// renders the views, otherwise [`Off`](Self::Off).
     #[default]
     Auto,
     /// No filter: views are unbiased.

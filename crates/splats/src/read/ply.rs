@@ -112,7 +112,8 @@ impl<'a> Element<'a> {
     fn column(&self, name: &str) -> Result<Column<'a>, ReadError> {
         self.find(name).ok_or_else(|| {
             let names: Vec<&str> = self.properties.iter().map(|property| property.name.as_str()).take(20).collect();
-            let expected = format!("a property {name}, which every .ply of splats has, but no mesh or point cloud");
+            let expected =
+                format!("a property {name}, which every .ply of splats has (a mesh or a point cloud lacks it)");
             ReadError::new(format!("element {}", self.name), expected, names.join(" "))
         })
     }

@@ -474,7 +474,7 @@ impl App<'_> {
             let (_, name, _) = &self.windows[running.shared.blocked_screen.load(Ordering::Relaxed)];
             let what = if running.mode == Mode::Span { "the surface across all outputs" } else { name };
             (self.emit)(Event::Warning(format!(
-                "{what}: no refresh for {} s (output asleep, or showing another workspace?); all panels wait for it",
+                "{what}: no refresh for {} s (output asleep, or showing another workspace?); all panels wait for this output",
                 STALL_TIMEOUT.as_secs()
             )));
         }

@@ -39,7 +39,7 @@ pub(crate) fn allowed(candidates: Vec<Candidate>, search: &SearchJob) -> Result<
     };
     let least = |value: fn(&Design) -> f64| candidates.iter().map(|c| value(&c.design)).fold(f64::INFINITY, f64::min);
     let found = format!(
-        "designs with a thickness from {} mm, a refresh rate from {} Hz, a number of panels from {}, and β up to {}",
+        "designs with a thickness of at least {} mm, a refresh rate of at least {} Hz, at least {} panels, and a β of at most {}",
         least(|d| d.thickness_mm),
         least(|d| d.refresh_hz),
         least(|d| d.panels as f64),

@@ -27,8 +27,8 @@ pub(crate) fn cropped(scene: Scene, pose: &PoseJob, task: Task<'_>) -> Result<Sc
         crop(parts, inside);
         if parts.placed_clouds.is_empty() {
             let key = if corners.is_some() { "pose.crop_box" } else { "pose.crop_sphere" };
-            let found = format!("none of {count}");
-            return Err(PipelineError::job(key, "a crop with splats of the scene inside", found));
+            let found = if count == 0 { "a scene without splats".into() } else { format!("none of {count} splats") };
+            return Err(PipelineError::job(key, "a crop that contains splats of the scene", found));
         }
         Ok(())
     })
@@ -105,7 +105,7 @@ mod tests {
     fn a_crop_without_splats_is_an_error() {
         let crop_sphere = Some([0.0, 5.0, 0.0, 1.0]);
         let error = left(&PoseJob { crop_sphere, ..PoseJob::default() }).unwrap_err();
-        let expected = "pose.crop_sphere: expected a crop with splats of the scene inside, found none of 8";
+        let expected = "pose.crop_sphere: expected a crop that contains splats of the scene, found none of 8 splats";
         assert!(error.contains(expected), "{error}");
     }
 }

@@ -60,9 +60,10 @@ fn chosen(
         Engine::Auto if !is_file => {
             Some("only a job with the .blend file as its scene can be rendered by its own engine".to_owned())
         }
-        Engine::Auto => {
-            contents.unfit.as_ref().map(|reason| format!("the file's own engine cannot render it here ({reason})"))
-        }
+        Engine::Auto => contents
+            .unfit
+            .as_ref()
+            .map(|reason| format!("the file's own engine cannot render on this machine ({reason})")),
     };
     // If there is no reason against the file's own engine, that engine renders. Otherwise our path
     // tracer renders the converted scene, and the lost features are reported.

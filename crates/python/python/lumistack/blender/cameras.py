@@ -169,7 +169,7 @@ def view_camera(window: Window, slope: Sequence[float], distance_mm: float | Non
     shift = (-distance_mm * s_x / width, -distance_mm * s_y / width)
     if max(map(abs, shift)) > MOST_SHIFT:
         found = f"{max(map(abs, shift)):.1f}: the view is too far to the side of a window of {width:.0f} mm"
-        raise WindowError(f"shift: expected at most {MOST_SHIFT:.0f} widths of the picture, as Blender's cameras have, found {found}")
+        raise WindowError(f"shift: expected at most {MOST_SHIFT:.0f} widths of the picture, the most that Blender's cameras support, found {found}")
     lens = SENSOR_MM * distance_mm / width
     if lens < 1.0:
         raise WindowError(f"distance_mm: expected at least {width / SENSOR_MM:.1f} for a window of {width:.0f} mm, found {distance_mm:.1f}")

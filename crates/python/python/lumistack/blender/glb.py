@@ -31,7 +31,7 @@ class Glb:
     def read(cls, path: str | Path) -> Glb:
         data = Path(path).read_bytes()
         if len(data) < 20 or struct.unpack_from("<I", data)[0] != _MAGIC:
-            raise ValueError(f"{path}: expected a .glb file, found something else")
+            raise ValueError(f"{path}: expected a .glb file, found a file of another kind")
         chunks: dict[int, bytes] = {}
         at = 12
         while at + 8 <= len(data):

@@ -347,7 +347,7 @@ class Engine:
         """Returns the reason why a worker cannot be used, given its description; None if it can be used."""
         about = _json(text) or {}
         if "code" not in about:
-            return f"lumistack does not start there: {about.get('error')}"
+            return f"lumistack does not start on this worker: {about.get('error')}"
         if about["code"] != self.code:
             theirs, ours = f"{about.get('version')} ({about['code']})", f"{self.version} ({self.code})"
             return f"it has lumistack {theirs}, but the run was planned by {ours}; install the same build"
@@ -502,8 +502,9 @@ class Engine:
         told = []
         for message, units in causes.items():
             others = f" and {len(units) - 1} more" if len(units) > 1 else ""
-            told.append(f"unit {units[0]}{others} failed {MOST_FAILURES} times: {message}")
-        waits = f"; units that depend on it were not started: {len(outcome.left)}" if outcome.left else ""
+            often = f"failed {MOST_FAILURES} times" if self.failures.get(units[0], 0) >= MOST_FAILURES else "given up"
+            told.append(f"unit {units[0]}{others} {often}: {message}")
+        waits = f"; units that depend on failed units were not started: {len(outcome.left)}" if outcome.left else ""
         raise FarmError(f"{'; '.join(told)}{waits}; {kept}")
 
 
