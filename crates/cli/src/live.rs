@@ -100,8 +100,8 @@ pub(crate) struct Live {
     /// --head-mm
     #[arg(long, requires = "show", conflicts_with = "opentrack", help_heading = "Viewers")]
     pub(crate) mouse: bool,
-    /// Standard deviation of the Gaussian weight around each tracked head, millimetres. The solver
-    /// gives the rays near a head the largest weights
+    /// Uncertainty of the predicted position of an eye (standard deviation), millimetres. Patterns
+    /// are solved for two points at this distance from each eye, to its left and right
     #[arg(long, value_name = "MM", default_value_t = lumistack_live::SIGMA_MM, help_heading = "Viewers")]
     pub(crate) sigma_mm: f64,
     #[command(flatten)]
@@ -323,7 +323,7 @@ fn show(
     let (send, input) = sync_channel(1);
     let stop = Cancel::default();
     let see = |head_mm| {
-        if let Err(error) = shared.requests.see(&[head_mm]) {
+        if let Err(error) = shared.requests.see(&[head_mm], lumistack_live::Eyes::Picture) {
             task.warn("--mouse", error.to_string());
         }
     };

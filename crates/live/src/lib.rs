@@ -8,11 +8,12 @@
 //! A [`Mailbox`] holds only the newest value, so no thread works on an old value, and values do not
 //! accumulate. A [`State`] is numbered and complete, and never changes. A [`Solver`] starts from
 //! the previous patterns or, if this gives a smaller error, from patterns that are moved with the
-//! content ([`motion`]). A [`Tracker`] converts positions of viewers to weights. A [`Player`]
-//! schedules the time steps of a video.
+//! content ([`motion`]). A [`Tracker`] predicts where viewers will be, and [`Rays`] are the rays to
+//! their eyes. A [`Player`] schedules the time steps of a video.
 //!
 //! The crate reads no clock and no file: times are arguments.
 
+mod eyes;
 mod mailbox;
 pub mod motion;
 mod solver;
@@ -23,8 +24,9 @@ mod video;
 #[cfg(test)]
 mod tests;
 
+pub use eyes::{EyeViews, Rays, RaysError, SIGMA_MM};
 pub use mailbox::Mailbox;
 pub use solver::{Solved, Solver, Start};
 pub use state::{State, Target};
-pub use track::{Boxes, FADE, FLOOR, HeadError, SIGMA_MM, SILENCE, Tracker, head_of_packet};
+pub use track::{Boxes, Eyes, FADE, FLOOR, HeadError, SILENCE, Tracker, head_of_packet};
 pub use video::{Due, Player};

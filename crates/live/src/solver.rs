@@ -12,11 +12,12 @@
 use std::sync::Arc;
 
 use lumistack_core::Task;
-use lumistack_display::{LayerStack, Region, Tile, TilePart, Tiling, Weights};
+use lumistack_display::{LayerStack, Region, Tile, TilePart, Tiling};
 use lumistack_factorizer::device::Executor;
 use lumistack_factorizer::{AUTO, FactorizeError, Problem, Settings, factorize_on, factorize_tile, warm_start_pays};
 
 use crate::Target;
+use crate::eyes::Rays;
 use crate::motion::{Flow, Planes, moved};
 
 /// The solver of a warm start if the settings have the solver `auto`. It does not extrapolate,
@@ -56,8 +57,8 @@ pub enum Start {
 pub struct Solved {
     /// The patterns as a layer stack.
     pub stack: LayerStack,
-    /// PSNR in dB of the emitted light field L̃/β against the target L, over all rays with a weight
-    /// above 0.
+    /// PSNR in dB of the emitted light field L̃/β against the target L, over the rays that were
+    /// solved and have a weight above 0.
     pub psnr_view: f64,
     /// The start of the step's iterations.
     pub start: Start,
@@ -89,21 +90,21 @@ impl Solver {
         self.settings = settings;
     }
 
-    /// Executes `updates` iterations towards a target on an executor. The next step starts from the
+    /// Executes `updates` iterations towards a target, along `rays`, on an executor. The next step starts from the
     /// resulting patterns.
     ///
     /// # Errors
-    /// If target, weights and settings do not match, if the executor fails, or when cancelled.
+    /// If target, rays and settings do not match, if the executor fails, or when cancelled.
     /// After an error, the next step starts from the same patterns as this step.
     pub fn step(
         &mut self,
         executor: &dyn Executor,
         target: &Arc<Target>,
-        weights: &Weights,
+        rays: &Rays,
         updates: u32,
         task: Task<'_>,
     ) -> Result<Solved, FactorizeError> {
-        let problem = Problem { display: &target.display, target: &target.field, weights };
+        let problem = rays.problem(target);
         let fresh = Settings { iterations: updates, report_every: u32::MAX, ..self.settings.clone() };
         let rule = if fresh.solver == AUTO { WARM_SOLVER.into() } else { fresh.solver.clone() };
         let warm = Settings { solver: rule, ..fresh.clone() };

@@ -4,6 +4,8 @@ use std::sync::Arc;
 
 use lumistack_display::{Display, LayerStack, LightField, Weights};
 
+use crate::track::Boxes;
+
 /// A light field that a display should show.
 #[derive(Clone, Debug)]
 pub struct Target {
@@ -27,10 +29,10 @@ pub struct State {
     pub stack: LayerStack,
     /// The light field for which the patterns were solved.
     pub target: Arc<Target>,
-    /// Weights with which the patterns were solved.
-    pub weights: Arc<Weights>,
-    /// PSNR in dB of the emitted light field L̃/β against the target L, over all rays with a weight
-    /// above 0.
+    /// The viewers for whom the patterns were solved.
+    pub boxes: Boxes,
+    /// PSNR in dB of the emitted light field L̃/β against the target L, over the rays that were
+    /// solved and have a weight above 0.
     pub psnr_view: f64,
     /// Number of iterations since the content changed.
     pub updates: u32,

@@ -1,5 +1,5 @@
-//! Tracked viewers: positions of their eyes, predicted positions, and weights of rays that follow
-//! the viewers.
+//! Tracked viewers: positions of their heads, predicted positions, and weights of rays near the
+//! viewers, which fade out when the tracker is silent.
 //!
 //! ```text
 //! eye(t) = eye + velocity · (t − seen + latency)
@@ -31,14 +31,26 @@ const VELOCITY_TIME: Duration = Duration::from_millis(100);
 const JUMP_MM: f64 = 300.0;
 /// Weight of rays far from all viewers while viewers are tracked.
 pub const FLOOR: f64 = 0.002;
-/// Default standard deviation σ of a viewer's weight, mm. A viewer's eyes are some 32 mm away from
-/// the midpoint between them, so the rays to the eyes have large weights.
-pub const SIGMA_MM: f64 = 40.0;
+/// Standard deviation σ of a viewer's weight, mm. A viewer's eyes are some 32 mm away from the
+/// midpoint between them, so the rays to the eyes have large weights.
+const WEIGHT_MM: f64 = 40.0;
+
+/// The eyes of tracked viewers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Eyes {
+    /// Every viewer has two eyes.
+    #[default]
+    Two,
+    /// The viewer looks at a picture of the display in a page or window, from the position of the
+    /// head. The picture has the projection of the light field.
+    Picture,
+}
 
 /// Positions and velocities of the tracked heads.
 #[derive(Clone, Debug, Default)]
 pub struct Tracker {
     heads: Vec<Head>,
+    eyes: Eyes,
     seen: Option<Duration>,
 }
 
@@ -53,6 +65,8 @@ struct Head {
 pub struct Boxes {
     /// For each viewer, the point midway between the eyes, display space, mm.
     pub heads_mm: Vec<[f64; 3]>,
+    /// The viewers' eyes.
+    pub eyes: Eyes,
     /// Weight of the whole zone, 0..1.
     pub zone: f64,
 }
@@ -73,7 +87,7 @@ impl Tracker {
     ///
     /// # Errors
     /// If a position is not finite or not in front of the display.
-    pub fn see(&mut self, heads_mm: &[[f64; 3]], now: Duration) -> Result<(), HeadError> {
+    pub fn see(&mut self, heads_mm: &[[f64; 3]], eyes: Eyes, now: Duration) -> Result<(), HeadError> {
         if let Some(found) = heads_mm.iter().find(|at| !(at.iter().all(|v| v.is_finite()) && at[2] > 0.0)) {
             let expected = "three finite numbers [x, y, z] in millimetres, z > 0 in front of the display";
             return Err(HeadError { expected, found: format!("{found:?}") });
@@ -84,6 +98,7 @@ impl Tracker {
             Head { at_mm, velocity_mm_s: before.map_or([0.0; 3], |before| before.velocity_to(at_mm, passed)) }
         });
         self.heads = heads.collect();
+        self.eyes = eyes;
         self.seen = (!self.heads.is_empty()).then_some(now).or(self.seen);
         Ok(())
     }
@@ -92,7 +107,7 @@ impl Tracker {
     /// without a report, `zone` grows from 0 to 1 within [`FADE`]. Then, or without viewers, the
     /// result has no positions and `zone` is 1.
     pub fn boxes(&self, now: Duration, latency: Duration) -> Boxes {
-        let Some(seen) = self.seen else { return Boxes { heads_mm: Vec::new(), zone: 1.0 } };
+        let Some(seen) = self.seen else { return Boxes::default() };
         let silent = now.saturating_sub(seen);
         let zone = (silent.saturating_sub(SILENCE).as_secs_f64() / FADE.as_secs_f64()).min(1.0);
         let ahead = (silent + latency).min(MOST_AHEAD).as_secs_f64();
@@ -102,9 +117,9 @@ impl Tracker {
             [x, y, z.max(0.5 * head.at_mm[2])]
         };
         if zone == 1.0 || self.heads.is_empty() {
-            return Boxes { heads_mm: Vec::new(), zone: 1.0 };
+            return Boxes::default();
         }
-        Boxes { heads_mm: self.heads.iter().map(at).collect(), zone }
+        Boxes { heads_mm: self.heads.iter().map(at).collect(), eyes: self.eyes, zone }
     }
 }
 
@@ -127,25 +142,34 @@ impl Head {
     }
 }
 
+impl Default for Boxes {
+    /// No viewers: the whole zone.
+    fn default() -> Self {
+        Self { heads_mm: Vec::new(), eyes: Eyes::Two, zone: 1.0 }
+    }
+}
+
 impl Boxes {
-    /// Returns the weights of a light field's rays. `whole` are the weights for the whole zone.
+    /// Returns weights of a light field's rays: large near the viewers. `whole` are the weights for
+    /// the whole zone.
     ///
     /// # Errors
     /// If the geometry is invalid.
-    pub fn weights(&self, geometry: &FieldGeometry, whole: &Weights, sigma_mm: f64) -> Result<Weights, WeightError> {
+    pub fn weights(&self, geometry: &FieldGeometry, whole: &Weights) -> Result<Weights, WeightError> {
         if self.zone >= 1.0 {
             return Ok(whole.clone());
         }
-        let boxes = self.heads_mm.iter().map(|&eye_mm| EyeBox { eye_mm, sigma_mm, weight: 1.0 - self.zone });
+        let boxes = self.heads_mm.iter().map(|&eye_mm| EyeBox { eye_mm, sigma_mm: WEIGHT_MM, weight: 1.0 - self.zone });
         let floor = self.zone + (1.0 - self.zone) * FLOOR;
         Weights::eye_boxes(geometry, &boxes.collect::<Vec<_>>(), floor as f32)
     }
 
-    /// Returns true if the weights of `other` can be used instead of the weights of `self`. This is
+    /// Returns true if the rays of `other` can be used instead of the rays of `self`. This is
     /// so if every viewer's position differs by at most `tolerance_mm` along each axis.
     pub fn is_like(&self, other: &Self, tolerance_mm: f64) -> bool {
         let close = |(a, b): (&[f64; 3], &[f64; 3])| (0..3).all(|i| (a[i] - b[i]).abs() <= tolerance_mm);
         self.zone == other.zone
+            && self.eyes == other.eyes
             && self.heads_mm.len() == other.heads_mm.len()
             && self.heads_mm.iter().zip(&other.heads_mm).all(close)
     }

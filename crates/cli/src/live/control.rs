@@ -4,7 +4,7 @@ use std::io::BufRead;
 use std::net::UdpSocket;
 
 use lumistack_core::Task;
-use lumistack_live::head_of_packet;
+use lumistack_live::{Eyes, head_of_packet};
 use serde_json::{Map, Value, json};
 
 use super::requests::Requests;
@@ -63,7 +63,7 @@ fn carry_out(line: &str, requests: &Requests) -> Result<(), String> {
     for command in commands_of(line)? {
         match command {
             Command::Set(keys) => requests.set(&keys).map_err(|error| error.to_string())?,
-            Command::Viewers(heads_mm) => requests.see(&heads_mm).map_err(|error| error.to_string())?,
+            Command::Viewers(heads_mm) => requests.see(&heads_mm, Eyes::Two).map_err(|error| error.to_string())?,
             Command::Reload => requests.reload(),
             Command::Stop => requests.stop(),
             Command::StopAtEnd => requests.stop_at_end(),
@@ -108,7 +108,7 @@ pub(super) fn read_packets(socket: &UdpSocket, centre_mm: [f64; 3], requests: &R
     while !(requests.is_stopped() || task.cancel.is_cancelled()) {
         // The socket has a timeout, so that the loop notices when the display stops.
         let Ok(length) = socket.recv(&mut packet) else { continue };
-        let seen = head_of_packet(&packet[..length], centre_mm).and_then(|head_mm| requests.see(&[head_mm]));
+        let seen = head_of_packet(&packet[..length], centre_mm).and_then(|head_mm| requests.see(&[head_mm], Eyes::Two));
         if let Err(error) = seen {
             task.warn("--opentrack", error.to_string());
         }

@@ -27,7 +27,7 @@ use image::ImageEncoder as _;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use lumistack_core::Task;
 use lumistack_display::LayerStack;
-use lumistack_live::{Mailbox, State};
+use lumistack_live::{Eyes, Mailbox, State};
 use lumistack_pipeline::{OutputData, PipelineError, Registry, write_output};
 use serde_json::{Map, Value, json};
 
@@ -83,7 +83,7 @@ impl<'a> Guest<'a> {
             return false;
         };
         let head = slope.map(|[x, y]| [x * self.distance_mm, y * self.distance_mm, self.distance_mm]);
-        self.requests.see(head.as_slice()).is_ok()
+        self.requests.see(head.as_slice(), Eyes::Picture).is_ok()
     }
 }
 

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use lumistack_core::Cancel;
-use lumistack_live::{Mailbox, Tracker};
+use lumistack_live::{Eyes, Mailbox, Tracker};
 use lumistack_pipeline::{Job, PipelineError};
 use serde_json::Value;
 
@@ -89,8 +89,8 @@ impl Requests {
     }
 
     /// Takes the positions of all viewers.
-    pub(super) fn see(&self, heads_mm: &[[f64; 3]]) -> Result<(), lumistack_live::HeadError> {
-        lock(&self.tracker).see(heads_mm, now())
+    pub(super) fn see(&self, heads_mm: &[[f64; 3]], eyes: Eyes) -> Result<(), lumistack_live::HeadError> {
+        lock(&self.tracker).see(heads_mm, eyes, now())
     }
 
     pub(super) fn tracker(&self) -> Tracker {

@@ -7,8 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
 use lumistack_core::Task;
-use lumistack_display::Weights;
-use lumistack_live::{Boxes, Due, Mailbox, Player, Start, State, Target};
+use lumistack_live::{Boxes, Due, Mailbox, Player, Rays, Start, State, Target};
 use lumistack_pipeline::{Job, LiveFields, LiveSolver, PipelineError, Registry};
 use serde_json::json;
 
@@ -26,7 +25,7 @@ const MOST_UPDATES: u32 = 60;
 /// Longest step of the solver, seconds: a good state that comes late looks worse than a fair state
 /// that comes soon.
 const STEP_S: f64 = 0.3;
-/// Motion of a viewer after which the weights are computed again, mm.
+/// Motion of a viewer after which the rays to the viewer are computed again, mm.
 const TOLERANCE_MM: f64 = 2.0;
 
 /// A light field to solve, and the job, which has the solver's settings.
@@ -223,7 +222,7 @@ pub(super) fn solve(mut solver: LiveSolver, shared: &Shared, task: Task<'_>) -> 
         // Run as many iterations as fit into [`STEP_S`] seconds.
         let affordable = if update_s > 0.0 { (STEP_S / update_s) as u32 } else { 1 };
         let updates = affordable.clamp(1, shared.updates).min(on.left);
-        match solver.step(&target, &on.weights, updates, task) {
+        match solver.step(&target, &on.rays, updates, task) {
             Ok(solved) => {
                 on.left -= updates;
                 on.updates += updates;
@@ -235,7 +234,7 @@ pub(super) fn solve(mut solver: LiveSolver, shared: &Shared, task: Task<'_>) -> 
                 let state = State {
                     stack: solved.stack,
                     target,
-                    weights: on.weights.clone(),
+                    boxes: on.boxes.clone(),
                     psnr_view: solved.psnr_view,
                     updates: on.updates,
                 };
@@ -270,7 +269,7 @@ struct Current {
     number: u64,
     request: Arc<SolveRequest>,
     boxes: Boxes,
-    weights: Arc<Weights>,
+    rays: Rays,
     /// Number of iterations since the content changed. `left` is the number of iterations that the
     /// solver will still spend on the current light field.
     updates: u32,
@@ -281,19 +280,17 @@ impl Current {
     fn new(number: u64, request: Arc<SolveRequest>, before: Option<Self>) -> Self {
         let same = before.filter(|before| before.request.target.content == request.target.content);
         let updates = same.map_or(0, |before| before.updates);
-        let boxes = Boxes { heads_mm: Vec::new(), zone: 1.0 };
-        let weights = Arc::new(request.target.weights.clone());
-        Self { number, request, boxes, weights, updates, left: MOST_UPDATES }
+        let rays = Rays::Views(request.target.weights.clone());
+        Self { number, request, boxes: Boxes::default(), rays, updates, left: MOST_UPDATES }
     }
 
-    /// Computes the weights again if viewers have moved.
+    /// Computes the rays again if viewers have moved.
     fn follow(&mut self, boxes: Boxes, sigma_mm: f64, task: Task<'_>) {
         if boxes.is_like(&self.boxes, TOLERANCE_MM) {
             return;
         }
-        let target = &self.request.target;
-        match boxes.weights(target.field.geometry(), &target.weights, sigma_mm) {
-            Ok(weights) => (self.weights, self.left) = (Arc::new(weights), MOST_UPDATES),
+        match boxes.rays(&self.request.target, sigma_mm) {
+            Ok(rays) => (self.rays, self.left) = (rays, MOST_UPDATES),
             Err(error) => task.warn("viewers", error.to_string()),
         }
         self.boxes = boxes;

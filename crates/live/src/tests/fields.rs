@@ -61,9 +61,17 @@ pub(super) fn view(content: Content, geometry: &FieldGeometry) -> Vec<f32> {
 
 fn picture(content: Content, geometry: &FieldGeometry, view: [usize; 2], moved_mm: f64) -> Vec<f32> {
     let pixels = (0..geometry.rows).flat_map(|row| (0..geometry.cols).map(move |col| [row, col]));
+    // a pixel is the mean over its area, by 3 × 3 rays
+    let side = [-1.0, 0.0, 1.0].map(|step| step * geometry.pitch_mm / 3.0);
     let pixel = |[row, col]: [usize; 2]| {
-        let at = [geometry.x_mm(col), geometry.y_mm(row)];
-        [grey(content, at, geometry.grid.slope_at(view, at), moved_mm) as f32; 3]
+        let rays = side.iter().flat_map(|&dy| side.iter().map(move |&dx| [dx, dy]));
+        let sum: f64 = rays
+            .map(|[dx, dy]| {
+                let at = [geometry.x_mm(col) + dx, geometry.y_mm(row) + dy];
+                grey(content, at, geometry.grid.slope_at(view, at), moved_mm)
+            })
+            .sum();
+        [(sum / 9.0) as f32; 3]
     };
     pixels.flat_map(pixel).collect()
 }

@@ -5,7 +5,7 @@ use lumistack_display::Weights;
 use lumistack_factorizer::{Problem, Processor, Settings, factorize};
 
 use super::fields::{CONTENTS, Content, target, wide};
-use crate::{Solver, Start, Target};
+use crate::{Rays, Solver, Start, Target};
 
 /// Number of iterations per time step, as on a slow machine.
 const WARM: u32 = 5;
@@ -27,11 +27,11 @@ fn chain(content: Content, step_px: f64) -> (f64, Start, Arc<Target>) {
     let task = Task::quiet(&warnings, &cancel);
     let mut solver = Solver::new(Settings::default());
     let target_at = |time: u32| target(&display, content, f64::from(time) * step_px, u64::from(time));
-    solver.step(&Processor, &target_at(0), &Weights::Uniform, FROM_SCRATCH, task).unwrap();
+    solver.step(&Processor, &target_at(0), &Rays::Views(Weights::Uniform), FROM_SCRATCH, task).unwrap();
     let mut last = None;
     for time in 1..=3 {
         let now = target_at(time);
-        let solved = solver.step(&Processor, &now, &Weights::Uniform, WARM, task).unwrap();
+        let solved = solver.step(&Processor, &now, &Rays::Views(Weights::Uniform), WARM, task).unwrap();
         last = Some((solved.psnr_view, solved.start, now));
     }
     last.unwrap()

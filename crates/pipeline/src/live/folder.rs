@@ -57,13 +57,18 @@ impl LiveFolder {
         write_display(&dir.join("display.toml"), &target.display)?;
         lumistack_field_io::write_field(&dir.join("target"), &target.field, &Map::new()).map_err(field_error)?;
         lumistack_field_io::write_stack(&dir.join("layers"), &target.display, &state.stack).map_err(field_error)?;
+        // The report measures the views near the viewers.
+        let weights = state
+            .boxes
+            .weights(target.field.geometry(), &target.weights)
+            .map_err(|error| PipelineError::Factorize(error.into()))?;
         let on = ReportOn {
             title: &job.name,
             display: &target.display,
             stack: &state.stack,
             target: &target.field,
             references: None,
-            weights: &state.weights,
+            weights: &weights,
             // The solver started from patterns of other light fields, so it has no convergence
             // curve.
             solution: None,

@@ -3,8 +3,7 @@
 use std::sync::Arc;
 
 use lumistack_core::Task;
-use lumistack_display::Weights;
-use lumistack_live::{Solved, Solver, Target};
+use lumistack_live::{Rays, Solved, Solver, Target};
 
 use crate::error::{PipelineError, factorize_error};
 use crate::job::Job;
@@ -50,20 +49,20 @@ impl LiveSolver {
         Ok(())
     }
 
-    /// Makes `updates` iterations of the solver towards a target. The resulting patterns are the
+    /// Makes `updates` iterations of the solver towards a target, along `rays`. The resulting patterns are the
     /// start of the next step.
     ///
     /// # Errors
-    /// If target, weights and settings do not match, if a device that the job names fails, or when
+    /// If target, rays and settings do not match, if a device that the job names fails, or when
     /// cancelled. After an error the next step starts from the same patterns as this step.
     pub fn step(
         &mut self,
         target: &Arc<Target>,
-        weights: &Weights,
+        rays: &Rays,
         updates: u32,
         task: Task<'_>,
     ) -> Result<Solved, PipelineError> {
         let Self { solver, site, .. } = self;
-        site.run(task, |site| solver.step(site.executor(), target, weights, updates, task).map_err(factorize_error))
+        site.run(task, |site| solver.step(site.executor(), target, rays, updates, task).map_err(factorize_error))
     }
 }
