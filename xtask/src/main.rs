@@ -18,6 +18,7 @@ mod plugins;
 mod portable;
 mod prose;
 mod python;
+mod pythons;
 mod site;
 mod tools;
 mod usd;
