@@ -10,7 +10,7 @@ use crate::tools::{self, Outcome, command, install, output_of, run};
 pub const OLDEST: (u32, u32) = (3, 11);
 
 /// The tests that run with every version.
-const TESTS: [&str; 5] = ["arrays", "displays", "errors", "pipeline", "threads"];
+const TESTS: [&str; 4] = ["arrays", "displays", "errors", "threads"];
 
 /// A version of Python and the packages of its environment.
 struct Version {
