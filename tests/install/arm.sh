@@ -13,8 +13,9 @@ mkdir other
 installs tar xzf "$other" -C other --strip-components=1
 # unpack the system for ARM: its C library, Python and NumPy; BLAS has folders of its own
 site=$(apt-get indextargets --format '$(SITE)' | grep -v security | head -n 1)
+apt-config dump | grep '^Acquire::' >acquire.conf
 mmdebstrap --quiet --variant=extract --architectures=arm64 --include=base-files,libgcc-s1,python3,python3-numpy \
-    --setup-hook='copy-in /etc/apt/apt.conf.d /etc/apt' stable arm-debian "deb $site stable main"
+    --aptopt="$WORK/acquire.conf" stable arm-debian "deb $site stable main"
 blas=/usr/lib/aarch64-linux-gnu
 for name in lumistack python; do
     case $name in lumistack) program=$WORK/other/bin/lumistack ;; *) program=$WORK/arm-debian/usr/bin/python3 ;; esac

@@ -87,12 +87,16 @@ fn newest() -> Outcome<PathBuf> {
     if output_of(command("mmdebstrap").arg("--version")).is_none() {
         tools::apt(&["mmdebstrap"], "unpack the newest Python")?;
     }
-    // Unpack the packages with the settings of this machine's apt.
+    // Unpack the packages with the settings with which this machine's apt fetches packages.
+    let settings = output_of(command("apt-config").arg("dump")).ok_or("apt-config does not start")?;
+    let settings: Vec<&str> = settings.lines().filter(|line| line.starts_with("Acquire::")).collect();
+    let file = folder.with_extension("conf");
+    std::fs::write(&file, settings.join("\n")).map_err(|error| format!("{}: {error}", file.display()))?;
     println!("\nfetching: the newest Python of Debian, in {} (60 MB, used only for tests)", folder.display());
     let _ = std::fs::remove_dir_all(&folder);
     let mut unpack = command("mmdebstrap");
     unpack.args(["--quiet", "--variant=extract", "--include=base-files,python3"]);
-    unpack.arg("--setup-hook=copy-in /etc/apt/apt.conf.d /etc/apt").arg("unstable").arg(&folder);
+    unpack.arg(format!("--aptopt={}", file.display())).arg("unstable").arg(&folder);
     run(unpack.arg(format!("deb {} unstable main", tools::debian_mirror()?)))?;
     // Replace the link to the program by the script.
     let failed = |error: std::io::Error| format!("{}: {error}", python.display());

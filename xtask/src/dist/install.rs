@@ -94,8 +94,8 @@ fn debian() -> Outcome<PathBuf> {
 const ENTER: &str = "mount -t proc proc \"$1/proc\"; mkdir -p \"$1/dev/shm\" \"$1/dev/pts\"; \
      mount -t tmpfs tmpfs \"$1/dev/shm\"; mount -t devpts devpts \"$1/dev/pts\"; exec chroot \"$@\"";
 
-/// Debian's file of certificates.
-const CERTIFICATES: &str = "/etc/ssl/certs/ca-certificates.crt";
+/// Debian's file of certificates, and its name in the copy, where packages do not replace it.
+const CERTIFICATES: [&str; 2] = ["/etc/ssl/certs/ca-certificates.crt", "/certificates.crt"];
 
 /// Runs a script in a copy of the Debian.
 fn in_debian(base: &Path, way: &str, dist: &Path) -> Outcome {
@@ -108,15 +108,15 @@ fn in_debian(base: &Path, way: &str, dist: &Path) -> Outcome {
     run(command("cp").args(["-r", "--parents", "tests/install"]).args(READ).arg(&repository))?;
     run(command("cp").arg("-L").arg("/etc/resolv.conf").arg(place.join("etc/resolv.conf")))?;
     // a machine behind a proxy has certificates of its own, with which pip must check sites
-    let certificates = Path::new(CERTIFICATES);
-    if certificates.is_file() {
-        run(command("cp").arg("--parents").arg("-L").arg(certificates).arg(&place))?;
+    let has_certificates = Path::new(CERTIFICATES[0]).is_file();
+    if has_certificates {
+        run(command("cp").arg("-L").arg(CERTIFICATES[0]).arg(place.join(CERTIFICATES[1].trim_start_matches('/'))))?;
     }
     let mut script = apart();
     script.args(["sh", "-euc", ENTER, "sh"]).arg(&place);
     script.args(["/usr/bin/env", "-i", "HOME=/root", "LANG=C.UTF-8", "CLEAN=1", "DIST=/dist"]);
-    if certificates.is_file() {
-        script.arg(format!("PIP_CERT={CERTIFICATES}"));
+    if has_certificates {
+        script.arg(format!("PIP_CERT={}", CERTIFICATES[1]));
     }
     script.arg("PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin");
     let result = run(script.args(["sh", &format!("/repository/tests/install/{way}.sh")]));
