@@ -92,12 +92,15 @@ fn newest() -> Outcome<PathBuf> {
     let settings: Vec<&str> = settings.lines().filter(|line| line.starts_with("Acquire::")).collect();
     let file = folder.with_extension("conf");
     std::fs::write(&file, settings.join("\n")).map_err(|error| format!("{}: {error}", file.display()))?;
+    // the suite with the newest packages
+    let system = std::fs::read_to_string("/etc/os-release").unwrap_or_default();
+    let suite = if system.lines().any(|line| line == "ID=ubuntu") { "devel" } else { "unstable" };
     println!("\nfetching: the newest Python of Debian, in {} (60 MB, used only for tests)", folder.display());
     let _ = std::fs::remove_dir_all(&folder);
     let mut unpack = command("mmdebstrap");
     unpack.args(["--quiet", "--variant=extract", "--include=base-files,python3"]);
-    unpack.arg(format!("--aptopt={}", file.display())).arg("unstable").arg(&folder);
-    run(unpack.arg(format!("deb {} unstable main", tools::debian_mirror()?)))?;
+    unpack.arg(format!("--aptopt={}", file.display())).arg(suite).arg(&folder);
+    run(unpack.arg(format!("deb {} {suite} main", tools::debian_mirror()?)))?;
     // Replace the link to the program by the script.
     let failed = |error: std::io::Error| format!("{}: {error}", python.display());
     let program = std::fs::read_link(&python).map_err(failed)?;
