@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::pythons::{self, OLDEST};
+use crate::pythons::{self, OLDEST, Versions};
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
 /// Packages for pip that build and check the package.
@@ -27,7 +27,7 @@ const NOTEBOOKS: [&str; 4] = ["--only-binary=:all:", "matplotlib==3.*", "xarray"
 /// Packs a wheel with the module that the workspace's tests compile, installs it, checks it and
 /// measures it. If Python is too old or the tools cannot be fetched, it skips all these steps with
 /// a message.
-pub fn check() -> Outcome {
+pub fn check(versions: Versions) -> Outcome {
     let python = tools::python()?;
     if let Err(error) = fetch(&python) {
         tools::skipped("python", &error);
@@ -38,7 +38,7 @@ pub fn check() -> Outcome {
     types(&python)?;
     run(command(&python).args(["-m", "pytest", "-q", "--durations=5"]))?;
     run(command(&python).arg("examples/python/any_array.py"))?;
-    pythons::check(&wheel)?;
+    pythons::check(&wheel, versions)?;
     measure(&python, &wheel)
 }
 
