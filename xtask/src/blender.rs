@@ -131,7 +131,7 @@ fn environment(version: &str) -> Outcome<PathBuf> {
     let folder = tools::root().join(format!("target/python-blender-{version}"));
     let python = folder.join("bin/python");
     if !has(&python) {
-        let base = python_of_blender().ok_or_else(|| {
+        let base = tools::python_of(PYTHON).ok_or_else(|| {
             format!("Blender's module bpy needs Python {PYTHON}, and neither python3 nor python{PYTHON} is one")
         })?;
         println!(
@@ -142,13 +142,6 @@ fn environment(version: &str) -> Outcome<PathBuf> {
         install(&python, &["--no-cache-dir", "--only-binary=:all:", &format!("bpy=={version}"), "numpy"])?;
     }
     if has(&python) { Ok(python) } else { Err(format!("bpy {version} cannot be imported in {}", folder.display())) }
-}
-
-fn python_of_blender() -> Option<String> {
-    let test = "import sys; print('%d.%d' % sys.version_info[:2])";
-    ["python3".to_owned(), format!("python{PYTHON}")]
-        .into_iter()
-        .find(|python| output_of(command(python).args(["-c", test])).is_some_and(|said| said.trim() == PYTHON))
 }
 
 /// Makes the wheel for this machine by `make`, and returns its path.

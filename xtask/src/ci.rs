@@ -11,6 +11,7 @@ use crate::package;
 use crate::panels;
 use crate::plugins;
 use crate::python;
+use crate::pythons;
 use crate::site;
 use crate::tools::{self, EVERYTHING, Outcome, cargo, command, output_of, run};
 use crate::usd;
@@ -126,7 +127,9 @@ fn beside<T: Send>(waits: impl FnOnce() -> Outcome<T> + Send, works: impl FnOnce
 fn fetch() -> Outcome<PathBuf> {
     let python = tools::python()?;
     tools::poppler();
-    for fetched in [python::fetch(&python), usd::fetch(), panels::fetch(), blender::fetch(), web::fetch()] {
+    for fetched in
+        [python::fetch(&python), pythons::fetch(), usd::fetch(), panels::fetch(), blender::fetch(), web::fetch()]
+    {
         if let Err(error) = fetched {
             println!("fetch: {error}");
         }

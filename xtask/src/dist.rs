@@ -24,7 +24,7 @@ cargo xtask dist sums
 
   tarball   the program with manual pages, completions, documents and the first scene; a zip for Windows
   deb       the same files as a Debian package
-  wheel     the Python package, for any Python from 3.11 on
+  wheel     the Python package: for any Python from 3.11 on, and for the free-threaded Python 3.14
   npm       the viewer for web pages
   blender   the extension of Blender, a zip for every wheel
   sbom      all parts with their licences, as CycloneDX
@@ -33,7 +33,7 @@ cargo xtask dist sums
   sums      computes the checksums again
 
 Without a PART it makes all parts. On Linux they are for x86-64 and ARM with a glibc from 2.17 on (zig links); elsewhere for this machine.
-On Linux `tarball --target x86_64-pc-windows-gnu` makes a zip with a program for Windows (mingw links), which Wine can test.
+On Linux `tarball wheel --target x86_64-pc-windows-gnu` makes a zip with a program for Windows and a wheel (mingw links), which Wine can test.
 Every part contains the licences of all dependencies. SHA256SUMS has the checksums of target/dist.
 ";
 
@@ -96,7 +96,7 @@ fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
     }
     if wanted("wheel") || wanted("blender") {
         let wheels =
-            targets.iter().map(|target| build::wheel(target, &dist, &licences.text())).collect::<Outcome<Vec<_>>>()?;
+            targets.iter().map(|target| build::wheels(target, &dist, &licences.text())).collect::<Outcome<Vec<_>>>()?;
         if wanted("blender") {
             let wheels: Vec<&str> = wheels.iter().filter_map(|wheel| wheel.to_str()).collect();
             blender::build(&wheels)?;

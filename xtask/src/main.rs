@@ -18,6 +18,7 @@ mod plugins;
 mod portable;
 mod prose;
 mod python;
+mod pythons;
 mod site;
 mod tools;
 mod usd;
@@ -81,7 +82,7 @@ fn main() -> ExitCode {
         ["panels", "--full"] => panels::check(true),
         ["plugins"] => plugins::run(false),
         ["plugins", "--write"] => plugins::run(true),
-        ["python"] => python::check(),
+        ["python"] => python::check(pythons::Versions::All),
         ["python", "--release"] => python::release(),
         ["blender"] => blender::build(&[]),
         ["blender", "--wheel", wheels @ ..] if !wheels.is_empty() => blender::build(wheels),

@@ -1,5 +1,6 @@
-//! Checks the command for Windows and macOS. On every machine it checks the command's types for
-//! these systems. On Windows or macOS itself it can also run the tests that need no other program.
+//! Checks the command and the Python module for Windows and macOS. On every machine it checks their
+//! types for these systems. On Windows or macOS itself it can also run the tests that need no other
+//! program.
 
 use crate::tools::{self, Outcome, cargo, command, run};
 
@@ -21,7 +22,7 @@ const TESTED: [&str; 10] = [
     "lumistack-cli",
 ];
 
-/// Checks the types of the command for every system in [`TARGETS`].
+/// Checks the types of the command and of the Python module for every system in [`TARGETS`].
 pub fn check() -> Outcome {
     for target in TARGETS {
         if let Err(error) = tools::rust_target(target) {
@@ -30,7 +31,8 @@ pub fn check() -> Outcome {
         }
         println!("\n=== {target}");
         let mut check = command("cargo");
-        check.args(["check", "--quiet", "--package", "lumistack-cli", "--features", "panels", "--target", target]);
+        check.args(["check", "--quiet", "--package", "lumistack-cli", "--package", "lumistack-python"]);
+        check.args(["--features", "lumistack-cli/panels", "--target", target]);
         // A dependency assembles a file for the target, which a compiler for Linux cannot do. A
         // check of types needs no object files, so the program `true` replaces compiler and
         // archiver.

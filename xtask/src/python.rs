@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::pythons::{self, OLDEST, Versions};
 use crate::tools::{self, Outcome, command, install, output_of, run};
 
 /// Packages for pip that build and check the package.
@@ -23,13 +24,10 @@ const TOOLS: [&str; 10] = [
 /// arrays and plots of `lumistack`.
 const NOTEBOOKS: [&str; 4] = ["--only-binary=:all:", "matplotlib==3.*", "xarray", "pillow"];
 
-/// The oldest Python that the wheel supports.
-const OLDEST: (u32, u32) = (3, 11);
-
 /// Packs a wheel with the module that the workspace's tests compile, installs it, checks it and
 /// measures it. If Python is too old or the tools cannot be fetched, the function skips all these
 /// steps with a message.
-pub fn check() -> Outcome {
+pub fn check(versions: Versions) -> Outcome {
     let python = tools::python()?;
     if let Err(error) = fetch(&python) {
         tools::skipped("python", &error);
@@ -40,6 +38,7 @@ pub fn check() -> Outcome {
     types(&python)?;
     run(command(&python).args(["-m", "pytest", "-q", "--durations=5"]))?;
     run(command(&python).arg("examples/python/any_array.py"))?;
+    pythons::check(&wheel, versions)?;
     measure(&python, &wheel)
 }
 

@@ -129,6 +129,13 @@ pub fn apt(packages: &[&str], purpose: &str) -> Outcome {
     Ok(())
 }
 
+/// Returns the address of the mirror from which this machine installs Debian packages.
+pub fn debian_mirror() -> Outcome<String> {
+    let sites = output_of(command("apt-get").args(["indextargets", "--format", "$(SITE)"])).unwrap_or_default();
+    let site = sites.lines().find(|site| !site.contains("security")).ok_or("apt-get names no mirror")?;
+    Ok(site.to_owned())
+}
+
 /// Number of attempts of an installation.
 const TURNS: u64 = 4;
 
@@ -218,21 +225,37 @@ pub fn install(python: &Path, packages: &[&str]) -> Outcome {
     run(install.args(packages))
 }
 
-/// Makes an empty Python environment.
+/// Makes an empty environment of this machine's Python.
 pub fn make_python(folder: &Path, purpose: &str) -> Outcome {
+    make_python_of(PYTHON.as_ref(), folder, purpose)
+}
+
+/// Makes an empty environment of the Python whose program is `base`.
+pub fn make_python_of(base: &Path, folder: &Path, purpose: &str) -> Outcome {
     println!("\nfetching: a Python environment with numpy, in {} (used only {purpose})", folder.display());
     if let Some(uv) = uv() {
         // `--seed` installs pip, which some programs call
-        return run(command(uv).args(["venv", "--quiet", "--seed", "--clear", "--python", "python3"]).arg(folder));
+        return run(command(uv).args(["venv", "--quiet", "--seed", "--clear", "--python"]).arg(base).arg(folder));
     }
-    venv(folder)
+    venv(base, folder)
 }
 
-fn venv(folder: &Path) -> Outcome {
-    let make = |with: &str| run(command(with).args(["-m", "venv", "--clear"]).arg(folder));
-    if make("python3").is_err() {
+/// The program of this machine's Python.
+pub const PYTHON: &str = "python3";
+
+/// Finds a program of Python with this version, for example `3.11`.
+pub fn python_of(version: &str) -> Option<String> {
+    let test = "import sys; print('%d.%d' % sys.version_info[:2])";
+    [PYTHON.to_owned(), format!("python{version}")]
+        .into_iter()
+        .find(|python| output_of(command(python).args(["-c", test])).is_some_and(|said| said.trim() == version))
+}
+
+fn venv(base: &Path, folder: &Path) -> Outcome {
+    let make = || run(command(base).args(["-m", "venv", "--clear"]).arg(folder));
+    if make().is_err() {
         apt(&["python3-venv"], "make a Python environment")
-            .and_then(|()| make("python3"))
+            .and_then(|()| make())
             .map_err(|error| format!("no Python environment: {error}; install Python 3 with its venv module"))?;
     }
     Ok(())
@@ -250,7 +273,7 @@ fn uv() -> Option<&'static Path> {
             println!("\nfetching: uv, in target/uv (25 MB, used only to install Python packages)");
             let python = folder.join("bin/python");
             let pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary=:all:", "uv"];
-            if let Err(error) = venv(&folder).and_then(|()| run(command(python).args(pip))) {
+            if let Err(error) = venv(PYTHON.as_ref(), &folder).and_then(|()| run(command(python).args(pip))) {
                 println!("uv cannot be installed, so pip installs packages: {error}");
             }
         }

@@ -201,18 +201,39 @@ pub fn own_program() -> Outcome<PathBuf> {
     program(&host()?)
 }
 
-/// Builds the wheel, which contains the licences, and returns its path.
-pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf> {
-    tools::rust_target(target.triple)?;
+/// The free-threaded Python, which has no lock, for which there are wheels. The wheels for all
+/// other versions use Python's stable ABI, which free-threaded versions lack before 3.15.
+const FREE_THREADED: &str = "python3.14t";
+
+/// Builds the wheels for a target: the wheel for all versions of Python from 3.11 on, whose path is
+/// returned, and the wheel for [`FREE_THREADED`]. For Linux maturin knows the properties of this
+/// Python. For other systems maturin needs the program, so without it there is no such wheel.
+pub fn wheels(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf> {
     let python = builders()?;
+    let stable = wheel(target, &python, &python, folder, licences)?;
+    let has_program = || output_of(command(FREE_THREADED).arg("--version")).is_some();
+    if target.is_linux() || (host()?.triple == target.triple && has_program()) {
+        wheel(target, &python, Path::new(FREE_THREADED), folder, licences)?;
+    } else {
+        println!("{}: no wheel for {FREE_THREADED}, which this machine lacks", target.triple);
+    }
+    Ok(stable)
+}
+
+/// Builds the wheel for one Python, with the licences in it, and returns its path.
+fn wheel(target: &Target, python: &Path, interpreter: &Path, folder: &Path, licences: &str) -> Outcome<PathBuf> {
+    tools::rust_target(target.triple)?;
     let out = tools::root().join("target/wheels").join(target.triple);
     let _ = std::fs::remove_dir_all(&out);
     let mut maturin = command(python.with_file_name("maturin"));
     maturin.args(["build", "--release", "--locked", "--features", "panels", "--target"]);
-    maturin.arg(target.triple).arg("--out").arg(&out).arg("--interpreter").arg(&python);
+    maturin.arg(target.triple).arg("--out").arg(&out).arg("--interpreter").arg(interpreter);
     paths::replace(&mut maturin)?;
     if cfg!(target_os = "linux") {
-        link_by_zig(&mut maturin, &python, target)?;
+        link_by_zig(&mut maturin, python, target)?;
+    }
+    if target.triple == MINGW && cfg!(target_os = "linux") {
+        mingw()?;
     }
     if target.is_linux() {
         maturin.args(["--compatibility", &format!("manylinux_{}", GLIBC.replace('.', "_"))]);
@@ -225,7 +246,7 @@ pub fn wheel(target: &Target, folder: &Path, licences: &str) -> Outcome<PathBuf>
     let wheel =
         wheels.flatten().map(|entry| entry.path()).find(|path| path.extension().is_some_and(|end| end == "whl"));
     let wheel = wheel.ok_or_else(|| format!("maturin left no wheel in {}", out.display()))?;
-    run(command(&python).arg("xtask/python/licences.py").arg(&wheel).arg(&text))?;
+    run(command(python).arg("xtask/python/licences.py").arg(&wheel).arg(&text))?;
     paths::check_zip(&wheel)?;
     let place = folder.join(wheel.file_name().unwrap_or_default());
     std::fs::copy(&wheel, &place).map_err(|error| format!("{}: {error}", place.display()))?;

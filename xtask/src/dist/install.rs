@@ -80,9 +80,7 @@ fn debian() -> Outcome<PathBuf> {
     if output_of(command("debootstrap").arg("--version")).is_none() {
         tools::apt(&["debootstrap"], "make a clean Debian")?;
     }
-    // use the mirror from which this machine installs packages
-    let sites = output_of(command("apt-get").args(["indextargets", "--format", "$(SITE)"])).unwrap_or_default();
-    let site = sites.lines().find(|site| !site.contains("security")).ok_or("apt-get names no mirror")?.to_owned();
+    let site = tools::debian_mirror()?;
     let part = folder().join("debian-part");
     let _ = std::fs::remove_dir_all(&part);
     run(command("debootstrap").args(["--variant=minbase", "stable"]).arg(&part).arg(site))?;
@@ -96,6 +94,9 @@ fn debian() -> Outcome<PathBuf> {
 const ENTER: &str = "mount -t proc proc \"$1/proc\"; mkdir -p \"$1/dev/shm\" \"$1/dev/pts\"; \
      mount -t tmpfs tmpfs \"$1/dev/shm\"; mount -t devpts devpts \"$1/dev/pts\"; exec chroot \"$@\"";
 
+/// Debian's file of certificates, and its name in the copy, where packages do not replace it.
+const CERTIFICATES: [&str; 2] = ["/etc/ssl/certs/ca-certificates.crt", "/certificates.crt"];
+
 /// Runs a script in a copy of the Debian.
 fn in_debian(base: &Path, way: &str, dist: &Path) -> Outcome {
     let place = folder().join(way);
@@ -106,9 +107,17 @@ fn in_debian(base: &Path, way: &str, dist: &Path) -> Outcome {
     std::fs::create_dir(&repository).map_err(|error| format!("{}: {error}", repository.display()))?;
     run(command("cp").args(["-r", "--parents", "tests/install"]).args(READ).arg(&repository))?;
     run(command("cp").arg("-L").arg("/etc/resolv.conf").arg(place.join("etc/resolv.conf")))?;
+    // a machine behind a proxy has certificates of its own, with which pip must check sites
+    let has_certificates = Path::new(CERTIFICATES[0]).is_file();
+    if has_certificates {
+        run(command("cp").arg("-L").arg(CERTIFICATES[0]).arg(place.join(CERTIFICATES[1].trim_start_matches('/'))))?;
+    }
     let mut script = apart();
     script.args(["sh", "-euc", ENTER, "sh"]).arg(&place);
     script.args(["/usr/bin/env", "-i", "HOME=/root", "LANG=C.UTF-8", "CLEAN=1", "DIST=/dist"]);
+    if has_certificates {
+        script.arg(format!("PIP_CERT={}", CERTIFICATES[1]));
+    }
     script.arg("PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin");
     let result = run(script.args(["sh", &format!("/repository/tests/install/{way}.sh")]));
     if result.is_ok() {
