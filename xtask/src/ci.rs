@@ -5,6 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use crate::blender;
+use crate::compiler;
 use crate::deny;
 use crate::layers::{self, PORTABLE};
 use crate::package;
@@ -51,35 +52,22 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
     let python = beside(
         || {
             let mut python = PathBuf::new();
-            steps.step("fetch (beside the next five)", || {
+            steps.step("fetch (beside the next steps)", || {
                 python = fetch()?;
                 Ok(())
             })?;
+            steps.step("dependencies", deny::in_ci)?;
+            steps.step("packages", package::check)?;
             Ok(python)
         },
         || {
-            steps.step("dependencies", deny::in_ci)?;
-            steps.step("packages", package::check)?;
-            steps.step("clippy", || {
-                let mut arguments = [&["clippy", "--all-targets", "--quiet"], &EVERYTHING[..]].concat();
-                if strict {
-                    arguments.extend(["--", "-D", "warnings"]);
-                }
-                cargo(&arguments)
-            })?;
-            steps.step("docs", || {
-                let flags = if strict { "-D warnings" } else { "" };
-                let mut docs = command("cargo");
-                run(docs.args(["doc", "--no-deps", "--quiet"]).args(EVERYTHING).env("RUSTDOCFLAGS", flags))
-            })?;
+            let target = tools::root().join("target");
+            compiler::choose(&target, strict).map_err(|error| format!("{}: {error}", target.display()))?;
+            steps.step("build, clippy, docs", || cargo(&[&["build", "--all-targets"], &EVERYTHING[..]].concat()))?;
             steps.step("wasm32", wasm)
         },
     )?;
-    steps.step("tests", || {
-        let mut tests = command("cargo");
-        // skip the tests of presentations, which run in the step `panels`
-        run(tests.arg("test").args(EVERYTHING).args(["--", "--skip", "show::"]).env("LUMISTACK_PYTHON", &python))
-    })?;
+    // three rows of steps run in parallel, since each step waits at times
     beside(
         || {
             steps.step("web (beside the next steps)", web::check)?;
@@ -88,15 +76,25 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
             steps.step("site", site::docs)
         },
         || {
-            // programs of panels wait for compositors, so the processors have time for both steps
             beside(
-                || steps.step("panels (beside the next two)", || panels::sessions(full)),
                 || {
-                    steps.step("plugins", || plugins::run(false))?;
-                    steps.step("python", python::check)
+                    steps.step("plugins (beside the next steps)", || plugins::run(false))?;
+                    steps.step("python", || python::check(pythons::Versions::Oldest))?;
+                    steps.step("blender", || blender::check(full))
                 },
-            )?;
-            steps.step("blender", || blender::check(full))
+                || {
+                    steps.step("tests", || {
+                        let mut tests = command("cargo");
+                        // skip the tests of presentations, which run in the step `panels`
+                        run(tests
+                            .arg("test")
+                            .args(EVERYTHING)
+                            .args(["--", "--skip", "show::"])
+                            .env("LUMISTACK_PYTHON", &python))
+                    })?;
+                    steps.step("panels", || panels::sessions(full))
+                },
+            )
         },
     )?;
     // run this step alone, since it counts refreshes, and other steps would delay these
@@ -105,7 +103,8 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
         steps.step("slow tests", || {
             let mut tests = command("cargo");
             tests.args(["test", "--workspace", "--release", "--", "--ignored", "--nocapture", "--test-threads=1"]);
-            run(tests.env("LUMISTACK_PYTHON", &python))
+            // clippy's driver would compile slower programs
+            run(tests.env("LUMISTACK_PYTHON", &python).env_remove(compiler::WRAPPER))
         })?;
     }
     Ok(())

@@ -6,13 +6,16 @@
 //! are not part of the program.
 //!
 //! Within a crate no two files may use each other, directly or through other files.
+//!
+//! Development dependencies may add no features to a crate that programs use too. CI compiles
+//! programs with them, so it would not find code that lacks a feature without them.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use serde_json::Value;
 
 use crate::circles;
-use crate::tools::{Outcome, command, output_of};
+use crate::tools::{EVERYTHING, Outcome, command, output_of};
 
 /// External crates, and the only workspace crates that may depend on them.
 const FORBIDDEN: [(&str, &[&str]); 3] = [
@@ -35,6 +38,10 @@ pub const PORTABLE: [&str; 11] = [
     "lumistack-web-decoders",
     "lumistack-web-solver",
 ];
+
+/// Crates to which development dependencies may add features, since no program uses what is added:
+/// the command calls `getrandom::fill` alone, and `proc-macro2` is a dependency of xtask.
+const RICHER_IN_TESTS: [&str; 2] = ["getrandom", "proc-macro2"];
 
 /// Items of the standard library that portable crates must not use. Files and times are passed to
 /// their functions as arguments.
@@ -95,15 +102,31 @@ pub fn check() -> Outcome {
             check_portable(&source, &mut problems)?;
         }
     }
+    let (in_programs, in_tests) = (features("normal,no-proc-macro")?, features("normal,dev,no-proc-macro")?);
+    for known in in_programs.difference(&in_tests) {
+        if !RICHER_IN_TESTS.iter().any(|name| known.split(' ').next() == Some(name)) {
+            problems
+                .push(format!("{known}: expected the same features in tests, found more of development dependencies"));
+        }
+    }
     if problems.is_empty() {
         println!(
-            "layers: {} crates, no dependency on the same or a higher layer, no forbidden dependency, no cycle of files",
+            "layers: {} crates, no dependency on the same or a higher layer, no forbidden dependency, no cycle of files, no feature of tests alone",
             layers.len()
         );
         Ok(())
     } else {
         Err(format!("layers:\n  {}", problems.join("\n  ")))
     }
+}
+
+/// Returns the name, version and features of each crate that dependencies of these kinds use.
+fn features(kinds: &str) -> Outcome<BTreeSet<String>> {
+    let mut tree = command("cargo");
+    tree.arg("tree").args(EVERYTHING).args(["--edges", kinds, "--prefix", "none", "--format", "{p} [{f}]"]);
+    let tree = output_of(&mut tree).ok_or("cargo tree failed")?;
+    // cargo marks a crate whose dependencies it has printed before
+    Ok(tree.lines().map(|line| line.trim_end_matches(" (*)").to_owned()).collect())
 }
 
 /// Finds the items of [`NOT_PORTABLE`] in the code before the tests of each file.

@@ -6,6 +6,7 @@ mod bench_zone;
 mod blender;
 mod ci;
 mod circles;
+mod compiler;
 mod deny;
 mod dist;
 mod fuzz;
@@ -69,6 +70,9 @@ cargo xtask <task>
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    if compiler::is_called(&arguments) {
+        return compiler::compile(&arguments);
+    }
     tools::forget_skipped();
     let result = match arguments.as_slice() {
         ["ci"] => ci::run_ci(false),

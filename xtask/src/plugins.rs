@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
+use crate::compiler;
 use crate::tools::{EVERYTHING, Outcome, build_everything, command, output_of, root, run as run_program};
 
 /// File with all plugins and their parameters, as `lumistack --json plugins` prints them.
@@ -55,6 +56,8 @@ fn sample(target: &Path, folder: &Path) -> Outcome {
         build.arg("--manifest-path").arg(root().join(SAMPLE).join("Cargo.toml"));
         // debug information would take a fifth of the build
         build.env("CARGO_PROFILE_DEV_DEBUG", "false");
+        // authors compile with rustc itself
+        build.env_remove(compiler::WRAPPER);
         run_program(&mut build)?;
     }
     take(&target.join("sample/debug"), "lumistack-plugin-means", folder)

@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
+use crate::compiler;
+
 /// The result of a step; an error is one sentence.
 pub type Outcome<T = ()> = Result<T, String>;
 
@@ -41,6 +43,7 @@ pub fn build_everything() -> Outcome {
 pub fn command(program: impl AsRef<std::ffi::OsStr>) -> Command {
     let mut command = Command::new(program);
     command.current_dir(root()).env(SKIPPED, skip_list());
+    compiler::set(&mut command);
     command
 }
 

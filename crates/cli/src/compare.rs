@@ -39,7 +39,7 @@ pub(crate) struct Compare {
     /// to the right, Y up, degrees [default, without --eye and --focal-35mm: 0,0]
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, conflicts_with = "eye")]
     view: Option<Numbers<2>>,
-    /// Position of the camera of the photograph, or of the eye of --focus, millimetres from the
+    /// Position of the camera of the photograph, or of the eye of --focus. Millimetres from the
     /// display's centre: X to the right, Y up, Z to the front [default for --focus: 0,0,600]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     eye: Option<Numbers<3>>,

@@ -84,7 +84,7 @@ impl Backend {
     #[inline]
     pub unsafe fn call_eight<K: Kernel>(self, args: K::Args<'_>) -> K::Output {
         // SAFETY: a `Backend` exists only where the machine has its instruction set; the caller
-        // guarantees what the kernel demands
+        // guarantees the kernel's conditions
         unsafe {
             match self.0 {
                 #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]

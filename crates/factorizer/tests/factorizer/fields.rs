@@ -11,7 +11,8 @@ const FIGURE_TOLERANCE: f64 = 0.3;
 /// Width of the display in millimetres at any resolution.
 const WIDTH_MM: f64 = 473.76;
 
-/// Reads a light field of the shared folder; without it, the test is skipped.
+/// Reads the middle of a light field of the shared folder, which has the size of the display.
+/// Without the file, the test is skipped.
 #[allow(clippy::disallowed_methods, reason = "a test may read files")]
 pub(super) fn light_field(name: &str, display: &Display) -> Option<LightField> {
     let folder = lumistack_testkit::skip::folder("LUMISTACK_LIGHTFIELDS", "../shared/lightfields")?;
@@ -22,20 +23,39 @@ pub(super) fn light_field(name: &str, display: &Display) -> Option<LightField> {
     };
     let file = npyz::NpyFile::new(&bytes[..]).unwrap();
     let shape: [usize; 5] = file.shape().iter().map(|&n| n as usize).collect::<Vec<_>>().try_into().unwrap();
-    let tensor = Tensor::from_vec(LightField::AXES, shape, file.into_vec::<f32>().unwrap()).unwrap();
-    Some(LightField::new(display.geometry().unwrap(), tensor).unwrap())
+    let whole = file.into_vec::<f32>().unwrap();
+    let geometry = display.geometry().unwrap();
+    let [_, _, rows, cols, _] = LightField::shape_of(&geometry);
+    let [_, _, all_rows, all_cols, channels] = shape;
+    let (top, left) = ((all_rows - rows) / 2, (all_cols - cols) / 2);
+    let views = whole.chunks_exact(all_rows * all_cols * channels);
+    let lines = views.flat_map(|view| view.chunks_exact(all_cols * channels).skip(top).take(rows));
+    let middle = lines.flat_map(|line| line[left * channels..][..cols * channels].iter().copied()).collect();
+    let tensor = Tensor::from_vec(LightField::AXES, LightField::shape_of(&geometry), middle).unwrap();
+    Some(LightField::new(geometry, tensor).unwrap())
 }
 
 /// Returns a display of `layers` layers 40 mm apart around z = 0. It has 160 × 100 pixels and a
 /// field of view of 20° × 20°.
 pub(super) fn display(views: usize, layers: usize, frames: usize, brightness: f64) -> Display {
+    display_of([160, 100], views, layers, frames, brightness)
+}
+
+/// Returns the same display with another number of pixels, columns × rows.
+pub(super) fn display_of(
+    resolution: [usize; 2],
+    views: usize,
+    layers: usize,
+    frames: usize,
+    brightness: f64,
+) -> Display {
     let pitch_mm = WIDTH_MM / 160.0;
     let d_mm: Vec<f64> = (0..layers).map(|n| (n as f64 - (layers as f64 - 1.0) / 2.0) * 40.0).collect();
     Display {
         name: "published".into(),
         refresh_hz: 120.0,
         brightness,
-        ..Display::uniform([160, 100], pitch_mm, [views; 2], [20.0; 2], &d_mm, frames)
+        ..Display::uniform(resolution, pitch_mm, [views; 2], [20.0; 2], &d_mm, frames)
     }
 }
 
