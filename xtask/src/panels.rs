@@ -32,7 +32,8 @@ pub fn check(full: bool) -> Outcome {
     stalls(full)
 }
 
-/// Tests windows in windowing sessions, one session at a time. Other programs may run meanwhile.
+/// Tests the windows of `lumistack show` on several compositors, one after another. Other programs
+/// may run meanwhile.
 pub fn sessions(full: bool) -> Outcome {
     if let Err(error) = fetch() {
         skipped("panels", &format!("not tested on every compositor: {error}"));

@@ -130,7 +130,7 @@ fn empty(folder: &str) -> Outcome<PathBuf> {
 
 fn only_file(folder: &Path) -> Outcome<PathBuf> {
     let mut files = std::fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?.flatten();
-    files.next().map(|file| file.path()).ok_or_else(|| format!("maturin left nothing in {}", folder.display()))
+    files.next().map(|file| file.path()).ok_or_else(|| format!("{}: expected a wheel, found no file", folder.display()))
 }
 
 /// Checks the types of examples and tests by mypy, and compares the stub files with the module.

@@ -49,8 +49,8 @@ pub fn fetch() -> Outcome {
     Versions::Oldest.list().iter().try_for_each(|version| version.environment().map(|_| ()))
 }
 
-/// Installs a wheel into the environment of each version, and runs the tests. Skips a version with a
-/// message if its environment cannot be made.
+/// Installs a wheel into the environment of each version, and runs the tests. Skips a version with
+/// a message if its environment cannot be made.
 pub fn check(wheel: &Path, versions: Versions) -> Outcome {
     for version in versions.list() {
         let python = match version.environment() {

@@ -64,7 +64,8 @@ pub(crate) struct Live {
     /// Folder for the last state [default: runs/NAME-live]
     #[arg(short, long, value_name = "DIR")]
     pub(crate) output: Option<PathBuf>,
-    /// Port of this machine at which the page is served; 0 for any free port
+    /// Port of this machine at which the display is served as a page for the browser; 0 for any
+    /// free port
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(crate) port: u16,
     /// Do not open the browser

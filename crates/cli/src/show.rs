@@ -85,9 +85,9 @@ pub(crate) struct Show {
     /// (pixels), save, look X Y (degrees to the right and up), report, quit
     #[arg(long)]
     pub(crate) control: bool,
-    /// Write a CSV file with a line for each submitted frame. Its columns are: number of the
-    /// refresh, position in the cycle of frames, number of the patterns, seconds since the first
-    /// frame. The file has at most the first 1,048,576 frames
+    /// Write a CSV file with a line for each submitted frame. Its columns are: index of the
+    /// refresh, position in the cycle of frames, index of the set of patterns, seconds since the
+    /// first frame. The file has at most the first 1,048,576 frames
     #[arg(long, value_name = "FILE")]
     pub(crate) log: Option<PathBuf>,
 }

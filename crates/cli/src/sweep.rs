@@ -40,8 +40,8 @@ pub(crate) struct Sweep {
     #[arg(long)]
     plan: bool,
     /// Plots of PSNR to write [default: few]. With few, there are at most six plots: maps over one
-    /// pair of axes, and curves along every other axis. The pair is the first in this list whose
-    /// two axes the sweep varies: frames and layers, frames and brightness, layers and brightness.
+    /// pair of axes, and curves along every other axis. The pair is the first of these whose axes
+    /// both vary: frames and layers; frames and brightness; layers and brightness.
     /// With all, there are maps over each pair of the list, and curves along every axis
     #[arg(long, value_enum)]
     plots: Option<PlotsArg>,

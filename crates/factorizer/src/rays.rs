@@ -1,5 +1,5 @@
-//! The rows of all factors that the rays through one line read, in the form for inner loops: a
-//! pointer per row and view.
+//! Rays through one line read certain rows of every factor. This module stores these rows for the
+//! inner loops, as a pointer per row and view.
 
 use std::marker::PhantomData;
 use std::ops::Range;

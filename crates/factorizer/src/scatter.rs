@@ -1,10 +1,12 @@
-//! Updates the lines of a factor that is not at a constant shift. Rays read it between pixels,
-//! several field pixels share one of its pixels, or it has another pitch.
+//! Updates the lines of a factor that is not at a constant shift. (At a constant shift, a ray's
+//! column in the factor is its column in the view plus a constant.) This module handles three other
+//! cases: rays read the factor between pixels, several field pixels share one of its pixels, or its
+//! pitch differs.
 //!
-//! A ray reads the factor between lines j and j + 1, and between columns i and i + 1. So it adds
-//! the sums of [`gather`](crate::gather) to four pixels, by the shares (1 − t_y, t_y) and (1 − t_x,
-//! t_x). If these additions were done ray by ray, an update would take nine times as long as at a
-//! constant shift. But all views of a view column have the same t_x and read the same columns. So
+//! A ray reads the factor between lines j and j + 1, and between columns i and i + 1. So the sums
+//! of [`gather`](crate::gather) are added to four pixels, with the shares (1 − t_y, t_y) and
+//! (1 − t_x, t_x). If these additions were done ray by ray, an update would take nine times as long
+//! as at a constant shift. But all views of a view column have the same t_x and read the same columns. So
 //! the sums of these views are added up first, and distributed to the columns once:
 //!
 //! ```text
@@ -12,7 +14,7 @@
 //!     for the field rows whose rays read lines j and j + 1, in blocks of columns, in registers:
 //!         low  += (1 − t_y) · (w e a_m, w a_m a_k)
 //!         high += t_y · (w e a_m, w a_m a_k)
-//!     once:  line j += low,  line j + 1 += high,  by t_x
+//!     once:  line j += low,  line j + 1 += high,  divided between columns i and i + 1 by t_x
 //! ```
 //!
 //! Lines come in bands, one after another. Each line passes its sums `high` on to the next line.

@@ -65,7 +65,8 @@ pub(crate) enum Sums {
     /// For each frame m, the residual sum r_m = Σ w e a_m, and the diagonal entry Σ w a_m² of the
     /// Gram matrix.
     Diagonal,
-    /// For each frame m, the residual sum r_m = Σ w e a_m. Then the Gram matrix G_mk = Σ w a_m a_k.
+    /// For each frame m, the residual sum r_m = Σ w e a_m. After these, the Gram matrix
+    /// G_mk = Σ w a_m a_k.
     Gram,
 }
 

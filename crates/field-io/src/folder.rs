@@ -332,7 +332,8 @@ pub(crate) fn source(folder: &Path) -> Result<Source, FieldError> {
         ));
     }
     let distance_mm = geometry.distance_mm;
-    // Check the listed files against the slopes, and the size of the pictures against the index.
+    // Check the listed files against the slopes, and the size of the pictures against the index
+    // file.
     let files = listed_files(folder, &path, &listing.views, &slope_x, &slope_y, distance_mm)?;
     let reader = PictureGrid::new(files, views)?;
     let size = reader.size();

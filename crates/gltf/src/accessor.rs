@@ -275,7 +275,7 @@ impl<'a> Elements<'a> {
         };
         let most = if bytes.len() < size { 0 } else { (bytes.len() - size) / stride + 1 };
         if count > most {
-            let expected = format!("at most {most}, which {} holds", view.place);
+            let expected = format!("at most {most}, the number of elements in {}", view.place);
             return Err(Fault::new(count_place, expected, count));
         }
         Ok(Self { bytes, stride, size })

@@ -90,8 +90,8 @@ impl Solver {
         self.settings = settings;
     }
 
-    /// Executes `updates` iterations towards a target, along `rays`, on an executor. The next step starts from the
-    /// resulting patterns.
+    /// Executes `updates` iterations towards a target, along `rays`, on an executor. The next step
+    /// starts from the resulting patterns.
     ///
     /// # Errors
     /// If target, rays and settings do not match, if the executor fails, or when cancelled.

@@ -7,8 +7,8 @@ use crate::lanes::{Kernel, Lanes};
 #[derive(Clone, Copy, Debug)]
 pub struct Pair<V>([V; 2]);
 
-// SAFETY of every block below: the caller guarantees what both vectors demand. The second vector's
-// elements follow the first's, from `V::COUNT` on.
+// SAFETY of every block below: the caller guarantees the conditions of both vectors. The second
+// vector's elements follow the first's, from `V::COUNT` on.
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Pair<V> {
     #[inline(always)]
@@ -22,8 +22,8 @@ impl<V: Lanes> Pair<V> {
     }
 }
 
-// SAFETY of every block below: the caller guarantees what both vectors demand. The second vector's
-// elements follow the first's, from `V::COUNT` on.
+// SAFETY of every block below: the caller guarantees the conditions of both vectors. The second
+// vector's elements follow the first's, from `V::COUNT` on.
 #[expect(clippy::undocumented_unsafe_blocks, reason = "one reason for all, above")]
 impl<V: Lanes> Lanes for Pair<V> {
     type Mask = [V::Mask; 2];

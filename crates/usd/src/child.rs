@@ -56,7 +56,7 @@ pub(crate) struct Answer {
 }
 
 impl Answer {
-    /// Parses the file that the walker wrote.
+    /// Parses the file that the walker, the Python code that reads a stage, wrote.
     ///
     /// # Errors
     /// If the file is not a scene package.

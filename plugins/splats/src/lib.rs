@@ -99,7 +99,12 @@ impl ImporterPlugin for Splats {
             return Err(failed("expected splats, found none".into()));
         }
         let document = lumistack_splats::glb(&cloud, rotation.to_array(), params.scale);
-        document.ok_or_else(|| failed(format!("expected less than 4 GiB of splats, found {} splats", cloud.len())))
+        document.ok_or_else(|| {
+            failed(format!(
+                "expected splats that take less than 4 GiB as GLB, found {} splats that take more",
+                cloud.len()
+            ))
+        })
     }
 }
 

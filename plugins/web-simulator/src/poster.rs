@@ -22,8 +22,8 @@ const POSTER_BYTES: usize = 45_000;
 const AROUND_BYTES: usize = 110_000;
 /// JPEG qualities. The first quality whose file is small enough is used.
 const QUALITIES: [u8; 6] = [88, 80, 72, 64, 56, 48];
-/// Numbers of positions of small views, [horizontal, vertical]. Positions are so close that a blend
-/// of neighbouring small views has no visible double edges.
+/// Numbers of small views over the viewing zone, [horizontal, vertical]. Neighbouring small views
+/// are so close that their blend shows no visible double edges.
 const PLACES: [usize; 2] = [5, 3];
 
 /// A JPEG picture and its size.

@@ -94,7 +94,7 @@ fn crc32(bytes: &[u8]) -> u32 {
 #[test]
 fn accessors_that_reach_past_their_bytes() {
     let b = triangle_with(|b| _ = b.set("/accessors/0/count", json!(4)));
-    assert_error(&b, "/accessors/0/count: expected at most 3, which /bufferViews/0 holds, found 4");
+    assert_error(&b, "/accessors/0/count: expected at most 3, the number of elements in /bufferViews/0, found 4");
     let b = triangle_with(|b| _ = b.set("/accessors/0/count", json!(0)));
     assert_error(&b, "/accessors/0/count: expected a count in 1..4294967295, found 0");
     let b = triangle_with(|b| _ = b.set("/accessors/0/count", json!(u64::MAX)));
@@ -180,7 +180,7 @@ fn sparse_accessors() {
     assert_error(&sparse([0, 1], 4), "/accessors/0/sparse/count: expected a count in 1..3, found 4");
     assert_error(
         &sparse([0, 1], 3),
-        "/accessors/0/sparse/count: expected at most 2, which /bufferViews/1 holds, found 3",
+        "/accessors/0/sparse/count: expected at most 2, the number of elements in /bufferViews/1, found 3",
     );
 }
 
@@ -223,7 +223,7 @@ fn scenes_with_nothing_to_see() {
         b.set("/accessors/0/count", json!(4));
     });
     let reason = "none of the scene's visible nodes (1) has a mesh, and nothing shows the file's mesh; data that the scene does not use has a defect: \
-                  /accessors/0/count: expected at most 3, which /bufferViews/0 holds, found 4";
+                  /accessors/0/count: expected at most 3, the number of elements in /bufferViews/0, found 4";
     assert_error(&b, &format!("/scenes/0: {nothing}: {reason}"));
     let mut flat = Builder::triangle();
     flat.bin.fill(0);

@@ -165,7 +165,8 @@ pub(super) fn joined<const K: usize>(apart: &Tensor<3>) -> Tensor<3> {
     joined
 }
 
-/// Adds the light that rays themselves see, which is last, to the other light.
+/// Returns the first `K` values of a pixel of [`FirstSums::apart`]. Its last three values, the
+/// light that the rays themselves see, are added to the light that is not diffuse.
 fn join<const K: usize>(apart: &[f32]) -> [f32; K] {
     let mut joined = [0.0; K];
     joined.copy_from_slice(&apart[..K]);

@@ -49,8 +49,8 @@ impl LiveSolver {
         Ok(())
     }
 
-    /// Makes `updates` iterations of the solver towards a target, along `rays`. The resulting patterns are the
-    /// start of the next step.
+    /// Makes `updates` iterations of the solver towards a target, along `rays`. The resulting
+    /// patterns are the start of the next step.
     ///
     /// # Errors
     /// If target, rays and settings do not match, if a device that the job names fails, or when

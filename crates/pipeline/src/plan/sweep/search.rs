@@ -171,7 +171,9 @@ mod tests {
         assert_eq!(left(&SearchJob { max_panels: Some(1), ..SearchJob::default() }).unwrap(), 1);
         let error = left(&SearchJob { max_panels: Some(0), ..SearchJob::default() }).unwrap_err().to_string();
         assert!(
-            error.contains("a thickness of at least 0 mm, a refresh rate of at least 0 Hz, at least 1 panels, and a β of at most 1"),
+            error.contains(
+                "a thickness of at least 0 mm, a refresh rate of at least 0 Hz, at least 1 panels, and a β of at most 1"
+            ),
             "{error}"
         );
     }
