@@ -6,8 +6,8 @@
 //! A ray reads the factor between lines j and j + 1, and between columns i and i + 1. So the sums
 //! of [`gather`](crate::gather) are added to four pixels, with the shares (1 − t_y, t_y) and
 //! (1 − t_x, t_x). If these additions were done ray by ray, an update would take nine times as long
-//! as at a constant shift. But all views of a view column have the same t_x and read the same columns. So
-//! the sums of these views are added up first, and distributed to the columns once:
+//! as at a constant shift. But all views of a view column have the same t_x and read the same
+//! columns. So the sums of these views are added up first, and distributed to the columns once:
 //!
 //! ```text
 //! for every line j, for every view column:
