@@ -64,12 +64,12 @@ export declare class LumistackViewer extends HTMLElement {
     /**
      * Shows patterns that are being computed. `json` is the text of their preview.json. `codes`
      * contains the pictures of all files that `json` lists, in this order, [row][col][rgb] each. If
-     * `json` is the current preview, only the patterns are replaced, all at once.
+     * `json` is the current preview, only the patterns are replaced, all in one step.
      */
     showStack(json: string, codes: Uint8Array<ArrayBuffer>): Promise<void>;
     /**
-     * Replaces all patterns of the current preview at once. `files` contains a PNG for every file of
-     * the preview, in the preview's order.
+     * Replaces all patterns of the current preview in one step. `files` contains a PNG for every file
+     * of the preview, in the preview's order.
      */
     renew(files: readonly ArrayBuffer[]): Promise<void>;
     connectedCallback(): void;
