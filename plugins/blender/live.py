@@ -75,8 +75,8 @@ class Session:
         self.is_exporting = False
         self._asked = False
         self._next = 0.0
-        # : The run folder of the program to which the session attaches; None if the session starts
-        # a program.
+        # Run folder of the program to which the session attaches; None if the session starts a
+        # program.
         self.run = run_of(scene)
         self._sent = dict(self._settings(scene))
         job = {"scene": self._export(scene), **self._sent}
@@ -87,7 +87,7 @@ class Session:
             self.program = Live(words_of(scene, path, folder / "live"), operators.preview_environment())
         else:
             self.program = Attached(self.run)
-            # The other keys of the program's own scene do not belong to this scene.
+            # Clear the pose and the importer of the program's own scene: they do not fit this one.
             self.program.change({"pose": None, "importer": None, **job}, time.monotonic())
 
     @property

@@ -113,7 +113,9 @@ pub fn pages() -> Outcome {
     for Module { name, .. } in &MODULES {
         let [built, used] = [PACKAGE, DIST].map(|folder| fs::read(root().join(folder).join(format!("{name}_bg.wasm"))));
         if !matches!((built, used), (Ok(built), Ok(used)) if built == used) {
-            return Err(format!("web: {PACKAGE} has no module {name} like that of {DIST}: run `cargo xtask web`"));
+            return Err(format!(
+                "web: module {name}: expected the same file in {PACKAGE} and {DIST}, found another or none; run `cargo xtask web`"
+            ));
         }
     }
     npm_packages()?;

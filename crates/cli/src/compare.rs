@@ -21,7 +21,8 @@ Examples:
   lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier
       two displays of one run
   lumistack compare runs/a photo.png --eye 0,0,2000 --corners 210,160,1830,150,1850,1170,190,1180
-      a run and a photograph of its panels; the photograph gets the simulation's exposure
+      a run and a photograph of its panels; the photograph's brightness is scaled to match
+      the simulation
   lumistack compare runs/a photo.jpg --focal-35mm 28 --corners 210,160,1830,150,1850,1170,190,1180
       the same, if the position of the camera is not known: it is computed from the corners
   lumistack compare runs/a runs/b --focus -60,0,60 -o compared

@@ -74,8 +74,8 @@ pub(crate) struct RenderArgs {
     pub(crate) camera: Option<String>,
     /// View the scene from this azimuth and elevation, degrees, even if the file has a camera.
     /// Azimuth 0 is the front, +z; positive azimuths lie to the right of the front, towards +x.
-    /// Without a camera and this flag, the scene is seen from the front, or from another side if
-    /// the front shows hardly anything
+    /// If neither a camera nor this flag is given, the scene is seen from the front, or from
+    /// another side if the front shows hardly anything
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
     pub(crate) look_from: Option<Numbers<2>>,
     /// Hide content that is farther in front of the window than this distance: auto, off, or a

@@ -23,8 +23,7 @@
 //! linear. On request, PNGs have codes proportional to light; their names end in `_linear.png`. The
 //! second time step of a sequence is written to `t0001/`, the third to `t0002/`, and so on.
 //!
-//! Memory does not grow with the number of frames, except that `views.exr` needs twice the memory
-//! of all views.
+//! Memory does not grow with the number of frames. `views.exr` needs twice the memory of all views.
 
 mod animation;
 mod arrays;

@@ -81,7 +81,7 @@ fn arguments() -> Result<Arguments, String> {
             _ => return Err(format!("unknown argument {word}; see the top of the source")),
         }
     }
-    if parsed.rounds < 3 { Err("--rounds needs at least 3".into()) } else { Ok(parsed) }
+    if parsed.rounds < 3 { Err(format!("--rounds: expected at least 3, found {}", parsed.rounds)) } else { Ok(parsed) }
 }
 
 fn bench(arguments: &Arguments) -> Outcome {

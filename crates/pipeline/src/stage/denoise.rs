@@ -39,8 +39,8 @@ pub fn oidn_version() -> Result<String, PipelineError> {
 /// To check a filter, some pixels are rendered again. Each of these renders has this many times the
 /// paths of a view.
 const CHECK_FACTOR: u32 = 2;
-/// Maximum number of views whose pixels are rendered again for the check. This number of views,
-/// spread over the viewing zone, suffices to judge a filter.
+/// Maximum number of views whose pixels are rendered again to check a filter. So many views, spread
+/// over the viewing zone, suffice to judge a filter.
 const CHECKED_VIEWS: usize = 25;
 /// Maximum number of samples of the path tracer.
 const MOST_SAMPLES: u32 = 65536;
