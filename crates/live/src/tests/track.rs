@@ -199,6 +199,11 @@ fn eyes_see_mixtures_of_the_views_around_each_ray() {
                 );
             }
         }
+        // five viewers would need too many views
+        let crowd: Vec<[f64; 3]> = (0..5).map(|i| [60.0 * f64::from(i), 0.0, 600.0]).collect();
+        tracker.see(&crowd, Eyes::Two, ms(5)).unwrap();
+        let of_crowd = tracker.boxes(ms(5), ms(0)).rays(&target, 10.0).unwrap();
+        assert!(matches!(of_crowd, Rays::Views(Weights::PerRay(_))), "{of_crowd:?}");
         // Outside of the light field's views, an eye sees the outermost view. A viewer of a picture
         // has one eye, and the light field's projection.
         tracker.see(&[[6000.0, 0.0, 600.0]], Eyes::Picture, ms(10)).unwrap();
