@@ -354,7 +354,7 @@ test("a quilt is handed over to Looking Glass Bridge as its protocol wants it", 
 test("a Bridge that is absent, has no panel or refuses is reported in words", async () => {
   const page = await dialog();
   for (const [change, message] of [
-    [() => undefined, /^Looking Glass Bridge does not answer on this computer: .*\. Start it/],
+    [() => undefined, /^Looking Glass Bridge does not answer on this computer: .*\. Start Looking Glass Bridge/],
     [(what, answer) => (what === "available_output_devices" ? { ...answer, payload: map({ 0: device(0, {}) }) } : answer), /^Looking Glass Bridge runs, but has no panel\./],
     [(what, answer) => (what === "insert_playlist_entry" ? { ...answer, status: word("status", "Failure") } : answer), /^Looking Glass Bridge answers to insert_playlist_entry without “Completion”, found “Failure”\./],
   ]) {
