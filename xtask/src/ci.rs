@@ -68,12 +68,13 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
         },
     )?;
     // three rows of steps run in parallel, since each step waits at times
-    beside(
+    let web = beside(
         || {
-            steps.step("web (beside the next steps)", web::check)?;
+            let web = steps.step("web (beside the next steps)", web::check);
             steps.step("USD versions", usd::check)?;
             steps.step("workflows", workflows::check)?;
-            steps.step("site", site::docs)
+            steps.step("site", site::docs)?;
+            Ok(web)
         },
         || {
             beside(
@@ -97,6 +98,12 @@ fn run_steps(full: bool, steps: &Steps) -> Outcome {
             )
         },
     )?;
+    // Browsers give up a page that other steps delay for too long. So tests that failed run again,
+    // when nothing delays them.
+    if let Err(error) = web {
+        println!("\n{error}; the tests of the page run again, alone");
+        steps.step("web, alone", web::check)?;
+    }
     // run this step alone, since it counts refreshes, and other steps would delay these
     steps.step("stalls", || panels::stalls(full))?;
     if full {
