@@ -40,6 +40,19 @@ fn run_fails(name: &str, content: &[u8]) -> String {
     text
 }
 
+/// A file that only the solver reads is missing: the error comes before any view is rendered.
+#[test]
+fn files_of_the_solver() {
+    for (option, file) in [("--weights", "none.npy"), ("--warm-start", "none/stack.json")] {
+        let folder = tempfile::tempdir().unwrap();
+        let (missing, run) = (folder.path().join(file.split('/').next().unwrap()), folder.path().join("run"));
+        let scene = root().join("scenes/still-life/still-life.gltf");
+        let text = fail(lumistack().arg("run").arg(scene).arg("-o").arg(&run).arg(option).arg(&missing));
+        assert!(text.contains(file), "the error names the file: {text}");
+        assert!(!run.join("light-field").exists(), "{option}: views were rendered");
+    }
+}
+
 #[test]
 fn scenes() {
     let text = run_fails("nan.gltf", format!("{}}}", triangle("nan", "")).as_bytes());

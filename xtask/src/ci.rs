@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::blender;
 use crate::compiler;
@@ -143,8 +143,14 @@ fn fetch() -> Outcome<PathBuf> {
     Ok(python)
 }
 
+/// Longest time of each program of `ci`. The longest one, `cargo test`, takes a third of it.
+const LONGEST: Duration = Duration::from_mins(30);
+
 /// Runs all checks, and prints a table with the time of each step.
 pub fn run_ci(full: bool) -> Outcome {
+    if !full {
+        tools::limit(LONGEST);
+    }
     let (start, steps) = (Instant::now(), Steps::default());
     let result = run_steps(full, &steps);
     println!("\n{:>8}  step", "seconds");

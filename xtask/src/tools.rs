@@ -1,8 +1,11 @@
 //! Runs programs, and fetches the software that tests need.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
 
 use crate::compiler;
 
@@ -146,17 +149,67 @@ const TURNS: u64 = 4;
 pub fn run(command: &mut Command) -> Outcome {
     let name = describe(command);
     println!("\n$ {name}");
-    match command.status() {
+    let child = command.spawn().map_err(|error| format!("`{name}` did not start: {error}"))?;
+    match within_limit(child, &name, |mut child| child.wait()) {
         Ok(status) if status.success() => Ok(()),
         Ok(status) => Err(format!("`{name}` ended with {status}")),
-        Err(error) => Err(format!("`{name}` did not start: {error}")),
+        Err(error) => Err(format!("`{name}`: {error}")),
     }
 }
 
 /// Returns the output of a program; `None` if it fails.
 pub fn output_of(command: &mut Command) -> Option<String> {
-    let output = command.output().ok()?;
+    let name = describe(command);
+    let child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().ok()?;
+    let output = within_limit(child, &name, Child::wait_with_output).ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+static LIMIT: OnceLock<Duration> = OnceLock::new();
+
+/// Limits the time of each program that [`run`] and [`output_of`] start from now on. A program that
+/// takes longer is listed with all programs that it started, and all of them are killed.
+pub fn limit(longest: Duration) {
+    let _ = LIMIT.set(longest);
+}
+
+/// Calls `finish`, which waits for the program, and kills the program at the limit.
+fn within_limit<T>(child: Child, name: &str, finish: impl FnOnce(Child) -> std::io::Result<T>) -> std::io::Result<T> {
+    let Some(&longest) = LIMIT.get() else { return finish(child) };
+    let (id, (ended, has_ended)) = (child.id(), channel::<()>());
+    std::thread::scope(|scope| {
+        scope.spawn(move || {
+            if has_ended.recv_timeout(longest) == Err(RecvTimeoutError::Timeout) {
+                println!("\n`{name}` has run for {} s, which is too long; it is killed:", longest.as_secs());
+                kill_tree(id);
+            }
+        });
+        let result = finish(child);
+        drop(ended);
+        result
+    })
+}
+
+/// Prints and kills a process and all processes that it started. Only Linux lists the latter.
+fn kill_tree(root: u32) {
+    // /proc/ID/stat: id, name in parentheses, state, parent's id, …
+    let mut children: HashMap<u32, Vec<u32>> = HashMap::new();
+    for entry in std::fs::read_dir("/proc").into_iter().flatten().flatten() {
+        let stat = std::fs::read_to_string(entry.path().join("stat")).unwrap_or_default();
+        let parent = stat.rsplit(')').next().and_then(|rest| rest.split_whitespace().nth(1)?.parse().ok());
+        if let (Some(parent), Ok(id)) = (parent, entry.file_name().to_string_lossy().parse()) {
+            children.entry(parent).or_default().push(id);
+        }
+    }
+    let mut ids = vec![root];
+    let mut next = 0;
+    while let Some(&id) = ids.get(next) {
+        let words = std::fs::read(format!("/proc/{id}/cmdline")).unwrap_or_default();
+        println!("  {id} {}", String::from_utf8_lossy(&words).replace('\0', " "));
+        ids.extend(children.get(&id).into_iter().flatten());
+        next += 1;
+    }
+    let _ = Command::new("kill").arg("-KILL").args(ids.iter().map(u32::to_string)).status();
 }
 
 fn describe(command: &Command) -> String {
@@ -363,6 +416,32 @@ pub fn text(path: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_program_that_hangs_is_killed_with_all_that_it_started() {
+        let file = root().join("target/xtask-hangs.txt");
+        let script = format!("sleep 1000 & echo $! > '{}'; wait", file.display());
+        let child = Command::new("sh").arg("-c").arg(script).spawn().unwrap();
+        let id = child.id();
+        let started = || std::fs::read_to_string(&file).ok()?.trim().parse::<u32>().ok();
+        let killer = std::thread::spawn(move || {
+            while started().is_none() {
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            let sleeping = started().unwrap();
+            kill_tree(id);
+            std::fs::remove_file(&file).unwrap();
+            sleeping
+        });
+        assert!(!child.wait_with_output().unwrap().status.success());
+        let sleeping = killer.join().unwrap();
+        // the process may remain as a zombie, which has no command line
+        let words = || std::fs::read(format!("/proc/{sleeping}/cmdline")).unwrap_or_default();
+        while !words().is_empty() {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
 
     #[test]
     fn skipped_checks_fail_on_ci_alone() {

@@ -7,6 +7,7 @@ use lumistack_core::Task;
 use lumistack_core::config::nearest;
 use lumistack_display::{Display, LayerStack, LightField, StackError, Weights};
 use lumistack_factorizer::{AUTO, Factorization, Problem, StartKind};
+use lumistack_field_io::npy::NpyFile;
 use lumistack_report::{Iteration, Solution};
 use serde::{Deserialize, Serialize};
 
@@ -292,14 +293,21 @@ pub(crate) fn warm_stack(job: &FactorizeJob, display: &Display) -> Result<Option
     Ok(Some(stack))
 }
 
-/// Checks names and numbers of a job's table `[factorize]`, without any work.
+/// Checks names, numbers and files of a job's table `[factorize]`, without any work. Reads only the
+/// header of the weights and the index of the warm start.
 ///
 /// # Errors
-/// If a solver, start or device does not exist, or numbers of tiles are invalid.
+/// If a solver, start, device or file does not exist, or numbers of tiles are invalid.
 pub(crate) fn check(job: &FactorizeJob) -> Result<(), PipelineError> {
     start_kind(&job.start)?;
     device::check(&job.device)?;
     job.check_tiles()?;
+    if let Some(path) = &job.weights {
+        NpyFile::open(path).map_err(field_error)?;
+    }
+    if let Some(path) = &job.warm_start {
+        lumistack_field_io::read_stack_index(path).map_err(field_error)?;
+    }
     lumistack_factorizer::solver(&job.solver).map(drop).map_err(PipelineError::Factorize)
 }
 
