@@ -49,7 +49,7 @@ fn files_of_the_solver() {
         let scene = root().join("scenes/still-life/still-life.gltf");
         let text = fail(lumistack().arg("run").arg(scene).arg("-o").arg(&run).arg(option).arg(&missing));
         assert!(text.contains(file), "the error names the file: {text}");
-        assert!(!run.join("light-field").exists(), "{option}: views were rendered");
+        assert!(!run.exists() || std::fs::read_dir(&run).unwrap().next().is_none(), "{option}: views were rendered");
     }
 }
 

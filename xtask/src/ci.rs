@@ -143,8 +143,8 @@ fn fetch() -> Outcome<PathBuf> {
     Ok(python)
 }
 
-/// Longest time of each program of `ci`. The longest one, `cargo test`, takes a third of it.
-const LONGEST: Duration = Duration::from_mins(30);
+/// Longest time of each program of `ci`. The longest one, `cargo test`, takes half of it.
+const LONGEST: Duration = Duration::from_mins(25);
 
 /// Runs all checks, and prints a table with the time of each step.
 pub fn run_ci(full: bool) -> Outcome {
