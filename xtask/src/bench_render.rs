@@ -96,6 +96,9 @@ pub fn big(options: &[&str]) -> Option<Outcome> {
 /// The third has the views of a quilt.
 const FIELDS: [[&str; 3]; 3] = [["5x5", "20", "16"], ["13x13", "20", "2"], ["1x45", "35", "4"]];
 
+/// Number of samples of the pictures with which the means of pictures are compared.
+const CONVERGED: &str = "4096";
+
 /// Renders light fields view by view, and with light that all views share. The scenes have diffuse
 /// surfaces, the materials of their files, or many copies. The function also compares filtered with
 /// unfiltered views at equal rendering time.
@@ -112,13 +115,12 @@ pub fn field(options: &[&str]) -> Option<Outcome> {
         for scene in &scenes {
             for (number, [views, fov, samples]) in FIELDS.into_iter().enumerate() {
                 let words = ["field", scene, "--views", views, "--fov", fov, "--samples", samples, "--size", "210x131"];
-                let words = words.map(str::to_owned);
-                bench("lumistack-pathtracer", "render", &words)?;
-                if number == 0 {
-                    for more in [&["--own-materials"][..], &["--copies", COPIES]] {
-                        let more: Vec<String> = more.iter().map(|&word| word.to_owned()).collect();
-                        bench("lumistack-pathtracer", "render", &[words.to_vec(), more].concat())?;
-                    }
+                // with converged pictures of the first views, which have the most samples
+                let means = if number == 0 { &["--converged", CONVERGED][..] } else { &[] };
+                for more in [&[][..], &["--own-materials"], &["--copies", COPIES]] {
+                    let words =
+                        [&words[..], more, means].concat().iter().map(|&word| word.to_owned()).collect::<Vec<_>>();
+                    bench("lumistack-pathtracer", "render", &words)?;
                 }
             }
         }

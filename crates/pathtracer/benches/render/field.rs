@@ -87,8 +87,55 @@ pub fn measure(options: &Options) -> Outcome {
             let ratio = alone.seconds * errors[0].all / (way.seconds * error.all);
             row(&bench.case, options, way, error, ratio);
         }
+        if let Some(samples) = options.converged {
+            compare_means(&bench, &ways, samples, task)?;
+        }
     }
     Ok(())
+}
+
+/// Compares the mean of whole pictures with converged pictures, in the two views at opposite
+/// corners of the zone and in the middle view. Prints for each way the difference in percent, and in
+/// standard deviations (σ), of the view where it is largest.
+fn compare_means(bench: &Bench, ways: &[Way], samples: u32, task: Task<'_>) -> Outcome {
+    let [rows, cols] = bench.geometry.grid.views();
+    let views = [[0, 0], [rows / 2, cols / 2], [rows - 1, cols - 1]];
+    let mut largest = vec![(0.0f64, 0.0f64); ways.len()];
+    for view in views {
+        // A half of the samples with each seed. The seeds are none of the ways' seeds.
+        let half = |seed: u64| {
+            let clamp = Some(CLAMP * bench.white);
+            let samples = samples.div_ceil(2);
+            let settings = Settings { samples, max_bounces: BOUNCES, seed, clamp, ..Settings::default() };
+            bench.renderer.render_view(&bench.case.window, &bench.geometry, view, &settings, task)
+        };
+        let (truth, of_truth) = mean_of([&half(1 << 40)?, &half((1 << 40) + 1)?]);
+        for (way, largest) in ways.iter().zip(&mut largest) {
+            let number = view[0] * cols + view[1];
+            let (mean, variance) = mean_of(way.pictures.each_ref().map(|pictures| &pictures[number]));
+            let off = (mean - truth) / (variance + of_truth).sqrt();
+            if off.abs() >= largest.1.abs() {
+                *largest = (100.0 * (mean / truth - 1.0), off);
+            }
+        }
+    }
+    for (way, (percent, off)) in ways.iter().zip(largest) {
+        let way = way.kind.name();
+        println!("| {}, {way}: mean against {samples} samples | {percent:+.3} %, {off:+.1} σ |", bench.case.name);
+    }
+    Ok(())
+}
+
+/// Returns the mean of all values of two independent pictures, and its variance. Pixels are
+/// independent of each other, so the variance of the mean follows from the variances of the pixels.
+fn mean_of([a, b]: [&Tensor<3>; 2]) -> (f64, f64) {
+    let count = a.data().len() as f64;
+    let pairs = || a.data().chunks_exact(3).zip(b.data().chunks_exact(3));
+    // the channels of a pixel depend on each other, so their sum is one value
+    let sum = |pixel: &[f32]| pixel.iter().map(|value| f64::from(*value)).sum::<f64>();
+    let total: f64 = pairs().map(|(a, b)| 0.5 * (sum(a) + sum(b))).sum();
+    let variance: f64 = pairs().map(|(a, b)| 0.25 * (sum(a) - sum(b)).powi(2)).sum();
+    (total / count, variance / (count * count))
 }
 
 /// Renders the views of a case one by one and filtered, at several numbers of samples. Prints a

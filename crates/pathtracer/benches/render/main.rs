@@ -8,7 +8,7 @@
 //!        [--peer PYTHON SCRIPT]...
 //! render big SCENE [--copies N]
 //! render field SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES]
-//!        [--samples N] [--size COLSxROWS]
+//!        [--samples N] [--size COLSxROWS] [--converged N]
 //! render filters SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES]
 //!        [--size COLSxROWS]
 //! ```
@@ -21,7 +21,8 @@
 //! * `agree` compares converged pictures of the same view and fails where they differ.
 //! * `field` renders many views, first one by one, then with shared light averaged over them. It
 //!   prints a row per method: processor seconds, squared error, error of the worst view, bias,
-//!   change of the mean, variance of the mean view, and speed-up at equal error.
+//!   change of the mean, variance of the mean view, and speed-up at equal error. With
+//!   `--converged` it also compares the means of three views with pictures of N samples.
 //! * `filters` renders views one by one, with shared light, and filtered with guides, with 4, 16
 //!   and 64 samples. Its last column is the error of views one by one in the same time, divided by
 //!   the error of the row's way.
@@ -67,6 +68,8 @@ struct Options {
     views: [usize; 2],
     fov_deg: f64,
     own_materials: bool,
+    /// For `field`: number of samples of the pictures with which means are compared.
+    converged: Option<u32>,
 }
 
 fn main() -> ExitCode {
@@ -109,6 +112,7 @@ fn options(words: &[String]) -> Outcome<Options> {
         views: [5, 5],
         fov_deg: 20.0,
         own_materials: false,
+        converged: None,
     };
     let mut words = words.iter();
     while let Some(word) = words.next() {
@@ -125,6 +129,7 @@ fn options(words: &[String]) -> Outcome<Options> {
             "--size" => options.size = pair(value()?)?,
             "--views" => options.views = pair(value()?)?,
             "--fov" => options.fov_deg = value()?.parse()?,
+            "--converged" => options.converged = Some(value()?.parse()?),
             "--own-materials" => options.own_materials = true,
             _ => options.scene = word.into(),
         }
