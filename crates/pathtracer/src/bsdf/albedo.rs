@@ -58,8 +58,8 @@ pub(crate) const COMMON_IOR: f32 = 1.5;
 const INDICES: [usize; 3] = [40, 16, 20];
 const INDICES_SAMPLES: u32 = 377;
 const INDICES_STEP: u32 = 233;
-/// (n − 1)/(n + 1) of the highest index in the table of [`INDICES`], 4; a higher index is treated
-/// as 4.
+/// (n − 1)/(n + 1) of n = 4, the highest index in the table of [`INDICES`]. A higher index is
+/// treated as 4.
 const LARGEST_ROOT: f32 = 0.6;
 
 /// Positions of two values in a node of a table: E, the albedo without Fresnel's term, and the mean

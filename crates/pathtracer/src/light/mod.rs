@@ -134,8 +134,8 @@ impl Lights {
         !self.choices.is_empty()
     }
 
-    /// Returns the radiance from infinity, and the density with which [`sample`](Self::sample)
-    /// finds its direction.
+    /// Returns the radiance that arrives from infinity along `direction`, and the density with
+    /// which [`sample`](Self::sample) finds `direction`.
     pub(crate) fn infinite(&self, direction: Vec3, parts: Parts) -> (Vec3, f32) {
         let Some(environment) = &self.environment else { return (Vec3::ZERO, 0.0) };
         let chance = self.chance(1 + self.directional.len(), parts);
