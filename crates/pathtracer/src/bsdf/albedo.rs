@@ -6,10 +6,10 @@
 //! replaces F, and B(μ, α) is the albedo if s replaces F. So the albedo with F is F₀(E − B) + F₉₀B,
 //! without compensation.
 //!
-//! The lobe scatters light once, and so loses the fraction 1 − E of it. On a real surface the lost
-//! light strikes the surface again, which multiplies it by F̄, the mean of F. The fraction Ē, the
-//! mean of E, then leaves, and the rest strikes once more. The factor K on the lobe adds the light
-//! that leaves later:
+//! The lobe scatters light once, and so loses the fraction 1 − E of the light. On a real surface
+//! the lost light strikes the surface again, which multiplies this light by F̄, the mean of F. The
+//! fraction Ē, the mean of E, then leaves, and the rest strikes once more. The factor K on the lobe
+//! adds the light that leaves later:
 //!
 //! ```text
 //! E K = E + (1 − E) F̄ Ē (1 + F̄(1 − Ē) + F̄²(1 − Ē)² + …) = E + (1 − E) F̄ Ē / (1 − F̄(1 − Ē))

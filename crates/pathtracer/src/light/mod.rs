@@ -173,9 +173,9 @@ impl Lights {
     }
 
     /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also
-    /// chooses the light. It is then rescaled from the light's interval to [0, 1), so that each
-    /// light's samples stay stratified. `u_fine` adds the digits that rescaling loses. `parts` is a
-    /// number of equal parts of [0, 1). Each part holds the first number of `u` of one of the
+    /// chooses the light. This number is then rescaled from the light's interval to [0, 1), so that
+    /// each light's samples stay stratified. `u_fine` adds the digits that rescaling loses. `parts`
+    /// is a number of equal parts of [0, 1). Each part holds the first number of `u` of one of the
     /// pixel's samples.
     pub(crate) fn sample(
         &self,
