@@ -111,7 +111,8 @@ pub fn nearest_key(message: &str) -> Option<String> {
     nearest(unknown, names).map(String::from)
 }
 
-/// Returns the candidate that is spelled most like `name`; `None` if `name` is hardly a typo of it.
+/// Returns the candidate that is spelled most like `name`; `None` if no candidate is similar
+/// enough for `name` to be a typo of it.
 pub fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .into_iter()

@@ -48,12 +48,13 @@ impl GridError {
 impl ViewGrid {
     /// Makes a grid of `views` = [horizontal, vertical] views over the full angles `fov_deg`, at
     /// the centres of equal bins of slopes. View column a of A_x columns over the angle α_x has the
-    /// slope below. Rows have the same form, with the topmost view first. The spacing is Δv of eq.
-    /// 23.
+    /// slope
     ///
     /// ```text
     /// s_x(a) = (a − (A_x−1)/2)·(2/A_x)·tan(α_x/2)
     /// ```
+    ///
+    /// Rows have the same form, with the topmost view first. The spacing is Δv of eq. 23.
     ///
     /// # Errors
     /// If there are no views, or an angle is outside 0..180°, or the viewing distance is not above

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Panel, Transfer};
 
-/// One attenuating layer of a display.
+/// One layer of a display.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Layer {

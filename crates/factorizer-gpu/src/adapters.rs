@@ -63,8 +63,8 @@ fn described(adapter: &wgpu::Adapter) -> Adapter {
     }
 }
 
-/// Chooses the first graphics processor, or the first adapter whose name contains `name`, ignoring
-/// case.
+/// Chooses the first adapter whose name contains `name`, ignoring case. Without `name`, chooses the
+/// first graphics processor.
 ///
 /// # Errors
 /// If no adapter fits; the error lists all adapters.

@@ -39,8 +39,8 @@ pub struct Gpu {
 }
 
 impl Gpu {
-    /// Opens the first graphics processor, or the first adapter whose name contains `name`,
-    /// ignoring case.
+    /// Opens the first adapter whose name contains `name`, ignoring case. Without `name`, opens the
+    /// first graphics processor.
     ///
     /// # Errors
     /// [`FactorizeError::Device`] if there is no such adapter, or if it does not open.

@@ -50,8 +50,8 @@ pub struct Device {
 }
 
 impl Device {
-    /// Opens the first graphics processor, or the first adapter whose name contains `name`,
-    /// ignoring case.
+    /// Opens the first adapter whose name contains `name`, ignoring case. Without `name`, opens the
+    /// first graphics processor.
     ///
     /// # Errors
     /// [`FactorizeError::Device`] if there is no such adapter, or if it does not open.

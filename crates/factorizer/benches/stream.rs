@@ -6,9 +6,8 @@
 //!     FOLDER [COLUMNS ROWS ITERATIONS]
 //! ```
 //!
-//! It prints an estimate of the memory, and writes a target of several textured planes to FOLDER.
-//! Then it factorizes the mapped target, and prints times, PSNR and
-//! anonymous memory.
+//! The program prints an estimate of the memory, and writes a target of several textured planes to
+//! FOLDER. Then it factorizes the mapped target, and prints times, PSNR and anonymous memory.
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "this program measures time and maps a file")]
 
 use std::fs::File;

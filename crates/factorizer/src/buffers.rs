@@ -349,7 +349,7 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         unsafe { load::<V>(self.products, (view * self.group.frames + frame) * V::COUNT) }
     }
 
-    /// Returns the sum of the groups before this group; 0 for the first group.
+    /// Returns the sum of a quantity over all groups before this group; 0 for the first group.
     #[inline(always)]
     unsafe fn sum_so_far<V: Lanes>(&self, sums: &[f32], quantity: usize) -> V {
         // SAFETY: guaranteed by the caller

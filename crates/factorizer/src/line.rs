@@ -17,9 +17,9 @@ pub(crate) struct LineOf {
 /// weights w of rays are relative to the largest weight.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// Σ w e² over the rays through the line, before the step. If a ray reads several lines, each
-    /// line gets its share of w e². Rays that miss the factor may be left out, so this is the whole
-    /// sum only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
+    /// Σ w e² over the rays through the updated lines, before the step. If a ray reads several
+    /// lines, each line gets its share of w e². Rays that miss the factor may be left out. So this
+    /// is the whole sum only if [`Plan::sees_all_rays`](crate::device::Plan::sees_all_rays).
     pub error: f64,
     /// Lower bound of the decrease of Σ w e² by the step; 0 if the rule does not compute it.
     /// [`Rule::KktResidual`] and [`Rule::Darken`] return their result here.

@@ -118,7 +118,7 @@ pub(crate) struct Block {
     /// The change of the values by the step, divided by the number of frames.
     change: Aligned,
     /// Decrease of the objective by the last step, per lane. The rays' weights are divided by the
-    /// largest weight. The multiplicative rule does not compute it and leaves 0.
+    /// largest weight. The multiplicative rule does not compute the decrease and leaves 0.
     pub(crate) gain: Vector,
 }
 

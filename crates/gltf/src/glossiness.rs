@@ -5,9 +5,9 @@
 //! specular colour alone sets the reflection. Sources: KHR_materials_specular, "Conversions", and
 //! KHR_materials_ior.
 //!
-//! Roughness is 1 − glossiness. A texture may hold glossiness in its alpha. It is replaced by a
-//! picture whose green channel is 1 − glossinessFactor · alpha, since no factor on a roughness
-//! texture can express this.
+//! Roughness is 1 − glossiness. A texture may hold glossiness in its alpha. Such a texture is
+//! replaced by a picture whose green channel is 1 − glossinessFactor · alpha, since no factor on a
+//! roughness texture can express this.
 
 use glam::{Vec3, Vec4};
 use lumistack_scene::{Material, Texture};

@@ -16,8 +16,9 @@ pub struct LoadOptions {
     /// their first and last values. `None`: time 0 with an [`animation`](Self::animation),
     /// otherwise the nodes' own values.
     pub time_s: Option<f64>,
-    /// Name or number of the animation. `None`: all animations together if no two move the same
-    /// property of a node, otherwise the first.
+    /// Name or number of the animation. `None` with a [`time_s`](Self::time_s): all animations
+    /// together if no two move the same property of a node, otherwise the first. `None` without a
+    /// time: no animation.
     pub animation: Option<String>,
     /// Name or number of the material variant (`KHR_materials_variants`). `None`: the default
     /// materials.

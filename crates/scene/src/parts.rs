@@ -69,12 +69,12 @@ pub struct Instance {
 /// A light without a surface: a light of `KHR_lights_punctual`, or the sun.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
-    /// Position in the scene; unused by directional lights.
+    /// Position in the scene; unused by directional and distant lights.
     pub position: Vec3,
     /// Unit direction in which light travels; unused by point lights.
     pub direction: Vec3,
     /// Linear RGB. For point and spot lights this is the radiant intensity (candela up to a
-    /// factor), for directional lights the irradiance (lux up to a factor).
+    /// factor), for directional and distant lights the irradiance (lux up to a factor).
     pub intensity: Vec3,
     /// Kind of the light. The kind decides how the light spreads.
     pub kind: LightKind,

@@ -69,7 +69,8 @@ const BULK: [f64; 2] = [0.02, 0.98];
 /// A splat is a floater if its distance from the bulk exceeds this fraction of the bulk's size.
 /// Floaters do not extend the bounds.
 const REACH: f32 = 0.5;
-/// A splat of smaller opacity than this does not extend the bounds.
+/// A splat of smaller opacity than this does not extend the bounds, unless all splats near the bulk
+/// are so faint.
 const LEAST_OPACITY: f32 = 0.1;
 
 impl Cloud {

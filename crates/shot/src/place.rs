@@ -12,8 +12,9 @@
 //! In perspective the eye stays in place, and the window grows by (D + t)/D to fill the eye's
 //! frustum. So the eye's distance in display space remains D.
 //!
-//! By default, fitting has an effect only if the scene does not fit. A window that the user placed
-//! stays in place, and depth is compressed about it: content in the display plane remains there.
+//! By default, fitting has an effect only if the scene does not fit. If numbers or a focus distance
+//! determine the window's depth, the window stays in place, and depth is compressed about it:
+//! content in the display plane remains there.
 //!
 //! Scaling the slopes is the same as moving all viewpoints closer together: every displacement
 //! between views shrinks by k. In oblique views the effect is an affine compression along the
@@ -78,16 +79,15 @@ struct Means {
 }
 
 impl Means {
-    /// Returns the changes that a job allows; `None` for none. `chosen` says that the user placed
-    /// the window.
+    /// Returns the changes that a job allows; `None` for none. `chosen` is [`Found::chosen`].
     fn of(job: &WindowJob, chosen: bool) -> Option<Self> {
         let scaled = job.depth_scale != 1.0;
         match job.fit_depth {
             FitDepth::Off => None,
             FitDepth::Move => Some(Self { moves: true, compresses: false, at_need: false }),
             FitDepth::Compress => Some(Self { moves: true, compresses: true, at_need: false }),
-            // fitting changes neither a window that the user placed nor a depth scale that the user
-            // set
+            // fitting moves no window of a chosen depth, and changes no depth scale that the job
+            // sets
             FitDepth::Auto if chosen && scaled => None,
             FitDepth::Auto => Some(Self { moves: !chosen, compresses: !scaled, at_need: true }),
         }
@@ -106,8 +106,8 @@ pub fn place<S: Subject>(
     geometry: &FieldGeometry,
     task: Task<'_>,
 ) -> Result<Placement, S::Error> {
-    // Find the window. If numbers place it, its near plane is where the display stops showing
-    // detail.
+    // Find the window. If numbers place it and the job states no near plane, the near plane is
+    // where the display shows hardly any detail.
     let Found { mut window, chosen, looked_from_deg } = find_window(subject, job, geometry, task)?;
     if job.near == Near::Auto && job.from == WindowFrom::Given {
         window.near_mm = farthest_shown(display, geometry.pitch_mm).map(|z| z / job.depth_scale);

@@ -35,13 +35,13 @@ pub trait Lanes: Copy {
     unsafe fn min(self, other: Self) -> Self;
     /// Returns the greater value of each lane. The result for NaN is unspecified.
     unsafe fn max(self, other: Self) -> Self;
-    /// Returns self · factor + addend. The result is rounded once if the instruction set has an
-    /// instruction for it, otherwise twice.
+    /// Returns self · factor + addend. The result is rounded once if the instruction set has a
+    /// fused multiply-add, otherwise twice.
     unsafe fn mul_add(self, factor: Self, addend: Self) -> Self;
     /// Returns addend − self · factor, rounded as [`mul_add`](Self::mul_add).
     unsafe fn neg_mul_add(self, factor: Self, addend: Self) -> Self;
     /// Returns self · factor + addend. All machines except WebAssembly round the result once, so
-    /// they give the same bits. Machines without an instruction for it call a library function for
+    /// they give the same bits. Machines without a fused multiply-add call a library function for
     /// each lane.
     unsafe fn fused_mul_add(self, factor: Self, addend: Self) -> Self;
     /// Returns addend − self · factor, rounded as [`fused_mul_add`](Self::fused_mul_add).

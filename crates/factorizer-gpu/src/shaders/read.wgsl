@@ -2,8 +2,8 @@
 // factorizer's expand.rs and rows.rs.
 //
 // Each buffer holds one colour channel. A factor is stored as [line][frame][column], the target as
-// [field row][view][field column]. A dispatch binds only the parts of them that it reads (windows).
-// Tables give the line that a ray reads, by [view row][field row], and the column, by
+// [field row][view][field column]. A dispatch binds only the parts of the buffers that it reads
+// (windows). Tables give the line that a ray reads, by [view row][field row], and the column, by
 // [view column][field column].
 
 struct Params {

@@ -1,5 +1,5 @@
 //! Tests of animations: each writes a small file, or takes a file of other projects, and checks the
-//! scene at a time.
+//! scene at one instant.
 
 use crate::support::{Builder, F32, I8, I16, Memory, U8, U16, assets, load_choosing, load_file_choosing};
 use glam::{Quat, Vec3};

@@ -1,5 +1,5 @@
-//! Compares four ways to render light fields. Views are rendered one by one, with light that all
-//! views of a point share, with shared light and further paths, or with a filter. Each way renders
+//! Compares four ways to render light fields. Views are rendered one by one, with diffuse light
+//! that the views share, with shared light and further paths, or with a filter. Each way renders
 //! twice, with independent seeds.
 
 use std::time::Duration;
@@ -72,7 +72,8 @@ struct Bench {
     white: f32,
 }
 
-/// Renders the views of a case one by one and with shared light, and prints a table row per way.
+/// Renders the views of a case one by one, with shared light, and with shared light and further
+/// paths. Prints a table row per way.
 pub fn measure(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
@@ -138,8 +139,8 @@ fn mean_of([a, b]: [&Tensor<3>; 2]) -> (f64, f64) {
     (total / count, variance / (count * count))
 }
 
-/// Renders the views of a case one by one and filtered, at several numbers of samples. Prints a
-/// table row per way of rendering. The last column compares errors at equal time. It is the error
+/// Renders the views of a case in all four ways, at several numbers of samples. Prints a table row
+/// per way and number of samples. The last column compares errors at equal time. It is the error
 /// of views that are rendered one by one, divided by the error of the row's way.
 pub fn filters(options: &Options) -> Outcome {
     let (warnings, cancel) = (Collector::default(), Cancel::default());

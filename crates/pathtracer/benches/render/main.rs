@@ -19,13 +19,14 @@
 //!   prints a line per renderer and sampler: median time, samples per second, mean squared error
 //!   against the renderer's own converged picture, and error × seconds per megapixel.
 //! * `agree` compares converged pictures of the same view and fails where they differ.
-//! * `field` renders many views, first one by one, then with shared light averaged over them. It
-//!   prints a row per method: processor seconds, squared error, error of the worst view, bias,
-//!   change of the mean, variance of the mean view, and speed-up at equal error. With
-//!   `--converged` it also compares the means of three views with pictures of N samples.
-//! * `filters` renders views one by one, with shared light, and filtered with guides, with 4, 16
-//!   and 64 samples. Its last column is the error of views one by one in the same time, divided by
-//!   the error of the row's way.
+//! * `field` renders many views in three ways: one by one, with light that is averaged over all
+//!   views, and with this light and further paths. It prints a row per way: processor seconds,
+//!   squared error, error of the worst view, bias, change of the mean, variance of the mean view,
+//!   and speed-up at equal error. With `--converged` it also compares the means of three views with
+//!   pictures of N samples.
+//! * `filters` renders the same three ways, and views that are filtered with guides, each with 4,
+//!   16 and 64 samples. Views one by one are also rendered with 256 samples. The last column is the
+//!   error of views one by one in the same time, divided by the error of the row's way.
 
 mod case;
 #[cfg(unix)]
@@ -49,8 +50,8 @@ const BOUNCES: u32 = 5;
 /// Largest difference of the mean radiances, and largest relative RMSE, of two renderers that
 /// agree.
 const AGREE: [f64; 2] = [0.003, 0.03];
-/// A pixel's error is divided by its radiance, or by this fraction of the mean radiance if that is
-/// larger.
+/// A pixel's error is divided by the larger of two values: the pixel's radiance, and this fraction
+/// of the mean radiance.
 const DARKEST_SHARE: f64 = 0.05;
 
 struct Options {

@@ -6,10 +6,10 @@
 //! replaces F, and B(μ, α) is the albedo if s replaces F. So the albedo with F is F₀(E − B) + F₉₀B,
 //! without compensation.
 //!
-//! The lobe scatters light once, and so loses the fraction 1 − E of it. On a real surface the lost
-//! light strikes the surface again, which multiplies it by F̄, the mean of F. The fraction Ē, the
-//! mean of E, then leaves, and the rest strikes once more. The factor K on the lobe adds the light
-//! that leaves later:
+//! The lobe scatters light once, and so loses the fraction 1 − E of the light. On a real surface
+//! the lost light strikes the surface again, which multiplies this light by F̄, the mean of F. The
+//! fraction Ē, the mean of E, then leaves, and the rest strikes once more. The factor K on the lobe
+//! adds the light that leaves later:
 //!
 //! ```text
 //! E K = E + (1 − E) F̄ Ē (1 + F̄(1 − Ē) + F̄²(1 − Ē)² + …) = E + (1 − E) F̄ Ē / (1 − F̄(1 − Ē))
@@ -58,8 +58,8 @@ pub(crate) const COMMON_IOR: f32 = 1.5;
 const INDICES: [usize; 3] = [40, 16, 20];
 const INDICES_SAMPLES: u32 = 377;
 const INDICES_STEP: u32 = 233;
-/// (n − 1)/(n + 1) of the highest index in the table of [`INDICES`], 4; a higher index is treated
-/// as 4.
+/// (n − 1)/(n + 1) of n = 4, the highest index in the table of [`INDICES`]. A higher index is
+/// treated as 4.
 const LARGEST_ROOT: f32 = 0.6;
 
 /// Positions of two values in a node of a table: E, the albedo without Fresnel's term, and the mean

@@ -21,7 +21,8 @@ macro_rules! layers_from_the_top {
     };
 }
 
-/// Makes the types and functions of all lobes. Lobes are chosen in the order of the list.
+/// Makes the types and functions of all lobes. A lobe's index is its position in the list. Random
+/// numbers select lobes by their chances, in this order.
 macro_rules! lobes {
     (base { $($base:ident: $Base:ident,)* } layers { $($layer:ident: $Layer:ident,)* }) => {
         /// The lobes of a point.

@@ -132,7 +132,7 @@ impl Bsdf {
     }
 
     /// Returns f |cos| for light from `direction`, and the density with which
-    /// [`sample`](Self::sample) finds it. Mirrors contribute nothing.
+    /// [`sample`](Self::sample) finds `direction`. Mirrors contribute nothing.
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         self.evaluate_above(self.facet.geometric_normal, direction)
     }

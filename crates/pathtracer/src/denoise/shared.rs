@@ -111,13 +111,13 @@ pub struct SharedLight<'a> {
     added: usize,
     /// Data of every pixel, `[view][row][col]`.
     points: Array<Point>,
-    /// Mean over the views of [`Point::light`], `[view][row][col]`, once it is computed.
+    /// Mean of [`Point::light`] over the views, `[view][row][col]`, once it is computed.
     light: Array<Light>,
 }
 
 /// The mean light of every view.
 pub struct MeanLight {
-    /// Mean over the views of [`Point::light`], `[view][row][col]`.
+    /// Mean of [`Point::light`] over the views, `[view][row][col]`.
     light: Array<Light>,
 }
 

@@ -109,7 +109,7 @@ impl EnvironmentLight {
     }
 
     /// Returns the radiance from a direction, and the density per solid angle with which
-    /// [`sample`](Self::sample) finds it.
+    /// [`sample`](Self::sample) finds this direction.
     pub(crate) fn evaluate(&self, direction: Vec3) -> (Vec3, f32) {
         if let Some(radiance) = self.constant {
             return (radiance, 0.0);

@@ -134,8 +134,8 @@ impl Lights {
         !self.choices.is_empty()
     }
 
-    /// Returns the radiance from infinity, and the density with which [`sample`](Self::sample)
-    /// finds its direction.
+    /// Returns the radiance that arrives from infinity along `direction`, and the density with
+    /// which [`sample`](Self::sample) finds `direction`.
     pub(crate) fn infinite(&self, direction: Vec3, parts: Parts) -> (Vec3, f32) {
         let Some(environment) = &self.environment else { return (Vec3::ZERO, 0.0) };
         let chance = self.chance(1 + self.directional.len(), parts);
@@ -173,9 +173,9 @@ impl Lights {
     }
 
     /// Chooses a light and a point of it, as seen by the receiver. The first number of `u` also
-    /// chooses the light. It is then rescaled from the light's interval to [0, 1), so that each
-    /// light's samples stay stratified. `u_fine` adds the digits that rescaling loses. `parts` is a
-    /// number of equal parts of [0, 1). Each part holds the first number of `u` of one of the
+    /// chooses the light. This number is then rescaled from the light's interval to [0, 1), so that
+    /// each light's samples stay stratified. `u_fine` adds the digits that rescaling loses. `parts`
+    /// is a number of equal parts of [0, 1). Each part holds the first number of `u` of one of the
     /// pixel's samples.
     pub(crate) fn sample(
         &self,

@@ -1,5 +1,5 @@
-//! Chooses one of many local lights by a bound of the light that it sends to a point. The lights
-//! are leaves of a binary tree.
+//! Chooses one of many local lights, by a bound of the irradiance that each of them gives at a
+//! point. The lights are leaves of a binary tree.
 //!
 //! A node bounds its lights' positions by a box and their directions by a cone, and sums their
 //! strengths I (radiant intensity along the normal). The descent chooses one child of each node.

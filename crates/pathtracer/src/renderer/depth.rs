@@ -6,7 +6,7 @@
 //! for the nearest hit at t along the central ray of a pixel
 //! ```
 //!
-//! It is the depth of the first surface. Mirrors and panes have their own depth, not the depth of
+//! z is the depth of the first surface. Mirrors and panes have their own depth, not the depth of
 //! the objects that they show.
 
 use glam::DVec3;

@@ -1,8 +1,9 @@
 //! Data of a view's first surfaces. They guide a denoiser, and picture files can store them as
 //! layers.
 //!
-//! Every value is a mean over the paths of a pixel that hit a surface. These paths also give the
-//! pixel's light. [`Renderer::render_view_and_features`] records the surfaces while it renders.
+//! Most values are means over the paths of a pixel that hit a surface; [`Feature`] describes the
+//! others. These paths also give the pixel's light.
+//! [`Renderer::render_view_and_features`] records the surfaces while it renders.
 //! [`Renderer::render_features`] traces the same rays only to their first hits.
 
 use glam::Vec3;
@@ -38,8 +39,8 @@ pub struct GuidedView {
 /// The guides of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Feature {
-    /// Fraction of the pixel in which a surface is seen, 0..1. The other values are means over that
-    /// fraction, and 0 if no surface is seen.
+    /// Fraction of the pixel in which a surface is seen, 0..1. All other values except the central
+    /// depth are means over this fraction, and 0 if no surface is seen.
     pub covered: f32,
     /// Reflectance, 0..1: base colour plus the few percent that a dielectric reflects.
     pub albedo: Vec3,

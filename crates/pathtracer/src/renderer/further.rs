@@ -220,7 +220,8 @@ fn further(values: &Tensor<3>, pitch_mm: f32, samples: u32) -> Vec<Further> {
         let (noisy, least) = if is_edge { (ALL_LIGHT, EDGE) } else { (OTHER_LIGHT, OTHER) };
         let deviation = (counted * variance(noisy)).sqrt();
         let paths = (samples as f32 * (deviation / least - 1.0).clamp(0.0, MOST)).round() as u32;
-        // the reflectance is noisy inside of a texture; E, the diffuse light divided by it, is not
+        // the reflectance is noisy inside of a texture; the light on the surface, which is the
+        // diffuse light divided by the reflectance, is not
         let light_of_white = mean(DIFFUSE_LIGHT) / mean(REFLECTANCE).max(f32::MIN_POSITIVE);
         let texture = (counted * variance(REFLECTANCE)).sqrt() * light_of_white;
         let surfaces = if texture > TEXTURE { TEXTURE_RAYS * samples } else { 0 };

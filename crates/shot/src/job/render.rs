@@ -301,9 +301,9 @@ impl RenderJob {
         (self.field_mib << 20).div_ceil(Self::BYTES_PER_RAY * pixels as u64) as usize
     }
 
-    /// Makes the path tracer's settings for views of `samples` paths per pixel. With `hidden` no
-    /// ray sees the environment. `footprint` is the width of the display's prefilter in slopes,
-    /// before depth is scaled.
+    /// Makes the path tracer's settings for views of `samples` paths per pixel. With `hidden`,
+    /// primary rays that miss all surfaces see black instead of the environment. `footprint` is the
+    /// width of the display's prefilter in slopes, before depth is scaled.
     pub fn settings(&self, seed: u64, samples: u32, hidden: bool, depth_scale: f64, footprint: [f64; 2]) -> Settings {
         use lumistack_pathtracer::AngularFilter as Filter;
         Settings {

@@ -11,9 +11,9 @@ use crate::error::ShotError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WindowJob {
-    /// `auto`: the plane of focus of the first camera, or the framed scene if there is no camera.
-    /// `camera`: a camera's plane of focus. `bounds`: the framed scene. `given`: `centre`,
-    /// `forward`, `up` and `width`.
+    /// `auto`: a camera's plane of focus if the job names a camera, or if the file has one and
+    /// `look_from` is not set; otherwise the framed scene. `camera`: a camera's plane of focus.
+    /// `bounds`: the framed scene. `given`: `centre`, `forward`, `up` and `width`.
     pub from: WindowFrom,
     /// Name of the camera, or its number from 0.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -51,9 +51,10 @@ pub struct WindowJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FitDepth {
-    /// Does nothing if the scene fits, otherwise acts as [`Compress`](Self::Compress). A window
-    /// that the user placed stays, and depth is compressed about it. If the user set a depth scale,
-    /// the window only moves.
+    /// Does nothing if the scene fits, or if the display's depth of field does not lie on both
+    /// sides of the display plane. Otherwise acts as [`Compress`](Self::Compress), with two limits.
+    /// If numbers or a focus distance determine the window's depth, the window stays. If the job
+    /// sets a depth scale, depth is not compressed.
     #[default]
     Auto,
     /// Neither window nor depth change.
@@ -68,8 +69,9 @@ pub enum FitDepth {
 /// for framing and exposure too.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Near {
-    /// The camera's near plane. For a `given` window, the distance where the display shows hardly
-    /// any detail. Otherwise the whole framed scene is visible.
+    /// If a camera determines the window, the camera's near plane. If numbers do (`given`), the
+    /// distance at which the display shows hardly any detail. Otherwise the whole framed scene is
+    /// visible.
     #[default]
     Auto,
     /// All content in front of the window is visible.
@@ -137,7 +139,8 @@ impl<'de> Deserialize<'de> for Near {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum WindowFrom {
-    /// A camera if the file has one, otherwise the bounds.
+    /// A camera if the job names one, or if the file has one and `look_from` is not set. Otherwise
+    /// the bounds.
     #[default]
     Auto,
     /// A camera.

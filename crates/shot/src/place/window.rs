@@ -25,7 +25,8 @@ const PROBE_COLS: usize = 336;
 pub struct Found {
     /// The window that was found.
     pub window: Window,
-    /// True if the user chose the depth of the window: by numbers or by a focus distance.
+    /// True if numbers of the job determine the depth of the window, or if a focus distance does:
+    /// the job's, or the one of the file's camera.
     pub chosen: bool,
     /// Azimuth and elevation in degrees of the viewer for whom the scene was framed. `None` if the
     /// window was not framed.
