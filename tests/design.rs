@@ -146,8 +146,8 @@ fn analyze_reports_draws_and_refuses() {
     let text = fail(lumistack().args(["analyze", "fig7-uniforn"]));
     assert!(text.contains("did you mean `fig7-uniform`?"), "{text}");
 }
-/// Renders views with `angular_filter = "display"`. They must equal dense views that `--prefilter`
-/// averages, and differ from views of single slopes.
+/// Renders views with `angular_filter = "display"`. These views must be nearer to dense views that
+/// `--prefilter` has averaged than to views of single slopes.
 #[test]
 fn a_displays_prefilter_is_rendered_as_it_is_averaged() {
     let folder = tempfile::tempdir().unwrap();

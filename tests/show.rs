@@ -451,7 +451,7 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     std::thread::sleep(Duration::from_millis(300));
     assert_eq!(poke.focused(), root);
     poke.manage(false);
-    // if another window takes the focus, it keeps the focus; when it closes, the focus returns
+    // another window that takes the focus keeps it; when that window closes, the focus returns
     poke.focus(other);
     std::thread::sleep(Duration::from_millis(300));
     assert_eq!(poke.focused(), other);
