@@ -1,5 +1,5 @@
-//! Runs of files of other projects, for which only a display is given. The program chooses window
-//! and light, and the pictures must have content.
+//! Runs of scenes and light fields of other projects. For a scene, the tests name a display, but
+//! neither window nor light. The program chooses both, and the pictures must have content.
 
 use crate::common::{assets, lumistack, number, report, succeed};
 

@@ -88,7 +88,8 @@ fn the_preview_window_shows_the_view_that_the_pointer_selects() {
     let mut poke = poke::Poke::new(session.x_display());
     let mut seen = vec![first];
     for (i, at) in [[384, 240], [40, 240], [728, 240], [384, 30], [600, 450]].into_iter().enumerate() {
-        // move the pointer twice: if it is already at a position, a move to it causes no event
+        // move the pointer twice: if the pointer is already at a position, a move to this position
+        // causes no event
         poke.point([at[0] - 1, at[1]]);
         poke.point(at);
         // the window's edges stand for slopes at 1.2 times the field of view

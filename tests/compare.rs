@@ -34,8 +34,8 @@ struct Camera {
 }
 
 impl Camera {
-    /// Returns a camera that looks at the point `at` of the display plane. It is rotated a little
-    /// about its viewing direction.
+    /// Returns a camera that looks at the point `at` of the display plane. The camera is rotated a
+    /// little about its viewing direction.
     fn looking(eye: [f64; 3], at: [f64; 2]) -> Self {
         let cross = |a: [f64; 3], b: [f64; 3]| {
             [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

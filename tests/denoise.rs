@@ -104,8 +104,8 @@ fn a_missing_program_is_named_before_anything_is_rendered() {
     assert!(!traced, "views were traced before the filter was looked for");
 }
 
-/// A test program replaces `oidnDenoise`, and returns its input unchanged. It receives all
-/// pictures, and the run uses its result.
+/// A test program replaces `oidnDenoise`, and returns its input unchanged. It must receive all
+/// pictures, and the run must use its result.
 #[cfg(unix)]
 #[test]
 fn the_external_denoiser_receives_pictures_and_its_result_is_used() {

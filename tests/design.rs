@@ -146,8 +146,8 @@ fn analyze_reports_draws_and_refuses() {
     let text = fail(lumistack().args(["analyze", "fig7-uniforn"]));
     assert!(text.contains("did you mean `fig7-uniform`?"), "{text}");
 }
-/// Renders views with `angular_filter = "display"`. They must equal dense views that `--prefilter`
-/// averages, and differ from views of single slopes.
+/// Renders views with `angular_filter = "display"`. These views must be nearer to dense views that
+/// `--prefilter` has averaged than to views of single slopes.
 #[test]
 fn a_displays_prefilter_is_rendered_as_it_is_averaged() {
     let folder = tempfile::tempdir().unwrap();
@@ -191,9 +191,10 @@ fn a_displays_prefilter_is_rendered_as_it_is_averaged() {
     };
     let (same, other) = (rms(&averaged, &display), rms(&point, &display));
     println!("averaged against rendered: {same:.4}, single slopes against that: {other:.4}");
-    // `same` compares rendered with averaged views, `other` with views of single slopes. The noise
-    // of 64 paths contributes 0.028 to each of these differences. If the filter did not average, or
-    // if the paths were not spread over slopes, `same` would be larger than `other`.
+    // `same` is the difference of the views with `angular_filter = "display"` from averaged views,
+    // and `other` their difference from views of single slopes. The noise of 64 paths contributes
+    // 0.028 to each difference. If the filter did not average, or if the paths were not spread over
+    // slopes, `same` would be larger than `other`.
     assert!(same < 0.75 * other && other > 0.03, "{same} {other}");
 }
 

@@ -35,8 +35,8 @@ fn display(outputs: &[Screen]) -> Display {
     display
 }
 
-/// Returns the codes of a mask, `[row][col][rgb]`. They are noise, which differs between frames and
-/// between stacks (numbered by `seed`). A strip at the top identifies the frame.
+/// Returns the codes of a mask, `[row][col][rgb]`. The codes are noise, which differs between
+/// stacks (numbered by `seed`), layers and frames. A strip at the top identifies the frame.
 fn codes(seed: u64, layer: usize, frame: usize, [cols, rows]: [usize; 2]) -> Vec<u8> {
     let mut random = Stream::new(1000 * seed + 100 * layer as u64 + frame as u64);
     let noise = (0..rows * cols * 3).map(|_| (random.next_u64() & 255) as u8);
@@ -451,7 +451,7 @@ fn a_bare_x_server_sends_keys_to_the_presentation() {
     std::thread::sleep(Duration::from_millis(300));
     assert_eq!(poke.focused(), root);
     poke.manage(false);
-    // if another window takes the focus, it keeps the focus; when it closes, the focus returns
+    // another window that takes the focus keeps it; when that window closes, the focus returns
     poke.focus(other);
     std::thread::sleep(Duration::from_millis(300));
     assert_eq!(poke.focused(), other);

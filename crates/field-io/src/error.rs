@@ -16,7 +16,7 @@ pub enum FieldError {
     Io {
         /// The file or folder that could not be accessed.
         path: PathBuf,
-        /// The operation that failed: "read", "write", "list the folder".
+        /// The operation that failed, for example "read" or "list the folder".
         action: &'static str,
         /// The operating system's error.
         #[source]

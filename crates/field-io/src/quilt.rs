@@ -52,7 +52,8 @@ fn leading_number(text: &str) -> Option<(usize, &str)> {
 struct TileViews {
     path: PathBuf,
     tile: [usize; 2],
-    /// [column, row] of the top left pixel of each view in the picture, in the order of view rows.
+    /// [column, row] of the top left pixel of each view in the picture. View [y, x] has the index
+    /// y · cols + x.
     corners: Vec<[usize; 2]>,
     cols: usize,
     picture: Option<Picture>,

@@ -183,10 +183,11 @@ impl Folder {
         self.base.join(name)
     }
 
-    /// Returns the path to which a name leads, after a check that the path is inside the folder.
+    /// Returns the path to which a name leads. If names may not lead out of the folder, checks that
+    /// the path is inside it.
     ///
     /// # Errors
-    /// If the name leads out of the folder, or to no file.
+    /// If names may not lead out of the folder: if the name leads out of it, or to no file.
     pub fn resolve(&self, name: impl AsRef<Path>) -> Result<PathBuf, Refusal> {
         let path = self.path_of(name);
         if let Some(folder) = self.inside.first() {

@@ -98,7 +98,8 @@ impl Boxes {
         }
         columns.sort_by(|a, b| a.0.total_cmp(&b.0));
         rows.sort_by(|a, b| b.0.total_cmp(&a.0));
-        // A grid has one distance. For several viewers it is the one that is right on average.
+        // A grid has one distance. For several viewers, this is the harmonic mean of their
+        // distances.
         let projection = match self.eyes {
             Eyes::Two => Projection::Perspective {
                 distance_mm: self.heads_mm.len() as f64 / self.heads_mm.iter().map(|head| 1.0 / head[2]).sum::<f64>(),

@@ -37,7 +37,7 @@ pub fn plugins(paths: &[PathBuf]) -> Result<Registry, PipelineError> {
 /// load. Returns all plugins if `ids` is empty.
 ///
 /// # Errors
-/// If no plugin has one of the ids, or its library cannot be used.
+/// If no plugin has one of the ids, or the library of such a plugin cannot be used.
 pub fn plugin_list(registry: &Registry, ids: &[String]) -> Result<serde_json::Value, PipelineError> {
     let plugins = chosen(registry, ids)?.into_iter().map(|(info, origin)| {
         let mut plugin = serde_json::to_value(info).expect("descriptions serialize");

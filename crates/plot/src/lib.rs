@@ -24,7 +24,7 @@ pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 pub struct PlotError(String);
 
 impl PlotError {
-    /// Wraps the error of a library.
+    /// Makes an error from a text or from the error of a library.
     pub fn new(error: impl std::fmt::Display) -> Self {
         Self(error.to_string())
     }

@@ -1,4 +1,4 @@
-//! Rasterizes SVGs. A font in the program draws the text.
+//! Rasterizes SVGs. Text is drawn with a font that the program contains.
 
 use std::sync::{Arc, OnceLock};
 

@@ -1,4 +1,4 @@
-//! Standalone plots: black on white, with title and legend, in the same font as their PNGs.
+//! Standalone plots: black on white, with title and legend.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};

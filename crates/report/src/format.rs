@@ -100,8 +100,8 @@ pub(crate) fn counted(count: usize, noun: &str) -> String {
     if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
 }
 
-/// Converts a relative path to a link. Bytes outside of the unreserved set are percent-encoded, so
-/// the link cannot contain a scheme.
+/// Converts a relative path to a link. Replaces `\` by `/`, and percent-encodes all other bytes
+/// except `/` and unreserved characters. So the link cannot contain a scheme.
 pub(crate) fn relative_href(path: &str) -> String {
     let mut href = String::from("./");
     for byte in path.trim_start_matches(['/', '\\']).bytes() {

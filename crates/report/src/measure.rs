@@ -29,8 +29,8 @@ pub(crate) struct Measured {
     /// The large comparison: the median direction of the zone or, without a zone score, the central
     /// view.
     pub(crate) headline: Comparison,
-    /// The central view and the corner views, the worst view, and views between and outside of the
-    /// target's views.
+    /// The central view and the corner views, the worst view, the worst and the median direction of
+    /// the zone, and views between and outside of the target's views.
     pub(crate) rows: Vec<Comparison>,
     /// Factor by which the pictures of `rows` are smaller than the views.
     pub(crate) rows_shrunk: usize,

@@ -168,7 +168,7 @@ pub struct BlendWindow {
 
 /// Renders the views of a .blend file at one time of its animation, with the file's own engine and
 /// settings. When a view is complete, `finished` receives the view's number and its file (OpenEXR,
-/// linear). The file is removed after this call.
+/// linear). The file is removed when `finished` returns.
 ///
 /// # Errors
 /// The errors of [`hand_over`].

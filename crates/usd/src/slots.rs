@@ -350,8 +350,8 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Sets the transmission. It is tinted at the surface, or by absorption if `depth` is above 0.
-    /// The mesh encloses a solid, unless `thin` is true.
+    /// Sets the transmission. Transmitted light is tinted at the surface, or by absorption if
+    /// `depth` is above 0. The mesh encloses a solid, unless `thin` is true.
     pub(crate) fn transmission(&mut self, weight: &Value<1>, color: Vec3, depth: f32, thin: bool) {
         let (factor, texture) = self.data(weight, 0);
         if factor <= 0.0 {

@@ -138,7 +138,7 @@ mod tests {
             (2, Some(0.3), Some(2), Some(1.5))
         );
         assert_eq!(requests.job(), request.job);
-        // A changed job file keeps the keys that commands have set.
+        // Keys that commands have set keep their values when the job file changes.
         let mut other = self::requests().job();
         other.seed = 9;
         requests.replace(other).unwrap();

@@ -270,9 +270,9 @@ struct Current {
     request: Arc<SolveRequest>,
     boxes: Boxes,
     rays: Rays,
-    /// Number of iterations since the content changed. `left` is the number of iterations that the
-    /// solver will still spend on the current light field.
+    /// Number of iterations since the content changed.
     updates: u32,
+    /// Number of iterations that the solver will still spend on this light field.
     left: u32,
 }
 

@@ -19,8 +19,8 @@ fn plain_error(path: &Path) -> String {
     error_of(path, &GeometryFlags::default(), &defaults())
 }
 
-/// Returns the lengths to which a file of `length` bytes is truncated. They cut headers, tables and
-/// data.
+/// Returns the lengths to which a file of `length` bytes is truncated. The cuts are in headers,
+/// tables and data.
 fn cuts(length: usize) -> Vec<usize> {
     let mut cuts: Vec<usize> = (0..32).chain([length / 4, length / 2, length * 3 / 4]).collect();
     cuts.extend(length.saturating_sub(20)..length);

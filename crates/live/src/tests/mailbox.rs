@@ -24,8 +24,8 @@ fn values_that_nobody_takes_do_not_pile_up() {
     assert_eq!(std::sync::Arc::strong_count(&counted), 2);
 }
 
-/// A solver stalls for 2 s. Meanwhile a display reads about 200 times a second. It receives
-/// complete values with rising numbers.
+/// A solver stalls for 2 s. Meanwhile a display reads about 200 times a second. The display
+/// receives complete values with rising numbers.
 #[test]
 fn a_display_never_waits_for_a_solver() {
     const REFRESH: Duration = Duration::from_millis(5);

@@ -107,12 +107,14 @@ fn recorded() -> Vec<[[f64; 3]; 2]> {
 
 /// Two viewers stand at ±10° in front of a display with a zone of ±16°, and their heads move as two
 /// recorded heads did. The content is too deep for the whole zone. Patterns that follow the viewers
-/// are solved with the default settings. They gain at least 10 dB in the pictures that the four
-/// eyes see, between the views of the target. The gain hardly depends on the heads' motion.
+/// are solved with the default settings. Compared with patterns for the whole zone, they gain at
+/// least 10 dB in the pictures that the four eyes see. The eyes are between the views of the
+/// target. The gain hardly depends on the heads' motion.
 #[test]
 fn two_viewers_who_move_get_what_the_whole_zone_cannot_have() {
-    /// Reports of the tracker per state, and reports from the newest one until a state is shown.
+    /// Number of reports of the tracker per state.
     const PER_STATE: usize = 2;
+    /// Number of reports from the newest report that a state uses until the state is shown.
     const LATENCY: usize = 2;
     const REPORT_MS: u64 = 33;
     const UPDATES: u32 = 5;

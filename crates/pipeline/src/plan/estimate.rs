@@ -291,8 +291,8 @@ struct Memory {
     measuring: f64,
     /// Memory of the depths of the target's views.
     depths: f64,
-    /// Memory of the views of a given light field that are left out of the target. They serve for
-    /// the zone score.
+    /// Memory of the views of a given light field that are left out of the target. These views
+    /// serve for the zone score.
     left_out: f64,
     /// Memory of the decoded file of a given light field, if the file is one picture.
     picture: f64,

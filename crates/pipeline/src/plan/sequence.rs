@@ -34,7 +34,7 @@ pub(crate) fn add_times(plan: &mut Plan, part: usize, fields_only: bool) -> Resu
     let Some(sequence) = &job.sequence else { return Ok(Vec::new()) };
     let times = Times::find(&job, sequence)?;
     plan.parts[part].kind = PartKind::Sequence(times.clone());
-    // The window is placed once, for the first time step. It moves from this position.
+    // The window is placed once, for the first time step. Its motion starts at this position.
     let placed = job.scene.is_some().then(|| {
         let ingest = plan.add_step(part, StepKind::Ingest, Vec::new());
         let place = plan.add_step(part, StepKind::Place, vec![ingest.clone()]);

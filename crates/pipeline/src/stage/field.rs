@@ -26,7 +26,7 @@ pub(crate) struct Field {
     pub(crate) target: LightField,
     pub(crate) held_out: Option<LightField>,
     pub(crate) outside: Option<LightField>,
-    /// The display. If the light field comes from a file, the display is adapted to it.
+    /// The display. If the light field is not rendered, the display is adapted to it.
     pub(crate) display: Display,
     /// Exposure and tone curve, if the light field was rendered.
     pub(crate) tone_mapping: Option<ToneMapping>,

@@ -33,9 +33,9 @@ pub(crate) fn check(node: &NodeJob, registry: &Registry) -> Result<(), PipelineE
     Ok(())
 }
 
-/// Returns the display of a node for a light field of this geometry. It is `of_job` if the node
-/// names a display, or else `shared`. Also returns a text that describes how the display's
-/// backlight was adapted.
+/// Returns the display of a node for a light field of this geometry: `of_job`, adapted to this
+/// geometry, if the node names a display, or else `shared`. Also returns a text that describes how
+/// the backlight of `of_job` was adapted.
 ///
 /// # Errors
 /// If the display cannot show the light field.

@@ -19,7 +19,7 @@ pub(crate) const USED: &str = "used.json";
 pub(crate) const TILES: &str = "tiles";
 /// Names of light fields. For each light field, the cache has folders with names `NAME-KEY`.
 const FIELDS: [&str; 4] = ["target", "held-out", "outside", "zone"];
-/// Names of the files that a finished run used.
+/// The cached views, light fields and rows that a finished run used.
 #[derive(Default, Serialize, Deserialize)]
 pub(crate) struct Used {
     /// Fingerprint of the code that makes views. A version with other code cannot use the views.

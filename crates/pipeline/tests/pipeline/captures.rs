@@ -37,8 +37,8 @@ fn ball() -> Cloud {
     read_spz(&write::spz(&cloud).unwrap(), 1 << 30).unwrap().cloud
 }
 
-/// Returns the cloud in the axes of training programs, with y down and z away from the viewer. It
-/// is rotated by half a turn about x.
+/// Returns the cloud in the axes of training programs, with y down and z away from the viewer. For
+/// this, the cloud is rotated by half a turn about x.
 fn as_trained(cloud: &Cloud) -> Cloud {
     let mut turned = cloud.clone();
     let turn = Quat::from_xyzw(1.0, 0.0, 0.0, 0.0);

@@ -127,7 +127,7 @@ fn a_background_stands_behind_a_capture() {
     assert_near(middle(&dir, [15, 24]), [0.1, 0.2, 0.4].map(|value| srgb(0.5 + 0.5 * encoded(value))));
 }
 
-/// A glowing white wall is between two red balls of splats. The left ball must hide the wall behind
+/// A grey, unlit wall is between two red balls of splats. The left ball must hide the wall behind
 /// it, and the wall must hide the right ball.
 #[test]
 fn splats_and_meshes_hide_one_another() {

@@ -17,10 +17,10 @@ const COLS: usize = 64;
 const BLOCK: usize = 8;
 /// Number of pictures of each scene, each with another seed.
 const PICTURES: u64 = 24;
-/// False-alarm rate per block and channel if errors are normally distributed. It gives a limit of
-/// 6.5 standard errors. The difference of two means of 24 pictures each (Student's t, 46 degrees of
-/// freedom) exceeds this limit in 5 of 10⁸ cases. There are 240 differences, so a false alarm
-/// occurs in 1 of 80,000 runs.
+/// False-alarm rate per block and channel if errors are normally distributed. This rate gives a
+/// limit of 6.5 standard errors. The difference of two means of 24 pictures each (Student's t, 46
+/// degrees of freedom) exceeds this limit in 5 of 10⁸ cases. There are 240 differences, so a false
+/// alarm occurs in 1 of 80,000 runs.
 const RATE: f64 = 8e-11;
 /// Tolerance for rounding, relative to the light of a block. Flipping texture coordinates twice
 /// rounds them.
@@ -66,7 +66,7 @@ pub(crate) fn has_usd() -> bool {
     has
 }
 
-/// A window that shows the floor of the room from above.
+/// A camera that sees the floor of the room from above.
 const CAMERA: &str = r#"
 def Camera "above"
 {

@@ -7,9 +7,9 @@
 //! fractional sharpness blends two rules. The last level is projected to the limit surface, and the
 //! normals are perpendicular to its exact tangent planes.
 //!
-//! Face-varying data are vertex data of a second mesh. It has the faces of the first mesh. Each of
-//! its vertices is a distinct value at a vertex of the first mesh. At a seam, two neighbouring
-//! faces have different values, so seams are boundaries of the second mesh.
+//! Face-varying data are vertex data of a second mesh, which has the faces of the control mesh.
+//! Each of its vertices is a distinct value at a vertex of the control mesh. At a seam, two
+//! neighbouring faces have different values, so seams are boundaries of the second mesh.
 //!
 //! Source: the rules of OpenSubdiv 3 to which UsdGeomMesh refers (interpolateBoundary,
 //! faceVaryingLinearInterpolation, triangleSubdivisionRule). Limits and tangents: Halstead, Kass,
@@ -237,7 +237,8 @@ impl Refinement {
             }
             groups_of_vertex[vertex as usize] = first..groups.len();
         }
-        // Build the second mesh, with a vertex per group and the sharpness of the control mesh.
+        // Build the topology of the face-varying data: one vertex per group, with the sharpness of
+        // the control mesh.
         let starts = (0..=self.cage.face_count() as u32).map(|face| match face as usize == self.cage.face_count() {
             true => corners.len() as u32,
             false => self.cage.face(face).start as u32,
@@ -260,7 +261,7 @@ impl Refinement {
         for (vertex, range) in (0..).zip(groups_of_vertex) {
             pin(&mut topology, rule, range.start as u32..range.end as u32, !self.cage.is_boundary(vertex));
         }
-        // Refine the second mesh, and project it to the limit.
+        // Refine this topology, and project its vertices to the limit.
         let (levels, finest, _) = match rule {
             FaceVarying::All => refine_linearly(&topology, self.scheme, self.level),
             _ => refine(&topology, self.scheme, self.smooth_triangles, self.level),
