@@ -143,7 +143,8 @@ fn fetch() -> Outcome<PathBuf> {
     Ok(python)
 }
 
-/// Longest time of each program of `ci`. The longest one, `cargo test`, takes a third of it.
+/// Longest time that a program of `ci` may take. The slowest program, `cargo test`, takes a third
+/// of this time.
 const LONGEST: Duration = Duration::from_mins(30);
 
 /// Runs all checks, and prints a table with the time of each step.
