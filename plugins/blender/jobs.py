@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The work of the button, as a generator of steps.
 
-A step is a view that Blender's main thread renders, a wait for work on another thread, or a pause in
-which Blender handles events. `operators` does the steps one by one from a timer, so that the window
-responds. `command` and a render farm do all steps in one call. Every finished view and every
+A step is a view that Blender's main thread renders, a wait for work on another thread, or a pause
+in which Blender handles events. `operators` does the steps one by one from a timer, so that the
+window responds. `command` and a render farm do all steps in one call. Every finished view and every
 finished time step is stored in files. A second run skips the views and time steps whose stored
 files are still valid.
 """
