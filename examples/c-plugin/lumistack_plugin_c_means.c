@@ -123,7 +123,7 @@ static const LumistackDescriptor DESCRIPTOR = {
     .vtable = &VTABLE,
 };
 
-/* The name of this function, and that of the library's file, must end with the plugin's id. */
+/* The name of this function must end with the plugin's id. */
 EXPORT const LumistackDescriptor *lumistack_plugin_entry_c_means(void) {
     return &DESCRIPTOR;
 }

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The work of the button, as a generator of steps.
 
-A step is a view that Blender's main thread renders, or work on another thread, for whose end the
-job waits. `operators` does the steps one by one from a timer, so that the window responds.
-`command` and a render farm do all steps in one call. Every finished view and every finished time
-step is stored in a file. A second run skips views and time steps whose file exists.
+A step is a view that Blender's main thread renders, a wait for work on another thread, or a pause
+in which Blender handles events. `operators` does the steps one by one from a timer, so that the
+window responds. `command` and a render farm do all steps in one call. Every finished view and every
+finished time step is stored in files. A second run skips the views and time steps whose stored
+files are still valid.
 """
 
 from __future__ import annotations
@@ -55,8 +56,9 @@ class Wait:
 
     work: Work
     title: str
-    #: The finished fraction of the job before this work, and the work's fraction of the job.
+    #: The finished fraction of the job before this work.
     share: float
+    #: The work's fraction of the job.
     part: float
 
 
@@ -316,7 +318,7 @@ def window_of(scene, display: lumistack.Display) -> cameras.Window:
 
 
 def depth_sentence(scene, display: lumistack.Display, window: cameras.Window) -> str | None:
-    """Returns a warning if the scene is too deep for its display, else an empty text."""
+    """Returns a warning if the scene is too deep for its display, else None."""
     return depth.sentence(depths_shown(scene, display, window), display.depth_of_field_mm())
 
 

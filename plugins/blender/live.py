@@ -58,15 +58,16 @@ class Session:
         self._scenes = Files(folder / "live-scene", "scene", ".glb")
         self._displays = Files(folder / "live-scene", "display", ".toml")
         self._digest = b""
-        #: The key and the result of the last call of `_settings`; text and path of the last display
-        #: file.
+        #: The key of the last call of `_settings`.
         self._key: object = None
+        #: The result of the last call of `_settings`.
         self._tables: dict[str, object] = {}
+        #: Text and path of the last display file.
         self._display = ("", "")
         #: A text about content that glTF cannot express, or the error of the last export.
         self._lost = ""
-        #: The last error of the settings or the export, for the panel; and the reason why the session
-        #: ended.
+        #: `note` is a text for the panel: the last error of the settings or the export, or the
+        #: content that glTF cannot express. `reason` is the reason why the session ended.
         self.note = self.reason = ""
         self.export_s = 0.0
         self.exports = 0
@@ -218,8 +219,9 @@ def words_of(scene, job: Path, run: Path) -> list[str]:
     return [*words, *([] if show == "PAGE" else ["--show", show.lower()]), *(["--no-open"] if bpy.app.background else [])]
 
 
-#: The running session, and a line for the panel about the end of the last one.
+#: The running session.
 session: Session | None = None
+#: A line for the panel about the end of the last session.
 ended = ""
 
 
@@ -291,7 +293,7 @@ def _tick() -> float | None:
 
 
 def status() -> list[tuple[str, str]]:
-    """Lines for the panel: (icon, text)."""
+    """Returns the lines for the panel, each as (icon, text)."""
     if session is None:
         return [("ERROR" if "unexpectedly" in ended else "INFO", ended)] if ended else []
     state = session.state

@@ -6,6 +6,7 @@
 // * renderer: "cpu" never uses WebGL2, and "webgl2" always does
 // * wasm: URL of the module, if it is not beside the script
 // * theme: "dark" or "light" replaces the system's theme
+// * plain: shows the picture alone, for pages that bring their own controls
 // * url-state: keeps the user's options in the page's address
 // * keyboard: with "page" the element receives keys of the whole page, not only of the focused
 //   picture

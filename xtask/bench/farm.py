@@ -63,7 +63,8 @@ def timed(job: Path, folder: Path, workers: int, options: list[str]) -> float:
 
 
 def kill_often(job: Path, folder: Path, options: list[str], count: int) -> int:
-    """Runs the job. It kills the client with all its children once, then workers at random times. Returns the number of kills."""
+    """Runs the job, and kills the client with all its children once, then workers at random times.
+    Returns the number of kills."""
     chance = random.Random(7)
     words = [*PROGRAM, "--threads", "1", "farm", str(job), "-o", str(folder), *options]
     first = subprocess.Popen(words, env={**os.environ, "LUMISTACK_PYTHON": sys.executable}, process_group=0, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
@@ -122,7 +123,8 @@ def seams(place: Path, job: Path, times: int) -> dict[str, Any]:
 
 
 def full_disk(job: Path, expected: dict[str, bytes], options: list[str]) -> str:
-    """Runs the job in a file system that is too small, which must fail. Then it enlarges the file system and runs again. Needs root."""
+    """Runs the job in a file system that is too small, which must fail. Then enlarges the file
+    system and runs the job again. Needs root."""
     with tempfile.TemporaryDirectory() as place:
         mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", place]
         if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:

@@ -143,7 +143,8 @@ fn fetch() -> Outcome<PathBuf> {
     Ok(python)
 }
 
-/// Longest time of each program of `ci`. The longest one, `cargo test`, takes half of it.
+/// Longest time that a program of `ci` may take. The slowest program, `cargo test`, takes half of
+/// this time.
 const LONGEST: Duration = Duration::from_mins(25);
 
 /// Runs all checks, and prints a table with the time of each step.

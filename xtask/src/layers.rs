@@ -8,7 +8,8 @@
 //! Within a crate no two files may use each other, directly or through other files.
 //!
 //! Development dependencies may add no features to a crate that programs use too. CI compiles
-//! programs with them, so it would not find code that lacks a feature without them.
+//! programs together with development dependencies. So CI would not find code that needs a feature
+//! which only development dependencies add.
 
 use std::collections::{BTreeSet, HashMap};
 

@@ -1,6 +1,6 @@
 //! Tests the Python package with the oldest Python and NumPy that it supports, and with the newest
-//! Python that Debian has. All tests run with this machine's Python; these are the tests that
-//! depend on the versions of Python and NumPy.
+//! Python that Debian has. With this machine's Python all tests run. With the other two only the
+//! tests run that depend on the versions of Python and NumPy.
 //!
 //! CI leaves the newest Python out, since that changes from day to day.
 

@@ -421,26 +421,22 @@ mod tests {
     #[test]
     fn a_program_that_hangs_is_killed_with_all_that_it_started() {
         let file = root().join("target/xtask-hangs.txt");
+        let _ = std::fs::remove_file(&file);
         let script = format!("sleep 1000 & echo $! > '{}'; wait", file.display());
-        let child = Command::new("sh").arg("-c").arg(script).spawn().unwrap();
-        let id = child.id();
+        let mut child = Command::new("sh").arg("-c").arg(script).spawn().unwrap();
+        let pause = || std::thread::sleep(Duration::from_millis(10));
         let started = || std::fs::read_to_string(&file).ok()?.trim().parse::<u32>().ok();
-        let killer = std::thread::spawn(move || {
-            while started().is_none() {
-                std::thread::sleep(Duration::from_millis(10));
-            }
-            let sleeping = started().unwrap();
-            kill_tree(id);
-            std::fs::remove_file(&file).unwrap();
-            sleeping
-        });
-        assert!(!child.wait_with_output().unwrap().status.success());
-        let sleeping = killer.join().unwrap();
-        // the process may remain as a zombie, which has no command line
-        let words = || std::fs::read(format!("/proc/{sleeping}/cmdline")).unwrap_or_default();
-        while !words().is_empty() {
-            std::thread::sleep(Duration::from_millis(10));
+        while started().is_none() {
+            pause();
         }
+        kill_tree(child.id());
+        assert!(!child.wait().unwrap().success());
+        // the killed process may remain as a zombie, which has no command line
+        let command_line = format!("/proc/{}/cmdline", started().unwrap());
+        while std::fs::read(&command_line).is_ok_and(|words| !words.is_empty()) {
+            pause();
+        }
+        std::fs::remove_file(&file).unwrap();
     }
 
     #[test]

@@ -1,8 +1,8 @@
-//! The C boundary between the host and its plugins: `repr(C)` types only, no dependencies.
+//! The C interface between the host and its plugins: `repr(C)` types only, no dependencies.
 //!
-//! Compiled-in plugins and loaded plugins share this boundary. A plugin has one [`Descriptor`]. The
-//! host finds it through a function named [`ENTRY_PREFIX`] + id; a library exports one such
-//! function for each of its plugins.
+//! Compiled-in plugins and loaded plugins share this interface. A plugin has one [`Descriptor`].
+//! The host finds the descriptor through a function named [`ENTRY_PREFIX`] + id; a library exports
+//! one such function for each of its plugins.
 //!
 //! ```text
 //! host                                   plugin
@@ -32,7 +32,7 @@
 //! * Lent data are valid until the call returns, unless their documentation says otherwise. No side
 //!   frees the other's memory: the call's [`ErrorSink`] copies error texts, and planes have a
 //!   release function.
-//! * No unwinding crosses the boundary: each side catches its panics.
+//! * No unwinding crosses the interface: each side catches its panics.
 //!
 //! # Versions
 //!
@@ -43,9 +43,9 @@
 //! * Additions raise the minor version: members at the ends of structs, constants, and keys of JSON
 //!   texts. A reader accepts every struct that has all members of version 1.0, and regards missing
 //!   later members as null or zero.
-//! * A plugin of version 1.b is also loaded by an older program of version 1.a. It reads `size`
-//!   before it uses a later member. It refuses only work that needs a service that the program
-//!   lacks.
+//! * An older program of version 1.a also loads a plugin of version 1.b. The plugin reads `size`
+//!   before it uses a later member. The plugin refuses only work that needs a service that the
+//!   program lacks.
 
 // the example of README.md is a test
 #![cfg_attr(doctest, doc = include_str!("../README.md"))]

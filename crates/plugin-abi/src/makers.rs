@@ -39,7 +39,7 @@ pub struct Assets {
 
 /// Functions of an importer, which converts a file to a glTF 2.0 document.
 ///
-/// A scene crosses the boundary as glTF: a public format of JSON and arrays, which the host
+/// A scene crosses the interface as glTF: a public format of JSON and arrays, which the host
 /// validates.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
@@ -158,8 +158,8 @@ pub struct StackSink {
     ///
     /// * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
     ///   solved first.
-    /// * `kkt_residual`: each value of the patterns would change the emission if it were updated
-    ///   exactly once more. The residual is the root mean square of these changes.
+    /// * `kkt_residual`: one more exact update of a value of the patterns would change the
+    ///   emission. The residual is the root mean square of these changes over all values.
     /// * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
     ///   bits, or null.
     pub solution: unsafe extern "C" fn(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status,

@@ -125,8 +125,8 @@ fn bench(size: [&str; 2], folder: &Path) -> Outcome {
     Ok(())
 }
 
-/// Waits for a process. Returns true if the process succeeded, and its peak of anonymous memory in
-/// bytes. This memory excludes pages of files.
+/// Waits for a process. Returns two values: true if the process succeeded, and the peak of its
+/// anonymous memory in bytes. This memory excludes pages of files.
 fn watch(child: &mut Child) -> Result<(bool, u64), Box<dyn Error>> {
     let path = format!("/proc/{}/status", child.id());
     let mut most = 0;

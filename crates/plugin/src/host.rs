@@ -13,8 +13,9 @@ use serde_json::Value;
 use crate::wire::{call, needs};
 use crate::{PlaneView, PluginError, Port, ViewPoint};
 
-/// The host's services. A clone uses the same services. The services end when the output is closed:
-/// after that, calls return errors.
+/// The host's services. A clone uses the same services. An output's services end when the output is
+/// closed; the services of another plugin end when its function returns. After that, files cannot
+/// be written, messages and progress are lost, and [`Host::is_cancelled`] returns true.
 #[derive(Clone)]
 pub struct Host(Arc<RwLock<Option<Table>>>);
 

@@ -74,7 +74,7 @@ impl Display {
         &self.0.name
     }
 
-    /// Time-multiplexed frames M of a period.
+    /// Number M of time-multiplexed frames.
     #[getter]
     fn frames(&self) -> usize {
         self.0.frames

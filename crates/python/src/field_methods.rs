@@ -102,8 +102,9 @@ impl LightField {
     ///   one view to the next view on the right
     /// * mirror: (x, y), True reverses the order of views on that axis
     ///
-    /// Without any of these arguments, size and angles come from `display`. If `views` leaves out
-    /// views of the file, psnr_zone() and report() use some of the omitted views as references.
+    /// If neither the files nor these arguments state the size or the angles, `display` provides
+    /// them. If `views` leaves out views of the file, psnr_zone() and report() use some of the
+    /// omitted views as references.
     /// `callback(stage, fraction)` receives progress.
     #[classmethod]
     #[pyo3(signature = (path, *, display=None, callback=None, **geometry))]

@@ -155,7 +155,7 @@ impl LayerStack {
         Display(self.display.clone())
     }
 
-    /// Time-multiplexed frames M.
+    /// Number M of time-multiplexed frames.
     #[getter]
     fn frames(&self) -> usize {
         self.stack.frames()

@@ -80,8 +80,8 @@ pub fn z_limit(false_alarm_rate: f64) -> f64 {
     Normal::standard().inverse_cdf(1.0 - 0.5 * false_alarm_rate)
 }
 
-/// Returns the probability that chance alone moves counts at least this far from their expectation.
-/// Both lists should have the same sum. Cells with small expected counts are pooled.
+/// Returns the probability that chance alone moves counts at least as far from `expected` as
+/// `observed` is. Both lists should have the same sum. Cells with small expected counts are pooled.
 ///
 /// # Panics
 /// If the lengths differ or fewer than two cells are left after pooling.

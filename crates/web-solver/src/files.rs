@@ -10,9 +10,10 @@ use lumistack_scene::Scene;
 use crate::decoders;
 use crate::error::Error;
 
-/// Largest decoded size of a scene without its pictures (`MOST_DECODED`), and of its pictures,
-/// bytes. A WebAssembly module has at most 4 GiB of memory.
+/// Largest decoded size of a scene without its pictures, bytes. A WebAssembly module has at most
+/// 4 GiB of memory.
 const MOST_DECODED: u64 = 1 << 30;
+/// Largest decoded size of a scene's pictures, bytes.
 const MOST_PICTURES: u64 = 512 << 20;
 
 /// Dropped files by path.

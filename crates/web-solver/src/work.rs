@@ -227,7 +227,7 @@ impl Work {
         if self.planned == 0 { 0.0 } else { 1.0 - self.pieces.len() as f64 / self.planned as f64 }
     }
 
-    /// Progress of the work.
+    /// Returns the current stage.
     pub fn stage(&self) -> Stage {
         let waits = |wanted: fn(&Piece) -> bool| self.pieces.iter().any(wanted);
         match &self.pieces {

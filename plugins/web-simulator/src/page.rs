@@ -24,8 +24,9 @@ const MODULE: &[u8] = include_bytes!("../dist/lumistack_web_bg.wasm");
 
 /// The link to the script, which the single file replaces by the script itself.
 const SCRIPT_LINK: &str = r#"<script type="module" src="app/viewer.js"></script>"#;
-/// Parts of the page that are replaced in every site.
+/// Marks around the page's title and description, which are replaced in every site.
 const HEAD: [&str; 2] = ["<title>", "<!--/about-->"];
+/// Mark that every site replaces by its poster.
 const POSTER_PLACE: &str = "<!--poster-->";
 /// Marks around the part of the page about the folder, which is removed from the single file.
 const FOLDER: [&str; 2] = ["<!--folder-->", "<!--/folder-->\n"];
@@ -47,8 +48,9 @@ pub(crate) struct Site<'a> {
 /// kept in memory.
 struct SingleFile {
     file: OutputFile,
-    /// Number of bytes written so far, and the largest allowed number.
+    /// Number of bytes written so far.
     length: usize,
+    /// Largest allowed number of bytes.
     most: usize,
     /// The part of the page after its script.
     end: String,

@@ -10,11 +10,13 @@ use lumistack_plugin::{PluginError, StackInput, ViewPoint};
 
 use crate::pictures::Picture;
 
-/// Paths of the poster and of the small views.
+/// Path of the poster.
 pub(crate) const POSTER: &str = "stack/poster.jpg";
+/// Path of the picture with the small views.
 pub(crate) const AROUND: &str = "stack/around.jpg";
-/// Longest side of the poster and of a small view, pixels.
+/// Longest side of the poster, pixels.
 const POSTER_PX: usize = 1200;
+/// Longest side of a small view, pixels.
 const AROUND_PX: usize = 240;
 /// Largest size of the poster's file, bytes.
 const POSTER_BYTES: usize = 45_000;

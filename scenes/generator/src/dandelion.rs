@@ -11,11 +11,13 @@ use lumistack_splats::write;
 
 use crate::{GeneratorError, SceneFile};
 
-/// Number of seeds on the head, and number of hairs of each seed.
+/// Number of seeds on the head.
 const SEEDS: usize = 190;
+/// Number of hairs of each seed.
 const HAIRS: usize = 13;
-/// Distance from the head's centre to the feet of the hairs, and length of the hairs.
+/// Distance from the head's centre to the feet of the hairs, decimetres.
 const HEAD: f32 = 0.52;
+/// Length of the hairs, decimetres.
 const HAIR: f32 = 0.2;
 /// The golden angle, radians.
 const TURN: f32 = 2.399_963;

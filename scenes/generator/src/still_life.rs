@@ -22,7 +22,7 @@ pub(crate) const WINDOW: Window = Window { pitch_rad: 24.0 * std::f64::consts::P
 const FLOOR_Y: f64 = -0.09;
 /// Depth at which a display shows the edge between floor and wall, metres.
 const WALL_DEPTH: f64 = -0.17;
-/// Side of one check of the floor.
+/// Side of one check of the floor, metres.
 const CHECK_M: f64 = 0.032;
 
 /// Returns the files of the scene.

@@ -193,8 +193,8 @@ pub(crate) fn tile_normals() -> Picture {
     paint_normals(512, 0.012, tile_height)
 }
 
-/// Colours of the glazed tiles: two glazes with brush marks, a painted ring and dark joints. It
-/// tiles.
+/// Returns the colours of the glazed tiles: two glazes with brush marks, a painted ring and dark
+/// joints. It tiles.
 pub(crate) fn tile_colors() -> Picture {
     let (cream, teal, joint) = (rgb(214, 206, 186), rgb(74, 126, 128), rgb(70, 66, 62));
     paint(512, 512, 3, |u, v| {

@@ -100,7 +100,7 @@ let objects: WebAssembly.Table;
 let solver: Solver | DeviceSolver | undefined;
 /** Further threads, while views are rendered. */
 let pool: Pool | undefined;
-/** Number of threads that may render views; undefined for the browser's number of cores. */
+/** Number of threads that may render views; undefined for the number of cores, at most five. */
 let threads: number | undefined;
 /** True if a graphics adapter in software may solve. */
 let software = false;

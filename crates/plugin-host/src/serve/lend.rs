@@ -270,8 +270,9 @@ unsafe extern "C" fn weight_plane(
 
 /// Computes a view of a layer stack on loan; the plane owns its values.
 ///
-/// # Safety `data` comes from [`Lent::to_abi`] and is still on loan; `from` is a valid view, and
-/// `plane` is memory for a plane.
+/// # Safety
+/// `data` comes from [`Lent::to_abi`] and is still on loan; `from` is a valid view, and `plane` is
+/// memory for a plane.
 pub(crate) unsafe fn simulate(data: *const Data, from: *const View, plane: *mut Plane) -> Result<(), PluginError> {
     // SAFETY: guaranteed by the caller.
     let (lent, kind, value) = unsafe { (lent((*data).context), (*from).kind, (*from).value) };

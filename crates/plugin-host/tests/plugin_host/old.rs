@@ -23,8 +23,8 @@ fn fixture() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/abi-1.0")
 }
 
-/// Returns the committed library. Machines for which it was not built compile its source in
-/// `folder`.
+/// Returns the committed library. On machines for which it was not built, this function compiles
+/// its source from the fixture into `folder`.
 fn library(folder: &Path) -> PathBuf {
     if cfg!(all(target_os = "linux", target_arch = "x86_64")) {
         return fixture().join("liblumistack_plugin_old.so");

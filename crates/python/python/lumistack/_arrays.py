@@ -19,7 +19,7 @@ def dlpack(array: Any, **options: Any) -> Any:
 
 
 def from_dlpack(tensor: Any, what: str) -> Any:
-    """Converts an object to a NumPy array by DLPack, if it supports no other known protocol."""
+    """Converts an object that supports no other known protocol to a NumPy array, by DLPack."""
     import numpy
 
     try:

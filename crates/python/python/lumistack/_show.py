@@ -38,8 +38,8 @@ def light_field(light_field: LightField) -> str | None:
 
 
 def layer_stack(stack: LayerStack) -> str | None:
-    """Returns the HTML of patterns: the seen picture with a slider for the angle, the masks of the
-    first frame, and a table of properties. None without NumPy."""
+    """Returns the HTML of patterns: the seen picture with a slider for the horizontal direction,
+    the masks of the first frame, and a table of properties. None without NumPy."""
     if not _has_numpy():
         return None
     slopes = sorted(stack.display.slopes[0])

@@ -23,9 +23,9 @@ pub struct Cross {
 const DARK: f32 = 0.4;
 /// Smallest number of pixels of a component.
 const MIN_PIXELS: usize = 12;
-/// A component that fills less than this fraction of its bounding box may be a cross. A component
-/// that fills more than [`DISC_FILLS`] may be a disc.
+/// A component that fills less than this fraction of its bounding box may be a cross.
 const CROSS_FILLS: f64 = 0.5;
+/// A component that fills more than this fraction of its bounding box may be a disc.
 const DISC_FILLS: f64 = 0.62;
 /// Largest distance of a cross from its expected position, as a fraction of the distance between
 /// neighbouring crosses.

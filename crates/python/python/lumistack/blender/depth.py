@@ -94,7 +94,7 @@ def best_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm:
         fit = Fit(wanted - (far + near) / 2, 1.0)
     else:
         # The wanted movement brings the mean of the nearest and farthest depth to the middle of the
-        # range. This mean grows with the movement, so bisection finds it.
+        # range. This mean grows with the movement, so bisection finds the movement.
         least, most = -0.9 * distance_mm, 100.0 * (abs(far) + abs(near) + abs(wanted) + distance_mm)
         for _ in range(200):
             by = (least + most) / 2

@@ -35,9 +35,10 @@ class State:
 
     #: Address of the page; empty before the first picture.
     address: str = ""
-    #: Number of the shown state, and number of its content. Every change of the scene or the
-    #: display makes a new content.
+    #: Number of the shown state.
     states: int = 0
+    #: Number of the shown state's content. Every change of the scene or the display makes a new
+    #: content.
     content: int = 0
     #: PSNR of the last state at the solver's views, dB.
     psnr: float | None = None
