@@ -175,7 +175,18 @@ pub fn limit(longest: Duration) {
 
 /// Calls `finish`, which waits for the program, and kills the program at the limit.
 fn within_limit<T>(child: Child, name: &str, finish: impl FnOnce(Child) -> std::io::Result<T>) -> std::io::Result<T> {
-    let Some(&longest) = LIMIT.get() else { return finish(child) };
+    match LIMIT.get() {
+        Some(longest) => within(*longest, child, name, finish),
+        None => finish(child),
+    }
+}
+
+fn within<T>(
+    longest: Duration,
+    child: Child,
+    name: &str,
+    finish: impl FnOnce(Child) -> std::io::Result<T>,
+) -> std::io::Result<T> {
     let (id, (ended, has_ended)) = (child.id(), channel::<()>());
     std::thread::scope(|scope| {
         scope.spawn(move || {
@@ -423,14 +434,14 @@ mod tests {
         let file = root().join("target/xtask-hangs.txt");
         let _ = std::fs::remove_file(&file);
         let script = format!("sleep 1000 & echo $! > '{}'; wait", file.display());
-        let mut child = Command::new("sh").arg("-c").arg(script).spawn().unwrap();
+        let child = Command::new("sh").arg("-c").arg(script).spawn().unwrap();
         let pause = || std::thread::sleep(Duration::from_millis(10));
         let started = || std::fs::read_to_string(&file).ok()?.trim().parse::<u32>().ok();
         while started().is_none() {
             pause();
         }
-        kill_tree(child.id());
-        assert!(!child.wait().unwrap().success());
+        let status = within(Duration::from_millis(50), child, "sh", |mut child| child.wait()).unwrap();
+        assert!(!status.success());
         // the killed process may remain as a zombie, which has no command line
         let command_line = format!("/proc/{}/cmdline", started().unwrap());
         while std::fs::read(&command_line).is_ok_and(|words| !words.is_empty()) {
