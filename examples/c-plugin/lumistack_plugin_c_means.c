@@ -123,7 +123,8 @@ static const LumistackDescriptor DESCRIPTOR = {
     .vtable = &VTABLE,
 };
 
-/* The name of this function must end with the plugin's id. */
+/* The name of this function must end with the plugin's id. The library's file may have another name:
+ * any id (lower-case letters, digits, underscores) may follow `lumistack_plugin_`. */
 EXPORT const LumistackDescriptor *lumistack_plugin_entry_c_means(void) {
     return &DESCRIPTOR;
 }
