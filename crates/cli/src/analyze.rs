@@ -18,8 +18,8 @@ pub(crate) const EXAMPLES: &str = "\
 Examples:
   lumistack analyze paper-directional
       the limits of a built-in display
-  lumistack analyze paper-three-layer paper-three-layer:layers=2 paper-directional -o bounds
-      three displays in the same plots; the second one is the first with two layers
+  lumistack analyze paper-three-layer paper-three-layer:layers=2 -o bounds
+      two displays in the same plots; the second display is the first one with two layers
   lumistack analyze paper-three-layer --contrast -o bounds
       also the contrast that a solver reaches, compared with the limit
   lumistack analyze my.toml --scene model.glb
@@ -46,7 +46,8 @@ pub(crate) struct Analyze {
     #[command(flatten)]
     files: FileArgs,
     /// Largest distance from the display plane for which the depth of field is computed and
-    /// plotted, millimetres [default: the distance that display and scene need]
+    /// plotted, millimetres [default: the largest of 20 mm, 3 times the distance of each layer and
+    /// lens array, 1.2 times the scene's depths, and 1.6 times the depth of field]
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
     /// Also compute patterns of every display for gratings (stripes of one frequency) at many

@@ -12,7 +12,7 @@ use crate::console::{say, tell};
 use crate::groups::DEFAULT_DISPLAY;
 use crate::questions::{Questions, asks};
 
-pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack new      asks questions, and writes job.toml into this folder\n  lumistack new figurine/job.toml --scene figurine.glb --display paper-three-layer --outputs images,web_simulator\n\n\
+pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack new      asks questions, and writes job.toml into this folder\n  lumistack new figurine/job.toml --scene figurine.glb --no-questions\n      asks nothing, and uses the default display and outputs\n\n\
     The command also writes job.schema.json next to the job file. Editors use it to complete and check keys. Existing files are never replaced.";
 
 /// Default outputs.
@@ -23,7 +23,7 @@ pub(crate) struct New {
     /// The file to write
     #[arg(default_value = "job.toml")]
     pub(crate) file: PathBuf,
-    /// Scene that the job renders: .gltf, .glb, USD, .blend, .ply, .spz, .obj
+    /// Scene that the job renders: .gltf, .glb, USD, .blend, .obj, .ply, .spz, .sog or meta.json
     #[arg(long, value_name = "FILE")]
     pub(crate) scene: Option<PathBuf>,
     /// Display: a name that `lumistack displays` lists, or a display file [default:

@@ -29,7 +29,7 @@ const LOOK: Duration = Duration::from_millis(200);
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Show {
-    /// A run folder. With --pattern or --full-resolution-2d, it may also be a display file or the
+    /// A run folder. With --pattern or --full-resolution-2d, DIR may also be a display file or the
     /// name of a built-in display
     #[arg(required_unless_present = "list")]
     pub(crate) dir: Option<PathBuf>,

@@ -141,7 +141,7 @@ fn display_facts(input: &ReportInput) -> Vec<(&'static str, String)> {
 fn frames(display: &Display) -> String {
     let colours = match display.colour_sequence {
         ColourSequence::Simultaneous => "",
-        ColourSequence::Field => " of 3 colours in turn",
+        ColourSequence::Field => ", each in 3 colours in turn,",
     };
     format!(
         "{}{colours} at {} Hz: {} periods a second{}",
