@@ -11,9 +11,9 @@ use crate::error::ShotError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WindowJob {
-    /// `auto`: the plane of focus of the first camera, or the framed scene if there is no camera.
-    /// `camera`: a camera's plane of focus. `bounds`: the framed scene. `given`: `centre`,
-    /// `forward`, `up` and `width`.
+    /// `camera`: the plane of focus of the camera that `camera` names, or of the first camera.
+    /// `bounds`: the framed scene. `given`: `centre`, `forward`, `up` and `width`. `auto`: as
+    /// `bounds` if `look_from` is given or there is no camera, otherwise as `camera`.
     pub from: WindowFrom,
     /// Name of the camera, or its number from 0.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -51,9 +51,10 @@ pub struct WindowJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FitDepth {
-    /// Does nothing if the scene fits, otherwise acts as [`Compress`](Self::Compress). A window
-    /// that the user placed stays, and depth is compressed about it. If the user set a depth scale,
-    /// the window only moves.
+    /// Does nothing in a sweep, or if the scene fits, or if the depth of field does not lie on both
+    /// sides of the display plane. Otherwise acts as [`Compress`](Self::Compress), with two
+    /// differences. The window stays if numbers or a focus distance of its camera place it. The
+    /// depth scale stays if the job sets it.
     #[default]
     Auto,
     /// Neither window nor depth change.
@@ -78,13 +79,14 @@ pub enum Near {
     At(f64),
 }
 
-/// The forms in files.
+/// The forms in files: `auto`, `off` or a distance.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 enum NearText {
     /// Distance in front of the window, scene units; below 0 behind the window.
     At(f64),
-    /// `auto` or `off`.
+    /// `off`: all content in front of the window is visible. `auto`: the camera's near plane; for a
+    /// `given` window the distance where the display shows hardly any detail; otherwise as `off`.
     #[schemars(extend("enum" = ["auto", "off"]))]
     Word(String),
 }
@@ -137,15 +139,15 @@ impl<'de> Deserialize<'de> for Near {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum WindowFrom {
-    /// A camera if the file has one, otherwise the bounds.
+    /// As `bounds` if `look_from` is given or there is no camera, otherwise as `camera`.
     #[default]
     Auto,
-    /// A camera.
+    /// The camera that the key `camera` names, or the first camera.
     Camera,
     /// The scene's bounds, seen from `look_from`. Without that key they are seen from the front, or
     /// from another side if the front shows hardly anything.
     Bounds,
-    /// `centre`, `forward`, `up`, `width`.
+    /// The keys `centre`, `forward`, `up` and `width`.
     Given,
 }
 
