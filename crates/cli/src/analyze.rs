@@ -93,7 +93,9 @@ impl FromStr for Which {
                 "fov" => change.fov_deg = Some(value.parse::<crate::values::Angles>().map_err(|_| wrong())?.0),
                 "lenslets" => change.lenslets = Some(value.parse::<crate::values::Size>().map_err(|_| wrong())?.0),
                 _ => {
-                    return Err(format!("expected layers, frames, brightness, gap_mm, fov or lenslets, found `{key}`"));
+                    return Err(format!(
+                        "expected one of the keys layers, frames, brightness, gap_mm, fov and lenslets, found `{key}`"
+                    ));
                 }
             }
         }
@@ -206,7 +208,7 @@ fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
     let report: serde_json::Value = serde_json::from_slice(&bytes).unwrap_or_default();
     let budget = &report["depth"];
     if budget["depth_histogram"].is_null() {
-        return Err(PipelineError::value(&path, "depth", "a run that rendered a scene", "one without depth"));
+        return Err(PipelineError::value(&path, "depth", "the depths of a rendered scene", "none"));
     }
     let title = report["title"].as_str().unwrap_or("the run");
     Ok(Scene::from_budget(budget, format!("that of {title}")))
@@ -225,7 +227,7 @@ fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<V
             other => PipelineError::value(
                 &display.name,
                 "contrast",
-                "a display that gratings can be solved for",
+                "a display for which patterns of gratings can be computed",
                 other.to_string(),
             ),
         })?;
@@ -311,7 +313,7 @@ mod tests {
         assert_eq!((which.change.fov_deg, which.change.lenslets), (Some([40.0, 20.0]), Some([47, 29])));
         let plain: Which = "C:\\displays\\a.toml".parse().unwrap();
         assert_eq!((plain.name.as_str(), plain.change), ("C:\\displays\\a.toml", Variation::default()));
-        assert!("a:layer=2".parse::<Which>().unwrap_err().contains("expected layers, frames"));
+        assert!("a:layer=2".parse::<Which>().unwrap_err().contains("expected one of the keys layers, frames"));
         assert!("a:layers=two".parse::<Which>().is_err());
     }
 }

@@ -192,7 +192,12 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     )?;
     let gaps_mm = if gaps_mm == [0.0] { Vec::new() } else { gaps_mm };
     if let Some(bad) = gaps_mm.iter().find(|gap| !(gap.is_finite() && **gap > 0.0)) {
-        return Err(PipelineError::value("--gaps-mm", "MM", "distances above 0", bad.to_string()));
+        return Err(PipelineError::value(
+            "--gaps-mm",
+            "MM",
+            "distances above 0, or 0 alone for a single layer",
+            bad.to_string(),
+        ));
     }
     // Request the settings of the panels. Default values come from the outputs that the system
     // reports.

@@ -359,8 +359,8 @@ fn save(display: &Display, file: Option<&Path>) -> Result<PathBuf, PipelineError
         PipelineError::value(
             "save",
             "file",
-            "a display file to save to (--calibration FILE)",
-            "a preset of the program, or --fit",
+            "a display file of these panels (--calibration FILE names one)",
+            "a built-in display, or a display that --fit changed",
         )
     })?;
     let text =

@@ -176,7 +176,7 @@ impl Job {
     /// Value of the key `schema`.
     pub const SCHEMA: &'static str = "lumistack/job";
     /// The inputs that a job may have, for messages.
-    pub(crate) const INPUTS: &'static str = "one of `scene`, `light_field` and `source`";
+    pub(crate) const INPUTS: &'static str = "exactly one of `scene`, `light_field` and `source`";
 
     /// Returns a job for a display, with defaults for everything else.
     pub fn new(display: DisplayJob) -> Self {

@@ -156,7 +156,7 @@ fn backlight(display: &Display) -> String {
     match &display.backlight {
         Backlight::Uniform => "uniform".into(),
         Backlight::Lenslets(b) => format!(
-            "{} × {} lenslets of {} mm at d = {} mm, {} × {} directions over {}° × {}°, {} beyond",
+            "{} × {} lenslets of {} mm at d = {} mm, {} × {} directions over {}° × {}°, {} outside of these angles",
             b.lenslets[0],
             b.lenslets[1],
             format::number(b.pitch_mm),
