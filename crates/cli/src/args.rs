@@ -24,10 +24,10 @@ pub(crate) struct Args {
     /// Number of threads that compute; results do not depend on this number [default: one per core]
     #[arg(long, global = true, value_name = "N")]
     pub(crate) threads: Option<usize>,
-    /// Use the plugins of a shared library (a file named `lumistack_plugin_NAME`, with the prefix
-    /// and suffix of the system), or of all such libraries in a folder. These plugins take
-    /// precedence over plugins with the same id in LUMISTACK_PLUGIN_PATH and in lumistack/plugins
-    /// of your data folder. The flag may be given several times
+    /// Use the plugins of a shared library, or of all such libraries in a folder. The name of a
+    /// library's file is `lumistack_plugin_NAME`, with the system's prefix and suffix. These
+    /// plugins take precedence over plugins with the same id in LUMISTACK_PLUGIN_PATH and in
+    /// lumistack/plugins of your data folder. The flag may be given several times
     #[cfg(feature = "dynamic")]
     #[arg(long, global = true, value_name = "FILE|DIR")]
     pub(crate) plugin_path: Vec<PathBuf>,
@@ -52,7 +52,7 @@ pub(crate) enum Command {
     Render(Render),
     /// Compute patterns for views that you have, such as those that another program rendered
     #[command(
-        after_help = "LIGHT_FIELD may be a folder that `lumistack render` wrote, a folder in the layout of the collections HCI or Stanford, a quilt, a picture of tiles, or an array [view_y][view_x][row][col][rgb] in a .npy file.\n\nExamples:\n  lumistack factorize views.npy --fov 20x20 --pitch-mm 2.961 -o runs/views\n  lumistack factorize times --sequence --fov 20x20 --pitch-mm 2.961 -o times-run\n      a sequence, whose time steps are times/t0001.npy, times/t0002.npy, ..."
+        after_help = "LIGHT_FIELD is one of these:\n  a folder that `lumistack render` wrote\n  a folder in the layout of the collections HCI or Stanford\n  a quilt, or a picture of tiles\n  an array [view_y][view_x][row][col][rgb] in a .npy file\n\nExamples:\n  lumistack factorize views.npy --fov 20x20 --pitch-mm 2.961 -o runs/views\n  lumistack factorize times --sequence --fov 20x20 --pitch-mm 2.961 -o times-run\n      a sequence, whose time steps are times/t0001.npy, times/t0002.npy, ..."
     )]
     Factorize(Factorize),
     /// Write the picture that a viewer sees on the display of a finished run, from a direction or a
@@ -163,9 +163,9 @@ pub(crate) enum Setup {
     /// Install a Python environment with OpenUSD in your data folder, for USD files
     ///
     /// You need this command only if no Python on this machine has the package usd-core. If
-    /// LUMISTACK_PYTHON names a Python, the program tries only that Python. Otherwise it tries, in
-    /// this order, the Python of the active virtual or conda environment, the Python that this
-    /// command installed, and the Python on PATH.
+    /// LUMISTACK_PYTHON names a Python, the program tries only that Python. Otherwise it tries the
+    /// Python of the active virtual or conda environment, then the Python that this command
+    /// installed, then the Python on PATH.
     Usd {
         /// Install the package usd-exchange instead of usd-core. With usd-exchange the program also
         /// reads MaterialX files (.mtlx)
@@ -318,7 +318,7 @@ pub(crate) struct Info {
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
     /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing if
-    /// the scene fits, or if the depth of field does not lie on both sides of the display plane.
+    /// the scene fits, or if the depth of field does not lie on both sides of the display.
     /// Otherwise auto moves the window, unless numbers in the job or a focus distance of the camera
     /// place it. If the scene still does not fit, auto compresses depth, unless a depth scale is
     /// given. `--fit-depth` without HOW means move [default: auto]

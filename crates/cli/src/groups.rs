@@ -93,9 +93,9 @@ pub(crate) struct RenderArgs {
     /// the first time code, and .blend scenes the pose at the saved frame
     #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
     pub(crate) time_s: Option<f64>,
-    /// Animation of a glTF scene, by name or number [default: none if no time is given; otherwise
-    /// all animations together, or only the first if two of them move the same property of an
-    /// object]
+    /// Animation of a glTF scene, by name or number. Without this flag and without a time, no
+    /// animation plays. With a time, all animations play together, or only the first if two of them
+    /// move the same property of an object
     #[arg(long, value_name = "NAME|N")]
     pub(crate) animation: Option<String>,
     /// Variant of the scene. For glTF, it is the name or number of a material variant. For USD, it
@@ -135,9 +135,9 @@ pub(crate) struct RenderArgs {
     pub(crate) tone: Option<String>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
-    /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing if
-    /// the scene fits, if the depth of field does not lie on both sides of the display plane, or in
-    /// a sweep. Otherwise auto moves the window, unless numbers in the job or a focus distance of
+    /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing in
+    /// a sweep, if the scene fits, or if the depth of field does not lie on both sides of the
+    /// display. Otherwise auto moves the window, unless numbers in the job or a focus distance of
     /// the camera place it. If the scene still does not fit, auto compresses depth, unless a depth
     /// scale is given. `--fit-depth` without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]

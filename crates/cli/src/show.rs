@@ -375,7 +375,7 @@ fn print_report(report: &Report) {
         return say!("nothing was shown");
     }
     say!(
-        "{} refreshes in {:.1} s, {:.1} Hz; expected {:.1} Hz ({})",
+        "{} refreshes in {:.1} s, {:.1} Hz; expected {:.1} Hz, as stated by {}",
         report.refreshes,
         report.seconds,
         report.rate_hz,

@@ -51,10 +51,10 @@ pub struct WindowJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FitDepth {
-    /// Does nothing in a sweep, or if the scene fits, or if the depth of field does not lie on both
-    /// sides of the display plane. Otherwise acts as [`Compress`](Self::Compress), with two
-    /// differences. The window stays if numbers or a focus distance of its camera place it. The
-    /// depth scale stays if the job sets it.
+    /// Does nothing in a sweep, if the scene fits, or if the depth of field does not lie on both
+    /// sides of the display. Otherwise acts as [`Compress`](Self::Compress), with two differences.
+    /// The window stays if numbers or a focus distance of its camera place it. The depth scale
+    /// stays if the job sets it.
     #[default]
     Auto,
     /// Neither window nor depth change.
