@@ -170,9 +170,9 @@ scene = {scene}
 #frames = 6
 
 [window]
-# direction of the viewer, degrees to the right and up; without this key the file's camera, or the front
+# direction of the viewer, degrees to the right and up; without this key: the view of the file's camera, or the front
 #look_from = [20.0, 10.0]
-# \"off\" leaves the depth of the scene as it is, even if the display cannot show it
+# \"auto\" brings the scene into the depths that the display shows sharply; \"off\" leaves depth as it is
 #fit_depth = \"auto\"
 
 [light]
