@@ -82,7 +82,12 @@ static LumistackStatus submit(void *instance, const LumistackTime *time, const L
                 return fail(error, LUMISTACK_STATUS_CANCELLED, "cancelled");
             }
             LumistackPlane plane = {.size = sizeof plane};
-            if (data->layer_plane(data->context, layer, frame, &plane, NULL) != LUMISTACK_STATUS_OK) break;
+            status = data->layer_plane(data->context, layer, frame, &plane, NULL);
+            if (status == LUMISTACK_STATUS_REFUSED) break;
+            if (status != LUMISTACK_STATUS_OK) {
+                host->file_abort(host->context, file, NULL);
+                return fail(error, status, "a layer cannot be read");
+            }
             char line[128];
             int written = snprintf(line, sizeof line, "layer %zu frame %zu mean %.6f\n", layer, frame, mean_of(&plane));
             if (plane.release) plane.release(plane.owner);

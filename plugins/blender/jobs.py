@@ -177,7 +177,7 @@ class Job:
     def _check_depth(self, display: lumistack.Display, window: cameras.Window) -> None:
         sentence = depth_sentence(self.scene, display, window)
         if sentence:
-            self.warn("depth", f"{sentence}. Fit Depth moves the scene into that range")
+            self.warn("depth", f"{sentence}. Fit Depth moves the scene into the sharp range, if there is one")
 
     def _views(self, _renderer, display, window, folder: Path, start: float, part: float):
         """Renders views by Blender's engine."""

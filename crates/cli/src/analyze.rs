@@ -18,8 +18,8 @@ pub(crate) const EXAMPLES: &str = "\
 Examples:
   lumistack analyze paper-directional
       the limits of a built-in display
-  lumistack analyze paper-three-layer paper-three-layer:layers=2 paper-directional -o bounds
-      three displays in the same plots; the second one is the first with two layers
+  lumistack analyze paper-three-layer paper-three-layer:layers=2 -o bounds
+      two displays in the same plots; the second display is the first one with two layers
   lumistack analyze paper-three-layer --contrast -o bounds
       also the contrast that a solver reaches, compared with the limit
   lumistack analyze my.toml --scene model.glb
@@ -46,7 +46,8 @@ pub(crate) struct Analyze {
     #[command(flatten)]
     files: FileArgs,
     /// Largest distance from the display plane for which the depth of field is computed and
-    /// plotted, millimetres [default: the distance that display and scene need]
+    /// plotted, millimetres. The default is at least 20 mm. It includes 3 × the distance of each
+    /// layer and lens array, 1.2 × the scene's depths, and 1.6 × the depth of field
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
     /// Also compute patterns of every display for gratings (stripes of one frequency) at many
@@ -92,7 +93,9 @@ impl FromStr for Which {
                 "fov" => change.fov_deg = Some(value.parse::<crate::values::Angles>().map_err(|_| wrong())?.0),
                 "lenslets" => change.lenslets = Some(value.parse::<crate::values::Size>().map_err(|_| wrong())?.0),
                 _ => {
-                    return Err(format!("expected layers, frames, brightness, gap_mm, fov or lenslets, found `{key}`"));
+                    return Err(format!(
+                        "expected one of the keys layers, frames, brightness, gap_mm, fov and lenslets, found `{key}`"
+                    ));
                 }
             }
         }
@@ -205,7 +208,7 @@ fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
     let report: serde_json::Value = serde_json::from_slice(&bytes).unwrap_or_default();
     let budget = &report["depth"];
     if budget["depth_histogram"].is_null() {
-        return Err(PipelineError::value(&path, "depth", "a run that rendered a scene", "one without depth"));
+        return Err(PipelineError::value(&path, "depth", "the depths of a rendered scene", "none"));
     }
     let title = report["title"].as_str().unwrap_or("the run");
     Ok(Scene::from_budget(budget, format!("that of {title}")))
@@ -224,7 +227,7 @@ fn contrasts(displays: &[Display], all: &[Analysis], task: Task<'_>) -> Result<V
             other => PipelineError::value(
                 &display.name,
                 "contrast",
-                "a display that gratings can be solved for",
+                "a display for which patterns of gratings can be computed",
                 other.to_string(),
             ),
         })?;
@@ -310,7 +313,7 @@ mod tests {
         assert_eq!((which.change.fov_deg, which.change.lenslets), (Some([40.0, 20.0]), Some([47, 29])));
         let plain: Which = "C:\\displays\\a.toml".parse().unwrap();
         assert_eq!((plain.name.as_str(), plain.change), ("C:\\displays\\a.toml", Variation::default()));
-        assert!("a:layer=2".parse::<Which>().unwrap_err().contains("expected layers, frames"));
+        assert!("a:layer=2".parse::<Which>().unwrap_err().contains("expected one of the keys layers, frames"));
         assert!("a:layers=two".parse::<Which>().is_err());
     }
 }

@@ -24,10 +24,10 @@ pub(crate) struct Args {
     /// Number of threads that compute; results do not depend on this number [default: one per core]
     #[arg(long, global = true, value_name = "N")]
     pub(crate) threads: Option<usize>,
-    /// Use the plugins of a shared library (a file named `lumistack_plugin_ID`), or of all such
-    /// libraries in a folder. These plugins take precedence over plugins with the same id in
-    /// LUMISTACK_PLUGIN_PATH and in lumistack/plugins of your data folder. The flag may be given
-    /// several times
+    /// Use the plugins of a shared library, or of all such libraries in a folder. The name of a
+    /// library's file is `lumistack_plugin_NAME`, with the system's prefix and suffix. These
+    /// plugins take precedence over plugins with the same id in LUMISTACK_PLUGIN_PATH and in
+    /// lumistack/plugins of your data folder. The flag may be given several times
     #[cfg(feature = "dynamic")]
     #[arg(long, global = true, value_name = "FILE|DIR")]
     pub(crate) plugin_path: Vec<PathBuf>,
@@ -39,7 +39,7 @@ pub(crate) struct Args {
 pub(crate) enum Command {
     /// Render a job or a scene, compute the patterns of its display, and write outputs and a report
     #[command(
-        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run scenes/still-life/job.toml --plan\n      prints the steps of the job, and estimates of their time and memory, but does not run them\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk\n      a sequence of 24 time steps, in which the viewer walks 30° around the scene\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o runs/fox\n      a sequence of 24 time steps, in which the scene's animation plays for 0.7 s\n\nA scene that is given without a job file gets pictures of the layers and a browser simulator as outputs; a sequence gets only pictures. If a run was stopped, the same command continues it."
+        after_help = "Examples:\n  lumistack run scenes/still-life/job.toml\n  lumistack run scenes/still-life/job.toml --plan\n      prints the steps of the job, and estimates of their time and memory, but does not run them\n  lumistack run model.glb --display paper-three-layer -o runs/model\n  lumistack run model.glb --times 24 --turn-deg 30 -o runs/walk\n      a sequence of 24 time steps, in which the viewer walks 30° around the scene\n  lumistack run fox.glb --animation Walk --times 24 --duration-s 0.7 -o fox\n      a sequence of 24 time steps, in which the scene's animation plays for 0.7 s\n\nA scene that is given without a job file gets pictures of the layers and a browser simulator as outputs; a sequence gets only pictures. If a run was stopped, the same command continues it."
     )]
     Run(Run),
     /// Write a job file with comments, from three answers or options: scene, display and outputs
@@ -52,18 +52,18 @@ pub(crate) enum Command {
     Render(Render),
     /// Compute patterns for views that you have, such as those that another program rendered
     #[command(
-        after_help = "The views (the light field) may be a folder that `lumistack render` wrote, a folder in the layout of the collections HCI or Stanford, a quilt, a picture of tiles, or an array [view_y][view_x][row][col][rgb] in a .npy file.\n\nExamples:\n  lumistack factorize views.npy --grid oblique --fov 20x20 --pitch-mm 2.961 -o runs/views\n  lumistack factorize times/ --sequence --fov 20x20 --pitch-mm 2.961 -o runs/times\n      a sequence, whose time steps are times/t0001.npy, times/t0002.npy, ..."
+        after_help = "LIGHT_FIELD is one of these:\n  a folder that `lumistack render` wrote\n  a folder in the layout of the collections HCI or Stanford\n  a quilt, or a picture of tiles\n  an array [view_y][view_x][row][col][rgb] in a .npy file\n\nExamples:\n  lumistack factorize views.npy --fov 20x20 --pitch-mm 2.961 -o runs/views\n  lumistack factorize times --sequence --fov 20x20 --pitch-mm 2.961 -o times-run\n      a sequence, whose time steps are times/t0001.npy, times/t0002.npy, ..."
     )]
     Factorize(Factorize),
     /// Write the picture that a viewer sees on the display of a finished run, from a direction or a
     /// position
     #[command(
-        after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png      from 4° to the right and 2° below\n  lumistack simulate runs/still-life --eye 100,0,2000 -o eye.png  from 2 m in front and 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png       seven views from left to right"
+        after_help = "Examples:\n  lumistack simulate runs/still-life --view 4,-2 -o view.png\n      a picture from 4° to the right and 2° below\n  lumistack simulate runs/still-life --eye 100,0,2000 -o eye.png\n      a picture from 2 m in front and 100 mm to the right\n  lumistack simulate runs/still-life --sweep 7 -o strip.png\n      seven views from left to right"
     )]
     Simulate(Simulate),
     /// Show the display of a finished run in the browser, where you can look at it from all sides
     #[command(
-        after_help = "Examples:\n  lumistack preview runs/still-life     the display of this run\n  lumistack preview --solve             a page that computes patterns for a model, which you drop onto the page\n\nThe command opens the page in your browser. Other machines cannot open the page. When the run's patterns change, the page shows the new ones. A folder that the output plugin web_simulator wrote also works on any web server, and its file preview.html opens by a double click."
+        after_help = "Examples:\n  lumistack preview runs/still-life\n      the display of this run\n  lumistack preview --solve\n      a page that computes patterns for a model, which you drop onto the page\n\nThe command opens the page in your browser. Other machines cannot open the page. When the run's patterns change, the page shows the new ones. A folder that the output plugin web_simulator wrote also works on any web server, and its file preview.html opens by a double click."
     )]
     Preview(Preview),
     /// Report the limits that follow from the geometry of displays: depth of field, spectral
@@ -83,7 +83,7 @@ pub(crate) enum Command {
     Compare(crate::compare::Compare),
     /// Show a run on physical panels: each layer on its own panel, one frame after another
     #[command(
-        after_help = "Examples:\n  lumistack show --list                                          lists the outputs for panels\n  lumistack show runs/still-life                                 shows each layer on its output\n  lumistack show my-display.toml --pattern crosshairs --only 1   helps to align a stack\n  lumistack show runs/still-life --preview                       shows a window, without panels\n\nKeys: space holds the current frame, or resumes. Comma and full stop show the previous and the next frame. Tab selects a panel, the arrows shift it, and s saves the shifts. r reports how many frames were late, and q ends. In a preview the arrows turn the view.\n\nIf the patterns of the run change, the new ones appear after the last frame of the current cycle. docs/PANELS.md explains how to build and calibrate a stack."
+        after_help = "Examples:\n  lumistack show --list\n      lists the outputs for panels\n  lumistack show runs/still-life\n      shows each layer on its output\n  lumistack show my-display.toml --pattern crosshairs --only 1\n      shows crosshairs on layer 1, to align a stack\n  lumistack show runs/still-life --preview\n      shows a preview in a window, without panels\n\nKeys: space holds the current frame, or resumes. Comma and full stop show the previous and the next frame. Tab selects a panel, the arrows shift it, and s saves the shifts. r reports how many frames were late, and q ends. In a preview the arrows turn the view.\n\nIf the patterns of the run change, the new ones appear after the last frame of the current cycle. docs/PANELS.md explains how to build and calibrate a stack."
     )]
     Show(Box<crate::show::Show>),
     /// Show a display, and update it while its scene, settings, time or viewers change
@@ -95,12 +95,13 @@ pub(crate) enum Command {
     /// Remove files from run folders: files that stopped runs left behind, and cached results that
     /// the last run did not use. The results of the last run stay
     #[command(
-        after_help = "Examples:\n  lumistack clean runs/still-life --dry-run     prints the sizes of the files, and removes none\n  lumistack clean runs/*                        cleans every run, sequence and sweep in the folder runs\n  lumistack clean runs/still-life --all         also removes all cached views"
+        after_help = "Examples:\n  lumistack clean runs/still-life --dry-run\n      prints the sizes of the files, and removes none\n  lumistack clean runs/*\n      cleans every run, sequence and sweep in the folder runs\n  lumistack clean runs/still-life --all\n      also removes all cached views"
     )]
     Clean(Clean),
-    /// List all plugins with their parameters and files, and the libraries that could not be loaded
+    /// List all plugins with their parameters and the library of each, and the libraries that could
+    /// not be loaded
     #[command(
-        after_help = "Example:\n  lumistack plugins tensor-display      only this plugin, with the values that its parameters accept"
+        after_help = "Example:\n  lumistack plugins tensor-display\n      only this plugin, with a description of every option of its parameters"
     )]
     Plugins {
         /// Ids of the plugins to list [default: all plugins]
@@ -162,11 +163,12 @@ pub(crate) enum Setup {
     /// Install a Python environment with OpenUSD in your data folder, for USD files
     ///
     /// You need this command only if no Python on this machine has the package usd-core. If
-    /// LUMISTACK_PYTHON names a Python, only that one is tried. Otherwise the program tries the
-    /// Python of the active virtual or conda environment, this command's environment, and PATH.
+    /// LUMISTACK_PYTHON names a Python, the program tries only that Python. Otherwise it tries the
+    /// Python of the active virtual or conda environment, then the Python that this command
+    /// installed, then the Python on PATH.
     Usd {
-        /// Install the package usd-exchange instead of usd-core, to read also MaterialX files
-        /// (.mtlx)
+        /// Install the package usd-exchange instead of usd-core. With usd-exchange the program also
+        /// reads MaterialX files (.mtlx)
         #[arg(long)]
         materialx: bool,
         /// Python that makes the environment [default: python3 on PATH]
@@ -177,7 +179,7 @@ pub(crate) enum Setup {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Run {
-    /// Job file (.toml) or scene (.gltf, .glb, USD, or a file of an importer plugin)
+    /// Job file (.toml) or scene (.gltf, .glb, USD, .blend, or a file of an importer plugin)
     pub(crate) input: PathBuf,
     /// Do not run. Print the steps of the run, which of them have cached results, and estimates of
     /// time and memory
@@ -189,7 +191,7 @@ pub(crate) struct Run {
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Render {
-    /// Scene (.gltf, .glb, USD, or a file of an importer plugin) or job file (.toml)
+    /// Scene (.gltf, .glb, USD, .blend, or a file of an importer plugin) or job file (.toml)
     pub(crate) scene: PathBuf,
     /// Folder for the views
     #[arg(short, long, value_name = "DIR")]
@@ -197,7 +199,7 @@ pub(crate) struct Render {
     /// Write scene-linear radiance in 32 bits, without exposure, tone curve and clipping
     #[arg(long, help_heading = "Views", conflicts_with_all = ["exposure_ev", "tone", "background"])]
     pub(crate) linear: bool,
-    /// Also write other data of each view, into a file layers_YY_XX.exr. LIST has some of these
+    /// Also write other data of each view, into a file layers_ROW_COL.exr. LIST has some of these
     /// names, separated by commas: depth (millimetres in front of the display plane), normal,
     /// albedo, variance, coverage
     #[arg(long, value_name = "LIST", value_delimiter = ',', help_heading = "Views")]
@@ -232,11 +234,11 @@ pub(crate) struct Factorize {
     /// Seed of the random numbers; the same seed gives the same results [default: 1]
     #[arg(long)]
     pub(crate) seed: Option<u64>,
-    /// Read the folder as a sequence. It contains a folder, a .npy file or a quilt for each time
-    /// step, in the order of their names
+    /// Read the folder LIGHT_FIELD as a sequence. It contains a folder, a .npy file or a quilt for
+    /// each time step, in the order of their names
     #[arg(long, help_heading = "Sequence")]
     pub(crate) sequence: bool,
-    /// Iterations at every time step after the first [default: 5]
+    /// Number of iterations at every time step after the first [default: 5]
     #[arg(long, value_name = "N", requires = "sequence", help_heading = "Sequence")]
     pub(crate) sequence_iterations: Option<u32>,
 }
@@ -316,8 +318,10 @@ pub(crate) struct Info {
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
     /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing if
-    /// the scene fits; otherwise it acts as compress. But if the job places the window, auto only
-    /// compresses depth. `--fit-depth` without HOW means move [default: auto]
+    /// the scene fits, or if the depth of field does not lie on both sides of the display.
+    /// Otherwise auto moves the window, unless numbers in the job or a focus distance of the camera
+    /// place it. If the scene still does not fit, auto compresses depth, unless a depth scale is
+    /// given. `--fit-depth` without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]

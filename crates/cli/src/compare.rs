@@ -15,15 +15,18 @@ use crate::values::Numbers;
 pub(crate) const EXAMPLES: &str = "\
 Examples:
   lumistack compare runs/three-layer runs/directional -o compared
-      compares two runs with the target of the first run and with each other, at the views of the first run
+      compares two runs with each other and with the target of the first run, at the views of
+      the first run
   lumistack compare runs/figure-9 -o compared
-      all displays of a run that has several, in one picture
+      all displays of a run that has several displays, in one picture
   lumistack compare runs/a/nodes/tensor runs/a/nodes/barrier
       two displays of one run
-  lumistack compare runs/a photo.png --eye 0,0,2000 --corners 210,160,1830,150,1850,1170,190,1180
-      a run and a photograph of its panels; the photograph's brightness is scaled to match
-      the simulation
-  lumistack compare runs/a photo.jpg --focal-35mm 28 --corners 210,160,1830,150,1850,1170,190,1180
+  lumistack compare runs/a photo.png --eye 0,0,2000 \\
+      --corners 210,160,1830,150,1850,1170,190,1180
+      a run and a photograph of its panels; the photograph's brightness is scaled to the
+      simulation's
+  lumistack compare runs/a photo.jpg --focal-35mm 28 \\
+      --corners 210,160,1830,150,1850,1170,190,1180
       the same, if the position of the camera is not known: it is computed from the corners
   lumistack compare runs/a runs/b --focus -60,0,60 -o compared
       also pictures as seen by an eye that focuses behind, on and in front of the display";

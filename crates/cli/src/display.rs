@@ -19,13 +19,13 @@ use crate::values::{Angles, Numbers, Size};
 pub(crate) enum DisplayCommand {
     /// Write a display file for your own panels. The command asks questions about missing options
     #[command(
-        after_help = "Examples:\n  lumistack display new my-display.toml\n  lumistack display new my-display.toml --gaps-mm 40,40 --panel-resolution 1680x1050 --diagonal-inch 22 --no-questions\n\nFor a display of a single layer use --gaps-mm 0. With --lens-pitch-mm the display has a lens array, and one more panel than layers, which is behind the lenses. The default is then a single layer."
+        after_help = "Examples:\n  lumistack display new my-display.toml\n      asks questions, and writes the file\n  lumistack display new my-display.toml --no-questions --gaps-mm 40,40 \\\n      --panel-resolution 1680x1050 --diagonal-inch 22\n      asks nothing\n\nFor a display of a single layer use --gaps-mm 0. With --lens-pitch-mm the display has a lens array, and one more panel than layers, which is behind the lenses. The default is then a single layer."
     )]
     New(Box<New>),
     /// Compute the positions of the panels from photographs. Each photograph shows the crosshairs
     /// on one layer, as `lumistack show --pattern crosshairs --only N` draws them
     #[command(
-        after_help = "Example:\n  lumistack display calibrate my-display.toml --reference 1=middle.jpg --photo 0=rear.jpg --photo 2=front.jpg\n\ndocs/PANELS.md explains how to take the photographs."
+        after_help = "Example:\n  lumistack display calibrate my-display.toml --reference 1=middle.jpg \\\n      --photo 0=rear.jpg --photo 2=front.jpg\n\ndocs/PANELS.md explains how to take the photographs."
     )]
     Calibrate(Calibrate),
 }
@@ -192,7 +192,12 @@ fn new_display(args: &New, outputs: &[Known], ask: &mut Questions<'_>, json: boo
     )?;
     let gaps_mm = if gaps_mm == [0.0] { Vec::new() } else { gaps_mm };
     if let Some(bad) = gaps_mm.iter().find(|gap| !(gap.is_finite() && **gap > 0.0)) {
-        return Err(PipelineError::value("--gaps-mm", "MM", "distances above 0", bad.to_string()));
+        return Err(PipelineError::value(
+            "--gaps-mm",
+            "MM",
+            "distances above 0, or 0 alone for a single layer",
+            bad.to_string(),
+        ));
     }
     // Request the settings of the panels. Default values come from the outputs that the system
     // reports.

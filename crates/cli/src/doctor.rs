@@ -163,7 +163,7 @@ fn denoiser() -> Found {
         Ok(version) => Found::Good(version),
         Err(_) => {
             let help = "`pip install pyoidn`, or set LUMISTACK_OIDN to the program `oidnDenoise`; the other filters need no other program";
-            Found::Missing("Open Image Denoise is not on PATH".into(), help.into())
+            Found::Missing("the program `oidnDenoise` of Open Image Denoise was not found".into(), help.into())
         }
     }
 }

@@ -21,7 +21,8 @@ pub(crate) const EXAMPLES: &str = "\
 Examples:
   lumistack farm job.toml -o runs/shot
       runs the job on two workers of this machine, which Python's package dask.distributed starts
-  lumistack farm job.toml -o /mnt/shots/one --dask tls://head:8786 --tls-ca ca.pem --tls-cert me.pem --tls-key me-key.pem
+  lumistack farm job.toml -o /mnt/shots/one --dask tls://head:8786 \\
+      --tls-ca ca.pem --tls-cert me.pem --tls-key me-key.pem
       runs the job on the workers of a Dask scheduler, which share the folder /mnt/shots/one
   lumistack farm plan job.toml -o runs/shot
       lists the units of work with their inputs, times and memory
@@ -53,7 +54,8 @@ pub(crate) struct Farm {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
-    /// Divide a run into units of work, write their list into the run folder, and print it
+    /// Divide a run into units of work, write the list of the units into the run folder, and print
+    /// the list
     Plan {
         /// Job file (.toml; it may have a table [sweep]) or scene
         input: PathBuf,
@@ -102,9 +104,9 @@ enum What {
         job: JobArgs,
         #[command(flatten)]
         cut: CutArgs,
-        /// Folder to write into. If the format writes a single file, this may be the path of the
-        /// file. A path counts as the path of the file if it has an extension, or ends with the
-        /// format's own file name, such as Makefile
+        /// Folder for the files of the job for the farm manager. If the format writes a single
+        /// file, this may be the path of the file. A path counts as the path of the file if it has
+        /// an extension, or ends with the format's own file name, such as Makefile
         #[arg(long, value_name = "FILE|DIR", default_value = ".")]
         to: PathBuf,
         /// Command line that starts the program on a worker; spaces separate its words [default:

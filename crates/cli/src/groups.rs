@@ -40,7 +40,7 @@ pub(crate) struct DisplayArgs {
 #[derive(Debug, Default, ClapArgs)]
 #[command(next_help_heading = "Rendering")]
 pub(crate) struct RenderArgs {
-    /// Number of views, as columns and rows. With auto, the number follows from the display. It is
+    /// Number of views, as columns and rows. With auto, the number follows from the display, and is
     /// so large that the display also shows correct pictures between the views
     #[arg(long, value_name = "auto|CxR")]
     pub(crate) views: Option<Views>,
@@ -49,7 +49,7 @@ pub(crate) struct RenderArgs {
     /// auto]
     #[arg(long, value_name = "auto|N")]
     pub(crate) zone_samples: Option<lumistack_pipeline::ZoneSamples>,
-    /// Number of paths per pixel of each view; use it instead of --zone-samples
+    /// Number of paths per pixel of each view. It cannot be combined with --zone-samples
     #[arg(long, value_name = "N", conflicts_with = "zone_samples")]
     pub(crate) samples: Option<u32>,
     /// Program that renders the views: lumistack, blender or auto. Blender renders .blend scenes
@@ -74,14 +74,14 @@ pub(crate) struct RenderArgs {
     pub(crate) camera: Option<String>,
     /// View the scene from this azimuth and elevation, degrees, even if the file has a camera.
     /// Azimuth 0 is the front, +z; positive azimuths lie to the right of the front, towards +x.
-    /// If neither a camera nor this flag is given, the scene is seen from the front, or from
-    /// another side if the front shows hardly anything
+    /// Without this flag and without a camera, the scene is seen from the front, or from another
+    /// side if the front shows hardly anything
     #[arg(long, value_name = "AZ,EL", allow_hyphen_values = true)]
     pub(crate) look_from: Option<Numbers<2>>,
     /// Hide content that is farther in front of the window than this distance: auto, off, or a
-    /// number of scene units. Auto takes the near plane of the window's camera. If the job gives
-    /// the window by numbers, auto takes the distance at which the display shows hardly any detail.
-    /// Otherwise auto hides nothing
+    /// number of scene units. If a camera determines the window, auto takes the camera's near
+    /// plane. If numbers in the job do, auto takes the distance at which the display shows hardly
+    /// any detail. Otherwise auto hides nothing
     #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
     pub(crate) near: Option<lumistack_pipeline::Near>,
     /// Show light sources that have a surface, such as area lights, in the views [default: as the
@@ -93,8 +93,9 @@ pub(crate) struct RenderArgs {
     /// the first time code, and .blend scenes the pose at the saved frame
     #[arg(long = "time", value_name = "S", allow_hyphen_values = true)]
     pub(crate) time_s: Option<f64>,
-    /// Animation, by name or number [default: all animations together, or only the first if two of
-    /// them move the same property of an object]
+    /// Animation of a glTF scene, by name or number. Without this flag and without a time, no
+    /// animation plays. With a time, all animations play together, or only the first if two of them
+    /// move the same property of an object
     #[arg(long, value_name = "NAME|N")]
     pub(crate) animation: Option<String>,
     /// Variant of the scene. For glTF, it is the name or number of a material variant. For USD, it
@@ -134,10 +135,11 @@ pub(crate) struct RenderArgs {
     pub(crate) tone: Option<String>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
-    /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing if
-    /// the scene fits; otherwise it acts as compress, with two exceptions. If the job places the
-    /// window, auto only compresses depth. If a depth scale is given, auto only moves the window.
-    /// In a sweep auto acts as off. `--fit-depth` without HOW means move [default: auto]
+    /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing in
+    /// a sweep, if the scene fits, or if the depth of field does not lie on both sides of the
+    /// display. Otherwise auto moves the window, unless numbers in the job or a focus distance of
+    /// the camera place it. If the scene still does not fit, auto compresses depth, unless a depth
+    /// scale is given. `--fit-depth` without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
     /// Factor that multiplies the parallax between views, and so the visible depth
@@ -202,7 +204,7 @@ pub(crate) struct SequenceArgs {
     #[arg(long, value_name = "N")]
     pub(crate) times: Option<usize>,
     /// Angle by which the window turns about its vertical axis from the first time step to the
-    /// last, degrees. Above 0 the viewer walks to the right
+    /// last, degrees. With a positive angle, the scene looks as if the viewer walked to the right
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     pub(crate) turn_deg: Option<f64>,
     /// Movement of the window from the first time step to the last, millimetres of the display: X
@@ -289,14 +291,16 @@ pub(crate) struct GeometryArgs {
     /// Distance of the eyes from the display plane, for perspective views, millimetres
     #[arg(long, value_name = "MM")]
     pub(crate) distance_mm: Option<f64>,
-    /// Use only this number of views of a larger set, horizontal and vertical
+    /// Use only this number of views of a larger set, horizontal and vertical, evenly spaced around
+    /// the centre
     #[arg(long, value_name = "HxV")]
     pub(crate) views: Option<Size>,
     /// Columns and rows of views in a quilt, if the name of the file does not state them
     #[arg(long, value_name = "CxR")]
     pub(crate) quilt: Option<Size>,
     /// Read a picture that contains all views as tiles. View (0, 0), the leftmost and topmost
-    /// viewpoint, is at the top left. HxV is the number of views, horizontal and vertical
+    /// viewpoint, is at the top left of the picture. HxV is the number of views, horizontal and
+    /// vertical
     #[arg(long, value_name = "HxV")]
     pub(crate) tiles: Option<Size>,
     /// Reduce every view to this many columns and rows
@@ -331,11 +335,11 @@ pub(crate) fn job_or_scene(path: &Path) -> Result<Job, PipelineError> {
         return Job::load(path);
     }
     if path.is_dir() {
-        let expected = "a scene (.gltf, .glb, USD, .blend, .obj) or a job file (.toml); `lumistack factorize` takes folders of views";
+        let expected = "a scene (.gltf, .glb, USD, .blend, .obj, .ply, .spz, .sog or meta.json) or a job file (.toml); `lumistack factorize` takes folders of views";
         return Err(PipelineError::value(path, "input", expected, "a folder"));
     }
     if path.extension().is_none() && !path.exists() {
-        let expected = "a scene (.gltf, .glb, USD, .blend, .obj) or a job file (.toml)";
+        let expected = "a scene (.gltf, .glb, USD, .blend, .obj, .ply, .spz, .sog or meta.json) or a job file (.toml)";
         return Err(PipelineError::value(path, "input", expected, "no such file"));
     }
     let mut job = Job::new(DisplayJob { preset: Some(DEFAULT_DISPLAY.into()), ..DisplayJob::default() });

@@ -61,7 +61,7 @@ fn describe(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, P
     if !path.exists() && path.components().count() == 1 && path.extension().is_none() {
         let names = presets::PRESETS.iter().map(|(preset, _)| *preset);
         let near = nearest(&name, names).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
-        let expected = "a file, a folder or a display preset (`lumistack displays` lists them)";
+        let expected = "a file, a folder or a display preset (`lumistack displays` lists the presets)";
         return Err(PipelineError::value(path, "input", expected, format!("none of this name{near}")));
     }
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();

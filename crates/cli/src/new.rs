@@ -12,7 +12,7 @@ use crate::console::{say, tell};
 use crate::groups::DEFAULT_DISPLAY;
 use crate::questions::{Questions, asks};
 
-pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack new      asks questions, and writes job.toml into this folder\n  lumistack new figurine/job.toml --scene figurine.glb --display paper-three-layer --outputs images,web_simulator\n\n\
+pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack new      asks questions, and writes job.toml into this folder\n  lumistack new figurine/job.toml --scene figurine.glb --no-questions\n      asks nothing, and uses the default display and outputs\n\n\
     The command also writes job.schema.json next to the job file. Editors use it to complete and check keys. Existing files are never replaced.";
 
 /// Default outputs.
@@ -23,7 +23,7 @@ pub(crate) struct New {
     /// The file to write
     #[arg(default_value = "job.toml")]
     pub(crate) file: PathBuf,
-    /// Scene that the job renders: .gltf, .glb, USD, .blend, .ply, .spz, .obj
+    /// Scene that the job renders: .gltf, .glb, USD, .blend, .obj, .ply, .spz, .sog or meta.json
     #[arg(long, value_name = "FILE")]
     pub(crate) scene: Option<PathBuf>,
     /// Display: a name that `lumistack displays` lists, or a display file [default:
@@ -170,9 +170,9 @@ scene = {scene}
 #frames = 6
 
 [window]
-# direction of the viewer, degrees to the right and up; without this key the file's camera, or the front
+# direction of the viewer, degrees to the right and up; without this key: the view of the file's camera, or the front
 #look_from = [20.0, 10.0]
-# \"off\" leaves the depth of the scene as it is, even if the display cannot show it
+# \"auto\" brings the scene into the depths that the display shows sharply; \"off\" leaves depth as it is
 #fit_depth = \"auto\"
 
 [light]

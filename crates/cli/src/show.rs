@@ -29,7 +29,7 @@ const LOOK: Duration = Duration::from_millis(200);
 
 #[derive(Debug, ClapArgs)]
 pub(crate) struct Show {
-    /// A run folder. With --pattern or --full-resolution-2d, it may also be a display file or the
+    /// A run folder. With --pattern or --full-resolution-2d, DIR may also be a display file or the
     /// name of a built-in display
     #[arg(required_unless_present = "list")]
     pub(crate) dir: Option<PathBuf>,
@@ -359,8 +359,8 @@ fn save(display: &Display, file: Option<&Path>) -> Result<PathBuf, PipelineError
         PipelineError::value(
             "save",
             "file",
-            "a display file to save to (--calibration FILE)",
-            "a preset of the program, or --fit",
+            "a display file of these panels (--calibration FILE names one)",
+            "a built-in display, or a display that --fit changed",
         )
     })?;
     let text =
@@ -375,7 +375,7 @@ fn print_report(report: &Report) {
         return say!("nothing was shown");
     }
     say!(
-        "{} refreshes in {:.1} s, {:.1} Hz; expected {:.1} Hz ({})",
+        "{} refreshes in {:.1} s, {:.1} Hz; expected {:.1} Hz, as stated by {}",
         report.refreshes,
         report.seconds,
         report.rate_hz,

@@ -23,9 +23,10 @@ the same command continues it.
 
 Examples:
   lumistack sweep scenes/sweeps/figure-7.toml
-  lumistack sweep model.glb --resolution 105x66 --layers 1..5 --frames 1,2,4,8 -o sweeps/model
-  lumistack sweep job.toml --displays fig7-uniform,fig7-directional --brightness 0.1..1:0.1
-  lumistack sweep model.glb --layers 1..6 --frames 1..8 --max-panels 3 --enough-db 35";
+  lumistack sweep model.glb --resolution 105x66 --layers 1..5 --frames 1,2,4,8
+  lumistack sweep job.toml --displays fig7-uniform,fig7-directional
+  lumistack sweep job.toml --brightness 0.1..1:0.1
+  lumistack sweep model.glb --frames 1..8 --max-panels 3 --enough-db 35";
 
 /// The sweep to run.
 #[derive(Debug, clap::Args)]

@@ -41,7 +41,10 @@ impl Sheet {
     pub fn drawn(&self) -> Result<([usize; 2], Vec<u8>), PlotError> {
         let [cols, rows] = self.size;
         if let Some(cell) = self.rows.iter().flat_map(|row| &row.1).find(|cell| cell.rgb.len() != 3 * cols * rows) {
-            return Err(PlotError::new(format!("{} values in a picture of {cols} × {rows} pixels", cell.rgb.len())));
+            return Err(PlotError::new(format!(
+                "expected 3 values for each pixel of a picture of {cols} × {rows} pixels, found {} values",
+                cell.rgb.len()
+            )));
         }
         // Lay out cells, enlarged by a whole number, with room for headings and captions.
         let larger = LEAST_WIDTH.div_ceil(cols.max(1)).max(1);

@@ -23,7 +23,8 @@ pub struct Display {
     pub name: String,
     /// Time-multiplexed frames M of one period, ≥ 1.
     pub frames: usize,
-    /// Refresh rate of the panels, hertz; see [`period_hz`](Self::period_hz).
+    /// Refresh rate of the panels, hertz. A refresh shows one frame, or one colour of a frame; see
+    /// [`period_hz`](Self::period_hz).
     #[serde(default = "default_refresh_hz")]
     pub refresh_hz: f64,
     /// Order of the colours of a frame in time: together, or one after another.

@@ -21,7 +21,7 @@ pub enum Missing {
     /// The ray has weight 0.
     #[default]
     Drop,
-    /// The ray reads the value of a missing layer:
-    /// [`Formation::neutral`](crate::Formation::neutral).
+    /// The layer has no effect on the ray, which reads the value
+    /// [`Formation::neutral`](crate::Formation::neutral): 1 for attenuating layers, otherwise 0.
     Clear,
 }

@@ -52,7 +52,7 @@ impl Weights {
             if ok { Ok(()) } else { Err(WeightError { expected, found }) }
         };
         geometry.check().map_err(|error| WeightError {
-            expected: format!("a geometry with {} of {}", error.what, error.expected),
+            expected: format!("a valid geometry ({}: {})", error.what, error.expected),
             found: error.found,
         })?;
         let positive = |value: f64| value.is_finite() && value > 0.0;

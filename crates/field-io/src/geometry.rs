@@ -49,8 +49,8 @@ pub struct GeometryFlags {
     /// Reverse the order of views along [x, y].
     #[serde(skip_serializing_if = "is_unset")]
     pub mirror: [bool; 2],
-    /// Average every kept view over the slopes that the display cannot resolve; see
-    /// [`open_for`](crate::open_for).
+    /// Replace every kept view by an average over the slopes that the display cannot separate. The
+    /// average also uses the views that `views` leaves out; see [`open_for`](crate::open_for).
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub prefilter: bool,
 }

@@ -106,7 +106,7 @@ impl NpyFile {
             return Err(FieldError::malformed(
                 path,
                 "fortran_order",
-                "False (write it with numpy.ascontiguousarray)",
+                "False (numpy.ascontiguousarray makes such an array)",
                 "True",
             ));
         }

@@ -180,7 +180,7 @@ impl<'a> Document<'a> {
         });
         range.ok_or_else(|| {
             let room = (bytes.len() as u64).saturating_sub(offset);
-            let expected = format!("at most {room} bytes, which buffer {} has there", buffer.value());
+            let expected = format!("at most {room} bytes, which buffer {} has from byteOffset on", buffer.value());
             Fault::new(format!("{place}/byteLength"), expected, length)
         })
     }

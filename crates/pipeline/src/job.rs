@@ -48,8 +48,8 @@ pub struct Job {
     /// Name in reports and of the run folder; default: the file's name without extension.
     #[serde(default)]
     pub name: String,
-    /// Scene to render: `.gltf`, `.glb`, USD, or a file of an importer plugin. A job has one of
-    /// `scene`, `light_field` and `source`.
+    /// Scene to render: `.gltf`, `.glb`, USD, `.blend`, or a file of an importer plugin. A job has
+    /// exactly one of the keys `scene`, `light_field` and `source`.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub scene: Option<PathBuf>,
@@ -114,12 +114,14 @@ pub struct Job {
 #[serde(default, deny_unknown_fields)]
 pub struct PoseJob {
     /// Time at which animations are sampled, seconds. An animation keeps its first values before
-    /// its beginning, and its last values after its end. Default: the scene without animation; with
-    /// `animation`, time 0.
+    /// its beginning, and its last values after its end. Default: glTF scenes have the pose of the
+    /// file, or with `animation` the pose at time 0. USD scenes have the pose at the first time
+    /// code, `.blend` scenes the pose at the saved frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_s: Option<f64>,
-    /// Name or number of the animation. Default: all animations together, or the first one if two
-    /// of them move the same property of an object.
+    /// Name or number of the animation of a glTF scene. Default: none if no time is given.
+    /// Otherwise all animations together, or only the first if two of them move the same property
+    /// of an object.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub animation: Option<String>,
     /// Name or number of glTF's material variant.
@@ -174,7 +176,7 @@ impl Job {
     /// Value of the key `schema`.
     pub const SCHEMA: &'static str = "lumistack/job";
     /// The inputs that a job may have, for messages.
-    pub(crate) const INPUTS: &'static str = "one of `scene`, `light_field` and `source`";
+    pub(crate) const INPUTS: &'static str = "exactly one of `scene`, `light_field` and `source`";
 
     /// Returns a job for a display, with defaults for everything else.
     pub fn new(display: DisplayJob) -> Self {

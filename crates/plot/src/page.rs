@@ -31,7 +31,7 @@ pub struct Bars<'a> {
 /// # Errors
 /// If there are no points.
 pub fn line(points: &[(f64, f64)], labels: [&str; 2]) -> Result<String, PlotError> {
-    let none = || PlotError::new("no point");
+    let none = || PlotError::new("expected at least one point, found none");
     let x = ends(points.iter().map(|p| p.0), 0.0).ok_or_else(none)?;
     let y = ends(points.iter().map(|p| p.1), 0.06).ok_or_else(none)?;
     // If all positions are whole, such as numbers of iterations, their labels have no decimals.

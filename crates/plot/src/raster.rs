@@ -25,7 +25,7 @@ pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, PlotError> {
 pub fn codes(svg: &str, size: [usize; 2]) -> Result<Vec<u8>, PlotError> {
     let picture = raster(svg, 1.0)?;
     if [picture.width() as usize, picture.height() as usize] != size {
-        return Err(PlotError::new("a picture of another size"));
+        return Err(PlotError::new("expected a picture of the requested size, found another size"));
     }
     Ok(picture.pixels().iter().flat_map(|p| [p.red(), p.green(), p.blue()]).collect())
 }
@@ -42,7 +42,8 @@ fn raster(svg: &str, scale: f32) -> Result<tiny_skia::Pixmap, PlotError> {
     let tree = usvg::Tree::from_str(svg, &options).map_err(PlotError::new)?;
     let size = tree.size();
     let [width, height] = [size.width(), size.height()].map(|side| (side * scale).ceil() as u32);
-    let mut picture = tiny_skia::Pixmap::new(width, height).ok_or_else(|| PlotError::new("too large a picture"))?;
+    let mut picture = tiny_skia::Pixmap::new(width, height)
+        .ok_or_else(|| PlotError::new("expected a picture that fits into memory, found a larger one"))?;
     resvg::render(&tree, tiny_skia::Transform::from_scale(scale, scale), &mut picture.as_mut());
     Ok(picture)
 }

@@ -90,7 +90,9 @@ pub fn curves(axes: &Axes, curves: &[Curve], bars: &[[f64; 3]], levels: &[(Strin
     let points = || curves.iter().flat_map(|curve| &curve.points).filter(|p| p.iter().all(|v| v.is_finite()));
     let x = axes.x.or_else(|| ends(points().map(|p| p[0]), 0.0));
     let y = axes.y.or_else(|| ends(points().map(|p| p[1]).chain(levels.iter().map(|level| level.1)), 0.06));
-    let (Some(x), Some(y)) = (x, y) else { return Err(PlotError::new("no finite point")) };
+    let (Some(x), Some(y)) = (x, y) else {
+        return Err(PlotError::new("expected at least one finite point, found none"));
+    };
     let mut legend: Vec<Entry> = curves
         .iter()
         .filter(|curve| !curve.name.is_empty())
@@ -141,7 +143,7 @@ pub fn areas(axes: &Axes, areas: &[Area]) -> Result<String, PlotError> {
     let corners = || areas.iter().flat_map(|area| &area.corners).filter(|p| p.iter().all(|v| v.is_finite()));
     let x = axes.x.or_else(|| ends(corners().map(|p| p[0]), 0.06));
     let y = axes.y.or_else(|| ends(corners().map(|p| p[1]), 0.06));
-    let (Some(x), Some(y)) = (x, y) else { return Err(PlotError::new("no finite corner")) };
+    let (Some(x), Some(y)) = (x, y) else { return Err(PlotError::new("expected finite corners, found none")) };
     let legend: Vec<Entry> = areas
         .iter()
         .map(|area| Entry { name: &area.name, colour: colour(area.colour), dashed: false, area: true })
@@ -166,7 +168,7 @@ pub fn areas(axes: &Axes, areas: &[Area]) -> Result<String, PlotError> {
 pub fn map(map: &Map) -> Result<String, PlotError> {
     let (rows, cols) = (map.rows.len(), map.columns.len());
     if rows == 0 || cols == 0 {
-        return Err(PlotError::new("a map without cells"));
+        return Err(PlotError::new("expected a map with cells, found none"));
     }
     // Size the cells so that the map takes at most about 560 × 300 units.
     let cell = [(560 / cols as i32).clamp(34, 84), (300 / rows as i32).clamp(24, 46)];

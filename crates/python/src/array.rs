@@ -57,7 +57,7 @@ impl Values {
         })?;
         if buffer.suboffsets().is_some() {
             return Err(PyTypeError::new_err(format!(
-                "{what}: expected an array without indirection, found one of pointers (suboffsets)"
+                "{what}: expected an array without suboffsets, found an array of pointers (with suboffsets)"
             )));
         }
         let shape = buffer.shape().to_vec();

@@ -46,7 +46,10 @@ impl LightField {
         // Take the geometry from a display, or from numbers.
         let (grid, pitch_mm, display) = if let Some(display) = display {
             if own.contains(&true) {
-                return Err(setting(py, "light field: expected either `display` or its numbers, found both"));
+                return Err(setting(
+                    py,
+                    "light field: expected either `display` or values of its geometry such as `pitch_mm`, found both",
+                ));
             }
             let display = display_of(py, Some(display))?;
             let geometry = display.geometry().map_err(|source| {
@@ -56,7 +59,7 @@ impl LightField {
             (geometry.grid, geometry.pitch_mm, Some(display))
         } else {
             let Some(pitch_mm) = pitch_mm else {
-                let expected = "light field: expected `display`, or `pitch_mm` and `fov_deg` or slopes";
+                let expected = "light field: expected `display`, or `pitch_mm` together with `fov_deg` or slopes";
                 return Err(setting(py, format!("{expected}, found no `pitch_mm`")));
             };
             let projection = match distance_mm {
@@ -69,7 +72,7 @@ impl LightField {
                 (None, Some(slope_x), Some(slope_y)) => ViewGrid { projection, slope_x, slope_y },
                 (None, None, None) if [view_rows, view_cols] == [1, 1] => ViewGrid::single(projection, [0.0, 0.0]),
                 _ => {
-                    let message = "light field: expected either `fov_deg` or `slope_x` and `slope_y`";
+                    let message = "light field: expected either `fov_deg` or both `slope_x` and `slope_y`, found another combination";
                     return Err(setting(py, message));
                 }
             };

@@ -133,7 +133,7 @@ pub(crate) fn render(
     ] {
         if differs {
             let message = format!(
-                "light.{key}: expected it from the Scene, to which the light belongs, found a different value here"
+                "light.{key}: expected the value of the Scene, to which the light belongs, found a different value in this call"
             );
             return Err(setting(py, message));
         }

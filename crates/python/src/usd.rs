@@ -60,7 +60,7 @@ pub(crate) fn is_stage(object: &Bound<'_, PyAny>) -> bool {
 pub(crate) fn walk(py: Python<'_>, stage: Option<&Bound<'_, PyAny>>, path: &Path, pose: &PoseJob) -> PyResult<Walked> {
     // Refuse settings that have no effect on USD.
     if stage.is_some() && !pose.variants.is_empty() {
-        let message = "variants: expected none with a stage, since its own selections are used, found some";
+        let message = "variants: expected none with a stage, since the stage's own selections are used, found some";
         return Err(setting(py, message));
     }
     let unused = [

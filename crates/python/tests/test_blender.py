@@ -403,5 +403,5 @@ def test_a_program_attaches_to_a_live_display_and_leaves_it_running(tmp_path: Pa
     until(live, lambda state: state.code is not None)
     # The file of a program that was killed stays.
     door.write_text(kept)
-    with pytest.raises(OSError, match="found that it has ended"):
+    with pytest.raises(OSError, match="found the folder of a program that has ended"):
         Attached(run)

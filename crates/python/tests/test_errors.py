@@ -121,7 +121,7 @@ def test_wrong_settings_of_rendering(scene: Path) -> None:
         ({"depth_scale": 0}, "window.depth_scale"),
         ({"window": {"form": "bounds"}}, "unknown field `form`.*did you mean `from`"),
         ({"tone": "film"}, "unknown variant `film`"),
-        ({"light": {"automatic": False}}, "light.automatic: expected it from the Scene"),
+        ({"light": {"automatic": False}}, "light.automatic: expected the value of the Scene"),
         ({"window": 3}, "window: expected a mapping"),
     ):
         with pytest.raises((lumistack.SettingError, TypeError), match=message):
@@ -208,7 +208,7 @@ def test_viewpoints(light_field: LightField) -> None:
 def test_jobs(tmp_path: Path) -> None:
     with pytest.raises(lumistack.SettingError, match="unknown field `scen`.*did you mean `scene`"):
         lumistack.run({"scen": "a.glb"}, tmp_path)
-    with pytest.raises(lumistack.SettingError, match="expected one of `scene`, `light_field` and `source`"):
+    with pytest.raises(lumistack.SettingError, match="expected exactly one of `scene`, `light_field` and `source`"):
         lumistack.run({"display": {"preset": "fig7-uniform"}}, tmp_path)
     with pytest.raises(TypeError, match=r"\w: expected strings \(str\) as keys"):
         lumistack.run({3: 4}, tmp_path)  # type: ignore[dict-item]

@@ -11,7 +11,7 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum UsdError {
     /// No Python with OpenUSD was found.
-    #[error("{file}: USD files are read by the Python package usd-core, which was not found. Type `lumistack setup usd` once, or `pip install usd-core` into a Python that lumistack finds ({})", tried.join("; "))]
+    #[error("{file}: USD files are read by the Python package usd-core, which was not found. Type `lumistack setup usd` once, or `pip install usd-core` into a Python that lumistack finds (tried: {})", tried.join("; "))]
     NoPython {
         /// The file as the caller named it.
         file: String,
@@ -29,7 +29,7 @@ pub enum UsdError {
         found: String,
     },
     /// No Blender was found.
-    #[error("{file}: .blend files are read by Blender 4.2 or newer, which was not found. Install it from blender.org, name its program in LUMISTACK_BLENDER, or `pip install bpy` into a Python that lumistack finds ({})", tried.join("; "))]
+    #[error("{file}: .blend files are read by Blender 4.2 or newer, which was not found. Install it from blender.org, name its program in LUMISTACK_BLENDER, or `pip install bpy` into a Python that lumistack finds (tried: {})", tried.join("; "))]
     NoBlender {
         /// The file as the caller named it.
         file: String,

@@ -99,7 +99,7 @@ impl Lights {
                 return task.warn(
                     place,
                     format!(
-                        "expected a light as the Python walker writes it, found an unreadable one ({error}); the light is left out"
+                        "expected a light in the form that our USD script writes, found an unreadable one ({error}); the light is left out"
                     ),
                 );
             }

@@ -65,7 +65,7 @@ impl NodePlugin for ParallaxBarrier {
         let period = [or(params.period_y, views_y), or(params.period_x, views_x)];
         if period[1] < views_x || period[0] < views_y {
             host.warn(&format!(
-                "{views_x} × {views_y} views, but a period of only {} × {} mask pixels: several views share a rear pixel; increase period_x, period_y",
+                "{views_x} × {views_y} views, but a period of only {} × {} mask pixels: several views share a pixel of the rear layer; increase period_x, period_y",
                 period[1], period[0]
             ));
         }

@@ -294,7 +294,7 @@ def attaches(folder, scene, until):
         other.kill()
         until("the end of the program", lambda: live.session is None)
         assert live.ended == f"{run}: lumistack live stopped unexpectedly", live.ended
-        fails("found that it has ended")
+        fails("found the folder of a program that has ended")
     finally:
         other.kill()
         other.wait()

@@ -391,9 +391,9 @@ impl Images {
 
     fn layer_of(&self, layer: usize) -> Result<&Layer, PluginError> {
         let layers = &self.display.layers;
-        layers
-            .get(layer)
-            .ok_or_else(|| PluginError::Refused(format!("expected a layer below {}, found {layer}", layers.len())))
+        layers.get(layer).ok_or_else(|| {
+            PluginError::Refused(format!("expected a layer index smaller than {}, found {layer}", layers.len()))
+        })
     }
 
     fn panel<'a>(&self, kind: PanelKind<'a>, pattern: usize) -> Option<Panel<'a>> {

@@ -95,7 +95,7 @@ impl OutputPlugin for Panels {
             Param::text(
                 "only",
                 "",
-                "Panel that alone shows the test pattern: a layer number, or backlight. Empty: all panels.",
+                "The only panel that shows the test pattern: a layer number, or backlight. Empty: all panels.",
             ),
             Param::float(
                 "eye_x_mm",

@@ -18,7 +18,7 @@ pub enum Shows {
 
 /// A text that is not a panel.
 #[derive(Debug, Error)]
-#[error("expected the number of a layer, or backlight, found `{0}`")]
+#[error("expected the number of a layer or the word `backlight`, found `{0}`")]
 pub struct ShowsError(String);
 
 impl std::fmt::Display for Shows {

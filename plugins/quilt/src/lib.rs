@@ -122,7 +122,7 @@ impl OutputPlugin for Quilt {
                 "device",
                 CUSTOM,
                 [(CUSTOM, "No device: tiles have the views' own pixels.")].into_iter().chain(known),
-                "Device whose default quilt is written; the parameters below override it.",
+                "Device whose default quilt is written; the parameters columns, rows, width, height and aspect override its values.",
             ),
             Param::int("columns", 0, 0..=100, "Number of columns of views. 0 uses the device's number, or without a device the number with which the quilt is nearest to a square.")
                 .unit("views"),

@@ -63,7 +63,7 @@ impl SourcePlugin for TestViews {
             ),
             Param::float("depth_mm", 20.0, 0.0..=10000.0, "Distance of the outer cards from the display plane.")
                 .unit("mm"),
-            Param::int("squares", 8, 1..=1000, "Squares across a card.").unit("1"),
+            Param::int("squares", 8, 1..=1000, "Number of squares across a card.").unit("1"),
         ])
     }
 

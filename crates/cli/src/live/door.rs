@@ -173,7 +173,7 @@ impl Door {
             return write_line(program, &refused(&format!("{text}, found another")));
         }
         let Some(number) = events.attach(program)? else {
-            return write_line(program, &refused("a program is attached already; only one can be attached at a time"));
+            return write_line(program, &refused("a program is attached already; only one program can be attached"));
         };
         program.set_read_timeout(None)?;
         let lines = BufReader::new(Cursor::new(rest).chain(program.try_clone()?));

@@ -110,7 +110,7 @@ impl Header {
         }
         if depth != 0 || layers > 1 || faces != 1 || !(1..=16).contains(&levels) {
             let found = format!("depth {depth}, {layers} layers, {faces} faces and {levels} levels");
-            return fault("one face, no layers and 1 to 16 levels", found);
+            return fault("depth 0, 0 or 1 layers, 1 face and 1 to 16 levels", found);
         }
         // check that offsets and lengths are within the file
         let descriptor = word(48)? as usize;

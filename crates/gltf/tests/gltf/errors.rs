@@ -109,9 +109,15 @@ fn accessors_that_reach_past_their_bytes() {
         "/bufferViews/0/byteStride: expected at least 12, the size of an element of /accessors/0, found 8",
     );
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/byteLength", json!(37)));
-    assert_error(&b, "/bufferViews/0/byteLength: expected at most 36 bytes, which buffer 0 has there, found 37");
+    assert_error(
+        &b,
+        "/bufferViews/0/byteLength: expected at most 36 bytes, which buffer 0 has from byteOffset on, found 37",
+    );
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/byteOffset", json!(u64::MAX)));
-    assert_error(&b, "/bufferViews/0/byteLength: expected at most 0 bytes, which buffer 0 has there, found 36");
+    assert_error(
+        &b,
+        "/bufferViews/0/byteLength: expected at most 0 bytes, which buffer 0 has from byteOffset on, found 36",
+    );
     // 2³² becomes 0 in the typed reader, so the reader has to compare the index as it is written
     let b = triangle_with(|b| _ = b.set("/bufferViews/0/buffer", json!(1u64 << 32)));
     assert_error(&b, "/bufferViews/0/buffer: expected an index below 1, found 4294967296");

@@ -17,7 +17,7 @@ pub struct SequenceJob {
     /// takes `factorize.iterations`.
     pub iterations: u32,
     /// Angle by which the window turns about its vertical axis from the first time step to the
-    /// last, degrees. Above 0, the viewer walks to the right.
+    /// last, degrees. With a positive angle, the scene looks as if the viewer walked to the right.
     pub turn_deg: f64,
     /// Shift of the window from the first time step to the last, `[x, y, z]` in display space at
     /// the first time step, millimetres.

@@ -248,7 +248,7 @@ fn display_of(job: &Job) -> Result<Display, PipelineError> {
     let refused = [
         ("nodes", "one display, without nodes", !job.nodes.is_empty()),
         ("sweep", "one display, without a sweep", job.sweep.is_some()),
-        ("sequence", "a job without a sequence: the time is set while it runs", job.sequence.is_some()),
+        ("sequence", "a job without a sequence, since commands set the time of a live display", job.sequence.is_some()),
         ("source", "a scene or a light field", job.source.is_some()),
     ];
     if let Some((key, expected, _)) = refused.into_iter().find(|(.., is_there)| *is_there) {

@@ -292,7 +292,9 @@ fn render(
         let values = splits.part(at * size..(at + 1) * size).to_vec();
         let values = Tensor::from_vec(["row", "col", "part"], [rows, cols, SplitView::VALUES], values);
         let split = values.ok().and_then(SplitView::from_values);
-        let split = split.ok_or_else(|| PipelineError::value("samples", "view", "its values", "others"))?;
+        let split = split.ok_or_else(|| {
+            PipelineError::value("samples", "view", "the values of a traced view", "values of another size")
+        })?;
         let picture = light.as_ref().map_or_else(|| split.radiance(), |light| light.on(at, &split)).into_data();
         for (rgb, is_surface) in picture.as_chunks::<3>().0.iter().zip(split.surfaces()) {
             if number % every == 0 {

@@ -108,7 +108,7 @@ impl Plugin {
                 "the plugin must be rebuilt"
             };
             return Err(PluginError::Refused(format!(
-                "built for version {major}.{minor} of the plugin boundary, but this program has {ABI_MAJOR}.{ABI_MINOR}: {remedy}"
+                "built for version {major}.{minor} of the plugin interface (ABI), but this program has {ABI_MAJOR}.{ABI_MINOR}: {remedy}"
             )));
         }
         if size < size_of::<Descriptor>() {

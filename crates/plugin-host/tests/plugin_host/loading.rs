@@ -194,7 +194,7 @@ fn libraries_of_other_versions_are_recognized() {
     assert_eq!(
         message("newer", ABI_MAJOR + 1, 4, 200, "4, 4, TEXTS, 0"),
         format!(
-            "built for version {}.4 of the plugin boundary, but this program has {ABI_MAJOR}.{ABI_MINOR}: the plugin needs a newer version of this program",
+            "built for version {}.4 of the plugin interface (ABI), but this program has {ABI_MAJOR}.{ABI_MINOR}: the plugin needs a newer version of this program",
             ABI_MAJOR + 1
         )
     );

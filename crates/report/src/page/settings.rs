@@ -141,7 +141,7 @@ fn display_facts(input: &ReportInput) -> Vec<(&'static str, String)> {
 fn frames(display: &Display) -> String {
     let colours = match display.colour_sequence {
         ColourSequence::Simultaneous => "",
-        ColourSequence::Field => " of 3 colours in turn",
+        ColourSequence::Field => ", each in 3 colours in turn,",
     };
     format!(
         "{}{colours} at {} Hz: {} periods a second{}",
@@ -156,7 +156,7 @@ fn backlight(display: &Display) -> String {
     match &display.backlight {
         Backlight::Uniform => "uniform".into(),
         Backlight::Lenslets(b) => format!(
-            "{} × {} lenslets of {} mm at d = {} mm, {} × {} directions over {}° × {}°, {} beyond",
+            "{} × {} lenslets of {} mm at d = {} mm, {} × {} directions over {}° × {}°, {} outside of these angles",
             b.lenslets[0],
             b.lenslets[1],
             format::number(b.pitch_mm),

@@ -20,8 +20,8 @@ pub(super) fn headline(measured: &Measured) -> Markup {
                     "amplified " strong { "× " (k) } " (the error of the colour channel with the largest error, in linear light)."
                     @if measured.has_dropped_rays { " Grey squares are rays that leave a layer or have weight 0; scores exclude them, and the display may show black there." }
                     " Views are divided by the brightness β, clamped to 0..1 and sRGB-encoded." (shrunk_note(measured.headline_shrunk))
-                    " Click a picture for full size; there the arrow keys flip between target, simulated, difference and FLIP error in place. FLIP shows where an eye sees a difference between "
-                    "target and display that alternate: the lighter, the larger."
+                    " Click a picture for full size; there the arrow keys flip between target, simulated, difference and FLIP error in place. FLIP shows where an eye that sees target and display "
+                    "in turn notices a difference: the lighter, the larger the difference."
                 }
                 div { (difference_legend(k)) (flip_legend()) }
             }
@@ -60,7 +60,7 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
         section {
             h2 { "Look around" }
             p {
-                "Move the pointer across either picture, as your eye would move in front of the display (or focus a picture and use the arrow keys). Moving right, things in front of the display's plane shift to the "
+                "Move the pointer across either picture, as your eye would move in front of the display (or focus a picture and use the arrow keys). When the pointer moves right, things in front of the display plane shift to the "
                 "left and things behind it to the right, in both pictures alike."
             }
             div id="look" tabindex="0" data-across=(sheets.across.join("|")) data-up=(sheets.up.join("|")) {

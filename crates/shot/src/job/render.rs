@@ -44,11 +44,11 @@ pub struct RenderJob {
     /// Filter that removes noise from finished views, at the price of a bias that the report
     /// states.
     pub denoise: Denoise,
-    /// Views per axis between the views of the light field, rendered for the report only; 0 for
-    /// none.
+    /// Number of views per axis between the views of the light field, rendered for the report only;
+    /// 0 for none.
     pub held_out: usize,
-    /// Views on either side past the outermost ones, one view spacing apart, rendered for the
-    /// report only; 0 for none.
+    /// Number of views on either side past the outermost ones, one view spacing apart, rendered for
+    /// the report only; 0 for none.
     pub outside: usize,
 }
 
@@ -178,7 +178,7 @@ pub enum AngularFilter {
     Point,
     /// Slopes spread over the view's bin.
     Bin,
-    /// Slopes spread over the display's prefilter,
+    /// Slopes spread over the range that the display cannot separate far from the display plane,
     /// [`Display::angular_footprint`](lumistack_display::Display::angular_footprint).
     Display,
 }

@@ -11,9 +11,10 @@ use crate::error::ShotError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WindowJob {
-    /// `auto`: a camera's plane of focus if the job names a camera, or if the file has one and
-    /// `look_from` is not set; otherwise the framed scene. `camera`: a camera's plane of focus.
-    /// `bounds`: the framed scene. `given`: `centre`, `forward`, `up` and `width`.
+    /// `camera`: the plane of focus of the camera that `camera` names, or of the first camera.
+    /// `bounds`: the framed scene. `given`: `centre`, `forward`, `up` and `width`. `auto`: as
+    /// `camera` if the job names a camera, or if the file has one and `look_from` is not set;
+    /// otherwise as `bounds`.
     pub from: WindowFrom,
     /// Name of the camera, or its number from 0.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -51,10 +52,10 @@ pub struct WindowJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FitDepth {
-    /// Does nothing if the scene fits, or if the display's depth of field does not lie on both
-    /// sides of the display plane. Otherwise acts as [`Compress`](Self::Compress), with two limits.
-    /// If numbers or a focus distance determine the window's depth, the window stays. If the job
-    /// sets a depth scale, depth is not compressed.
+    /// Does nothing in a sweep, if the scene fits, or if the depth of field does not lie on both
+    /// sides of the display. Otherwise acts as [`Compress`](Self::Compress), with two differences.
+    /// The window stays if numbers or a focus distance of its camera place it. The depth scale
+    /// stays if the job sets it.
     #[default]
     Auto,
     /// Neither window nor depth change.
@@ -80,13 +81,14 @@ pub enum Near {
     At(f64),
 }
 
-/// The forms in files.
+/// The forms in files: `auto`, `off` or a distance.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 enum NearText {
     /// Distance in front of the window, scene units; below 0 behind the window.
     At(f64),
-    /// `auto` or `off`.
+    /// `off`: all content in front of the window is visible. `auto`: the camera's near plane; for a
+    /// `given` window the distance where the display shows hardly any detail; otherwise as `off`.
     #[schemars(extend("enum" = ["auto", "off"]))]
     Word(String),
 }
@@ -139,16 +141,16 @@ impl<'de> Deserialize<'de> for Near {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum WindowFrom {
-    /// A camera if the job names one, or if the file has one and `look_from` is not set. Otherwise
-    /// the bounds.
+    /// As `camera` if the job names a camera, or if the file has one and `look_from` is not set.
+    /// Otherwise as `bounds`.
     #[default]
     Auto,
-    /// A camera.
+    /// The camera that the key `camera` names, or the first camera.
     Camera,
     /// The scene's bounds, seen from `look_from`. Without that key they are seen from the front, or
     /// from another side if the front shows hardly anything.
     Bounds,
-    /// `centre`, `forward`, `up`, `width`.
+    /// The keys `centre`, `forward`, `up` and `width`.
     Given,
 }
 

@@ -63,7 +63,7 @@ pub enum WindowError {
     )]
     NotBuilt,
     /// There is no windowing system.
-    #[error("windows: expected an X11 or Wayland session (DISPLAY or WAYLAND_DISPLAY): {0}")]
+    #[error("windows: expected an X11 or Wayland session (DISPLAY or WAYLAND_DISPLAY), found: {0}")]
     Session(String),
     /// The system starts no thread for the presentation.
     #[error("windows: cannot start a thread: {0}")]

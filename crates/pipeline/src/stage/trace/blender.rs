@@ -72,7 +72,7 @@ fn chosen(
         let lost = contents.lost.join("; ");
         task.warn(
             name,
-            format!("the file's own engine, {engine}, renders the views, since the scene has {lost}. `render.engine = \"lumistack\"` selects our path tracer, which leaves them out"),
+            format!("the file's own engine, {engine}, renders the views, since the scene has {lost}. `render.engine = \"lumistack\"` selects our path tracer, which leaves this content out"),
         );
         return Engine::Blender;
     };

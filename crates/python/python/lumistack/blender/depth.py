@@ -53,7 +53,7 @@ def sentence(depths_mm: Sequence[float], range_mm: Sequence[float] | None) -> st
         return None
     (low, high), (near, far) = range_mm, (max(depths_mm), min(depths_mm))
     return (
-        f"{100 * share:.0f} % of what is seen is blurred: it lies from {far:.0f} to {near:.0f} mm, "
+        f"{100 * share:.0f} % of what is seen is blurred: the scene lies from {far:.0f} to {near:.0f} mm, "
         f"and the display is sharp from {low:.0f} to {high:.0f} mm"
     )
 

@@ -214,7 +214,7 @@ class Attached(Program):
             self.send(token=token)
             answer = dict(json.loads(self._events.readline() or b"{}"))
         except (OSError, ValueError, TypeError) as error:
-            raise OSError(f"{expected}, found that it has ended ({error})") from error
+            raise OSError(f"{expected}, found the folder of a program that has ended ({error})") from error
         if answer.get("event") != "attached":
             self._socket.close()
             raise OSError(f"{run}: {answer.get('message', 'the program ended the connection')}")

@@ -23,7 +23,7 @@ MIXED_SHADERS = ("MIX_SHADER", "ADD_SHADER")
 #: Types of objects that are not exported.
 LEFT_OUT = {"CURVES": "hair", "VOLUME": "volumes", "POINTCLOUD": "point clouds", "GREASEPENCIL": "drawings", "GPENCIL": "drawings"}
 LINES = {
-    "materials": "made of nodes that glTF does not have, which our path tracer shows as plain colours",
+    "materials": "that our path tracer shows as plain colours, since glTF does not have their nodes",
     "hair": "that our path tracer leaves out",
     "volumes": "that our path tracer leaves out",
     "point clouds": "that our path tracer leaves out",
