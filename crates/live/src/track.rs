@@ -165,8 +165,8 @@ impl Boxes {
     }
 
     /// Returns true if the rays of `other` can be used instead of the rays of `self`. For this, the
-    /// weight of the zone, the kind of eyes and the number of viewers must be equal, and every
-    /// viewer's position may differ by at most `tolerance_mm` along each axis.
+    /// weight of the zone, the kind of eyes and the number of viewers must be equal. Every viewer's
+    /// position may differ by at most `tolerance_mm` along each axis.
     pub fn is_like(&self, other: &Self, tolerance_mm: f64) -> bool {
         let close = |(a, b): (&[f64; 3], &[f64; 3])| (0..3).all(|i| (a[i] - b[i]).abs() <= tolerance_mm);
         self.zone == other.zone

@@ -52,7 +52,7 @@ use crate::work::{command, long};
 /// * light: a mapping with the other keys of [light]
 /// * seed: seed of all random numbers; the same seed gives the same values on any number of threads
 /// * zone_directions: number of reference pictures, in directions all over the viewing zone, 32 to
-///   4096; 0 for none. psnr_zone() and report() compare the seen pictures of patterns with them
+///   4096; 0 for none. psnr_zone() and report() compare seen pictures with the reference pictures
 /// * cache: a folder for traced views, so that a later call continues a call that was stopped;
 ///   without a folder, traced views are discarded
 /// * callback: callback(stage, fraction) receives progress

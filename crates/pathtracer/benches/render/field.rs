@@ -96,8 +96,8 @@ pub fn measure(options: &Options) -> Outcome {
 }
 
 /// Compares the mean of whole pictures with converged pictures, in the two views at opposite
-/// corners of the zone and in the middle view. Prints for each way the difference in percent, and in
-/// standard deviations (σ), of the view where it is largest.
+/// corners of the zone and in the middle view. Prints for each way the largest difference of these
+/// views, in percent and in standard deviations (σ).
 fn compare_means(bench: &Bench, ways: &[Way], samples: u32, task: Task<'_>) -> Outcome {
     let [rows, cols] = bench.geometry.grid.views();
     let views = [[0, 0], [rows / 2, cols / 2], [rows - 1, cols - 1]];
