@@ -277,7 +277,7 @@ impl Job {
     /// view.
     pub(crate) fn most_views(&self, display: &Display) -> usize {
         let [cols, rows] = display.field.resolution;
-        let most = RenderJob::most_chosen_views(cols * rows);
+        let most = self.render.most_chosen_views(cols * rows);
         if self.may_render_in_blender() { most.min(MOST_OF_BLENDER) } else { most }
     }
 
@@ -483,6 +483,21 @@ mod tests {
         let names: Vec<String> = error.message.split('`').skip(1).step_by(2).map(String::from).collect();
         assert_eq!(names[0], "no_such_key", "{}", error.message);
         names[1..].to_vec()
+    }
+
+    /// 13 × 13 native slopes; a lower limit takes every second or every third of them.
+    #[test]
+    fn the_number_of_chosen_views_has_a_limit_that_can_be_set() {
+        let views = |render: &str| {
+            let display = "[display]\npreset = \"paper-three-layer\"\nresolution = [420, 262]\n";
+            let job = config::parse::<Job>(&format!("{display}[render]\n{render}")).ok().unwrap();
+            job.resolve_display().unwrap().views()
+        };
+        assert_eq!(views(""), [13, 13]);
+        assert_eq!(views("most_views = 169"), [13, 13]);
+        assert_eq!(views("most_views = 168"), [7, 7]);
+        assert_eq!(views("most_views = 25"), [5, 5]);
+        assert_eq!(views("most_views = 9"), [3, 3]);
     }
 
     #[test]

@@ -23,6 +23,12 @@ pub struct RenderJob {
     /// Paths per pixel, summed over all views. The solver averages all rays through a layer's
     /// pixel, so more views need fewer paths each.
     pub zone_samples: ZoneSamples,
+    /// Greatest number of views that a display with automatic views chooses, 9 to 1000000. Fewer
+    /// views take less time and memory. If the display has more native slopes, it then uses every
+    /// second one, or every third, and so on. Without this key only the time of a run limits the
+    /// number.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub most_views: Option<u32>,
     /// Largest memory of the light field while it is rendered, read and solved, MiB. A light field
     /// that needs more is kept in files, and only parts of it are in memory.
     pub field_mib: u64,
@@ -244,6 +250,7 @@ impl Default for RenderJob {
             engine: Engine::Auto,
             samples: None,
             zone_samples: ZoneSamples::Auto,
+            most_views: None,
             field_mib: 4096,
             max_bounces: 6,
             clamp: None,
@@ -278,8 +285,9 @@ impl RenderJob {
     }
 
     /// Returns the greatest number of views of `pixels` pixels that a display chooses.
-    pub fn most_chosen_views(pixels: usize) -> usize {
-        Self::MOST_RAYS.div_ceil(pixels)
+    pub fn most_chosen_views(&self, pixels: usize) -> usize {
+        let by_time = Self::MOST_RAYS.div_ceil(pixels);
+        self.most_views.map_or(by_time, |most| by_time.min(most as usize))
     }
 
     /// Returns the number of paths for each pixel of a view, if the light field has `views` views
@@ -336,6 +344,9 @@ impl RenderJob {
         }
         if !(1..=ZoneSamples::MOST).contains(&self.zone_samples.count()) {
             return fail("render.zone_samples", "1 to 16777216", self.zone_samples.count().to_string());
+        }
+        if let Some(most) = self.most_views.filter(|most| !(9..=1_000_000).contains(most)) {
+            return fail("render.most_views", "9 to 1000000", most.to_string());
         }
         if !(1..=1 << 24).contains(&self.field_mib) {
             return fail("render.field_mib", "1 to 16777216", self.field_mib.to_string());
