@@ -193,7 +193,8 @@ fn one_frame_per_capture(
     show.event("started");
     let place = |at: [i32; 2]| [0, 1].map(|axis| at[axis] - corner[axis]);
     let expected = expected_on(outputs, &[1, 2, 3]);
-    // finds the stack and the frame whose expected picture every output shows exactly
+    // For each output, finds the stack and the frame whose expected picture it shows exactly.
+    // Returns `None` if an output shows none of the expected pictures.
     let seen = |whole: &Picture| -> Option<Vec<(u64, usize)>> {
         let parts = outputs.iter().zip(&expected).map(|((_, size, at), all)| {
             let part = whole.part(place(*at), *size);

@@ -35,7 +35,9 @@ pub fn blocks(path: &str, text: &str) -> Vec<Block> {
     }
 }
 
-/// Splits a block into sentences. A sentence ends at `.`, `!` or `?` before a capital or a digit.
+/// Splits a block into sentences. A sentence ends at `.`, `!` or `?` if the block ends there, or if
+/// a space and then a capital, a digit or an opening sign such as `(` follow. A sign in code ends
+/// no sentence. The full stop of an abbreviation ends none either.
 pub fn sentences(block: &Block) -> Vec<Sentence<'_>> {
     let text = &block.text;
     let (mut found, mut start, mut in_code) = (Vec::new(), 0, false);

@@ -46,8 +46,8 @@ pub(crate) struct Analyze {
     #[command(flatten)]
     files: FileArgs,
     /// Largest distance from the display plane for which the depth of field is computed and
-    /// plotted, millimetres. The default is at least 20 mm. It includes 3 × the distance of each
-    /// layer and lens array, 1.2 × the scene's depths, and 1.6 × the depth of field
+    /// plotted, millimetres. The default is the largest of 20 mm, 3 × the layers' and lens array's
+    /// distances, 1.2 × the scene's depths, and 1.6 × the limits of the depth of field
     #[arg(long, value_name = "MM")]
     reach_mm: Option<f64>,
     /// Also compute patterns of every display for gratings (stripes of one frequency) at many

@@ -162,10 +162,11 @@ pub(crate) enum Schema {
 pub(crate) enum Setup {
     /// Install a Python environment with OpenUSD in your data folder, for USD files
     ///
-    /// You need this command only if no Python on this machine has the package usd-core. If
-    /// LUMISTACK_PYTHON names a Python, the program tries only that Python. Otherwise it tries the
-    /// Python of the active virtual or conda environment, then the Python that this command
-    /// installed, then the Python on PATH.
+    /// You need this command only if none of the Pythons that Lumistack tries has the package
+    /// usd-core or usd-exchange. To read USD files, Lumistack tries only the Python that the
+    /// variable LUMISTACK_PYTHON names, if the variable is set. Otherwise it tries the Pythons of
+    /// the active virtual and conda environments, then the Python that this command installed, then
+    /// the Python on PATH.
     Usd {
         /// Install the package usd-exchange instead of usd-core. With usd-exchange the program also
         /// reads MaterialX files (.mtlx)
@@ -317,11 +318,11 @@ pub(crate) struct Info {
     pub(crate) look_from: Option<Numbers<2>>,
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
-    /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing if
-    /// the scene fits, or if the depth of field does not lie on both sides of the display.
-    /// Otherwise auto moves the window, unless numbers in the job or a focus distance of the camera
-    /// place it. If the scene still does not fit, auto compresses depth, unless a depth scale is
-    /// given. `--fit-depth` without HOW means move [default: auto]
+    /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing in
+    /// two cases: if the scene fits; if the depth of field does not lie on both sides of the
+    /// display. Otherwise auto moves the window, unless numbers in the job or a focus distance of
+    /// the camera place it. If the scene still does not fit, auto compresses depth, unless a depth
+    /// scale is given. `--fit-depth` without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"], requires = "display", help_heading = "Depth")]
     pub(crate) fit_depth: Option<String>,
     #[command(flatten)]

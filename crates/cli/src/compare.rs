@@ -112,7 +112,7 @@ pub(crate) fn run(args: &Compare, json: bool, task: Task<'_>) -> Result<(), Pipe
         let text = zone.as_ref().map_or("not known".into(), |zone| {
             format!("PSNR {:.2} dB, worst tenth {:.2} dB", zone.psnr_db, zone.worst_tenth_db)
         });
-        say!("{:30} {text}", format!("{name} all over its zone:"));
+        say!("{:30} {text}", format!("{name} over its viewing zone:"));
     }
     say!("{:30} {} ({} directions)", "Second against the first:", text_of(&found.between), found.directions);
     for (name, likeness) in
@@ -135,8 +135,9 @@ fn displays(args: &Compare, json: bool, task: Task<'_>) -> Result<(), PipelineEr
     }
     let widest = found.displays.iter().map(|one| one.id.chars().count()).max().unwrap_or(0);
     for one in &found.displays {
-        let zone =
-            one.zone.map_or(String::new(), |zone| format!("{:.2} dB all over the zone, at views ", zone.psnr_db));
+        let zone = one
+            .zone
+            .map_or(String::new(), |zone| format!("PSNR {:.2} dB over the viewing zone; at the views: ", zone.psnr_db));
         say!("{:widest$}  {zone}{}  ({})", one.id, text_of(&one.likeness), one.display);
     }
     found.pictures.iter().for_each(|path| say!("{}", path.display()));

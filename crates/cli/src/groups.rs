@@ -80,8 +80,8 @@ pub(crate) struct RenderArgs {
     pub(crate) look_from: Option<Numbers<2>>,
     /// Hide content that is farther in front of the window than this distance: auto, off, or a
     /// number of scene units. If a camera determines the window, auto takes the camera's near
-    /// plane. If numbers in the job do, auto takes the distance at which the display shows hardly
-    /// any detail. Otherwise auto hides nothing
+    /// plane. If numbers in the job determine the window, auto takes the distance at which the
+    /// display shows hardly any detail. Otherwise auto hides nothing
     #[arg(long, value_name = "auto|off|D", allow_hyphen_values = true)]
     pub(crate) near: Option<lumistack_pipeline::Near>,
     /// Show light sources that have a surface, such as area lights, in the views [default: as the
@@ -136,10 +136,10 @@ pub(crate) struct RenderArgs {
     /// How the scene is brought into the display's depth of field: auto, off, move or compress.
     /// With move, the window (the display's place in the scene) moves along its normal. With
     /// compress, depth is also compressed if the scene still does not fit. Auto changes nothing in
-    /// a sweep, if the scene fits, or if the depth of field does not lie on both sides of the
-    /// display. Otherwise auto moves the window, unless numbers in the job or a focus distance of
-    /// the camera place it. If the scene still does not fit, auto compresses depth, unless a depth
-    /// scale is given. `--fit-depth` without HOW means move [default: auto]
+    /// three cases: in a sweep; if the scene fits; if the depth of field does not lie on both sides
+    /// of the display. Otherwise auto moves the window, unless numbers in the job or a focus
+    /// distance of the camera place it. If the scene still does not fit, auto compresses depth,
+    /// unless a depth scale is given. `--fit-depth` without HOW means move [default: auto]
     #[arg(long, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "move", value_parser = ["auto", "off", "move", "compress"])]
     pub(crate) fit_depth: Option<String>,
     /// Factor that multiplies the parallax between views, and so the visible depth

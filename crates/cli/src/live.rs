@@ -49,7 +49,7 @@ use crate::server::{Site, listen, port_of, serve};
 use crate::values::Numbers;
 
 /// Examples and commands that `lumistack live --help` prints.
-pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb\n      updates the display when the model is saved again\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n      starts with another brightness\n  lumistack live views/ --times --rate 12\n      plays a video of 12 light fields per second\n  lumistack live model.glb --opentrack 4242\n      follows the head whose position OpenTrack sends to this UDP port\n\nStandard input accepts commands. Each line is a JSON object, such as:\n  {\"set\": {KEY: VALUE, ...}}       changes keys of the job\n  {\"time\": SECONDS}                changes the time of the scene's animation\n  {\"viewers\": [[X, Y, Z], ...]}    states the positions of the viewers' heads, millimetres\n  {\"reload\": true}                 reads all files again\n  {\"stop\": true}                   ends the display\n  {\"stop_at_end\": true}            ends the display when standard input ends\n\nWhen the display ends, also by Ctrl-C, its last state is written as a run folder. docs/LIVE.md has the details.";
+pub(crate) const EXAMPLES: &str = "Examples:\n  lumistack live model.glb\n      updates the display when the model is saved again\n  lumistack live scenes/still-life/job.toml --resolution 160x100\n      updates a smaller display when the job or its scene is saved again\n  echo '{\"set\": {\"display.brightness\": 0.5}}' | lumistack live model.glb\n      starts with another brightness\n  lumistack live views/ --times --rate 12\n      plays a video of 12 light fields per second\n  lumistack live model.glb --opentrack 4242\n      follows the head whose position OpenTrack sends to this UDP port\n\nStandard input accepts commands. Each line is a JSON object, such as:\n  {\"set\": {KEY: VALUE, ...}}       changes keys of the job\n  {\"time\": SECONDS}                changes the time of the scene's animation\n  {\"viewers\": [[X, Y, Z], ...]}    states the positions of the viewers' heads, millimetres\n  {\"reload\": true}                 reads all files again\n  {\"stop\": true}                   ends the display\n  {\"stop_at_end\": true}            ends the display when standard input ends\n\nWhen the display ends, also by Ctrl-C, its last state is written as a run folder. docs/LIVE.md has the details.";
 
 /// Interval at which files are checked for changes.
 const LOOK: Duration = Duration::from_millis(100);
@@ -75,8 +75,9 @@ pub(crate) struct Live {
     /// surface per panel), span (one surface across all panels) or window (a preview in a window)
     #[arg(long, value_name = "MODE", value_parser = ["outputs", "span", "window"])]
     pub(crate) show: Option<String>,
-    /// Largest number of iterations from one shown state to the next. The number is reduced if the
-    /// iterations would take longer than 0.3 s
+    /// Largest number of iterations from one shown state to the next. An iteration updates every
+    /// layer once, and a directional backlight. The number is reduced if the iterations would take
+    /// longer than 0.3 s
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub(crate) updates: u32,
     /// Read the input as a video: a folder of light fields, one per time step, in the order of

@@ -41,9 +41,10 @@ pub(crate) struct Sweep {
     #[arg(long)]
     plan: bool,
     /// Plots of PSNR to write [default: few]. With few, there are at most six plots: maps over one
-    /// pair of axes, and curves along every other axis. The pair is the first of these whose axes
-    /// both vary: frames and layers; frames and brightness; layers and brightness.
-    /// With all, there are maps over each pair of the list, and curves along every axis
+    /// pair of axes, and curves along every other axis. Three pairs are possible: frames and
+    /// layers; frames and brightness; layers and brightness. Few takes the first pair whose axes
+    /// both vary. With all, there are maps over every pair whose axes both vary, and curves along
+    /// every axis that varies
     #[arg(long, value_enum)]
     plots: Option<PlotsArg>,
     #[command(flatten)]
@@ -111,8 +112,8 @@ struct Search {
     /// Largest distance from the rearmost to the frontmost layer or lens array, millimetres
     #[arg(long, value_name = "MM")]
     max_thickness_mm: Option<f64>,
-    /// Highest refresh rate of the panels, hertz. At this rate all frames of a design must repeat
-    /// 60 times a second
+    /// Highest refresh rate of the panels, hertz. A design is allowed if its frames repeat at least
+    /// 60 times a second at this rate
     #[arg(long, value_name = "HZ")]
     max_refresh_hz: Option<f64>,
     /// Number of available panels. A design needs one panel for each layer, and one panel behind

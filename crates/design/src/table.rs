@@ -527,7 +527,8 @@ mod tests {
         for stem in ["psnr-frames-layers-01", "psnr-frames-layers-02", "psnr-layers-01", "psnr-frames-01"] {
             assert!(all.iter().any(|other| other == stem), "{stem} is not among {all:?}");
         }
-        // Gaps get no plot, since a single layer has no gap to vary.
+        // Brightness and gap get no plots. Brightness is constant, and so is the gap of the designs
+        // with two layers.
         assert!(!all.iter().any(|stem| stem.contains("brightness") || stem.contains("gap")), "{all:?}");
         // The axes layers and frames need no curves, since the maps show them.
         assert_eq!(stems(Plots::Few), ["psnr-frames-layers-01", "psnr-frames-layers-02"]);

@@ -105,7 +105,8 @@ impl JsonSchema for Views {
     }
 }
 
-/// Reads the three forms by their kinds, so that an error names the position inside of a form.
+/// Selects the form by the type of the value: text, list or table. So an error states what is wrong
+/// within that form.
 struct Form;
 
 impl<'de> Visitor<'de> for Form {

@@ -28,8 +28,9 @@ pub(crate) struct Rays<'a> {
 ///   values in frame m, and b the backlight. So a_m = b (π/2) sin(π s_m) for a layer, and a_m =
 ///   sin²((π/2) s_m) for the backlight.
 ///
-/// With e = βL − L̃, the curvature of e² along the values of a rotating layer is at most (π/2)² M
-/// (1 + 2 max|e|). The reason: Σ_m sin²(π s_m) ≤ M, |cos(π s_m)| ≤ 1 and b ≤ 1.
+/// Let u = f/M for the values f of a rotating layer, and e = βL − L̃. As in `step.rs`, the
+/// curvature of e² along u is half its second derivative. The curvature is at most
+/// (π/2)² M (1 + 2 max|e|). The reason: Σ_m sin²(π s_m) ≤ M, |cos(π s_m)| ≤ 1 and b ≤ 1.
 pub(crate) fn coefficients(plan: &Plan, factors: &[Factor], own: Option<usize>, rays: &Rays, scratch: &mut Scratch) {
     match plan.formation {
         Formation::Attenuating => {

@@ -41,10 +41,10 @@ pub(crate) struct FactorMap {
     /// True if the rays of each view column read columns at a constant shift. They may still read a
     /// mixture of two lines.
     pub(crate) columns_shifted: bool,
-    /// True if all rays of a view column read pixels, or positions between pixels, at a constant
-    /// distance from their own columns.
+    /// True if all valid rays of each view column read at one constant shift from their field
+    /// columns, and these columns are consecutive. The shift may be fractional.
     pub(crate) between: bool,
-    /// True if rays read positions between columns, and `between` is true.
+    /// True if `between` is true and a shift is fractional.
     pub(crate) mixes_columns: bool,
     /// True if every ray reads a single pixel.
     pub(crate) nearest: bool,

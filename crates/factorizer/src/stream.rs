@@ -132,7 +132,8 @@ impl ChannelRun {
     }
 }
 
-/// Fills one line with the level of its pixels' rays, times noise that is not blurred.
+/// Fills one line. Each value is the level of the pixel, times noise without blur. The level
+/// follows from the mean target of the pixel's rays.
 fn fill_line(
     plan: &Plan,
     at: LineOf,

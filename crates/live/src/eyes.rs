@@ -1,7 +1,7 @@
 //! Rays to the eyes of tracked viewers.
 //!
 //! ```text
-//! x   = head ± e/2 ± σ      positions from which patterns are solved, along the horizontal axis
+//! x   = head ± e/2 ± σ      positions for which patterns are solved, along the horizontal axis
 //! L_x = Σ w_v L_v           radiance of a ray to x
 //! ```
 //!
@@ -10,11 +10,11 @@
 //! around the eye. The light field has views L_v at other positions. So the radiance of a ray is
 //! the mean of the four views around the ray, with the bilinear weights w_v.
 //!
-//! Between two native slopes of the display, an eye sees mixtures of neighbouring products of
-//! pixels. Larger weights of the light field's own views would constrain these products, but not
-//! their mixtures. Views from the eyes, read [bilinearly](Sampling::Bilinear), constrain the
-//! mixtures. In the test with recorded heads, pictures at the eyes gain 14 dB by such views, and
-//! gained 1 to 2 dB by weights.
+//! Between two native slopes of the display (see `display/src/native.rs`), an eye sees mixtures of
+//! neighbouring products of pixels. Larger weights of the light field's own views would constrain
+//! these products, but not their mixtures. Views from the eyes, read
+//! [bilinearly](Sampling::Bilinear), constrain the mixtures. In the test with recorded heads, such
+//! views gain 14 dB at the eyes. Larger weights gained 1 to 2 dB.
 
 use lumistack_core::Tensor;
 use lumistack_display::{Display, GridError, LightField, Projection, Sampling, ViewGrid, WeightError, Weights};

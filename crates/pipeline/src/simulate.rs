@@ -201,7 +201,8 @@ pub fn picture_from(
 }
 
 /// Returns the fraction of the display, 0..1, that a viewpoint sees along rays outside of the
-/// viewing zone. `None` for a sweep, and for viewpoints that [`picture_from`] refuses.
+/// viewing zone. `None` for a sweep, for an angle of 90° or more, and for an eye that is not in
+/// front of the display.
 fn share_outside_zone(display: &Display, viewpoint: Viewpoint) -> Option<f64> {
     let field = &display.field;
     let size_mm = display.field_pixels().size_mm();

@@ -43,7 +43,7 @@
 //! | `depth` | null, or over the rays of all views with a hit: `depth_of_field_mm` ([low, high] or null), fractions `inside` it, `inside_middle` (of the central view) and `beyond_a_pixel`. Also the percentiles `depth_mm` and `disparity_px` (between neighbouring views), two histograms, and the numbers `window_moved_back_mm` and `depth_scale` |
 //! | `convergence` | list of `iteration`, `objective` (Σ w (βL − L̃)²), `psnr_view` (dB), `seconds` since the solver's start |
 //! | `reached` | list of `seconds`, `iteration`, `psnr_view`: the last point of the convergence by that time |
-//! | `denoising` | null, or `name`, four numbers for all views together, and `views`, a list with the same numbers for each view. The numbers are `mean` (of the unbiased picture), `mean_change`, `mse_before` and `mse_after`, in exposed radiance. Each but `mean` is a pair of value and standard error. The mean squared errors are measured at pixels that the filter never used |
+//! | `denoising` | null, or `name`, four numbers for all views together, and `views`, a list with the same numbers for each view. The numbers are `mean` (of the unbiased picture), `mean_change`, `mse_before` and `mse_after`, in exposed radiance. Each but `mean` is a pair of value and standard error. The mean squared errors are measured with samples that the filter never used |
 //! | `stages`, `seconds_total` | list of `name`, `seconds`, `cached` |
 //! | `display`, `settings`, `scene` | the display file, the resolved job, facts about the scene or null |
 //! | `warnings`, `outputs` | lists of `place`, `message` and of `label`, `path` (relative to the report), `failed` (null, or the reason) |

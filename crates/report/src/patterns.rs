@@ -157,13 +157,13 @@ fn encode_sheet(
     })
 }
 
-/// Makes a close-up of every frame, and of the mean over frames. All show the same section with one
-/// scale of grey.
+/// Makes a close-up of every frame and, if there are several frames, of their mean. All close-ups
+/// show the same section with one scale of grey.
 fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp, ReportError> {
     /// Fraction of the values that may be clipped at each end.
     const CLIPPED: f64 = 0.01;
-    /// The contrast is stretched only if the section's darkest or brightest value is farther than
-    /// this from the end of the range. Otherwise the stretch would be invisible.
+    /// The contrast is stretched only if the 1st percentile of the section's values is above this,
+    /// or the 99th percentile is below 1 minus this. Otherwise the stretch would be invisible.
     const LITTLE: f32 = 0.02;
     let [frames, rows, cols, _] = layer.shape();
     let part = |whole: &Linear| whole.cropped(window.row, window.col, window.rows, window.cols).green();
@@ -171,7 +171,7 @@ fn close_up(layer: &Tensor<4>, mean: &Linear, window: Window) -> Result<CloseUp,
         (0..frames).map(|frame| part(&Linear::new(rows, cols, layer.block([frame]), 1.0))).collect();
     let mut values: Vec<f32> = parts.iter().flat_map(|part| part.data.iter().copied()).collect();
     let [low, high] = [CLIPPED, 1.0 - CLIPPED].map(|share| percentile(&mut values, share));
-    // Do not stretch a section that is constant, or that already fills the range.
+    // Do not stretch a section whose values are nearly equal, or already fill the range.
     let worth_it = high - low > 1e-3 && (low > LITTLE || high < 1.0 - LITTLE);
     let stretch = if worth_it { [low, high] } else { [0.0, 1.0] };
     let embed = |part: &Linear| part.stretched(stretch).encoded().embedded(Encoding::Png);

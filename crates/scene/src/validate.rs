@@ -436,8 +436,8 @@ fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<
 
 /// Returns the unit normal of a triangle; `None` for a triangle without area.
 fn face_normal(positions: &[Vec3], triangle: [u32; 3]) -> Option<Vec3> {
-    // compute in f64, scaled to the longest edge, so that tiny and huge triangles keep their
-    // normals
+    // compute in f64, and divide by the largest coordinate of the two edges, so that tiny and huge
+    // triangles keep their normals
     let [a, b, c] = triangle.map(|i| positions[i as usize].as_dvec3());
     let (u, v) = (b - a, c - a);
     let scale = u.abs().max_element().max(v.abs().max_element());

@@ -147,7 +147,8 @@ impl Settings {
         RenderJob { zone_samples: ZoneSamples::Count(self.zone_samples), field_mib: FIELD_MIB, ..RenderJob::default() }
     }
 
-    /// Returns the noise filter for the views of a display; it is the command's choice.
+    /// Returns the noise filter for the views of a display. The command `lumistack` uses the same
+    /// filter by default.
     pub(crate) fn denoise(display: &Display) -> Denoise {
         if matches!(display.field.views, Views::Fixed(_)) { Denoise::Off } else { Denoise::Shared }
     }

@@ -42,7 +42,7 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
         // The declared resolution must equal the output's size.
         if let Some(declared) = declared.filter(|declared| declared != size) {
             found.push(format!(
-                "{key}.panel_resolution: expected the {} × {} pixels of output {name}, found {} × {}: check that it is the right output, at its panel's native resolution",
+                "{key}.panel_resolution: expected the {} × {} pixels of output {name}, found {} × {}; check that {name} is the right output, and that it runs at its panel's native resolution",
                 size[0], size[1], declared[0], declared[1]
             ));
         }

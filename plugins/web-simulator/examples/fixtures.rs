@@ -1,5 +1,5 @@
 //! `fixtures FOLDER [--bench]` writes fixtures for the tests of the page: previews of small random
-//! stacks, and views of the unrounded patterns that the forward model computes.
+//! stacks, and views that the forward model computes from the unrounded patterns.
 //!
 //! With `--bench` it writes one preview of 420 × 262 pixels, three layers and six frames, for
 //! `cargo xtask bench web`.

@@ -112,8 +112,8 @@ fn needle(cloud: &mut Cloud, from: Vec3, to: Vec3, thickness: f32, rgb: [f32; 3]
     let along = to - from;
     let rotation = Quat::from_rotation_arc(Vec3::X, along.normalize());
     splat(cloud, 0.5 * (from + to), rotation, Vec3::new(0.36 * along.length(), thickness, thickness), rgb, opacity);
-    // a needle is brighter if it is seen from above or from behind, as if the light came from these
-    // sides
+    // a needle is brighter if it is seen from above or from the front, as if the light came from
+    // these sides
     sheen(cloud, 0.06, -0.1);
 }
 

@@ -114,7 +114,7 @@ fn recorded() -> Vec<[[f64; 3]; 2]> {
 fn two_viewers_who_move_get_what_the_whole_zone_cannot_have() {
     /// Number of reports of the tracker per state.
     const PER_STATE: usize = 2;
-    /// Number of reports from the newest report that a state uses until the state is shown.
+    /// Delay of a state, in reports: the time from its newest report to its display.
     const LATENCY: usize = 2;
     const REPORT_MS: u64 = 33;
     const UPDATES: u32 = 5;

@@ -15,7 +15,7 @@ pub(crate) struct Frame {
     pub(crate) diffuse: Normals,
     /// Normal of the clear coat.
     pub(crate) coat: Vec3,
-    /// Direction in which anisotropic reflections are stretched; `None` if any direction will do.
+    /// Direction in which anisotropic reflections are stretched; `None` if any direction is right.
     pub(crate) tangent: Option<Vec3>,
 }
 

@@ -1,4 +1,4 @@
-//! The effect of a filter on a view, measured at pixels that the filter never used.
+//! The effect of a filter on a view, measured with samples that the filter never used.
 //!
 //! Errors are means of (F − c₁)(F − c₂) over the [checks](crate::Checks): pixels that were rendered
 //! twice more, with the results c₁ and c₂. The noise of c₁, the noise of c₂ and the picture F are

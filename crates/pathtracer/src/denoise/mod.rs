@@ -31,7 +31,7 @@
 //!
 //! But weights from colours depend on u_b. So, for the estimate alone, F_a is computed a second
 //! time, with weights from u_a. The errors of the result are measured with
-//! [pixels that the filter never used](crate::Checks).
+//! [samples that the filter never used](crate::Checks).
 //!
 //! Sources:
 //!

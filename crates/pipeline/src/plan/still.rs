@@ -53,9 +53,8 @@ pub(crate) fn add_score(plan: &mut Plan, part: usize, field: &str) -> Vec<String
 pub(crate) struct TimeBefore {
     pub(crate) patterns: String,
     pub(crate) field: String,
-    /// For the first time step of a chunk, the ids of the steps that make the light fields of the
-    /// earlier time steps. These time steps are solved again for a warm start. Empty if the warm
-    /// start is `patterns`.
+    /// Ids of the steps that make the light fields of the warm-up time steps before a chunk. The
+    /// list is empty if the solver starts from `patterns`.
     pub(crate) warm_up: Vec<String>,
 }
 

@@ -1,5 +1,6 @@
 //! Nodes: plugins that make the patterns of a display from a light field. The node `tensor-display`
-//! is the solver in this process. Other nodes receive the light field through the plugin boundary.
+//! is the solver in this process. Other nodes receive the light field through the plugin interface
+//! (ABI).
 
 use lumistack_core::Task;
 use lumistack_display::{Display, FieldGeometry, LayerStack, LightField, Weights};

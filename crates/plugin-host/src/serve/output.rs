@@ -51,7 +51,7 @@ impl<'a> Output<'a> {
     }
 
     /// Opens an output as [`open`](Self::open) does, but leaves all checks of the parameters to the
-    /// plugin. A host in another language may do so.
+    /// plugin. A host in another language may leave them to the plugin, too.
     ///
     /// # Errors
     /// The plugin's error.

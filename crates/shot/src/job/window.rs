@@ -52,8 +52,9 @@ pub struct WindowJob {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FitDepth {
-    /// Does nothing in a sweep, if the scene fits, or if the depth of field does not lie on both
-    /// sides of the display. Otherwise acts as [`Compress`](Self::Compress), with two differences.
+    /// Changes nothing in three cases: in a sweep; if the scene fits; if the depth of field does
+    /// not lie on both sides of the display. Otherwise acts as [`Compress`](Self::Compress), with
+    /// two differences.
     /// The window stays if numbers or a focus distance of its camera place it. The depth scale
     /// stays if the job sets it.
     #[default]
@@ -66,13 +67,13 @@ pub enum FitDepth {
     Compress,
 }
 
-/// Largest distance in front of the window at which content is visible. Nearer content is ignored
-/// for framing and exposure too.
+/// Largest distance in front of the window at which content is visible. Content that is nearer to
+/// the viewer is also ignored for framing and exposure.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Near {
-    /// If a camera determines the window, the camera's near plane. If numbers do (`given`), the
-    /// distance at which the display shows hardly any detail. Otherwise the whole framed scene is
-    /// visible.
+    /// If a camera determines the window, the camera's near plane. If numbers determine the window
+    /// (`given`), the distance at which the display shows hardly any detail. Otherwise the whole
+    /// framed scene is visible.
     #[default]
     Auto,
     /// All content in front of the window is visible.
@@ -81,14 +82,16 @@ pub enum Near {
     At(f64),
 }
 
-/// The forms in files: `auto`, `off` or a distance.
+/// Largest distance in front of the window at which content is visible. Content that is nearer to
+/// the viewer is also ignored for framing and exposure.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 enum NearText {
     /// Distance in front of the window, scene units; below 0 behind the window.
     At(f64),
-    /// `off`: all content in front of the window is visible. `auto`: the camera's near plane; for a
-    /// `given` window the distance where the display shows hardly any detail; otherwise as `off`.
+    /// `off`: all content in front of the window is visible. `auto`: if a camera determines the
+    /// window, the camera's near plane. For a `given` window, the distance at which the display
+    /// shows hardly any detail. Otherwise as `off`.
     #[schemars(extend("enum" = ["auto", "off"]))]
     Word(String),
 }
@@ -194,7 +197,8 @@ impl WindowJob {
                 return fail("either `look_from` or `camera`", "both".into());
             }
             if !matches!(self.from, WindowFrom::Auto | WindowFrom::Bounds) {
-                return fail("`from` \"auto\" or \"bounds\", which frame the scene", "another value".into());
+                let found = if self.from == WindowFrom::Given { "\"given\"" } else { "\"camera\"" };
+                return fail("`window.from` = \"auto\" or \"bounds\"", found.into());
             }
         }
         Ok(())

@@ -25,8 +25,8 @@ const PROBE_COLS: usize = 336;
 pub struct Found {
     /// The window that was found.
     pub window: Window,
-    /// True if numbers of the job determine the depth of the window, or if a focus distance does:
-    /// the job's, or the one of the file's camera.
+    /// True if numbers of the job, or a focus distance of the job or of the file's camera,
+    /// determine the depth of the window.
     pub chosen: bool,
     /// Azimuth and elevation in degrees of the viewer for whom the scene was framed. `None` if the
     /// window was not framed.
