@@ -211,7 +211,7 @@ fn of_run(folder: &Path) -> Result<Scene, PipelineError> {
         return Err(PipelineError::value(&path, "depth", "the depths of a rendered scene", "none"));
     }
     let title = report["title"].as_str().unwrap_or("the run");
-    Ok(Scene::from_budget(budget, format!("that of {title}")))
+    Ok(Scene::from_budget(budget, format!("the scene of {title}")))
 }
 
 type Measured = (String, Vec<Contrast>);

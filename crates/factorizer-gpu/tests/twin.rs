@@ -222,8 +222,8 @@ fn one_update_equals_the_processors() {
 /// Compares whole runs of the device and the processor.
 ///
 /// Whole runs agree less well than single updates. Later updates depend on values that rounding has
-/// decided, so a few runs end at other patterns. Runs on the processor alone also do so if their
-/// starts differ by rounding.
+/// decided, so a few runs end at other patterns. Runs on the processor alone also end at other
+/// patterns if their starts differ by rounding.
 #[test]
 fn ten_updates_equal_the_processors() {
     let Some(device) = device() else { return };

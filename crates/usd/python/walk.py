@@ -380,7 +380,7 @@ class Walker:
         return self.frames[key]
 
     def is_unlike_others(self, prim):
-        """Returns true if instances of one prototype may have different content. This is so if a
+        """Returns true if instances of one prototype may have different content: if a
         collection of an ancestor binds materials, or if a skeleton is outside of the prototype."""
         while prim and not prim.IsPseudoRoot():
             if prim.IsA(UsdSkel.Root) or any("material:binding:collection" in name for name in prim.GetPropertyNames()):

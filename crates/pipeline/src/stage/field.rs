@@ -147,7 +147,7 @@ pub(crate) fn check_geometry(
             geometry.cols, geometry.rows, geometry.pitch_mm, geometry.grid.slope_x, geometry.grid.slope_y
         )
     };
-    let expected = format!("that of {place}: {}", text(expected));
+    let expected = format!("the same rays as in {place}, {}", text(expected));
     Err(PipelineError::value(path, "geometry", expected, text(found)))
 }
 

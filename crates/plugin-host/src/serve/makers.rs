@@ -341,7 +341,7 @@ unsafe extern "C" fn stack_step(
         let seconds = built.began.elapsed().as_secs_f64();
         if built.made.steps.last().is_some_and(|(last, _)| last.iteration >= iteration) {
             return Err(PluginError::Refused(format!(
-                "iteration {iteration}: expected a number above that of the last report"
+                "iteration: expected a number above the number of the last report, found {iteration}"
             )));
         }
         built.made.steps.push((Step { iteration, objective, psnr_view }, seconds));

@@ -347,5 +347,5 @@ fn weights_seed_and_patterns_reach_a_node_and_what_it_tells_comes_back() {
     let error = make_stack(&plugin, &MemoryHost::new(), "{}", &NodeData { weights: &wrong, ..seven }).unwrap_err();
     assert!(matches!(error, PluginError::Refused(_)), "{error:?}");
     let error = flat(r#"{"fault": "steps"}"#).unwrap_err();
-    assert_eq!(error.to_string(), "iteration 1: expected a number above that of the last report");
+    assert_eq!(error.to_string(), "iteration: expected a number above the number of the last report, found 1");
 }
