@@ -35,9 +35,9 @@ pub fn blocks(path: &str, text: &str) -> Vec<Block> {
     }
 }
 
-/// Splits a block into sentences. A sentence ends at `.`, `!` or `?` if the block ends there, or if
-/// a space and then a capital, a digit or an opening sign such as `(` follow. A sign in code ends
-/// no sentence. The full stop of an abbreviation ends none either.
+/// Splits a block into sentences. A sentence ends at `.`, `!` or `?` at the end of the block, or
+/// before a space and a capital, a digit or an opening sign such as `(`. A sign in code ends no
+/// sentence, and the full stop of an abbreviation ends no sentence.
 pub fn sentences(block: &Block) -> Vec<Sentence<'_>> {
     let text = &block.text;
     let (mut found, mut start, mut in_code) = (Vec::new(), 0, false);
