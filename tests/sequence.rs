@@ -160,9 +160,12 @@ fn a_mismatched_light_field_stops_a_sequence_and_finished_time_steps_are_kept() 
     let odd = input.join("f10.npy");
     write_moving_field(&odd, 4.0, [SIZE[0], SIZE[1] - 1]);
     let error = fail(factorize(&input, &run).arg("--sequence"));
-    for part in
-        ["f10.npy: geometry: expected the same rays as in", "f9.npy", "5 × 3 views of 64 × 40", "found 5 × 3 views of 63 × 40"]
-    {
+    for part in [
+        "f10.npy: geometry: expected the same rays as in",
+        "f9.npy",
+        "5 × 3 views of 64 × 40",
+        "found 5 × 3 views of 63 × 40",
+    ] {
         assert!(error.contains(part), "`{part}` is not in: {error}");
     }
     assert!(!run.join("report.html").exists() && !run.join("t0003/layers").exists());
