@@ -401,7 +401,7 @@ fn print_report(report: &Report) {
         Some((mean, largest)) => {
             say!("skew between outputs: {:.2} ms, at most {:.2} ms", 1000.0 * mean, 1000.0 * largest)
         }
-        None if report.presented.len() == 1 => say!("skew between outputs: none, they are one surface"),
+        None if report.presented.len() == 1 => say!("skew between outputs: none, since there is only one surface"),
         None => say!("skew between outputs: unknown, the platform does not report it"),
     }
 }

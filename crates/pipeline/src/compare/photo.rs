@@ -122,7 +122,7 @@ pub fn compare_photo(
     }
     let gain = products / squares;
     if !gain.is_finite() {
-        let found = format!("{:.0} % of it clipped, the rest black", 100.0 * clipped);
+        let found = format!("{:.0} % of its pixels clipped, and all others black", 100.0 * clipped);
         return Err(PipelineError::value(
             photo,
             "exposure",
