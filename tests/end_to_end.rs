@@ -5,7 +5,10 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use crate::common::{fail, files, light_fields, lumistack, number, python, report, root, succeed, write_test_field};
+use crate::common::{
+    fail, files, interrupt, interruptible, light_fields, lumistack, number, python, report, root, succeed,
+    write_test_field,
+};
 
 /// Largest difference between the report's PSNR and the PSNR of an independent forward model, dB.
 const PSNR_AGREEMENT_DB: f64 = 0.01;
@@ -300,13 +303,12 @@ fn a_rerun_takes_everything_from_the_cache() {
     assert_eq!((cached("render"), cached("factorize")), (true.into(), false.into()));
 }
 
-#[cfg(unix)]
 #[test]
 fn a_killed_run_resumes_from_its_finished_parts() {
     let folder = tempfile::tempdir().unwrap();
     let (killed, whole) = (folder.path().join("killed"), folder.path().join("whole"));
-    for signal in ["-KILL", "-INT"] {
-        let mut child = small_run(&killed)
+    for by_user in [false, true] {
+        let mut child = interruptible(&mut small_run(&killed))
             .args(["--samples", "8", "--views", "5x5"])
             .stdout(std::process::Stdio::null())
             .stderr(std::process::Stdio::null())
@@ -319,10 +321,12 @@ fn a_killed_run_resumes_from_its_finished_parts() {
             assert!(start.elapsed() < Duration::from_secs(120), "no view was rendered in two minutes");
             std::thread::sleep(Duration::from_millis(5));
         }
-        succeed(Command::new("kill").arg(signal).arg(child.id().to_string()));
-        let status = child.wait().unwrap();
-        if signal == "-INT" {
-            assert_eq!(status.code(), Some(130));
+        if by_user {
+            interrupt(&child);
+            assert_eq!(child.wait().unwrap().code(), Some(130));
+        } else {
+            child.kill().unwrap();
+            child.wait().unwrap();
         }
         assert!(!killed.join("report.html").exists());
     }

@@ -48,7 +48,7 @@ fn files_of_the_solver() {
         let (missing, run) = (folder.path().join(file.split('/').next().unwrap()), folder.path().join("run"));
         let scene = root().join("scenes/still-life/still-life.gltf");
         let text = fail(lumistack().arg("run").arg(scene).arg("-o").arg(&run).arg(option).arg(&missing));
-        assert!(text.contains(file), "the error names the file: {text}");
+        assert!(text.replace('\\', "/").contains(file), "the error names the file: {text}");
         assert!(!run.exists() || std::fs::read_dir(&run).unwrap().next().is_none(), "{option}: views were rendered");
     }
 }
@@ -208,7 +208,7 @@ fn jobs() {
     let run = folder.path().join("run");
     let scene = root().join("scenes/glass/glass.gltf");
     let check = |text: &str, parts: &[&str]| {
-        std::fs::write(&job, text.replace("SCENE", &scene.display().to_string())).unwrap();
+        std::fs::write(&job, text.replace("SCENE", &scene.display().to_string().replace('\\', "/"))).unwrap();
         let error = fail(lumistack().arg("run").arg(&job).arg("-o").arg(&run));
         for part in parts {
             assert!(error.contains(part), "`{part}` is not in: {error}");

@@ -7,7 +7,9 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use crate::common::{fail, files, lumistack, number, report, root, succeed, write_test_field};
+use crate::common::{
+    fail, files, interrupt, interruptible, lumistack, number, report, root, succeed, write_test_field,
+};
 
 /// Largest difference, dB, by which the PSNR after 5 iterations from a warm start may be below the
 /// PSNR after 30 iterations from a fresh start. This applies to the solver `multiplicative`.
@@ -193,21 +195,24 @@ fn written(folder: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
     list
 }
 
-#[cfg(unix)]
 #[test]
 fn an_interrupted_sequence_resumes_after_its_finished_time_steps() {
     let folder = tempfile::tempdir().unwrap();
     let input = moving(folder.path(), 6, 2.0);
     let (stopped, whole) = (folder.path().join("stopped"), folder.path().join("whole"));
     let flags = ["--sequence", "--iterations", "60", "--sequence-iterations", "60"];
-    let mut child =
-        factorize(&input, &stopped).args(flags).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let mut child = interruptible(&mut factorize(&input, &stopped))
+        .args(flags)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
     let start = Instant::now();
     while !stopped.join("t0002/cache/measure.json").exists() && child.try_wait().unwrap().is_none() {
         assert!(start.elapsed() < Duration::from_secs(120), "two time steps were not finished in two minutes");
         std::thread::sleep(Duration::from_millis(2));
     }
-    succeed(Command::new("kill").arg("-INT").arg(child.id().to_string()));
+    interrupt(&child);
     assert_eq!(child.wait().unwrap().code(), Some(130));
     assert!(!stopped.join("report.html").exists());
     succeed(factorize(&input, &stopped).args(flags));

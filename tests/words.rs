@@ -38,7 +38,8 @@ fn a_scene_alone_becomes_a_preview_and_the_hint_works() {
     // the hint names the program by the path with which the test started it
     let program = env!("CARGO_BIN_EXE_lumistack");
     assert!(text.contains(&format!("Look into the display: {program} preview {}", out.display())), "{text}");
-    let single = out.join("outputs/tensor-display/preview/preview.html");
+    let single =
+        ["outputs", "tensor-display", "preview", "preview.html"].iter().fold(out.clone(), |at, name| at.join(name));
     assert!(single.is_file() && text.contains(&format!("or open {} by a double click", single.display())), "{text}");
     let messages = report(&out)["warnings"].to_string();
     assert!(!messages.contains("flicker"), "these frames are not chosen for panels: {messages}");
@@ -216,6 +217,26 @@ fn a_closed_pipe_ends_quietly() {
     assert_eq!(child.wait().unwrap().code(), Some(2));
 }
 
+/// In a console of Windows, text that is not ASCII appears as it is. Progress uses control
+/// sequences only if the console interprets them.
+#[cfg(windows)]
+#[test]
+fn a_console_of_windows_shows_text_and_progress() {
+    let folder = tempfile::tempdir().unwrap();
+    let inner = folder.path().join("Größe 日本");
+    std::fs::create_dir(&inner).unwrap();
+    let (scene, out) = (write_triangle(&inner), inner.join("run"));
+    let [scene, out] = [&scene, &out].map(|path| path.to_str().unwrap());
+    let words = [&["run", scene, "-o", out], &SMALL[..]].concat();
+    let screen = lumistack_testkit::console::screen_of(env!("CARGO_BIN_EXE_lumistack"), &words);
+    // a cell of a wide character is there once or twice
+    let shows = |text: &str| screen.lines.iter().any(|line| line.contains(text));
+    assert!(shows("Größe 日本") || shows("Größe 日日本本"), "{screen:#?}");
+    assert!(shows("PSNR") && shows("dB"), "{screen:#?}");
+    assert!(shows("0.0 s") && !shows("\u{fffd}"), "{screen:#?}");
+    assert!(screen.interprets || !shows("\x1b"), "{screen:#?}");
+}
+
 #[test]
 fn a_plan_is_printed_and_no_work_is_done() {
     let folder = tempfile::tempdir().unwrap();
@@ -259,7 +280,8 @@ fn the_doctor_lists_present_and_missing_parts() {
     assert!(line("processor").contains(" threads, "), "{text}");
     assert!(line("USD files").trim_start().starts_with("missing") && line("USD files").contains("no-python"), "{text}");
     assert!(
-        text.contains("lumistack setup usd") && line("denoiser oidn").trim_start().starts_with("missing"),
+        text.contains(&format!("lumistack{} setup usd", std::env::consts::EXE_SUFFIX))
+            && line("denoiser oidn").trim_start().starts_with("missing"),
         "{text}"
     );
     let json = succeed(doctor.arg("--json"));

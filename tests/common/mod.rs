@@ -8,8 +8,17 @@ pub mod session;
 pub mod show;
 pub mod triangle;
 
+pub use lumistack_testkit::console::{interrupt, interruptible};
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+
+/// Runs in a second process of this program, when a test interrupts a program or reads its screen.
+#[cfg(windows)]
+#[test]
+fn helps() {
+    lumistack_testkit::console::help();
+}
 
 /// Returns the repository's root folder.
 pub fn root() -> PathBuf {

@@ -19,6 +19,7 @@ use crate::tools::{self, Outcome, command, run};
 /// Help of `cargo xtask dist --help`.
 pub const USAGE: &str = "\
 cargo xtask dist [PART...] [--target TRIPLE]...
+cargo xtask dist blender sbom --downloaded
 cargo xtask dist test [WAY...]
 cargo xtask dist sums
 
@@ -34,12 +35,16 @@ cargo xtask dist sums
 
 Without a PART it makes all parts. On Linux they are for x86-64 and ARM with a glibc from 2.17 on (zig links); elsewhere for this machine.
 On Linux `tarball wheel --target x86_64-pc-windows-gnu` makes a zip with a program for Windows and a wheel (mingw links), which Wine can test.
+With --downloaded the zips contain the wheels that are in target/dist, which other machines made: one for every system of a release.
 Every part contains the licences of all dependencies. SHA256SUMS has the checksums of target/dist.
 ";
 
 /// The parts of a release, in the order in which they are made. The extension comes after the
 /// wheels that it contains.
 const PARTS: [&str; 6] = ["tarball", "deb", "wheel", "npm", "blender", "sbom"];
+
+/// The parts that need the files of all machines.
+const DOWNLOADED: [&str; 2] = ["blender", "sbom"];
 
 /// Makes the parts that the arguments select; `None` if an argument is wrong.
 pub fn dist(words: &[&str]) -> Option<Outcome> {
@@ -48,6 +53,10 @@ pub fn dist(words: &[&str]) -> Option<Outcome> {
     }
     if words == ["sums"] {
         return Some(sums(&folder()));
+    }
+    if let [parts @ .., "--downloaded"] = words {
+        let fits = !parts.is_empty() && parts.iter().all(|part| DOWNLOADED.contains(part));
+        return fits.then(|| make(parts, Target::released(), true));
     }
     let (mut parts, mut targets) = (Vec::new(), Vec::new());
     let mut words = words.iter();
@@ -58,17 +67,22 @@ pub fn dist(words: &[&str]) -> Option<Outcome> {
             _ => return None,
         }
     }
-    Some(make(&parts, targets))
+    if targets.is_empty() {
+        targets = match Target::of_this_machine() {
+            Ok(targets) => targets,
+            Err(error) => return Some(Err(error)),
+        };
+    }
+    Some(make(&parts, targets, false))
 }
 
 fn folder() -> PathBuf {
     tools::root().join("target/dist")
 }
 
-fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
-    if targets.is_empty() {
-        targets = Target::of_this_machine()?;
-    }
+/// Makes parts for some targets. If the files of these targets were downloaded into `dist`, their
+/// wheels are not built.
+fn make(parts: &[&str], targets: Vec<Target>, downloaded: bool) -> Outcome {
     // Collect the files that the packages of all targets share, then make the parts. The extension
     // of Blender needs the wheels.
     let wanted = |part: &str| parts.is_empty() || parts.contains(&part);
@@ -95,8 +109,11 @@ fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
         }
     }
     if wanted("wheel") || wanted("blender") {
-        let wheels =
-            targets.iter().map(|target| build::wheels(target, &dist, &licences.text())).collect::<Outcome<Vec<_>>>()?;
+        let wheels = if downloaded {
+            downloaded_wheels(files_of(&dist, ".whl")?, &targets)?
+        } else {
+            targets.iter().map(|target| build::wheels(target, &dist, &licences.text())).collect::<Outcome<Vec<_>>>()?
+        };
         if wanted("blender") {
             let wheels: Vec<&str> = wheels.iter().filter_map(|wheel| wheel.to_str()).collect();
             blender::build(&wheels)?;
@@ -118,6 +135,24 @@ fn make(parts: &[&str], mut targets: Vec<Target>) -> Outcome {
         write(&dist, "THIRD-PARTY.txt", licences.text().as_bytes())?;
     }
     sums(&dist)
+}
+
+/// Selects the wheels for all versions of Python, which the zips for Blender contain.
+///
+/// # Errors
+/// If the number of wheels differs from the number of targets. `blender` checks that the wheels
+/// are for different systems.
+fn downloaded_wheels(mut wheels: Vec<PathBuf>, targets: &[Target]) -> Outcome<Vec<PathBuf>> {
+    wheels.retain(|wheel| wheel.to_string_lossy().contains("-abi3-"));
+    if wheels.len() == targets.len() {
+        return Ok(wheels);
+    }
+    let triples: Vec<&str> = targets.iter().map(|target| target.triple).collect();
+    Err(format!(
+        "target/dist: expected a wheel `-abi3-` for each of {}, found {}: {wheels:?}; download the files of all machines",
+        triples.join(", "),
+        wheels.len()
+    ))
 }
 
 /// The workspace's version.
@@ -153,3 +188,21 @@ fn sums(folder: &Path) -> Outcome {
 }
 
 const SUMS: &str = "SHA256SUMS";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_release_needs_a_wheel_for_every_system() {
+        let targets = Target::released();
+        assert!(targets.len() == 5 && targets.iter().all(|target| target.triple != crate::wine::MINGW));
+        let tags = ["manylinux_2_17_x86_64", "manylinux_2_17_aarch64", "win_amd64", "macosx_10_12_x86_64"];
+        let wheel = |tag: &str| PathBuf::from(format!("target/dist/lumistack-{VERSION}-cp311-abi3-{tag}.whl"));
+        let mut wheels: Vec<PathBuf> = tags.iter().map(|tag| wheel(tag)).collect();
+        wheels.push("target/dist/lumistack-0.1.0-cp314-cp314t-win_amd64.whl".into());
+        assert!(downloaded_wheels(wheels.clone(), &targets).unwrap_err().contains("found 4"));
+        wheels.push(wheel("macosx_11_0_arm64"));
+        assert_eq!(downloaded_wheels(wheels, &targets).unwrap().len(), 5);
+    }
+}

@@ -7,6 +7,7 @@ mod blender;
 mod ci;
 mod circles;
 mod compiler;
+mod debian;
 mod deny;
 mod dist;
 mod fuzz;
@@ -24,6 +25,7 @@ mod site;
 mod tools;
 mod usd;
 mod web;
+mod wine;
 mod words;
 mod workflows;
 
@@ -56,8 +58,9 @@ cargo xtask <task>
                 was not made from the present sources, and tests it in a browser; the other words are single steps. `pages`
                 builds the pages around the committed modules, in seconds, after changes of web/src alone
   dist [what]   make all files that users download, in target/dist; `dist --help` lists them; `dist test` installs them
-  portable [--test]
-                check the command for Windows and macOS; --test runs the tests that need no other program on this system
+  portable [--test | --wine]
+                check the command for Windows and macOS; --test runs the tests that need no other program on this system;
+                --wine builds the core of the tests for Windows, and runs them in Wine in a clean Debian (needs root)
   package       check that cargo can package every published crate
   site [docs]   write the documentation as HTML pages into target/site, and a gallery of displays with their scenes, jobs and
                 viewers; `docs` writes the documentation alone
@@ -117,6 +120,7 @@ fn main() -> ExitCode {
         },
         ["portable"] => portable::check(),
         ["portable", "--test"] => portable::test(),
+        ["portable", "--wine"] => portable::wine(),
         ["workflows"] => workflows::check(),
         ["package"] => package::check(),
         ["site"] => site::build(),

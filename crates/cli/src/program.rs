@@ -77,7 +77,8 @@ mod tests {
         assert_eq!(started_as("target/release/lumistack", false, &folders), "target/release/lumistack");
         assert_eq!(started_as("lumistack", false, &folders), "lumistack");
         assert_eq!(started_as(&script.to_string_lossy(), false, &folders), "lumistack");
-        assert_eq!(started_as(&script.to_string_lossy(), false, &[]), script.to_string_lossy());
+        assert_eq!(started_as("folder/lumistack", false, &[]), "folder/lumistack");
+        assert_eq!(started_as("a folder/lumistack", false, &[]), "\"a folder/lumistack\"");
         assert_eq!(started_as("python3 -m lumistack", false, &folders), "python3 -m lumistack");
         let text = "type `lumistack displays`\nExamples:\n  lumistack run a.glb";
         assert_eq!(

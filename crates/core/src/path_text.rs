@@ -4,6 +4,10 @@
 //! which `%` and two hexadecimal digits stand for a byte. So a path in a job still names the same
 //! file after the job is written and read back. In paths that are only shown, U+FFFD replaces bytes
 //! that are not UTF-8.
+//!
+//! On Windows names are UTF-16, in which surrogates may lack their pair. Such a surrogate is
+//! written as the three bytes that UTF-8 would have for its number, as in the format WTF-8
+//! (<https://simonsapin.github.io/wtf-8/>).
 
 use std::path::{Path, PathBuf};
 
@@ -121,9 +125,37 @@ fn from_bytes(bytes: Vec<u8>) -> PathBuf {
     std::ffi::OsString::from_vec(bytes).into()
 }
 
-#[cfg(not(unix))]
+#[cfg(windows)]
+fn from_bytes(bytes: Vec<u8>) -> PathBuf {
+    use std::os::windows::ffi::OsStringExt;
+    std::ffi::OsString::from_wide(&wide(&bytes)).into()
+}
+
+#[cfg(not(any(unix, windows)))]
 fn from_bytes(bytes: Vec<u8>) -> PathBuf {
     String::from_utf8_lossy(&bytes).into_owned().into()
+}
+
+/// Decodes WTF-8 to UTF-16, in which surrogates may lack their pair. U+FFFD replaces other bytes
+/// that are not UTF-8.
+#[cfg(any(windows, test))]
+fn wide(bytes: &[u8]) -> Vec<u16> {
+    // 0xED begins a character of three bytes, so it is never the second or third byte of another
+    let is_surrogate = |bytes: &[u8]| matches!(bytes, [0xED, 0xA0..=0xBF, 0x80..=0xBF]);
+    let mut units = Vec::new();
+    let mut rest = bytes;
+    while !rest.is_empty() {
+        let (text, other) = rest.split_at(rest.windows(3).position(is_surrogate).unwrap_or(rest.len()));
+        units.extend(String::from_utf8_lossy(text).encode_utf16());
+        rest = match other {
+            [_, upper, lower, rest @ ..] => {
+                units.push(0xD000 | u16::from(upper & 0x3F) << 6 | u16::from(lower & 0x3F));
+                rest
+            }
+            _ => &[],
+        };
+    }
+    units
 }
 
 /// Either form of a path, for schemas.
@@ -143,4 +175,46 @@ pub enum PathText {
 /// Returns true for a default value, which need not be written.
 pub fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    struct File {
+        #[serde(with = "optional")]
+        path: Option<PathBuf>,
+    }
+
+    fn read_back(path: PathBuf) {
+        let file = File { path: Some(path) };
+        let text = toml::to_string(&file).unwrap();
+        assert_eq!(toml::from_str::<File>(&text).unwrap(), file, "{text}");
+    }
+
+    #[test]
+    fn paths_are_read_as_they_were_written() {
+        read_back("Größe 日本 🗻/100 %.glb".into());
+        #[cfg(unix)]
+        read_back(from_bytes(b"m\xF6bel 100 %.glb".to_vec()));
+        // the second half of a pair, the first half, and halves in the wrong order
+        #[cfg(windows)]
+        for units in [&[0xDDFB, 0x61][..], &[0x65E5, 0x25, 0xD83D], &[0xDDFB, 0xD83D]] {
+            read_back(<std::ffi::OsString as std::os::windows::ffi::OsStringExt>::from_wide(units).into());
+        }
+    }
+
+    #[test]
+    fn surrogates_without_their_pair_are_decoded() {
+        assert_eq!(wide("a日🗻".as_bytes()), "a日🗻".encode_utf16().collect::<Vec<_>>());
+        assert_eq!(wide(b"a\xED\xB7\xBBb"), [0x61, 0xDDFB, 0x62]);
+        assert_eq!(wide(b"\xE6\x97\xA5\xED\xA0\xBD"), [0x65E5, 0xD83D]);
+        assert_eq!(wide(b"\xED\xB7\xBB\xED\xA0\xBD"), [0xDDFB, 0xD83D]);
+        // U+D7FF is the last character before the surrogates
+        assert_eq!(wide(b"\xED\x9F\xBF"), [0xD7FF]);
+        // bytes of a name on Linux, and a half that is cut off
+        assert_eq!(wide(b"m\xF6b"), [0x6D, 0xFFFD, 0x62]);
+        assert!(wide(b"a\xED\xA0").starts_with(&[0x61, 0xFFFD]));
+    }
 }

@@ -55,21 +55,50 @@ pub fn create_folder(path: &Path) -> Result<(), FieldError> {
 /// # Errors
 /// If the file exists and cannot be removed.
 pub(crate) fn remove(path: &Path) -> Result<(), FieldError> {
+    if set_aside(path).is_ok() {
+        return Ok(());
+    }
     match fs::remove_file(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(FieldError::io(path, "remove")(error)),
         _ => Ok(()),
     }
 }
 
+/// Gives a file the name of a temporary file, and removes it as soon as the system permits.
+///
+/// While a program has mapped a file into memory (see [`mapped`](crate::mapped)), Windows may
+/// refuse to replace it, and keeps the name of a file that was removed. But it renames such a file.
+/// The program keeps the values that it has mapped. A later run removes the file, which has no
+/// writer (see [`is_abandoned`]).
+///
+/// # Errors
+/// If the file is protected from writing, or the system refuses. Always on other systems, which
+/// have no such restriction.
+fn set_aside(path: &Path) -> io::Result<()> {
+    if !cfg!(windows) || fs::metadata(path)?.permissions().readonly() {
+        return Err(io::ErrorKind::PermissionDenied.into());
+    }
+    rename_aside(path)
+}
+
+fn rename_aside(path: &Path) -> io::Result<()> {
+    let aside = temporary_beside(folder_of(path))?.into_temp_path();
+    fs::rename(path, &aside)?;
+    let aside = aside.keep()?;
+    let _ = fs::remove_file(aside);
+    Ok(())
+}
+
+/// Returns the folder of a file, `.` for a bare name.
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
 fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) -> io::Result<()> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
     if path.is_dir() {
         return Err(io::Error::new(io::ErrorKind::IsADirectory, "a folder has this name"));
     }
-    let mut beside = temporary_beside(folder)?;
+    let mut beside = temporary_beside(folder_of(path))?;
     // The lock shows other processes that the writer is alive; see [`is_abandoned`]. On a file
     // system without locks, no file is regarded as abandoned.
     let _ = beside.as_file().try_lock();
@@ -84,8 +113,11 @@ fn replace(path: &Path, fill: impl FnOnce(&mut Writer<'_>) -> io::Result<()>) ->
 /// Flushes a temporary file to disk and renames it to `path`.
 pub(crate) fn publish(beside: tempfile::NamedTempFile, path: &Path) -> io::Result<()> {
     beside.as_file().sync_all()?;
-    beside.persist(path).map_err(|error| error.error)?;
-    sync_folder(path.parent().unwrap_or(Path::new(".")));
+    if let Err(refused) = beside.persist(path) {
+        set_aside(path).map_err(|_| refused.error)?;
+        refused.file.persist(path).map_err(|error| error.error)?;
+    }
+    sync_folder(folder_of(path));
     Ok(())
 }
 
@@ -188,6 +220,31 @@ mod tests {
             Ok(())
         })
         .unwrap();
+    }
+
+    #[test]
+    fn a_file_that_is_set_aside_makes_room() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.bin");
+        write_bytes(&path, b"old").unwrap();
+        rename_aside(&path).unwrap();
+        assert!(names(folder.path()).is_empty(), "no program has mapped the file");
+        assert!(rename_aside(&path).is_err() && names(folder.path()).is_empty(), "there is no file");
+        // only Windows needs this, and files that are protected from writing stay
+        write_bytes(&path, b"old").unwrap();
+        let mut permissions = fs::metadata(&path).unwrap().permissions();
+        permissions.set_readonly(true);
+        fs::set_permissions(&path, permissions).unwrap();
+        assert!(set_aside(&path).is_err());
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        #[cfg(windows)]
+        {
+            assert!(write_bytes(&path, b"new").unwrap_err().to_string().contains("a.bin: cannot write"));
+            let mut permissions = fs::metadata(&path).unwrap().permissions();
+            #[expect(clippy::permissions_set_readonly_false, reason = "Windows has no other permissions")]
+            permissions.set_readonly(false);
+            fs::set_permissions(&path, permissions).unwrap();
+        }
     }
 
     #[cfg(unix)]

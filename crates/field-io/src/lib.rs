@@ -25,6 +25,8 @@ mod folder;
 mod geometry;
 mod hci;
 mod index;
+#[cfg(all(test, target_pointer_width = "64", target_endian = "little"))]
+mod lent;
 mod mapped;
 pub mod npy;
 pub mod npz;

@@ -37,7 +37,8 @@ pub(crate) fn lend(file: &File, first: u64, count: usize) -> Option<Lender> {
     if !(cfg!(target_endian = "little") && first.is_multiple_of(4)) {
         return None;
     }
-    // SAFETY: files of results are replaced, never changed in place
+    // SAFETY: `atomic` replaces files of results and never changes them in place. A file that is
+    // replaced or removed keeps its content while it is mapped, under another name on Windows.
     let file = unsafe { Mmap::map(file) }.ok()?;
     (file.len() as u64 >= first + 4 * count as u64)
         .then(|| Arc::new(Mapped { file, first: first as usize, count }) as Lender)

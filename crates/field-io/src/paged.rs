@@ -1,4 +1,5 @@
-//! Light fields larger than memory, in an unnamed file of which few pages are in memory.
+//! Light fields larger than memory, in an unnamed file of which few pages are in memory. On Windows
+//! the file has a name, no other program can open it, and the system removes it when it is closed.
 //!
 //! Views are written one by one. The finished light field is read like an array in memory. Arrays
 //! of similar size that are computed from it can be stored in the same folder
@@ -128,7 +129,7 @@ impl Paged {
         let Self { geometry, file, folder, limit, .. } = self;
         let failed = |error| FieldError::io(&folder, "write")(error);
         let file = file.into_inner().map_err(|error| failed(error.into_error()))?;
-        // SAFETY: the file has no name, so no other process writes it
+        // SAFETY: no other process can open the file, so none writes it
         let map = unsafe { Mmap::map(&file) }.map_err(failed)?;
         // SAFETY: the mapping is whole and shared, and lives as long as the window
         let window = unsafe { Window::new(&map, limit) };
@@ -149,7 +150,7 @@ pub fn storage(folder: &Path, limit: usize) -> Storage {
         // Write zeros, so that a full disk is an error here. Without them, a later write into the
         // mapping would crash the program.
         io::copy(&mut io::repeat(0).take(bytes as u64), &mut file)?;
-        // SAFETY: the file has no name, so no other process writes it
+        // SAFETY: no other process can open the file, so none writes it
         let map = unsafe { MmapMut::map_mut(&file) }?;
         // SAFETY: the mapping is whole and shared
         Ok(unsafe { Pages::new(Box::new(map), limit) })
@@ -200,7 +201,10 @@ mod tests {
         for view in geometry.grid.iter() {
             assert!(field.view(view).iter().enumerate().all(|(i, found)| *found == value(view, i)), "{view:?}");
         }
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "the file has no name");
+        let count = || std::fs::read_dir(folder.path()).unwrap().count();
+        assert_eq!(count(), usize::from(cfg!(windows)), "the file has a name on Windows only");
+        drop(field);
+        assert_eq!(count(), 0, "the file is removed with the light field");
         let unfinished = Paged::begin(geometry, folder.path(), 1 << 14).unwrap();
         assert!(unfinished.finish().is_err(), "no views");
     }

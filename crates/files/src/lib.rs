@@ -284,4 +284,36 @@ mod tests {
         let folder = Folder::around(&outer.path().join("alias.gltf")).unwrap();
         assert!(folder.resolve(absolute).is_ok() && folder.resolve(root.join("textures/b.png")).is_ok());
     }
+
+    /// Windows has two separators, drives, and devices that are in every folder. `CON` would wait
+    /// for input for ever.
+    #[cfg(windows)]
+    #[test]
+    fn names_of_windows_do_not_leave_the_folder() {
+        let outer = tempfile::tempdir().unwrap();
+        let root = outer.path().join("scene");
+        std::fs::create_dir_all(root.join("textures")).unwrap();
+        for name in ["secret", "scene/a.gltf", "scene/textures/b.png"] {
+            std::fs::write(outer.path().join(name), b"x").unwrap();
+        }
+        let scene = root.join("a.gltf");
+        let folder = Folder::around(&scene).unwrap();
+        for name in [r"textures\b.png", r"textures\..\a.gltf", r".\textures/b.png", "TEXTURES/B.PNG"] {
+            assert_eq!(folder.read(name, 1).unwrap(), b"x", "{name}");
+        }
+        let absolute = outer.path().join("secret").canonicalize().unwrap();
+        let verbatim = absolute.to_str().unwrap();
+        let plain = verbatim.strip_prefix(r"\\?\").unwrap();
+        for name in [r"..\secret", r"textures\..\..\secret", r"textures/..\../secret", verbatim, plain, &plain[2..]] {
+            let refusal = folder.read(name, 1).unwrap_err();
+            assert!(matches!(refusal, Refusal::Outside { .. }), "{name}: {refusal}");
+            assert_eq!(Folder::anywhere(&scene).read(name, 1).unwrap(), b"x", "{name}");
+        }
+        for name in ["NUL", "nul", "CON", "COM1", r"\\.\NUL", r"\\.\CON", r"textures\NUL", "C:"] {
+            for folder in [&folder, &Folder::anywhere(&scene)] {
+                let refusal = folder.read(name, 1).expect_err(name);
+                println!("{name}: {refusal}");
+            }
+        }
+    }
 }

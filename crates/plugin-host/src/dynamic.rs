@@ -25,6 +25,14 @@ use crate::{LoadError, Origin, Registry};
 
 /// Environment variable that adds search paths, separated as in `PATH`.
 const VARIABLE: &str = "LUMISTACK_PLUGIN_PATH";
+/// Format of this system's libraries.
+const FORMAT: BinaryFormat = if cfg!(windows) {
+    BinaryFormat::Pe
+} else if cfg!(target_vendor = "apple") {
+    BinaryFormat::MachO
+} else {
+    BinaryFormat::Elf
+};
 /// Part of a plugin library's file name between the system's prefix and the plugin's name.
 const STEM: &str = "lumistack_plugin_";
 
@@ -186,10 +194,11 @@ fn loader_message(error: &libloading::Error) -> String {
 fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     let read = |source| LoadError::Read { path: path.into(), source };
     let other = |found: String| LoadError::NotALibrary { path: path.into(), found };
-    let file = File::open(path).map_err(read)?;
-    if file.metadata().map_err(read)?.is_dir() {
+    // check before opening: Windows opens no folders
+    if fs::metadata(path).map_err(read)?.is_dir() {
         return Err(other("a folder".into()));
     }
+    let file = File::open(path).map_err(read)?;
     let data = ReadCache::new(file);
     match FileKind::parse(&data) {
         // The file contains one library per machine, and the loader selects one of them. The
@@ -204,9 +213,9 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
         Err(error) => return Err(other(format!("a damaged library: {error}"))),
     };
     let (format, machine) = (library.format(), library.architecture());
-    if format != BinaryFormat::native_object() || native().is_some_and(|native| native != machine) {
+    if format != FORMAT || native().is_some_and(|native| native != machine) {
         let found = format!("{machine:?} ({format:?})").to_lowercase();
-        let expected = format!("{ARCH} ({:?})", BinaryFormat::native_object()).to_lowercase();
+        let expected = format!("{ARCH} ({FORMAT:?})").to_lowercase();
         return Err(LoadError::Machine { path: path.into(), expected, found });
     }
     let kind = library.kind();
@@ -261,6 +270,6 @@ mod tests {
         let this = ReadCache::new(this);
         let this = object::File::parse(&this).unwrap();
         assert_eq!(Some(this.architecture()), native());
-        assert_eq!(this.format(), BinaryFormat::native_object());
+        assert_eq!(this.format(), FORMAT);
     }
 }

@@ -6,6 +6,7 @@ use std::process::Command;
 
 use super::paths;
 use crate::tools::{self, Outcome, command, install, output_of, run};
+use crate::wine::{self, MINGW};
 
 /// The oldest glibc of programs and wheels: the oldest that Rust's standard library supports.
 const GLIBC: &str = "2.17";
@@ -37,10 +38,6 @@ const fn target(triple: &'static str, debian: Option<&'static str>) -> Target {
     Target { triple, debian }
 }
 
-/// The target of Windows that Linux can build, with the linker of mingw. This target is for tests
-/// with Wine. Releases are for Microsoft's target, whose linker needs Windows.
-pub const MINGW: &str = "x86_64-pc-windows-gnu";
-
 /// All targets.
 const TARGETS: [Target; 6] = [
     target("x86_64-unknown-linux-gnu", Some("amd64")),
@@ -55,6 +52,11 @@ impl Target {
     /// Finds a target by Rust's name.
     pub fn of(triple: &str) -> Option<Self> {
         TARGETS.into_iter().find(|target| target.triple == triple)
+    }
+
+    /// Returns the targets of a release.
+    pub fn released() -> Vec<Self> {
+        TARGETS.into_iter().filter(|target| target.triple != MINGW).collect()
     }
 
     /// Returns the targets that this machine can build.
@@ -140,14 +142,6 @@ fn link_for(builder: &mut Command, python: &Path, target: &Target) -> Outcome {
     Ok(())
 }
 
-/// Finds or installs the linker that rustc uses for mingw.
-fn mingw() -> Outcome {
-    if output_of(command("x86_64-w64-mingw32-gcc").arg("--version")).is_some() {
-        return Ok(());
-    }
-    tools::apt(&["gcc-mingw-w64-x86-64"], "link programs for Windows")
-}
-
 /// Builds the program with the feature `panels`, which drives physical panels. Returns the path of
 /// the program.
 pub fn program(target: &Target) -> Outcome<PathBuf> {
@@ -159,7 +153,7 @@ pub fn program(target: &Target) -> Outcome<PathBuf> {
         link_by_zig(&mut cargo, &builders()?, target)?;
     }
     if target.triple == MINGW && cfg!(target_os = "linux") {
-        mingw()?;
+        wine::linker()?;
     }
     run(cargo.arg("build").args(words).arg(target.triple))?;
     let path = tools::root().join("target").join(target.triple).join("release").join(target.program());
@@ -233,7 +227,7 @@ fn wheel(target: &Target, python: &Path, interpreter: &Path, folder: &Path, lice
         link_by_zig(&mut maturin, python, target)?;
     }
     if target.triple == MINGW && cfg!(target_os = "linux") {
-        mingw()?;
+        wine::linker()?;
     }
     if target.is_linux() {
         maturin.args(["--compatibility", &format!("manylinux_{}", GLIBC.replace('.', "_"))]);

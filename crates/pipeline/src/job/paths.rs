@@ -1,13 +1,14 @@
 //! Tests that a job keeps paths with bytes that are not UTF-8 when it is written and read.
 
-use std::path::PathBuf;
-
-use crate::{DisplayJob, Job};
+use crate::Job;
 
 #[cfg(unix)]
 #[test]
 fn a_job_with_any_name_reads_back_the_same() {
     use std::os::unix::ffi::OsStrExt;
+    use std::path::PathBuf;
+
+    use crate::DisplayJob;
 
     let path = |bytes: &[u8]| Some(PathBuf::from(std::ffi::OsStr::from_bytes(bytes)));
     let mut job = Job::new(DisplayJob::by_name_or_path("paper-three-layer"));
@@ -19,6 +20,19 @@ fn a_job_with_any_name_reads_back_the_same() {
     assert!(text.contains("environment = \"sky%20.hdr\""), "{text}");
     assert_eq!(lumistack_core::config::parse::<Job>(&text).unwrap(), job);
     assert!(job.to_json()["scene"]["percent"].is_string());
+}
+
+/// Names on Windows may have surrogates without their pair.
+#[cfg(windows)]
+#[test]
+fn a_job_with_any_name_reads_back_the_same() {
+    use std::os::windows::ffi::OsStringExt;
+
+    let mut job = Job::new(crate::DisplayJob::by_name_or_path("paper-three-layer"));
+    job.scene = Some(std::ffi::OsString::from_wide(&[0x6D, 0xDC00, 0xD800, 0x2E, 0x67]).into());
+    let text = job.to_toml();
+    assert!(text.contains("percent = \"m%ED%B0%80%ED%A0%80.g\""), "{text}");
+    assert_eq!(lumistack_core::config::parse::<Job>(&text).unwrap(), job);
 }
 
 #[test]

@@ -159,9 +159,8 @@ impl Drop for FolderLock {
         if self.file == LOCK {
             let _ = std::fs::remove_file(self.cache.join(OWNER));
         }
-        // If a run fails before it keeps a file, its folder is removed. This works only on Unix,
-        // which can remove open files.
-        if cfg!(unix) && !self.made.is_empty() {
+        // If a run fails before it keeps a file, its folder is removed.
+        if !self.made.is_empty() {
             let others = std::fs::read_dir(&self.cache)
                 .map_or(1, |list| list.flatten().filter(|e| e.file_name() != self.file).count());
             // If finished time steps or nodes stay, the lock file stays too, since it marks the
@@ -170,6 +169,8 @@ impl Drop for FolderLock {
             let is_alone = beside.is_some_and(|list| list.flatten().all(|e| e.path() == self.cache));
             if others == 0 && is_alone {
                 let _ = std::fs::remove_file(self.cache.join(self.file));
+                // on some versions of Windows the file keeps its name while it is open
+                self.lock = None;
                 for folder in self.made.iter().rev() {
                     let _ = std::fs::remove_dir(folder);
                 }
@@ -180,15 +181,6 @@ impl Drop for FolderLock {
 
 /// Returns true if this path still names the open file.
 fn is_at(file: &File, path: &Path) -> bool {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::MetadataExt;
-        let of = |data: std::fs::Metadata| (data.dev(), data.ino());
-        file.metadata().ok().map(of) == std::fs::metadata(path).ok().map(of)
-    }
-    #[cfg(not(unix))]
-    {
-        let _ = (file, path);
-        true
-    }
+    let own = file.try_clone().and_then(same_file::Handle::from_file);
+    own.and_then(|own| Ok(own == same_file::Handle::from_path(path)?)).unwrap_or(false)
 }

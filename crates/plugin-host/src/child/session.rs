@@ -32,6 +32,9 @@ const DRAIN_TIMEOUT: Duration = Duration::from_millis(300);
 const KEPT_BYTES: usize = 16 << 10;
 /// Largest number of files that an error message names.
 const MAX_FILES: usize = 3;
+/// Flag of Windows for a process that ignores the Ctrl-C of its console.
+#[cfg(windows)]
+const CREATE_NEW_PROCESS_GROUP: u32 = 0x200;
 
 /// The reason why a call did not complete.
 pub(super) enum Stopped {
@@ -62,6 +65,8 @@ impl Owner {
         // through the host instead, so its process gets a group of its own.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        #[cfg(windows)]
+        std::os::windows::process::CommandExt::creation_flags(&mut command, CREATE_NEW_PROCESS_GROUP);
         let mut child = command.spawn().map_err(|error| {
             Stopped::Died(format!("cannot start a process for this library: {}: {error}", program.display()))
         })?;

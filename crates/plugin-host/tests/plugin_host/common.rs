@@ -5,6 +5,13 @@ use std::path::PathBuf;
 
 use lumistack_plugin_host::{Launcher, PluginPaths};
 
+/// Runs in a second process of this program, when a test interrupts a program or reads its screen.
+#[cfg(windows)]
+#[test]
+fn helps() {
+    lumistack_testkit::console::help();
+}
+
 /// Returns the file name of a plugin's library.
 pub fn file_name(id: &str) -> String {
     format!("{DLL_PREFIX}lumistack_plugin_{id}{DLL_SUFFIX}")

@@ -3,14 +3,17 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+#[cfg(unix)]
 use std::process::Command;
 
+#[cfg(unix)]
 use lumistack_plugin::abi::{ABI_MAJOR, ABI_MINOR, Descriptor, OutputVtable};
 use lumistack_plugin_host::{PluginPaths, Registry};
 
 use crate::common::{self, example, file_name};
 
 /// ELF's machine numbers, and the names of these machines in messages.
+#[cfg(target_os = "linux")]
 const ELF_MACHINES: [(u16, &str); 4] = [(62, "x86_64"), (183, "aarch64"), (243, "riscv"), (21, "powerpc64")];
 
 fn load(named: &[&Path]) -> Registry {
@@ -41,6 +44,7 @@ fn write(folder: &Path, id: &str, bytes: &[u8]) -> PathBuf {
 
 /// Returns the file header of a shared library for 64-bit little-endian Linux, without the rest of
 /// the library.
+#[cfg(target_os = "linux")]
 fn elf_header(machine: u16) -> Vec<u8> {
     let mut header = vec![0x7f, b'E', b'L', b'F', 2, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0];
     header.extend(3u16.to_le_bytes());
@@ -52,13 +56,28 @@ fn elf_header(machine: u16) -> Vec<u8> {
     header
 }
 
+/// Returns the first headers of a library for 64-bit Windows, without the rest of the library.
+fn pe_header() -> Vec<u8> {
+    let mut header = vec![0; 0x40];
+    header[..2].copy_from_slice(b"MZ");
+    header[0x3c] = 0x40;
+    header.extend(b"PE\0\0\x64\x86\0\0\0\0\0\0\0\0\0\0\0\0\0\0\xf0\x00\x22\x20\x0b\x02");
+    header.resize(0x40 + 24 + 0xf0, 0);
+    header
+}
+
 #[test]
 fn files_that_are_no_libraries_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let at = |id: &str, bytes: &[u8]| failure(&write(folder.path(), id, bytes));
     assert_eq!(at("text", b"#!/bin/sh\necho no\n"), "expected a shared library, found a file that is not a library");
     assert_eq!(at("empty", b""), "expected a shared library, found a file that is not a library");
-    let damaged = at("damaged", b"\x7fELF\x02\x01\x01 cut off here");
+    let mut cut_off = if cfg!(windows) { pe_header() } else { b"\x7fELF\x02\x01\x01 cut off here".to_vec() };
+    if cfg!(windows) {
+        // the header states one section, which is missing
+        cut_off[0x46] = 1;
+    }
+    let damaged = at("damaged", &cut_off);
     assert!(damaged.starts_with("expected a shared library, found a damaged library: "), "{damaged}");
     fs::create_dir(folder.path().join(file_name("folder"))).unwrap();
     let registry = load(&[folder.path()]);
@@ -77,13 +96,7 @@ fn libraries_for_other_machines_are_recognized() {
         let expected = format!("expected a library for {here} (elf), found one for {name}");
         assert!(message.starts_with(&expected), "{message}");
     }
-    // Make the headers of a program for Windows, without the rest of the program.
-    let mut windows = vec![0; 0x40];
-    windows[..2].copy_from_slice(b"MZ");
-    windows[0x3c] = 0x40;
-    windows.extend(b"PE\0\0\x64\x86\0\0\0\0\0\0\0\0\0\0\0\0\0\0\xf0\x00\x22\x20\x0b\x02");
-    windows.resize(0x40 + 24 + 0xf0, 0);
-    let message = failure(&write(folder.path(), "windows", &windows));
+    let message = failure(&write(folder.path(), "windows", &pe_header()));
     assert_eq!(message, format!("expected a library for {here} (elf), found one for x86_64 (pe)"));
     // A library for this machine that has only a header exports no functions.
     let mine = ELF_MACHINES.iter().find(|(_, name)| here.starts_with(name));

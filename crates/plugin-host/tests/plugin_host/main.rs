@@ -4,6 +4,7 @@
 
 mod common;
 mod hostile;
+mod interrupt;
 mod loaded;
 mod loading;
 #[cfg(unix)]

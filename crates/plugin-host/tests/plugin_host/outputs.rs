@@ -76,7 +76,7 @@ impl Bench {
         while let Some(folder) = folders.pop() {
             for entry in fs::read_dir(folder).unwrap() {
                 let path = entry.unwrap().path();
-                let name = path.strip_prefix(self.folder.path()).unwrap().to_string_lossy().into_owned();
+                let name = path.strip_prefix(self.folder.path()).unwrap().to_string_lossy().replace('\\', "/");
                 if path.is_dir() {
                     files.insert(format!("{name}/"), String::new());
                     folders.push(path);
