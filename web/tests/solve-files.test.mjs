@@ -141,9 +141,12 @@ test("a dropped .glb becomes the command's patterns, and nothing is uploaded", {
 test("hostile files give the command's message, and the page stays usable", { skip }, async () => {
   const at = await open(browser, `${server.url}/solve.html#preset=paper-three-layer&cols=96&frames=2&zone_samples=30&iterations=1`);
   await at.waitForFunction(() => document.querySelector("#preset").options.length > 0);
+  const npy = (shape) => Buffer.concat([Buffer.from("\x93NUMPY\x01\x00v\x00", "latin1"), Buffer.from(`${`{'descr': '<f4', 'fortran_order': False, 'shape': (${shape}), }`.padEnd(117)}\n`), Buffer.alloc(64)]);
   const files = {
     // Each file states or contains far more data than its size suggests.
     "bomb_qs3x3.png": ["factorize", pngOf(20_000, 20_000, Buffer.alloc(1000))],
+    // The number of these values does not fit into the 32 bits of the module's addresses.
+    "huge.npy": ["factorize", npy("9, 9, 60000, 60000, 3")],
     "bomb.spz": ["info", gzipSync(Buffer.alloc(200_000_000))],
     "bomb.glb": ["info", letters(({ accessors }) => (accessors[0].count = 4_000_000_000))],
   };
