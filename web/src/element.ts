@@ -278,7 +278,7 @@ export class LumistackViewer extends HTMLElement {
     const keys: EventTarget = this.getAttribute("keyboard") === "page" ? document : this.stageBox;
     keys.addEventListener("keydown", (event) => this.controls.key(event as KeyboardEvent), { signal });
     this.face.at("tilt").hidden = !Tilt.possible;
-    this.face.at("nudge").textContent = matchMedia("(hover: hover)").matches ? "Move the mouse to look around" : "Drag to look around";
+    this.face.at("nudge").textContent = this.hint;
     this.face.at("record").hidden = videoFormat() === undefined;
     this.face.at("full").hidden = !document.fullscreenEnabled;
     restoreTheme(this);
@@ -314,6 +314,12 @@ export class LumistackViewer extends HTMLElement {
   }
 
   // --- loading
+
+  /** The hint on how to look around. The button for tilt is one of the element's own controls. */
+  private get hint(): string {
+    if (matchMedia("(hover: hover)").matches) return "Move the mouse to look around";
+    return Tilt.possible && !this.hasAttribute("plain") ? "Drag to look around, or press Tilt" : "Drag to look around";
+  }
 
   private get module(): string | null {
     return this.getAttribute("wasm");

@@ -35,12 +35,16 @@ export async function site(preview) {
   return { ...server, state };
 }
 
-/** Opens a page. `page.trouble` collects the errors and warnings of its console. */
+/**
+* Opens a page. `page.trouble` collects the errors and warnings of its console. `init` is a script
+* that runs first, and `seen` is called with every request.
+*/
 export async function open(browser, url, options = {}) {
-  const { init, ...rest } = options;
+  const { init, seen, ...rest } = options;
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, reducedMotion: "reduce", ...rest });
   // The time limit is long, since a test machine may compile at the same time, and draws in software.
   context.setDefaultTimeout(120_000);
+  if (seen) context.on("request", seen);
   const page = await context.newPage();
   page.trouble = [];
   page.on("console", (message) => {

@@ -110,6 +110,7 @@ test("the tilt of the phone relative to its pose at the start moves the eye", as
   const device = await page.context().newCDPSession(page);
   const pose = (beta, gamma) => device.send("DeviceOrientation.setDeviceOrientationOverride", { alpha: 0, beta, gamma });
   assert.ok(await text(page, "#tilt"), "the phone's page has no button for tilt");
+  assert.equal(await text(page, "#nudge"), "Drag to look around, or press Tilt");
   await pose(40, 0);
   await page.tap("#tilt");
   await page.waitForTimeout(300);
@@ -128,6 +129,20 @@ test("the tilt of the phone relative to its pose at the start moves the eye", as
   assert.ok((await slope(page))[0] < 0.02, "the view still follows the tilt");
   assert.deepEqual(page.trouble, []);
   await page.context().close();
+});
+
+test("the hint names tilt only if the element shows the button for it", async () => {
+  for (const [options, plain, hint] of [
+    [PHONE, true, "Drag to look around"],
+    [{}, false, "Move the mouse to look around"],
+  ]) {
+    const page = await open(browser, server.url, options);
+    if (plain) await page.evaluate(() => (document.querySelector("main").innerHTML = `<lumistack-viewer src="stack/preview.json" plain style="height:400px"></lumistack-viewer>`));
+    assert.equal(await complete(page), undefined);
+    await page.waitForFunction(() => document.querySelector("lumistack-viewer").shadowRoot.querySelector("#nudge").checkVisibility());
+    assert.equal(await text(page, "#nudge"), hint);
+    await page.context().close();
+  }
 });
 
 test("a phone that reports no pose gives a message", async () => {

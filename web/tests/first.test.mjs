@@ -71,7 +71,8 @@ const mark = (page, name) => page.waitForFunction((wanted) => performance.getEnt
 
 test("the poster is shown first, small views after a move, and then the picture, without a gap", async () => {
   const go = hold();
-  const page = await open(browser, server.url);
+  const loaded = [];
+  const page = await open(browser, server.url, { seen: (request) => loaded.push(request.url()) });
   await mark(page, "lumistack-interactive");
   await page.waitForTimeout(150);
   near(await middle(page), RED);
@@ -105,6 +106,29 @@ test("the poster is shown first, small views after a move, and then the picture,
   await page.waitForTimeout(500);
   near(await middle(page), [255, 255, 255]);
   assert.equal(await page.evaluate(() => window.bare), 0, "in some animation frames nothing was shown");
+  // The viewer loads its own script and module, and nothing of the page that solves.
+  const parts = new Set(loaded.filter((url) => url.startsWith("http")).map((url) => new URL(url).pathname.replace(/^\/stack\/.*/, "/stack/")));
+  assert.deepEqual([...parts].sort(), ["/", "/app/lumistack_web_bg.wasm", "/app/viewer.js", "/stack/"]);
+  assert.deepEqual(page.trouble, []);
+  await page.context().close();
+});
+
+test("the page has one primary action, which takes the display apart and puts it together", async () => {
+  const page = await open(browser, server.url);
+  assert.equal(await complete(page), undefined);
+  const primary = page.locator(".primary:visible");
+  assert.deepEqual(await primary.allInnerTexts(), ["Take it apart"]);
+  const mode = () => page.evaluate(() => document.querySelector("lumistack-viewer").mode);
+  for (const [wanted, label] of [["exploded", "Put it together"], ["perceived", "Take it apart"]]) {
+    await primary.click();
+    assert.equal(await mode(), wanted);
+    assert.deepEqual(await primary.allInnerTexts(), [label]);
+  }
+  // On the page that solves, the primary action chooses a file.
+  await page.goto(`${server.url}/solve.html`);
+  assert.deepEqual(await primary.allInnerTexts(), ["Choose a file"]);
+  const [chooser] = await Promise.all([page.waitForEvent("filechooser"), primary.click()]);
+  assert.ok(chooser.isMultiple());
   assert.deepEqual(page.trouble, []);
   await page.context().close();
 });

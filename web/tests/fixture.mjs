@@ -22,6 +22,11 @@ function chunk(type, data) {
 export function png(cols, rows, at) {
   const raw = Buffer.alloc(rows * (1 + cols * 3));
   for (let r = 0; r < rows; r++) for (let c = 0; c < cols; c++) raw.set(at(r, c), r * (1 + cols * 3) + 1 + c * 3);
+  return pngOf(cols, rows, raw);
+}
+
+/** Makes an RGB picture of 8 bits as PNG from the bytes of its rows, which may be fewer than its size needs. */
+export function pngOf(cols, rows, raw) {
   const head = Buffer.alloc(13);
   head.writeUInt32BE(cols, 0);
   head.writeUInt32BE(rows, 4);

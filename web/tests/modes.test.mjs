@@ -165,13 +165,17 @@ test("a screen reader receives the viewing position", async () => {
   await page.context().close();
 });
 
-test("screenshots of every mode at two sizes, dark and light", async () => {
+test("screenshots of every mode at three sizes, dark and light", async () => {
   mkdirSync(SHOTS, { recursive: true });
   const folder = existsSync(SHOWN) ? await site(SHOWN) : server;
-  for (const [name, width, height] of [["wide", 1440, 900], ["phone", 390, 844]]) {
-    for (const colorScheme of ["dark", "light"]) {
-      const phone = name === "phone";
-      const page = await open(browser, `${folder.url}/#x=0.03&y=0.02`, { viewport: { width, height }, colorScheme, hasTouch: phone, isMobile: phone });
+  for (const [name, width, height, schemes] of [
+    ["wide", 1440, 900, ["dark", "light"]],
+    ["phone", 390, 844, ["dark", "light"]],
+    ["tablet", 820, 1180, ["dark"]],
+  ]) {
+    for (const colorScheme of schemes) {
+      const touch = name !== "wide";
+      const page = await open(browser, `${folder.url}/#x=0.03&y=0.02`, { viewport: { width, height }, colorScheme, hasTouch: touch, isMobile: touch });
       assert.equal(await complete(page), undefined);
       for (const [mode, comparison] of MODES) {
         await viewer(page, "(v, [mode, comparison]) => { v.mode = mode; if (comparison) v.comparison = comparison; }", [mode, comparison ?? null]);

@@ -37,10 +37,11 @@ async function dialog(options = {}, url = server.url) {
   return page;
 }
 
-test("the dialog fits phones and desktops, axe finds nothing, and nothing is loaded before it is chosen", async () => {
+test("the dialog fits phones, tablets and desktops, axe finds nothing, and nothing is loaded before it is chosen", async () => {
   for (const [name, options] of [
     ["desktop", {}],
     ["phone", { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true, colorScheme: "light" }],
+    ["tablet", { viewport: { width: 820, height: 1180 }, hasTouch: true, isMobile: true }],
   ]) {
     const loaded = [];
     const page = await dialog({ ...options });

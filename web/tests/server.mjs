@@ -7,12 +7,12 @@ const TYPES = { ".html": "text/html", ".js": "text/javascript", ".css": "text/cs
 
 /**
  * Serves files. `roots` maps URL prefixes to folders; the longest prefix of a path is used.
- * `hook(path, response)` returns true if it has answered the request itself.
+ * `hook(path, response, request)` returns true if it has answered the request itself.
  */
 export async function serve(roots, hook = () => false) {
   const server = createServer((request, response) => {
     const path = decodeURIComponent(new URL(request.url, "http://localhost").pathname);
-    if (hook(path, response)) return;
+    if (hook(path, response, request)) return;
     const prefix = Object.keys(roots)
       .filter((root) => path.startsWith(root))
       .sort((a, b) => b.length - a.length)[0];

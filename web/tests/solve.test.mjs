@@ -1,7 +1,7 @@
 // The page that solves (`solve.html`): its patterns, its saved files, and its errors agree with the
 // patterns, files and errors of the command.
 import assert from "node:assert/strict";
-import { execFileSync, spawnSync } from "node:child_process";
+import { execFileSync } from "node:child_process";
 import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { tmpdir } from "node:os";
@@ -9,13 +9,12 @@ import { dirname, join } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import { DIST, launch, open, pixels, SHOTS } from "./browser.mjs";
-import { npy, unpacked } from "./saved.mjs";
 import { serve } from "./server.mjs";
+import { apart, BIN, plain, problem, refusal, save, stage } from "./solving.mjs";
 import { stripes } from "./stripes.mjs";
 
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const SCENES = join(dirname(fileURLToPath(import.meta.url)), "../../scenes");
-const BIN = process.env.LUMISTACK_BIN;
 /**
 * Largest root mean square difference between the patterns of the page and of the command. It is above 0, since page and command use different instructions of
 * the processor, and the command rounds views when it caches them.
@@ -41,23 +40,8 @@ after(async () => {
   if (folder) rmSync(folder, { recursive: true });
 });
 
-const page = (hash, options) => open(browser, `${server.url}/solve.html${hash}`, options);
-const stage = (at, name) => at.waitForFunction((name) => document.documentElement.dataset.stage === name, name);
+const page = (hash, options) => open(browser, hash.startsWith("http") ? hash : `${server.url}/solve.html${hash}`, options);
 const shot = (at, name) => at.screenshot({ path: join(SHOTS, `solve-${name}.png`), fullPage: true });
-const problem = async (at) => {
-  await at.waitForSelector("#problem:not([hidden])");
-  return at.textContent("#problem");
-};
-
-async function save(at, name) {
-  const [download] = await Promise.all([at.waitForEvent("download"), at.click("#save")]);
-  const run = join(folder, name);
-  for (const [path, bytes] of unpacked(readFileSync(await download.path()))) {
-    mkdirSync(dirname(join(run, path)), { recursive: true });
-    writeFileSync(join(run, path), bytes);
-  }
-  return run;
-}
 
 /** Saves a quilt, and compares its first and last tiles with the viewer's pictures from the same slopes. */
 async function savedQuilt(at) {
@@ -101,10 +85,10 @@ async function savedTurn(at) {
 }
 
 test("a built-in scene becomes the patterns that the command makes", { skip: !BIN && "LUMISTACK_BIN is not set" }, async () => {
-  const at = await page("#scene=letters&preset=paper-three-layer&cols=96&frames=3&zone_samples=100&iterations=6");
+  const at = await page("#scene=letters&preset=paper-three-layer&cols=96&frames=3&zone_samples=100&iterations=6&device=cpu&threads=2");
   await stage(at, "done");
   const psnr = Number(await at.evaluate(() => document.documentElement.dataset.psnr));
-  const run = await save(at, "letters");
+  const run = await save(at, join(folder, "letters"));
   assert.match(execFileSync(BIN, ["info", run], { encoding: "utf8" }), /96/);
 
   // The picture that the viewer shows agrees with the command's simulation of the saved patterns.
@@ -133,8 +117,23 @@ test("a built-in scene becomes the patterns that the command makes", { skip: !BI
   console.log(`page ${psnr.toFixed(4)} dB, command ${command.toFixed(4)} dB, patterns differ by ${difference.toExponential(1)}`);
   assert.ok(difference < SAME, `${difference}`);
   assert.ok(Math.abs(psnr - command) < SAME_DB, `${psnr} and ${command}`);
-  assert.deepEqual(at.trouble, []);
-  await at.context().close();
+  // Another page solves with the settings of the copied link, and computes the same patterns.
+  await at.click("#link");
+  await at.waitForFunction(() => /link is|copied/i.test(document.querySelector("#link").textContent));
+  const address = at.url();
+  const asked = (text) => Object.fromEntries(new URLSearchParams(new URL(text).hash.slice(1)));
+  const wanted = { scene: "letters", preset: "paper-three-layer", cols: "96", layers: "3", gap_mm: "40", frames: "3", brightness: "0.2", zone_samples: "100", iterations: "6", device: "cpu", threads: "2" };
+  assert.deepEqual(asked(address), wanted);
+  const other = await page(address);
+  await stage(other, "done");
+  assert.equal(await other.evaluate(() => document.documentElement.dataset.psnr), String(psnr));
+  assert.match(await other.textContent("#status"), /On the processor: the address of this page chooses the processor/);
+  await other.click("#link");
+  assert.deepEqual(asked(other.url()), wanted);
+  for (const each of [at, other]) {
+    assert.deepEqual(each.trouble, []);
+    await each.context().close();
+  }
 });
 
 test("the page shows intermediate patterns, stops, continues, and solves for another display", async () => {
@@ -186,9 +185,9 @@ test("a broken file gives the command's error, and the page stays usable", { ski
     await at.setInputFiles("#files", { name, mimeType: "application/octet-stream", buffer: bytes });
     await at.waitForFunction((name) => document.querySelector("#problem").textContent.includes(name), name);
     const said = await problem(at);
-    const { stderr, status } = spawnSync(BIN, ["info", name], { cwd: folder, encoding: "utf8" });
+    const { status, message } = refusal(folder, "info", name);
     assert.equal(status, 1);
-    assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
+    assert.ok(message.includes(plain(said)), `page: ${said}\ncommand: ${message}`);
   }
   // If a picture is cut short, the module of decoders reports the error, and not the solver's module.
   const letters = join(folder, "cut");
@@ -197,8 +196,8 @@ test("a broken file gives the command's error, and the page stays usable", { ski
   await at.setInputFiles("#files", ["letters.gltf", "letters.bin", "charts.png", "graph-paper.png", "sky.hdr"].map((name) => join(letters, name)));
   await at.waitForFunction(() => document.querySelector("#problem").textContent.includes("letters.gltf"));
   const said = await problem(at);
-  const { stderr } = spawnSync(BIN, ["info", "letters.gltf"], { cwd: letters, encoding: "utf8" });
-  assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
+  const { message } = refusal(letters, "info", "letters.gltf");
+  assert.ok(message.includes(plain(said)), `page: ${said}\ncommand: ${message}`);
   assert.match(said, /readable Png/);
   await shot(at, "broken");
   await at.setInputFiles("#files", { name: "words.txt", mimeType: "text/plain", buffer: Buffer.from("a") });
@@ -210,18 +209,6 @@ test("a broken file gives the command's error, and the page stays usable", { ski
   await at.context().close();
 });
 
-/** Returns the root mean square difference between the patterns of two runs. */
-function apart(a, b) {
-  let [squares, count] = [0, 0];
-  for (let layer = 0; layer < 3; layer++) {
-    const [ours, theirs] = [a, b].map((from) => npy(readFileSync(join(from, `layers/layer_${layer}.npy`))));
-    assert.equal(ours.length, theirs.length);
-    for (let i = 0; i < ours.length; i++) squares += (ours[i] - theirs[i]) ** 2;
-    count += ours.length;
-  }
-  return Math.sqrt(squares / count);
-}
-
 test("patterns of light fields agree with those of the command", { skip: !BIN && "LUMISTACK_BIN is not set" }, async () => {
   const array = join(folder, "stripes.npy");
   stripes(array);
@@ -231,7 +218,7 @@ test("patterns of light fields agree with those of the command", { skip: !BIN &&
     await choose();
     await stage(at, "done");
     assert.ok(await at.isHidden("#problem"));
-    return save(at, name);
+    return save(at, join(folder, name));
   };
   const ours = await solved(() => at.setInputFiles("#files", array), "array");
   assert.match(await at.textContent("#caption"), /^stripes 3 layers, 2 frames/);
@@ -267,18 +254,20 @@ test("patterns of light fields agree with those of the command", { skip: !BIN &&
     await at.setInputFiles("#files", join(few, name));
     await at.waitForFunction((name) => document.querySelector("#problem").textContent.includes(name), name);
     const said = await problem(at);
-    const { stderr, status } = spawnSync(BIN, ["factorize", name, "-o", join(few, "run")], { cwd: few, encoding: "utf8" });
+    const { status, message } = refusal(few, "factorize", name, "-o", join(few, "run"));
     assert.notEqual(status, 0, name);
-    assert.ok(stderr.replace(/\s+/g, " ").includes(said.replace(/\s+/g, " ")), `page: ${said}\ncommand: ${stderr}`);
+    assert.ok(message.includes(plain(said)), `page: ${said}\ncommand: ${message}`);
   }
   assert.deepEqual(at.trouble, []);
   await at.context().close();
 });
 
-test("axe finds no violation on a desk, on a phone and in forced colours", async () => {
+test("axe finds no violation on a desk, on a phone, on a tablet, at 200 % and in forced colours, and nothing is cut off", async () => {
   for (const [name, options] of [
     ["desk", { colorScheme: "light" }],
     ["phone", { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true, deviceScaleFactor: 2 }],
+    ["tablet", { viewport: { width: 820, height: 1180 }, hasTouch: true, isMobile: true }],
+    ["zoom-200", { viewport: { width: 720, height: 450 } }],
     ["forced", { forcedColors: "active", colorScheme: "light" }],
     ["forced-dark", { forcedColors: "active", colorScheme: "dark" }],
   ]) {
@@ -293,6 +282,8 @@ test("axe finds no violation on a desk, on a phone and in forced colours", async
       name,
     );
     await shot(at, name);
+    const over = await at.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+    assert.ok(over <= 0, `${name}: the page is ${over} pixels too wide`);
     // Unfold the sliders; then the Tab key reaches every control.
     await at.focus("#built summary");
     await at.keyboard.press("Enter");
@@ -303,6 +294,16 @@ test("axe finds no violation on a desk, on a phone and in forced colours", async
       reached.add(await at.evaluate(() => document.activeElement.id || document.activeElement.textContent));
     }
     for (const id of ["choose", "preset", "cols", "layers", "gap_mm", "frames", "brightness", "save", "quilt", "turn", "link", "closer"]) assert.ok(reached.has(id), `${name}: ${id} is not among ${[...reached].join(", ")}`);
+    // Every control can be scrolled into view, and is then inside the window.
+    for (const id of ["choose", "preset", "brightness", "bar", "link"]) {
+      const inside = await at.evaluate((id) => {
+        const element = document.getElementById(id);
+        element.scrollIntoView({ block: "nearest" });
+        const { left, right, top, bottom } = element.getBoundingClientRect();
+        return left >= 0 && right <= innerWidth && top >= -1 && bottom <= innerHeight + 1;
+      }, id);
+      assert.ok(inside, `${name}: ${id} is cut off`);
+    }
     assert.deepEqual(at.trouble, []);
     await at.context().close();
   }

@@ -70,8 +70,12 @@ cargo xtask bench [what]
   live          `lumistack live` with 1,000 random edits in five minutes: two pages must receive complete states with rising numbers, memory
                 must not grow, and Ctrl-C must freeze the display immediately. Needs Linux
       --quick        100 edits in half a minute
-  web           the simulator's page in headless Chromium, 420×262 pixels, 3 layers, 6 frames: time to the first picture
-                and per frame, through WebGL2 and on the processor
+  web           the simulator's page in headless Chromium and Firefox, with the preview of still-life: time to the poster, to the first
+                movement and to the picture, the longest task, and all bytes, also on an emulated connection and a slow processor; time
+                per frame through WebGL2 and on the processor; screenshots of the first five seconds. A missed limit is an error
+      --solve        the page that solves, with FlightHelmet, which LUMISTACK_ASSETS must have: time to the first picture, zone score over
+                time compared with the final score, animation frames per second, memory; then the page's own scenes, and the
+                command's result for one of them
   fuzz          random changes to files of every kind that is read, whole and packed, from our own corpora and those of other
                 projects. A reader must return a value or an error message; a crash or a hang is a failure. Needs a C++ compiler, uses a
                 nightly Rust if there is one, and fetches cargo-fuzz
@@ -120,6 +124,7 @@ pub fn run(arguments: &[&str]) -> Option<Outcome> {
         }
         ["zone", options @ ..] => bench_zone::run(options)?,
         ["web"] => web::bench(),
+        ["web", "--solve"] => web::bench_solve(),
         ["fuzz", options @ ..] => fuzzing(options)?,
         ["--help" | "-h"] => {
             print!("{USAGE}");

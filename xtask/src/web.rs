@@ -263,25 +263,35 @@ pub fn browser_tests() -> Outcome {
     tools::run(tests.env("LUMISTACK_FIXTURES", root().join("web/tests/fixtures")))
 }
 
-/// Times the committed page.
+/// Times the committed page with the preview of the main example.
 pub fn bench() -> Outcome {
     npm_packages()?;
-    let folder = root().join("target/web-bench");
-    let mut write = command("cargo");
-    write.args([
-        "run",
-        "--quiet",
-        "--release",
-        "--package",
-        "lumistack-plugin-web-simulator",
-        "--example",
-        "fixtures",
-        "--",
-    ]);
-    tools::run(write.arg(&folder).arg("--bench"))?;
+    firefox();
+    let (program, folder) = (release_program()?, root().join("target/web-bench"));
+    let run = folder.join("still-life");
+    tools::run(command(program).arg("run").arg(root().join("scenes/still-life/job.toml")).arg("-o").arg(&run))?;
     let mut bench = command("node");
-    bench.arg(root().join("xtask/bench/web.mjs")).arg(folder.join("bench"));
+    bench.arg(root().join("xtask/bench/web.mjs")).arg(run.join("preview")).arg(folder.join("shots"));
     tools::run(bench.env("LUMISTACK_CHROMIUM", chromium()?))
+}
+
+/// Times the committed page that solves, with FlightHelmet and with its own scenes.
+pub fn bench_solve() -> Outcome {
+    npm_packages()?;
+    let model = tools::assets().join("gltf/FlightHelmet/FlightHelmet.gltf");
+    if !model.is_file() {
+        return Err(format!("bench: expected {}, found none; LUMISTACK_ASSETS sets the folder", model.display()));
+    }
+    let mut bench = command("node");
+    bench.arg(root().join("xtask/bench/web_solve.mjs")).arg(release_program()?);
+    bench.arg(root().join("target/web-bench/solve")).arg(model);
+    tools::run(bench.env("LUMISTACK_CHROMIUM", chromium()?))
+}
+
+/// Builds the command's release binary, and returns its path.
+fn release_program() -> Outcome<PathBuf> {
+    tools::cargo(&["build", "--release", "--package", "lumistack-cli"])?;
+    Ok(target_folder()?.join("release").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX)))
 }
 
 /// Finds Chromium: the program that `LUMISTACK_CHROMIUM` names, or the system's. Installs it if it

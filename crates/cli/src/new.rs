@@ -126,8 +126,14 @@ fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<
         let first = doc.split_inclusive(". ").next().unwrap_or(doc).trim();
         let _ = write!(text, "\n# {first}\n[[outputs]]\nplugin = {}\n", quoted(id));
         if id == "web_simulator" {
-            // `lumistack preview` looks for this name first.
-            text.push_str("name = \"preview\"\n");
+            // `lumistack preview` looks for this name first. Without a title the page would have
+            // the display's name.
+            let title = scene.file_stem().unwrap_or_default().to_string_lossy();
+            let _ = write!(
+                text,
+                "name = \"preview\"\n# title of the page; the name of a file becomes words\nparams = {{ title = {} }}\n",
+                quoted(&title)
+            );
         }
     }
     Ok(text)
@@ -262,8 +268,12 @@ mod tests {
         let text = text_of(&words, None).unwrap();
         let escaped = NAME.replace('"', "\\\"");
         assert!(text.contains(&format!("scene = \"{escaped}\"\n")), "{text}");
-        let names: Vec<_> = loaded(&text).outputs.iter().map(|output| output.name().to_owned()).collect();
+        let outputs = loaded(&text).outputs;
+        let names: Vec<_> = outputs.iter().map(|output| output.name().to_owned()).collect();
         assert_eq!(names, ["images", "preview"]);
+        // The scene's name is the page's title.
+        let params: Vec<_> = outputs.iter().map(|output| json!(output.params)).collect();
+        assert_eq!(params, [json!({}), json!({ "title": NAME.trim_end_matches(".glb") })]);
         for (words, message) in [
             (&["no-such-job.toml"][..], "--scene: expected a value for this option (Scene file"),
             (&["no-such-job.toml", "--scene", "no.glb"], "found no such file"),

@@ -110,18 +110,18 @@ impl NpyFile {
                 "True",
             ));
         }
-        let shape: Vec<usize> = header.shape().iter().map(|&n| n as usize).collect();
-        let array = Self { path: path.to_path_buf(), shape, scalar, big_endian, data_start, file };
-        let expected = array.len() as u64 * scalar.bytes() as u64;
+        // In the page `usize` has 32 bits, so the header's numbers may fit only into 64 bits.
+        let expected = header.shape().iter().product::<u64>() * scalar.bytes() as u64;
         if file_length - data_start.min(file_length) < expected {
             return Err(FieldError::malformed(
                 path,
-                format!("values of shape {:?}", array.shape),
+                format!("values of shape {:?}", header.shape()),
                 format!("{expected} bytes"),
                 format!("{}: the file is cut short", file_length - data_start.min(file_length)),
             ));
         }
-        Ok(array)
+        let shape = header.shape().iter().map(|&n| n as usize).collect();
+        Ok(Self { path: path.to_path_buf(), shape, scalar, big_endian, data_start, file })
     }
 
     /// Axis lengths, outermost first.

@@ -1,8 +1,5 @@
-//! `fixtures FOLDER [--bench]` writes fixtures for the tests of the page: previews of small random
-//! stacks, and views that the forward model computes from the unrounded patterns.
-//!
-//! With `--bench` it writes one preview of 420 × 262 pixels, three layers and six frames, for
-//! `cargo xtask bench web`.
+//! `fixtures FOLDER` writes fixtures for the tests of the page: previews of small random stacks, and
+//! views that the forward model computes from the unrounded patterns.
 //!
 //! Every case has a file `references.json` with nine slopes and the names of nine files. Each file
 //! contains L̃/β at one slope, `[row][col][rgb]` as little-endian `f32`.
@@ -26,12 +23,7 @@ const BRIGHTNESS: f64 = 0.8;
 const SIZE: [usize; 2] = [60, 40];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let folder = std::env::args().nth(1).ok_or("usage: fixtures FOLDER [--bench]")?;
-    if std::env::args().nth(2).as_deref() == Some("--bench") {
-        let display = Display::uniform([420, 262], 0.64, [5, 5], [20.0, 20.0], &[-12.0, 0.0, 12.0], 6);
-        let display = Display { brightness: BRIGHTNESS, ..display };
-        return write_case(&Path::new(&folder).join("bench"), &display);
-    }
+    let folder = std::env::args().nth(1).ok_or("usage: fixtures FOLDER")?;
     for (name, display) in cases() {
         write_case(&Path::new(&folder).join(name), &display)?;
     }

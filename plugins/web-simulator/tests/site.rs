@@ -167,6 +167,21 @@ fn the_poster_is_the_seen_picture_and_links_show_it() {
     assert!(page.contains(r#"src="data:image/jpeg;base64,"#) && !page.contains("og:image"));
 }
 
+/// The poster arrives at once also on slow connections, and is sharp enough to be looked at.
+#[test]
+fn the_poster_of_a_large_display_has_a_limited_size() {
+    let display = Display::uniform([1300, 810], 0.2, [1, 1], [20.0, 20.0], &[-3.0, 3.0], 1);
+    let mut stack = waves(&display);
+    // Noise needs many bytes. At the best quality the poster of this picture has 77 kB.
+    let mut random = Stream::new(8);
+    stack.layers[0].data_mut().iter_mut().for_each(|value| *value *= 0.8 + 0.2 * random.next_f32());
+    let files = write(&display, OutputData::LayerStack(&stack, None), json!({"single_file": false}));
+    let poster = image::load_from_memory(&files["stack/poster.jpg"]).unwrap();
+    assert_eq!((poster.width(), poster.height()), (650, 405));
+    let bytes = files["stack/poster.jpg"].len();
+    assert!((20_000..=45_000).contains(&bytes), "{bytes} bytes");
+}
+
 /// The site of a large stack has small views from the whole zone. If the single file would be too
 /// large, it is not written, and a message says so.
 #[test]

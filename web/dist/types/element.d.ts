@@ -75,6 +75,8 @@ export declare class LumistackViewer extends HTMLElement {
     connectedCallback(): void;
     disconnectedCallback(): void;
     attributeChangedCallback(name: string, before: string | null, now: string | null): void;
+    /** The hint on how to look around. The button for tilt is one of the element's own controls. */
+    private get hint();
     private get module();
     private load;
     private dropContent;

@@ -26,7 +26,9 @@ const DETAILS: readonly [number, string][] = [
 ];
 /** Keys of the address that set the solver's effort; a job file has the same keys. */
 const EFFORT = ["zone_samples", "iterations"] as const;
-/** Largest number of frames that a preset sets. The page solves with one thread, so more frames would be slow. */
+/** Keys of the address that choose the device and the number of threads. */
+const MACHINE = ["device", "threads"] as const;
+/** Largest number of frames that a preset sets. On the processor one thread solves, so more frames would be slow. */
 const FRAMES = 6;
 const DEFAULT = "paper-three-layer";
 
@@ -88,6 +90,11 @@ export class Choice {
   get address(): URLSearchParams {
     const out = new URLSearchParams({ preset: this.preset.name, cols: this.select("cols").value });
     for (const key of SLIDERS) out.set(key, this.slider(key).value);
+    // These keys have no control. The page that opens the link must also solve with them.
+    for (const key of [...EFFORT, ...MACHINE]) {
+      const value = this.asked.get(key);
+      if (value !== null) out.set(key, value);
+    }
     return out;
   }
 
