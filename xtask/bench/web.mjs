@@ -15,7 +15,7 @@ const [site, shots] = process.argv.slice(2);
 const ROUNDS = 5;
 const FRAMES = 40;
 const SLOW = { bytesPerS: 10e6 / 8, latencyMs: 60 };
-/** Largest medians, milliseconds. The limits of the slow processor are those of a phone, which the page should also serve. */
+/** Largest medians, milliseconds. A page on a slow processor may take twice the time until the user can look around. */
 const LIMITS = { painted: 300, interactive: 1500, long: 50 };
 /** The emulated connections and processors. */
 const PROFILES = [
