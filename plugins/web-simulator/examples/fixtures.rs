@@ -1,5 +1,5 @@
-//! `fixtures FOLDER` writes fixtures for the tests of the page: previews of small random stacks, and
-//! views that the forward model computes from the unrounded patterns.
+//! `fixtures FOLDER` writes fixtures for the tests of the page: previews of small random stacks,
+//! and views that the forward model computes from the unrounded patterns.
 //!
 //! Every case has a file `references.json` with nine slopes and the names of nine files. Each file
 //! contains L̃/β at one slope, `[row][col][rgb]` as little-endian `f32`.
