@@ -271,7 +271,10 @@ pub fn bench() -> Outcome {
     let run = folder.join("still-life");
     tools::run(command(program).arg("run").arg(root().join("scenes/still-life/job.toml")).arg("-o").arg(&run))?;
     let mut bench = command("node");
-    bench.arg(root().join("xtask/bench/web.mjs")).arg(run.join("outputs/tensor-display/preview")).arg(folder.join("shots"));
+    bench
+        .arg(root().join("xtask/bench/web.mjs"))
+        .arg(run.join("outputs/tensor-display/preview"))
+        .arg(folder.join("shots"));
     tools::run(bench.env("LUMISTACK_CHROMIUM", chromium()?))
 }
 
