@@ -91,7 +91,7 @@ const letters = (edit = () => undefined) =>
     edit(gltf);
   });
 
-test("a dropped .glb becomes the command's patterns, and nothing is uploaded", { skip }, async () => {
+test("a dropped .glb becomes the command's patterns, and nothing is uploaded", { skip }, async (t) => {
   const model = join(folder, "letters.glb");
   writeFileSync(model, letters());
   asked.length = 0;
@@ -124,6 +124,7 @@ test("a dropped .glb becomes the command's patterns, and nothing is uploaded", {
     reached += 1;
     response.writeHead(200, { "access-control-allow-origin": "*" }).end();
   });
+  t.after(() => other.close());
   await new Promise((resolve) => other.listen(0, "127.0.0.1", resolve));
   const address = `http://127.0.0.1:${other.address().port}/`;
   const send = (address) => fetch(address, { method: "POST", body: "a model" }).then(() => "sent", () => "refused");
@@ -136,7 +137,6 @@ test("a dropped .glb becomes the command's patterns, and nothing is uploaded", {
   await free.goto(`${server.url}/index.html`);
   assert.equal(await free.evaluate(send, address), "sent");
   assert.equal(reached, 1);
-  other.close();
   await at.context().close();
 });
 
@@ -167,7 +167,7 @@ test("hostile files give the command's message, and the page stays usable", { sk
   await at.context().close();
 });
 
-test("a display that is too large, and a lack of memory, give a message, and a smaller display is solved", async () => {
+test("a display that is too large, and a lack of memory, give a message, and a smaller display is solved", async (t) => {
   const at = await open(browser, `${server.url}/solve.html#scene=letters&preset=paper-three-layer&cols=420&layers=5&frames=12&zone_samples=20&iterations=1&threads=1`);
   assert.match(await problem(at), /display: expected at most \d+ MB, found \d+ MB for this display; take fewer columns or frames/);
   await choose(at, "cols", "96");
@@ -182,6 +182,7 @@ test("a display that is too large, and a lack of memory, give a message, and a s
     response.writeHead(200, { "content-type": "application/wasm" }).end(limited(readFileSync(join(DIST, path)), MEMORY));
     return true;
   });
+  t.after(() => poor.close());
   const small = await open(browser, `${poor.url}/solve.html#scene=letters&preset=paper-three-layer&cols=420&frames=12&zone_samples=20&iterations=1&threads=1&device=cpu`);
   assert.match(await problem(small), /^Letters: the solver stopped, probably because it needs more memory than a page can have\. Choose less detail or fewer frames/);
   await choose(small, "cols", "96");
@@ -189,5 +190,4 @@ test("a display that is too large, and a lack of memory, give a message, and a s
   await small.waitForFunction(() => performance.getEntriesByName("lumistack-first-patterns").length > 0);
   assert.ok(await small.isHidden("#problem"));
   await small.context().close();
-  await poor.close();
 });
