@@ -10,7 +10,7 @@ tab=$(printf '\t')
 temporary='/tmp/Jürgen 日本'
 rm -rf "$temporary"
 mkdir -p "$temporary"
-export WINEPREFIX=/root/wine WINEDEBUG=-all,err+module WINEDLLOVERRIDES="mscoree=;mshtml=;winedbg.exe=d"
+export WINEPREFIX="$HOME/wine" WINEDEBUG=-all,err+module WINEDLLOVERRIDES="mscoree=;mshtml=;winedbg.exe=d"
 wine --version
 wineboot --init
 # shellcheck disable=SC1003
