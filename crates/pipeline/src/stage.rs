@@ -13,6 +13,7 @@ pub(crate) mod factorize;
 pub(crate) mod field;
 pub(crate) mod fields;
 pub(crate) mod flicker;
+pub(crate) mod groups;
 pub(crate) mod ingest;
 pub(crate) mod measure;
 pub(crate) mod node;

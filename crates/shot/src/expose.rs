@@ -1,7 +1,5 @@
 //! Exposure of radiance in front of a background, and the rays that an automatic exposure measures.
 
-use std::borrow::Cow;
-
 use lumistack_display::FieldGeometry;
 use lumistack_splats::Space;
 
@@ -44,31 +42,38 @@ pub fn expose_over(
     }
 }
 
-/// Collects two values per ray: the largest channel, and true if the ray hits a surface. At most
-/// four million rays are measured, spread evenly over the given views.
-///
-/// # Errors
-/// The errors of `picture`.
-pub fn brightest<'a, E>(
-    geometry: &FieldGeometry,
-    views: &[[usize; 2]],
-    depths: &Depths,
-    picture: impl Fn([usize; 2]) -> Result<Cow<'a, [f32]>, E>,
-) -> Result<Vec<(f32, bool)>, E> {
-    let size = geometry.rows * geometry.cols;
-    let all = views.len() * size;
-    let every = all.div_ceil(MOST_RAYS).max(1);
-    let mut rays = Vec::with_capacity(all / every + 1);
-    for (number, &view) in views.iter().enumerate() {
-        // Every `every`-th ray is taken, counted through all views. So the index of a view's first
-        // ray depends on the number of rays in the views before it.
-        let first = (every - number * size % every) % every;
-        rays.extend(picture(view)?.chunks_exact(3).enumerate().skip(first).step_by(every).map(|(i, rgb)| {
-            let surface = depths.is_surface(view, i / geometry.cols, i % geometry.cols, geometry);
-            (rgb[0].max(rgb[1]).max(rgb[2]), surface)
-        }));
+/// Collects values of the rays of a light field, from which
+/// [`ToneMapping::choose`](crate::ToneMapping::choose) chooses an exposure. At most four million rays
+/// are measured, spread evenly over the views.
+pub struct Brightest<'a> {
+    geometry: &'a FieldGeometry,
+    depths: &'a Depths,
+    /// Every `every`-th ray is taken, counted through all views.
+    every: usize,
+}
+
+impl<'a> Brightest<'a> {
+    /// Prepares the collection from `views` views of a geometry.
+    pub fn new(geometry: &'a FieldGeometry, views: usize, depths: &'a Depths) -> Self {
+        let all = views * geometry.rows * geometry.cols;
+        Self { geometry, depths, every: all.div_ceil(MOST_RAYS).max(1) }
     }
-    Ok(rays)
+
+    /// Returns two values for each measured ray of a view: the largest channel, and true if the ray
+    /// hits a surface. `number` is the number of the view among the measured views, from 0, `view` =
+    /// [view_y, view_x] its place in the grid, and `picture` its radiance `[row][col][rgb]`.
+    pub fn of_view(&self, number: usize, view: [usize; 2], picture: &[f32]) -> Vec<(f32, bool)> {
+        // The index of a view's first measured ray depends on the number of rays in the views before
+        // it.
+        let (size, every) = (self.geometry.rows * self.geometry.cols, self.every);
+        let first = (every - number * size % every) % every;
+        let measured = picture.as_chunks::<3>().0.iter().enumerate().skip(first).step_by(every);
+        let values = measured.map(|(i, rgb)| {
+            let (row, col) = (i / self.geometry.cols, i % self.geometry.cols);
+            (rgb[0].max(rgb[1]).max(rgb[2]), self.depths.is_surface(view, row, col, self.geometry))
+        });
+        values.collect()
+    }
 }
 
 #[cfg(test)]

@@ -23,7 +23,7 @@ mod tone_mapping;
 pub use depth::Depths;
 pub use edit::edited;
 pub use error::{BadValue, Place, ShotError};
-pub use expose::{brightest, expose_over};
+pub use expose::{Brightest, expose_over};
 pub use job::{
     AngularFilter, Background, Denoise, Engine, FitDepth, LightJob, Near, RenderJob, Tone, WindowFrom, WindowJob,
     ZoneSamples, seeded,

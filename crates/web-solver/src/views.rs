@@ -1,13 +1,11 @@
 //! Renders, one by one, the views that a display needs, and makes a light field of rendered views.
 
-use std::borrow::Cow;
-
 use lumistack_core::{Task, Tensor};
 use lumistack_display::{Display, FieldGeometry, LightField, ViewGrid};
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_pathtracer::{Settings as Paths, SplitView};
 use lumistack_shot::{
-    Denoise, Depths, LightJob, Placement, ToneMapping, WindowJob, brightest, place, put_before, seeded, slopes,
+    Brightest, Denoise, Depths, LightJob, Placement, ToneMapping, WindowJob, place, put_before, seeded, slopes,
 };
 use lumistack_simd::{float_from_half, nearest_half};
 use lumistack_splats::Space;
@@ -245,8 +243,9 @@ impl Views {
             }
         }
         // Apply one exposure and tone curve to all views.
-        let picture = |view| Ok::<_, Error>(Cow::Borrowed(field.view(view)));
-        let rays = brightest(field.geometry(), &places, &depths, picture)?;
+        let brightest = Brightest::new(field.geometry(), places.len(), &depths);
+        let of_view = |(number, &view)| brightest.of_view(number, view, field.view(view));
+        let rays: Vec<(f32, bool)> = places.iter().enumerate().flat_map(of_view).collect();
         let tone_mapping = ToneMapping::choose(&self.light, &self.held.scene, &rays);
         tone_mapping.apply(&mut field);
         // Round to half floats as the command does. After the tone curve values are at most 1, so

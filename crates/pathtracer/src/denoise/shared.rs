@@ -148,16 +148,20 @@ impl<'a> SharedLight<'a> {
     pub fn add(&mut self, view: &SplitView) {
         let [rows, cols] = view.size();
         assert_eq!([rows, cols], [self.geometry.rows, self.geometry.cols], "views of the geometry's size");
-        let of_view = (0..rows * cols).map(|i| Point::of(view, i / cols, i % cols));
-        match &mut self.points {
-            Array::Held(points) => points.extend(of_view),
-            paged @ Array::Paged(_) => {
-                let (points, window) = paged.all_mut();
-                let place = &mut points[self.added * rows * cols..][..rows * cols];
-                announce(window, size_of_val(place));
-                place.iter_mut().zip(of_view).for_each(|(place, point)| *place = point);
-            }
+        let first = self.added * rows * cols;
+        if let Array::Held(points) = &mut self.points {
+            points.resize(first + rows * cols, Point::default());
         }
+        let (points, window) = self.points.all_mut();
+        let points = &mut points[first..][..rows * cols];
+        announce(window, size_of_val(points));
+        let of_row = |(row, points): (usize, &mut [Point])| {
+            points.iter_mut().enumerate().for_each(|(col, point)| *point = Point::of(view, row, col));
+        };
+        #[cfg(feature = "parallel")]
+        points.par_chunks_mut(cols).enumerate().for_each(of_row);
+        #[cfg(not(feature = "parallel"))]
+        points.chunks_mut(cols).enumerate().for_each(of_row);
         self.added += 1;
     }
 
@@ -179,7 +183,7 @@ impl<'a> SharedLight<'a> {
         pass(self.geometry, &self.points, of_row, &mut self.light, task)?;
         let ((points, of_points), (light, of_light)) = (self.points.all_mut(), self.light.all());
         let cols = self.geometry.cols;
-        for (points, light) in points.chunks_mut(cols).zip(light.chunks(cols)) {
+        let take = |(points, light): (&mut [Point], &[Light])| {
             announce(of_points, size_of_val(points));
             announce(of_light, size_of_val(light));
             for (point, light) in points.iter_mut().zip(light) {
@@ -188,7 +192,11 @@ impl<'a> SharedLight<'a> {
                 // views of the same row. So its weight must not be 0.
                 point.weight = point.weight.max(u8::from(light.is_shared()));
             }
-        }
+        };
+        #[cfg(feature = "parallel")]
+        points.par_chunks_mut(cols).zip(light.par_chunks(cols)).for_each(take);
+        #[cfg(not(feature = "parallel"))]
+        points.chunks_mut(cols).zip(light.chunks(cols)).for_each(take);
         pass(self.geometry, &self.points, of_col, &mut self.light, task)?;
         Ok(MeanLight { light: self.light })
     }

@@ -33,6 +33,7 @@ use crate::reader::is_capture;
 use crate::stage::denoise::GUIDED_BYTES;
 use crate::stage::field::field_defaults;
 use crate::stage::fields::held_out_grid;
+use crate::stage::groups::views_at_once;
 use crate::stage::node::is_factorized;
 use crate::stage::output::stage_name;
 use crate::stage::samples;
@@ -285,7 +286,7 @@ struct Memory {
     solving: f64,
     /// Memory of the denoiser.
     denoising: f64,
-    /// Memory for further paths of one view, which is traced alone.
+    /// Memory for further paths of one view.
     further: f64,
     /// Memory for the measurement of the number of paths.
     measuring: f64,
@@ -495,7 +496,7 @@ fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     let scene =
         packed * job.scene.as_ref().and_then(|path| std::fs::metadata(path).ok()).map_or(0.0, |data| data.len() as f64);
     let (view, patterns) = (RGB * sizes.pixels, 4.0 * sizes.values);
-    let views = VIEWS_IN_WORK * threads * view;
+    let (views, at_once) = (VIEWS_IN_WORK * threads * view, views_at_once() as f64);
     // The scene, the depths and the views that are left out of a given light field stay in memory
     // until the report.
     let kept = PROGRAM + scene + memory.depths + memory.left_out;
@@ -504,8 +505,8 @@ fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
         StepKind::Place => memory.measuring,
         // A view that is not denoised yet has several times as many values as the radiance of the
         // view.
-        StepKind::Trace => 3.0 * VIEWS_IN_WORK * view + memory.further,
-        StepKind::Denoise => memory.denoising + 3.0 * VIEWS_IN_WORK * view,
+        StepKind::Trace => at_once * (3.0 * VIEWS_IN_WORK * view + memory.further),
+        StepKind::Denoise => memory.denoising + at_once * 3.0 * VIEWS_IN_WORK * view,
         StepKind::Expose => memory.fields + views + EXPOSURE,
         StepKind::Read => memory.fields + views + memory.picture,
         StepKind::Source => RGB * sizes.rays() + views,

@@ -13,6 +13,7 @@
 mod oidn;
 
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use lumistack_core::{Task, Tensor};
 use lumistack_display::FieldGeometry;
@@ -23,6 +24,7 @@ use lumistack_shot::ToneMapping;
 
 use self::oidn::Oidn;
 use super::fields::{FieldJob, Shot};
+use super::groups::in_groups;
 use crate::error::{PipelineError, render_error};
 use crate::job::{Denoise, Job};
 use crate::store::files::{read_json, write_json};
@@ -120,7 +122,7 @@ fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), Pipeli
     std::fs::create_dir_all(&folder).map_err(PipelineError::write(&folder))?;
     let filtered = match kind {
         Denoise::Shared => shared(field, shot.job, task)?,
-        Denoise::Oidn => by_oidn(field, shot, &folder, task)?,
+        Denoise::Oidn => by_oidn(field, shot, &folder)?,
         _ => by_guides(field, shot, task)?,
     };
     // Render some pixels of the views again, to measure noise and bias of the filter.
@@ -130,21 +132,24 @@ fn filter(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<(), Pipeli
     let stage = if field.is_target() { "check the denoiser" } else { "write views" };
     let count = geometry.grid.iter().count();
     task.progress.begin(stage, count as u64, "views");
-    let checked = geometry.grid.iter().enumerate().map(|(number, view)| {
-        let [before, picture] = filtered(number, view)?;
+    let views: Vec<[usize; 2]> = geometry.grid.iter().collect();
+    let one = |number: usize, &view: &[usize; 2], task: Task<'_>| {
+        let [before, picture] = filtered(number, view, task)?;
         write_view(&view_path(&folder, view, None), &picture)?;
-        let is_checked = field.is_target() && number % count.div_ceil(CHECKED_VIEWS) == 0;
+        let is_checked = field.is_target() && number.is_multiple_of(count.div_ceil(CHECKED_VIEWS));
         let checks = if is_checked {
             renderer.render_checks(window, geometry, view, &of_checks, task).map_err(render_error)?
         } else {
             Checks::default()
         };
         let figures = denoise::figures(&picture, &before, &checks);
-        written.push((figures.mean, [figures.change, figures.mse_before, figures.mse_after].map(|e| e.parts())));
         task.progress.advance(1, "");
-        Ok::<_, PipelineError>(())
+        Ok((figures.mean, [figures.change, figures.mse_before, figures.mse_after].map(|e| e.parts())))
+    };
+    let checked = in_groups(&views, task, one, |scores| {
+        written.push(scores);
+        Ok(())
     });
-    let checked: Result<(), PipelineError> = checked.collect();
     task.progress.end();
     checked?;
     // The scores are written last, since they mark the light field as finished.
@@ -166,9 +171,9 @@ fn middle(geometry: &FieldGeometry) -> [usize; 2] {
     geometry.grid.views().map(|count| count / 2)
 }
 
-/// Returns a view before and after the filter. The arguments are the view's number and its grid
+/// Returns a view before and after the filter. The first arguments are the view's number and its grid
 /// position. Views are read one by one, since all views together are large.
-type Filtered<'a> = Box<dyn Fn(usize, [usize; 2]) -> Result<[Tensor<3>; 2], PipelineError> + 'a>;
+type Filtered<'a> = Box<dyn Fn(usize, [usize; 2], Task<'_>) -> Result<[Tensor<3>; 2], PipelineError> + Sync + 'a>;
 
 /// Averages the light that views share. Keeps the light in memory if the job allows this for the
 /// light field, and otherwise in files.
@@ -181,15 +186,21 @@ fn shared<'a>(field: &'a FieldJob, job: &Job, task: Task<'_>) -> Result<Filtered
         SharedLight::in_storage(geometry, &storage).map_err(PipelineError::write(&field.folder))?
     };
     task.progress.begin("share light", 3 * geometry.grid.iter().count() as u64, "views");
-    let averaged = geometry.grid.iter().try_for_each(|view| -> Result<(), PipelineError> {
-        light.add(&split(field, view)?);
-        task.progress.advance(1, "");
-        Ok(())
-    });
+    let views: Vec<[usize; 2]> = geometry.grid.iter().collect();
+    let averaged = in_groups(
+        &views,
+        task,
+        |_, &view, _| split(field, view),
+        |split| {
+            light.add(&split);
+            task.progress.advance(1, "");
+            Ok(())
+        },
+    );
     let averaged = averaged.and_then(|()| Ok(light.averaged(task)?));
     task.progress.end();
     let averaged = averaged?;
-    Ok(Box::new(move |number, view| {
+    Ok(Box::new(move |number, view, _| {
         let split = split(field, view)?;
         Ok([split.radiance(), averaged.on(number, &split)])
     }))
@@ -219,24 +230,22 @@ fn by_guides<'a>(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<Fil
     let filtered = denoise::denoise(geometry, &views, Around::default(), task);
     task.progress.end();
     let filtered = filtered?;
-    Ok(Box::new(move |number, _| Ok([views[number].mean(), filtered[number].clone()])))
+    Ok(Box::new(move |number, _, _| Ok([views[number].mean(), filtered[number].clone()])))
 }
 
-/// Filters one view at a time by Open Image Denoise, through files in a temporary folder.
-fn by_oidn<'a>(
-    field: &'a FieldJob,
-    shot: Shot<'a>,
-    folder: &Path,
-    task: Task<'a>,
-) -> Result<Filtered<'a>, PipelineError> {
+/// Filters the views by Open Image Denoise, through files in a temporary folder. The program uses all
+/// cores, so it filters one view at a time.
+fn by_oidn<'a>(field: &'a FieldJob, shot: Shot<'a>, folder: &Path) -> Result<Filtered<'a>, PipelineError> {
     let oidn = Oidn::find()?;
-    let exchange = tempfile::tempdir_in(folder).map_err(PipelineError::write(folder))?;
-    Ok(Box::new(move |_, view| {
+    let exchange = Mutex::new(tempfile::tempdir_in(folder).map_err(PipelineError::write(folder))?);
+    Ok(Box::new(move |_, view, task| {
         task.cancel.check()?;
         let noisy = noisy(field, view, shot, task)?;
         let before = noisy.mean();
         let mut picture = before.clone();
+        let exchange = exchange.lock().unwrap_or_else(PoisonError::into_inner);
         let values = oidn.denoise(before.data(), &noisy.features, exchange.path())?;
+        drop(exchange);
         picture.data_mut().copy_from_slice(&values);
         Ok([before, picture])
     }))

@@ -10,17 +10,16 @@
 //! If the job has a background colour, views are traced without a visible environment. Therefore
 //! neither the exposure nor the cached views depend on the colour.
 
-use std::borrow::Cow;
-
 use lumistack_core::Task;
 use lumistack_core::tone::ToneCurve;
 use lumistack_display::LightField;
 use lumistack_field_io::Paged;
-use lumistack_shot::{ToneMapping, brightest, expose_over};
+use lumistack_shot::{Brightest, ToneMapping, expose_over};
 use lumistack_splats::Space;
 
 use super::denoise::{self, Denoised};
 use super::fields::{FieldJob, Shot};
+use super::groups::in_groups;
 use super::trace::Traced;
 use crate::error::{PipelineError, field_error};
 use crate::job::Background;
@@ -64,9 +63,11 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
         let mut field = None;
         if job.render.is_held(&one.geometry) {
             let held = field.insert(LightField::black(one.geometry.clone())?);
-            for view in one.wanted(views) {
-                held.view_mut(view).copy_from_slice(&read(one, view)?);
-            }
+            let read_one = |_: usize, &view: &[usize; 2], _: Task<'_>| Ok((view, read(one, view)?));
+            in_groups(&one.wanted(views), task, read_one, |(view, picture)| {
+                held.view_mut(view).copy_from_slice(&picture);
+                Ok(())
+            })?;
         }
         radiance.push(field);
     }
@@ -74,11 +75,16 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
     let tone_mapping = if linear {
         ToneMapping { exposure: 1.0, curve: ToneCurve::Linear }
     } else {
-        let picture = |view| match &radiance[0] {
-            Some(held) => Ok(Cow::Borrowed(held.view(view))),
-            None => read(&fields[0], view).map(Cow::Owned),
+        let (brightest, mut rays) = (Brightest::new(&fields[0].geometry, views.len(), depths), Vec::new());
+        let of_view = |number: usize, &view: &[usize; 2], _: Task<'_>| match &radiance[0] {
+            Some(held) => Ok(brightest.of_view(number, view, held.view(view))),
+            None => Ok(brightest.of_view(number, view, &read(&fields[0], view)?)),
         };
-        ToneMapping::choose(&job.light, &ingested.scene, &brightest(&fields[0].geometry, views, depths, picture)?)
+        in_groups(views, task, of_view, |of_view| {
+            rays.extend(of_view);
+            Ok(())
+        })?;
+        ToneMapping::choose(&job.light, &ingested.scene, &rays)
     };
     // Read the results of the denoiser on the target's views, for the report.
     let denoised = denoise::denoised(&fields[0], kind, tone_mapping)?;
@@ -112,16 +118,18 @@ fn expose(shot: Shot<'_>, traced: &Traced, linear: bool, task: Task<'_>) -> Resu
             None => {
                 let paged = Paged::begin(field.geometry.clone(), &field.folder, job.render.window_bytes());
                 let mut paged = paged.map_err(field_error)?;
-                let black = vec![0.0; 3 * field.geometry.rows * field.geometry.cols];
-                for view in grid.iter() {
-                    if wanted.contains(&view) {
-                        let mut picture = read(field, view)?;
-                        expose_view(field, view, &mut picture)?;
-                        paged.write(&picture).map_err(field_error)?;
-                    } else {
-                        paged.write(&black).map_err(field_error)?;
-                    }
-                }
+                let all: Vec<[usize; 2]> = grid.iter().collect();
+                let read_one = |_: usize, view: &[usize; 2], _: Task<'_>| {
+                    let is_wanted = wanted.contains(view);
+                    Ok((*view, is_wanted.then(|| read(field, *view)).transpose()?))
+                };
+                in_groups(&all, task, read_one, |(view, picture)| {
+                    let picture = match picture {
+                        Some(mut picture) => expose_view(field, view, &mut picture).map(|()| picture)?,
+                        None => vec![0.0; 3 * field.geometry.rows * field.geometry.cols],
+                    };
+                    paged.write(&picture).map_err(field_error)
+                })?;
                 paged.finish().map_err(field_error)?
             }
         };

@@ -23,6 +23,7 @@ use rayon::prelude::*;
 use crate::error::{PipelineError, field_error, render_error};
 use crate::job::{Background, Engine, Job};
 use crate::stage::fields::{Block, Shot};
+use crate::stage::groups::in_groups;
 use crate::store::code;
 use crate::store::key::KeyBuilder;
 use crate::store::views::{missing, read_view, write_view};
@@ -120,7 +121,7 @@ impl References {
         })?;
         let steps = todo.len() as u64 * Renderer::steps_per_view(&pixels(&references.directions[0]));
         task.progress.begin("render for the score", steps, "tiles");
-        let result = todo.iter().try_for_each(|&(i, half)| -> Result<(), PipelineError> {
+        let one = |_: usize, &(i, half): &(usize, usize), task: Task<'_>| {
             let settings = Settings {
                 samples: SAMPLES[usize::from(i >= CLEAN)] / 2,
                 max_bounces: job.render.max_bounces,
@@ -157,7 +158,8 @@ impl References {
                 npy::write(&missed_path(&folder, i, half), &shape, &missed).map_err(field_error)?;
             }
             write_view(&path(&folder, i, half), &picture)
-        });
+        };
+        let result = in_groups(&todo, task, one, Ok);
         task.progress.end();
         result.map(|()| Some(references))
     }

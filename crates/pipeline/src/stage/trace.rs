@@ -1,9 +1,10 @@
-//! Traces all views of a shot into the cache, one picture at a time. A stopped run continues with
-//! the pictures that are missing.
+//! Traces all views of a shot into the cache, several pictures at the same time. A stopped run
+//! continues with the pictures that are missing.
 
 mod blender;
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use lumistack_core::Task;
 use lumistack_pathtracer::{GuidedSplit, GuidedView, Renderer};
@@ -11,6 +12,7 @@ use lumistack_scene::Window;
 use lumistack_shot::{Depths, SceneRenderer, slopes};
 
 use super::fields::{Block, FieldJob, Shot, parts};
+use super::groups::in_groups;
 use super::ingest::Ingested;
 use super::{denoise, depth};
 use crate::error::{PipelineError, render_error};
@@ -213,8 +215,9 @@ fn trace(
 ) -> Result<(), PipelineError> {
     let steps: u64 = todo.iter().map(|todo| Renderer::steps_per_view(&fields[todo.field].geometry)).sum();
     task.progress.begin("render", steps, "tiles");
-    let result = todo.iter().enumerate().try_for_each(|(number, one)| {
-        let Todo { field, view, half, path, variance, guides } = one;
+    let finished = AtomicUsize::new(0);
+    let one = |_: usize, picture: &Todo, task: Task<'_>| {
+        let Todo { field, view, half, path, variance, guides } = picture;
         let field = &fields[*field];
         // Each half of a view has its own seed.
         let (traced, settings) = (&field.traced, field.settings_of(*half));
@@ -231,8 +234,8 @@ fn trace(
             write_split(path, &split)?;
             Some((variance, features))
         } else if alone {
-            let picture = renderer.render_view(window, traced, *view, &settings, task).map_err(render_error)?;
-            write_view(path, &picture)?;
+            let radiance = renderer.render_view(window, traced, *view, &settings, task).map_err(render_error)?;
+            write_view(path, &radiance)?;
             None
         } else {
             let both = renderer.render_view_and_features(window, traced, *view, &settings, task);
@@ -245,9 +248,11 @@ fn trace(
             guides.as_ref().map_or(Ok(()), |path| write_guides(path, &features))?;
         }
         let of = if half.is_some() { "half view" } else { "view" };
-        task.progress.advance(0, &format!("{of} {} of {}", number + 1, todo.len()));
+        let finished = finished.fetch_add(1, Ordering::Relaxed) + 1;
+        task.progress.advance(0, &format!("{of} {finished} of {}", todo.len()));
         Ok(())
-    });
+    };
+    let result = in_groups(todo, task, one, Ok);
     task.progress.end();
     result
 }
