@@ -117,7 +117,10 @@ impl Stage {
         } else if *total <= 1 {
             tell!("{name}: {seconds:.0} s");
         } else {
-            tell!("{name}: {done} of {total} {unit} {note}");
+            let left =
+                remaining(*done, *total, start.elapsed()).map_or_else(String::new, |left| format!(", {left} left"));
+            let note = if note.is_empty() { String::new() } else { format!(", {note}") };
+            tell!("{name}: {done} of {total} {unit}{note}{left}");
         }
     }
 
@@ -129,6 +132,21 @@ impl Stage {
             total => tell!("{}: {total} {}", self.name, self.unit),
         }
     }
+}
+
+/// Returns the time that a stage still takes if its remaining steps are as fast as the finished ones;
+/// `None` if too little is finished for an estimate.
+fn remaining(done: u64, total: u64, spent: Duration) -> Option<String> {
+    if done == 0 || done >= total || spent < LAZY {
+        return None;
+    }
+    let left = spent.as_secs_f64() * (total - done) as f64 / done as f64;
+    let seconds = left.ceil() as u64;
+    Some(match seconds {
+        0..60 => format!("{seconds} s"),
+        60..3600 => format!("{} min {:02} s", seconds / 60, seconds % 60),
+        _ => format!("{} h {:02} min", seconds / 3600, seconds / 60 % 60),
+    })
 }
 
 impl Progress for Console {
@@ -225,5 +243,20 @@ impl Warnings for Console {
                 say!("{}", json!({"event": "warning", "place": warning.place, "message": warning.message}));
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn remaining_time_follows_from_the_finished_steps() {
+        let of = |done, total, seconds| remaining(done, total, Duration::from_secs(seconds));
+        assert_eq!(of(1, 4, 10).as_deref(), Some("30 s"));
+        assert_eq!(of(1, 11, 8).as_deref(), Some("1 min 20 s"));
+        assert_eq!(of(1, 3601, 2).as_deref(), Some("2 h 00 min"));
+        // nothing is finished, everything is finished, or the stage has just begun
+        assert_eq!([of(0, 4, 10), of(4, 4, 10), of(1, 4, 0)], [None, None, None]);
     }
 }

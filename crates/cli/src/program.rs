@@ -37,7 +37,9 @@ fn hinted_as(text: &str, name: &str) -> String {
     if name == "lumistack" {
         return text.to_owned();
     }
-    text.replace("`lumistack ", &format!("`{name} ")).replace("\n  lumistack ", &format!("\n  {name} "))
+    // A line of help may break behind the command's name.
+    let named = ["`lumistack ", "`lumistack\n", "\n  lumistack "];
+    named.iter().fold(text.to_owned(), |text, named| text.replace(named, &named.replace("lumistack", name)))
 }
 
 fn started_as(first: &str, by_cargo: bool, folders: &[PathBuf]) -> String {
@@ -80,10 +82,10 @@ mod tests {
         assert_eq!(started_as("folder/lumistack", false, &[]), "folder/lumistack");
         assert_eq!(started_as("a folder/lumistack", false, &[]), "\"a folder/lumistack\"");
         assert_eq!(started_as("python3 -m lumistack", false, &folders), "python3 -m lumistack");
-        let text = "type `lumistack displays`\nExamples:\n  lumistack run a.glb";
+        let text = "type `lumistack\ndisplays` or `lumistack doctor`\nExamples:\n  lumistack run a.glb";
         assert_eq!(
             hinted_as(text, "cargo lumistack"),
-            "type `cargo lumistack displays`\nExamples:\n  cargo lumistack run a.glb"
+            "type `cargo lumistack\ndisplays` or `cargo lumistack doctor`\nExamples:\n  cargo lumistack run a.glb"
         );
     }
 }

@@ -13,7 +13,7 @@ pub(crate) fn print(error: &Error) {
     let to_stdout = matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
     let is_terminal = if to_stdout { std::io::stdout().is_terminal() } else { std::io::stderr().is_terminal() };
     let styled = error.render();
-    let text = if is_terminal { styled.ansi().to_string() } else { styled.to_string() };
+    let text = if is_terminal && wants_colour() { styled.ansi().to_string() } else { styled.to_string() };
     let text = hinted(&in_words(&text));
     // Ignore errors of the write, since a reader may close the pipe early.
     let _ = if to_stdout {
@@ -21,6 +21,13 @@ pub(crate) fn print(error: &Error) {
     } else {
         std::io::stderr().write_all(text.as_bytes())
     };
+}
+
+/// Returns false if the environment asks for text without colours: `NO_COLOR` (no-color.org), or a
+/// terminal that shows plain text only.
+fn wants_colour() -> bool {
+    std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
+        && std::env::var_os("TERM").is_none_or(|term| term != "dumb")
 }
 
 /// Replaces the messages of Rust's number parsers by plain messages.

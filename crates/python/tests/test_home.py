@@ -6,9 +6,11 @@ from __future__ import annotations
 import base64
 import io
 import math
+import os
 import re
 import subprocess
 import sys
+import types
 import zlib
 from pathlib import Path
 from typing import Any
@@ -205,6 +207,96 @@ def test_progress_is_shown_on_request_and_wiped() -> None:
     text = output_of("lumistack.set_progress(True)\nlumistack._progress._PATIENCE = 0.0", 10)
     assert re.search(r"\rfactorize[^\r]*: \d+ %", text), text
     assert text.endswith("\r\x1b[K")
+
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals of this kind")
+
+
+def in_terminal(arguments: list[str], variables: dict[str, str] | None = None) -> bytes:
+    """Runs Python in a pseudo-terminal, and returns everything that appears there."""
+    import pty
+
+    master, slave = pty.openpty()
+    environment = {name: value for name, value in os.environ.items() if name != "NO_COLOR"}
+    environment |= {"TERM": "xterm", **(variables or {})}
+    command = [sys.executable, *arguments]
+    with subprocess.Popen(command, env=environment, stdin=slave, stdout=slave, stderr=slave) as running:
+        os.close(slave)
+        text = b""
+        try:
+            while part := os.read(master, 4096):
+                text += part
+        except OSError:  # Linux reports an error once the program has closed the terminal
+            pass
+        assert running.wait() == 0, text
+    os.close(master)
+    return text
+
+
+@posix
+def test_a_terminal_shows_progress_without_a_request() -> None:
+    program = WORK.format(before="lumistack._progress._PATIENCE = 0.0", iterations=10)
+    text = in_terminal(["-c", program])
+    assert re.search(rb"\rfactorize[^\r]*: \d+ %", text), text
+    assert text.endswith(b"\r\x1b[K")
+
+
+@posix
+def test_the_command_has_colours_only_in_terminals_that_want_them() -> None:
+    help_text = ["-m", "lumistack", "run", "--help"]
+    plain = subprocess.run([sys.executable, *help_text], stdout=subprocess.PIPE, check=True).stdout
+    assert b"Usage:" in plain and b"\x1b" not in plain
+    assert b"\x1b[1m" in in_terminal(help_text)
+    for variable in ({"NO_COLOR": "1"}, {"TERM": "dumb"}):
+        # the width of the terminal decides where lines end
+        assert in_terminal(help_text, variable).split() == plain.split()
+
+
+@posix
+def test_the_command_shows_a_bar_in_a_terminal(tmp_path: Path) -> None:
+    job = ["--resolution", "64x40", "--views", "3x3", "--iterations", "20", "--output", str(tmp_path / "run")]
+    scene = str(Path(__file__).resolve().parents[3] / "scenes/letters/letters.gltf")
+    text = in_terminal(["-m", "lumistack", "run", scene, *job])
+    assert re.search(rb"\x1b\[[0-9;]*K|\x1b\[2K", text) and b"render" in text, text[-2000:]
+
+
+def test_a_notebook_shows_a_bar_that_is_emptied(monkeypatch: pytest.MonkeyPatch) -> None:
+    pictures: list[str] = []
+
+    class Handle:
+        def update(self, html: str) -> None:
+            pictures.append(html)
+
+    def display(html: str, display_id: bool) -> Handle:
+        assert display_id
+        pictures.append(html)
+        return Handle()
+
+    # a notebook's IPython has a shell with a kernel
+    shell = types.SimpleNamespace(kernel=object())
+    of_display = types.SimpleNamespace(display=display, HTML=str)
+    monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: shell))
+    monkeypatch.setitem(sys.modules, "IPython.display", of_display)
+    monkeypatch.setattr(_progress, "_PATIENCE", 0.0)
+    monkeypatch.setattr(_progress, "_PAUSE", 0.0)
+    lumistack.set_progress(None)
+    display_of_job = lumistack.Display("paper-three-layer", resolution=(160, 100), views=(3, 3))
+    values = numpy.random.default_rng(1).random(display_of_job.light_field_shape, numpy.float32)
+    lumistack.factorize(lumistack.LightField(values, display=display_of_job), iterations=30)
+    assert pictures[0].startswith("<progress max=") and "factorize" in pictures[0], pictures[:2]
+    assert pictures[-1] == ""
+
+
+def test_the_remaining_time_is_shown_after_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, texts = [100.0], list[str]()
+    monkeypatch.setattr("lumistack._progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr(_progress._Line, "show", lambda self, stage, fraction, text: texts.append(text))
+    shown = _progress._Line()
+    for seconds, fraction in ((0.8, 0.1), (10.0, 0.25), (40.0, 1.0)):
+        now[0] = 100.0 + seconds
+        shown("render", fraction)
+    # the stage began with the first report
+    assert texts == ["render: 10 %", "render: 25 %, 28 s left", "render: 100 %"]
 
 
 def test_the_remaining_time_has_units() -> None:
