@@ -395,7 +395,7 @@ def panels() -> None:
 
 
 def outputs() -> None:
-    """What the outputs of two runs write."""
+    """A mask, a quilt, a film and the page of two runs."""
     folder = run("still-life") / "outputs/tensor-display"
     [quilted] = (folder / "quilt").glob("*.png")
     page = screenshot(f"file://{folder}/web_simulator/preview.html", 900, 600)

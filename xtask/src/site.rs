@@ -15,13 +15,13 @@ pub fn docs() -> Outcome {
     run(command(tools::python()?).args(["xtask/site/displays.py", "--check"]))
 }
 
-/// Makes the pictures of the documentation again; all of them if no name is given. The Python of the
-/// tests must have the package `lumistack`, which `cargo xtask python` installs.
+/// Makes the pictures of the documentation again; all of them if no name is given. The Python of
+/// the tests must have the package `lumistack`, which `cargo xtask python` installs.
 pub fn pictures(names: &[&str]) -> Outcome {
     let python = tools::python()?;
     tools::poppler();
-    // the pictures of panels need a program with windows, and the picture of a report shows the time
-    // of a release build
+    // the pictures of panels need a program with windows, and the picture of a report shows the
+    // time of a release build
     cargo(&["build", "--quiet", "--release", "--package", "lumistack-cli", "--features", "panels"])?;
     let program = target_folder()?.join("release").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX));
     let mut pictures = command(&python);

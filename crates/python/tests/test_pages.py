@@ -32,11 +32,11 @@ OTHERS = {"text", "toml", "rust", "c", "ts", "html"}
 
 #: Parts of commands that are replaced before a command is run: page, part, replacement.
 REPLACED = [
-    # fewer time steps; a graphics processor that every machine lacks
+    # fewer time steps
     ("README.md", "--times 24", "--times 2"),
     # the alias of .cargo/config.toml
     ("README.md", "cargo lumistack ", "lumistack "),
-    # the first block's folder of results is the second block's
+    # a folder at the root; a scheduler and a store on other machines
     ("docs/FARM.md", "/mnt/shots/one t0007/trace/3-of-8", "shots/one trace/1-of-1"),
     ("docs/FARM.md", "-o /mnt/shots/one", "-o shots/one"),
     ("docs/FARM.md", "tls://head:8786", "tls://{scheduler}"),
@@ -89,7 +89,6 @@ ELSEWHERE = [
 
 #: Commands that make the files with which a page begins.
 BEFORE = {
-    "README.md": ["lumistack run scene.glb -o runs/b"],
     "docs/DESIGN_TOOLS.md": ["lumistack run model.glb -o runs/a", "lumistack run scene.glb -o runs/b"],
     "docs/LIVE.md": ["lumistack render model.glb -o views/1", "lumistack render model.glb -o views/2"],
 }
