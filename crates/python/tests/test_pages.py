@@ -26,8 +26,7 @@ assert spec is not None and spec.loader is not None
 pages: Any = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(pages)
 
-#: Languages of blocks without commands. Other tests check blocks of Rust, C and TypeScript: as
-#: doctests, with the sample plugins, and with the viewer's examples.
+#: Languages of blocks without commands. Doctests and the tests of plugins check Rust and C.
 OTHERS = {"text", "toml", "rust", "c", "ts", "html"}
 
 #: Parts of commands that are replaced before a command is run: page, part, replacement.
@@ -213,6 +212,8 @@ def test_tables_have_no_old_rows() -> None:
     lines = {page: [command for block in pages.blocks(page) if block.language == "sh" for _, command in pages.commands(block)] for page in all_pages()}
     for page, part, _ in REPLACED:
         assert any(part in command for command in lines[page]), f"REPLACED: {page} has no command with `{part}`"
+    alias = 'lumistack = "run --release --package lumistack-cli --"'
+    assert alias in (ROOT / ".cargo/config.toml").read_text(), "REPLACED: `cargo lumistack` is another command"
     used = {elsewhere(page, command) for page in lines for command in lines[page]}
     for row in ELSEWHERE:
         page, start, file, part, reason = row
