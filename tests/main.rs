@@ -20,7 +20,6 @@ mod live;
 mod looks;
 mod outputs;
 mod plugins;
-mod published;
 mod seen;
 mod sequence;
 mod show;

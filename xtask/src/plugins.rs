@@ -18,6 +18,29 @@ const PAGES: &str = "docs/plugins";
 /// The crate of the tutorial for authors of plugins, which is outside of the workspace.
 const SAMPLE: &str = "examples/rust-plugin";
 
+/// Folder of the pictures of the documentation, which `cargo xtask site pictures` makes.
+const PICTURES_IN: &str = "docs/pictures";
+/// Plugins with the alternative texts of their pictures.
+const PICTURES: [(&str, &str); 14] = [
+    (
+        "directional_sequence",
+        "The backlight of one frame lights one direction; the layer shows the view of this direction",
+    ),
+    ("images", "A contact sheet with the masks of three layers in two frames"),
+    ("integral_imaging", "The panel behind a lens array, and the coarse picture that an eye sees"),
+    ("log_tomography", "The masks of three static layers, and the picture that an eye sees"),
+    ("obj", "A teapot from an OBJ file, from three sides"),
+    ("panels", "Three panels with the masks of their layers, and with the test patterns identify and crosshairs"),
+    ("parallax_barrier", "A rear layer, a front layer with one pixel open in nine, and the picture that an eye sees"),
+    ("quilt", "A quilt: twelve views of the still life in rows and columns"),
+    ("splats", "A capture of a dandelion from three sides"),
+    ("tensor_display", "The masks of three layers in one frame, and the picture that an eye sees over all frames"),
+    ("test_views", "Views that show their own numbers, and views of three chequered cards at three depths"),
+    ("transparencies", "Pages of a PDF: the assembly, a test chart, and the films of three layers"),
+    ("two_layer_nmf", "The masks of two layers in one frame, and the picture that an eye sees over all frames"),
+    ("web_simulator", "The page of the simulator shows the layers pulled apart, with rays through them"),
+];
+
 /// Builds and checks all plugins; `write` rewrites the committed pages.
 pub fn run(write: bool) -> Outcome {
     // this also builds the libraries: a plugin's library is an example of its crate
@@ -88,7 +111,16 @@ fn pages(lumistack: &Path, write: bool) -> Outcome {
     let dump = serde_json::to_string_pretty(&dump).map_err(|error| error.to_string())? + "\n";
     let mut files = vec![(PathBuf::from(DUMP), dump)];
     for plugin in &plugins {
-        files.push((Path::new(PAGES).join(format!("{}.md", text(plugin, "id"))), page(plugin)));
+        let id = text(plugin, "id");
+        let picture = root().join(PICTURES_IN).join(format!("{id}.jpg"));
+        let described = PICTURES.iter().find(|(name, _)| *name == id).filter(|_| picture.is_file());
+        let (_, described) = described.ok_or_else(|| {
+            format!(
+                "{}: expected a picture of the plugin, and its text in PICTURES of xtask/src/plugins.rs, found none",
+                picture.display()
+            )
+        })?;
+        files.push((Path::new(PAGES).join(format!("{id}.md")), page(plugin, described)));
     }
     let stale = listed(&root().join(PAGES)).filter(|path| !files.iter().any(|(file, _)| root().join(file) == *path));
     let stale: Vec<PathBuf> = stale.collect();
@@ -121,7 +153,7 @@ fn text<'a>(value: &'a Value, key: &str) -> &'a str {
 }
 
 /// Writes the page of one plugin.
-fn page(plugin: &Value) -> String {
+fn page(plugin: &Value, described: &str) -> String {
     let (id, kind) = (text(plugin, "id"), text(plugin, "kind"));
     let mut page =
         format!("<!-- made by `cargo xtask plugins --write` -->\n\n# {id}\n\n{}\n\n", text(plugin, "doc").trim());
@@ -136,6 +168,7 @@ fn page(plugin: &Value) -> String {
     };
     let presents = if plugin["presents"] == true { "; runs until it is closed" } else { "" };
     let _ = writeln!(page, "Kind: {kind}; takes {takes}{presents}. Version {}.", text(plugin, "version"));
+    let _ = writeln!(page, "\n![{described}](../pictures/{id}.jpg)");
     let params = plugin["params"].as_array().map_or(&[][..], Vec::as_slice);
     if params.is_empty() {
         page.push_str("\nThere are no parameters.\n");

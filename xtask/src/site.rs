@@ -8,11 +8,25 @@ use crate::web::target_folder;
 /// The package for pip that converts Markdown.
 const TOOLS: [&str; 2] = ["--only-binary=:all:", "markdown==3.*"];
 
-/// Builds the documentation alone. Checks every link between its pages, and the list of the
-/// gallery's displays.
+/// Builds the documentation alone. Checks that every page has a picture, every link between its
+/// pages, and the list of the gallery's displays.
 pub fn docs() -> Outcome {
     pages(false)?;
     run(command(tools::python()?).args(["xtask/site/displays.py", "--check"]))
+}
+
+/// Makes the pictures of the documentation again; all of them if no name is given. The Python of
+/// the tests must have the package `lumistack`, which `cargo xtask python` installs.
+pub fn pictures(names: &[&str]) -> Outcome {
+    let python = tools::python()?;
+    tools::poppler();
+    // the pictures of panels need a program with windows, and the picture of a report shows the
+    // time of a release build
+    cargo(&["build", "--quiet", "--release", "--package", "lumistack-cli", "--features", "panels"])?;
+    let program = target_folder()?.join("release").join(format!("lumistack{}", std::env::consts::EXE_SUFFIX));
+    let mut pictures = command(&python);
+    pictures.arg("xtask/site/pictures.py").arg(program).arg(tools::root().join("target/site-pictures"));
+    run(pictures.args(names).env("LUMISTACK_PYTHON", &python))
 }
 
 /// Builds the documentation, and makes every display of the gallery. Uses the results of earlier

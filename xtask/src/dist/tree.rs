@@ -29,7 +29,7 @@ const COMPLETIONS: [(&str, &str); 3] = [
 const DOCUMENTS: &str = "share/doc/lumistack";
 
 /// Files of the repository, and their folder in an installation.
-const COPIED: [(&str, &str); 11] = [
+const COPIED: [(&str, &str); 12] = [
     ("README.md", DOCUMENTS),
     ("CHANGELOG.md", DOCUMENTS),
     ("LICENSE-MIT", DOCUMENTS),
@@ -37,6 +37,7 @@ const COPIED: [(&str, &str); 11] = [
     ("docs", DOCUMENTS),
     ("docs/start", DOCUMENTS),
     ("docs/design", DOCUMENTS),
+    ("docs/pictures", DOCUMENTS),
     ("docs/plugins", DOCUMENTS),
     ("docs/schema", DOCUMENTS),
     ("scenes/still-life", "share/lumistack"),

@@ -274,14 +274,16 @@ class Engine:
                     raise FarmError(f"{folder}: expected a folder to send, found none")
             self.store, self.sent = _store.Run(url, self.plan), [str(folder) for folder in sent]
             self.store.begin(self.here, sent)
-            # Units whose files an earlier call left in the store are done.
-            found = [unit for unit in self.units if unit not in last and unit not in self.done and self.store.is_done(unit)]
-            self.done.update(found)
-            self.outcome.before += len(found)
+            # Workers take inputs from the store. So only units whose files an earlier call left
+            # there are done. A unit that is done only in the run folder here is executed again.
+            stored = [unit for unit in self.units if unit not in last and self.store.is_done(unit)]
+            missing = [unit for unit in stored if unit not in self.done]
+            self.done = set(stored)
+            self.outcome.before = len(stored)
             try:
                 return self.execute()
             finally:
-                self.store.collect(self.here, [*found, *self.outcome.done])
+                self.store.collect(self.here, [*missing, *self.outcome.done])
         except _store.StoreError as error:
             raise FarmError(str(error)) from error
 
