@@ -6,7 +6,7 @@ import { tmpdir } from "node:os";
 import { join, resolve } from "node:path";
 import { gzipSync } from "node:zlib";
 
-const MODULES = ["lumistack_web_bg.wasm", "lumistack_web_solver_bg.wasm", "lumistack_web_solver_gpu_bg.wasm", "lumistack_web_decoders_bg.wasm"];
+const MODULES = ["lumistack_web_bg.wasm", "lumistack_web_solver_bg.wasm", "lumistack_web_solver_gpu_bg.wasm", "lumistack_web_pictures_bg.wasm", "lumistack_web_decoders_bg.wasm"];
 /** Scripts that the viewer loads when the user chooses a headset, a lenticular panel or Looking Glass Bridge. */
 const OTHERS = ["headset", "lenticular", "bridge"];
 for (const name of MODULES) {

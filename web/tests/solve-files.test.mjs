@@ -140,6 +140,28 @@ test("a dropped .glb becomes the command's patterns, and nothing is uploaded", {
   await at.context().close();
 });
 
+test("each module of decoders is loaded once, by a file that needs it", async () => {
+  const plain = letters((gltf) => {
+    for (const { pbrMetallicRoughness } of gltf.materials) delete pbrMetallicRoughness.baseColorTexture;
+    for (const key of ["images", "textures", "samplers"]) delete gltf[key];
+  });
+  for (const [name, bytes, expected] of [
+    ["plain.glb", plain, []],
+    ["letters.glb", letters(), ["pictures"]],
+    ["dandelion.spz", readFileSync(join(dirname(LETTERS), "../dandelion/dandelion.spz")), ["decoders"]],
+  ]) {
+    const loaded = [];
+    const seen = (request) => loaded.push(...request.url().matchAll(/lumistack_web_(pictures|decoders)_bg\.wasm$/g));
+    const at = await open(browser, `${server.url}/solve.html#preset=paper-three-layer&cols=48&frames=2&zone_samples=20&iterations=1&device=cpu`, { seen });
+    await at.waitForFunction(() => document.querySelector("#preset").options.length > 0);
+    writeFileSync(join(folder, name), bytes);
+    await drop(at, join(folder, name));
+    await stage(at, "done");
+    assert.deepEqual(loaded.map(([, which]) => which), expected, name);
+    await at.context().close();
+  }
+});
+
 test("hostile files give the command's message, and the page stays usable", { skip }, async () => {
   const at = await open(browser, `${server.url}/solve.html#preset=paper-three-layer&cols=96&frames=2&zone_samples=30&iterations=1`);
   await at.waitForFunction(() => document.querySelector("#preset").options.length > 0);

@@ -489,8 +489,7 @@ pub(crate) fn job_of(input: &Path, args: &JobArgs) -> Result<(Job, PathBuf), Pip
     if !is_job(input) && job.sequence.is_none() {
         // Without a job file the user has chosen no outputs. The default output is a preview, which
         // a browser shows.
-        let params = serde_json::Map::from_iter([("title".into(), job.name.clone().into())]);
-        job.outputs.push(OutputJob { name: Some("preview".into()), params, ..OutputJob::new("web_simulator") });
+        job.outputs.push(OutputJob { name: Some("preview".into()), ..OutputJob::new("web_simulator") });
     }
     let runs = if job.sweep.is_some() { "sweeps" } else { "runs" };
     let folder = args.output.clone().unwrap_or_else(|| Path::new(runs).join(&job.name));

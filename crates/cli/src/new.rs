@@ -127,7 +127,7 @@ fn job_text(args: &New, registry: &Registry, ask: &mut Questions<'_>) -> Result<
         let _ = write!(text, "\n# {first}\n[[outputs]]\nplugin = {}\n", quoted(id));
         if id == "web_simulator" {
             // `lumistack preview` looks for this name first. Without a title the page would have
-            // the display's name.
+            // the job's name.
             let title = scene.file_stem().unwrap_or_default().to_string_lossy();
             let _ = write!(
                 text,

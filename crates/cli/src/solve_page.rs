@@ -24,6 +24,7 @@ files!(
     "lenticular.js",
     "lumistack_web_bg.wasm",
     "lumistack_web_decoders_bg.wasm",
+    "lumistack_web_pictures_bg.wasm",
     "lumistack_web_solver_bg.wasm",
     "lumistack_web_solver_gpu_bg.wasm",
     "scenes/dandelion/dandelion.spz",

@@ -26,8 +26,8 @@ use lumistack_splats::read;
 /// If the content is broken, or if the library that decodes it panics.
 pub fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
     let decode = || match *packed {
-        Packed::Size(usage, bytes) => pictures::size(usage, bytes),
-        Packed::Picture(usage, bytes) => pictures::decode(usage, bytes),
+        Packed::Size(usage, bytes) => pictures::size(pictures::all, usage, bytes),
+        Packed::Picture(usage, bytes) => pictures::decode(pictures::all, usage, bytes),
         Packed::Draco { bytes, attributes, max_bytes } => draco::decode(bytes, attributes, max_bytes),
         Packed::Meshopt { bytes, codec, filter, count, stride } => meshopt::decode(bytes, codec, filter, count, stride),
         Packed::Spz { bytes, max_bytes } => splats(read::read_spz(bytes, max_bytes)),
@@ -37,6 +37,20 @@ pub fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
             let missing = "it is not among the files that were opened; open its folder";
             found.map(|(_, bytes)| bytes.to_vec()).ok_or_else(|| missing.to_owned())
         })),
+    };
+    contained(packed, decode)
+}
+
+/// Decodes common pictures ([`Packed::is_common`]) with the results of [`unpack`]. A module that
+/// calls only this function is small, since it contains no other decoder.
+///
+/// # Errors
+/// The errors of [`unpack`]. Other content is an error too.
+pub fn unpack_common(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
+    let decode = || match *packed {
+        Packed::Size(usage, bytes) => pictures::size(pictures::common, usage, bytes),
+        Packed::Picture(usage, bytes) => pictures::decode(pictures::common, usage, bytes),
+        _ => Err(packed.stopped()),
     };
     contained(packed, decode)
 }
@@ -58,8 +72,15 @@ pub fn answer(request: &[u8]) -> Option<Vec<u8>> {
     wire::request(request, |packed| wire::answer(&unpack(packed)))
 }
 
+/// Decodes a common picture as [`answer`] does, by [`unpack_common`].
+pub fn answer_common(request: &[u8]) -> Option<Vec<u8>> {
+    wire::request(request, |packed| wire::answer(&unpack_common(packed)))
+}
+
 #[cfg(test)]
 mod tests {
+    use image::ImageFormat;
+
     use super::*;
 
     #[test]
@@ -80,5 +101,36 @@ mod tests {
             assert_eq!(answer(&request[..end]), None, "{end}");
         }
         assert_eq!(answered(b"\x07"), None);
+    }
+
+    /// Common pictures have the same results from the small set of decoders, also if they are
+    /// broken or of the wrong kind. All other content needs all decoders.
+    #[test]
+    fn common_pictures_need_few_decoders() {
+        let picture = image::RgbImage::from_fn(5, 3, |x, y| image::Rgb([40 * x as u8, 70 * y as u8, 9]));
+        let encoded = |format: ImageFormat| {
+            let mut bytes = std::io::Cursor::new(Vec::new());
+            let picture = image::DynamicImage::from(picture.clone());
+            let picture = if format == ImageFormat::Hdr { picture.into_rgb32f().into() } else { picture };
+            picture.write_to(&mut bytes, format).unwrap();
+            bytes.into_inner()
+        };
+        for format in [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::Hdr, ImageFormat::WebP] {
+            let bytes = encoded(format);
+            let is_common = format != ImageFormat::WebP;
+            for bytes in [&bytes[..], &bytes[..bytes.len() / 2], &bytes[..12]] {
+                for usage in [Use::Texture, Use::Environment] {
+                    for packed in [Packed::Size(usage, bytes), Packed::Picture(usage, bytes)] {
+                        assert_eq!(packed.is_common(), is_common, "{format:?}");
+                        if is_common {
+                            assert_eq!(unpack_common(&packed), unpack(&packed), "{format:?}, {} bytes", bytes.len());
+                            assert_eq!(answer_common(&packed.to_bytes()), answer(&packed.to_bytes()));
+                        }
+                    }
+                }
+            }
+        }
+        let spz = Packed::Spz { bytes: b"\x89PNG\r\n\x1a\n", max_bytes: 9 };
+        assert!(!spz.is_common() && unpack_common(&spz).is_err());
     }
 }

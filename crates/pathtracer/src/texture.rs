@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
 
 use glam::{Vec2, Vec4};
-use lumistack_core::colour::{srgb_code, srgb_decode};
+use lumistack_core::colour::{SrgbCodes, srgb_codes, srgb_decode};
 use lumistack_scene::{Filter, Image, Pixels, Scene, Texture, TextureUse, Wrap};
 
 /// Encoding of the values that a texture slot reads from an image.
@@ -224,36 +224,56 @@ fn pyramid(image: &Image, encoding: Encoding) -> Vec<Level> {
         if width == 1 && height == 1 {
             return levels;
         }
-        let fetch = |x: usize, y: usize| match levels.last() {
-            Some(level) => level.fetch(x, y, encoding),
-            None => fetch(image, y * width + x, encoding),
-        };
-        let averages = halve(width, height, fetch);
-        let texels = match &image.pixels {
-            Pixels::Rgba8(_) => Texels::Codes8(averages.map(|v| encode8(v, encoding)).collect()),
-            Pixels::Rgba16(_) => {
-                Texels::Linear16(averages.map(|v| v.to_array().map(|c| (c * 65535.0 + 0.5) as u16)).collect())
-            }
-            Pixels::RgbF32(_) => Texels::Float(averages.map(|v| v.to_array()).collect()),
-        };
-        levels.push(Level { width: width.div_ceil(2), height: height.div_ceil(2), texels });
+        levels.push(match levels.last() {
+            Some(finer) => halved(&image.pixels, [width, height], encoding, |x, y| finer.fetch(x, y, encoding)),
+            None => halved(&image.pixels, [width, height], encoding, |x, y| fetch(image, y * width + x, encoding)),
+        });
     }
 }
 
-/// Returns the averages of 2 × 2 texels, fewer at odd edges, row by row.
-fn halve(width: usize, height: usize, fetch: impl Fn(usize, usize) -> Vec4) -> impl Iterator<Item = Vec4> {
-    (0..height.div_ceil(2) * width.div_ceil(2)).map(move |index| {
-        let (x, y) = (2 * (index % width.div_ceil(2)), 2 * (index / width.div_ceil(2)));
+/// Returns the averages of 2 × 2 texels of a level, fewer at odd edges. Texels have the kind of the
+/// image's `pixels`.
+fn halved(
+    pixels: &Pixels,
+    [width, height]: [usize; 2],
+    encoding: Encoding,
+    fetch: impl Fn(usize, usize) -> Vec4,
+) -> Level {
+    let average = |x: usize, y: usize| {
+        let (x, y) = (2 * x, 2 * y);
         let (x1, y1) = ((x + 1).min(width - 1), (y + 1).min(height - 1));
         0.25 * (fetch(x, y) + fetch(x1, y) + fetch(x, y1) + fetch(x1, y1))
-    })
+    };
+    let codes = srgb_codes();
+    let (width, height) = (width.div_ceil(2), height.div_ceil(2));
+    let texels = match pixels {
+        Pixels::Rgba8(_) => Texels::Codes8(by_rows([width, height], |x, y| encode8(average(x, y), encoding, codes))),
+        Pixels::Rgba16(_) => Texels::Linear16(by_rows([width, height], |x, y| {
+            average(x, y).to_array().map(|c| (c * 65535.0 + 0.5) as u16)
+        })),
+        Pixels::RgbF32(_) => Texels::Float(by_rows([width, height], |x, y| average(x, y).to_array())),
+    };
+    Level { width, height, texels }
 }
 
-fn encode8(value: Vec4, encoding: Encoding) -> [u8; 4] {
+/// Evaluates a function at every texel, row by row.
+fn by_rows<T>([width, height]: [usize; 2], texel: impl Fn(usize, usize) -> T) -> Vec<T> {
+    // Browsers replace slow first code of a module by better code only when a function is called.
+    // So each row is a call.
+    #[inline(never)]
+    fn add_row<T>(texels: &mut Vec<T>, width: usize, texel: impl Fn(usize) -> T) {
+        texels.extend((0..width).map(texel));
+    }
+    let mut texels = Vec::with_capacity(width * height);
+    (0..height).for_each(|y| add_row(&mut texels, width, |x| texel(x, y)));
+    texels
+}
+
+fn encode8(value: Vec4, encoding: Encoding, codes: &SrgbCodes) -> [u8; 4] {
     let [r, g, b, a] = value.to_array();
     let linear = |v: f32| (v * 255.0 + 0.5) as u8;
     match encoding {
-        Encoding::Srgb => [srgb_code(r), srgb_code(g), srgb_code(b), linear(a)],
+        Encoding::Srgb => [codes.code(r), codes.code(g), codes.code(b), linear(a)],
         Encoding::Linear => [linear(r), linear(g), linear(b), linear(a)],
     }
 }

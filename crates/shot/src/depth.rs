@@ -5,7 +5,7 @@ use lumistack_display::{FieldGeometry, SeenDepth};
 use lumistack_scene::Window;
 
 use crate::error::ShotError;
-use crate::place::{Placement, probe};
+use crate::place::{Placement, coarser};
 use crate::renderer::SceneRenderer;
 
 /// Largest number of columns at which depths are kept. Fractions and percentiles of depths need no
@@ -48,7 +48,7 @@ impl Depths {
 
     /// Returns the geometry, with coarser pixels, at which the depths of a light field are kept.
     pub fn coarse(geometry: &FieldGeometry) -> FieldGeometry {
-        probe(geometry, geometry.grid.clone(), MOST_COLS)
+        coarser(geometry, geometry.grid.clone(), MOST_COLS)
     }
 
     /// Returns the depths of one view, `[row][col]`.

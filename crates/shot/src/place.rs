@@ -135,7 +135,7 @@ pub fn place<S: Subject>(
     let projection = geometry.grid.projection;
     let of = format!("{window:?} {projection:?} {low} {high} {means:?} {}", job.depth_scale);
     let fit: Fit = subject.remembered("fit", &of, || {
-        let probe = probe(geometry, ViewGrid::single(projection, [0.0, 0.0]), PROBE_COLS);
+        let probe = coarser(geometry, ViewGrid::single(projection, [0.0, 0.0]), PROBE_COLS);
         let depth = subject.renderer(task)?.depth(&window, &probe, [0, 0], task)?;
         let mut depths: Vec<f64> = depth.data().iter().filter(|z| z.is_finite()).map(|z| f64::from(*z)).collect();
         depths.sort_by(f64::total_cmp);
@@ -164,7 +164,7 @@ fn farthest_shown(display: &Display, pitch_mm: f64) -> Option<f64> {
 
 /// Returns a geometry of the same rectangle with at most `most_cols` columns, and with the views of
 /// `grid`.
-pub fn probe(geometry: &FieldGeometry, grid: ViewGrid, most_cols: usize) -> FieldGeometry {
+pub fn coarser(geometry: &FieldGeometry, grid: ViewGrid, most_cols: usize) -> FieldGeometry {
     let [width_mm, height_mm] = geometry.size_mm();
     let cols = geometry.cols.min(most_cols);
     let pitch_mm = width_mm / cols as f64;

@@ -1,8 +1,9 @@
 //! Decoders of pictures, packed meshes and captures, readers of light fields, and the writer of zip
 //! files. The page that computes patterns in the browser rarely needs these functions.
 //!
-//! In the page this crate is a WebAssembly module of its own, which is loaded at its first use. If
-//! a decoder stops on damaged content, only this module stops. Outside of the browser,
+//! In the page this crate is two WebAssembly modules, each of which is loaded at its first use. The
+//! small module, with the feature `pictures`, decodes only the pictures that most scenes have. If a
+//! decoder stops on damaged content, only its module stops. Outside of the browser,
 //! `lumistack-web-solver` calls this crate directly.
 
 use std::io::{Cursor, Write};
@@ -15,8 +16,10 @@ pub use lumistack_gltf::unpack::{answer, unpack};
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
-#[cfg(target_arch = "wasm32")]
+#[cfg(all(target_arch = "wasm32", not(feature = "pictures")))]
 mod shell;
+#[cfg(all(target_arch = "wasm32", feature = "pictures"))]
+mod small;
 
 /// Geometry for a light field whose files do not state it, and the largest width of its views.
 #[derive(Clone, Copy, Debug, PartialEq)]

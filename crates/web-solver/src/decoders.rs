@@ -1,6 +1,7 @@
 //! Access to the decoders of packed content, the readers of light fields and the writer of zip
-//! files. In a page they are in another WebAssembly module. Outside of the browser this crate calls
-//! the crate `lumistack-web-decoders` directly.
+//! files. In a page they are in another WebAssembly module, except for the decoders of common
+//! pictures, which have a small module of their own. Outside of the browser this crate calls the
+//! crate `lumistack-web-decoders` directly.
 
 #[cfg(target_arch = "wasm32")]
 pub(crate) use page::{field, pack, unpack};
@@ -54,11 +55,11 @@ mod page {
     use super::Wanted;
     use crate::error::Error as Sentence;
 
-    // `worker.ts` defines these functions; it loads the module of decoders at the first call
+    // `worker.ts` defines these functions; it loads each module of decoders at its first call
     #[wasm_bindgen]
     extern "C" {
         #[wasm_bindgen(catch, js_namespace = lumistack_decoders)]
-        fn answer(request: &[u8]) -> Result<Option<Vec<u8>>, JsValue>;
+        fn answer(request: &[u8], is_common: bool) -> Result<Option<Vec<u8>>, JsValue>;
         #[wasm_bindgen(catch, js_namespace = lumistack_decoders, js_name = pack)]
         fn pack_files(display: &str, names: Vec<String>, contents: Vec<Uint8Array>) -> Result<Vec<u8>, JsValue>;
         #[wasm_bindgen(catch, js_namespace = lumistack_decoders, js_name = field)]
@@ -93,11 +94,12 @@ mod page {
     pub(crate) fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
         let unreachable = |error: JsValue| Unsound {
             place: String::new(),
-            expected: "the decoders of this page, lumistack_web_decoders_bg.wasm".into(),
+            expected: "the decoders of this page, lumistack_web_pictures_bg.wasm and lumistack_web_decoders_bg.wasm"
+                .into(),
             found: message(&error),
         };
         // without an answer the module of decoders has stopped on damaged content
-        let found = answer(&packed.to_bytes()).map_err(unreachable)?;
+        let found = answer(&packed.to_bytes(), packed.is_common()).map_err(unreachable)?;
         found.as_deref().and_then(answered).unwrap_or_else(|| Err(packed.stopped()))
     }
 

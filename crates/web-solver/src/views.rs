@@ -5,7 +5,7 @@ use lumistack_display::{Display, FieldGeometry, LightField, ViewGrid};
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_pathtracer::{Settings as Paths, SplitView};
 use lumistack_shot::{
-    Brightest, Denoise, Depths, LightJob, Placement, ToneMapping, WindowJob, place, put_before, seeded, slopes,
+    Brightest, Denoise, Depths, LightJob, Placement, ToneMapping, WindowJob, coarser, place, put_before, seeded, slopes,
 };
 use lumistack_simd::{float_from_half, nearest_half};
 use lumistack_splats::Space;
@@ -26,25 +26,40 @@ pub(crate) struct Picked {
     pub(crate) cols: Vec<usize>,
 }
 
+/// Number of pixels of traced views.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Detail {
+    /// Half of the rows and columns, for the first picture: a quarter of the time.
+    Coarse,
+    /// All pixels of the display's light field.
+    Full,
+}
+
 /// The views of a scene in front of a display.
 pub(crate) struct Views {
     held: Held,
     placement: Placement,
     /// Geometry of the display's light field.
     geometry: FieldGeometry,
-    /// `geometry` with the slopes at which the scene is traced: the display's slopes times the
-    /// depth scale.
-    traced: FieldGeometry,
+    coarse: Traced,
+    full: Traced,
     paths: Paths,
     denoise: Denoise,
     light: LightJob,
-    /// Traced views in the order of the grid; `None` for views that are not traced yet.
-    splits: Vec<Option<SplitView>>,
     splats: Vec<Option<Tensor<3>>>,
     /// True for views that another thread was asked to trace.
     given: Vec<bool>,
     /// Depths of all views, once they are traced.
     depths: Option<Depths>,
+}
+
+/// Traced views of one [`Detail`].
+struct Traced {
+    /// The pixels, and the slopes at which the scene is traced: the display's slopes times the
+    /// depth scale.
+    geometry: FieldGeometry,
+    /// Views in the order of the grid; `None` for views that are not traced yet.
+    splits: Vec<Option<SplitView>>,
 }
 
 impl Picked {
@@ -89,7 +104,8 @@ impl Views {
     pub(crate) fn new(held: Held, display: &Display, settings: &Settings, task: Task<'_>) -> Result<Self, Error> {
         let geometry = display.geometry()?;
         let placement = place(&held, &WindowJob::default(), display, &geometry, task)?;
-        let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
+        let grid = geometry.grid.scaled(placement.depth_scale);
+        let coarse = coarser(&geometry, grid.clone(), geometry.cols.div_ceil(2));
         let count = geometry.grid.iter().count();
         let render = settings.render();
         let paths = render.settings(
@@ -103,10 +119,10 @@ impl Views {
             denoise: if held.is_traced() { Settings::denoise(display) } else { Denoise::Off },
             held,
             placement,
-            traced,
+            coarse: Traced::none(coarse),
+            full: Traced::none(geometry.with_grid(grid)),
             paths: seeded(paths, TARGET, &[]),
             light: LightJob::default(),
-            splits: (0..count).map(|_| None).collect(),
             splats: (0..count).map(|_| None).collect(),
             given: vec![false; count],
             depths: None,
@@ -140,9 +156,23 @@ impl Views {
     ///
     /// # Errors
     /// If the view cannot be rendered.
-    pub(crate) fn trace(&self, view: [usize; 2], samples: u32, task: Task<'_>) -> Result<SplitView, Error> {
+    pub(crate) fn trace(
+        &self,
+        view: [usize; 2],
+        detail: Detail,
+        samples: u32,
+        task: Task<'_>,
+    ) -> Result<SplitView, Error> {
         let paths = Paths { samples, ..self.paths };
-        Ok(self.held.renderer.tracer.render_split(&self.placement.window, &self.traced, view, &paths, task)?)
+        let geometry = &self.traced(detail).geometry;
+        Ok(self.held.renderer.tracer.render_split(&self.placement.window, geometry, view, &paths, task)?)
+    }
+
+    fn traced(&self, detail: Detail) -> &Traced {
+        match detail {
+            Detail::Coarse => &self.coarse,
+            Detail::Full => &self.full,
+        }
     }
 
     /// Traces the view of this number with all its samples.
@@ -151,13 +181,17 @@ impl Views {
     /// If the view cannot be rendered.
     pub(crate) fn trace_whole(&self, number: usize, task: Task<'_>) -> Result<SplitView, Error> {
         let cols = self.geometry.grid.views()[1];
-        self.trace([number / cols, number % cols], self.samples(), task)
+        self.trace([number / cols, number % cols], Detail::Full, self.samples(), task)
     }
 
     /// Keeps a traced view. It replaces an earlier result for this view.
-    pub(crate) fn keep(&mut self, view: [usize; 2], split: SplitView) {
+    pub(crate) fn keep(&mut self, view: [usize; 2], detail: Detail, split: SplitView) {
         let number = self.number(view);
-        self.splits[number] = Some(split);
+        let traced = match detail {
+            Detail::Coarse => &mut self.coarse,
+            Detail::Full => &mut self.full,
+        };
+        traced.splits[number] = Some(split);
     }
 
     /// Keeps the values of a view that another thread traced.
@@ -168,7 +202,7 @@ impl Views {
         let found = values.len();
         let mut split =
             Tensor::zeros(["row", "col", "part"], [self.geometry.rows, self.geometry.cols, SplitView::VALUES]);
-        match self.splits.get_mut(number) {
+        match self.full.splits.get_mut(number) {
             Some(place) if split.data().len() == found => {
                 split.data_mut().copy_from_slice(&values);
                 *place = SplitView::from_values(split);
@@ -189,8 +223,8 @@ impl Views {
     /// # Errors
     /// If the splats cannot be rendered.
     pub(crate) fn render_splats(&mut self, views: &[[usize; 2]], task: Task<'_>) -> Result<(), Error> {
-        let slopes = slopes(&self.traced, views);
-        let (held, window, traced) = (&self.held, &self.placement.window, &self.traced);
+        let (held, window, traced) = (&self.held, &self.placement.window, &self.full.geometry);
+        let slopes = slopes(traced, views);
         let splats = &mut self.splats;
         let cols = traced.grid.views()[1];
         held.renderer.splat_views(window, traced, &slopes, task, |number, view| {
@@ -205,17 +239,20 @@ impl Views {
     }
 
     /// Makes a light field of the picked views, as the command does. It averages the light that all
-    /// views share, adds splats, applies exposure and tone curve, and rounds.
+    /// views share, adds splats, applies exposure and tone curve, and rounds. Coarse views become
+    /// finer at the end.
     ///
     /// # Errors
     /// If depths, which the average needs, cannot be traced.
-    pub(crate) fn field(&mut self, picked: &Picked, task: Task<'_>) -> Result<LightField, Error> {
-        let (shown, traced) = (picked.of(&self.geometry), picked.of(&self.traced));
-        let depths = self.depths_of(picked, &traced, task)?;
+    pub(crate) fn field(&mut self, picked: &Picked, detail: Detail, task: Task<'_>) -> Result<LightField, Error> {
+        let of_display = picked.of(&self.geometry);
+        let traced = picked.of(&self.traced(detail).geometry);
+        let depths = self.depths_of(picked, &traced, detail, task)?;
         let numbers: Vec<usize> = picked.views().map(|view| self.number(view)).collect();
-        let mut field = LightField::black(shown)?;
+        let mut field = LightField::black(traced.with_grid(of_display.grid.clone()))?;
         let places: Vec<[usize; 2]> = field.geometry().grid.iter().collect();
-        let splits: Vec<&SplitView> = numbers.iter().filter_map(|&number| self.splits[number].as_ref()).collect();
+        let splits = &self.traced(detail).splits;
+        let splits: Vec<&SplitView> = numbers.iter().filter_map(|&number| splits[number].as_ref()).collect();
         // Write the radiance of surfaces. With the filter `Denoise::Shared`, the diffuse light is
         // averaged over the views.
         if splits.len() == numbers.len() {
@@ -251,11 +288,20 @@ impl Views {
         // Round to half floats as the command does. After the tone curve values are at most 1, so
         // they cannot overflow.
         field.radiance_mut().data_mut().iter_mut().for_each(|value| *value = float_from_half(nearest_half(*value)));
-        Ok(field)
+        match detail {
+            Detail::Coarse => finer(&field, of_display),
+            Detail::Full => Ok(field),
+        }
     }
 
-    fn depths_of(&mut self, picked: &Picked, traced: &FieldGeometry, task: Task<'_>) -> Result<Depths, Error> {
-        let all = *picked == Picked::all(&self.geometry.grid);
+    fn depths_of(
+        &mut self,
+        picked: &Picked,
+        traced: &FieldGeometry,
+        detail: Detail,
+        task: Task<'_>,
+    ) -> Result<Depths, Error> {
+        let all = detail == Detail::Full && *picked == Picked::all(&self.geometry.grid);
         if let Some(depths) = self.depths.as_ref().filter(|_| all) {
             return Ok(depths.clone());
         }
@@ -264,5 +310,87 @@ impl Views {
             self.depths = Some(depths.clone());
         }
         Ok(depths)
+    }
+}
+
+impl Traced {
+    fn none(geometry: FieldGeometry) -> Self {
+        Self { splits: geometry.grid.iter().map(|_| None).collect(), geometry }
+    }
+}
+
+/// Interpolates the pixels of a light field bilinearly at the centres of the finer pixels of
+/// `geometry`. Both have the same centre and the same views.
+fn finer(coarse: &LightField, geometry: FieldGeometry) -> Result<LightField, Error> {
+    let from = coarse.geometry();
+    let taps = |count: usize, of: usize| -> Vec<(usize, usize, f32)> {
+        let tap = |i: usize| {
+            let centre_mm = (i as f64 + 0.5 - 0.5 * count as f64) * geometry.pitch_mm;
+            let place = centre_mm / from.pitch_mm + 0.5 * of as f64 - 0.5;
+            let place = place.clamp(0.0, (of - 1) as f64);
+            let first = place as usize;
+            (first, (first + 1).min(of - 1), (place - first as f64) as f32)
+        };
+        (0..count).map(tap).collect()
+    };
+    let (rows, cols) = (taps(geometry.rows, from.rows), taps(geometry.cols, from.cols));
+    let mut field = LightField::black(geometry)?;
+    let places: Vec<[usize; 2]> = from.grid.iter().collect();
+    for place in places {
+        let pixels = coarse.view(place).as_chunks::<3>().0;
+        let mut to = field.view_mut(place).as_chunks_mut::<3>().0.iter_mut();
+        for &(top, bottom, down) in &rows {
+            for (&(left, right, over), pixel) in cols.iter().zip(&mut to) {
+                let mix = |row: usize, c: usize| {
+                    let [a, b] = [left, right].map(|col| pixels[row * from.cols + col][c]);
+                    a + over * (b - a)
+                };
+                *pixel = std::array::from_fn(|c| {
+                    let [a, b] = [top, bottom].map(|row| mix(row, c));
+                    a + down * (b - a)
+                });
+            }
+        }
+    }
+    Ok(field)
+}
+
+#[cfg(test)]
+mod tests {
+    use lumistack_display::Projection;
+
+    use super::*;
+
+    /// A light field whose values are linear functions of the place on the display keeps them, also
+    /// if the coarse rectangle is a little higher than the fine rectangle. At the edges, where
+    /// nothing is to interpolate, the value is the value of the outermost pixel.
+    #[test]
+    fn finer_pixels_show_the_same_places() {
+        let grid = ViewGrid::uniform(Projection::Oblique, [2, 1], [20.0, 0.0]).unwrap();
+        let geometry = FieldGeometry { rows: 7, cols: 12, pitch_mm: 1.5, grid };
+        let coarse = coarser(&geometry, geometry.grid.clone(), 6);
+        assert_eq!((coarse.rows, coarse.cols, coarse.pitch_mm), (4, 6, 3.0));
+        let value = |of: &FieldGeometry, view: usize, row: usize, col: usize| {
+            let x_mm = (col as f64 + 0.5 - 0.5 * of.cols as f64) * of.pitch_mm;
+            let y_mm = (row as f64 + 0.5 - 0.5 * of.rows as f64) * of.pitch_mm;
+            [x_mm as f32, y_mm as f32, 0.1 * (x_mm - 2.0 * y_mm) as f32 + view as f32]
+        };
+        let mut from = LightField::black(coarse.clone()).unwrap();
+        for view in 0..2 {
+            for (i, pixel) in from.view_mut([0, view]).as_chunks_mut::<3>().0.iter_mut().enumerate() {
+                *pixel = value(&coarse, view, i / coarse.cols, i % coarse.cols);
+            }
+        }
+        let found = finer(&from, geometry.clone()).unwrap();
+        for view in 0..2 {
+            for (i, pixel) in found.view([0, view]).as_chunks::<3>().0.iter().enumerate() {
+                let (row, col) = (i / geometry.cols, i % geometry.cols);
+                let is_inside = (1..geometry.cols - 1).contains(&col);
+                let expected = value(&geometry, view, row, col);
+                let far = pixel.iter().zip(expected).any(|(a, b)| (a - b).abs() > 1e-4);
+                assert_eq!(far, !is_inside, "view {view}, row {row}, column {col}: {pixel:?}, expected {expected:?}");
+            }
+        }
+        assert_eq!(found.view([0, 0])[0], value(&coarse, 0, 0, 0)[0]);
     }
 }

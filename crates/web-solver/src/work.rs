@@ -14,11 +14,14 @@ use crate::error::Error;
 use crate::files::Files;
 use crate::settings::Settings;
 use crate::subject::Held;
-use crate::views::{Picked, Views};
+use crate::views::{Detail, Picked, Views};
 
 /// Largest number of rows of views for which the first patterns are solved. The number of columns
 /// of views has the same limit.
 const FIRST: usize = 3;
+/// Paths per pixel of the first views, if these are coarse. Two paths per pixel of a quarter of the
+/// pixels take half of the time of one path per pixel of all pixels.
+const COARSE_SAMPLES: u32 = 2;
 /// Iterations of a solve for unfinished views. Few suffice, since the solve starts from the current
 /// patterns.
 const WARM: u32 = 3;
@@ -60,12 +63,13 @@ enum Piece {
     Place,
     Trace {
         view: [usize; 2],
+        detail: Detail,
         samples: u32,
     },
     Splats(Vec<[usize; 2]>),
     /// Makes the light field of the picked views, and starts a solve for it from the current
     /// patterns.
-    Begin(Picked),
+    Begin(Picked, Detail),
     /// Makes the light field of all views, and starts a solve for it without a warm start, as the
     /// command does.
     BeginAnew,
@@ -245,7 +249,7 @@ impl Work {
         let views = self.views.as_mut()?;
         // this `Work` traces the first piece in any case
         self.pieces.iter().skip(1).rev().find_map(|piece| match piece {
-            Piece::Trace { view, .. } => views.give(*view),
+            Piece::Trace { view, detail: Detail::Full, .. } => views.give(*view),
             _ => None,
         })
     }
@@ -273,8 +277,8 @@ impl Work {
         let (mut has_shown, mut drops) = (false, false);
         self.pieces.retain(|piece| {
             drops = match piece {
-                Piece::Trace { view, .. } if views.number(*view) == number => return false,
-                Piece::Begin(_) => has_shown,
+                Piece::Trace { view, detail: Detail::Full, .. } if views.number(*view) == number => return false,
+                Piece::Begin(..) => has_shown,
                 Piece::Step | Piece::Show => drops,
                 _ => false,
             };
@@ -330,20 +334,20 @@ impl Work {
                 self.planned = self.pieces.len();
                 self.views = Some(views);
             }
-            Piece::Trace { view, samples } => {
+            Piece::Trace { view, detail, samples } => {
                 let views = views(&mut self.views)?;
-                let split = views.trace(view, samples, task)?;
-                views.keep(view, split);
+                let split = views.trace(view, detail, samples, task)?;
+                views.keep(view, detail, split);
             }
             Piece::Splats(some) => views(&mut self.views)?.render_splats(&some, task)?,
-            Piece::Begin(picked) => {
-                self.target = Some(views(&mut self.views)?.field(&picked, task)?);
+            Piece::Begin(picked, detail) => {
+                self.target = Some(views(&mut self.views)?.field(&picked, detail, task)?);
                 self.begun = Begun { iterations: WARM, warm: true, ..Begun::default() };
                 self.begin_solve()?;
             }
             Piece::BeginAnew => {
                 let views = views(&mut self.views)?;
-                self.target = Some(views.field(&Picked::all(views.grid()), task)?);
+                self.target = Some(views.field(&Picked::all(views.grid()), Detail::Full, task)?);
                 self.begun = Begun { iterations: self.settings.iterations(&self.display), ..Begun::default() };
                 self.begin_solve()?;
             }
@@ -441,45 +445,53 @@ fn plan_field(iterations: u32) -> VecDeque<Piece> {
     pieces
 }
 
-/// Plans the pieces after the scene is placed. The first pieces render noisy views of a few
-/// directions, then of all directions. Then follow views with all their samples, and the last
-/// solve.
+/// Plans the pieces after the scene is placed. The first pieces render coarse, noisy views of a few
+/// directions, then noisy views of all directions. Then follow views with all their samples, and
+/// the last solve.
 fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
     let (first, all) = (Picked::some(views.grid(), FIRST), Picked::all(views.grid()));
     let mut pieces = VecDeque::new();
-    let refresh = |pieces: &mut VecDeque<Piece>, picked: &Picked| {
-        pieces.push_back(Piece::Begin(picked.clone()));
+    let refresh = |pieces: &mut VecDeque<Piece>, picked: &Picked, detail: Detail| {
+        pieces.push_back(Piece::Begin(picked.clone(), detail));
         for _ in 0..WARM {
             pieces.extend([Piece::Step, Piece::Show]);
         }
     };
     let traced = views.is_traced();
-    let render = |pieces: &mut VecDeque<Piece>, some: &[[usize; 2]], samples: u32, splats: bool| {
+    let trace = |pieces: &mut VecDeque<Piece>, some: &[[usize; 2]], detail: Detail, samples: u32| {
         if traced {
-            pieces.extend(some.iter().map(|&view| Piece::Trace { view, samples }));
+            pieces.extend(some.iter().map(|&view| Piece::Trace { view, detail, samples }));
         }
-        if splats && views.has_splats() {
+    };
+    let splat = |pieces: &mut VecDeque<Piece>, some: &[[usize; 2]]| {
+        if views.has_splats() {
             pieces.extend(some.chunks(SPLAT_VIEWS).map(|some| Piece::Splats(some.to_vec())));
         }
     };
-    // Noisy views come first, so that the page shows patterns early.
-    let rough: Vec<[usize; 2]> = first.views().collect();
-    render(&mut pieces, &rough, 1, true);
-    refresh(&mut pieces, &first);
-    let others: Vec<[usize; 2]> = all.views().filter(|view| !rough.contains(view)).collect();
+    // Few views come first, so that the page shows patterns early. Coarse views are quicker, but
+    // splats, which would stand in front of them, are rendered with all pixels.
+    let (detail, samples) = if views.has_splats() { (Detail::Full, 1) } else { (Detail::Coarse, COARSE_SAMPLES) };
+    let few: Vec<[usize; 2]> = first.views().collect();
+    trace(&mut pieces, &few, detail, samples);
+    splat(&mut pieces, &few);
+    refresh(&mut pieces, &first, detail);
+    // Then render noisy views of all directions, except the views that are already rendered.
+    let every: Vec<[usize; 2]> = all.views().collect();
+    let is_there = |view: &[usize; 2]| detail == Detail::Full && few.contains(view);
+    let others: Vec<[usize; 2]> = every.iter().copied().filter(|view| !is_there(view)).collect();
     if !others.is_empty() {
-        render(&mut pieces, &others, 1, true);
-        refresh(&mut pieces, &all);
+        trace(&mut pieces, &others, Detail::Full, 1);
+        splat(&mut pieces, &others);
+        refresh(&mut pieces, &all, Detail::Full);
     }
     // Then render all views with all their samples, in parts.
     if traced && views.samples() > 1 {
         // a part contains every REFRESHES-th view, so that its views are spread over the zone
-        let every: Vec<[usize; 2]> = all.views().collect();
         let parts = (0..REFRESHES).map(|part| every.iter().copied().skip(part).step_by(REFRESHES).collect::<Vec<_>>());
         for (number, part) in parts.enumerate() {
-            render(&mut pieces, &part, views.samples(), false);
+            trace(&mut pieces, &part, Detail::Full, views.samples());
             if number + 1 < REFRESHES {
-                refresh(&mut pieces, &all);
+                refresh(&mut pieces, &all, Detail::Full);
             }
         }
     }

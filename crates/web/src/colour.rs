@@ -1,52 +1,8 @@
-//! Encodes linear pictures as sRGB by tables. The formula's `f32::powf` for every pixel would take
-//! most of the time of a picture.
+//! Encodes linear pictures as sRGB by tables, and colours errors.
 
 use std::sync::LazyLock;
 
-use lumistack_core::colour::{srgb_code, srgb_decode};
-
-/// Number of equal bins into which the range 0..1 is divided. The search for a value's code starts
-/// with the code of the lower end of the value's bin.
-const BINS: usize = 4096;
-
-/// Converts linear values to sRGB codes, with the results of [`srgb_code`].
-pub(crate) struct Encoder {
-    /// The code of each bin's lower end.
-    start: Vec<u8>,
-    /// The smallest linear value of each code.
-    least: [f32; 256],
-}
-
-pub(crate) static ENCODER: LazyLock<Encoder> = LazyLock::new(|| {
-    let least = std::array::from_fn(|code| {
-        // Find the smallest value with this code by bisection over the bits of floats. For positive
-        // floats the bits rise with the value, and the code also rises with the value.
-        let (mut low, mut high) = (0u32, 1f32.to_bits());
-        while low < high {
-            let middle = low + (high - low) / 2;
-            if usize::from(srgb_code(f32::from_bits(middle))) >= code { high = middle } else { low = middle + 1 }
-        }
-        f32::from_bits(low)
-    });
-    Encoder { start: (0..BINS).map(|bin| srgb_code(bin as f32 / BINS as f32)).collect(), least }
-});
-
-impl Encoder {
-    /// Returns the sRGB code of a linear value; values outside 0..1 are clipped.
-    #[inline]
-    pub(crate) fn code(&self, linear: f32) -> u8 {
-        if linear >= 1.0 {
-            return 255;
-        }
-        // Start at the lower end of the bin. A cast from float to integer turns negative values and
-        // NaN into 0.
-        let mut code = self.start[((linear * BINS as f32) as usize).min(BINS - 1)];
-        while code < 255 && linear >= self.least[usize::from(code) + 1] {
-            code += 1;
-        }
-        code
-    }
-}
+use lumistack_core::colour::{srgb_codes, srgb_decode};
 
 /// The linear value of each sRGB code.
 pub(crate) static DECODED: LazyLock<[f32; 256]> =
@@ -54,8 +10,8 @@ pub(crate) static DECODED: LazyLock<[f32; 256]> =
 
 /// Converts linear values `[.., rgb]` to opaque sRGB bytes `[.., rgba]`.
 pub(crate) fn to_rgba(linear: &[f32]) -> Vec<u8> {
-    let encoder = &*ENCODER;
-    linear.chunks_exact(3).flat_map(|p| [encoder.code(p[0]), encoder.code(p[1]), encoder.code(p[2]), 255]).collect()
+    let codes = srgb_codes();
+    linear.chunks_exact(3).flat_map(|p| [codes.code(p[0]), codes.code(p[1]), codes.code(p[2]), 255]).collect()
 }
 
 /// The error that the last colour of the error map shows. Larger errors have the last colour, too.
@@ -89,24 +45,6 @@ pub(crate) fn heat(error: f32) -> [u8; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_table_gives_the_same_codes() {
-        let steps = 200_000;
-        for i in 0..=steps {
-            let value = i as f32 / steps as f32 * 1.1;
-            assert_eq!(ENCODER.code(value), srgb_code(value), "{value}");
-        }
-        for code in 1..=255u8 {
-            let least = ENCODER.least[usize::from(code)];
-            let below = f32::from_bits(least.to_bits() - 1);
-            assert_eq!((ENCODER.code(least), ENCODER.code(below)), (code, code - 1));
-            assert_eq!((srgb_code(least), srgb_code(below)), (code, code - 1));
-        }
-        for odd in [f32::NAN, -1.0, f32::NEG_INFINITY, f32::INFINITY] {
-            assert_eq!(ENCODER.code(odd), srgb_code(odd));
-        }
-    }
 
     #[test]
     fn heat_rises_in_lightness() {

@@ -1,7 +1,9 @@
 //! Shows a light field without a simulated display. The picture at a position between the views is
 //! a blend of the four nearest views in linear light.
 
-use crate::colour::{DECODED, ENCODER};
+use lumistack_core::colour::srgb_codes;
+
+use crate::colour::DECODED;
 use crate::{Error, err};
 
 /// Largest size of all views together, bytes.
@@ -118,6 +120,7 @@ impl Field {
             let codes = self.codes(view).unwrap_or_default();
             sum.iter_mut().zip(codes).for_each(|(sum, code)| *sum += share * DECODED[usize::from(*code)]);
         }
-        sum.chunks_exact(4).flat_map(|p| [ENCODER.code(p[0]), ENCODER.code(p[1]), ENCODER.code(p[2]), 255]).collect()
+        let codes = srgb_codes();
+        sum.chunks_exact(4).flat_map(|p| [codes.code(p[0]), codes.code(p[1]), codes.code(p[2]), 255]).collect()
     }
 }

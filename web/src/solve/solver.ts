@@ -98,7 +98,7 @@ export class Solver {
         this.receive({ kind: "error", message: message || "The solver’s thread does not start." });
       };
     });
-    this.ask({ kind: "start", module, decoders: new URL("lumistack_web_decoders_bg.wasm", import.meta.url).href, software: DEVICE === "gpu", threads: THREADS });
+    this.ask({ kind: "start", module, folder: new URL(".", import.meta.url).href, software: DEVICE === "gpu", threads: THREADS });
     return this.ready;
   }
 

@@ -1,6 +1,7 @@
 // The thread that solves. It works in short turns. Between two turns it handles messages, so that
 // the page can stop it at any time.
 import * as decoders from "../../pkg/lumistack_web_decoders.js";
+import * as pictures from "../../pkg/lumistack_web_pictures.js";
 // For solve-gpu.js, build.mjs replaces this module by the module with WebGPU.
 import { Dropped, initSync, presets, Solver } from "../../pkg/lumistack_web_solver.js";
 import type { Solver as DeviceSolver } from "../../pkg/lumistack_web_solver_gpu.js";
@@ -8,7 +9,7 @@ import { Pool, type PoolMessage, type PoolRequest } from "./pool.js";
 
 /** Messages from the page to the thread. */
 export type SolverRequest =
-  | { kind: "start"; module: WebAssembly.Module; decoders: string; software: boolean; threads: number | undefined }
+  | { kind: "start"; module: WebAssembly.Module; folder: string; software: boolean; threads: number | undefined }
   | { kind: "solve"; files: [path: string, content: Blob][]; path: string; title: string; isField: boolean; settings: string }
   | { kind: "change"; settings: string }
   | { kind: "pause" | "resume" }
@@ -34,29 +35,35 @@ export type SolverMessage =
   | { kind: "zip"; bytes: Uint8Array<ArrayBuffer> }
   | { kind: "error"; message: string };
 
-/** Address of the WebAssembly module of decoders. */
-let address = "";
-let decoding = false;
+/** Address of the folder of the WebAssembly modules. */
+let folder = "";
 
 /**
- * Loads the module of decoders at its first use. The request is synchronous, since the solver's
- * module waits for the answer of its call.
+ * Returns a function that loads a module of decoders at its first call. The request is synchronous,
+ * since the solver's module waits for the answer of its call.
  */
-function ready(): typeof decoders {
-  if (decoding) return decoders;
-  const request = new XMLHttpRequest();
-  request.open("GET", address, false);
-  request.responseType = "arraybuffer";
-  request.send();
-  if (request.status !== 200) throw new Error(`the server answers ${request.status}`);
-  decoders.initSync({ module: new WebAssembly.Module(request.response) });
-  decoding = true;
-  return decoders;
+function loaded<T extends { initSync(from: { module: WebAssembly.Module }): unknown }>(glue: T, name: string): () => T {
+  let isReady = false;
+  return () => {
+    if (isReady) return glue;
+    const request = new XMLHttpRequest();
+    request.open("GET", new URL(name, folder), false);
+    request.responseType = "arraybuffer";
+    request.send();
+    if (request.status !== 200) throw new Error(`the server answers ${request.status}`);
+    glue.initSync({ module: new WebAssembly.Module(request.response) });
+    isReady = true;
+    return glue;
+  };
 }
+
+/** The decoders of common pictures, and all decoders. Few scenes need the second module, which is large. */
+const common = loaded(pictures, "lumistack_web_pictures_bg.wasm");
+const ready = loaded(decoders, "lumistack_web_decoders_bg.wasm");
 
 /**
 * Returns true if an error means that a module stopped. Every module stops if its memory is
-* exhausted. The module of decoders also stops on some damaged content.
+* exhausted. The modules of decoders also stop on some damaged content.
 */
 function stopped(error: unknown): boolean {
   return error instanceof WebAssembly.RuntimeError || error instanceof RangeError;
@@ -65,8 +72,8 @@ function stopped(error: unknown): boolean {
 // The solver's module calls these functions.
 Object.assign(globalThis, {
   lumistack_decoders: {
-    answer(request: Uint8Array): Uint8Array | undefined {
-      const { answer } = ready();
+    answer(request: Uint8Array, isCommon: boolean): Uint8Array | undefined {
+      const { answer } = isCommon ? common() : ready();
       try {
         return answer(request);
       } catch (error) {
@@ -265,7 +272,7 @@ onmessage = ({ data }: MessageEvent<SolverRequest | PoolRequest>) =>
   enqueue(() => {
     switch (data.kind) {
       case "start":
-        ({ module, decoders: address, software, threads } = data);
+        ({ module, folder, software, threads } = data);
         ({ memory, __wbindgen_externrefs: objects } = initSync({ module }));
         return send({ kind: "presets", json: presets() });
       case "solve":

@@ -144,6 +144,14 @@ impl Unsound {
 }
 
 impl Packed<'_> {
+    /// Returns true for the pictures that most scenes have: PNG, JPEG and Radiance. The content
+    /// decides the format.
+    pub fn is_common(&self) -> bool {
+        let (Self::Size(_, bytes) | Self::Picture(_, bytes)) = self else { return false };
+        let starts = [&b"\x89PNG\r\n\x1a\n"[..], b"\xff\xd8\xff", b"#?RADIANCE"];
+        starts.iter().any(|start| bytes.starts_with(start))
+    }
+
     /// Returns the error for content on which the decoder of a library panics, since the library
     /// does not check for this kind of defect.
     pub fn stopped(&self) -> Unsound {

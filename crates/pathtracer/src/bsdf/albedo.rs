@@ -1,4 +1,4 @@
-//! Directional albedo of the GGX reflection lobe, tabulated once.
+//! Directional albedo of the GGX reflection lobe, tabulated.
 //!
 //! Here μ is the cosine between the viewer's direction and the normal, and α is the squared
 //! roughness. Fresnel's term is F = F₀ + (F₉₀ − F₀) s. The function s rises from 0 at normal
@@ -25,11 +25,11 @@
 //!   the lobe that depends on the viewer alone.
 //! * Kulla, Conty 2017, "Revisiting physically based shading at Imageworks": the series.
 
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 
 use glam::{Vec2, Vec3};
 
-use super::table::Table;
+use super::table::{Slice, Table, slice};
 use super::{fresnel, ggx};
 
 /// Numbers of nodes of the table for lobes that are not stretched, over the cosine μ and over
@@ -107,61 +107,59 @@ impl From<[f32; 4]> for Albedo {
 /// Looks the albedo up, bilinearly in the cosine and in perceptual roughness √α.
 #[inline]
 pub(crate) fn albedo(cosine: f32, roughness: f32) -> Albedo {
-    static TABLE: OnceLock<Table<2, 4>> = OnceLock::new();
-    TABLE.get_or_init(tabulate).at([cosine, roughness]).into()
+    static TABLE: LazyLock<Table<2, 4>> = LazyLock::new(|| Table::new([COSINES, ROUGHNESSES], tabulate));
+    TABLE.at([cosine, roughness]).into()
 }
 
 /// Returns the albedo of a stretched lobe, interpolated linearly in four coordinates. They are the
 /// root of the cosine, cos² of the azimuth φ, and √α along and across the stretch. The azimuth φ of
 /// the viewer is measured from the direction of stretch.
 pub(crate) fn stretched(o: Vec3, alpha: Vec2) -> Albedo {
-    static TABLE: OnceLock<Table<4, 4>> = OnceLock::new();
+    static TABLE: LazyLock<Table<4, 4>> = LazyLock::new(|| Table::new(STRETCHED, tabulate_stretched));
     let across = o.x * o.x + o.y * o.y;
     let azimuth = if across > 0.0 { o.x * o.x / across } else { 0.5 };
-    TABLE.get_or_init(tabulate_stretched).at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
+    TABLE.at([o.z.max(0.0).sqrt(), azimuth, alpha.x.sqrt(), alpha.y.sqrt()]).into()
 }
 
 /// Returns B of a dielectric of any index n: the albedo if the rise s(o·h) of `fresnel.rs` replaces
 /// Fresnel's term. B is interpolated linearly in the root of the cosine, in √α, and in the root of
 /// (n − 1)/(n + 1).
 pub(crate) fn dielectric(cosine: f32, roughness: f32, ior: f32) -> f32 {
-    static TABLE: OnceLock<Table<3, 1>> = OnceLock::new();
+    static TABLE: LazyLock<Table<3, 1>> = LazyLock::new(|| Table::new(INDICES, tabulate_indices));
     let root = (ior - 1.0).max(0.0) / (ior + 1.0) / LARGEST_ROOT;
-    let [rise] = TABLE.get_or_init(tabulate_indices).at([cosine.max(0.0).sqrt(), roughness, root.sqrt()]);
+    let [rise] = TABLE.at([cosine.max(0.0).sqrt(), roughness, root.sqrt()]);
     rise
 }
 
-fn tabulate() -> Table<2, 4> {
-    let mut table = Table::new([COSINES, ROUGHNESSES], |[cosine, roughness]| {
+fn tabulate(nodes: [usize; 2], roughness: f32) -> Slice<4> {
+    let mut row = slice(nodes, roughness, |[cosine, roughness]| {
         integrate(towards(cosine), round(roughness), SAMPLES, LATTICE_STEP)
     });
-    for row in table.values.chunks_exact_mut(COSINES) {
-        let mean = mean_over(row, |cosine| 2.0 * cosine);
-        row.iter_mut().for_each(|node| node[MEAN] = mean);
-    }
-    table
+    let mean = mean_over(&row, |cosine| 2.0 * cosine);
+    row.iter_mut().for_each(|node| node[MEAN] = mean);
+    row
 }
 
-fn tabulate_stretched() -> Table<4, 4> {
-    let mut table = Table::new(STRETCHED, |[root, azimuth, along, across]| {
+fn tabulate_stretched(nodes: [usize; 4], across: f32) -> Slice<4> {
+    let mut lobes = slice(nodes, across, |[root, azimuth, along, across]| {
         let cosine = (root * root).max(SMALLEST);
         let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
         let o = Vec3::new(sine * azimuth.sqrt(), sine * (1.0 - azimuth).sqrt(), cosine);
         let alpha = Vec2::new(along * along, across * across).max(Vec2::splat(SMALLEST));
         integrate(o, alpha, STRETCHED_SAMPLES, STRETCHED_STEP)
     });
-    let [roots, azimuths, ..] = STRETCHED;
-    for lobe in table.values.chunks_exact_mut(roots * azimuths) {
+    let [roots, azimuths, ..] = nodes;
+    for lobe in lobes.chunks_exact_mut(roots * azimuths) {
         // μ = root², so the density 2 μ dμ becomes 4 root³ d root
         let over = |cosines: &[[f32; 4]]| mean_over(cosines, |root| 4.0 * root.powi(3));
         let mean = lobe.chunks_exact(roots).map(over).sum::<f32>() / azimuths as f32;
         lobe.iter_mut().for_each(|node| node[MEAN] = mean);
     }
-    table
+    lobes
 }
 
-fn tabulate_indices() -> Table<3, 1> {
-    Table::new(INDICES, |[root_of_cosine, roughness, root]| {
+fn tabulate_indices(nodes: [usize; 3], root: f32) -> Slice<1> {
+    slice(nodes, root, |[root_of_cosine, roughness, root]| {
         let root = LARGEST_ROOT * root * root;
         let ior = (1.0 + root) / (1.0 - root);
         let rise = |o_h: f32| [fresnel::dielectric_rise(o_h, ior)];

@@ -16,14 +16,14 @@
 //! another albedo, and so has glass whose reflection a film or `KHR_materials_specular` changes.
 //! These two kinds of glass are not compensated.
 
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 
 use glam::{Vec2, Vec3};
 
 use super::fresnel::{self, Film};
 use super::ggx;
 use super::lobe::{Facet, Light, Lobe, Sample, Surface, mean};
-use super::table::Table;
+use super::table::{Slice, Table, slice};
 
 /// Indices of refraction closer to 1 than this do not bend light.
 const NO_REFRACTION: f32 = 1e-3;
@@ -204,15 +204,20 @@ impl Lobe for Glass {
 /// Returns the albedo of clear glass, trilinear in the root of the cosine, perceptual roughness and
 /// the root of |n − 1|/(n + 1).
 fn albedo(cosine: f32, roughness: f32, ior: f32, front: bool) -> f32 {
-    static TABLES: OnceLock<[Table<3, 1>; 2]> = OnceLock::new();
-    let table = &TABLES.get_or_init(|| [tabulate(false), tabulate(true)])[usize::from(front)];
+    static TABLES: LazyLock<[Table<3, 1>; 2]> = LazyLock::new(|| {
+        [
+            Table::new(NODES, |nodes, root| tabulate(nodes, root, false)),
+            Table::new(NODES, |nodes, root| tabulate(nodes, root, true)),
+        ]
+    });
+    let table = &TABLES[usize::from(front)];
     let root = (ior - 1.0).abs() / (ior + 1.0) / LARGEST_ROOT;
     let [albedo] = table.at([cosine.max(0.0).sqrt(), roughness, root.sqrt()]);
     albedo
 }
 
-fn tabulate(front: bool) -> Table<3, 1> {
-    Table::new(NODES, |[root_of_cosine, roughness, root]| {
+fn tabulate(nodes: [usize; 3], root: f32, front: bool) -> Slice<1> {
+    slice(nodes, root, |[root_of_cosine, roughness, root]| {
         let cosine = (root_of_cosine * root_of_cosine).max(SMALLEST);
         let root = LARGEST_ROOT * root * root;
         [integrate(cosine, (roughness * roughness).max(SMALLEST), (1.0 + root) / (1.0 - root), front)]

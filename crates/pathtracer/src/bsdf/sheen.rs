@@ -12,7 +12,7 @@
 //! This half finds the light from above on rough fibres, which the first half samples badly.
 
 use std::f32::consts::{FRAC_1_PI, TAU};
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 
 use glam::{Vec3, Vec4};
 use lumistack_scene::{Material, TextureUse};
@@ -20,7 +20,7 @@ use lumistack_scene::{Material, TextureUse};
 use super::cosine::cosine_direction;
 use super::ggx;
 use super::lobe::{Facet, Layer, Light, Lobe, Sample, Surface};
-use super::table::Table;
+use super::table::{Slice, Table, slice};
 use crate::math::sin_cos_turns;
 use crate::texture::{Encoding, Slot};
 
@@ -195,14 +195,14 @@ fn albedo(cosine: f32, roughness: f32) -> (f32, f32) {
 /// Returns the albedo of white fibres, which may exceed 1. It is interpolated bilinearly in the
 /// root of the cosine and in roughness.
 fn raw_albedo(cosine: f32, roughness: f32) -> f32 {
-    static TABLE: OnceLock<Table<2, 1>> = OnceLock::new();
+    static TABLE: LazyLock<Table<2, 1>> = LazyLock::new(|| Table::new([COSINES, ROUGHNESSES], tabulate));
     let rough = (roughness - LEAST_ROUGHNESS) / (1.0 - LEAST_ROUGHNESS);
-    let [albedo] = TABLE.get_or_init(tabulate).at([cosine.max(0.0).sqrt(), rough]);
+    let [albedo] = TABLE.at([cosine.max(0.0).sqrt(), rough]);
     albedo
 }
 
-fn tabulate() -> Table<2, 1> {
-    Table::new([COSINES, ROUGHNESSES], |[root_of_cosine, rough]| {
+fn tabulate(nodes: [usize; 2], rough: f32) -> Slice<1> {
+    slice(nodes, rough, |[root_of_cosine, rough]| {
         let fibres = Fibres::new(LEAST_ROUGHNESS + (1.0 - LEAST_ROUGHNESS) * rough);
         [fibres.integrate((root_of_cosine * root_of_cosine).max(SMALLEST))]
     })

@@ -1,9 +1,11 @@
-//! Files in parameters of plugins. Their paths are relative to the job file. The files are checked
-//! before the work, and keys contain their content.
+//! Parameters of plugins that depend on the job: files, and the title of an output.
+//!
+//! The paths of files are relative to the job file. The files are checked before the work, and keys
+//! contain their content.
 
 use std::path::Path;
 
-use lumistack_plugin_host::{Kind, Origin, Registry};
+use lumistack_plugin_host::{Kind, Origin, Param, Registry};
 use serde_json::{Map, Value};
 
 use super::code;
@@ -25,13 +27,17 @@ pub(crate) fn of<'a>(
     given.filter(|(_, path)| !path.is_empty() && !path.trim_start().starts_with('{'))
 }
 
-/// Returns the job with absolute paths in parameters of plugins, and with the defaults of
-/// [`with_automatic_settings`](Job::with_automatic_settings).
+/// Name of the parameter that is an output's title. Its default is the job's name.
+const TITLE: &str = "title";
+
+/// Returns the job with absolute paths in parameters of plugins, with titles of outputs, and with
+/// the defaults of [`with_automatic_settings`](Job::with_automatic_settings).
 ///
 /// # Errors
 /// If a file cannot be read.
 pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
     let mut job = job.with_automatic_settings();
+    add_titles(&mut job, registry);
     let folder = job.folder.clone();
     // A scene with a built-in reader needs no importer, so do not load the libraries of importers.
     let foreign = job.scene.as_ref().filter(|scene| own_reader(scene).is_none());
@@ -71,6 +77,25 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
     Ok(job)
 }
 
+/// Sets the title of each output that has the parameter `title`, unless the job sets it. Without
+/// a title, the output would have the display's name, and not the name of the scene.
+fn add_titles(job: &mut Job, registry: &Registry) {
+    let stem = || job.scene.as_ref()?.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+    let name = Some(job.name.clone()).filter(|name| !name.is_empty()).or_else(stem);
+    let Some(name) = name else { return };
+    let has_title = |id: &str| {
+        let plugin = registry.get(id).ok();
+        plugin.is_some_and(|plugin| plugin.info().schema.params.iter().any(is_title))
+    };
+    for output in job.outputs.iter_mut().filter(|output| has_title(&output.plugin)) {
+        output.params.entry(TITLE).or_insert_with(|| name.clone().into());
+    }
+}
+
+fn is_title(param: &Param) -> bool {
+    param.name == TITLE && matches!(param.kind, Kind::Text { .. })
+}
+
 /// Returns a key of a plugin: its version, its parameters with the content of their files, and its
 /// code. The code is the content of a library, or the fingerprint of compiled-in sources.
 pub(crate) fn plugin_key(
@@ -94,4 +119,36 @@ pub(crate) fn plugin_key(
         }
     }
     Ok(key.finish())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::job::{DisplayJob, OutputJob};
+
+    #[test]
+    fn an_output_with_a_title_gets_the_name_of_the_job_or_of_the_scene() {
+        let registry = Registry::built_in().unwrap();
+        let titles = |name: &str, scene: Option<&str>| {
+            let own = OutputJob {
+                name: Some("own".into()),
+                params: Map::from_iter([("title".into(), json!("My scene"))]),
+                ..OutputJob::new("web_simulator")
+            };
+            let job = Job {
+                name: name.into(),
+                scene: scene.map(Into::into),
+                outputs: vec![OutputJob::new("web_simulator"), OutputJob::new("images"), own],
+                ..Job::new(DisplayJob::by_name_or_path("fig7-uniform"))
+            };
+            let outputs = resolved(&job, &registry).unwrap().outputs;
+            outputs.iter().map(|output| json!(output.params)).collect::<Vec<_>>()
+        };
+        let own = json!({"title": "My scene"});
+        assert_eq!(titles("still-life", Some("a/b.glb")), [json!({"title": "still-life"}), json!({}), own.clone()]);
+        assert_eq!(titles("", Some("a/helmet.v2.glb")), [json!({"title": "helmet.v2"}), json!({}), own.clone()]);
+        assert_eq!(titles("", None), [json!({}), json!({}), own]);
+    }
 }
