@@ -23,7 +23,7 @@ pub(crate) fn print(error: &Error) {
     };
 }
 
-/// Returns false if the environment asks for text without colours: `NO_COLOR` (no-color.org), or a
+/// Returns false if the environment requests text without colours: `NO_COLOR` (no-color.org), or a
 /// terminal that shows plain text only.
 fn wants_colour() -> bool {
     std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())

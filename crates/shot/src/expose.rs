@@ -43,8 +43,8 @@ pub fn expose_over(
 }
 
 /// Collects values of the rays of a light field, from which
-/// [`ToneMapping::choose`](crate::ToneMapping::choose) chooses an exposure. At most four million rays
-/// are measured, spread evenly over the views.
+/// [`ToneMapping::choose`](crate::ToneMapping::choose) chooses an exposure. At most four million
+/// rays are measured, spread evenly over the views.
 pub struct Brightest<'a> {
     geometry: &'a FieldGeometry,
     depths: &'a Depths,
@@ -60,11 +60,11 @@ impl<'a> Brightest<'a> {
     }
 
     /// Returns two values for each measured ray of a view: the largest channel, and true if the ray
-    /// hits a surface. `number` is the number of the view among the measured views, from 0, `view` =
-    /// [view_y, view_x] its place in the grid, and `picture` its radiance `[row][col][rgb]`.
+    /// hits a surface. `number` is the number of the view among the measured views, from 0, `view`
+    /// = [view_y, view_x] its place in the grid, and `picture` its radiance `[row][col][rgb]`.
     pub fn of_view(&self, number: usize, view: [usize; 2], picture: &[f32]) -> Vec<(f32, bool)> {
-        // The index of a view's first measured ray depends on the number of rays in the views before
-        // it.
+        // The index of a view's first measured ray depends on the number of rays in the views
+        // before it.
         let (size, every) = (self.geometry.rows * self.geometry.cols, self.every);
         let first = (every - number * size % every) % every;
         let measured = picture.as_chunks::<3>().0.iter().enumerate().skip(first).step_by(every);

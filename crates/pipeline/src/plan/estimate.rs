@@ -458,8 +458,8 @@ const EXPOSURE: f64 = (64 << 20) as f64;
 const PROGRAM: f64 = (80 << 20) as f64;
 /// Number of views that one thread has in memory at a time.
 const VIEWS_IN_WORK: f64 = 8.0;
-/// Time of the filter `shared`, divided by the time of the other filters. Measured with 169 views of
-/// 420 × 262 pixels.
+/// Time of the filter `shared`, divided by the time of the other filters. Measured with 169 views
+/// of 420 × 262 pixels.
 const SHARED_SHARE: f64 = 0.1;
 /// Time of views with further paths, divided by the time of the same views without them. Both share
 /// light. Measured factors are between 1.5 and 2.2 (docs/ZONE.md).

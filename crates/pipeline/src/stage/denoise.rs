@@ -171,8 +171,8 @@ fn middle(geometry: &FieldGeometry) -> [usize; 2] {
     geometry.grid.views().map(|count| count / 2)
 }
 
-/// Returns a view before and after the filter. The first arguments are the view's number and its grid
-/// position. Views are read one by one, since all views together are large.
+/// Returns a view before and after the filter. The first arguments are the view's number and its
+/// grid position. Views are read one by one, since all views together are large.
 type Filtered<'a> = Box<dyn Fn(usize, [usize; 2], Task<'_>) -> Result<[Tensor<3>; 2], PipelineError> + Sync + 'a>;
 
 /// Averages the light that views share. Keeps the light in memory if the job allows this for the
@@ -233,8 +233,8 @@ fn by_guides<'a>(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<Fil
     Ok(Box::new(move |number, _, _| Ok([views[number].mean(), filtered[number].clone()])))
 }
 
-/// Filters the views by Open Image Denoise, through files in a temporary folder. The program uses all
-/// cores, so it filters one view at a time.
+/// Filters the views by Open Image Denoise, through files in a temporary folder. The program uses
+/// all cores, so it filters one view at a time.
 fn by_oidn<'a>(field: &'a FieldJob, shot: Shot<'a>, folder: &Path) -> Result<Filtered<'a>, PipelineError> {
     let oidn = Oidn::find()?;
     let exchange = Mutex::new(tempfile::tempdir_in(folder).map_err(PipelineError::write(folder))?);

@@ -1,8 +1,8 @@
 //! Work on several views at the same time.
 //!
-//! Many threads trace a view together, but one thread reads, hashes or writes its file. On a machine
-//! with 16 cores, views that were handled one by one kept 5.5 cores busy (625 views of 840 × 525
-//! pixels). So a group of views is in work together, and its size bounds the memory.
+//! Many threads trace a view together, but one thread reads, hashes or writes its file. On a
+//! machine with 16 cores, views that were handled one by one kept 5.5 cores busy (625 views of 840
+//! × 525 pixels). So a group of views is in work together, and its size bounds the memory.
 
 use lumistack_core::{Collector, Task};
 use rayon::prelude::*;
