@@ -116,7 +116,7 @@ fn pages(lumistack: &Path, write: bool) -> Outcome {
         let described = PICTURES.iter().find(|(name, _)| *name == id).filter(|_| picture.is_file());
         let (_, described) = described.ok_or_else(|| {
             format!(
-                "{}: expected a picture of the plugin, and its text in PICTURES of xtask/src/plugins.rs, found none",
+                "{}: expected this picture of the plugin, and a row with its text in PICTURES of xtask/src/plugins.rs, found at most one of them",
                 picture.display()
             )
         })?;

@@ -59,7 +59,14 @@ impl Questions<'_> {
             }
             match read(answer) {
                 Some(value) if !answer.is_empty() => return Ok(value),
-                _ if ended => return Err(PipelineError::value(self.command, flag, question, "no answer")),
+                _ if ended => {
+                    return Err(PipelineError::value(
+                        self.command,
+                        flag,
+                        format!("an answer ({question})"),
+                        "no answer",
+                    ));
+                }
                 _ => tell!("  not a valid answer; try again"),
             }
         }

@@ -148,7 +148,12 @@ fn subject(args: &Show, dir: &Path) -> Result<Subject, PipelineError> {
             None => Subject { display: presets::load(&dir.to_string_lossy())?, stack: None, file: None },
         }
     } else {
-        return Err(PipelineError::value(dir, "folder", "a run, with layers/stack.json in it", "none"));
+        return Err(PipelineError::value(
+            dir,
+            "folder",
+            "a run, with layers/stack.json in it",
+            "none; to show a pattern on a display, add --pattern",
+        ));
     };
     if let Some(path) = &args.calibration {
         let measured = presets::load_file(path)?;
@@ -170,7 +175,7 @@ fn calibrated(display: &Display, measured: &Display, path: &Path) -> Result<Disp
         (masks, LayerStack::emission_shape(&Display { frames: 1, ..display.clone() }))
     };
     if fits(display) != fits(measured) {
-        let expected = "the layers and lenslets that the patterns were made for";
+        let expected = "the layers and lenslets of the shown display, with equal pixels and pitches";
         return Err(PipelineError::value(path, "layers", expected, "others"));
     }
     // Take only the calibration. Distances and frames must stay as they were when the patterns were

@@ -138,7 +138,7 @@ impl ViewOptions {
             let least = if denoise.takes_halves() { 3 } else { 2 };
             let samples = job.render.samples_of_view(views);
             if samples < least {
-                let expected = format!("at least {least} samples per view for `variance`");
+                let expected = format!("at least {least} paths per pixel and view for `variance`");
                 return fail("--layers", &expected, samples.to_string());
             }
         }

@@ -75,7 +75,7 @@ impl OutputPlugin for WebSimulator {
             Param::text(
                 "title",
                 "",
-                "Title of the page. A job that does not set it gives the page the job's name; empty for the display's name. The name of a file is converted to words.",
+                "Title of the page. If a job does not set it, the title is the job's name; an empty title stands for the display's name. A title in the form of a file's name is converted to words.",
             ),
             Param::text("caption", "", "One sentence below the title; empty for a sentence about the display."),
             Param::text(

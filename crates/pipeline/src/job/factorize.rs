@@ -111,7 +111,7 @@ impl FactorizeJob {
     /// If the job names a graphics processor.
     pub(crate) fn check_needs_no_device(&self, task: &str) -> Result<(), PipelineError> {
         if self.device.starts_with("gpu") {
-            let expected = format!("`auto` or `cpu`: {task} on the processor");
+            let expected = format!("`auto` or `cpu`, since {task} only on the processor");
             return Err(PipelineError::job("factorize.device", expected, format!("`{}`", self.device)));
         }
         Ok(())

@@ -34,7 +34,7 @@ fn set(all: &mut Value, key: &str, value: Value) -> Result<(), PipelineError> {
             return Err(PipelineError::job(
                 key,
                 "a key in a table of the job, such as `display.brightness`",
-                "a value",
+                "a key in a value that is not a table",
             ));
         };
         if is_last {

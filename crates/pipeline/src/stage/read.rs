@@ -51,10 +51,10 @@ pub(crate) fn run(
 
 /// Remedies for values outside 0..1, as options of the command.
 pub(crate) const REMEDY_IN_COMMAND: &str =
-    "--exposure-ev STOPS scales them, --tone linear clips them, --tone khronos-neutral or agx compresses them";
+    "--exposure-ev STOPS scales the values, --tone linear clips them, --tone khronos-neutral or agx compresses them";
 /// Remedies for values outside 0..1, as functions of the Python package.
 pub(crate) const REMEDY_IN_PYTHON: &str =
-    "light_field.exposed(stops) scales and clips them, tone=\"khronos-neutral\" or \"agx\" compresses them";
+    "light_field.exposed(stops) scales and clips the values, tone=\"khronos-neutral\" or \"agx\" compresses them";
 
 /// Returns the angular footprint of a display that is adapted to a light field. It is the width of
 /// the range of slopes that the display cannot separate. If the display cannot be adapted, returns
@@ -128,7 +128,7 @@ impl OutOfRange {
         if self.not_finite > 0 {
             parts.push(format!("{} are not finite", share(self.not_finite)));
         }
-        format!("{}. A display shows 0 to 1, and the PSNR includes the difference: {offer}", parts.join("; "))
+        format!("{}. A display shows only 0 to 1, so these values lower the PSNR. Remedies: {offer}", parts.join("; "))
     }
 }
 

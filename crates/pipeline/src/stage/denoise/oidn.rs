@@ -42,9 +42,9 @@ impl Oidn {
             Self::try_program(Path::new(said.trim()))
         };
         Self::try_program(Path::new("oidnDenoise")).or_else(in_package).ok_or_else(|| {
-            let expected = "Open Image Denoise's program `oidnDenoise` on PATH, in LUMISTACK_OIDN or in the Python package pyoidn \
-                            (`pip install pyoidn`); the denoiser `guided` needs no other program";
-            PipelineError::job("render.denoise", expected, "`oidn` without the program")
+            let expected = "Open Image Denoise's program `oidnDenoise` on PATH, in LUMISTACK_OIDN or in the Python package pyoidn";
+            let found = "`oidn` without this program; `pip install pyoidn` installs it, and the denoiser `guided` needs no other program";
+            PipelineError::job("render.denoise", expected, found)
         })
     }
 

@@ -58,7 +58,7 @@ fn chosen(
                 .to_owned(),
         ),
         Engine::Auto if !is_file => {
-            Some("only a job with the .blend file as its scene can be rendered by its own engine".to_owned())
+            Some("the file's own engine can render only a job whose scene is the .blend file".to_owned())
         }
         Engine::Auto => contents
             .unfit
