@@ -1,6 +1,5 @@
-"""Builds the documentation as a web site in FOLDER. A link to a missing page or heading is an error,
-and so is a page without a picture.
-With --displays, every page links to the gallery, which displays.py adds.
+"""Builds the documentation as a web site in FOLDER. A link to a missing page or heading is an error, and so is a page
+without a picture. With --displays, every page links to the gallery, which displays.py adds.
 
 usage: build.py FOLDER [--displays]
 """

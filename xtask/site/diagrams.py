@@ -32,7 +32,7 @@ text { font: 14px system-ui, sans-serif; fill: var(--ink); }
 
 
 class Drawing:
-    """An SVG with a title, which readers of screens speak."""
+    """An SVG with a title, which screen readers speak."""
 
     def __init__(self, width: int, height: int, title: str) -> None:
         self.size, self.title, self.parts = (width, height), title, []

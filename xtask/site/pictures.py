@@ -3,7 +3,8 @@
 NAME is the name of a picture without its extension; without names all pictures are made. Runs and renders are in
 WORK, and later calls use them again. LUMISTACK needs a build with the feature panels. The pictures also need Chromium
 (LUMISTACK_CHROMIUM names it), Node.js with the packages of web/, pdftoppm, sway and grim, and for `usd` a Python with
-OpenUSD (LUMISTACK_PYTHON). The package `lumistack` must be installed in this Python. Diagrams are in diagrams.py; this program calls it.
+OpenUSD (LUMISTACK_PYTHON). The Python that runs this program needs the package `lumistack`, NumPy, Pillow and OpenEXR.
+This program also makes the diagrams of diagrams.py.
 """
 
 import json
@@ -104,7 +105,7 @@ def simulate(folder: Path, view: str = "0,0") -> Image.Image:
 
 
 def mask(folder: Path, layer: int, frame: int = 0) -> Image.Image:
-    """Returns the mask of a layer in a frame as a picture; of the layer -1 the emission of the backlight."""
+    """Returns the mask of a layer in a frame as a picture. For the layer -1 it returns the emission of the backlight."""
     if layer < 0:
         emission = numpy.load(folder / "layers/emission.npy")[frame]
         bins_y, bins_x, rows, cols = emission.shape[:4]
@@ -115,7 +116,7 @@ def mask(folder: Path, layer: int, frame: int = 0) -> Image.Image:
 
 
 def sheet(name: str, rows: list[list[tuple[Image.Image, str]]], width: int, quality: int = 82, nearest: bool = False) -> None:
-    """Writes pictures with labels below them in rows. All pictures of a row have one height, and each row has the width."""
+    """Writes pictures in rows, with labels below them. The pictures of a row have equal heights, and every row is `width` pixels wide."""
     font, gap, below = ImageFont.load_default(15), 10, 26
     parts, top = [], gap
     for row in rows:

@@ -213,9 +213,9 @@ fn module(&Module { package: name_of_package, features, name, profile, bare }: &
             return Err(format!("web: {}: expected no path of this machine, found {folder}", module.display()));
         }
     }
-    // Smaller code (`-Os`) is larger once it is compressed: the solver then has 500 kB, not 464 kB.
-    // Brotli finds more repetitions in code that the optimizer changes little. It also finds more
-    // if similar functions are neighbours, which the order by names brings about.
+    // With `-Os` the code is smaller, but its compressed form is larger: 500 kB for the solver, not
+    // 464 kB. Brotli finds more repetitions in code that the optimizer changes little. It also
+    // finds more if similar functions are neighbours, and the order by names makes them neighbours.
     let mut optimize = command(root().join("web/node_modules/.bin/wasm-opt"));
     optimize.args(["-O1", "--shrink-level=1", "--reorder-functions-by-name", "--strip-debug", "--strip-producers"]);
     optimize.args(FEATURES);

@@ -134,8 +134,8 @@ impl Stage {
     }
 }
 
-/// Returns the time that a stage still takes if its remaining steps are as fast as the finished
-/// ones; `None` if too little is finished for an estimate.
+/// Returns the time that a stage still takes if its remaining steps are as fast as its finished
+/// steps. Returns `None` if too few steps are finished for an estimate.
 fn remaining(done: u64, total: u64, spent: Duration) -> Option<String> {
     if done == 0 || done >= total || spent < LAZY {
         return None;

@@ -23,8 +23,8 @@ pub(crate) fn print(error: &Error) {
     };
 }
 
-/// Returns false if the environment requests text without colours: `NO_COLOR` (no-color.org), or a
-/// terminal that shows plain text only.
+/// Returns false if the environment requires text without colours: by `NO_COLOR` (no-color.org), or
+/// by a terminal that shows only plain text.
 fn wants_colour() -> bool {
     std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
         && std::env::var_os("TERM").is_none_or(|term| term != "dumb")

@@ -41,11 +41,11 @@ pub fn unpack(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
     contained(packed, decode)
 }
 
-/// Decodes common pictures ([`Packed::is_common`]) with the results of [`unpack`]. A module that
+/// Decodes common pictures ([`Packed::is_common`]) to the same results as [`unpack`]. A module that
 /// calls only this function is small, since it contains no other decoder.
 ///
 /// # Errors
-/// The errors of [`unpack`]. Other content is an error too.
+/// The errors of [`unpack`], and an error for all content except common pictures.
 pub fn unpack_common(packed: &Packed<'_>) -> Result<Unpacked, Unsound> {
     let decode = || match *packed {
         Packed::Size(usage, bytes) => pictures::size(pictures::common, usage, bytes),

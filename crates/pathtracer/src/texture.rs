@@ -231,8 +231,8 @@ fn pyramid(image: &Image, encoding: Encoding) -> Vec<Level> {
     }
 }
 
-/// Returns the averages of 2 × 2 texels of a level, fewer at odd edges. Texels have the kind of the
-/// image's `pixels`.
+/// Returns the averages of 2 × 2 texels of a level, or of fewer texels at an odd edge. The result
+/// has texels of the same kind as `pixels`, the pixels of the image.
 fn halved(
     pixels: &Pixels,
     [width, height]: [usize; 2],
@@ -258,8 +258,8 @@ fn halved(
 
 /// Evaluates a function at every texel, row by row.
 fn by_rows<T>([width, height]: [usize; 2], texel: impl Fn(usize, usize) -> T) -> Vec<T> {
-    // Browsers replace slow first code of a module by better code only when a function is called.
-    // So each row is a call.
+    // Browsers first compile a module to slow code, and later to better code. A running function
+    // keeps its slow code until the next call. So each row is a call.
     #[inline(never)]
     fn add_row<T>(texels: &mut Vec<T>, width: usize, texel: impl Fn(usize) -> T) {
         texels.extend((0..width).map(texel));

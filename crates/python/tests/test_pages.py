@@ -1,5 +1,5 @@
-"""Every block of a documentation page is of a known kind. Every shell command on the pages is run: by these tests, or by
-the test that a table names. Options of commands in the text of the pages exist."""
+"""Tests of the documentation's pages. Every block is of a known kind. These tests, or the test that a table names, run every
+shell command. Tasks of `cargo xtask` are not run, but must exist. The options of commands in the text must exist, too."""
 
 from __future__ import annotations
 

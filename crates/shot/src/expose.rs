@@ -48,7 +48,7 @@ pub fn expose_over(
 pub struct Brightest<'a> {
     geometry: &'a FieldGeometry,
     depths: &'a Depths,
-    /// Every `every`-th ray is taken, counted through all views.
+    /// Step between measured rays: every `every`-th ray is measured, counted through all views.
     every: usize,
 }
 
@@ -60,8 +60,8 @@ impl<'a> Brightest<'a> {
     }
 
     /// Returns two values for each measured ray of a view: the largest channel, and true if the ray
-    /// hits a surface. `number` is the number of the view among the measured views, from 0, `view`
-    /// = [view_y, view_x] its place in the grid, and `picture` its radiance `[row][col][rgb]`.
+    /// hits a surface. `number` counts the measured views from 0. `view` is the view's place in the
+    /// grid, [view_y, view_x], and `picture` is its radiance, `[row][col][rgb]`.
     pub fn of_view(&self, number: usize, view: [usize; 2], picture: &[f32]) -> Vec<(f32, bool)> {
         // The index of a view's first measured ray depends on the number of rays in the views
         // before it.

@@ -162,8 +162,8 @@ fn farthest_shown(display: &Display, pitch_mm: f64) -> Option<f64> {
     (far > 0.0 && far.is_finite()).then_some(far)
 }
 
-/// Returns a geometry of the same rectangle with at most `most_cols` columns, and with the views of
-/// `grid`.
+/// Returns a geometry with at most `most_cols` columns, with the centre and width of `geometry`,
+/// and with the views of `grid`. Rows are whole, so the height may differ by up to half of a pixel.
 pub fn coarser(geometry: &FieldGeometry, grid: ViewGrid, most_cols: usize) -> FieldGeometry {
     let [width_mm, height_mm] = geometry.size_mm();
     let cols = geometry.cols.min(most_cols);

@@ -1,5 +1,5 @@
 //! Decoders of pictures, packed meshes and captures, readers of light fields, and the writer of zip
-//! files. The page that computes patterns in the browser rarely needs these functions.
+//! files. The page that computes patterns in the browser needs these functions only for some files.
 //!
 //! In the page this crate is two WebAssembly modules, each of which is loaded at its first use. The
 //! small module, with the feature `pictures`, decodes only the pictures that most scenes have. If a

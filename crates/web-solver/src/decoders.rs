@@ -1,7 +1,7 @@
 //! Access to the decoders of packed content, the readers of light fields and the writer of zip
-//! files. In a page they are in another WebAssembly module, except for the decoders of common
-//! pictures, which have a small module of their own. Outside of the browser this crate calls the
-//! crate `lumistack-web-decoders` directly.
+//! files. In a page, a small WebAssembly module has the decoders of common pictures, and another
+//! module has all other functions. Outside of the browser this crate calls the crate
+//! `lumistack-web-decoders` directly.
 
 #[cfg(target_arch = "wasm32")]
 pub(crate) use page::{field, pack, unpack};
@@ -55,7 +55,7 @@ mod page {
     use super::Wanted;
     use crate::error::Error as Sentence;
 
-    // `worker.ts` defines these functions; it loads each module of decoders at its first call
+    // `worker.ts` defines these functions. The first call that needs a module of decoders loads it.
     #[wasm_bindgen]
     extern "C" {
         #[wasm_bindgen(catch, js_namespace = lumistack_decoders)]

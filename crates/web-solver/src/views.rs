@@ -29,7 +29,7 @@ pub(crate) struct Picked {
 /// Number of pixels of traced views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Detail {
-    /// Half of the rows and columns, for the first picture: a quarter of the time.
+    /// Half of the rows and columns, for the first picture. It takes a quarter of the time.
     Coarse,
     /// All pixels of the display's light field.
     Full,
@@ -239,8 +239,8 @@ impl Views {
     }
 
     /// Makes a light field of the picked views, as the command does. It averages the light that all
-    /// views share, adds splats, applies exposure and tone curve, and rounds. Coarse views become
-    /// finer at the end.
+    /// views share, adds splats, applies exposure and tone curve, and rounds. At the end, coarse
+    /// views are interpolated to all pixels.
     ///
     /// # Errors
     /// If depths, which the average needs, cannot be traced.
@@ -361,9 +361,9 @@ mod tests {
 
     use super::*;
 
-    /// A light field whose values are linear functions of the place on the display keeps them, also
-    /// if the coarse rectangle is a little higher than the fine rectangle. At the edges, where
-    /// nothing is to interpolate, the value is the value of the outermost pixel.
+    /// Interpolation keeps values that are linear functions of the place on the display, also if
+    /// the coarse rectangle is a little higher than the fine rectangle. Fine pixels outside of the
+    /// centres of the outermost coarse pixels have the values of these coarse pixels.
     #[test]
     fn finer_pixels_show_the_same_places() {
         let grid = ViewGrid::uniform(Projection::Oblique, [2, 1], [20.0, 0.0]).unwrap();

@@ -19,8 +19,8 @@ use crate::views::{Detail, Picked, Views};
 /// Largest number of rows of views for which the first patterns are solved. The number of columns
 /// of views has the same limit.
 const FIRST: usize = 3;
-/// Paths per pixel of the first views, if these are coarse. Two paths per pixel of a quarter of the
-/// pixels take half of the time of one path per pixel of all pixels.
+/// Paths per pixel of the first views, if these are coarse. Coarse views have a quarter of the
+/// pixels. So two paths per pixel take half of the time of one path per pixel of a full view.
 const COARSE_SAMPLES: u32 = 2;
 /// Iterations of a solve for unfinished views. Few suffice, since the solve starts from the current
 /// patterns.
@@ -445,9 +445,9 @@ fn plan_field(iterations: u32) -> VecDeque<Piece> {
     pieces
 }
 
-/// Plans the pieces after the scene is placed. The first pieces render coarse, noisy views of a few
-/// directions, then noisy views of all directions. Then follow views with all their samples, and
-/// the last solve.
+/// Plans the pieces after the scene is placed. The first pieces render noisy views of a few
+/// directions, coarse unless the scene has splats. Then noisy views of all directions follow, then
+/// views with all their samples, and the last solve.
 fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
     let (first, all) = (Picked::some(views.grid(), FIRST), Picked::all(views.grid()));
     let mut pieces = VecDeque::new();
@@ -468,8 +468,8 @@ fn plan(views: &Views, iterations: u32) -> VecDeque<Piece> {
             pieces.extend(some.chunks(SPLAT_VIEWS).map(|some| Piece::Splats(some.to_vec())));
         }
     };
-    // Few views come first, so that the page shows patterns early. Coarse views are quicker, but
-    // splats, which would stand in front of them, are rendered with all pixels.
+    // Few views come first, so that the page shows patterns early. Coarse views are quicker. But
+    // splats are always rendered with all pixels, and cannot be drawn in front of coarse views.
     let (detail, samples) = if views.has_splats() { (Detail::Full, 1) } else { (Detail::Coarse, COARSE_SAMPLES) };
     let few: Vec<[usize; 2]> = first.views().collect();
     trace(&mut pieces, &few, detail, samples);

@@ -57,7 +57,7 @@ function loaded<T extends { initSync(from: { module: WebAssembly.Module }): unkn
   };
 }
 
-/** The decoders of common pictures, and all decoders. Few scenes need the second module, which is large. */
+/** Functions that load the small module, with the decoders of common pictures, and the large module, which few scenes need. */
 const common = loaded(pictures, "lumistack_web_pictures_bg.wasm");
 const ready = loaded(decoders, "lumistack_web_decoders_bg.wasm");
 

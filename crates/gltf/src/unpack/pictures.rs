@@ -22,7 +22,7 @@ const DECODER_BYTES: u64 = 64 << 20;
 const TEXTURES: [ImageFormat; 3] = [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::WebP];
 const ENVIRONMENTS: [ImageFormat; 1] = [ImageFormat::Hdr];
 
-/// Makes the decoder of a picture.
+/// A function that makes the decoder of a picture.
 pub(super) type Opener = for<'a> fn(ImageFormat, &'a [u8], Limits) -> ImageResult<Box<dyn ImageDecoder + 'a>>;
 
 /// Makes decoders of all formats.
@@ -115,8 +115,8 @@ fn is_deep(decoder: &impl ImageDecoder) -> bool {
 
 /// Decodes a picture of codes to four channels, with 16 bits if the file has 16 bits.
 ///
-/// `DynamicImage` converts pixels too. But its code, which also converts between colour spaces, is
-/// half of a small module of decoders.
+/// `DynamicImage` also converts pixels. But its code, which also converts between colour spaces,
+/// would double the size of the small module of decoders.
 fn codes(opener: Opener, bytes: &[u8]) -> Result<Pixels, Unsound> {
     let (format, decoder) = open(opener, Use::Texture, bytes)?;
     let (width, height) = decoder.dimensions();
@@ -144,7 +144,8 @@ fn codes(opener: Opener, bytes: &[u8]) -> Result<Pixels, Unsound> {
     Ok(Pixels::Rgba8(texels))
 }
 
-/// Returns a texel of four channels, from one to four channels. `None` for other numbers.
+/// Converts one to four channels to a texel of four channels. Returns `None` for other numbers of
+/// channels.
 #[inline]
 fn rgba<T: Copy>(values: &[T], opaque: T) -> Option<[T; 4]> {
     match *values {

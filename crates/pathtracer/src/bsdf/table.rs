@@ -4,21 +4,22 @@ use std::sync::OnceLock;
 
 /// Values on an even grid over the unit cube of `D` coordinates, the first of which varies fastest.
 ///
-/// The nodes with one value of the last coordinate are a slice. A slice is computed when a lookup
-/// first needs it. The last coordinate is a property of materials, such as roughness, so most
-/// scenes need few slices. All slices would take most of the time of a scene's first view.
+/// A slice contains all nodes that have the same value of the last coordinate. It is computed when
+/// a lookup first needs it. The last coordinate is a property of materials, such as roughness, so
+/// most scenes need few slices. The computation of all slices would take most of the time of a
+/// scene's first view.
 pub(crate) struct Table<const D: usize, const V: usize> {
     nodes: [usize; D],
     slices: Box<[OnceLock<Slice<V>>]>,
     make: fn([usize; D], f32) -> Slice<V>,
 }
 
-/// The values at the nodes with one value of the last coordinate.
+/// The values at all nodes that have the same value of the last coordinate.
 pub(crate) type Slice<const V: usize> = Box<[[f32; V]]>;
 
 impl<const D: usize, const V: usize> Table<D, V> {
     /// Makes a table; each axis has at least two nodes. `make` computes the slice at a value of the
-    /// last coordinate, such as by [`slice`].
+    /// last coordinate, for example by [`slice`].
     pub(crate) fn new(nodes: [usize; D], make: fn([usize; D], f32) -> Slice<V>) -> Self {
         Self { nodes, slices: (0..nodes[D - 1]).map(|_| OnceLock::new()).collect(), make }
     }
@@ -70,7 +71,7 @@ impl<const D: usize, const V: usize> Table<D, V> {
     }
 }
 
-/// Evaluates a function at the nodes with the value `last` of the last coordinate.
+/// Evaluates a function at all nodes whose last coordinate is `last`, a value in 0..1.
 pub(crate) fn slice<const D: usize, const V: usize>(
     nodes: [usize; D],
     last: f32,

@@ -171,8 +171,8 @@ fn middle(geometry: &FieldGeometry) -> [usize; 2] {
     geometry.grid.views().map(|count| count / 2)
 }
 
-/// Returns a view before and after the filter. The first arguments are the view's number and its
-/// grid position. Views are read one by one, since all views together are large.
+/// Returns a view before and after the filter. The first two arguments are the view's number and
+/// its grid position. All views together are large, so only the guided filter keeps them in memory.
 type Filtered<'a> = Box<dyn Fn(usize, [usize; 2], Task<'_>) -> Result<[Tensor<3>; 2], PipelineError> + Sync + 'a>;
 
 /// Averages the light that views share. Keeps the light in memory if the job allows this for the
@@ -234,7 +234,7 @@ fn by_guides<'a>(field: &FieldJob, shot: Shot<'_>, task: Task<'_>) -> Result<Fil
 }
 
 /// Filters the views by Open Image Denoise, through files in a temporary folder. The program uses
-/// all cores, so it filters one view at a time.
+/// all cores, so it never filters two views at the same time.
 fn by_oidn<'a>(field: &'a FieldJob, shot: Shot<'a>, folder: &Path) -> Result<Filtered<'a>, PipelineError> {
     let oidn = Oidn::find()?;
     let exchange = Mutex::new(tempfile::tempdir_in(folder).map_err(PipelineError::write(folder))?);

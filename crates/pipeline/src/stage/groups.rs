@@ -1,8 +1,9 @@
 //! Work on several views at the same time.
 //!
-//! Many threads trace a view together, but one thread reads, hashes or writes its file. On a
-//! machine with 16 cores, views that were handled one by one kept 5.5 cores busy (625 views of 840
-//! × 525 pixels). So a group of views is in work together, and its size bounds the memory.
+//! Many threads trace a view together, but a single thread reads, hashes or writes the view's file.
+//! On a machine with 16 cores, views that were handled one by one kept 5.5 cores busy (625 views of
+//! 840 × 525 pixels). So a group of views is in work together. The size of the group bounds the
+//! memory.
 
 use lumistack_core::{Collector, Task};
 use rayon::prelude::*;
@@ -18,11 +19,13 @@ pub(crate) fn views_at_once() -> usize {
     rayon::current_num_threads().min(MOST)
 }
 
-/// Calls `one` for every element, for a group of elements at the same time. Then passes the results
-/// of the group to `then`, in the order of the elements. Warnings also keep this order.
+/// Calls `one(index, element, task)` for every element; the calls for the elements of a group run
+/// at the same time. After each group, passes the results of the group to `then`, in the order of
+/// the elements. Warnings also keep this order.
 ///
 /// # Errors
-/// The first error in the order of the elements. Elements of later groups are then not handled.
+/// The first error of `one` or `then`, in the order of the elements. Later groups are then not
+/// handled.
 pub(crate) fn in_groups<T: Sync, R: Send>(
     all: &[T],
     task: Task<'_>,

@@ -77,8 +77,9 @@ pub(crate) fn resolved(job: &Job, registry: &Registry) -> Result<Job, PipelineEr
     Ok(job)
 }
 
-/// Sets the title of each output that has the parameter `title`, unless the job sets it. Without
-/// a title, the output would have the display's name, and not the name of the scene.
+/// Sets the parameter `title` of each output that has this parameter, unless the job sets it. The
+/// title is the job's name or, without a name, the name of the scene's file. Without a title, an
+/// output would show the display's name.
 fn add_titles(job: &mut Job, registry: &Registry) {
     let stem = || job.scene.as_ref()?.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     let name = Some(job.name.clone()).filter(|name| !name.is_empty()).or_else(stem);

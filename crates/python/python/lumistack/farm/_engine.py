@@ -274,8 +274,8 @@ class Engine:
                     raise FarmError(f"{folder}: expected a folder to send, found none")
             self.store, self.sent = _store.Run(url, self.plan), [str(folder) for folder in sent]
             self.store.begin(self.here, sent)
-            # Workers take inputs from the store. So only units whose files an earlier call left
-            # there are done. A unit that is done only in the run folder here is executed again.
+            # Workers take inputs from the store. So only units whose files are in the store count
+            # as done. A unit that is done only in the run folder of this machine is executed again.
             stored = [unit for unit in self.units if unit not in last and self.store.is_done(unit)]
             missing = [unit for unit in stored if unit not in self.done]
             self.done = set(stored)
