@@ -166,7 +166,7 @@ impl PixelRays {
     /// and y up, in −0.5..0.5. The first is from the centre of the pixel, in pixels. The second is
     /// from the centre of the range of slopes, in widths of that range.
     #[inline]
-    pub(crate) fn fill(&self, rays: &mut [Ray], offsets: impl Fn(usize) -> [[f32; 2]; 2]) {
+    pub(crate) fn fill(&self, rays: &mut [Ray], mut offsets: impl FnMut(usize) -> [[f32; 2]; 2]) {
         // one array per coordinate, so that roots and quotients are computed as vectors
         let mut origins = [[0.0f32; BEAM]; 3];
         let mut directions = [[0.0f32; BEAM]; 3];

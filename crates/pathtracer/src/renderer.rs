@@ -262,14 +262,18 @@ impl Renderer {
     ) -> Result<Tensor<3>, RenderError> {
         let samples = self.samples_of(window, geometry, view, settings)?;
         let (lost, clamped) = (AtomicU64::new(0), Clamped::default());
-        let filled = self.by_tiles(geometry, task, ["row", "col", "rgb"], |row, col, stack| {
-            let seed = samples.pixel_seed(row, col);
-            let (pixel, first) =
-                self.pixel::<FIRST>(&samples, [row, col], seed, [settings.samples; 2], settings, &clamped, stack);
-            if pixel.not_finite > 0 {
-                lost.fetch_add(u64::from(pixel.not_finite), Ordering::Relaxed);
-            }
-            values(&pixel, &first)
+        // With few samples per pixel, several pixels share a beam. Whole renders of still-life with
+        // 1, 2, 3 and 4 samples then take 16, 9, 7 and 6 % less time than with a beam per pixel.
+        let most = (BEAM / settings.samples as usize).max(1);
+        let filled = self.by_groups(geometry, task, ["row", "col", "rgb"], most, |pixels, buffers, filled| {
+            let count = [settings.samples; 2];
+            let seed = |at| samples.pixel_seed(at);
+            self.pixels::<FIRST>(&samples, pixels, seed, count, settings, &clamped, buffers, |pixel, first| {
+                if pixel.not_finite > 0 {
+                    lost.fetch_add(u64::from(pixel.not_finite), Ordering::Relaxed);
+                }
+                filled.push(values(pixel, first));
+            });
         })?;
         let lost = lost.into_inner();
         if lost > 0 {
@@ -371,77 +375,71 @@ impl Renderer {
         }
     }
 
-    /// Renders a pixel with the given numbers [paths, rays]; the first rays continue as paths. If
-    /// `FIRST` is true, also adds up data of the first surfaces of the rays.
-    fn pixel<const FIRST: bool>(
+    /// Renders pixels with the given numbers [paths, rays] of each; the first rays continue as paths.
+    /// If `FIRST` is true, also adds up data of the first surfaces of the rays. Calls `take` for every
+    /// pixel, in order. Several pixels may only be given together if all their rays fit into a beam.
+    fn pixels<const FIRST: bool>(
         &self,
         samples: &ViewSamples<'_>,
-        at: [usize; 2],
-        pixel_seed: u64,
+        pixels: &[[usize; 2]],
+        seed: impl Fn([usize; 2]) -> u64,
         rays_of_pixel: [u32; 2],
         settings: &Settings,
         clamped: &Clamped,
-        stack: &mut Stack,
-    ) -> (PixelMean, FirstSums) {
+        buffers: &mut Buffers,
+        mut take: impl FnMut(&PixelMean, &FirstSums),
+    ) {
         let tracer = self.tracer();
-        // Sums are in double precision, since the variance is a small difference of large sums.
-        let (mut sum, mut squares) = ([0.0f64; 3], [0.0f64; 3]);
-        let mut not_finite = 0;
-        let mut sums = FirstSums::default();
-        samples.for_each_beam_of(at, pixel_seed, rays_of_pixel, |beam, paths, rays, draws| {
+        let Buffers { stack, sums } = buffers;
+        sums.clear();
+        sums.resize_with(pixels.len(), PixelSums::default);
+        samples.for_each_beam_of(pixels, seed, rays_of_pixel, |beam, draws| {
+            let (paths, each, in_bounds) = (beam.paths, beam.each, beam.in_bounds);
+            let (rays, cones) = beam.parts();
             let mut first = [First::default(); BEAM];
             let radiance = tracer.radiance::<FIRST>(
-                beam,
+                rays,
                 paths,
-                rays.cone,
-                rays.in_bounds,
+                cones,
+                in_bounds,
                 settings,
                 draws,
                 stack,
                 if FIRST { &mut first } else { &mut [] },
             );
-            if FIRST {
-                for (index, first) in first[..beam.len()].iter_mut().enumerate() {
-                    if let Some(limit) = settings.clamp {
-                        first.seen *= (limit / first.seen.max_element()).min(1.0);
-                    }
-                    sums.add(first, place_in_pixel(draws, index), &samples.axes);
-                    if index < paths {
-                        sums.add_path(first);
-                    }
-                }
-            }
-            for (index, &traced) in radiance[..paths].iter().enumerate() {
-                let sample = settings.clamp.map_or(traced, |limit| clamped.dim(traced, limit));
-                if sample.is_finite() {
+            for (sums, at) in sums.iter_mut().zip((0..).step_by(each)) {
+                let mut light = sums.light;
+                for (index, &traced) in radiance.iter().enumerate().skip(at).take(each) {
+                    let is_path = paths & (1 << index) != 0;
                     if FIRST {
+                        let first = &mut first[index];
+                        if let Some(limit) = settings.clamp {
+                            first.seen *= (limit / first.seen.max_element()).min(1.0);
+                        }
+                        sums.first.add(first, place_in_pixel(draws, index), &samples.axes);
+                        if is_path {
+                            sums.first.add_path(first);
+                        }
+                    }
+                    if !is_path {
+                        continue;
+                    }
+                    let sample = settings.clamp.map_or(traced, |limit| clamped.dim(traced, limit));
+                    let is_finite = light.add(sample);
+                    if FIRST && is_finite {
                         // `Settings::clamp` may have dimmed the sample; dim its diffuse light by
                         // the same factor
                         let kept = if sample == traced { 1.0 } else { sample.max_element() / traced.max_element() };
-                        sums.add_diffuse(kept * first[index].diffuse);
+                        sums.first.add_diffuse(kept * first[index].diffuse);
                     }
-                    for (c, value) in sample.to_array().map(f64::from).into_iter().enumerate() {
-                        sum[c] += value;
-                        squares[c] += value * value;
-                    }
-                } else {
-                    not_finite += 1;
                 }
+                sums.light = light;
             }
         });
-        let finite = rays_of_pixel[0] - not_finite;
-        let count = f64::from(finite.max(1));
-        let variance = |c: usize| match finite {
-            0 | 1 => f32::NAN,
-            // for equal samples, rounding may give a difference slightly below 0
-            _ => ((squares[c] - sum[c] * sum[c] / count).max(0.0) / (count * (count - 1.0))) as f32,
-        };
-        let pixel = PixelMean {
-            mean: Vec3::from_array(sum.map(|s| (s / count) as f32)),
-            variance: Vec3::from_array([0, 1, 2].map(variance)),
-            not_finite,
-        };
-        (pixel, if FIRST { sums.turned(&samples.axes) } else { sums })
+        for sums in sums.drain(..) {
+            let pixel = sums.light.mean(rays_of_pixel[0]);
+            take(&pixel, &if FIRST { sums.first.turned(&samples.axes) } else { sums.first });
+        }
     }
 
     /// Computes `[row][col][k]` tile by tile. The values of a pixel depend only on the pixel, so
@@ -453,16 +451,32 @@ impl Renderer {
         axes: [&'static str; 3],
         pixel: impl Fn(usize, usize, &mut Stack) -> [f32; K] + Sync,
     ) -> Result<Tensor<3>, RenderError> {
+        self.by_groups(geometry, task, axes, 1, |pixels, buffers, values| {
+            values.extend(pixels.iter().map(|[row, col]| pixel(*row, *col, &mut buffers.stack)));
+        })
+    }
+
+    /// Computes `[row][col][k]` tile by tile, with groups of up to `most` neighbouring pixels.
+    /// `group` appends the values of the given pixels, in order.
+    fn by_groups<const K: usize>(
+        &self,
+        geometry: &FieldGeometry,
+        task: Task<'_>,
+        axes: [&'static str; 3],
+        most: usize,
+        group: impl Fn(&[[usize; 2]], &mut Buffers, &mut Vec<[f32; K]>) + Sync,
+    ) -> Result<Tensor<3>, RenderError> {
         let tiles = Tiles::new(geometry);
         let fill = |tile: usize| -> Result<Vec<[f32; K]>, Cancelled> {
-            let mut stack = self.bvh.stack();
-            let one = |(row, col)| {
-                // Cancellation is checked at every pixel, since a tile may take long: a pixel of
+            let mut buffers = Buffers { stack: self.bvh.stack(), sums: Vec::new() };
+            let pixels: Vec<[usize; 2]> = tiles.pixels(tile).collect();
+            let mut values = Vec::with_capacity(pixels.len());
+            for pixels in pixels.chunks(most) {
+                // Cancellation is checked at every group, since a tile may take long: a pixel of
                 // very many samples takes seconds.
                 task.cancel.check()?;
-                Ok(pixel(row, col, &mut stack))
-            };
-            let values = tiles.pixels(tile).map(one).collect::<Result<_, Cancelled>>()?;
+                group(pixels, &mut buffers, &mut values);
+            }
             task.progress.advance(1, "");
             Ok(values)
         };
@@ -472,11 +486,65 @@ impl Renderer {
         let filled: Result<Vec<_>, Cancelled> = (0..tiles.count()).map(fill).collect();
         let mut image = Tensor::zeros(axes, [geometry.rows, geometry.cols, K]);
         for (tile, values) in filled?.into_iter().enumerate() {
-            for ((row, col), value) in tiles.pixels(tile).zip(values) {
+            for ([row, col], value) in tiles.pixels(tile).zip(values) {
                 image.block_mut([row, col]).copy_from_slice(&value);
             }
         }
         Ok(image)
+    }
+}
+
+/// Memory that a thread uses again for each group of pixels.
+struct Buffers {
+    stack: Stack,
+    sums: Vec<PixelSums>,
+}
+
+/// Sums over the samples of a pixel.
+#[derive(Default)]
+struct PixelSums {
+    light: LightSums,
+    first: FirstSums,
+}
+
+/// Sums over the light of a pixel's paths. They are in double precision, since the variance is a
+/// small difference of large sums.
+#[derive(Clone, Copy, Default)]
+struct LightSums {
+    sum: [f64; 3],
+    squares: [f64; 3],
+    not_finite: u32,
+}
+
+impl LightSums {
+    /// Adds the radiance of a path, if it is a finite number; returns true if it is.
+    #[inline]
+    fn add(&mut self, sample: Vec3) -> bool {
+        if !sample.is_finite() {
+            self.not_finite += 1;
+            return false;
+        }
+        for (c, value) in sample.to_array().map(f64::from).into_iter().enumerate() {
+            self.sum[c] += value;
+            self.squares[c] += value * value;
+        }
+        true
+    }
+
+    /// Returns the mean over `paths` paths.
+    fn mean(&self, paths: u32) -> PixelMean {
+        let finite = paths - self.not_finite;
+        let count = f64::from(finite.max(1));
+        let variance = |c: usize| match finite {
+            0 | 1 => f32::NAN,
+            // for equal samples, rounding may give a difference slightly below 0
+            _ => ((self.squares[c] - self.sum[c] * self.sum[c] / count).max(0.0) / (count * (count - 1.0))) as f32,
+        };
+        PixelMean {
+            mean: Vec3::from_array(self.sum.map(|s| (s / count) as f32)),
+            variance: Vec3::from_array([0, 1, 2].map(variance)),
+            not_finite: self.not_finite,
+        }
     }
 }
 
@@ -540,10 +608,14 @@ impl Tiles {
         self.rows.div_ceil(TILE) * self.cols.div_ceil(TILE)
     }
 
-    fn pixels(self, tile: usize) -> impl Iterator<Item = (usize, usize)> {
+    /// Returns the pixels [row, col] of a tile. Successive pixels are close together: they follow
+    /// Morton's curve, whose even bits are the column and whose odd bits are the row.
+    fn pixels(self, tile: usize) -> impl Iterator<Item = [usize; 2]> {
         let across = self.cols.div_ceil(TILE);
         let (row, col) = (tile / across * TILE, tile % across * TILE);
-        (row..(row + TILE).min(self.rows)).flat_map(move |r| (col..(col + TILE).min(self.cols)).map(move |c| (r, c)))
+        let bits = |number: usize| (0..TILE.ilog2()).fold(0, |value, bit| value | (number >> bit & 1 << bit));
+        let all = (0..TILE * TILE).map(move |number| [row + bits(number >> 1), col + bits(number)]);
+        all.filter(move |[row, col]| *row < self.rows && *col < self.cols)
     }
 }
 
@@ -611,6 +683,43 @@ mod tests {
         };
         let (warnings, cancel) = (Collector::default(), Cancel::default());
         Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
+    }
+
+    /// A pixel has the same light if its rays are traced with the rays of its neighbours, in every
+    /// projection.
+    #[test]
+    fn pixels_are_the_same_in_any_company() {
+        let (warnings, cancel) = (Collector::default(), Cancel::default());
+        let task = Task::quiet(&warnings, &cancel);
+        let scene = bowls(AlphaMode::Opaque);
+        let renderer = Renderer::with_sharing(scene.clone(), Sharing::Auto, task).unwrap();
+        for projection in [Projection::Oblique, Projection::Perspective { distance_mm: 700.0 }] {
+            let grid = ViewGrid::single(projection, [0.1, 0.05]);
+            let geometry = FieldGeometry { rows: 21, cols: 38, pitch_mm: 8.0, grid };
+            let window = Window::framing(scene.bounds(), geometry.size_mm()).unwrap();
+            for count in [1, 3, 5, 8] {
+                let settings = Settings { samples: count, ..Settings::default() };
+                let together = renderer.render_view(&window, &geometry, [0, 0], &settings, task).unwrap();
+                let samples = renderer.samples_of(&window, &geometry, [0, 0], &settings).unwrap();
+                let alone = renderer.by_groups(&geometry, task, ["row", "col", "rgb"], 1, |pixels, buffers, values| {
+                    let (seed, clamped) = (|at| samples.pixel_seed(at), Clamped::default());
+                    renderer.pixels::<false>(
+                        &samples,
+                        pixels,
+                        seed,
+                        [count; 2],
+                        &settings,
+                        &clamped,
+                        buffers,
+                        |p, _| {
+                            values.push(p.mean.to_array());
+                        },
+                    );
+                });
+                assert_eq!(together, alone.unwrap(), "{projection:?}, {count} samples");
+                assert!(together.data().iter().any(|&light| light > 0.1));
+            }
+        }
     }
 
     /// Instances that share a tree show the same scene as copies in one tree. The same random

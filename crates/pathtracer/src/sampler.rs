@@ -13,6 +13,8 @@
 
 use lumistack_core::seed;
 
+use crate::bvh::BEAM;
+
 /// Number of scrambled sequences in the bank. Two pairs of dimensions use different sequences if
 /// their indices differ by less than this number.
 const PATTERNS: usize = 64;
@@ -31,18 +33,28 @@ pub(crate) struct SampleBank {
     parts: u32,
 }
 
-/// Draws the random numbers of consecutive samples of one pixel, by pairs of dimensions. For each
-/// pair, one hash of the pixel and the pair serves all samples.
+/// Draws the random numbers of the rays of a beam, by pairs of dimensions. Each ray is a sample of a
+/// pixel.
 #[derive(Clone, Copy)]
 pub(crate) struct Draws<'a> {
     bank: &'a SampleBank,
-    pixel: u64,
-    first: u32,
+    /// For each ray, the hash of its pixel, and its index in the bank's sequences.
+    rays: [(u64, u32); BEAM],
+}
+
+/// One pair of dimensions of the rays of a beam.
+#[derive(Clone, Copy)]
+pub(crate) struct Pair<'a> {
+    draws: &'a Draws<'a>,
+    pair: u64,
+    /// Values of the ray that was drawn last. They serve all rays of its pixel.
+    last: PixelPair<'a>,
 }
 
 /// One pair of dimensions of the samples of a pixel.
 #[derive(Clone, Copy)]
-pub(crate) struct Pair<'a> {
+struct PixelPair<'a> {
+    pixel: u64,
     points: &'a [[u32; 2]],
     /// Bits that are flipped in a sample's index (`flip`) and in its two values (`flips`).
     flip: u32,
@@ -78,16 +90,28 @@ impl SampleBank {
         Self { points, length, parts }
     }
 
-    /// Returns the random numbers of sample `first` and the samples after it, for the pixel with
-    /// this hash. `first` must be a multiple of a power of two, and at most that number of samples
-    /// may be drawn. Otherwise the samples would extend over the end of the bank's sequence.
-    pub(crate) fn draws(&self, pixel: u64, first: u32) -> Draws<'_> {
-        let pixel = if first < self.length { pixel } else { seed::derive(pixel, &[u64::from(first / self.length)]) };
-        Draws { bank: self, pixel, first: first & (self.length - 1) }
+    /// Returns the random numbers of the samples `first` to `first` + `each` − 1 of each pixel, in
+    /// the order of the pixels. A pixel is given by its hash. There may be at most [`BEAM`] samples.
+    #[inline]
+    pub(crate) fn draws(&self, pixels: &[u64], first: u32, each: u32) -> Draws<'_> {
+        let mut draws = Draws { bank: self, rays: [(0, 0); BEAM] };
+        for (&pixel, rays) in pixels.iter().zip(draws.rays.chunks_exact_mut(each as usize)) {
+            rays.iter_mut().zip(first..).for_each(|(ray, sample)| *ray = (pixel, sample));
+        }
+        if first + each > self.length {
+            // further samples use the sequence again with another hash
+            for (pixel, sample) in &mut draws.rays {
+                if *sample >= self.length {
+                    *pixel = seed::derive(*pixel, &[u64::from(*sample / self.length)]);
+                    *sample &= self.length - 1;
+                }
+            }
+        }
+        draws
     }
 }
 
-impl<'a> Draws<'a> {
+impl Draws<'_> {
     /// Returns the number of equal parts into which a pixel's samples stratify [0, 1). Each part
     /// holds one of the samples' numbers, for both dimensions of every pair. If the number of
     /// samples is no power of two, a part holds one or two numbers.
@@ -98,27 +122,48 @@ impl<'a> Draws<'a> {
 
     /// Returns the pair of dimensions with this index.
     #[inline]
-    pub(crate) fn pair(&self, pair: u64) -> Pair<'a> {
-        let hash = seed::mix(self.pixel.wrapping_add(pair.wrapping_mul(PAIR_STEP)));
-        // any 64 successive pairs use all 64 patterns; the pixel's hash selects the first
-        let pattern = (self.pixel.wrapping_add(pair.wrapping_mul(37)) as usize) % PATTERNS;
-        let length = self.bank.length as usize;
-        let flip = (hash ^ (hash >> 27)) as u32 ^ self.first;
-        Pair {
-            points: &self.bank.points[pattern * length..(pattern + 1) * length],
-            flip,
-            flips: [(hash >> 32) as u32, hash as u32],
-        }
+    pub(crate) fn pair(&self, pair: u64) -> Pair<'_> {
+        Pair { draws: self, pair, last: self.bank.pair_of(self.rays[0].0, pair) }
+    }
+
+    /// Returns the two numbers of a ray in the pair of dimensions with this index, each in [0, 1).
+    #[inline]
+    pub(crate) fn numbers(&self, pair: u64, ray: usize) -> [f32; 2] {
+        let (pixel, sample) = self.rays[ray];
+        self.bank.pair_of(pixel, pair).of(sample)
     }
 }
 
 impl Pair<'_> {
-    /// Returns the two numbers of a sample, each in [0, 1). The first sample of these [`Draws`] has
-    /// the index 0.
+    /// Returns the two numbers of a ray, each in [0, 1).
+    #[inline(always)]
+    pub(crate) fn of(&mut self, ray: usize) -> [f32; 2] {
+        let (pixel, sample) = self.draws.rays[ray];
+        if pixel != self.last.pixel {
+            self.last = self.draws.bank.pair_of(pixel, self.pair);
+        }
+        self.last.of(sample)
+    }
+}
+
+impl SampleBank {
     #[inline]
-    pub(crate) fn of(&self, sample: usize) -> [f32; 2] {
+    fn pair_of(&self, pixel: u64, pair: u64) -> PixelPair<'_> {
+        let hash = seed::mix(pixel.wrapping_add(pair.wrapping_mul(PAIR_STEP)));
+        // any 64 successive pairs use all 64 patterns; the pixel's hash selects the first
+        let pattern = (pixel.wrapping_add(pair.wrapping_mul(37)) as usize) % PATTERNS;
+        let length = self.length as usize;
+        let flip = (hash ^ (hash >> 27)) as u32;
+        let points = &self.points[pattern * length..(pattern + 1) * length];
+        PixelPair { pixel, points, flip, flips: [(hash >> 32) as u32, hash as u32] }
+    }
+}
+
+impl PixelPair<'_> {
+    #[inline]
+    fn of(&self, sample: u32) -> [f32; 2] {
         // the length of the sequence is a power of two, so the mask keeps the index in range
-        let [x, y] = self.points[(sample as u32 ^ self.flip) as usize & (self.points.len() - 1)];
+        let [x, y] = self.points[(sample ^ self.flip) as usize & (self.points.len() - 1)];
         [unit(x ^ self.flips[0]), unit(y ^ self.flips[1])]
     }
 }
@@ -169,7 +214,7 @@ mod tests {
         for pixel in 0..20 {
             let mut points = vec![Vec::new(); 5];
             for index in 0..samples {
-                let draws = bank.draws(seed::derive(3, &[pixel]), index & !15);
+                let draws = bank.draws(&[seed::derive(3, &[pixel])], index & !15, 16);
                 points
                     .iter_mut()
                     .zip(0..)
@@ -201,7 +246,7 @@ mod tests {
                 for pairs in [[0, 0], [2, 2], [4, 4], [1 << 62, 1 << 62], [0, 3], [3, 67]] {
                     let mut counts = vec![0u64; EDGE * EDGE];
                     for pixel in 0..pixels {
-                        let draws = bank.draws(seed::derive(11, &[pixel]), index);
+                        let draws = bank.draws(&[seed::derive(11, &[pixel])], index, 1);
                         let (x, y) = (draws.pair(pairs[0]).of(0)[0], draws.pair(pairs[1]).of(0)[1]);
                         counts[(x * EDGE as f32) as usize + (y * EDGE as f32) as usize * EDGE] += 1;
                     }
@@ -225,7 +270,7 @@ mod tests {
                     for side in 0..2 {
                         let mut seen = vec![0; parts as usize];
                         for index in 0..samples {
-                            let number = bank.draws(seed::derive(12, &[pixel]), index).pair(pair).of(0)[side];
+                            let number = bank.draws(&[seed::derive(12, &[pixel])], index, 1).pair(pair).of(0)[side];
                             seen[(number * parts as f32) as usize] += 1;
                         }
                         let most = if samples == parts { 1 } else { 2 };
@@ -245,7 +290,7 @@ mod tests {
         let mut sums = [0.0f64; 4];
         for pixel in 0..pixels {
             let draw = |pixel: u64, index: u32, pair: u64| {
-                bank.draws(seed::derive(1, &[pixel]), index).pair(pair).of(0).map(|v| f64::from(v) - 0.5)
+                bank.draws(&[seed::derive(1, &[pixel])], index, 1).pair(pair).of(0).map(|v| f64::from(v) - 0.5)
             };
             let a = draw(pixel, 3, 2);
             sums[0] += a[0] * a[1];
@@ -271,7 +316,7 @@ mod tests {
             .map(|pixel| {
                 let inside = (0..samples)
                     .filter(|&i| {
-                        let [x, y] = bank.draws(seed::derive(5, &[pixel]), i).pair(0).of(0);
+                        let [x, y] = bank.draws(&[seed::derive(5, &[pixel])], i, 1).pair(0).of(0);
                         x * x + y * y < 1.0
                     })
                     .count();
@@ -283,15 +328,19 @@ mod tests {
         assert!(mean_square < random / 10.0, "{mean_square} against {random}");
     }
 
-    /// A sample has the same numbers for any number of samples that are drawn together.
+    /// A sample has the same numbers for any samples, and any pixels, that are drawn together.
     #[test]
     fn samples_are_the_same_in_any_company() {
         for samples in [1, 16, 48, LONGEST + 40] {
             let bank = SampleBank::new(samples);
             for index in [0, 7, 15, 17, 40, LONGEST - 1, LONGEST, LONGEST + 37] {
                 let index = index.min(samples - 1);
-                let together = bank.draws(9, index & !15).pair(3).of(index as usize & 15);
-                assert_eq!(together, bank.draws(9, index).pair(3).of(0), "{index} of {samples}");
+                let together = bank.draws(&[9], index & !15, 16).pair(3).of(index as usize & 15);
+                assert_eq!(together, bank.draws(&[9], index, 1).pair(3).of(0), "{index} of {samples}");
+                let pixels = bank.draws(&[7, 9, 8], index & !3, 4);
+                let ray = 4 + (index as usize & 3);
+                assert_eq!(together, pixels.pair(3).of(ray), "{index} of {samples}, beside other pixels");
+                assert_eq!(together, pixels.numbers(3, ray), "{index} of {samples}, alone");
             }
         }
     }
@@ -299,7 +348,7 @@ mod tests {
     #[test]
     fn more_samples_than_the_longest_sequence_go_on() {
         let bank = SampleBank::new(LONGEST + 5);
-        assert_ne!(bank.draws(1, 0).pair(0).of(0), bank.draws(1, LONGEST).pair(0).of(0));
+        assert_ne!(bank.draws(&[1], 0, 1).pair(0).of(0), bank.draws(&[1], LONGEST, 1).pair(0).of(0));
         assert_eq!(SampleBank::new(1).points.len(), PATTERNS);
     }
 }

@@ -15,9 +15,10 @@
 //! shadow ray passes the surface, and its light is multiplied by the transparent fraction. The mean
 //! is right in both cases.
 //!
-//! The samples of a pixel are traced together, one vertex of all paths at a time. First rays are
-//! close together and traverse the tree as a beam. Random numbers of a vertex share their hash.
-//! While one path waits for memory, the next is computed.
+//! The samples of a pixel are traced together, one vertex of all paths at a time. If a pixel has few
+//! samples, the samples of neighbouring pixels are added. First rays are close together and traverse
+//! the tree as a beam. Random numbers of a vertex of a pixel share their hash. While one path waits
+//! for memory, the next is computed.
 //!
 //! Measured on FlightHelmet with 16 samples per pixel:
 //!
@@ -190,17 +191,17 @@ struct Vertex<'a> {
 }
 
 impl Tracer<'_> {
-    /// Computes the radiance along at most [`BEAM`] rays of a pixel. `draws` has the random numbers
-    /// of successive samples, one sample per ray. If `in_bounds` is false, the rays hit nothing.
-    /// The call overwrites `rays`. The first `paths_of_rays` rays continue as paths; the others end
-    /// at their first surface. If `FIRST` is true, the first surface of every ray is written to
+    /// Computes the radiance along at most [`BEAM`] rays that are close together. Each ray has a cone.
+    /// `draws` has the random numbers of all rays. If `in_bounds` is false, the rays hit nothing. The
+    /// call overwrites `rays`. A ray whose bit is set in `paths_of_rays` continues as a path; the
+    /// others end at their first surface. If `FIRST` is true, the first surface of every ray is written to
     /// `first`, which needs an element per ray. The radiance is the same for both values of
     /// `FIRST`, bit for bit.
     pub(crate) fn radiance<const FIRST: bool>(
         &self,
         rays: &mut [Ray],
-        paths_of_rays: usize,
-        cone: Cone,
+        paths_of_rays: u32,
+        cones: &[Cone],
         in_bounds: bool,
         settings: &Settings,
         draws: &Draws<'_>,
@@ -211,14 +212,14 @@ impl Tracer<'_> {
         self.first_hits(rays, in_bounds, draws, stack, &mut hits);
         hits.iter().flatten().for_each(|hit| self.geometry.prefetch(hit.triangle));
         if FIRST {
-            for index in paths_of_rays..rays.len() {
-                first[index] = self.seen(&rays[index], hits[index].as_ref(), cone, settings, draws);
+            for index in ones(!paths_of_rays & all_ones(rays.len())) {
+                first[index] = self.seen(&rays[index], hits[index].as_ref(), cones[index], settings, draws);
             }
         }
         let start = Path {
             radiance: Vec3::ZERO,
             throughput: Vec3::ONE,
-            cone,
+            cone: cones[0],
             scattered_at: Receiver { position: Vec3::ZERO, normal: None, tilt: Receiver::UPRIGHT },
             scattered_pdf: f32::INFINITY,
             straight: true,
@@ -227,6 +228,7 @@ impl Tracer<'_> {
             diffuse: Vec3::ZERO,
         };
         let mut paths = [start; BEAM];
+        paths.iter_mut().zip(cones).for_each(|(path, cone)| path.cone = *cone);
         // every vertex adds its shadow ray; the rays are traced after all paths have scattered
         let mut shadows = Shadows {
             count: 0,
@@ -235,12 +237,12 @@ impl Tracer<'_> {
             diffuse: [Vec3::ZERO; BEAM],
         };
         // each path that continues has its bit set
-        let mut going = (1u32 << paths_of_rays) - 1;
+        let mut going = paths_of_rays;
         for bounce in 0..=settings.max_bounces {
             let pairs = PRIMARY_PAIRS + VERTEX_PAIRS * u64::from(bounce);
-            let pairs = [draws.pair(pairs), draws.pair(pairs + 1), draws.pair(pairs + 2)];
+            let mut pairs = [draws.pair(pairs), draws.pair(pairs + 1), draws.pair(pairs + 2)];
             shadows.count = 0;
-            let around_normal = self.cosine_directions(going, &pairs[0]);
+            let around_normal = self.cosine_directions(going, &mut pairs[0]);
             // scatter every path at its hit, or end it with the light from infinity
             for (place, index) in ones(going).enumerate() {
                 let path = &mut paths[index];
@@ -255,7 +257,7 @@ impl Tracer<'_> {
                             hit,
                             bounce,
                             settings,
-                            &pairs,
+                            &mut pairs,
                             around_normal,
                             draws,
                             &mut shadows,
@@ -316,7 +318,7 @@ impl Tracer<'_> {
     pub(crate) fn first(
         &self,
         rays: &mut [Ray],
-        cone: Cone,
+        cones: &[Cone],
         in_bounds: bool,
         draws: &Draws<'_>,
         stack: &mut Stack,
@@ -324,9 +326,9 @@ impl Tracer<'_> {
         let mut hits = [None; BEAM];
         self.first_hits(rays, in_bounds, draws, stack, &mut hits);
         let mut first = [First::default(); BEAM];
-        for ((first, hit), ray) in first.iter_mut().zip(&hits).zip(rays) {
+        for (((first, hit), ray), cone) in first.iter_mut().zip(&hits).zip(rays).zip(cones) {
             if let Some(hit) = hit {
-                let vertex = self.vertex(ray, cone, hit);
+                let vertex = self.vertex(ray, *cone, hit);
                 *first = vertex.first(Vec3::ZERO, self.guide(&vertex, -ray.direction));
             }
         }
@@ -370,7 +372,7 @@ impl Tracer<'_> {
         hits[..rays.len()].iter().filter(|hit| hit.is_none()).count()
     }
 
-    /// The first hits of a pixel's rays.
+    /// The first hits of rays that are close together.
     #[inline]
     fn first_hits(
         &self,
@@ -388,7 +390,7 @@ impl Tracer<'_> {
     /// Returns directions around a normal for the paths that continue, in the order of the paths.
     /// The directions are computed together, as vectors.
     #[inline]
-    fn cosine_directions(&self, going: u32, pair: &Pair<'_>) -> [[f32; BEAM]; 3] {
+    fn cosine_directions(&self, going: u32, pair: &mut Pair<'_>) -> [[f32; BEAM]; 3] {
         let mut u = [[0.0; BEAM]; 2];
         for (place, index) in ones(going).enumerate() {
             [u[0][place], u[1][place]] = pair.of(index);
@@ -407,7 +409,7 @@ impl Tracer<'_> {
         hit: &Hit,
         bounce: u32,
         settings: &Settings,
-        pairs: &[Pair<'_>; 3],
+        pairs: &mut [Pair<'_>; 3],
         around_normal: Vec3,
         draws: &Draws<'_>,
         shadows: &mut Shadows,
@@ -450,7 +452,7 @@ impl Tracer<'_> {
             Surface::Lambert(lambert)
         } else {
             let mut appearance = self.materials.appearance(vertex.material, &vertex.point, vertex.width);
-            vertex_nm = appearance.disperse(path.wave_nm, || draws.pair(WAVE_PAIR).of(index)[0]);
+            vertex_nm = appearance.disperse(path.wave_nm, || draws.numbers(WAVE_PAIR, index)[0]);
             let bsdf = self.bsdf(&vertex, &appearance, -ray.direction);
             if is_first {
                 first[index] = vertex.first(bsdf.diffuse_reflectance(), Guide::new(&appearance, bsdf.normal()));
@@ -625,7 +627,7 @@ impl Tracer<'_> {
         // `NO_INSTANCE` + 1 wraps to 0, so a hit without an instance is not moved to other pairs
         let instance = u64::from(hit.instance.wrapping_add(1)).wrapping_mul(INSTANCE_STEP);
         let pair = (u64::from(bounce) << 32) + u64::from(hit.triangle);
-        draws.pair((ALPHA_PAIRS + pair) ^ instance).of(index)[0] < coverage
+        draws.numbers((ALPHA_PAIRS + pair) ^ instance, index)[0] < coverage
     }
 
     fn coverage(&self, hit: &Hit) -> f32 {
@@ -784,6 +786,12 @@ fn heuristic(ratio: f32) -> f32 {
 #[inline]
 fn ratio(other: f32, own: f32) -> f32 {
     if other == 0.0 { 0.0 } else { other / own }
+}
+
+/// Returns a number whose `count` lowest bits are set.
+#[inline]
+pub(crate) fn all_ones(count: usize) -> u32 {
+    (1 << count) - 1
 }
 
 /// Returns the indices of the bits that are set.

@@ -5,9 +5,10 @@ use lumistack_core::seed;
 
 use super::first::DisplayAxes;
 use crate::bvh::{BEAM, Ray};
-use crate::primary::{PixelRays, PrimaryRays};
+use crate::primary::PrimaryRays;
 use crate::sampler::{Draws, SampleBank};
 use crate::settings::Settings;
+use crate::tracer::{Cone, all_ones};
 
 /// Pairs of random numbers of a primary ray: one for the position in the pixel, one for the slope.
 const PLACE_PAIR: u64 = 0;
@@ -39,48 +40,82 @@ impl<'a> ViewSamples<'a> {
     }
 
     /// Returns the seed of a pixel's random numbers.
-    pub(super) fn pixel_seed(&self, row: usize, col: usize) -> u64 {
+    pub(super) fn pixel_seed(&self, [row, col]: [usize; 2]) -> u64 {
         seed::derive(self.seed, &[row as u64, col as u64])
     }
 
-    /// Calls `take` with the rays of a pixel, at most [`BEAM`] per call, and with the random
-    /// numbers of these rays. The numbers follow from `pixel_seed`.
+    /// Calls `take` with the rays of the given pixels, at most [`BEAM`] per call, and with the random
+    /// numbers of these rays. Each pixel has the
+    /// number of samples of the settings. Several pixels, which should be neighbours, may only be
+    /// given together if all their rays fit into one call.
     #[inline]
-    pub(super) fn for_each_beam(
-        &self,
-        at: [usize; 2],
-        pixel_seed: u64,
-        mut take: impl FnMut(&mut [Ray], &PixelRays, &Draws<'_>),
-    ) {
-        self.for_each_beam_of(at, pixel_seed, [self.paths; 2], |beam, _, rays, draws| take(beam, rays, draws));
+    pub(super) fn for_each_beam(&self, pixels: &[[usize; 2]], take: impl FnMut(&mut RayBeam, &Draws<'_>)) {
+        self.for_each_beam_of(pixels, |at| self.pixel_seed(at), [self.paths; 2], take);
     }
 
     /// Does the same as [`for_each_beam`](Self::for_each_beam), for the given numbers [paths, rays]
-    /// of a pixel. `take` also gets the number of the beam's rays that continue as paths.
+    /// of a pixel. The first rays of the pixel continue as paths. `seed` returns the seed of a pixel.
     #[inline]
     pub(super) fn for_each_beam_of(
         &self,
-        [row, col]: [usize; 2],
-        pixel_seed: u64,
+        pixels: &[[usize; 2]],
+        seed: impl Fn([usize; 2]) -> u64,
         [paths, count]: [u32; 2],
-        mut take: impl FnMut(&mut [Ray], usize, &PixelRays, &Draws<'_>),
+        mut take: impl FnMut(&mut RayBeam, &Draws<'_>),
     ) {
-        let pixel = self.rays.pixel(row, col);
-        let mut beam = [Ray::ANY; BEAM];
+        let mut seeds = [0; BEAM];
+        seeds.iter_mut().zip(pixels).for_each(|(to, at)| *to = seed(*at));
+        let seeds = &seeds[..pixels.len()];
         for first in (0..count).step_by(BEAM) {
-            let beam = &mut beam[..(count - first).min(BEAM as u32) as usize];
-            let draws = self.bank.draws(pixel_seed, first);
-            let (in_pixel, in_bin) = (draws.pair(PLACE_PAIR), draws.pair(SLOPE_PAIR));
-            pixel.fill(beam, |index| [centred(in_pixel.of(index)), centred(in_bin.of(index))]);
-            let paths = (paths.saturating_sub(first) as usize).min(beam.len());
-            take(beam, paths, &pixel, &draws);
+            let each = (count - first).min(BEAM as u32) as usize;
+            let draws = self.bank.draws(seeds, first, each as u32);
+            let mut beam = RayBeam {
+                rays: [Ray::ANY; BEAM],
+                cones: [Cone { width: 0.0, spread: 0.0 }; BEAM],
+                count: each * pixels.len(),
+                each,
+                paths: 0,
+                in_bounds: false,
+            };
+            let of_pixel = all_ones((paths.saturating_sub(first) as usize).min(each));
+            let (mut in_pixel, mut in_bin) = (draws.pair(PLACE_PAIR), draws.pair(SLOPE_PAIR));
+            for (number, [row, col]) in pixels.iter().enumerate() {
+                let (pixel, at) = (self.rays.pixel(*row, *col), number * each);
+                pixel.fill(&mut beam.rays[at..at + each], |index| {
+                    [centred(in_pixel.of(at + index)), centred(in_bin.of(at + index))]
+                });
+                beam.cones[at..at + each].fill(pixel.cone);
+                beam.paths |= of_pixel << at;
+                beam.in_bounds |= pixel.in_bounds;
+            }
+            take(&mut beam, &draws);
         }
+    }
+}
+
+/// Rays of one pixel, or of neighbouring pixels, that are traced together.
+pub(super) struct RayBeam {
+    rays: [Ray; BEAM],
+    cones: [Cone; BEAM],
+    count: usize,
+    /// Number of rays of a pixel. The rays of a pixel are successive.
+    pub(super) each: usize,
+    /// For each ray that continues as a path, a bit that is set.
+    pub(super) paths: u32,
+    /// False if no ray can hit the scene.
+    pub(super) in_bounds: bool,
+}
+
+impl RayBeam {
+    /// Returns the rays and their cones.
+    pub(super) fn parts(&mut self) -> (&mut [Ray], &[Cone]) {
+        (&mut self.rays[..self.count], &self.cones[..self.count])
     }
 }
 
 /// Returns the position of a ray of a beam, in pixels from the pixel's centre.
 pub(super) fn place_in_pixel(draws: &Draws<'_>, index: usize) -> [f32; 2] {
-    centred(draws.pair(PLACE_PAIR).of(index))
+    centred(draws.numbers(PLACE_PAIR, index))
 }
 
 /// Converts numbers in 0..1 to offsets −0.5..0.5 from a centre.

@@ -57,25 +57,18 @@ impl Renderer {
         let (places, radiance) = (of_view(PLACES), of_view(RADIANCE));
         let clamped = Clamped::default();
         let quiet = Task { progress: &NoProgress, ..task };
-        let values = self.by_tiles(geometry, quiet, ["row", "col", "half rgb"], |row, col, stack| {
-            if !is_drawn(places, row, col) {
-                return [f32::NAN; 6];
+        let values = self.by_groups(geometry, quiet, ["row", "col", "half rgb"], 1, |pixels, buffers, values| {
+            let mut halves = [f32::NAN; 6];
+            if pixels.iter().all(|[row, col]| is_drawn(places, *row, *col)) {
+                for (half, mean) in halves.chunks_exact_mut(3).enumerate() {
+                    let seed = |[row, col]: [usize; 2]| seed::derive(radiance, &[row as u64, col as u64, half as u64]);
+                    let count = [settings.samples; 2];
+                    self.pixels::<false>(&samples, pixels, seed, count, settings, &clamped, buffers, |pixel, _| {
+                        mean.copy_from_slice(&pixel.mean.to_array());
+                    });
+                }
             }
-            let mut render = |half: u64| {
-                let pixel_seed = seed::derive(radiance, &[row as u64, col as u64, half]);
-                let (pixel, _) = self.pixel::<false>(
-                    &samples,
-                    [row, col],
-                    pixel_seed,
-                    [settings.samples; 2],
-                    settings,
-                    &clamped,
-                    stack,
-                );
-                pixel.mean.to_array()
-            };
-            let ([a, b, c], [d, e, f]) = (render(0), render(1));
-            [a, b, c, d, e, f]
+            values.push(halves);
         })?;
         let at = |row: usize, col: usize| {
             let v = values.block([row, col]);

@@ -156,9 +156,10 @@ impl Renderer {
         let (quiet, tracer) = (Task { progress: &NoProgress, ..task }, self.tracer());
         let values = self.by_tiles(geometry, quiet, ["row", "col", "feature"], |row, col, stack| {
             let mut sums = FirstSums::default();
-            samples.for_each_beam([row, col], samples.pixel_seed(row, col), |beam, rays, draws| {
-                let surfaces = tracer.first(beam, rays.cone, rays.in_bounds, draws, stack);
-                for (index, first) in surfaces[..beam.len()].iter().enumerate() {
+            samples.for_each_beam(&[[row, col]], |beam, draws| {
+                let (in_bounds, (rays, cones)) = (beam.in_bounds, beam.parts());
+                let surfaces = tracer.first(rays, cones, in_bounds, draws, stack);
+                for (index, first) in surfaces[..rays.len()].iter().enumerate() {
                     sums.add(first, place_in_pixel(draws, index), &samples.axes);
                 }
             });

@@ -31,7 +31,7 @@ use lumistack_display::FieldGeometry;
 use lumistack_scene::Window;
 
 use super::beams::ViewSamples;
-use super::first::{APART, DisplayAxes, FirstSums, MORE_PARTS};
+use super::first::{APART, DisplayAxes, MORE_PARTS};
 use super::{RenderError, Renderer};
 use crate::clamp::Clamped;
 use crate::settings::Settings;
@@ -100,19 +100,20 @@ impl Renderer {
         let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
         let samples = ViewSamples::new(rays, DisplayAxes::new(window, self.geometry.space), view, &settings, most);
         let (clamped, quiet) = (Clamped::default(), Task { progress: &NoProgress, ..task });
-        let more = self.by_tiles(geometry, quiet, ["row", "col", "part"], |row, col, stack| {
+        let more = self.by_groups(geometry, quiet, ["row", "col", "part"], 1, |pixels, buffers, more| {
             let mut values = [0.0; APART + 3];
+            let [row, col] = pixels[0];
             let Further { paths, rays } = further[row * cols + col];
             if rays > 0 {
-                let seed = samples.pixel_seed(row, col);
                 let count = [paths, rays];
-                let (pixel, first): (_, FirstSums) =
-                    self.pixel::<true>(&samples, [row, col], seed, count, &settings, &clamped, stack);
-                let finite = paths - pixel.not_finite;
-                values[..APART].copy_from_slice(&first.apart(pixel.mean, finite, count));
-                values[APART..].copy_from_slice(&pixel.variance.to_array());
+                let seed = |at| samples.pixel_seed(at);
+                self.pixels::<true>(&samples, pixels, seed, count, &settings, &clamped, buffers, |pixel, first| {
+                    let finite = paths - pixel.not_finite;
+                    values[..APART].copy_from_slice(&first.apart(pixel.mean, finite, count));
+                    values[APART..].copy_from_slice(&pixel.variance.to_array());
+                });
             }
-            values
+            more.push(values);
         })?;
         let own_samples = settings.samples as f32;
         let own = values.data().chunks_exact(APART);

@@ -26,8 +26,9 @@ impl Renderer {
         let (quiet, tracer) = (Task { progress: &NoProgress, ..task }, self.tracer());
         let shares = self.by_tiles(geometry, quiet, ["row", "col", "missed"], |row, col, stack| {
             let mut missed = 0;
-            samples.for_each_beam([row, col], samples.pixel_seed(row, col), |beam, rays, draws| {
-                missed += tracer.misses(beam, rays.in_bounds, draws, stack);
+            samples.for_each_beam(&[[row, col]], |beam, draws| {
+                let (in_bounds, (rays, _)) = (beam.in_bounds, beam.parts());
+                missed += tracer.misses(rays, in_bounds, draws, stack);
             });
             [missed as f32 / settings.samples as f32]
         })?;
