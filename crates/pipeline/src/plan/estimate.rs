@@ -17,12 +17,11 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use lumistack_core::{Cancel, Collector, Task};
-use lumistack_display::{Display, FieldGeometry, ViewGrid};
+use lumistack_display::{Backlight, Display, FieldGeometry, ViewGrid};
 use lumistack_factorizer::{held_bytes, paged_bytes};
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_plugin_host::Registry;
 use lumistack_shot::Depths;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
@@ -274,6 +273,10 @@ struct Sizes {
     /// Number of values in the patterns of all frames.
     values: f64,
     frames: f64,
+    /// Time of the solver for each ray, layer and frame, in the time for a uniform backlight.
+    solver_times: f64,
+    /// Number of paths of the measurement that chooses the number of samples.
+    measured_paths: f64,
     memory: Memory,
 }
 
@@ -330,6 +333,8 @@ impl Sizes {
             layers: display.layers.len() as f64,
             values: 3.0 * frames * display.layers.iter().map(|layer| area(layer.resolution)).sum::<f64>(),
             frames,
+            solver_times: if matches!(display.backlight, Backlight::Uniform) { 1.0 } else { DIRECTIONAL_TIMES },
+            measured_paths: if job.scene.is_some() { samples::paths(job, &display, &geometry) as f64 } else { 0.0 },
         })
     }
 
@@ -397,7 +402,8 @@ fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
     let is_capture = job.scene.as_deref().is_some_and(is_capture);
     let samples = if is_capture { 1.0 } else { f64::from(job.render.samples_of_view(sizes.views as usize)) };
     match step.kind {
-        StepKind::Ingest | StepKind::Place => 1.0,
+        StepKind::Ingest => 1.0,
+        StepKind::Place => PLACE + MEASURED_TIMES * sizes.measured_paths,
         StepKind::Trace => {
             let times = if sizes.memory.further > 0.0 { FURTHER_TIMES } else { 1.0 };
             sizes.pixels * (sizes.views + sizes.others) * samples * times
@@ -413,12 +419,13 @@ fn work(plan: &Plan, index: usize, sizes: &[Option<Sizes>]) -> f64 {
         }
         StepKind::Patterns => {
             let iterations = job.factorize.iterations().max(1) + warm_up_iterations(plan, step.part);
-            sizes.rays() * sizes.layers * sizes.frames * f64::from(iterations)
+            sizes.rays() * sizes.layers * sizes.frames * f64::from(iterations) * sizes.solver_times
         }
         StepKind::Design(_) | StepKind::Search => {
             let count =
                 if step.kind == StepKind::Search { job.sweep.as_ref().map_or(1, |sweep| sweep.count()) } else { 1 };
-            sizes.rays() * sizes.layers * sizes.frames * f64::from(job.factorize.iterations().max(1)) * count as f64
+            let iterations = f64::from(job.factorize.iterations().max(1));
+            sizes.rays() * sizes.layers * sizes.frames * iterations * count as f64 * sizes.solver_times
         }
         StepKind::Report => sizes.pixels * (sizes.views + sizes.others + job.report.zone_directions as f64),
         _ => sizes.rays(),
@@ -437,14 +444,18 @@ fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
 }
 
 /// Returns the number of multiply-adds that take as long as one unit of a stage's work. The number
-/// includes memory accesses. It was measured once, and is right to an order of magnitude.
+/// includes memory accesses. The numbers were measured with the jobs of `scenes` and with
+/// FlightHelmet, on two cores. The time of a scene is mostly between a third of the estimate and the
+/// estimate. The paths of glass and of many lights take longer.
 fn cost(stage: &str) -> f64 {
     match stage {
-        "ingest" | "place" => 1e8,
-        "trace" | "score" => 1e4,
-        "denoise" => 8e4,
-        "factorize" | "design" => 40.0,
-        "node" | "output" | "report" => 4e3,
+        "ingest" => 1e8,
+        "place" | "trace" | "score" => 1.2e3,
+        "denoise" => 8e3,
+        "factorize" | "design" => 3.0,
+        "node" => 4e3,
+        "report" => 1e3,
+        "output" => 500.0,
         _ => 300.0,
     }
 }
@@ -461,6 +472,13 @@ const VIEWS_IN_WORK: f64 = 8.0;
 /// Time of the filter `shared`, divided by the time of the other filters. Measured with 169 views
 /// of 420 × 262 pixels.
 const SHARED_SHARE: f64 = 0.1;
+/// Time of the solver for a directional backlight, divided by its time for a uniform one.
+const DIRECTIONAL_TIMES: f64 = 8.0;
+/// Time to place the window, in the time of a path.
+const PLACE: f64 = 1e5;
+/// Time of the measurement that chooses the number of samples, divided by the time of its paths. The
+/// measurement also solves and compares.
+const MEASURED_TIMES: f64 = 1.5;
 /// Time of views with further paths, divided by the time of the same views without them. Both share
 /// light. Measured factors are between 1.5 and 2.2 (docs/ZONE.md).
 const FURTHER_TIMES: f64 = 1.8;
@@ -523,18 +541,20 @@ fn bytes(kind: StepKind, job: &Job, sizes: &Sizes) -> u64 {
     (kept + of_step) as u64
 }
 
-/// Measures the rate of multiply-adds of all threads in a few milliseconds.
+/// Measures the rate of multiply-adds of one thread in a few milliseconds, and returns the rate of
+/// all threads. The fastest of several short rounds counts, since in others the processor may do
+/// other work. Rounds of all threads together would be interrupted more often.
 fn multiply_adds_per_second() -> f64 {
-    const ROUNDS: u32 = 1 << 20;
-    let start = Instant::now();
-    let threads = rayon::current_num_threads();
-    let sums: Vec<f32> = (0..threads)
-        .into_par_iter()
-        .map(|thread| (0..ROUNDS).fold([thread as f32; 8], |sum, _| sum.map(|x| x * 0.999 + 0.5)).iter().sum())
-        .collect();
-    // Use the sums, since the compiler would otherwise remove the loop.
-    let scale = if sums.iter().all(|sum| sum.is_finite()) { 8.0 } else { 1.0 };
-    scale * f64::from(ROUNDS) * threads as f64 / start.elapsed().as_secs_f64().max(1e-6)
+    const ROUNDS: usize = 16;
+    const STEPS: u32 = 1 << 16;
+    let rate = |round: usize| {
+        let start = Instant::now();
+        let sum: f32 = (0..STEPS).fold([round as f32; 8], |sum, _| sum.map(|x| x * 0.999 + 0.5)).iter().sum();
+        // Use the sum, since the compiler would otherwise remove the loop.
+        let scale = if sum.is_finite() { 8.0 } else { 1.0 };
+        scale * f64::from(STEPS) / start.elapsed().as_secs_f64().max(1e-6)
+    };
+    rayon::current_num_threads() as f64 * (0..ROUNDS).map(rate).fold(0.0, f64::max)
 }
 
 #[cfg(test)]

@@ -318,18 +318,26 @@ fn by_views(
     writer.finish(Path::new("samples")).map_err(field_error)
 }
 
+/// Returns the sections of a job, whose windows have the right sizes but not the right places in a
+/// scene. Empty if the job needs no measurement.
+fn sizes_of_parts(job: &Job, display: &Display, geometry: &FieldGeometry) -> Vec<Part> {
+    let is_chosen = !matches!(display.field.views, Views::Fixed(_));
+    if !(job.render.samples_are_measured() && is_chosen) {
+        return Vec::new();
+    }
+    let scene_from_display = Similarity { rotation: DQuat::IDENTITY, scale: 1.0, translation: DVec3::ZERO };
+    parts(display, geometry, &Window { scene_from_display, size_mm: geometry.size_mm(), near_mm: None })
+}
+
+/// Returns the number of paths of the measurement; 0 if the job needs no measurement.
+pub(crate) fn paths(job: &Job, display: &Display, geometry: &FieldGeometry) -> usize {
+    2 * sizes_of_parts(job, display, geometry).iter().map(Part::rays).sum::<usize>()
+}
+
 /// Returns an upper bound of the memory of the measurement, bytes; 0 if the job needs no
 /// measurement.
 pub(crate) fn bytes(job: &Job, display: &Display, geometry: &FieldGeometry, threads: usize) -> u64 {
-    let is_chosen = !matches!(display.field.views, Views::Fixed(_));
-    if !(job.render.samples_are_measured() && is_chosen) {
-        return 0;
-    }
-    // The bound depends only on the sizes of the sections, not on their places in a scene. So use
-    // any window.
-    let scene_from_display = Similarity { rotation: DQuat::IDENTITY, scale: 1.0, translation: DVec3::ZERO };
-    let window = Window { scene_from_display, size_mm: geometry.size_mm(), near_mm: None };
-    let parts = parts(display, geometry, &window);
+    let parts = sizes_of_parts(job, display, geometry);
     let (count, at_once) = (parts.len() as u64, parts.len().min(threads) as u64);
     let Some(part) = parts.first() else { return 0 };
     let rays = part.rays() as u64;
