@@ -61,7 +61,9 @@ cargo xtask <task>
   portable [--test | --wine]
                 check the command for Windows and macOS; --test runs the tests that need no other program on this system;
                 --wine builds the core of the tests for Windows, and runs them in Wine in a clean Debian (needs root)
-  package       check that cargo can package every published crate
+  package [--install]
+                check that cargo can package every published crate; --install also compiles the packages without this
+                repository, and installs and runs the command from its package
   site [docs | pictures [NAME...]]
                 write the documentation as HTML pages into target/site, and a gallery of displays with their scenes, jobs and
                 viewers; `docs` writes the documentation alone, `pictures` makes its pictures again
@@ -124,6 +126,7 @@ fn main() -> ExitCode {
         ["portable", "--wine"] => portable::wine(),
         ["workflows"] => workflows::check(),
         ["package"] => package::check(),
+        ["package", "--install"] => package::install(),
         ["site"] => site::build(),
         ["site", "docs"] => site::docs(),
         ["site", "pictures", names @ ..] => site::pictures(names),

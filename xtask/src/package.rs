@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::tools::{Outcome, command, output_of, run};
+use crate::tools::{Outcome, command, output_of, root, run};
 
 /// The crates for users of registries. Each has its own README, with an example, and settings for
 /// docs.rs. The other published crates share `crates/README.md`.
@@ -55,7 +55,7 @@ pub fn check() -> Outcome {
         if FOR_USERS.iter().any(|user| name.strip_prefix("lumistack-") == Some(user)) {
             front(package, name, Path::new(manifest), &mut problems)?;
         }
-        outside(&Path::new(manifest).with_file_name("src"), &mut problems)?;
+        outside(&Path::new(manifest).with_file_name("src"), 1, &mut problems)?;
     }
     if !problems.is_empty() {
         return Err(format!("package:\n  {}", problems.join("\n  ")));
@@ -68,6 +68,61 @@ pub fn check() -> Outcome {
     run(&mut package)?;
     println!("package: {} crates in target/package, {} are not published", published.len(), kept.len());
     Ok(())
+}
+
+/// Compiles the packages of [`check`] alone, without the files of this repository that no package
+/// contains. Installs the command from its package, and runs a small job.
+pub fn install() -> Outcome {
+    check()?;
+    let from = root().join("target/package");
+    let into = from.join("unpacked");
+    let failed = |error: std::io::Error| format!("{}: {error}", into.display());
+    // Left-overs of another version must not be members of the workspace.
+    std::fs::remove_dir_all(&into).or_else(|error| if into.exists() { Err(error) } else { Ok(()) }).map_err(failed)?;
+    std::fs::create_dir_all(&into).map_err(failed)?;
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(&from).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        if let Some(name) = package_of(&path) {
+            run(command("tar").arg("-xzf").arg(&path).arg("-C").arg(&into))?;
+            names.push(name);
+        }
+    }
+    // The packages require each other from a registry. There they are not yet, so the workspace
+    // replaces them by the unpacked packages.
+    let mut workspace =
+        String::from("[workspace]\nresolver = \"3\"\nmembers = [\"lumistack-*\"]\n\n[patch.crates-io]\n");
+    names.iter().for_each(|[name, version]| {
+        workspace += &format!("{name} = {{ path = \"{name}-{version}\" }}\n");
+    });
+    std::fs::write(into.join("Cargo.toml"), workspace).map_err(failed)?;
+    let cargo = |arguments: &[&str]| {
+        let mut cargo = command("cargo");
+        cargo.args(arguments).current_dir(&into).env("CARGO_TARGET_DIR", from.join("build"));
+        run(&mut cargo)
+    };
+    // Each package is checked by itself, since in one call a package may use features of another's
+    // dependencies.
+    for user in FOR_USERS {
+        cargo(&["check", "--quiet", "--package", &format!("lumistack-{user}")])?;
+    }
+    let cli = names.iter().find(|[name, _]| name == "lumistack-cli").ok_or("target/package has no lumistack-cli")?;
+    let installed = from.join("installed");
+    let folder = format!("{}-{}", cli[0], cli[1]);
+    cargo(&["install", "--quiet", "--force", "--path", &folder, "--root", &installed.to_string_lossy()])?;
+    let runs = from.join("run");
+    let mut job = command(installed.join("bin/lumistack"));
+    job.args(["run", "scenes/still-life/job.toml", "--resolution", "84x52", "--views", "3x3", "--samples", "1"]);
+    run(job.arg("--output").arg(&runs))?;
+    println!("package: {} packages compile alone; the installed command wrote {}", names.len(), runs.display());
+    Ok(())
+}
+
+/// Returns the name and the version of a file `lumistack-NAME-VERSION.crate`.
+fn package_of(path: &Path) -> Option<[String; 2]> {
+    let stem = path.file_name()?.to_str()?.strip_suffix(".crate")?;
+    let (name, version) = stem.rsplit_once('-')?;
+    name.starts_with("lumistack-").then(|| [name.to_owned(), version.to_owned()])
 }
 
 /// Checks the keywords and categories of a package by the rules of crates.io.
@@ -122,18 +177,20 @@ fn front(package: &Value, name: &str, manifest: &Path, problems: &mut Vec<String
     Ok(())
 }
 
-/// Reports code that includes a file from outside of its crate's folder, which the package lacks.
-fn outside(folder: &Path, problems: &mut Vec<String>) -> Outcome {
+/// Reports code that includes a file from outside of its crate's folder, which the package lacks. A
+/// symbolic link in the crate's folder is right, since cargo packages the files behind it. `depth` is
+/// the number of folders between the crate's folder and the files of `folder`.
+fn outside(folder: &Path, depth: usize, problems: &mut Vec<String>) -> Outcome {
     let failed = |error: std::io::Error| format!("{}: {error}", folder.display());
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
         if path.is_dir() {
-            outside(&path, problems)?;
+            outside(&path, depth + 1, problems)?;
         } else if path.extension().is_some_and(|end| end == "rs") {
             let text = std::fs::read_to_string(&path).map_err(failed)?;
             let code = text.split("#[cfg(test)]").next().unwrap_or_default();
-            let lines =
-                code.lines().enumerate().filter(|(_, line)| line.contains("include_") && line.contains("\"../../.."));
+            let above = format!("\"{}", "../".repeat(depth + 1));
+            let lines = code.lines().enumerate().filter(|(_, line)| line.contains("include_") && line.contains(&above));
             problems.extend(lines.map(|(number, _)| {
                 format!("{}:{}: includes a file from outside the crate", path.display(), number + 1)
             }));

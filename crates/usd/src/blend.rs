@@ -28,11 +28,11 @@ pub const VARIABLE: &str = "LUMISTACK_BLENDER";
 /// Python modules that run in Blender, in the order of their imports. The Python package has them
 /// as `lumistack.blender`.
 const MODULES: [(&str, &str); 5] = [
-    ("cameras", include_str!("../../python/python/lumistack/blender/cameras.py")),
-    ("glb", include_str!("../../python/python/lumistack/blender/glb.py")),
-    ("rig", include_str!("../../python/python/lumistack/blender/rig.py")),
-    ("unshown", include_str!("../../python/python/lumistack/blender/unshown.py")),
-    ("handover", include_str!("../../python/python/lumistack/blender/handover.py")),
+    ("cameras", include_str!("../blender/cameras.py")),
+    ("glb", include_str!("../blender/glb.py")),
+    ("rig", include_str!("../blender/rig.py")),
+    ("unshown", include_str!("../blender/unshown.py")),
+    ("handover", include_str!("../blender/handover.py")),
 ];
 /// The script that starts [`MODULES`] in Blender.
 const BOOT: &str = include_str!("../python/blend.py");
