@@ -220,6 +220,23 @@ def test_every_parameter_of_every_output_plugin_becomes_a_property() -> None:
     assert forms.given(numbers, {"p_a_b": 4}) == {"a b": 4}
 
 
+def test_triangles_without_area_are_dropped(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    file = Glb.empty()
+    place = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    # Two triangles have an area, one of them a tiny one. The others have two equal corners, or
+    # three corners on a line.
+    positions = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (2.0, 0.0, 0.0), (1e-9, 0.0, 0.0), (0.0, 1e-9, 0.0)]
+    triangles = [(0, 1, 2), (0, 0, 1), (0, 1, 3), (0, 4, 5)]
+    file.add_glow("text", place, positions, triangles, (1.0, 1.0, 1.0))
+    file.write(tmp_path / "flat.glb")
+    with pytest.warns(lumistack.LumistackWarning, match="without area: 2 of 4"):
+        lumistack.Scene(tmp_path / "flat.glb")
+    assert file.drop_flat_triangles() == 2 and file.drop_flat_triangles() == 0
+    file.write(tmp_path / "clean.glb")
+    recwarn.clear()
+    assert lumistack.Scene(tmp_path / "clean.glb").triangles == 2 and not recwarn.list
+
+
 def test_what_is_added_to_a_glb_is_what_the_reader_finds(tmp_path: Path) -> None:
     file = Glb.empty()
     turned = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]]
