@@ -237,6 +237,38 @@ def test_triangles_without_area_are_dropped(tmp_path: Path, recwarn: pytest.Warn
     assert lumistack.Scene(tmp_path / "clean.glb").triangles == 2 and not recwarn.list
 
 
+def test_a_far_backdrop_does_not_flatten_the_scene() -> None:
+    chance = random.Random(8)
+    subject = [chance.uniform(-200.0, 100.0) for _ in range(600)]
+    backdrop = [chance.uniform(-60_000.0, -50_000.0) for _ in range(400)]
+    for distance_mm in (None, 800.0):
+        fit = depth.best_fit(subject + backdrop, (-80.0, 80.0), distance_mm, compress=True)
+        alone = depth.best_fit(subject, (-80.0, 80.0), distance_mm, compress=True)
+        shown = [depth.shown_at(z, fit, distance_mm) for z in subject]
+        assert depth.outside(shown, (-80.0, 80.0)) < 0.1 and fit.depth_scale >= depth.LEAST_SCALE
+        if distance_mm is None:
+            # For parallel views a far backdrop has unbounded parallax.
+            assert fit.depth_scale > 0.8 * alone.depth_scale
+        assert depth.better_fit(subject + backdrop, (-80.0, 80.0), distance_mm, True, depth.Fit(0.0, 1.0)) == fit
+        assert depth.better_fit(subject + backdrop, (-80.0, 80.0), distance_mm, True, fit) is None
+    # Two far clusters: no movement helps the one without blurring the other, so nothing changes.
+    halves = [-5.0] * 500 + [-9000.0] * 500
+    assert depth.better_fit(halves, (-10.0, 10.0), None, False, depth.Fit(0.0, 1.0)) is None
+    assert depth.better_fit([1.0, 2.0], (-10.0, 10.0), None, True, depth.Fit(0.0, 1.0)) is None
+
+
+def test_depths_are_in_front_or_behind() -> None:
+    assert depth.place(-94.2) == "94 mm behind" and depth.place(60.0) == "60 mm in front of" and depth.place(-math.inf) == "far behind"
+    # Single precision may move content out of the range that a fit brought to its ends.
+    assert depth.outside([-80.00001, 80.00001], (-80.0, 80.0)) == 0.0 and depth.outside([-82.0, 82.0, 0.0, 1.0], (-80.0, 80.0)) == 0.5
+    assert depth.outside([-1e9, 3.0], (-math.inf, 4.0)) == 0.0
+    text = depth.sentence([-300.0, 40.0], (-80.0, 80.0)) or ""
+    assert "from 300 mm behind to 40 mm in front of the display, which is sharp from 80 mm behind to 80 mm in front of it" in text
+    assert depth.moved(depth.Fit(-94.0, 0.5)) == "The window moved forward by 94 mm; depth is shown at 50 %"
+    assert depth.moved(depth.Fit(12.0, 1.0)) == "The window moved back by 12 mm; the depth is unchanged"
+    assert depth.moved(depth.Fit(-0.2, 0.5)).startswith("The window stays in place")
+
+
 def test_what_is_added_to_a_glb_is_what_the_reader_finds(tmp_path: Path) -> None:
     file = Glb.empty()
     turned = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]]
