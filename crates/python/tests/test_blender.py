@@ -269,6 +269,17 @@ def test_depths_are_in_front_or_behind() -> None:
     assert depth.moved(depth.Fit(-0.2, 0.5)).startswith("The window stays in place")
 
 
+def test_labels_are_words_of_artists() -> None:
+    outputs = [plugin for plugin in lumistack.plugins() if plugin["kind"] == "output" and not plugin["presents"]]
+    labels = {each.name: each.label for plugin in outputs for each in forms.fields_of(plugin)}
+    expected = {"png8": "PNG, 8 bits", "exr_depth": "OpenEXR precision", "dpi": "DPI", "camera_distance_mm": "Camera distance (mm)", "bits": "Bits", "animation_rate": "Animation rate (Hz)"}
+    assert expected.items() <= labels.items(), labels
+    assert labels["lens_rotation_deg"] == "Lens rotation (°)" and forms.label("a4") == "A4" and forms.label("blue_noise") == "Blue noise"
+    # A unit stands at most once in a label, and no abbreviation is written like a word.
+    for text in labels.values():
+        assert not any(word in ("Dpi", "Exr", "Png8", "Hci", "mm", "deg") for word in text.split()), text
+
+
 def test_what_is_added_to_a_glb_is_what_the_reader_finds(tmp_path: Path) -> None:
     file = Glb.empty()
     turned = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]]
