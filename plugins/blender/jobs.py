@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import os
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,11 +21,11 @@ from pathlib import Path
 import bpy
 import lumistack
 import numpy
-from lumistack.blender import cameras, depth, handover, rig, unshown, usd
+from lumistack.blender import between, cameras, depth, handover, rig, unshown, usd
 from lumistack.blender.views import Views, key_of
 from lumistack.blender.work import Work
 
-from . import digest, pictures, settings as settings_of
+from . import cost, digest, pictures, settings as settings_of
 
 #: Iterations of every time step after the first. Few suffice, since each time step starts with the
 #: previous patterns.
@@ -33,6 +34,13 @@ NEXT_ITERATIONS = 5
 NAMES = {"BLENDER": "Blender's views", "GLTF": "Lumistack's views of the glTF file", "USD": "Lumistack's views of the USD file"}
 #: Fraction of clipped values above which a warning is given.
 CLIPPED = 0.01
+#: Our path tracer clips the light of a view at this value, in units of the white of a linear view
+#: transform. Blender's view transforms show all brighter light as white.
+BRIGHTEST_EV = 6.0
+#: Stage of our path tracer's progress that reports views of an earlier run.
+KEPT_STAGE = "kept views"
+#: Paths per pixel of each of the two renders with which our path tracer's views are scored.
+SCORE_SAMPLES = 12
 
 
 class JobError(Exception):
@@ -80,7 +88,10 @@ class Shown:
     stack: lumistack.LayerStack
     window: cameras.Window
     folder: Path
-    psnr: float
+    #: The score in directions between the views.
+    score: between.Score
+    #: A direction between the views, next to straight ahead.
+    beside: tuple[float, float]
 
 
 @dataclass
@@ -89,6 +100,8 @@ class Job:
 
     scene: object
     factorize: bool = True
+    #: True if only one view is rendered, to measure its time.
+    probe: bool = False
     warnings: list[str] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
     rendered: int = 0
@@ -109,7 +122,16 @@ class Job:
     def _steps(self) -> Iterator[Step]:
         scene, settings = self.scene, self.scene.lumistack
         folder = output_folder(scene)
+        settings_of.use(scene)
         rig.remove_leftovers(bpy)
+        if self.probe:
+            yield from self._probe(folder)
+            return
+        if is_temporary(scene):
+            self.warn(
+                "folder",
+                f"this file is not saved, so the results are in {folder}, which Blender deletes when it ends. Save the file, or set Folder, and make the display again to keep them",
+            )
         if settings.times == "CURRENT":
             yield from self._time(folder, None, 0.0, 1.0)
             return
@@ -132,12 +154,15 @@ class Job:
         self._check_depth(display, window)
         folder.mkdir(parents=True, exist_ok=True)
         renderers = renderers_of(settings)
-        fields = []
+        fields, references = [], []
         rendering = 0.6 * part
         for number, renderer in enumerate(renderers):
             share = rendering / len(renderers)
             render = self._views if renderer == "BLENDER" else self._trace
-            fields.append((yield from render(renderer, display, window, folder, start + number * share, share)))
+            is_scored = number == 0 and self.factorize and settings.use_score
+            light_field, more = yield from render(renderer, display, window, folder, start + number * share, share, is_scored)
+            fields.append(light_field)
+            references = references or more
         light_field = fields[0]
         for renderer, field in list(zip(renderers, fields))[1:]:
             self.said.append(compared(NAMES[renderer], field, NAMES[renderers[0]], light_field))
@@ -158,38 +183,73 @@ class Job:
                 light_field.save(folder / "target")
                 more = {} if before is None else {"warm_start": before, "solver": "block-exact"}
                 updates = iterations if before is None else min(NEXT_ITERATIONS, iterations)
+                begin = time.monotonic()
                 stack = lumistack.factorize(light_field, display, iterations=updates, callback=report, **more)
+                cost.record(scene.name, "PATTERNS", time.monotonic() - begin, cost.work_of_patterns(display, updates))
                 stack.save(folder)
                 lumistack.report(stack, light_field, folder, title=scene.name, callback=report)
                 write_stamp(stamp, key)
             if output != "NONE":
                 lumistack.write(stack, output, folder / "outputs" / "tensor-display" / output, target=light_field, callback=report, **parameters)
-            return stack, stack.psnr(light_field)
+            scored = [stack.psnr_zone(each, callback=report) for each in references]
+            return stack, between.score(scored) if scored else between.UNKNOWN
 
         # Solve on another thread, and keep the result for the 3D view.
         work = Work(solve).start()
         yield Wait(work, "Patterns", start + rendering, part - rendering)
-        stack, psnr = result_of(work)
-        self.said.append(f"{folder.name}: PSNR {psnr:.1f} dB, {folder}")
-        shown[scene.name] = Shown(stack, window, folder, psnr)
+        stack, score = result_of(work)
+        slope_x, slope_y = display.slopes
+        beside = between.beside_middle(slope_x), between.beside_middle(slope_y)
+        self.said.append(f"{folder.name}: {score.text()}; {folder}")
+        shown[scene.name] = Shown(stack, window, folder, score, beside)
         return stack
+
+    def _probe(self, folder: Path):
+        """Renders one view, or the views at a quarter of the resolution, to measure the time."""
+        settings = self.scene.lumistack
+        display = display_of(settings)
+        window = window_of(self.scene, display)
+        folder.mkdir(parents=True, exist_ok=True)
+        if renderers_of(settings)[0] == "BLENDER":
+            yield from self._views("BLENDER", display, window, folder, 0.0, 1.0, False)
+        else:
+            small = lumistack.Display(display, resolution=[max(pixels // 4, 8) for pixels in display.to_dict()["field"]["resolution"]])
+            yield from self._trace(renderers_of(settings)[0], small, window_of(self.scene, small), folder / "time", 0.0, 1.0, settings.use_score)
+        self.said.append("; ".join(cost.lines(self.scene, display)))
 
     def _check_depth(self, display: lumistack.Display, window: cameras.Window) -> None:
         sentence = depth_sentence(self.scene, display, window)
         if sentence:
-            self.warn("depth", f"{sentence}. Fit Depth moves the scene into the sharp range, if there is one")
+            self.warn("depth", f"{sentence}. Fit Depth brings more of the scene into the sharp depths, if it can")
 
-    def _views(self, _renderer, display, window, folder: Path, start: float, part: float):
-        """Renders views by Blender's engine."""
+    def _views(self, _renderer, display, window, folder: Path, start: float, part: float, is_scored: bool):
+        """Renders views by Blender's engine. Returns their light field, and with `is_scored` a list of
+        one light field with further directions, which lie between the views."""
+        yield Tick("Looking at the scene", start)
+        scene_digest = digest.digest(self.scene)
+        slopes = display.slopes
+        more = between_of(display, cost.SCORED[0]) if is_scored else ([], [])
+        counts = [len(each[0]) * len(each[1]) for each in (slopes, more)]
+        share = part / sum(counts)
+        radiance = yield from self._rendered(scene_digest, display, window, slopes, folder, start, share * counts[0], "View")
+        if radiance is None:
+            return None, []
+        references = []
+        if counts[1]:
+            pictures_between = yield from self._rendered(scene_digest, display, window, more, folder, start + share * counts[0], share * counts[1], "View for the score")
+            references.append(light_field_of(pictures_between, display, more))
+        return lumistack.LightField(radiance, display=display), references
+
+    def _rendered(self, scene_digest: str, display, window, slopes, folder: Path, start: float, part: float, title: str):
+        """Renders the views at the slopes (x, y). Returns their light; None for a probe."""
         scene, settings = self.scene, self.scene.lumistack
-        slope_x, slope_y = display.slopes
+        slope_x, slope_y = slopes
         _, _, rows, columns, _ = display.light_field_shape
         scale = settings.depth_scale
-        yield Tick("Looking at the scene", start)
         # The key contains all data that the views depend on.
         key = key_of(
             {
-                "digest": digest.digest(scene),
+                "digest": scene_digest,
                 "frame": scene.frame_current,
                 "window": [window.centre, window.right, window.up, window.scale, window.size_mm],
                 "slopes": [[scale * slope for slope in slope_x], [scale * slope for slope in slope_y]],
@@ -201,6 +261,9 @@ class Job:
         missing = views.missing()
         total = len(slope_x) * len(slope_y)
         self.kept += total - len(missing)
+        if self.probe:
+            # The first render of a scene also loads its data, so the second one is measured too.
+            missing = missing[:2]
         # Render only the missing views.
         depths = rig.depth_range(bpy, scene, window)
         if missing:
@@ -209,22 +272,32 @@ class Job:
             except rig.NoOpenGL as error:
                 raise JobError(str(error)) from error
             with rig.Rig(bpy, scene, (columns, rows)) as held:
-                for view in missing:
+                begin = second = time.monotonic()
+                for number, view in enumerate(missing):
                     slope = (scale * slope_x[view[1]], scale * slope_y[view[0]])
                     camera = cameras.view_camera(window, slope, display.distance_mm, depths)
 
                     def aim(view=view, camera=camera):
                         held.aim(camera, views.begin(view))
 
-                    done = total - len(views.missing())
-                    yield Render(scene, aim, lambda view=view: views.keep(view), f"View {done + 1} of {total}", start + 0.9 * part * done / total)
+                    done = total - len(missing) + number
+                    left = f", about {cost.duration(each_s * (len(missing) - number))} left" if number else ""
+                    yield Render(scene, aim, lambda view=view: views.keep(view), f"{title} {done + 1} of {total}{left}", start + 0.9 * part * done / total)
                     self.rendered += 1
+                    # The first render also loads the scene's data, so it is the measure only as
+                    # long as it is the only one.
+                    now = time.monotonic()
+                    each_s = (now - second) / number if number else now - begin
+                    second = second if number else now
+                    cost.record(scene.name, scene.render.engine, each_s, cost.work_of_render(scene, columns * rows))
+        if self.probe:
+            return None
         # Read all views.
-        radiance = numpy.empty(display.light_field_shape, numpy.float32)
+        radiance = numpy.empty((len(slope_y), len(slope_x), rows, columns, 3), numpy.float32)
         for number, view in enumerate(views.all()):
             yield Tick("Reading views", start + part * (0.9 + 0.1 * number / total))
             radiance[view] = self._look(views.path(view))
-        return lumistack.LightField(radiance, display=display)
+        return radiance
 
     def _look(self, path: Path) -> numpy.ndarray:
         settings = self.scene.lumistack
@@ -235,10 +308,13 @@ class Job:
             self.warn("look", "more than 1 % of the light is brighter than white and clipped: lower the exposure, or use the scene's look")
         return numpy.clip(picture, 0.0, 1.0)
 
-    def _trace(self, renderer: str, display, window, folder: Path, start: float, part: float):
-        """Exports the scene and renders views of it by Lumistack's path tracer."""
+    def _trace(self, renderer: str, display, window, folder: Path, start: float, part: float, is_scored: bool):
+        """Exports the scene and renders views of it by Lumistack's path tracer. Returns their light
+        field, and with `is_scored` three light fields with directions between the views: two renders
+        with independent noise, and their mean."""
         scene, settings = self.scene, self.scene.lumistack
         yield Tick("Exporting the scene", start)
+        folder.mkdir(parents=True, exist_ok=True)
         if renderer == "USD":
             path = folder / "scene.usdc"
             with handover.in_window(bpy, scene):
@@ -253,28 +329,75 @@ class Job:
             # USD files contain hair as curves, so hair is not lost.
             if not (renderer == "USD" and line.startswith("hair")):
                 self.warn(scene.name, line)
-        samples = settings_of.quality(settings)[2]
-        linear = settings.look == "LINEAR" or settings.renderer == "BOTH"
-        light = {"automatic": False, "automatic_exposure": not linear}
-        tone = "linear" if linear else "auto"
-        scale, exposure = settings.depth_scale, settings.exposure_ev
+        # For Blender's look our path tracer gives linear light, to which Blender then applies its
+        # colour management. The light is darkened, so that only values above `brightest` are
+        # clipped.
+        is_shown = settings.look == "SCENE"
+        brightest = 2.0 ** (BRIGHTEST_EV - scene.view_settings.exposure) if is_shown else 1.0
+        common = {
+            # The panel's settings control the depth for both renderers, so the job must not fit the
+            # depth.
+            "window": window.as_job(), "fit_depth": "off", "depth_scale": settings.depth_scale, "tone": "linear",
+            "light": {"automatic": False, "automatic_exposure": False},
+            "exposure_ev": -float(numpy.log2(brightest)) if is_shown else settings.exposure_ev,
+        }  # fmt: skip
+        paths = {"zone_samples": "auto"} if settings_of.is_automatic(settings) else {"samples": settings_of.quality(settings)[2]}
+        more = between_of(display, cost.SCORED[1]) if is_scored else ([], [])
+        heard: list[str] = []
 
         def trace(report):
-            loaded = lumistack.Scene(path, light={"automatic": False}, callback=report)
-            return lumistack.render(
-                # The panel's settings control the depth for both renderers, so the job must not fit
-                # the depth.
-                loaded, display, window=window.as_job(), fit_depth="off", depth_scale=scale, samples=samples, light=light,
-                tone=tone, exposure_ev=exposure, cache=folder / "cache", callback=report,
-            )  # fmt: skip
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always", lumistack.LumistackWarning)
+                loaded = lumistack.Scene(path, light={"automatic": False}, callback=report)
+
+                def rendered(of, kind, work, name, **more):
+                    # A measurement must not find kept views.
+                    cache, begin, stages = None if self.probe else folder / name, time.monotonic(), set()
+
+                    def watch(stage, share):
+                        stages.add(stage)
+                        report(stage, share)
+
+                    made = lumistack.render(loaded, of, **common, **more, cache=cache, callback=watch)
+                    if KEPT_STAGE not in stages:
+                        cost.record(scene.name, kind, time.monotonic() - begin, work)
+                    return made
+
+                fields = [rendered(display, renderer, cost.work_of_trace(display, settings), "cache", **paths)]
+                for seed in (1, 2) if is_scored and more[0] else ():
+                    for_score, work = display_at(display, more), cost.work_of_score(display)
+                    still = {"samples": SCORE_SAMPLES, "denoise": "off", "angular_filter": "point", "seed": seed}
+                    fields.append(rendered(for_score, f"{renderer} score", work, f"cache-score-{seed}", **still))
+            heard.extend(str(each.message) for each in caught if issubclass(each.category, lumistack.LumistackWarning))
+            return fields
 
         work = Work(trace).start()
-        yield Wait(work, "Path tracing", start, part)
-        return result_of(work)
+        yield Wait(work, "Path tracing", start, 0.8 * part if is_shown else part)
+        fields = result_of(work)
+        found = [each.radiance for each in fields]
+        for line in heard:
+            # `_check_depth` reports depth in the words of the panel.
+            if not line.startswith("depth:"):
+                self.warn(scene.name, line)
+        if is_shown:
+            total, done = sum(each.shape[0] * each.shape[1] for each in found), 0
+            for number, linear in enumerate(found):
+                seen = numpy.empty_like(linear)
+                for view in numpy.ndindex(linear.shape[:2]):
+                    yield Tick("Applying the look", start + part * (0.8 + 0.2 * done / total))
+                    seen[view] = pictures.as_shown(linear[view] * brightest, scene)
+                    done += 1
+                found[number] = seen
+        references = [light_field_of(each, display, more) for each in found[1:]]
+        if references:
+            references.append(light_field_of((found[1] + found[2]) / 2.0, display, more))
+        return lumistack.LightField(found[0], display=display) if is_shown else fields[0], references
 
 
 #: The results of this session's jobs, by the scene's name.
 shown: dict[str, Shown] = {}
+#: The warnings of the last press of a button, by the scene's name.
+warned: dict[str, list[str]] = {}
 #: Names of the scenes with a running job. Their camera may be a temporary one.
 busy: set[str] = set()
 _running: list[Work] = []
@@ -297,9 +420,37 @@ def text_of(error: BaseException) -> str:
     return lines[-1] if is_trace else "\n".join(lines)
 
 
-def display_of(settings) -> lumistack.Display:
+def between_of(display: lumistack.Display, most: tuple[int, float]) -> tuple[list[float], list[float]]:
+    """Returns slopes (x, y) between the display's views; without any if it has a single view. `most`
+    is the largest number per axis, and the fraction of the zone over which they reach."""
+    slope_x, slope_y = display.slopes
+    if len(slope_x) * len(slope_y) == 1:
+        return [], []
+    return between.directions(slope_x, *most), between.directions(slope_y, *most)
+
+
+def display_at(display: lumistack.Display, slopes: tuple[list[float], list[float]]) -> lumistack.Display:
+    """Returns a display whose views have the given slopes, which are symmetric and at equal
+    distances. Only its light field has a meaning."""
+    described = display.to_dict()
+    described["backlight"] = {"kind": "uniform"}
+    field = described["field"]
+    field["views"] = [len(each) for each in slopes]
+    # The views are at the centres of equal parts of the zone.
+    halves = [max(map(abs, each)) * len(each) / max(len(each) - 1, 1) for each in slopes]
+    field["fov_deg"] = [2.0 * float(numpy.degrees(numpy.arctan(half))) for half in halves]
+    return lumistack.Display(described)
+
+
+def light_field_of(radiance: numpy.ndarray, display: lumistack.Display, slopes: tuple[list[float], list[float]]) -> lumistack.LightField:
+    """Returns a light field of a display's window with views at the given slopes."""
+    more = {} if display.distance_mm is None else {"distance_mm": display.distance_mm}
+    return lumistack.LightField(radiance, pitch_mm=display.pitch_mm, slope_x=slopes[0], slope_y=slopes[1], **more)
+
+
+def display_of(settings, is_live: bool = False) -> lumistack.Display:
     try:
-        return settings_of.display_of(settings)
+        return settings_of.display_of(settings, is_live)
     except (lumistack.Error, ValueError, OSError) as error:
         raise JobError(str(error)) from error
 
@@ -331,25 +482,43 @@ def depths_shown(scene, display, window) -> list[float]:
 
 def fit_depth(scene, compress: bool) -> str:
     """Moves the window along its normal, and with `compress` also scales depth, so that the display
-    shows the scene sharply. Returns a text about the changes."""
+    shows more of the scene sharply. If no fit shows more, nothing changes. Returns a text about the
+    changes."""
     settings = scene.lumistack
+    settings_of.use(scene)
     display = display_of(settings)
     range_mm = display.depth_of_field_mm()
     if range_mm is None:
         raise JobError(f"{display.name}: the display cannot show its pixels sharply at any depth")
+    now = depth.Fit(settings.moved_back_mm, settings.depth_scale)
     settings.moved_back_mm, settings.depth_scale = 0.0, 1.0
-    depths = rig.depths_through(bpy, scene, window_of(scene, display), display.distance_mm)
+    fit = None
+    try:
+        depths = rig.depths_through(bpy, scene, window_of(scene, display), display.distance_mm)
+        fit = depths and depth.better_fit(depths, range_mm, display.distance_mm, compress, now)
+    finally:
+        found = fit or now
+        settings.moved_back_mm, settings.depth_scale = found.moved_back_mm, found.depth_scale
     if not depths:
-        raise JobError("nothing is seen through the window")
-    fit = depth.best_fit(depths, range_mm, display.distance_mm, compress)
-    settings.moved_back_mm, settings.depth_scale = fit.moved_back_mm, fit.depth_scale
-    return f"The window moved back by {fit.moved_back_mm:.0f} mm; depth is shown at {100 * fit.depth_scale:.0f} %"
+        nothing = "nothing is seen through the window: aim the camera, or move the window"
+        raise JobError(nothing if rig.has_content(bpy) else "the scene has no visible objects")
+    share = depth.outside([depth.shown_at(z, found, display.distance_mm) for z in depths], range_mm)
+    rest = "all that is seen is sharp" if share == 0.0 else f"{max(100 * share, 1):.0f} % of what is seen stays blurred"
+    if fit is None:
+        why = "" if share == 0.0 else ", and no other place or scale shows more sharply"
+        return f"Nothing changed: {rest}{why}"
+    return f"{depth.moved(found)}; {rest}"
+
+
+def is_temporary(scene) -> bool:
+    """Returns true if the scene's results are in a folder that Blender deletes when it ends."""
+    return (scene.lumistack.folder or "//").startswith("//") and not bpy.data.filepath
 
 
 def output_folder(scene) -> Path:
     """Returns the folder of a scene's results."""
     text = scene.lumistack.folder or "//lumistack"
-    if text.startswith("//") and not bpy.data.filepath:
+    if is_temporary(scene):
         return Path(bpy.app.tempdir) / text[2:]
     return Path(bpy.path.abspath(text))
 

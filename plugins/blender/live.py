@@ -39,7 +39,7 @@ END_S = 10.0
 #: Our tone curve for each of Blender's view transforms. All other transforms get "agx".
 TONES = {"Standard": "linear", "Raw": "linear", "Khronos PBR Neutral": "khronos-neutral"}
 #: Settings whose change needs no new state of the display.
-_OTHER = {"rna_type", "name", "folder", "output", "renderer", "handover", "times", "iterations", "show_window", "show_depth", "show_cone", "show_picture", "live_run", "live_show"}
+_OTHER = {"rna_type", "name", "folder", "output", "renderer", "handover", "times", "iterations", "show_window", "show_depth", "show_cone", "show_picture", "live_run", "live_show", "is_used", "use_score"}
 #: These are computed from other settings.
 _OTHER |= {"window_width", "window_height"}
 
@@ -50,6 +50,7 @@ class Session:
     def __init__(self, scene) -> None:
         """Exports the scene, and starts the program or attaches to one. Raises `jobs.JobError`,
         OSError and the errors of exporters."""
+        settings_of.use(scene)
         # Undo replaces the scene's Python object, but this number stays the same.
         self._uid = scene.session_uid
         self.title = scene.name
@@ -148,7 +149,7 @@ class Session:
         key = (overlay.key_of_camera(scene), values, view.view_transform, view.exposure)
         if key == self._key:
             return self._tables
-        display = jobs.display_of(settings)
+        display = jobs.display_of(settings, is_live=True)
         window = jobs.window_of(scene, display)
         is_linear = settings.look == "LINEAR"
         # Fix the exposure. An automatic exposure would darken all other objects if a lamp became

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import os
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import bpy
 import lumistack
 from lumistack.blender import outline
 
-from . import jobs, overlay, pictures
+from . import cost, jobs, overlay, pictures, settings as settings_of
 
 #: Interval between two checks of running work, seconds.
 TICK = 0.1
@@ -27,13 +28,14 @@ class _Steps(bpy.types.Operator):
 
     bl_options = {"REGISTER"}
     factorizes = True
+    is_probe = False
 
     @classmethod
     def poll(cls, context):
         return context.scene is not None
 
     def execute(self, context):
-        job = jobs.Job(context.scene, factorize=self.factorizes)
+        job = jobs.Job(context.scene, factorize=self.factorizes, probe=self.is_probe)
         try:
             jobs.run_now(job)
         except Exception as error:  # every error is reported to the user
@@ -42,7 +44,7 @@ class _Steps(bpy.types.Operator):
         return self._end(context, job)
 
     def invoke(self, context, _event):
-        self._job = jobs.Job(context.scene, factorize=self.factorizes)
+        self._job = jobs.Job(context.scene, factorize=self.factorizes, probe=self.is_probe)
         self._walk = self._job.steps()
         self._step = None
         self._state = "next"
@@ -131,11 +133,13 @@ class _Steps(bpy.types.Operator):
             context.workspace.status_text_set(None)
 
     def _end(self, context, job):
+        # Blender shows the last report, so the result comes last. The panel keeps the warnings.
+        jobs.warned[context.scene.name] = list(job.warnings)
         for warning in job.warnings:
             self.report({"WARNING"}, warning)
+        self._show(context)
         for line in job.said:
             self.report({"INFO"}, line)
-        self._show(context)
         return {"FINISHED"}
 
     def _show(self, context):
@@ -143,13 +147,17 @@ class _Steps(bpy.types.Operator):
 
 
 class LUMISTACK_OT_make(_Steps):
-    """Render the views, compute the layers' patterns, and show the simulated display"""
+    """Render the views, compute the layers' patterns, and show the simulated display. The lines below state the number of renders"""
 
     bl_idname = "lumistack.make"
     bl_label = "Make Tensor Display"
 
     def _show(self, context):
-        show_view(context.scene, (0.0, 0.0))
+        # Straight ahead is one of the solver's views, so its picture is better than others.
+        held = jobs.shown[context.scene.name]
+        show_view(context.scene, held.beside)
+        if any(held.beside):
+            self.report({"INFO"}, f"The picture is seen {direction(held.beside)}, between the views. Look Around shows other directions")
         if not bpy.app.background:
             show_editor(context)
 
@@ -160,6 +168,22 @@ class LUMISTACK_OT_render_views(_Steps):
     bl_idname = "lumistack.render_views"
     bl_label = "Render Views"
     factorizes = False
+
+
+class LUMISTACK_OT_estimate(_Steps):
+    """Render two views, or with Lumistack's path tracer small views, and estimate the time of Make Tensor Display"""
+
+    bl_idname = "lumistack.estimate"
+    bl_label = "Estimate Time"
+    factorizes = False
+    is_probe = True
+
+
+def direction(slope) -> str:
+    """Returns a text about a direction."""
+    angles = [(math.degrees(math.atan(abs(part))), part) for part in slope]
+    words = [f"{angle:.1f}° {positive if part > 0.0 else negative}" for (angle, part), positive, negative in zip(angles, ("from the right", "from above"), ("from the left", "from below")) if angle >= 0.05]
+    return " and ".join(words) or "from straight ahead"
 
 
 def show_view(scene, slope) -> None:
@@ -249,7 +273,8 @@ class LUMISTACK_OT_look(bpy.types.Operator):
         if event.type in ("ESC", "RIGHTMOUSE") or context.scene.name not in jobs.shown:
             if context.workspace:
                 context.workspace.status_text_set(None)
-            show_view(context.scene, (0.0, 0.0))
+            held = jobs.shown.get(context.scene.name)
+            show_view(context.scene, held.beside if held else (0.0, 0.0))
             return {"FINISHED"}
         if event.type == "MOUSEMOVE":
             window = context.window
@@ -278,13 +303,14 @@ class LUMISTACK_OT_fit_depth(bpy.types.Operator):
 
 
 class LUMISTACK_OT_check_depth(bpy.types.Operator):
-    """Compare the depth of the scene with the display"""
+    """Report how much of the scene lies in front of or behind the depths that the display shows sharply"""
 
     bl_idname = "lumistack.check_depth"
     bl_label = "Check Depth"
 
     def execute(self, context):
         try:
+            settings_of.use(context.scene)
             display = jobs.display_of(context.scene.lumistack)
             sentence = jobs.depth_sentence(context.scene, display, jobs.window_of(context.scene, display))
         except jobs.JobError as error:
@@ -340,6 +366,7 @@ def end_previews() -> None:
 _CLASSES = (
     LUMISTACK_OT_make,
     LUMISTACK_OT_render_views,
+    LUMISTACK_OT_estimate,
     LUMISTACK_OT_look,
     LUMISTACK_OT_fit_depth,
     LUMISTACK_OT_check_depth,
@@ -355,6 +382,8 @@ def register() -> None:
 def unregister() -> None:
     end_previews()
     jobs.shown.clear()
+    jobs.warned.clear()
+    cost.forget()
     pictures.remove()
     for each in reversed(_CLASSES):
         bpy.utils.unregister_class(each)

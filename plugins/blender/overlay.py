@@ -33,6 +33,11 @@ def forget() -> None:
     _outlines.clear()
 
 
+def is_drawn(scene) -> bool:
+    """Returns true if the user has used the extension in this scene."""
+    return scene is not None and hasattr(scene, "lumistack") and scene.lumistack.is_used
+
+
 def set_picture(scene_name: str, picture) -> None:
     """Sets the simulated view [row, column, rgb] that is drawn on the window."""
     _pictures[scene_name] = picture
@@ -100,7 +105,7 @@ def _draw() -> None:
 
     scene = bpy.context.scene
     view = bpy.context.space_data
-    if scene is None or not hasattr(scene, "lumistack") or not view.overlay.show_overlays:
+    if not is_drawn(scene) or not view.overlay.show_overlays:
         return
     gpu.state.blend_set("ALPHA")
     gpu.state.depth_test_set("LESS_EQUAL")
@@ -167,22 +172,25 @@ class LUMISTACK_GGT_window(bpy.types.GizmoGroup):
 
     @classmethod
     def poll(cls, context):
-        return context.scene is not None and context.scene.lumistack.show_window and placement(context.scene) is not None
+        scene = context.scene
+        return is_drawn(scene) and scene.lumistack.show_window and placement(scene) is not None
 
     def setup(self, context):
         arrow = self.gizmos.new("GIZMO_GT_arrow_3d")
         arrow.draw_style = "NORMAL"
         arrow.color, arrow.alpha = WINDOW[:3], 0.8
         arrow.color_highlight, arrow.alpha_highlight = (1.0, 1.0, 1.0), 1.0
-        arrow.target_set_handler("offset", get=self._get, set=self._set)
         cage = self.gizmos.new("GIZMO_GT_cage_2d")
         # The window keeps the display's proportions, so only uniform scaling changes it.
         cage.transform = {"TRANSLATE", "SCALE", "SCALE_UNIFORM"}
         cage.color, cage.alpha = WINDOW[:3], 0.3
         cage.color_highlight, cage.alpha_highlight = (1.0, 1.0, 1.0), 1.0
-        cage.target_set_handler("matrix", get=self._get_cage, set=self._set_cage)
         self._arrow, self._cage = arrow, cage
+        # `target_set_handler` already calls the function `get`, which needs values of `refresh`.
+        self._width = 1.0
         self.refresh(context)
+        arrow.target_set_handler("offset", get=self._get, set=self._set)
+        cage.target_set_handler("matrix", get=self._get_cage, set=self._set_cage)
 
     def _get(self):
         scene = bpy.context.scene

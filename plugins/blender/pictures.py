@@ -12,6 +12,8 @@ import numpy
 
 #: Name of the image with the simulated view.
 SHOWN = "Lumistack"
+#: Name of images that exist only during a conversion.
+TEMPORARY = "Lumistack conversion"
 
 
 def load(path: Path, linear: bool = True) -> numpy.ndarray:
@@ -32,9 +34,10 @@ def load(path: Path, linear: bool = True) -> numpy.ndarray:
         bpy.data.images.remove(image)
 
 
-def as_shown(path: Path, scene) -> numpy.ndarray:
-    """Returns the picture after the scene's view transform, exposure, look and curves for an sRGB
-    screen, converted back to linear light 0..1."""
+def as_shown(picture: Path | numpy.ndarray, scene) -> numpy.ndarray:
+    """Returns a picture after the scene's view transform, exposure, look and curves for an sRGB
+    screen, converted back to linear light 0..1. The picture is a file, or linear values [row, column,
+    rgb], the top row first."""
     settings, display = scene.render.image_settings, scene.display_settings
     old: list[tuple[object, str, object]] = []
 
@@ -43,12 +46,14 @@ def as_shown(path: Path, scene) -> numpy.ndarray:
             old.append((held, name, getattr(held, name)))
             setattr(held, name, value)
 
-    image = bpy.data.images.load(str(path), check_existing=False)
+    image = bpy.data.images.load(str(picture), check_existing=False) if isinstance(picture, Path) else of_values(TEMPORARY, picture)
     try:
         change(settings, "media_type", "IMAGE")
         change(settings, "file_format", "PNG")
         change(settings, "color_mode", "RGB")
         change(settings, "color_depth", "16")
+        # The file is read at once, so compressing it would only take time.
+        change(settings, "compression", 0)
         change(settings, "color_management", "FOLLOW_SCENE")
         if display.display_device != "sRGB":
             change(display, "display_device", "sRGB")
@@ -76,12 +81,25 @@ def show(picture: numpy.ndarray) -> object:
     if image is None or tuple(image.size) != (columns, rows) or not image.is_float:
         if image is not None:
             bpy.data.images.remove(image)
-        image = bpy.data.images.new(SHOWN, columns, rows, alpha=False, float_buffer=True)
-    values = numpy.ones((rows, columns, 4), numpy.float32)
+        image = of_values(SHOWN, picture)
+    else:
+        fill(image, picture)
+    return image
+
+
+def of_values(name: str, picture: numpy.ndarray) -> object:
+    """Makes an image of linear values [row, column, rgb], the top row first."""
+    rows, columns, _ = picture.shape
+    image = bpy.data.images.new(name, columns, rows, alpha=False, float_buffer=True)
+    fill(image, picture)
+    return image
+
+
+def fill(image, picture: numpy.ndarray) -> None:
+    values = numpy.ones((*picture.shape[:2], 4), numpy.float32)
     values[..., :3] = picture[::-1]
     image.pixels.foreach_set(values.ravel())
     image.update()
-    return image
 
 
 def remove() -> None:

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import functools
+import os
 
 import bpy
 import lumistack
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, IntVectorProperty, PointerProperty, StringProperty
-from lumistack.blender import forms
+from lumistack.blender import depth, forms
 
 #: For each quality: percentage of the display's columns and rows, iterations, and paths per pixel of
 #: Lumistack's path tracer.
@@ -38,21 +39,46 @@ if lumistack.HAS_PANELS:
 
 
 def _presets():
-    return [(name, name.replace("-", " ").capitalize(), "") for name in lumistack.displays()]
+    return [(name, name.replace("-", " ").capitalize(), described(lumistack.Display(name))) for name in lumistack.displays()]
+
+
+def described(display: lumistack.Display) -> str:
+    """Returns a sentence about a display, for a tooltip."""
+    _, _, rows, columns, _ = display.light_field_shape
+    field = display.to_dict()["field"]
+    layers = len(display.layer_distances_mm)
+    backlight = " over a directional backlight" if display.emission_shape else ""
+    parts = [
+        f"{layers} layer{'s' if layers > 1 else ''}{backlight}",
+        f"{display.frames} frame{'s' if display.frames > 1 else ''}",
+        f"{columns} × {rows} pixels of {display.pitch_mm:.3g} mm",
+        "viewing zone of " + " × ".join(f"{part:.3g}°" for part in field["fov_deg"]),
+    ]
+    sharp = display.depth_of_field_mm()
+    if sharp is not None:
+        parts.append(f"sharp from {depth.place(sharp[0])} to {depth.place(sharp[1])} the display")
+    return "; ".join(parts)
 
 
 def _outputs():
-    return [("NONE", "None", "Only the patterns")] + [(each["id"], each["id"].replace("_", " ").capitalize(), each["doc"]) for each in plugins()]
+    return [("NONE", "None", "Only the patterns")] + [(each["id"], forms.label(each["id"]), each["doc"]) for each in plugins()]
 
 
-def _redraw(_self, context):
+def _redraw(self, context):
     from . import overlay
 
     overlay.forget()
+    use(self.id_data)
     for window in context.window_manager.windows if context.window_manager else ():
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
                 area.tag_redraw()
+
+
+def use(scene) -> None:
+    """Marks the scene as one that the extension works with: its window is drawn in the 3D view."""
+    if not scene.lumistack.is_used:
+        scene.lumistack.is_used = True
 
 
 def _placed(settings):
@@ -98,7 +124,7 @@ def _property(each: forms.Field):
         case "float":
             return FloatProperty(default=each.default, min=each.least, max=each.most, **common)
         case "choice":
-            items = [(value, value.replace("_", " ").capitalize(), text) for value, text in each.options]
+            items = [(value, forms.label(value), text) for value, text in each.options]
             return EnumProperty(items=items, default=each.default, **common)
         case "file":
             return StringProperty(subtype="FILE_PATH", **common)
@@ -118,10 +144,11 @@ def _settings_class():
     annotations = {
         "display_from": EnumProperty(
             name="Display",
+            description="Source of the display's description",
             items=[("PRESET", "Preset", "A display that Lumistack knows"), ("FILE", "File", "A display file (.toml)")],
             **draw,
         ),
-        "preset": EnumProperty(name="Preset", description="Display of the scene", items=presets, default=default, **draw),
+        "preset": EnumProperty(name="Preset", description="A display that Lumistack knows", items=presets, default=default, **draw),
         "file": StringProperty(name="File", description="Display file (.toml)", subtype="FILE_PATH", **draw),
         "grid": EnumProperty(
             name="Projection",
@@ -134,24 +161,40 @@ def _settings_class():
             **draw,
         ),
         "distance_mm": FloatProperty(name="Eye Distance (mm)", description="Millimetres from the display to the viewer", default=600.0, min=1.0, max=1e6, **draw),
-        "use_views": BoolProperty(name="Own Number of Views", **draw),
-        "views": IntVectorProperty(name="Views", description="Horizontal and vertical", size=2, default=(5, 5), min=1, max=64, **draw),
-        "use_brightness": BoolProperty(name="Own Brightness", **draw),
+        "views_from": EnumProperty(
+            name="Views",
+            description="Number of views that are rendered, and for which the patterns are made",
+            items=[
+                ("AUTO", "Automatic", "As many as the display needs so that its picture is also right between the views"),
+                ("HALF", "Every Second", "Every second view of the automatic ones, on each axis: a quarter of the renders, and a blurred picture between the views"),
+                ("OWN", "Own Number", "The number below. Between few views the picture is blurred"),
+            ],
+            **draw,
+        ),
+        "views": IntVectorProperty(name="Number", description="Number of views, horizontal and vertical", size=2, default=(5, 5), min=1, max=64, **draw),
+        "use_score": BoolProperty(
+            name="Score",
+            description="Render a few further pictures, from between the views, and report how well the display shows them",
+            default=True,
+        ),
+        "is_used": BoolProperty(name="Draw in 3D View", description="Draw the display's window, and its handles, in the 3D view", default=False),
+        "use_brightness": BoolProperty(name="Own Brightness", description="Use another brightness scale than the display's own", **draw),
         "brightness": FloatProperty(name="Brightness", description="Brightness scale: the display emits the target times this factor", default=0.2, min=0.001, max=1.0, **draw),
         "quality": EnumProperty(
             name="Quality",
+            description="Pixels, iterations of the solver, and paths of Lumistack's path tracer",
             items=[
-                ("DRAFT", "Draft", "A fifth of the display's columns and rows, 10 iterations"),
-                ("PREVIEW", "Preview", "Half of the display's columns and rows, 25 iterations"),
-                ("FULL", "Full", "All pixels, 50 iterations"),
+                ("DRAFT", "Draft", "A fifth of the display's columns and rows, 10 iterations, 4 paths per pixel and view"),
+                ("PREVIEW", "Preview", "Half of the display's columns and rows, 25 iterations, 16 paths per pixel and view"),
+                ("FULL", "Full", "All pixels of the display, 50 iterations, 64 paths per pixel and view"),
                 ("CUSTOM", "Custom", "The numbers below"),
             ],
             default="PREVIEW",
             **draw,
         ),
-        "percentage": IntProperty(name="Pixels", description="Percentage of the display's pixels", subtype="PERCENTAGE", default=50, min=1, max=100, **draw),
-        "iterations": IntProperty(name="Iterations", description="Updates of all layers", default=25, min=1, max=10000),
-        "samples": IntProperty(name="Paths", description="Paths per pixel of Lumistack's path tracer", default=16, min=1, max=65536),
+        "percentage": IntProperty(name="Pixels", description="Percentage of the display's columns and rows", subtype="PERCENTAGE", default=50, min=1, max=100, **draw),
+        "iterations": IntProperty(name="Iterations", description="Iterations of the solver, each of which updates all layers", default=25, min=1, max=10000),
+        "samples": IntProperty(name="Paths", description="Paths per pixel and view of Lumistack's path tracer", default=16, min=1, max=65536),
         "window_from": EnumProperty(
             name="Window",
             description="Position of the window; the window is as wide as the camera's picture at its distance",
@@ -179,7 +222,7 @@ def _settings_class():
             name="Height", description="Height of the window; its width follows the display", subtype="DISTANCE", unit="LENGTH", get=_height, set=_set_height
         ),
         "moved_back_mm": FloatProperty(
-            name="Move Back (mm)",
+            name="Back (mm)",
             description="Moves the window along its normal, in millimetres of the display; the view from straight ahead stays the same",
             default=0.0, min=-1e5, max=1e5, **draw,
         ),  # fmt: skip
@@ -188,6 +231,7 @@ def _settings_class():
         ),
         "renderer": EnumProperty(
             name="Renderer",
+            description="Program that renders the views",
             items=[
                 ("BLENDER", "Blender", "The scene's engine, Cycles or EEVEE, with its settings"),
                 ("LUMISTACK", "Lumistack", "Lumistack's path tracer, of the exported scene"),
@@ -205,23 +249,25 @@ def _settings_class():
         ),
         "look": EnumProperty(
             name="Look",
+            description="Exposure and tone curve, the same for all views",
             items=[
-                ("SCENE", "As Blender Shows It", "The view transform, exposure and look of Color Management, one for all views"),
+                ("SCENE", "As in Blender", "View transform, exposure, look and curves of Color Management, for every renderer"),
                 ("LINEAR", "Linear", "Radiance times the exposure below; values brighter than white are clipped"),
             ],
         ),
-        "exposure_ev": FloatProperty(name="Exposure", description="Stops", default=0.0, min=-20.0, max=20.0),
+        "exposure_ev": FloatProperty(name="Exposure", description="Exposure in stops: 1 doubles the light", default=0.0, min=-20.0, max=20.0),
         "times": EnumProperty(
             name="Time",
+            description="Frames for which patterns are made",
             items=[("CURRENT", "Current Frame", "A still"), ("RANGE", "Frame Range", "The scene's frames; each frame starts with the patterns of the previous frame")],
         ),
-        "folder": StringProperty(name="Folder", description="Folder of views, patterns and outputs", subtype="DIR_PATH", default="//lumistack"),
+        "folder": StringProperty(name="Folder", description="Folder of views, patterns and outputs; // is the folder of the .blend file", subtype="DIR_PATH", default="//lumistack"),
         "live_run": StringProperty(
             name="Attach To", description="Run folder of a lumistack live that already runs; this program then follows this scene. Empty: a new program is started", subtype="DIR_PATH"
         ),
         "live_show": EnumProperty(name="Show", description="Where a new live display appears", items=_SHOWN, default="PAGE"),
         "output": EnumProperty(name="Output", description="Additional output besides the patterns", items=_outputs(), default="NONE"),
-        "show_window": BoolProperty(name="Window", description="Draw the display's window in the 3D view", default=True, **draw),
+        "show_window": BoolProperty(name="Window", description="Draw the display's window and its handles in the 3D view", default=True, **draw),
         "show_depth": BoolProperty(name="Depth of Field", description="Draw the depths that the display shows sharply", default=True, **draw),
         "show_cone": BoolProperty(name="Viewing Cone", description="Draw the viewing zone", default=False, **draw),
         "show_picture": BoolProperty(name="Simulated View", description="Show the simulated view on the window in the 3D view", default=True, **draw),
@@ -257,11 +303,23 @@ def quality(settings) -> tuple[int, int, int]:
     return QUALITY[settings.quality]
 
 
-def display_of(settings) -> lumistack.Display:
+def is_automatic(settings) -> bool:
+    """Returns true if the number of paths per pixel is measured, as `lumistack run` does. This is the
+    case for automatic views, unless the user sets the number."""
+    return settings.views_from == "AUTO" and settings.quality != "CUSTOM"
+
+
+def display_of(settings, is_live: bool = False) -> lumistack.Display:
     """Returns the display with the changes of the settings. Raises the package's error if it is
-    invalid."""
-    what = settings.preset if settings.display_from == "PRESET" else bpy.path.abspath(settings.file)
-    display = lumistack.Display(what)
+    invalid. A live display chooses its automatic views itself, so they stay automatic."""
+    if settings.display_from == "FILE":
+        path = bpy.path.abspath(settings.file)
+        if not os.path.isfile(path):
+            found = f"found none at {path}" if path else "none is set"
+            raise ValueError(f"File: expected a display file (.toml), {found}; select one, or set Display to Preset")
+        display = lumistack.Display(path)
+    else:
+        display = lumistack.Display(settings.preset)
     described = display.to_dict()
     field = described["field"]
     if settings.grid != "DISPLAY":
@@ -274,14 +332,24 @@ def display_of(settings) -> lumistack.Display:
     changes: dict[str, object] = {}
     if share < 1.0:
         changes["resolution"] = [max(round(share * pixels), 8) for pixels in field["resolution"]]
-    if settings.use_views:
-        changes["views"] = list(settings.views)
-    elif field["views"] == "auto":
-        # Blender renders every view as a separate picture. The many views of "auto" would be slow.
-        changes["views"] = [5, 5]
     if settings.use_brightness:
         changes["brightness"] = settings.brightness
-    return lumistack.Display(display, **changes) if changes else display
+    if settings.views_from == "OWN":
+        changes["views"] = list(settings.views)
+    if changes:
+        display = lumistack.Display(display, **changes)
+    if settings.views_from == "HALF" and not is_live:
+        display = lumistack.Display(display, views=_half_of(display))
+    return display
+
+
+def _half_of(display: lumistack.Display) -> object:
+    """Returns the argument `views` for every second view."""
+    if display.to_dict()["field"]["views"] != "auto":
+        rows, columns, *_ = display.light_field_shape
+        return [(columns + 1) // 2, (rows + 1) // 2]
+    # A step of two views. A step of 0 means a single view.
+    return {"step": [2.0 * (slopes[1] - slopes[0]) if len(slopes) > 1 else 0.0 for slopes in map(sorted, display.slopes)]}
 
 
 def output_parameters(scene, plugin: str) -> dict[str, object]:

@@ -21,7 +21,7 @@ import numpy
 import pytest
 
 import lumistack
-from lumistack.blender import command_line, depth, forms, outline
+from lumistack.blender import between, command_line, depth, forms, outline
 from lumistack.blender.cameras import Window, WindowError, seen_at_mm, view_camera, window_of_camera, window_of_job
 from lumistack.blender.glb import Glb, radiance_hdr
 from lumistack.blender.handover import ball, panel, surface
@@ -220,6 +220,99 @@ def test_every_parameter_of_every_output_plugin_becomes_a_property() -> None:
     assert forms.given(numbers, {"p_a_b": 4}) == {"a b": 4}
 
 
+def test_labels_are_words_of_artists() -> None:
+    outputs = [plugin for plugin in lumistack.plugins() if plugin["kind"] == "output" and not plugin["presents"]]
+    labels = {each.name: each.label for plugin in outputs for each in forms.fields_of(plugin)}
+    expected = {"png8": "PNG, 8 bits", "exr_depth": "OpenEXR precision", "dpi": "DPI", "camera_distance_mm": "Camera distance (mm)", "bits": "Bits", "animation_rate": "Animation rate (Hz)"}
+    assert expected.items() <= labels.items(), labels
+    assert labels["lens_rotation_deg"] == "Lens rotation (°)" and forms.label("a4") == "A4" and forms.label("blue_noise") == "Blue noise"
+    # A unit stands at most once in a label, and no abbreviation is written like a word.
+    for text in labels.values():
+        assert not any(word in ("Dpi", "Exr", "Png8", "Hci", "mm", "deg") for word in text.split()), text
+
+
+def test_directions_for_the_score_lie_between_the_views() -> None:
+    views = [0.1 * (number - 6) for number in range(13)]
+    assert between.directions(views, 4) == pytest.approx([-0.45, -0.15, 0.15, 0.45])
+    assert between.directions(views, 2, 0.7) == pytest.approx([-0.35, 0.35])
+    assert between.directions([0.2], 4) == [0.2]
+    for count in range(2, 30):
+        views = [0.1 * (number - (count - 1) / 2) for number in range(count)][:: 1 if count % 3 else -1]
+        for most, reach in ((1, 1.0), (2, 0.7), (4, 1.0), (5, 0.5)):
+            found = between.directions(views, most, reach)
+            assert 1 <= len(found) <= most and len(found) >= min(2, most, count - 1)
+            assert found == pytest.approx([-slope for slope in found[::-1]]) or most == 1
+            assert all(min(abs(slope - view) for view in views) == pytest.approx(0.05) for slope in found)
+    # The picture after a run is next to straight ahead, to the right or up.
+    assert between.beside_middle([-0.1, 0.0, 0.1]) == pytest.approx(0.05) == between.beside_middle([0.1, 0.0, -0.1])
+    assert between.beside_middle([-0.15, -0.05, 0.05, 0.15]) == pytest.approx(0.0) and between.beside_middle([0.0]) == 0.0
+
+
+def test_the_score_of_two_noisy_renders_has_no_noise() -> None:
+    """The true squared error is 0.01. The renders' noise has the variance 0.02."""
+    noise = numpy.random.default_rng(5)
+    seen, truth = 0.1, [noise.normal(0.0, 0.02**0.5, 400_000) for _ in range(2)]
+    pictures = [*truth, (truth[0] + truth[1]) / 2.0]
+    errors = [float(numpy.mean((seen - picture) ** 2)) for picture in pictures]
+    found = [{"directions": [((0.0, 0.0), -10.0 * math.log10(error))]} for error in errors]
+    # The standard deviation of the mean product is 0.00005, so a false alarm has 6 of them.
+    assert between.score(found).psnr_zone == pytest.approx(20.0, abs=0.15)
+    assert between.score(found[:1]).psnr_zone < 16.0
+    both = between.score([{"directions": [((0.0, 0.0), 20.0), ((0.1, 0.0), 30.0)]}])
+    assert both.psnr_zone == pytest.approx(-10 * math.log10((0.01 + 0.001) / 2)) and both.worst == pytest.approx(20.0) and both.directions == 2
+    assert "worst of 2 directions 20.0 dB" in both.text() and between.UNKNOWN.text() == "not scored between the views"
+    assert between.score([{"directions": [((0.0, 0.0), math.inf)]}]).psnr_zone == math.inf
+
+
+def test_a_far_backdrop_does_not_flatten_the_scene() -> None:
+    chance = random.Random(8)
+    subject = [chance.uniform(-200.0, 100.0) for _ in range(600)]
+    backdrop = [chance.uniform(-60_000.0, -50_000.0) for _ in range(400)]
+    for distance_mm in (None, 800.0):
+        fit = depth.best_fit(subject + backdrop, (-80.0, 80.0), distance_mm, compress=True)
+        alone = depth.best_fit(subject, (-80.0, 80.0), distance_mm, compress=True)
+        shown = [depth.shown_at(z, fit, distance_mm) for z in subject]
+        assert depth.outside(shown, (-80.0, 80.0)) < 0.1 and fit.depth_scale >= depth.LEAST_SCALE
+        if distance_mm is None:
+            # For parallel views a far backdrop has unbounded parallax.
+            assert fit.depth_scale > 0.8 * alone.depth_scale
+        assert depth.better_fit(subject + backdrop, (-80.0, 80.0), distance_mm, True, depth.Fit(0.0, 1.0)) == fit
+        assert depth.better_fit(subject + backdrop, (-80.0, 80.0), distance_mm, True, fit) is None
+    # Two far clusters: no movement helps the one without blurring the other, so nothing changes.
+    halves = [-5.0] * 500 + [-9000.0] * 500
+    assert depth.better_fit(halves, (-10.0, 10.0), None, False, depth.Fit(0.0, 1.0)) is None
+    assert depth.better_fit([1.0, 2.0], (-10.0, 10.0), None, True, depth.Fit(0.0, 1.0)) is None
+
+
+def test_depths_are_in_front_or_behind() -> None:
+    assert depth.place(-94.2) == "94 mm behind" and depth.place(60.0) == "60 mm in front of" and depth.place(-math.inf) == "far behind"
+    # Single precision may move content out of the range that a fit brought to its ends.
+    assert depth.outside([-80.00001, 80.00001], (-80.0, 80.0)) == 0.0 and depth.outside([-82.0, 82.0, 0.0, 1.0], (-80.0, 80.0)) == 0.5
+    assert depth.outside([-1e9, 3.0], (-math.inf, 4.0)) == 0.0
+    text = depth.sentence([-300.0, 40.0], (-80.0, 80.0)) or ""
+    assert "from 300 mm behind to 40 mm in front of the display, which is sharp from 80 mm behind to 80 mm in front of it" in text
+    assert depth.moved(depth.Fit(-94.0, 0.5)) == "The window moved forward by 94 mm; depth is shown at 50 %"
+    assert depth.moved(depth.Fit(12.0, 1.0)) == "The window moved back by 12 mm; the depth is unchanged"
+    assert depth.moved(depth.Fit(-0.2, 0.5)).startswith("The window stays in place")
+
+
+def test_triangles_without_area_are_dropped(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    file = Glb.empty()
+    place = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+    # Two triangles have an area, one of them a tiny one. The others have two equal corners, or
+    # three corners on a line.
+    positions = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (2.0, 0.0, 0.0), (1e-9, 0.0, 0.0), (0.0, 1e-9, 0.0)]
+    triangles = [(0, 1, 2), (0, 0, 1), (0, 1, 3), (0, 4, 5)]
+    file.add_glow("text", place, positions, triangles, (1.0, 1.0, 1.0))
+    file.write(tmp_path / "flat.glb")
+    with pytest.warns(lumistack.LumistackWarning, match="without area: 2 of 4"):
+        lumistack.Scene(tmp_path / "flat.glb")
+    assert file.drop_flat_triangles() == 2 and file.drop_flat_triangles() == 0
+    file.write(tmp_path / "clean.glb")
+    recwarn.clear()
+    assert lumistack.Scene(tmp_path / "clean.glb").triangles == 2 and not recwarn.list
+
+
 def test_what_is_added_to_a_glb_is_what_the_reader_finds(tmp_path: Path) -> None:
     file = Glb.empty()
     turned = [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0], [0.0, 0.0, 0.0, 1.0]]
@@ -270,12 +363,13 @@ def test_shared_exponents_keep_eight_bits() -> None:
 def test_words_become_settings() -> None:
     asked = command_line.parse(["make", "-o", "out", "--display", "mine.toml", "--views", "3x2", "--pixels", "10", "--frames", "2..5", "--window-distance", "3"])
     assert asked.settings["file"] == "mine.toml" and asked.settings["display_from"] == "FILE"
-    assert asked.settings["views"] == (3, 2) and asked.settings["use_views"] and asked.settings["quality"] == "CUSTOM"
+    assert asked.settings["views"] == (3, 2) and asked.settings["views_from"] == "OWN" and asked.settings["quality"] == "CUSTOM"
     assert asked.settings["window_from"] == "DISTANCE" and asked.scene_settings == {"frame_start": 2, "frame_end": 5}
     asked = command_line.parse(["--window-size", "0.5", "--handover", "both", "--renderer", "lumistack"])
     assert asked.settings == {"window_size": 0.5, "handover": "BOTH", "renderer": "LUMISTACK"}
+    assert command_line.parse(["--quality", "draft", "--views", "half", "--no-score"]).settings == {"quality": "DRAFT", "views_from": "HALF", "use_score": False}
     assert command_line.parse([]).settings == {} and command_line.parse([]).what == "make"
-    for words in (["bake"], ["--views", "3"], ["--frames", "5..2"], ["--unknown"]):
+    for words in (["bake"], ["--views", "3"], ["--quality", "draft", "--samples", "2"], ["--frames", "5..2"], ["--unknown"]):
         with pytest.raises(command_line.Usage) as caught:
             command_line.parse(words)
         assert caught.value.code == 2

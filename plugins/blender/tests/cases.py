@@ -26,7 +26,7 @@ from common import HERE
 
 #: Seconds after which a case is killed.
 LONGEST = 420
-CASES = ["lifecycle", "silhouettes", "radiance", "make", "animation", "faults", "handover", "beyond", "resume", "headless", "digest", "overlay", "live"]
+CASES = ["lifecycle", "silhouettes", "radiance", "look", "make", "views", "animation", "faults", "handover", "beyond", "resume", "headless", "digest", "overlay", "live"]
 #: Cases that take long, or have special requirements.
 MORE = ["exporters", "eevee"]
 

@@ -99,6 +99,44 @@ def light_fields_of(scene, folder, grid, samples):
     return fields
 
 
+def case_look(folder, zip_path):
+    """Blender's Color Management applies to both renderers, and view transforms give different
+    pictures. A text, whose mesh has triangles without area, gives no warning."""
+    import bpy
+    import numpy
+    import scenes
+
+    install(zip_path)
+    from bl_ext.user_default.lumistack import jobs
+
+    scene = scenes.diffuse()
+    scene.cycles.samples = 64
+    configure(scene, folder)
+    found = {}
+    scene.lumistack.use_score = False
+    bpy.ops.object.text_add(location=(-0.4, -1.0, 0.3), rotation=(1.2, 0.0, 0.0))
+    bpy.context.object.data.body, bpy.context.object.data.extrude = "TENSOR", 0.03
+    bpy.context.object.data.materials.append(bpy.data.materials["clay"])
+    for transform, exposure in (("AgX", 1.0), ("Standard", 1.0), ("Standard", 0.0)):
+        for renderer in ("BLENDER", "LUMISTACK"):
+            out = configure(scene, folder, renderer=renderer, look="SCENE", samples=64, views_from="OWN", views=(1, 1))
+            scene.view_settings.view_transform, scene.view_settings.exposure = transform, exposure
+            scene.lumistack.folder = str(out / f"{transform} {exposure} {renderer}")
+            job = run(scene, factorize=False)
+            assert all(line.startswith("depth") for line in job.warnings), job.warnings
+            import lumistack
+
+            field = lumistack.LightField.open(jobs.output_folder(scene) / "target")
+            found[transform, exposure, renderer] = field.radiance.astype(numpy.float64).mean(axis=(0, 1, 2, 3))
+    for (transform, exposure, renderer), theirs in found.items():
+        off = found[transform, exposure, "LUMISTACK"] / found[transform, exposure, "BLENDER"] - 1.0
+        print(f"note: {transform} {exposure:+.0f} EV: {renderer} {theirs}, apart by {100 * abs(off).max():.2f} %")
+        assert abs(off).max() < MEAN, off
+    apart = [abs(found["AgX", 1.0, renderer] / found["Standard", 1.0, renderer] - 1.0).max() for renderer in ("BLENDER", "LUMISTACK")]
+    assert min(apart) > 0.05, apart
+    return ""
+
+
 def case_exporters(folder, zip_path):
     """A scene gives views of the same mean radiance through Blender's glTF exporter and its USD
     exporter. With both, the job reports their difference."""
@@ -144,7 +182,7 @@ def case_exporters(folder, zip_path):
     scenes.lamp("SUN", 2.0, rotation=(0.5, 0.3, 0.0))
     ratio = both("sun")
     assert abs(ratio / ratio.mean() - 1.0).max() < 0.1, ratio
-    out = configure(scene, folder, renderer="LUMISTACK", handover="BOTH", samples=4, use_views=True, views=(1, 1))
+    out = configure(scene, folder, renderer="LUMISTACK", handover="BOTH", samples=4, views_from="OWN", views=(1, 1))
     job = run(scene, factorize=False)
     assert len(job.said) == 1 and "Lumistack's views of the USD file against Lumistack's views of the glTF file" in job.said[0], job.said
     assert (out / "scene.glb").is_file() and (out / "scene.usdc").is_file()
@@ -195,7 +233,10 @@ def case_overlay(folder, zip_path):
 
     scene = scenes.diffuse()
     scene.cycles.samples = 8
-    configure(scene, folder, use_views=True, views=(3, 1), look="SCENE", show_cone=True)
+    # Nothing is drawn in a file that does not use the extension.
+    assert not scene.lumistack.is_used and not overlay.is_drawn(scene) and not overlay._outlines
+    configure(scene, folder, views_from="OWN", views=(3, 1), look="SCENE", show_cone=True)
+    assert scene.lumistack.is_used and overlay.is_drawn(scene)
     display, window = overlay.placement(scene)
     scene.render.resolution_x, scene.render.resolution_y = 960, 600
     for colour, ends in overlay.lines_of(scene):

@@ -64,12 +64,31 @@ def case_make(folder, zip_path):
     job = run(scene)
     after = sorted(held.name for held in bpy.data.objects), scene.render.filepath, scene.render.image_settings.file_format, scene.camera
     assert before == after, "the job changed the scene"
-    assert (job.rendered, job.kept) == (9, 0)
+    # Besides the 9 views, Blender renders 4 directions between them for the score.
+    assert (job.rendered, job.kept) == (13, 0)
     for name in ("display.toml", "layers/stack.json", "report.html", "target/lightfield.json", "outputs/tensor-display/images/stack.npz"):
         assert (out / name).is_file(), name
     assert not list((out / "outputs/tensor-display/images").glob("*.png"))
     held = jobs.shown[scene.name]
-    assert held.psnr > 15.0, held.psnr
+    assert held.score.directions == 4 and 10.0 < held.score.worst < held.score.psnr_zone < 40.0, held.score
+    assert held.score.text() in " ".join(job.said) and "PSNR" not in " ".join(job.said), job.said
+    # The score is the one of the display in directions that the solver did not see: it is below the
+    # solver's own.
+    own = held.stack.psnr(lumistack.LightField.open(out / "target"))
+    assert held.score.psnr_zone < own - 1.0, (held.score, own)
+    # The button shows a picture from between the views, not the one from straight ahead.
+    step = held.stack.display.slopes[0][2] - held.stack.display.slopes[0][1]
+    assert abs(held.beside[0] - step / 2) < 1e-9 and held.beside[1] > 0.0, held.beside
+    scene.lumistack.folder = str(folder / "button")
+    assert bpy.ops.lumistack.make() == {"FINISHED"}
+    image = bpy.data.images[pictures.SHOWN]
+    pixels = numpy.empty(96 * 60 * 4, numpy.float32)
+    image.pixels.foreach_get(pixels)
+    shown = lumistack.simulate(jobs.shown[scene.name].stack, slope=held.beside)
+    assert numpy.allclose(pixels.reshape(60, 96, 4)[::-1, :, :3], shown, atol=1e-6)
+    scene.lumistack.folder = str(out)
+    run(scene)
+    held = jobs.shown[scene.name]
     assert bpy.ops.lumistack.look() == {"FINISHED"}
     image = bpy.data.images[pictures.SHOWN]
     assert tuple(image.size) == (96, 60) and image.is_float
@@ -86,7 +105,7 @@ def case_make(folder, zip_path):
     # A second run keeps views and patterns.
     start = (out / "layers/stack.json").stat().st_mtime_ns
     job = run(scene)
-    assert (job.rendered, job.kept) == (0, 9) and (out / "layers/stack.json").stat().st_mtime_ns == start
+    assert (job.rendered, job.kept) == (0, 13) and (out / "layers/stack.json").stat().st_mtime_ns == start
     # Write every output with its default parameters.
     from bl_ext.user_default.lumistack import settings
 
@@ -109,7 +128,79 @@ def case_make(folder, zip_path):
     bpy.data.materials["clay"].node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.1, 0.9, 0.1, 1.0)
     job = run(scene, factorize=False)
     assert job.rendered == 9
-    return f"PSNR {held.psnr:.1f} dB"
+    return held.score.text()
+
+
+def case_views(folder, zip_path):
+    """The number of views, and the number of renders that the panel states before a run."""
+    import bpy
+    import scenes
+
+    install(zip_path)
+    import lumistack
+    from bl_ext.user_default.lumistack import cost, jobs, settings as settings_of
+
+    scene = scenes.diffuse()
+    scene.cycles.samples = 7
+    held = scene.lumistack
+    # By default the button uses as many views as the command.
+    held.preset, held.quality = "paper-three-layer", "PREVIEW"
+    shape = lumistack.Display("paper-three-layer", resolution=(420, 262)).light_field_shape
+    assert settings_of.display_of(held).light_field_shape == shape == (13, 13, 262, 420, 3)
+    lines = cost.lines(scene, settings_of.display_of(held))
+    assert lines == ["13 × 13 views of 420 × 262 pixels", "169 and 4 for the score = 173 renders by Cycles, 7 samples each", "Time: not known yet"], lines
+    held.views_from = "HALF"
+    half = settings_of.display_of(held)
+    assert half.light_field_shape[:2] == (7, 7) and all(
+        abs(a - b) < 1e-9 for a, b in zip(half.slopes[0], lumistack.Display("paper-three-layer", resolution=(420, 262)).slopes[0][::2], strict=True)
+    )
+    held.use_score = False
+    assert "49 renders by Cycles, 7 samples each" in cost.lines(scene, half)
+    held.views_from, held.views = "OWN", (3, 2)
+    assert settings_of.display_of(held).light_field_shape[:2] == (2, 3)
+    # A live display chooses its automatic views itself.
+    held.views_from = "AUTO"
+    assert settings_of.display_of(held, is_live=True).to_dict()["field"]["views"] == "auto"
+    # Slopes of the directions for the score are halfway between views, for every kind of display.
+    for name in lumistack.displays():
+        display = lumistack.Display(name)
+        for most in cost.SCORED:
+            slopes = jobs.between_of(display, most)
+            views = jobs.display_at(display, slopes).slopes
+            for axis in range(2):
+                assert all(abs(a - b) < 1e-9 for a, b in zip(sorted(slopes[axis]), sorted(views[axis]), strict=True)), (name, slopes, views)
+                apart = [min(abs(slope - view) for view in display.slopes[axis]) for slope in slopes[axis]]
+                step = abs(display.slopes[axis][1] - display.slopes[axis][0])
+                assert all(abs(each - step / 2) < 1e-9 for each in apart), (name, apart, step)
+    # A measurement gives the time; the views that it renders are kept.
+    out = configure(scene, folder, use_score=False)
+    held.views_from = "AUTO"
+    assert bpy.ops.lumistack.estimate() == {"FINISHED"}
+    views = next(out.glob("views-*"))
+    assert len(list(views.iterdir())) == 2
+    assert "Time: about" in cost.lines(scene, settings_of.display_of(held))[-1]
+    before = cost.seconds(scene, settings_of.display_of(held))
+    scene.cycles.samples = 70
+    assert abs(cost.seconds(scene, settings_of.display_of(held)) / before - 10.0) < 1e-6
+    scene.cycles.samples = 7
+    job = run(scene, factorize=False)
+    assert (job.rendered, job.kept) == (7, 2)
+    # Our path tracer is measured by small views.
+    held.renderer = "LUMISTACK"
+    assert cost.lines(scene, settings_of.display_of(held))[-1] == "Time: not known yet"
+    assert bpy.ops.lumistack.estimate() == {"FINISHED"}
+    assert "Time: about" in cost.lines(scene, settings_of.display_of(held))[-1]
+    # With automatic views our path tracer chooses the number of paths, as for the command.
+    assert not settings_of.is_automatic(held)
+    held.quality, held.use_score = "DRAFT", True
+    assert settings_of.is_automatic(held)
+    run(scene)
+    # Kept views take no time, so they are no measurement.
+    before = cost.seconds(scene, settings_of.display_of(held))
+    run(scene, factorize=False)
+    assert cost.seconds(scene, settings_of.display_of(held)) == before
+    assert jobs.shown[scene.name].score.directions == 4, jobs.shown[scene.name].score
+    return jobs.shown[scene.name].score.text()
 
 
 def case_animation(folder, zip_path):
@@ -126,7 +217,7 @@ def case_animation(folder, zip_path):
     held.keyframe_insert("location", frame=3)
     scene.frame_start, scene.frame_end = 1, 3
     scene.frame_set(2)
-    out = configure(scene, folder, times="RANGE", use_views=True, views=(2, 1))
+    out = configure(scene, folder, times="RANGE", views_from="OWN", views=(2, 1), use_score=False)
     job = run(scene)
     assert job.rendered == 6 and scene.frame_current == 2
     assert sorted(each.name for each in out.iterdir()) == ["t0001", "t0002", "t0003"]
@@ -144,6 +235,7 @@ def case_faults(folder, zip_path):
 
     install(zip_path)
     from bl_ext.user_default.lumistack import jobs
+    from mathutils import Matrix
 
     def fails(part, scene):
         try:
@@ -172,11 +264,27 @@ def case_faults(folder, zip_path):
     scene.lumistack.file = str(folder / "no such.toml")
     scene.camera = bpy.data.objects["camera"]
     fails("no such.toml", scene)
+    scene.lumistack.file = ""
+    fails("File: expected a display file (.toml), none is set; select one, or set Display to Preset", scene)
+    # In a scene without objects the camera is not at fault.
+    scene = scenes.empty()
+    configure(scene, folder)
+    scenes.camera().data.dof.use_dof = False
+    fails("the scene has no visible objects", scene)
+    scenes.add("cube", scenes.material("gone"), size=0.5, location=(-0.35, 0.7, 0.25)).hide_render = True
+    bpy.context.view_layer.update()
+    scene.camera.data.dof.use_dof = True
+    # Blender deletes the results of a file that is not saved.
+    assert not bpy.data.filepath and not jobs.is_temporary(scene)
+    scene.lumistack.folder = "//results"
+    assert jobs.is_temporary(scene)
+    warned = [line for line in run(scene, factorize=False).warnings if line.startswith("folder")]
+    assert len(warned) == 1 and str(jobs.output_folder(scene)) in warned[0] and "deletes" in warned[0], warned
     # Cycles and Lumistack agree for an orthographic camera.
     scene = scenes.empty()
     scenes.shapes(scenes.material("white", (1.0, 1.0, 1.0), glow=1.0))
     scenes.camera(orthographic=True)
-    configure(scene, folder, use_views=True, views=(1, 1))
+    configure(scene, folder, views_from="OWN", views=(1, 1))
     scene.cycles.samples = 1
     ours, theirs = light_fields(scene, folder, "OBLIQUE")
     assert not (hit_masks(ours) & ~grown(hit_masks(theirs))).any() and 0.1 < hit_masks(ours).mean() < 0.4
@@ -187,6 +295,21 @@ def case_faults(folder, zip_path):
     print("note:", warned[0])
     assert bpy.ops.lumistack.fit_depth() == {"FINISHED"}
     assert not run(scene, factorize=False).warnings
+    # A far backdrop stays blurred; the scene before it is fitted as without the backdrop.
+    before = scene.lumistack.moved_back_mm, scene.lumistack.depth_scale
+    wall = scenes.add("plane", bpy.data.materials["white"], size=4000.0)
+    wall.matrix_world = scene.camera.matrix_world @ Matrix.Translation((0.0, 0.0, -900.0))
+    bpy.context.view_layer.update()
+    scene.lumistack.moved_back_mm, scene.lumistack.depth_scale = 300.0, 1.0
+    text = jobs.fit_depth(scene, True)
+    print("note:", text)
+    assert text.startswith("The window moved ") and "stays blurred" in text
+    fitted = scene.lumistack.moved_back_mm, scene.lumistack.depth_scale
+    assert fitted[1] > 0.5 * before[1] and abs(fitted[0] - before[0]) < 100.0, (fitted, before)
+    # If no fit is better, nothing changes.
+    again = jobs.fit_depth(scene, True)
+    print("note:", again)
+    assert again.startswith("Nothing changed: ") and (scene.lumistack.moved_back_mm, scene.lumistack.depth_scale) == fitted
     return f"fitted: back by {scene.lumistack.moved_back_mm:.1f} mm, depth {scene.lumistack.depth_scale:.2f}"
 
 
@@ -432,6 +555,11 @@ def case_headless(folder, zip_path):
         assert command.main(["make", *common, "-o", str(folder / "other"), "--renderer", "lumistack", "--samples", "1", "--scene", "other"]) == 0
     names = {node.get("name") for node in gltf_of(folder / "other" / "scene.glb")["nodes"]}
     assert "Cube" in names and "Torus" not in names, names
+    # The quality is that of the panel: a fifth of the pixels in each direction.
+    assert command.main(["views", "--display", display, "--quality", "draft", "--views", "half", "--look", "linear", "-o", str(folder / "draft")]) == 0
+    import lumistack
+
+    assert lumistack.LightField.open(folder / "draft" / "target").shape == (2, 2, 12, 19, 3)
     assert command.main(["--help"]) == 0
     assert command.main(["bake"]) == 2
     assert command.main(["make", "--scene", "none", "-o", str(folder / "c")]) == 1

@@ -50,6 +50,16 @@ def _pair(text: str) -> tuple[int, int]:
     return int(parts[0]), int(parts[1])
 
 
+def _views(text: str) -> tuple[str, tuple[int, int] | None]:
+    """Returns the values of the settings `views_from` and `views`."""
+    if text in ("auto", "half"):
+        return text.upper(), None
+    try:
+        return "OWN", _pair(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"expected auto, half, or two whole numbers such as 5x5, found {text}") from error
+
+
 def _frames(text: str) -> tuple[int, int]:
     first, dots, last = text.partition("..")
     try:
@@ -71,7 +81,9 @@ def parse(words: list[str]) -> Asked:
     parser.add_argument("--display", metavar="PRESET|FILE", help="display")
     parser.add_argument("--grid", choices=["display", "oblique", "perspective"], help="parallel views, or views from eyes")
     parser.add_argument("--distance-mm", type=float, metavar="MM", help="distance of the eyes")
-    parser.add_argument("--views", type=_pair, metavar="HxV", help="number of views")
+    parser.add_argument("--views", type=_views, metavar="auto|half|HxV", help="number of views: so many that the display is also right between the views, half of them per axis, or HxV")
+    parser.add_argument("--score", action=argparse.BooleanOptionalAction, help="render a few further views, and score the display between its views")
+    parser.add_argument("--quality", choices=["draft", "preview", "full"], help="pixels, iterations and paths, as in the panel")
     parser.add_argument("--brightness", type=float, metavar="B", help="brightness scale, above 0 and at most 1")
     parser.add_argument("--pixels", type=int, metavar="PERCENT", help="per cent of the display's pixels, on each axis")
     parser.add_argument("--iterations", type=int, metavar="N", help="iterations of the solver")
@@ -92,7 +104,10 @@ def parse(words: list[str]) -> Asked:
         ("folder", found.folder),
         ("grid", found.grid and found.grid.upper()),
         ("distance_mm", found.distance_mm),
-        ("views", found.views),
+        ("views_from", found.views and found.views[0]),
+        ("views", found.views and found.views[1]),
+        ("use_score", found.score),
+        ("quality", found.quality and found.quality.upper()),
         ("brightness", found.brightness),
         ("percentage", found.pixels),
         ("iterations", found.iterations),
@@ -113,10 +128,11 @@ def parse(words: list[str]) -> Asked:
         is_file = found.display.endswith(".toml")
         settings["display_from"] = "FILE" if is_file else "PRESET"
         settings["file" if is_file else "preset"] = found.display
-    for name, switch in (("views", "use_views"), ("brightness", "use_brightness")):
-        if name in settings:
-            settings[switch] = True
+    if "brightness" in settings:
+        settings["use_brightness"] = True
     if {"percentage", "iterations", "samples"} & settings.keys():
+        if "quality" in settings:
+            parser.error("argument --quality: expected without --pixels, --iterations and --samples, which are a quality of their own")
         settings["quality"] = "CUSTOM"
     if "distance" in settings:
         settings["window_from"] = "DISTANCE"

@@ -18,8 +18,14 @@ from dataclasses import dataclass
 
 #: The depths between these two quantiles are fitted, so that a few stray surfaces have no effect.
 ENDS = (0.02, 0.98)
-#: Smallest factor on parallax.
-LEAST_SCALE = 0.01
+#: Relative distance outside of the sharp depths at which content still counts as sharp. A fit moves
+#: content exactly to the ends, and Blender stores the fit in single precision.
+TOLERANCE = 0.01
+#: Smallest factor on parallax. A scene with less parallax looks flat, so a fit rather leaves the
+#: farthest content blurred.
+LEAST_SCALE = 0.03
+#: Fractions of the farthest content that a fit may leave blurred, in the order of the attempts.
+LEFT_OUT = (ENDS[0], *(number / 20 for number in range(1, 19)))
 #: A warning appears if a larger fraction of the picture lies outside the sharp depths.
 WORTH_SAYING = 0.05
 
@@ -37,7 +43,7 @@ def outside(depths_mm: Sequence[float], range_mm: Sequence[float]) -> float:
     display shows sharply."""
     if not depths_mm:
         return 0.0
-    low, high = range_mm
+    low, high = (end * (1.0 + TOLERANCE) for end in range_mm) if range_mm[0] < 0.0 < range_mm[1] else range_mm
     return sum(not low <= depth <= high for depth in depths_mm) / len(depths_mm)
 
 
@@ -53,9 +59,24 @@ def sentence(depths_mm: Sequence[float], range_mm: Sequence[float] | None) -> st
         return None
     (low, high), (near, far) = range_mm, (max(depths_mm), min(depths_mm))
     return (
-        f"{100 * share:.0f} % of what is seen is blurred: the scene lies from {far:.0f} to {near:.0f} mm, "
-        f"and the display is sharp from {low:.0f} to {high:.0f} mm"
+        f"{100 * share:.0f} % of what is seen is blurred: the scene reaches from {place(far)} to {place(near)} the display, "
+        f"which is sharp from {place(low)} to {place(high)} it"
     )
+
+
+def place(depth_mm: float) -> str:
+    """Returns a text about a depth, without the noun: "60 mm behind"."""
+    side = "behind" if depth_mm < 0.0 else "in front of"
+    return f"far {side}" if math.isinf(depth_mm) else f"{abs(depth_mm):.0f} mm {side}"
+
+
+def moved(fit: Fit) -> str:
+    """Returns a sentence about a fit."""
+    by = f"{abs(fit.moved_back_mm):.0f} mm"
+    way = "back" if fit.moved_back_mm > 0.0 else "forward"
+    window = "The window stays in place" if by == "0 mm" else f"The window moved {way} by {by}"
+    depth = "the depth is unchanged" if fit.depth_scale == 1.0 else f"depth is shown at {100 * fit.depth_scale:.0f} %"
+    return f"{window}; {depth}"
 
 
 def shown_at(depth_mm: float, fit: Fit, distance_mm: float | None) -> float:
@@ -80,14 +101,36 @@ def in_scene(range_mm: Sequence[float] | None, depth_scale: float, distance_mm: 
     return low, high
 
 
+def better_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm: float | None, compress: bool, now: Fit) -> Fit | None:
+    """Returns the fit that shows more of the scene sharply than `now`; None if there is none.
+    `depths_mm` are depths without any fit."""
+
+    def blurred(fit: Fit) -> float:
+        return outside([shown_at(depth, fit, distance_mm) for depth in depths_mm], range_mm)
+
+    fit = best_fit(depths_mm, range_mm, distance_mm, compress)
+    return fit if blurred(fit) < blurred(now) else None
+
+
 def best_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm: float | None, compress: bool) -> Fit:
     """Returns the movement of the window that brings most of the depths into the range. With
-    `compress` the function also returns the scale of parallax that brings in the remaining
-    depths."""
+    `compress` the function also returns the scale of parallax that brings in the remaining depths.
+
+    If this scale would be below `LEAST_SCALE`, the fit leaves out as little of the farthest content
+    as possible, for instance a far backdrop."""
     ordered = sorted(depth for depth in depths_mm if math.isfinite(depth))
     if not ordered:
         return Fit(0.0, 1.0)
-    far, near = (ordered[round(share * (len(ordered) - 1))] for share in ENDS)
+    fits = (_fit(ordered, left_out, range_mm, distance_mm, compress) for left_out in LEFT_OUT)
+    first = next(fits)
+    if first.depth_scale >= LEAST_SCALE:
+        return first
+    return next((fit for fit in fits if fit.depth_scale >= LEAST_SCALE), Fit(first.moved_back_mm, LEAST_SCALE))
+
+
+def _fit(ordered: Sequence[float], left_out: float, range_mm: Sequence[float], distance_mm: float | None, compress: bool) -> Fit:
+    """Returns the fit of the depths without the fraction `left_out` of the farthest ones."""
+    far, near = (ordered[round(share * (len(ordered) - 1))] for share in (left_out, ENDS[1]))
     low, high = range_mm
     wanted = (low + high) / 2
     if distance_mm is None:
@@ -109,7 +152,7 @@ def best_fit(depths_mm: Sequence[float], range_mm: Sequence[float], distance_mm:
         limit = low if shown < 0.0 else high
         if abs(shown) > abs(limit):
             scale = min(scale, _parallax(limit, distance_mm) / _parallax(shown, distance_mm))
-    return Fit(fit.moved_back_mm, max(scale, LEAST_SCALE))
+    return Fit(fit.moved_back_mm, scale)
 
 
 def _parallax(depth_mm: float, distance_mm: float | None) -> float:

@@ -59,6 +59,54 @@ class Glb:
         scene: dict[str, Any] = self.document["scenes"][self.document["scene"]]
         return scene
 
+    def drop_flat_triangles(self) -> int:
+        """Removes the triangles without area, and returns their number. Blender's exporter writes
+        such triangles for text and curves; the reader of the file would warn of them."""
+        # Blender always has NumPy, but readers of this module may have none.
+        import numpy
+
+        dropped = 0
+        for mesh in self.document.get("meshes", []):
+            for primitive in mesh["primitives"]:
+                if primitive.get("mode", 4) != 4 or "indices" not in primitive or "POSITION" not in primitive["attributes"]:
+                    continue
+                accessor = self.document["accessors"][primitive["indices"]]
+                positions = self._values(primitive["attributes"]["POSITION"])
+                indices = self._values(primitive["indices"])
+                if positions is None or indices is None:
+                    continue
+                # Divide by the largest edge, so that tiny triangles keep an area.
+                corners = positions.astype(numpy.float64)[indices.reshape(-1, 3)]
+                edges = corners[:, 1:] - corners[:, :1]
+                edges /= numpy.maximum(numpy.abs(edges).max(axis=(1, 2), keepdims=True), 1e-300)
+                has_area = numpy.linalg.norm(numpy.cross(edges[:, 0], edges[:, 1]), axis=1) > 1e-300
+                # A primitive needs triangles.
+                if has_area.all() or not has_area.any():
+                    continue
+                kept = indices.reshape(-1, 3)[has_area]
+                primitive["indices"] = self._accessor(kept.tobytes(), accessor["componentType"], "SCALAR", kept.size, {})
+                dropped += int((~has_area).sum())
+        return dropped
+
+    def _values(self, number: int) -> Any:
+        """Returns the values of an accessor of positions or indices as an array; None if its values
+        are not adjacent in the buffer of this file."""
+        import numpy
+
+        accessor = self.document["accessors"][number]
+        kind = {5121: "u1", 5123: "<u2", _UNSIGNED_INT: "<u4", _FLOAT: "<f4"}.get(accessor["componentType"])
+        width = {"SCALAR": 1, "VEC3": 3}.get(accessor["type"])
+        if kind is None or width is None or "sparse" in accessor or "bufferView" not in accessor:
+            return None
+        view = self.document["bufferViews"][accessor["bufferView"]]
+        stride = width * int(kind[-1])
+        is_packed = view.get("byteStride", stride) == stride and "extensions" not in view
+        if not is_packed or view["buffer"] != 0:
+            return None
+        begin = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        values = numpy.frombuffer(bytes(self.binary[begin : begin + accessor["count"] * stride]), numpy.dtype(kind))
+        return values.reshape(-1, width) if width > 1 else values
+
     def add_node(self, name: str, matrix: Sequence[Sequence[float]] | None = None, **parts: Any) -> None:
         """Adds a node to the scene. `matrix` has four rows, in glTF's axes."""
         node: dict[str, Any] = {"name": name, **parts}

@@ -43,6 +43,7 @@ def export_scene(bpy: Any, path: str | Path, warn: Warn, scene: Any = None) -> N
     with in_window(bpy, scene), _as_rendered(bpy):
         _export_meshes(bpy, path)
         file = Glb.read(path)
+        file.drop_flat_triangles()
         _add_lights(bpy, scene, file, warn)
         _add_cameras(bpy, scene, file, warn)
     _add_world(bpy, scene, file, warn)

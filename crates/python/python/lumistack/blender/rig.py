@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -211,6 +211,8 @@ def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: floa
     matrix = [list(row) for row in camera.evaluated_get(depsgraph).matrix_world]
     frame = [tuple(corner) for corner in camera.data.view_frame(scene=scene)]
     focus = distance or focus_of(bpy, camera) or middle_of_view(bpy, scene, camera)
+    if focus is None and not has_content(bpy):
+        raise NoWindow("the scene has no visible objects: add an object, or switch one on for renders")
     if focus is None:
         raise NoWindow(f"{camera.name}: the camera sees no object to place the window at: aim it, or set its focus distance")
     return window_of_camera(matrix, frame, camera.data.type == "ORTHO", focus, size_mm)
@@ -264,17 +266,27 @@ def depths_through(bpy: Any, scene: Any, window: Window, distance_mm: float | No
     return depths
 
 
+def has_content(bpy: Any) -> bool:
+    """Returns true if a render shows any object."""
+    return next(_contents(bpy), None) is not None
+
+
+def _contents(bpy: Any) -> Iterator[Any]:
+    """Returns the instances of objects that a render shows."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    for instance in depsgraph.object_instances:
+        held = instance.object
+        if held.type not in ("CAMERA", "LIGHT", "EMPTY", "ARMATURE", "SPEAKER", "LIGHT_PROBE", "LATTICE") and not held.original.hide_render:
+            yield instance
+
+
 def depth_range(bpy: Any, scene: Any, window: Window) -> tuple[float, float]:
     """Returns the farthest and nearest depth of all content that a render shows, millimetres along the
     window's normal."""
-    depsgraph = bpy.context.evaluated_depsgraph_get()
     depths = [0.0]
-    for instance in depsgraph.object_instances:
-        held = instance.object
-        if held.type in ("CAMERA", "LIGHT", "EMPTY", "ARMATURE", "SPEAKER", "LIGHT_PROBE", "LATTICE") or held.original.hide_render:
-            continue
+    for instance in _contents(bpy):
         matrix = instance.matrix_world
-        for corner in held.bound_box:
+        for corner in instance.object.bound_box:
             place = tuple(sum(matrix[row][axis] * corner[axis] for axis in range(3)) + matrix[row][3] for row in range(3))
             depth = window.place_mm(place)[2]
             if math.isfinite(depth):
