@@ -178,8 +178,8 @@ fn front(package: &Value, name: &str, manifest: &Path, problems: &mut Vec<String
 }
 
 /// Reports code that includes a file from outside of its crate's folder, which the package lacks. A
-/// symbolic link in the crate's folder is right, since cargo packages the files behind it. `depth` is
-/// the number of folders between the crate's folder and the files of `folder`.
+/// symbolic link in the crate's folder is right, since cargo packages the files behind it. `depth`
+/// is the number of folders between the crate's folder and the files of `folder`.
 fn outside(folder: &Path, depth: usize, problems: &mut Vec<String>) -> Outcome {
     let failed = |error: std::io::Error| format!("{}: {error}", folder.display());
     for entry in std::fs::read_dir(folder).map_err(failed)? {

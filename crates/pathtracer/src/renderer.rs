@@ -375,9 +375,10 @@ impl Renderer {
         }
     }
 
-    /// Renders pixels with the given numbers [paths, rays] of each; the first rays continue as paths.
-    /// If `FIRST` is true, also adds up data of the first surfaces of the rays. Calls `take` for every
-    /// pixel, in order. Several pixels may only be given together if all their rays fit into a beam.
+    /// Renders pixels with the given numbers [paths, rays] of each; the first rays continue as
+    /// paths. If `FIRST` is true, also adds up data of the first surfaces of the rays. Calls `take`
+    /// for every pixel, in order. Several pixels may only be given together if all their rays fit
+    /// into a beam.
     fn pixels<const FIRST: bool>(
         &self,
         samples: &ViewSamples<'_>,

@@ -33,8 +33,8 @@ pub(crate) struct SampleBank {
     parts: u32,
 }
 
-/// Draws the random numbers of the rays of a beam, by pairs of dimensions. Each ray is a sample of a
-/// pixel.
+/// Draws the random numbers of the rays of a beam, by pairs of dimensions. Each ray is a sample of
+/// a pixel.
 #[derive(Clone, Copy)]
 pub(crate) struct Draws<'a> {
     bank: &'a SampleBank,
@@ -91,7 +91,8 @@ impl SampleBank {
     }
 
     /// Returns the random numbers of the samples `first` to `first` + `each` − 1 of each pixel, in
-    /// the order of the pixels. A pixel is given by its hash. There may be at most [`BEAM`] samples.
+    /// the order of the pixels. A pixel is given by its hash. There may be at most [`BEAM`]
+    /// samples.
     #[inline]
     pub(crate) fn draws(&self, pixels: &[u64], first: u32, each: u32) -> Draws<'_> {
         let mut draws = Draws { bank: self, rays: [(0, 0); BEAM] };

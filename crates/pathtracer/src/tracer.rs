@@ -15,10 +15,10 @@
 //! shadow ray passes the surface, and its light is multiplied by the transparent fraction. The mean
 //! is right in both cases.
 //!
-//! The samples of a pixel are traced together, one vertex of all paths at a time. If a pixel has few
-//! samples, the samples of neighbouring pixels are added. First rays are close together and traverse
-//! the tree as a beam. Random numbers of a vertex of a pixel share their hash. While one path waits
-//! for memory, the next is computed.
+//! The samples of a pixel are traced together, one vertex of all paths at a time. If a pixel has
+//! few samples, the samples of neighbouring pixels are added. First rays are close together and
+//! traverse the tree as a beam. Random numbers of a vertex of a pixel share their hash. While one
+//! path waits for memory, the next is computed.
 //!
 //! Measured on FlightHelmet with 16 samples per pixel:
 //!
@@ -191,12 +191,12 @@ struct Vertex<'a> {
 }
 
 impl Tracer<'_> {
-    /// Computes the radiance along at most [`BEAM`] rays that are close together. Each ray has a cone.
-    /// `draws` has the random numbers of all rays. If `in_bounds` is false, the rays hit nothing. The
-    /// call overwrites `rays`. A ray whose bit is set in `paths_of_rays` continues as a path; the
-    /// others end at their first surface. If `FIRST` is true, the first surface of every ray is written to
-    /// `first`, which needs an element per ray. The radiance is the same for both values of
-    /// `FIRST`, bit for bit.
+    /// Computes the radiance along at most [`BEAM`] rays that are close together. Each ray has a
+    /// cone. `draws` has the random numbers of all rays. If `in_bounds` is false, the rays hit
+    /// nothing. The call overwrites `rays`. A ray whose bit is set in `paths_of_rays` continues as
+    /// a path; the others end at their first surface. If `FIRST` is true, the first surface of
+    /// every ray is written to `first`, which needs an element per ray. The radiance is the same
+    /// for both values of `FIRST`, bit for bit.
     pub(crate) fn radiance<const FIRST: bool>(
         &self,
         rays: &mut [Ray],

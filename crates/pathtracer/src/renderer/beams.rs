@@ -44,17 +44,18 @@ impl<'a> ViewSamples<'a> {
         seed::derive(self.seed, &[row as u64, col as u64])
     }
 
-    /// Calls `take` with the rays of the given pixels, at most [`BEAM`] per call, and with the random
-    /// numbers of these rays. Each pixel has the
-    /// number of samples of the settings. Several pixels, which should be neighbours, may only be
-    /// given together if all their rays fit into one call.
+    /// Calls `take` with the rays of the given pixels, at most [`BEAM`] per call, and with the
+    /// random numbers of these rays. Each pixel has the number of samples of the settings. Several
+    /// pixels, which should be neighbours, may only be given together if all their rays fit into
+    /// one call.
     #[inline]
     pub(super) fn for_each_beam(&self, pixels: &[[usize; 2]], take: impl FnMut(&mut RayBeam, &Draws<'_>)) {
         self.for_each_beam_of(pixels, |at| self.pixel_seed(at), [self.paths; 2], take);
     }
 
     /// Does the same as [`for_each_beam`](Self::for_each_beam), for the given numbers [paths, rays]
-    /// of a pixel. The first rays of the pixel continue as paths. `seed` returns the seed of a pixel.
+    /// of a pixel. The first rays of the pixel continue as paths. `seed` returns the seed of a
+    /// pixel.
     #[inline]
     pub(super) fn for_each_beam_of(
         &self,

@@ -445,8 +445,8 @@ fn warm_up_iterations(plan: &Plan, part: usize) -> u32 {
 
 /// Returns the number of multiply-adds that take as long as one unit of a stage's work. The number
 /// includes memory accesses. The numbers were measured with the jobs of `scenes` and with
-/// FlightHelmet, on two cores. The time of a scene is mostly between a third of the estimate and the
-/// estimate. The paths of glass and of many lights take longer.
+/// FlightHelmet, on two cores. The time of a scene is mostly between a third of the estimate and
+/// the estimate. The paths of glass and of many lights take longer.
 fn cost(stage: &str) -> f64 {
     match stage {
         "ingest" => 1e8,
@@ -476,8 +476,8 @@ const SHARED_SHARE: f64 = 0.1;
 const DIRECTIONAL_TIMES: f64 = 8.0;
 /// Time to place the window, in the time of a path.
 const PLACE: f64 = 1e5;
-/// Time of the measurement that chooses the number of samples, divided by the time of its paths. The
-/// measurement also solves and compares.
+/// Time of the measurement that chooses the number of samples, divided by the time of its paths.
+/// The measurement also solves and compares.
 const MEASURED_TIMES: f64 = 1.5;
 /// Time of views with further paths, divided by the time of the same views without them. Both share
 /// light. Measured factors are between 1.5 and 2.2 (docs/ZONE.md).
