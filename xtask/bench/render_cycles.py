@@ -97,13 +97,17 @@ def add_shining_mesh():
 def add_camera():
     made = bpy.data.cameras.new("camera")
     made.sensor_fit = "HORIZONTAL"
-    made.angle = v.camera["fov_x_rad"]
-    eye = np.array(v.camera["eye"])
-    made.clip_start, made.clip_end = 1e-3 * np.linalg.norm(eye), 1e4 * np.linalg.norm(eye)
     placed = bpy.data.objects.new("camera", made)
-    placed.matrix_world = frame(v.camera["right"], v.camera["up"], v.camera["backward"], Vector(eye))
     scene.collection.objects.link(placed)
     scene.camera = placed
+
+
+def aim(about):
+    eye, camera = np.array(about["eye"]), scene.camera.data
+    camera.angle = about["fov_x_rad"]
+    camera.shift_x, camera.shift_y = about["shift"]
+    camera.clip_start, camera.clip_end = 1e-3 * np.linalg.norm(eye), 1e4 * np.linalg.norm(eye)
+    scene.camera.matrix_world = frame(about["right"], about["up"], about["backward"], Vector(eye))
 
 
 def configure():
@@ -144,24 +148,27 @@ def timed(samples, seed):
     scene.cycles.seed = seed
     path = os.path.join(folder, "view.exr")
     scene.render.filepath = path
-    start = time.perf_counter()
+    start, cpu = time.perf_counter(), time.process_time()
     bpy.ops.render.render(write_still=True)
-    seconds = time.perf_counter() - start
+    seconds, cpu_s = time.perf_counter() - start, time.process_time() - cpu
     loaded = bpy.data.images.load(path)
     picture = np.empty(v.rows * v.cols * 4, dtype=np.float32)
     loaded.pixels.foreach_get(picture)
     bpy.data.images.remove(loaded)
-    return seconds, picture.reshape(v.rows, v.cols, 4)[::-1]
+    return seconds, cpu_s, picture.reshape(v.rows, v.cols, 4)[::-1]
 
 
-def render(sampler, samples, seed):
+def render(sampler, samples, seed, view):
     # The time of a render with one sample is the time of the fixed work, such as preparing the
     # scene and writing the file. Its difference from the time of a longer render is the time of the
     # paths.
-    start, _ = timed(1, seed)
-    seconds, picture = timed(samples, seed)
-    return (seconds - start) * samples / max(samples - 1, 1), picture
+    aim(v.cameras[view])
+    start, start_cpu, _ = timed(1, seed)
+    seconds, cpu_s, picture = timed(samples, seed)
+    share = samples / max(samples - 1, 1)
+    return (seconds - start) * share, (cpu_s - start_cpu) * share, picture
 
 
+aim(v.cameras[0])
 timed(1, 1)
 view.serve(f"Cycles {bpy.app.version_string}", ["default"], render)

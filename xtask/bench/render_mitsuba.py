@@ -67,15 +67,19 @@ def light():
     return {"type": "rectangle", "to_world": mi.ScalarTransform4f(to_world), "emitter": emitter, "bsdf": black}
 
 
-def camera():
-    eye, backward = np.array(v.camera["eye"]), np.array(v.camera["backward"])
+def camera(about):
+    eye, backward = np.array(about["eye"]), np.array(about["backward"])
+    right, up = about["shift"]
     return {
         "type": "perspective",
         "fov_axis": "x",
-        "fov": float(np.degrees(v.camera["fov_x_rad"])),
+        "fov": float(np.degrees(about["fov_x_rad"])),
+        # fractions of the picture's width to the right, and of its height downwards
+        "principal_point_offset_x": right,
+        "principal_point_offset_y": -up * v.cols / v.rows,
         "near_clip": 1e-3 * float(np.linalg.norm(eye)),
         "far_clip": 1e4 * float(np.linalg.norm(eye)),
-        "to_world": mi.ScalarTransform4f().look_at(eye, eye - backward, v.camera["up"]),
+        "to_world": mi.ScalarTransform4f().look_at(eye, eye - backward, about["up"]),
         "film": {"type": "hdrfilm", "width": v.cols, "height": v.rows, "rfilter": {"type": "box"}, "pixel_format": "rgb"},
     }
 
@@ -86,25 +90,34 @@ scene = mi.load_dict({
     "sky": {"type": "constant", "radiance": {"type": "rgb", "value": [v.sky] * 3}},
     **{f"mesh_{i}": mesh(about, i) for i, about in enumerate(v.meshes)},
 })
-sensors = {
-    sampler: mi.load_dict(camera() | {"sampler": {"type": sampler, "sample_count": 16}}) for sampler in ("multijitter", "independent")
-}
+samplers = ("multijitter", "independent")
+sensors = {}
+
+
+def sensor(sampler, view):
+    """Makes a camera at its first use."""
+    if (sampler, view) not in sensors:
+        sensors[sampler, view] = mi.load_dict(camera(v.cameras[view]) | {"sampler": {"type": sampler, "sample_count": 16}})
+    return sensors[sampler, view]
+
+
 # max_depth counts the segments of a path. The path has the camera's segment, one for every bounce
 # after the first hit, and one to the light.
 integrator = mi.load_dict({"type": "path", "max_depth": view.BOUNCES_AFTER_FIRST_HIT + 2, "rr_depth": 1000})
 
 
-def render(sampler, samples, seed):
+def render(sampler, samples, seed, view):
+    of_view = sensor(sampler, view)
     dr.sync_thread()
-    start = time.perf_counter()
-    picture = mi.render(scene, sensor=sensors[sampler], integrator=integrator, spp=samples, seed=seed)
+    start, cpu = time.perf_counter(), time.process_time()
+    picture = mi.render(scene, sensor=of_view, integrator=integrator, spp=samples, seed=seed)
     dr.eval(picture)
     dr.sync_thread()
-    seconds = time.perf_counter() - start
-    return seconds, np.array(picture)
+    seconds, cpu_s = time.perf_counter() - start, time.process_time() - cpu
+    return seconds, cpu_s, np.array(picture)
 
 
-for name in sensors:
+for name in samplers:
     # this render compiles the kernel, so that later times do not include it
-    render(name, 4, 1)
-view.serve(f"Mitsuba {mi.__version__} llvm_ad_rgb", list(sensors), render)
+    render(name, 4, 1, 0)
+view.serve(f"Mitsuba {mi.__version__} llvm_ad_rgb", list(samplers), render)

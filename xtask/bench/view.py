@@ -1,14 +1,17 @@
 """The scene and the requests that the peers of `cargo xtask bench render` share. Peers are other renderers, which are compared with Lumistack.
 
-The script of a peer renders one view of a scene with diffuse surfaces. Its argument is a folder with
+The script of a peer renders views of a scene with diffuse surfaces. Its argument is a folder with
 
-    scene.json          meshes, camera, sky and rectangle light; a flag for a light that must be exact
+    scene.json          meshes, cameras, sky and rectangle light; a flag for a light that must be exact
     N_positions.npy     vertices of mesh N in the world, N_triangles.npy its indices, N_uvs.npy texture coordinates (v downwards)
     image_N.png         textures, sRGB
 
 The script answers requests. A request is one line of text with fields separated by tabs; an answer is one line of JSON:
 
-    render SAMPLER SAMPLES SEED FILE    writes the picture to FILE as linear float32 [row][col][rgb]; answers {"seconds": time for the paths}
+    render SAMPLER SAMPLES SEED VIEW FILE    writes the picture of camera VIEW to FILE as linear float32 [row][col][rgb]; answers {"seconds": time for
+                                             the paths, "cpu_s": processor time of all threads for the paths}
+
+The lens of a camera is shifted by `shift`, [right, up] in widths of the picture: the picture shows what lies that far from the middle.
 
 All renderers trace paths of 4 bounces after the first hit, without Russian roulette or clamping, and use a box filter.
 """
@@ -25,7 +28,7 @@ class View:
         self.folder = folder
         with open(f"{folder}/scene.json") as file:
             about = json.load(file)
-        self.camera, self.sky, self.light = about["camera"], about["sky"], about["light"]
+        self.cameras, self.sky, self.light = about["cameras"], about["sky"], about["light"]
         self.cols, self.rows = about["pixels"]
         self.meshes = about["meshes"]
         self.exact = about["exact"]
@@ -40,13 +43,14 @@ class View:
 
 
 def serve(name, samplers, render):
-    """Answers requests until standard input ends. `render(sampler, samples, seed)` returns the time of the paths in seconds, and the picture."""
+    """Answers requests until standard input ends. `render(sampler, samples, seed, view)` returns the time of the paths, their processor time,
+    both in seconds, and the picture."""
     answer({"name": name, "samplers": samplers})
     for line in sys.stdin:
-        _, sampler, samples, seed, path = line.rstrip("\n").split("\t")
-        seconds, picture = render(sampler, int(samples), int(seed))
+        _, sampler, samples, seed, view, path = line.rstrip("\n").split("\t")
+        seconds, cpu_s, picture = render(sampler, int(samples), int(seed), int(view))
         np.save(path, np.ascontiguousarray(picture[:, :, :3], dtype=np.float32))
-        answer({"seconds": seconds})
+        answer({"seconds": seconds, "cpu_s": cpu_s})
 
 
 def answer(message):

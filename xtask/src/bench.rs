@@ -43,6 +43,7 @@ cargo xtask bench [what]
                 one: processor time at equal squared error, including bias. Cases: 5×5 and 13×13 views over 20°, the 45 views of a quilt,
                 many copies. Then all filters compared with unfiltered views in equal time, with 4, 16 and 64 samples. Scenes as for
                 `render` (some twenty minutes)
+      --peers        only 5×5 views, beside the same views that Mitsuba and Cycles render one by one (some ten minutes)
   splats        13×13 views of a million Gaussian splats: rendered all together, one by one, and by a naive renderer (some minutes).
                 Then views are compared with Mitsuba's, which traces rays through the same Gaussians
       --agreement    only the comparison with Mitsuba

@@ -33,13 +33,7 @@ pub fn render(options: &[&str]) -> Option<Outcome> {
     let quick = if full { Vec::new() } else { vec!["--quick".to_owned()] };
     let python = if with_peers { python() } else { None };
     let embree = python.as_deref().filter(|python| has(python, &EMBREE)).and_then(embree_library);
-    let mut peers = Vec::new();
-    for [package, module, script] in [MITSUBA, CYCLES] {
-        if let Some(python) = python.as_deref().filter(|python| has(python, &[package, module])) {
-            peers.extend(["--peer".to_owned(), text(python)]);
-            peers.push(text(&tools::root().join("xtask/bench").join(script)));
-        }
-    }
+    let peers = python.as_deref().map(peers).unwrap_or_default();
     // Measure rays first, then whole views with the peers.
     let run = || -> Outcome {
         for scene in &scenes {
@@ -65,13 +59,7 @@ pub fn agree(samples: &str) -> Outcome {
         return Ok(());
     }
     let Some(python) = python() else { return Ok(()) };
-    let mut peers = Vec::new();
-    for [package, module, script] in [MITSUBA, CYCLES] {
-        if has(&python, &[package, module]) {
-            let script = tools::root().join("xtask/bench").join(script);
-            peers.extend(["--peer".to_owned(), text(&python), text(&script)]);
-        }
-    }
+    let peers = peers(&python);
     let folder = text(&tools::root().join("target/agreement-views"));
     for scene in &scenes {
         let words = ["agree", scene, "--size", "280x175", "--reference", samples, "--folder", &folder];
@@ -101,26 +89,41 @@ const CONVERGED: &str = "4096";
 
 /// Renders light fields view by view, and with light that all views share. The scenes have diffuse
 /// surfaces, the materials of their files, or many copies. The function also compares filtered with
-/// unfiltered views at equal rendering time.
+/// unfiltered views at equal rendering time. With `--peers` it compares only the first light field,
+/// with views that Mitsuba and Cycles render. `None` if the options are wrong.
 pub fn field(options: &[&str]) -> Option<Outcome> {
-    let mut scenes: Vec<String> = options.iter().map(|scene| absolute(scene)).collect();
-    if options.iter().any(|word| word.starts_with("--")) {
-        return None;
-    }
+    let (flags, scenes): (Vec<&str>, Vec<&str>) = options.iter().partition(|word| word.starts_with("--"));
+    let with_peers = match flags.as_slice() {
+        [] => false,
+        ["--peers"] => true,
+        _ => return None,
+    };
+    let mut scenes: Vec<String> = scenes.into_iter().map(absolute).collect();
     if scenes.is_empty() {
         scenes = default_scenes();
     }
+    let words_of = |scene: &str, [views, fov, samples]: [&str; 3], more: &[&str]| {
+        let words = ["field", scene, "--views", views, "--fov", fov, "--samples", samples, "--size", "210x131"];
+        [&words[..], more].concat().iter().map(|&word| word.to_owned()).collect::<Vec<_>>()
+    };
+    let run_with_peers = || -> Outcome {
+        let peers = python().as_deref().map(peers).unwrap_or_default();
+        let folder = ["--folder".to_owned(), text(&tools::root().join("target/bench-render"))];
+        head("times less time");
+        for scene in &scenes {
+            let words = words_of(scene, FIELDS[0], &[]);
+            bench("lumistack-pathtracer", "render", &[words, folder.to_vec(), peers.clone()].concat())?;
+        }
+        Ok(())
+    };
     let run = || -> Outcome {
         head("times less time");
         for scene in &scenes {
-            for (number, [views, fov, samples]) in FIELDS.into_iter().enumerate() {
-                let words = ["field", scene, "--views", views, "--fov", fov, "--samples", samples, "--size", "210x131"];
+            for (number, field) in FIELDS.into_iter().enumerate() {
                 // with converged pictures of the first views, which have the most samples
                 let means = if number == 0 { &["--converged", CONVERGED][..] } else { &[] };
                 for more in [&[][..], &["--own-materials"], &["--copies", COPIES]] {
-                    let words =
-                        [&words[..], more, means].concat().iter().map(|&word| word.to_owned()).collect::<Vec<_>>();
-                    bench("lumistack-pathtracer", "render", &words)?;
+                    bench("lumistack-pathtracer", "render", &words_of(scene, field, &[more, means].concat()))?;
                 }
             }
         }
@@ -133,7 +136,7 @@ pub fn field(options: &[&str]) -> Option<Outcome> {
         }
         Ok(())
     };
-    Some(run())
+    Some(if with_peers { run_with_peers() } else { run() })
 }
 
 /// Prints the head of the table of light fields; `last` is the name of its last column.
@@ -175,6 +178,18 @@ fn python() -> Option<PathBuf> {
         tools::make_python(&folder, "for comparing speed").and_then(|()| tools::install(&python, &["numpy==1.26.*"]))
     };
     made.map_err(|error| println!("bench: no other renderer is compared: {error}")).ok().map(|()| python)
+}
+
+/// Returns the options that name the peers which this Python has.
+fn peers(python: &Path) -> Vec<String> {
+    let mut peers = Vec::new();
+    for [package, module, script] in [MITSUBA, CYCLES] {
+        if has(python, &[package, module]) {
+            let script = tools::root().join("xtask/bench").join(script);
+            peers.extend(["--peer".to_owned(), text(python), text(&script)]);
+        }
+    }
+    peers
 }
 
 fn imports(python: &Path, module: &str) -> bool {

@@ -162,8 +162,9 @@ impl Case {
 
     /// Writes the scene for the peers: `scene.json` names the arrays and pictures next to it.
     /// Meshes are in world space. With `exact`, peers render exactly this scene. Otherwise a peer
-    /// may replace a light by a kind that it samples better.
-    pub fn export(&self, folder: &Path, exact: bool) -> Outcome {
+    /// may replace a light by a kind that it samples better. The peers render the views of
+    /// `geometry`, which are perspective.
+    pub fn export(&self, geometry: &FieldGeometry, folder: &Path, exact: bool) -> Outcome {
         std::fs::create_dir_all(folder)?;
         let mut meshes = Vec::new();
         for (index, instance) in self.scene.instances.iter().enumerate() {
@@ -202,10 +203,22 @@ impl Case {
             }
         }
         let map = &self.window.scene_from_display;
-        let Projection::Perspective { distance_mm } = self.geometry.grid.projection else {
-            return Err("expected a perspective view".into());
+        let Projection::Perspective { distance_mm } = geometry.grid.projection else {
+            return Err("expected perspective views".into());
         };
         let axis = |v: DVec3| (map.rotation * v).to_array();
+        let camera = |[y, x]: [usize; 2]| {
+            // All eyes look straight ahead. The lens is shifted, so that the picture is the window.
+            let [eye_x, eye_y] = [geometry.grid.slope_x[x] * distance_mm, geometry.grid.slope_y[y] * distance_mm];
+            json!({
+                "eye": map.point(DVec3::new(eye_x, eye_y, distance_mm)).to_array(),
+                "right": axis(DVec3::X),
+                "up": axis(DVec3::Y),
+                "backward": axis(DVec3::Z),
+                "fov_x_rad": 2.0 * (0.5 * WIDTH_MM / distance_mm).atan(),
+                "shift": [-eye_x / WIDTH_MM, -eye_y / WIDTH_MM],
+            })
+        };
         let about = json!({
             "meshes": meshes,
             "sky": SKY,
@@ -214,13 +227,7 @@ impl Case {
                 "edges": [self.light[1].to_array(), self.light[2].to_array()],
                 "radiance": LIGHT,
             },
-            "camera": {
-                "eye": map.point(DVec3::new(0.0, 0.0, distance_mm)).to_array(),
-                "right": axis(DVec3::X),
-                "up": axis(DVec3::Y),
-                "backward": axis(DVec3::Z),
-                "fov_x_rad": 2.0 * (0.5 * WIDTH_MM / distance_mm).atan(),
-            },
+            "cameras": geometry.grid.iter().map(camera).collect::<Vec<_>>(),
             "pixels": [self.geometry.cols, self.geometry.rows],
             "exact": exact,
         });

@@ -10,6 +10,7 @@ use lumistack_pathtracer::denoise::{NoisyView, SharedLight, Window, denoise};
 use lumistack_pathtracer::{RenderError, Renderer, Settings};
 
 use crate::case::{Case, Outcome};
+use crate::peer::Peer;
 use crate::{BOUNCES, Options};
 
 /// Fraction of the values that are at most white. Errors are fractions of white.
@@ -81,12 +82,20 @@ pub fn measure(options: &Options) -> Outcome {
     for &samples in &options.samples {
         let mut ways = [Kind::Alone, Kind::Shared, Kind::Further].map(|kind| Way::new(kind, samples));
         render(&bench, &mut ways, task)?;
+        let peers = render_peers(&bench, options, samples)?;
         let [alone, shared, further] = &ways;
         let of = |way: &Way| Errors::new(way, alone, bench.white);
         let errors = [Errors::of_noise(alone, bench.white), of(shared), of(further)];
         for (way, error) in ways.iter().zip(&errors) {
             let ratio = alone.seconds * errors[0].all / (way.seconds * error.all);
-            row(&bench.case, options, way, error, ratio);
+            row(&bench.case, options, way, way.kind.name(), error, ratio);
+        }
+        for (name, way) in &peers {
+            // For a peer, the column of the bias has the difference from our views beyond noise.
+            let Errors { bias, change, .. } = Errors::new(way, alone, bench.white);
+            let error = Errors { bias, change, ..Errors::of_noise(way, bench.white) };
+            let ratio = alone.seconds * errors[0].all / (way.seconds * error.all);
+            row(&bench.case, options, way, name, &error, ratio);
         }
         if let Some(samples) = options.converged {
             compare_means(&bench, &ways, samples, task)?;
@@ -159,7 +168,7 @@ pub fn filters(options: &Options) -> Outcome {
     let points: Vec<[f64; 2]> =
         ways.iter().zip(&errors).take(ALONE.len()).map(|(way, error)| [way.seconds.ln(), error.all.ln()]).collect();
     for (way, error) in ways.iter().zip(&errors) {
-        row(&bench.case, options, way, error, on_line(&points, way.seconds.ln()).exp() / error.all);
+        row(&bench.case, options, way, way.kind.name(), error, on_line(&points, way.seconds.ln()).exp() / error.all);
     }
     Ok(())
 }
@@ -167,7 +176,12 @@ pub fn filters(options: &Options) -> Outcome {
 impl Bench {
     fn new(options: &Options, task: Task<'_>) -> Outcome<Self> {
         let case = Case::load(&options.scene, options.copies, options.size, options.own_materials, task)?;
-        let geometry = field_of(&case, options.views, options.fov_deg)?;
+        // the peers have no parallel projection that is oblique
+        let projection = match options.peers.is_empty() {
+            true => Projection::Oblique,
+            false => case.geometry.grid.projection,
+        };
+        let geometry = field_of(&case, projection, options.views, options.fov_deg)?;
         let renderer = Renderer::new(case.scene.clone(), task)?;
         let middle = geometry.grid.views().map(|count| count / 2);
         let settings = Settings { samples: OF_WHITE, max_bounces: BOUNCES, ..Settings::default() };
@@ -234,7 +248,13 @@ fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
         for (number, way) in ways.iter_mut().enumerate() {
             let seed = count * round as u64 + number as u64;
             let (samples, clamp) = (way.samples, Some(CLAMP * bench.white));
-            let settings = Settings { samples, max_bounces: BOUNCES, seed, clamp, ..Settings::default() };
+            // the peers know neither a limit nor roulette
+            let settings = match bench.geometry.grid.projection {
+                Projection::Oblique => Settings { samples, max_bounces: BOUNCES, seed, clamp, ..Settings::default() },
+                Projection::Perspective { .. } => {
+                    Settings { samples, max_bounces: BOUNCES, roulette_start: BOUNCES, seed, ..Settings::default() }
+                }
+            };
             let start = spent()?;
             way.pictures[round] = way.kind.render(bench, settings, task)?;
             way.seconds += 0.5 * (spent()? - start).as_secs_f64();
@@ -243,11 +263,43 @@ fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
     Ok(())
 }
 
-/// Returns the geometry of a case's views with parallel rays, over a zone of `fov_deg`. An axis
-/// with one view has no zone.
-fn field_of(case: &Case, views: [usize; 2], fov_deg: f64) -> Outcome<FieldGeometry> {
+/// Returns the geometry of a case's views over a zone of `fov_deg`. An axis with one view has no
+/// zone.
+fn field_of(case: &Case, projection: Projection, views: [usize; 2], fov_deg: f64) -> Outcome<FieldGeometry> {
     let [fov_y, fov_x] = views.map(|count| if count > 1 { fov_deg } else { 0.0 });
-    Ok(case.geometry.with_grid(ViewGrid::uniform(Projection::Oblique, views, [fov_x, fov_y])?))
+    Ok(case.geometry.with_grid(ViewGrid::uniform(projection, views, [fov_x, fov_y])?))
+}
+
+/// Renders the views with the peers, one by one, twice with independent seeds. Returns their names
+/// and results. Only the first sampler of a peer is used.
+fn render_peers(bench: &Bench, options: &Options, samples: u32) -> Outcome<Vec<(String, Way)>> {
+    let folder = options.folder.join(format!("field-{}", bench.case.name));
+    let mut results = Vec::new();
+    for [python, script] in &options.peers {
+        bench.case.export(&bench.geometry, &folder, false)?;
+        let mut peer = match Peer::start(python, script, &folder) {
+            Ok(peer) => peer,
+            Err(error) => {
+                println!("without {}: {error}", script.display());
+                continue;
+            }
+        };
+        let sampler = peer.samplers.first().cloned().ok_or("the renderer: expected a sampler's name, found none")?;
+        let mut way = Way::new(Kind::Alone, samples);
+        for (round, pictures) in way.pictures.iter_mut().enumerate() {
+            for view in 0..bench.geometry.grid.iter().count() {
+                let seed = (round * 100_000 + view + 1) as u32;
+                let rendered = peer.render_view(view, &sampler, samples, seed, &folder.join("view.npy"))?;
+                let size = [bench.geometry.rows, bench.geometry.cols, 3];
+                let mut picture = Tensor::zeros(["row", "col", "rgb"], size);
+                picture.data_mut().copy_from_slice(&rendered.picture);
+                pictures.push(picture);
+                way.seconds += 0.5 * rendered.cpu_s;
+            }
+        }
+        results.push((format!("{}, one by one", peer.name), way));
+    }
+    Ok(results)
 }
 
 /// Returns the processor time that this process has used.
@@ -341,7 +393,7 @@ fn on_line(points: &[[f64; 2]], x: f64) -> f64 {
     y0 + (y1 - y0) * (x - x0) / (x1 - x0)
 }
 
-fn row(case: &Case, options: &Options, way: &Way, error: &Errors, ratio: f64) {
+fn row(case: &Case, options: &Options, way: &Way, name: &str, error: &Errors, ratio: f64) {
     let [rows, cols] = options.views;
     let materials = if options.own_materials { "own materials" } else { "diffuse" };
     println!(
@@ -349,7 +401,7 @@ fn row(case: &Case, options: &Options, way: &Way, error: &Errors, ratio: f64) {
         case.name,
         options.fov_deg,
         way.samples,
-        way.kind.name(),
+        name,
         way.seconds,
         error.all,
         error.worst,

@@ -8,7 +8,7 @@
 //!        [--peer PYTHON SCRIPT]...
 //! render big SCENE [--copies N]
 //! render field SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES]
-//!        [--samples N] [--size COLSxROWS] [--converged N]
+//!        [--samples N] [--size COLSxROWS] [--converged N] [--folder FOLDER] [--peer PYTHON SCRIPT]...
 //! render filters SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES]
 //!        [--size COLSxROWS]
 //! ```
@@ -23,7 +23,7 @@
 //!   views, and with this light and further paths. It prints a row per way: processor seconds,
 //!   squared error, error of the worst view, bias, change of the mean, variance of the mean view,
 //!   and speed-up at equal error. With `--converged` it also compares the means of three views with
-//!   pictures of N samples.
+//!   pictures of N samples. With peers the views are perspective, and a row per peer follows.
 //! * `filters` renders the same three ways, and views that are filtered with guides, each with 4,
 //!   16 and 64 samples. Views one by one are also rendered with 256 samples. The last column is the
 //!   error of views one by one in the same time, divided by the error of the row's way.
@@ -159,7 +159,7 @@ fn view(options: &Options) -> Outcome {
     let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };
     let case = Case::load(&options.scene, options.copies, options.size, false, task)?;
     let folder = options.folder.join(&case.name);
-    case.export(&folder, false)?;
+    case.export(&case.geometry, &folder, false)?;
     let start = Instant::now();
     let renderer = Renderer::new(case.scene.clone(), task)?;
     let [cols, rows] = options.size;
@@ -258,7 +258,7 @@ fn agree(options: &Options) -> Outcome {
     let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };
     let case = Case::load(&options.scene, options.copies, options.size, false, task)?;
     let folder = options.folder.join(&case.name);
-    case.export(&folder, true)?;
+    case.export(&case.geometry, &folder, true)?;
     let renderer = Renderer::new(case.scene.clone(), task)?;
     let samples = options.reference;
     let settings =

@@ -20,6 +20,15 @@ pub struct Peer {
     answers: BufReader<ChildStdout>,
 }
 
+/// A picture of a peer.
+pub struct Rendered {
+    /// Time of the paths, and processor time of all threads for the paths, in seconds.
+    pub seconds: f64,
+    pub cpu_s: f64,
+    /// Radiance `[row][col][rgb]`.
+    pub picture: Vec<f32>,
+}
+
 impl Peer {
     /// Starts a script on the scene in `folder`.
     pub fn start(python: &Path, script: &Path, folder: &Path) -> Outcome<Self> {
@@ -37,13 +46,28 @@ impl Peer {
         Ok(peer)
     }
 
-    /// Renders once; returns seconds and radiance `[row][col][rgb]`.
+    /// Renders the first view; returns seconds and radiance `[row][col][rgb]`.
     pub fn render(&mut self, sampler: &str, samples: u32, seed: u32, file: &Path) -> Outcome<(f64, Vec<f32>)> {
-        writeln!(self.requests, "render\t{sampler}\t{samples}\t{seed}\t{}", file.display())?;
+        let Rendered { seconds, picture, .. } = self.render_view(0, sampler, samples, seed, file)?;
+        Ok((seconds, picture))
+    }
+
+    /// Renders the view with this number in the grid.
+    pub fn render_view(
+        &mut self,
+        view: usize,
+        sampler: &str,
+        samples: u32,
+        seed: u32,
+        file: &Path,
+    ) -> Outcome<Rendered> {
+        writeln!(self.requests, "render\t{sampler}\t{samples}\t{seed}\t{view}\t{}", file.display())?;
         let answer = self.answer()?;
-        let seconds = answer["seconds"].as_f64().ok_or("the answer: expected a number `seconds`, found none")?;
+        let number =
+            |key: &str| answer[key].as_f64().ok_or(format!("the answer: expected a number `{key}`, found none"));
         let bytes = std::fs::read(file)?;
-        Ok((seconds, npyz::NpyFile::new(&bytes[..])?.into_vec::<f32>()?))
+        let picture = npyz::NpyFile::new(&bytes[..])?.into_vec::<f32>()?;
+        Ok(Rendered { seconds: number("seconds")?, cpu_s: number("cpu_s")?, picture })
     }
 
     fn answer(&mut self) -> Outcome<Value> {
