@@ -91,7 +91,7 @@ pub fn measure(options: &Options) -> Outcome {
             row(&bench.case, options, way, way.kind.name(), error, ratio);
         }
         for (name, way) in &peers {
-            // For a peer, the column of the bias has the difference from our views beyond noise.
+            // For a peer, the column of the bias has the difference from our views, without noise.
             let Errors { bias, change, .. } = Errors::new(way, alone, bench.white);
             let error = Errors { bias, change, ..Errors::of_noise(way, bench.white) };
             let ratio = alone.seconds * errors[0].all / (way.seconds * error.all);

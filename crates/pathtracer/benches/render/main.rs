@@ -8,7 +8,8 @@
 //!        [--peer PYTHON SCRIPT]...
 //! render big SCENE [--copies N]
 //! render field SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES]
-//!        [--samples N] [--size COLSxROWS] [--converged N] [--folder FOLDER] [--peer PYTHON SCRIPT]...
+//!        [--samples N] [--size COLSxROWS] [--converged N] [--folder FOLDER]
+//!        [--peer PYTHON SCRIPT]...
 //! render filters SCENE [--copies N] [--own-materials] [--views ROWSxCOLS] [--fov DEGREES]
 //!        [--size COLSxROWS]
 //! ```
