@@ -141,6 +141,43 @@ fn depth_that_does_not_fit_is_fitted_by_default() {
     );
 }
 
+/// A camera without focus stands 4 units in front of a card, and a backdrop is 400 units away. The
+/// window is at the card, and not in the middle of the depths, where the card would be a speck. The
+/// card keeps its parallax.
+#[test]
+fn a_far_backdrop_does_not_draw_the_window_away() {
+    let folder = tempfile::tempdir().unwrap();
+    let with = |backdrop: f64, focus: Option<f64>| {
+        scene(&[([0.0; 3], UPRIGHT), ([0.0, 0.0, -backdrop], UPRIGHT)], |document| {
+            document["nodes"][1]["scale"] = json!([backdrop, backdrop, 1.0]);
+            document["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 0.8, "znear": 0.1 } }]);
+            if let Some(distance) = focus {
+                document["cameras"][0]["extras"] = json!({ "lumistack": { "focus_distance": distance } });
+            }
+            document["nodes"].as_array_mut().unwrap().push(json!({ "camera": 0, "translation": [0, 0, 4] }));
+            document["scenes"][0]["nodes"] = json!([0, 1, 2]);
+        })
+    };
+    let depth = |document: &str| {
+        let (said, info, _) = render(folder.path(), document, &["--json"]);
+        let done = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        let done = done.filter(|event| event["event"] == "done").next_back().unwrap();
+        (said, number(&info, "depth_scale"), number(&done["depth"], "inside"))
+    };
+    // The card covers about a fifth of the picture. A window at the backdrop would show all of it
+    // sharply, but the card as a speck.
+    let (said, scale, inside) = depth(&with(396.0, None));
+    assert!(scale == 1.0 && (0.15..0.3).contains(&inside), "{scale} {inside} {said}");
+    assert!(said.contains("up to 400 scene units") && said.contains("Focus on Object"), "{said}");
+    // a stated focus is not doubted, and no compression shows the backdrop
+    let (said, scale, inside) = depth(&with(396.0, Some(4.0)));
+    assert!(scale == 1.0 && (0.15..0.3).contains(&inside), "{scale} {inside} {said}");
+    assert!(said.contains("no room is made for it") && !said.contains("Focus on Object"), "{said}");
+    // a backdrop near the card is not far
+    let (said, ..) = depth(&with(2.0, None));
+    assert!(!said.contains("Focus on Object") && !said.contains("no room is made"), "{said}");
+}
+
 /// A card behind the camera would hide all other content in oblique views. So the views start at
 /// the camera's near plane, and the card is not visible.
 #[test]
