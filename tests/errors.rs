@@ -370,7 +370,7 @@ fn a_preview_needs_a_run() {
     );
     std::fs::create_dir(folder.path().join("t0001")).unwrap();
     let text = fail(lumistack().arg("preview").arg(folder.path()).arg("--no-open"));
-    assert!(text.contains("name one of its time steps"), "{text}");
+    assert!(text.contains("t0001: folder: expected a run or a preview"), "{text}");
     let text = fail(lumistack().arg("preview").arg(folder.path().join("nothing")).arg("--no-open"));
     assert!(text.contains("nothing: folder: expected a run or a preview"), "{text}");
     // no server is started for a run with damaged patterns

@@ -145,6 +145,11 @@ fn finish(
         let others = [(", flicker", sequence.psnr_change), (", where the target does not change", sequence.psnr_still)];
         let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!("{name} {psnr:.1} dB")));
         say!("PSNR {:.1} dB over {times} time steps{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
+        let preview = format!("{} preview {}", program::name(), folder.display());
+        say!("Look into the display at the first time step: {preview}");
+        if times > 1 {
+            say!("at the last: {preview}/t{times:04}, and likewise at each of the others");
+        }
         say!("{}", summary.report.display());
     } else if !summary.nodes.is_empty() {
         for node in &summary.nodes {
