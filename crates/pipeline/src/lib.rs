@@ -15,6 +15,7 @@
 //! * A sweep solves many designs, for the light fields of a still, a sequence or a graph.
 
 mod compare;
+mod engine;
 mod error;
 mod farm;
 mod inspect;

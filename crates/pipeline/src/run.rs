@@ -9,6 +9,7 @@ use lumistack_report::DepthBudget;
 use serde::Serialize;
 use serde_json::Value;
 
+use crate::engine;
 use crate::error::{FailedOutput, PipelineError};
 use crate::job::Job;
 use crate::plan::estimate;
@@ -108,8 +109,9 @@ pub fn run(
     task: Task<'_>,
 ) -> Result<Summary, PipelineError> {
     let start = Instant::now();
-    let job = &without_sweep(job, registry)?;
-    let _owned = folder::lock(run_dir, work_of(job), job, registry, task)?;
+    let given = &without_sweep(job, registry)?;
+    let _owned = folder::lock(run_dir, work_of(given), given, registry, task)?;
+    let job = &without_sweep(&settled(job, run_dir, task)?, registry)?;
     forget(run_dir);
     run_in(job, run_dir, registry, command, start, task)
 }
@@ -129,8 +131,9 @@ pub(crate) fn run_finished(
     if job.sweep.is_some() {
         return sweep(job, run_dir, registry, task).map(|_| ());
     }
-    let job = &without_sweep(job, registry)?;
-    let _owned = folder::lock(run_dir, work_of(job), job, registry, task)?;
+    let given = &without_sweep(job, registry)?;
+    let _owned = folder::lock(run_dir, work_of(given), given, registry, task)?;
+    let job = &without_sweep(&settled(job, run_dir, task)?, registry)?;
     let summary = run_in(job, run_dir, registry, None, Instant::now(), task)?;
     match summary.failed_outputs {
         failed if failed.is_empty() => Ok(()),
@@ -165,8 +168,9 @@ pub fn run_step(
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
-    let job = &without_sweep(job, registry)?;
-    let _owned = folder::lock(run_dir, work_of(job), job, registry, task)?;
+    let given = &without_sweep(job, registry)?;
+    let _owned = folder::lock(run_dir, work_of(given), given, registry, task)?;
+    let job = &without_sweep(&settled(job, run_dir, task)?, registry)?;
     Executor::new(&of_run(job, run_dir)?, registry, None, task).execute_alone(step)
 }
 
@@ -181,8 +185,9 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
         return Err(PipelineError::job("sweep", "a table `[sweep]`, or an axis as an option", "none"));
     };
     table.check()?;
-    let job = &plugin_files::resolved(job, registry)?;
-    let _owned = folder::lock(dir, Work::Sweep, job, registry, task)?;
+    let given = &plugin_files::resolved(job, registry)?;
+    let _owned = folder::lock(dir, Work::Sweep, given, registry, task)?;
+    let job = &plugin_files::resolved(&engine::settled(job, None, task)?, registry)?;
     let (plan, designs) = of_sweep(job, dir)?;
     sweep::execute(&plan, &designs, job, registry, task)
 }
@@ -193,10 +198,22 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
 /// # Errors
 /// If the job or a design of its sweep is wrong.
 pub fn plan(job: &Job, run_dir: &Path, registry: &Registry) -> Result<Plan, PipelineError> {
-    let job = &plugin_files::resolved(job, registry)?;
+    let job = &plugin_files::resolved(&engine::settled_by_cache(job, &cache_of(run_dir)), registry)?;
     let mut plan = if job.sweep.is_some() { of_sweep(job, run_dir)?.0 } else { of_run(job, run_dir)? };
     estimate::fill(&mut plan, registry);
     Ok(plan)
+}
+
+/// Returns the job with the engine that [`engine::settled`] chooses. Only the run of a still caches
+/// conversions in this folder.
+fn settled(job: &Job, run_dir: &Path, task: Task<'_>) -> Result<Job, PipelineError> {
+    let cache = cache_of(run_dir);
+    engine::settled(job, (work_of(job) == Work::Run).then_some(&cache), task)
+}
+
+/// Returns the cache folder of a still's run.
+fn cache_of(run_dir: &Path) -> PathBuf {
+    run_dir.join("cache")
 }
 
 fn without_sweep(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
