@@ -133,6 +133,9 @@ fn finish(
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
     let summary = run_job(job, folder, registry, Some(line), task)?;
+    if !json {
+        summary.lacking.iter().for_each(|lacking| say!("Scene: {lacking}"));
+    }
     if json {
         let mut event = serde_json::to_value(&summary).expect("summaries serialize");
         event["event"] = "done".into();

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use lumistack_core::Task;
+use lumistack_core::{Cancel, Collector, Task};
 use lumistack_plugin_host::Registry;
 use lumistack_report::DepthBudget;
 use serde::Serialize;
@@ -20,6 +20,7 @@ use crate::plan::sequence::add_times;
 use crate::plan::steps::{PartKind, Plan};
 use crate::plan::still::{Before, add_field};
 use crate::plan::sweep::{self, Designs, SweepSummary};
+use crate::stage::ingest;
 use crate::store::farm::forget;
 use crate::store::folder;
 use crate::store::lock::{Hold, UNIT_LIMIT, lock_for_unit};
@@ -56,6 +57,9 @@ pub struct Summary {
     /// A sentence that describes `depth`.
     #[serde(skip)]
     pub depth_sentence: Option<String>,
+    /// Sentences about the camera and the lights that the scene's file lacks, as of [`lacking`].
+    #[serde(skip)]
+    pub lacking: Vec<String>,
     /// Results of a sequence.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sequence: Option<SequenceSummary>,
@@ -200,6 +204,11 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
 pub fn plan(job: &Job, run_dir: &Path, registry: &Registry) -> Result<Plan, PipelineError> {
     let job = &plugin_files::resolved(&engine::settled_by_cache(job, &cache_of(run_dir)), registry)?;
     let mut plan = if job.sweep.is_some() { of_sweep(job, run_dir)?.0 } else { of_run(job, run_dir)? };
+    // Report the errors that a run would report before its first step.
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let quiet = Task::quiet(&warnings, &cancel);
+    Executor::new(&plan, registry, None, quiet).check()?;
+    ingest::check_scene(job, registry, quiet)?;
     estimate::fill(&mut plan, registry);
     Ok(plan)
 }
@@ -267,6 +276,7 @@ fn summary(context: &mut Context<'_>, job: &Job) -> Summary {
         nodes: Vec::new(),
         depth: context.depth.as_ref().map(DepthBudget::to_json),
         depth_sentence: context.depth.as_ref().map(DepthBudget::sentence),
+        lacking: std::mem::take(&mut context.lacking),
         sequence: None,
         failed_outputs: std::mem::take(&mut context.failed),
         seconds: 0.0,

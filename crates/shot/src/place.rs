@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::ShotError;
 use crate::job::{FitDepth, Near, WindowFrom, WindowJob};
-pub use crate::place::window::{Found, find_window};
+pub use crate::place::window::{Found, find_camera, find_window};
 use crate::subject::Subject;
 
 /// Largest number of columns of the view from straight ahead by which depth is measured.

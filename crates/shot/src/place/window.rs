@@ -295,7 +295,11 @@ fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     ((covered / COVERAGE).sqrt().max(least).min(1.0), middle)
 }
 
-fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, ShotError> {
+/// Finds a camera by its name, or else by its number from 0.
+///
+/// # Errors
+/// If the scene has no such camera.
+pub fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, ShotError> {
     let by_name = scene.cameras.iter().find(|camera| camera.name == wanted);
     let by_number = || wanted.parse::<usize>().ok().and_then(|number| scene.cameras.get(number));
     by_name.or_else(by_number).ok_or_else(|| {
