@@ -33,8 +33,8 @@ fn plan_seconds(plan: &Plan) -> f64 {
     plan.steps.iter().map(|step| step.seconds).sum()
 }
 
-/// Returns a line that suggests a small run before a long one; `None` for a short run, and for a job
-/// that renders no scene or is small already.
+/// Returns a line that suggests a small run before a long one; `None` for a short run, and for a
+/// job that renders no scene or is small already.
 fn small_first(job: &Job, folder: &Path, registry: &Registry, seconds: f64) -> Option<String> {
     if seconds < LONG_S || job.scene.is_none() {
         return None;

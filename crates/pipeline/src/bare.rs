@@ -1,5 +1,5 @@
-//! Reports what a scene's file lacks: a camera, or lights. Many exporters leave both out by default,
-//! so a user may not expect the replacements.
+//! Reports what a scene's file lacks: a camera, or lights. Many exporters leave both out by
+//! default, so a user may not expect the replacements.
 
 use std::path::Path;
 
@@ -8,7 +8,9 @@ use std::path::Path;
 pub fn lacking(path: &Path, no_camera: bool, no_lights: bool) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     if no_camera {
-        lines.push("no camera in the file: the front is seen, or a side with more content; --look-from AZ,EL chooses".into());
+        lines.push(
+            "no camera in the file: the front is seen, or a side with more content; --look-from AZ,EL chooses".into(),
+        );
     }
     if no_lights {
         lines.push("no lights in the file: lit by the built-in studio light; --environment FILE replaces it".into());

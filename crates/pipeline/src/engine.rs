@@ -1,9 +1,9 @@
 //! Chooses our path tracer for a `.blend` file before the plan of a run is made.
 //!
-//! Settings with the value `auto` depend on the engine. Blender takes minutes per view, so a display
-//! chooses few views if Blender may render them, and light is not shared between views. Which engine
-//! `auto` selects depends on the converted scene. So the file is converted first, and the plan gets
-//! the settings of the engine that renders.
+//! Settings with the value `auto` depend on the engine. Blender takes minutes per view, so a
+//! display chooses few views if Blender may render them, and light is not shared between views.
+//! Which engine `auto` selects depends on the converted scene. So the file is converted first, and
+//! the plan gets the settings of the engine that renders.
 
 use std::path::Path;
 

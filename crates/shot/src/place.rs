@@ -226,9 +226,9 @@ struct Fitting<'a> {
 /// `high`.
 ///
 /// Compression makes room for the depths between two quantiles. If that would leave less than
-/// [`LEAST_SCALE`] of the parallax, as little as possible of the farthest content is left out. Up to
-/// [`MAY_LEAVE_OUT`] is also left out if the rest gains enough parallax. If nothing suffices, or the
-/// result shows no more than before, nothing changes.
+/// [`LEAST_SCALE`] of the parallax, as little as possible of the farthest content is left out. Up
+/// to [`MAY_LEAVE_OUT`] is also left out if the rest gains enough parallax. If nothing suffices, or
+/// the result shows no more than before, nothing changes.
 fn best_fit(depths: &[f64], range: [f64; 2], projection: Projection, scale: f64, means: Means) -> Fit {
     let stay = Fit { moved_back_mm: 0.0, depth_scale: scale, left_out: ENDS[0], outside: 0.0, is_refused: false };
     if depths.is_empty() {
@@ -464,8 +464,8 @@ mod tests {
         }
     }
 
-    /// All but a twentieth of the picture is a kilometre away, and the rest is in the window. No scale
-    /// shows both, and none shows more than the rest.
+    /// All but a twentieth of the picture is a kilometre away, and the rest is in the window. No
+    /// scale shows both, and none shows more than the rest.
     #[test]
     fn a_useless_compression_is_refused() {
         let mut depths = vec![-1e6; 950];

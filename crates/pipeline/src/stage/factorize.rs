@@ -6,7 +6,7 @@ use std::time::Instant;
 use lumistack_core::Task;
 use lumistack_core::config::nearest;
 use lumistack_display::{Display, LayerStack, LightField, StackError, Weights};
-use lumistack_factorizer::{AUTO, FactorizeError, Factorization, Problem, StartKind};
+use lumistack_factorizer::{AUTO, Factorization, FactorizeError, Problem, StartKind};
 use lumistack_field_io::npy::NpyFile;
 use lumistack_report::{Iteration, Solution};
 use serde::{Deserialize, Serialize};

@@ -8,9 +8,10 @@
 //! d* = Σ q / Σ q²,   q = 1/d
 //! ```
 //!
-//! where d are the distances of the visible surfaces, one per pixel of the camera's picture. Parallel views show content at distance d with d/d* of the size that it has in the camera's
-//! picture. So a window in the middle between a subject and a far backdrop would show the subject as
-//! a speck. d* minimizes Σ q (q − 1/d*)². Each surface counts by its parallax, so near surfaces
+//! where d are the distances of the visible surfaces, one per pixel of the camera's picture.
+//! Parallel views show content at distance d with d/d* of the size that it has in the camera's
+//! picture. So a window in the middle between a subject and a far backdrop would show the subject
+//! as a speck. d* minimizes Σ q (q − 1/d*)². Each surface counts by its parallax, so near surfaces
 //! decide, and a backdrop hardly has an effect, even if it covers most of the picture.
 
 use glam::DVec3;
@@ -37,8 +38,9 @@ const FOCUS_COLS: usize = 210;
 /// Fraction of the picture that the nearest surfaces must cover to have their full weight. Smaller
 /// things, such as a blade of grass in front of the lens, count as if they were farther away.
 const STRAY: f64 = 0.02;
-/// The window is at the centre of the bounds if the centre's distance differs from d* by at most this
-/// factor. The bounds also hold content that the camera does not see, so they suit compact scenes.
+/// The window is at the centre of the bounds if the centre's distance differs from d* by at most
+/// this factor. The bounds also hold content that the camera does not see, so they suit compact
+/// scenes.
 const CENTRED: f64 = 1.5;
 /// Content is far if its distance from the camera exceeds the window's distance by this factor.
 const FAR: f64 = 10.0;
