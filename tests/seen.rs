@@ -7,7 +7,7 @@ use std::path::Path;
 use lumistack_field_io::picture::Picture;
 use serde_json::{Value, json};
 
-use crate::common::{lumistack, number};
+use crate::common::{lumistack, number, succeed};
 
 /// Returns a scene of cards of 2 × 2 units. The front of a card faces +z, before its translation
 /// (x, y, z) and its rotation (x, y, z, w), as in glTF, are applied.
@@ -176,6 +176,28 @@ fn a_far_backdrop_does_not_draw_the_window_away() {
     // a backdrop near the card is not far
     let (said, ..) = depth(&with(2.0, None));
     assert!(!said.contains("Focus on Object") && !said.contains("no room is made"), "{said}");
+}
+
+/// A run tells which of camera and lights the file lacks, and the replacements.
+#[test]
+fn a_run_tells_what_the_file_lacks() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("card.gltf");
+    std::fs::write(&file, scene(&[([0.0; 3], UPRIGHT)], |_| {})).unwrap();
+    let run = |options: &[&str]| {
+        let small = ["--resolution", "32x20", "--views", "3x3", "--samples", "1", "--iterations", "2", "--frames", "2"];
+        let mut command = lumistack();
+        command.arg("run").arg(&file).arg("-o").arg(folder.path().join("run")).args(small).args(options);
+        succeed(&mut command)
+    };
+    let text = run(&[]);
+    for part in ["Scene: no camera in the file", "Scene: no lights in the file", "Punctual Lights"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    let text = run(&["--look-from", "10,5"]);
+    assert!(!text.contains("no camera") && text.contains("no lights"), "{text}");
+    let text = succeed(lumistack().arg("info").arg(&file));
+    assert!(text.contains("no camera in the file") && text.contains("no lights in the file"), "{text}");
 }
 
 /// A card behind the camera would hide all other content in oblique views. So the views start at

@@ -91,3 +91,25 @@ fn table(plan: &Plan) -> Vec<String> {
     ));
     lines
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_run_is_preceded_by_a_small_one() {
+        let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/still-life/still-life.gltf");
+        let mut job = Job::new(lumistack_pipeline::DisplayJob::by_name_or_path("paper-three-layer"));
+        job.scene = Some(scene);
+        let (registry, folder) = (Registry::built_in().unwrap(), Path::new("nowhere"));
+        let hint = |job: &Job, seconds| small_first(job, folder, &registry, seconds);
+        let line = hint(&job, 1e7).unwrap();
+        assert!(
+            line.starts_with("about 2777.8 h;") && line.contains("--resolution 210x131 --zone-samples 100"),
+            "{line}"
+        );
+        assert_eq!(hint(&job, 600.0), None, "ten minutes are short");
+        job.display.resolution = Some([105, 66]);
+        assert_eq!(hint(&job, 1e7), None, "the job is small");
+    }
+}
