@@ -360,6 +360,31 @@ fn a_writer_that_fails_midway_leaves_the_old_output_whole() {
     assert!(before != common::files(&run.join("outputs")));
 }
 
+/// `--plan` reports what a run would refuse, before it prints a step. Wrong options name the place
+/// and the found value.
+#[test]
+fn a_plan_has_the_errors_of_a_run() {
+    let scene = root().join("scenes/still-life/still-life.gltf");
+    let folder = tempfile::tempdir().unwrap();
+    let nameless = folder.path().join("scene");
+    std::fs::write(&nameless, "{}").unwrap();
+    let plan = |scene: &Path, options: &[&str]| {
+        fail(lumistack().arg("run").arg(scene).args(["--plan", "--display", "paper-three-layer"]).args(options))
+    };
+    let cases: [(&Path, &[&str], &[&str]); 4] = [
+        (&scene, &["--camera", "9"], &["window.camera: expected one of the scene's cameras", "found 9"]),
+        (&scene, &["--device", "gpu:"], &["command line: factorize.device: expected", "found `gpu:`"]),
+        (&scene, &["--solver", "foo"], &["command line: factorize.solver: expected one of auto", "found foo"]),
+        (&nameless, &[], &["expected a file with the extension .gltf", "found no extension"]),
+    ];
+    for (scene, options, parts) in cases {
+        let text = plan(scene, options);
+        assert!(parts.iter().all(|part| text.contains(part)), "{text}");
+    }
+    let text = succeed(lumistack().args(["farm", "plan", "--help"]));
+    assert!(text.contains("[default: 1,2,10,100,1000]"), "the default has the form of the option: {text}");
+}
+
 #[test]
 fn a_preview_needs_a_run() {
     let folder = tempfile::tempdir().unwrap();
@@ -370,7 +395,7 @@ fn a_preview_needs_a_run() {
     );
     std::fs::create_dir(folder.path().join("t0001")).unwrap();
     let text = fail(lumistack().arg("preview").arg(folder.path()).arg("--no-open"));
-    assert!(text.contains("name one of its time steps"), "{text}");
+    assert!(text.contains("t0001: folder: expected a run or a preview"), "{text}");
     let text = fail(lumistack().arg("preview").arg(folder.path().join("nothing")).arg("--no-open"));
     assert!(text.contains("nothing: folder: expected a run or a preview"), "{text}");
     // no server is started for a run with damaged patterns

@@ -7,7 +7,7 @@ use std::path::Path;
 use lumistack_field_io::picture::Picture;
 use serde_json::{Value, json};
 
-use crate::common::{lumistack, number};
+use crate::common::{lumistack, number, succeed};
 
 /// Returns a scene of cards of 2 × 2 units. The front of a card faces +z, before its translation
 /// (x, y, z) and its rotation (x, y, z, w), as in glTF, are applied.
@@ -139,6 +139,65 @@ fn depth_that_does_not_fit_is_fitted_by_default() {
         !said.contains("compressed to") && !said.contains("was moved") && number(&info, "depth_scale") == 1.0,
         "{said}"
     );
+}
+
+/// A camera without focus stands 4 units in front of a card, and a backdrop is 400 units away. The
+/// window is at the card, and not in the middle of the depths, where the card would be a speck. The
+/// card keeps its parallax.
+#[test]
+fn a_far_backdrop_does_not_draw_the_window_away() {
+    let folder = tempfile::tempdir().unwrap();
+    let with = |backdrop: f64, focus: Option<f64>| {
+        scene(&[([0.0; 3], UPRIGHT), ([0.0, 0.0, -backdrop], UPRIGHT)], |document| {
+            document["nodes"][1]["scale"] = json!([backdrop, backdrop, 1.0]);
+            document["cameras"] = json!([{ "type": "perspective", "perspective": { "yfov": 0.8, "znear": 0.1 } }]);
+            if let Some(distance) = focus {
+                document["cameras"][0]["extras"] = json!({ "lumistack": { "focus_distance": distance } });
+            }
+            document["nodes"].as_array_mut().unwrap().push(json!({ "camera": 0, "translation": [0, 0, 4] }));
+            document["scenes"][0]["nodes"] = json!([0, 1, 2]);
+        })
+    };
+    let depth = |document: &str| {
+        let (said, info, _) = render(folder.path(), document, &["--json"]);
+        let done = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        let done = done.filter(|event| event["event"] == "done").next_back().unwrap();
+        (said, number(&info, "depth_scale"), number(&done["depth"], "inside"))
+    };
+    // The card covers about a fifth of the picture. A window at the backdrop would show all of it
+    // sharply, but the card as a speck.
+    let (said, scale, inside) = depth(&with(396.0, None));
+    assert!(scale == 1.0 && (0.15..0.3).contains(&inside), "{scale} {inside} {said}");
+    assert!(said.contains("up to 400 scene units") && said.contains("Focus on Object"), "{said}");
+    // a stated focus is not doubted, and no compression shows the backdrop
+    let (said, scale, inside) = depth(&with(396.0, Some(4.0)));
+    assert!(scale == 1.0 && (0.15..0.3).contains(&inside), "{scale} {inside} {said}");
+    assert!(said.contains("no room is made for it") && !said.contains("Focus on Object"), "{said}");
+    // a backdrop near the card is not far
+    let (said, ..) = depth(&with(2.0, None));
+    assert!(!said.contains("Focus on Object") && !said.contains("no room is made"), "{said}");
+}
+
+/// A run tells which of camera and lights the file lacks, and the replacements.
+#[test]
+fn a_run_tells_what_the_file_lacks() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("card.gltf");
+    std::fs::write(&file, scene(&[([0.0; 3], UPRIGHT)], |_| {})).unwrap();
+    let run = |options: &[&str]| {
+        let small = ["--resolution", "32x20", "--views", "3x3", "--samples", "1", "--iterations", "2", "--frames", "2"];
+        let mut command = lumistack();
+        command.arg("run").arg(&file).arg("-o").arg(folder.path().join("run")).args(small).args(options);
+        succeed(&mut command)
+    };
+    let text = run(&[]);
+    for part in ["Scene: no camera in the file", "Scene: no lights in the file", "Punctual Lights"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    let text = run(&["--look-from", "10,5"]);
+    assert!(!text.contains("no camera") && text.contains("no lights"), "{text}");
+    let text = succeed(lumistack().arg("info").arg(&file));
+    assert!(text.contains("no camera in the file") && text.contains("no lights in the file"), "{text}");
 }
 
 /// A card behind the camera would hide all other content in oblique views. So the views start at

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 use crate::common::{
-    fail, files, interrupt, interruptible, lumistack, number, report, root, succeed, write_test_field,
+    fail, files, interrupt, interruptible, lumistack, number, report, root, serve_preview, succeed, write_test_field,
 };
 
 /// Largest difference, dB, by which the PSNR after 5 iterations from a warm start may be below the
@@ -68,6 +68,23 @@ fn factorize(input: &Path, run: &Path) -> Command {
 
 fn times(run: &Path) -> Vec<Value> {
     report(run)["times"].as_array().unwrap().clone()
+}
+
+/// The page shows a still, so the preview of a sequence shows its first time step. The end of the
+/// run and a warning of the preview name the others.
+#[test]
+fn a_sequence_is_watched_by_its_time_steps() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = moving(folder.path(), 2, 1.0);
+    let run = folder.path().join("run");
+    let text = succeed(factorize(&input, &run).args(["--sequence", "--iterations", "2"]));
+    let last = format!("preview {}", run.join("t0002").display());
+    assert!(text.contains(&format!("preview {}\n", run.display())) && text.contains(&last), "{text}");
+    let events = serve_preview(&run);
+    let event = |kind: &str| events.iter().find(|event| event["event"] == kind).unwrap_or_else(|| panic!("{events:?}"));
+    assert_eq!(event("serving")["preview"], run.join("t0001/preview").to_str().unwrap());
+    assert!(event("warning")["message"].as_str().unwrap().contains(&last), "{events:?}");
+    assert!(run.join("t0001/preview/stack/preview.json").is_file());
 }
 
 #[test]

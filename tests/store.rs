@@ -6,14 +6,13 @@
 //! output fails.
 
 use std::fs::{self, File};
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
 use serde_json::Value;
 
-use crate::common::{cached, fail, files, lumistack, report, root, succeed, write_test_field};
+use crate::common::{cached, fail, files, lumistack, report, root, serve_preview, succeed, write_test_field};
 
 const FIELD: [&str; 4] = ["--fov", "20x20", "--pitch-mm", "3"];
 const SMALL: [&str; 8] = ["--resolution", "24x16", "--samples", "1", "--iterations", "2", "--frames", "2"];
@@ -110,17 +109,6 @@ fn views_that_were_damaged_or_exchanged_are_traced_again() {
     assert!(!cached(&run, "render") && results(&run) == whole);
 }
 
-/// Starts `lumistack preview`, waits until it serves, and ends it.
-fn preview(run: &Path) {
-    let mut child =
-        lumistack().args(["--json", "preview", "--no-open"]).arg(run).stdout(Stdio::piped()).spawn().unwrap();
-    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    let serves = lines.any(|line| line.unwrap().contains("\"serving\""));
-    child.kill().unwrap();
-    child.wait().unwrap();
-    assert!(serves);
-}
-
 /// If one view is damaged, all views that share light with it are traced again together, since the
 /// run has deleted the split views from which they were made.
 #[test]
@@ -151,18 +139,18 @@ fn a_preview_of_other_patterns_is_made_anew_for_any_time() {
     let folder = tempfile::tempdir().unwrap();
     let (field, run) = (field(folder.path()), folder.path().join("run"));
     succeed(&mut factorize(&field, &run, 2));
-    preview(&run);
+    serve_preview(&run);
     let shown = run.join("preview/stack/layer0_frame0.png");
     let first = fs::read(&shown).unwrap();
     let written = fs::metadata(&shown).unwrap().modified().unwrap();
-    preview(&run);
+    serve_preview(&run);
     assert_eq!(fs::metadata(&shown).unwrap().modified().unwrap(), written, "nothing has changed");
     succeed(&mut factorize(&field, &run, 9));
     set_time(&run.join("preview/stack/preview.json"), SystemTime::now() + Duration::from_secs(3600));
-    preview(&run);
+    serve_preview(&run);
     assert!(fs::read(&shown).unwrap() != first, "the older patterns are shown");
     damage(&shown);
-    preview(&run);
+    serve_preview(&run);
     assert!(image::open(&shown).is_ok());
 }
 

@@ -1,4 +1,5 @@
-// Bundles src/ and the WebAssembly modules in pkg/ into dist/. `cargo xtask web` builds the modules and runs this script.
+// Bundles src/ and the WebAssembly modules in pkg/ into dist/. `cargo xtask web` builds the modules
+// and runs this script.
 import { build } from "esbuild";
 import { execFileSync } from "node:child_process";
 import { copyFileSync, existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
@@ -25,12 +26,14 @@ await build({
   loader: { ".css": "text" },
   plugins: [
     {
-      // The script contains the code of the simulator's thread as text. So the thread needs no file of its own.
+      // The script contains the code of the simulator's thread as text. So the thread needs no file
+      // of its own.
       name: "worker",
       setup({ onResolve, onLoad }) {
         onResolve({ filter: /^worker:/ }, ({ path, resolveDir }) => ({ path: join(resolveDir, path.slice("worker:".length)), namespace: "worker" }));
         onLoad({ filter: /.*/, namespace: "worker" }, async ({ path }) => {
-          // The page compiles the WebAssembly module and passes it to the thread. The thread has no address of its own, so it could not resolve a relative address of the module.
+          // The page compiles the WebAssembly module and passes it to the thread. The thread has no
+          // address of its own, so it could not resolve a relative address of the module.
           const { outputFiles } = await build({ ...BROWSERS, entryPoints: [path], format: "iife", define: { "import.meta.url": '""' }, write: false });
           return { contents: outputFiles[0].text.trim(), loader: "text" };
         });
@@ -67,7 +70,8 @@ await build({
 });
 // Only pages of `lumistack live` load this script.
 await build({ ...BROWSERS, entryPoints: { live: "src/live.ts" }, outdir: "dist", format: "esm" });
-// Each page contains its own style sheet, so that the browser fetches nothing before it shows the poster.
+// Each page contains its own style sheet, so that the browser fetches nothing before it shows the
+// poster.
 for (const [page, sheet] of [
   ["index", "page"],
   ["solve", "solve"],

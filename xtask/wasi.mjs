@@ -1,4 +1,5 @@
-// Runs a WebAssembly program, which receives its arguments and files through WASI: `node wasi.mjs FILE ARGUMENT...`
+// Runs a WebAssembly program, which receives its arguments and files through WASI: `node wasi.mjs
+// FILE ARGUMENT...`
 import { readFile } from 'node:fs/promises';
 import { argv, env, exit } from 'node:process';
 import { WASI } from 'node:wasi';

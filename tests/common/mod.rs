@@ -10,8 +10,9 @@ pub mod triangle;
 
 pub use lumistack_testkit::console::{interrupt, interruptible};
 
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 /// Runs in a second process of this program, when a test interrupts a program or reads its screen.
 #[cfg(windows)]
@@ -47,6 +48,25 @@ pub fn fail(command: &mut Command) -> String {
     assert_eq!(text.lines().filter(|line| line.starts_with("error: ")).count(), 1, "{text}");
     assert!(!text.contains("panicked"), "{text}");
     text
+}
+
+/// Starts `lumistack preview`, waits until it serves, and ends it. Returns its events up to then.
+pub fn serve_preview(run: &Path) -> Vec<serde_json::Value> {
+    let mut command = lumistack();
+    let mut child =
+        command.args(["--json", "preview", "--no-open"]).arg(run).stdout(Stdio::piped()).spawn().expect("it starts");
+    let lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
+    let mut events: Vec<serde_json::Value> = Vec::new();
+    for line in lines {
+        events.push(serde_json::from_str(&line.expect("a line")).expect("JSON"));
+        if events.last().is_some_and(|event| event["event"] == "serving") {
+            break;
+        }
+    }
+    child.kill().expect("it still runs");
+    child.wait().expect("it ends");
+    assert!(events.last().is_some_and(|event| event["event"] == "serving"), "{events:?}");
+    events
 }
 
 /// Returns `report.json` of a run folder.

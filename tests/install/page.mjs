@@ -1,5 +1,5 @@
-// Serves FOLDER, which has the npm package and patterns. Opens a page with the viewer in Chromium, and checks that the picture is
-// not uniform. Usage: page.mjs FOLDER
+// Serves FOLDER, which has the npm package and patterns. Opens a page with the viewer in Chromium,
+// and checks that the picture is not uniform. Usage: page.mjs FOLDER
 
 import { spawn } from "node:child_process";
 import { readFile } from "node:fs/promises";

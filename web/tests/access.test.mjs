@@ -1,4 +1,5 @@
-// Accessibility: axe finds no violation in any mode, nor in forced colours. Nothing is cut off at 200 % and 400 %. A finger scrolls the page that contains an element.
+// Accessibility: axe finds no violation in any mode, nor in forced colours. Nothing is cut off at
+// 200 % and 400 %. A finger scrolls the page that contains an element.
 import assert from "node:assert/strict";
 import { existsSync, mkdirSync, readFileSync } from "node:fs";
 import { createRequire } from "node:module";

@@ -1,7 +1,8 @@
 // The canvas agrees with the forward model in Rust, both with WebGL2 and with the processor.
 //
-// `cargo xtask web` writes the references into tests/fixtures, one folder per display. A folder contains a preview, and the views L̃/β that the
-// simulator of lumistack-display computes at nine slopes.
+// `cargo xtask web` writes the references into tests/fixtures, one folder per display. A folder
+// contains a preview, and the views L̃/β that the simulator of lumistack-display computes at nine
+// slopes.
 import assert from "node:assert/strict";
 import { existsSync, readdirSync, readFileSync } from "node:fs";
 import { dirname, join } from "node:path";
@@ -68,8 +69,9 @@ for (const name of CASES) {
 }
 
 /**
-* Compares a picture with the reference L̃/β. `db` is a PSNR with peak 1: it compares the picture's linear values, divided by `scale`, with
-* the reference, clipped at `white`. `mean` and `deviation` are the mean and the standard deviation of the picture's values.
+* Compares a picture with the reference L̃/β. `db` is a PSNR with peak 1: it compares the picture's
+* linear values, divided by `scale`, with the reference, clipped at `white`. `mean` and `deviation`
+* are the mean and the standard deviation of the picture's values.
 */
 function compare(rgba, reference, scale, white) {
   let [squares, sum, sum2] = [0, 0, 0];

@@ -1,4 +1,5 @@
-// Bad input and missing graphics: a message states the problem and a remedy, and the viewer never shows an empty canvas.
+// Bad input and missing graphics: a message states the problem and a remedy, and the viewer never
+// shows an empty canvas.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { complete, launch, open, pixels, site, text } from "./browser.mjs";

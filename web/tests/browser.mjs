@@ -42,7 +42,8 @@ export async function site(preview) {
 export async function open(browser, url, options = {}) {
   const { init, seen, ...rest } = options;
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, reducedMotion: "reduce", ...rest });
-  // The time limit is long, since a test machine may compile at the same time, and draws in software.
+  // The time limit is long, since a test machine may compile at the same time, and draws in
+  // software.
   context.setDefaultTimeout(120_000);
   if (seen) context.on("request", seen);
   const page = await context.newPage();
@@ -50,7 +51,8 @@ export async function open(browser, url, options = {}) {
   page.on("console", (message) => {
     // Ignore this warning of the driver: the tests themselves cause it when they read pixels.
     if (/GPU stall due to ReadPixels/.test(message.text())) return;
-    // Ignore this message of Chromium about a missing WebGPU adapter, since the page itself reports it.
+    // Ignore this message of Chromium about a missing WebGPU adapter, since the page itself reports
+    // it.
     if (message.text() === "No available adapters.") return;
     if (message.type() === "error" || message.type() === "warning") page.trouble.push(message.text());
   });

@@ -20,7 +20,8 @@ let browser;
 let server;
 before(async () => {
   browser = await launch();
-  // The poster is red, the small view from the left is green, the small view from the right is blue. The picture of the patterns is black and white.
+  // The poster is red, the small view from the left is green, the small view from the right is
+  // blue. The picture of the patterns is black and white.
   const { cols, rows } = SCENE;
   const around = { path: "stack/around.jpg", cols, rows, slope_x: [-HALF, HALF], slope_y: [0] };
   const files = altered(

@@ -97,7 +97,8 @@ test("a quilt of the disk, dropped: its name states the aspect ratio of a view",
   const edge = Math.tan((17.5 * Math.PI) / 180);
   near(colourAt(await pixels(page, [-edge, 0])), colours[0]);
   near(colourAt(await pixels(page, [edge, 0])), colours[5]);
-  // The canvas has the aspect ratio 2, which the file's name states, and the picture fills it to the edges.
+  // The canvas has the aspect ratio 2, which the file's name states, and the picture fills it to
+  // the edges.
   const { width, height, shot } = await page.evaluate(async () => {
     const { width, height } = document.querySelector("lumistack-viewer").shadowRoot.querySelector("canvas.main").getBoundingClientRect();
     const all = await document.querySelector("lumistack-viewer").pixels();

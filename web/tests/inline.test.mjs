@@ -1,4 +1,5 @@
-// A preview in a single file that is opened from disk, and an element that leaves the page and returns.
+// A preview in a single file that is opened from disk, and an element that leaves the page and
+// returns.
 import assert from "node:assert/strict";
 import { cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";

@@ -1,4 +1,5 @@
-// `lumistack live`: the page follows commands and files without a reload, and Ctrl-C leaves a run folder. LUMISTACK_BIN names the program.
+// `lumistack live`: the page follows commands and files without a reload, and Ctrl-C leaves a run
+// folder. LUMISTACK_BIN names the program.
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";

@@ -1,4 +1,5 @@
-// Files that are dropped on the page: a preview, a quilt, the views of a light field, and files of other kinds.
+// Files that are dropped on the page: a preview, a quilt, the views of a light field, and files of
+// other kinds.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import { complete, launch, open, pixels, site, text } from "./browser.mjs";
@@ -51,7 +52,8 @@ test("the files of a preview without their folder", async () => {
 
 test("a quilt, whose first view is at the bottom left", async () => {
   const colours = [[200, 40, 40], [40, 200, 40], [40, 40, 200], [200, 200, 40]];
-  // The quilt has 2 × 2 tiles of 24 × 16 pixels: views 0 and 1 are at the bottom, 2 and 3 at the top.
+  // The quilt has 2 × 2 tiles of 24 × 16 pixels: views 0 and 1 are at the bottom, 2 and 3 at the
+  // top.
   const quilt = png(48, 32, (r, c) => colours[(r < 16 ? 2 : 0) + (c < 24 ? 0 : 1)]);
   await drop(new Map([["holiday_qs2x2a1.5.png", quilt]]));
   await shows("#title", /^holiday$/);

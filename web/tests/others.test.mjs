@@ -1,4 +1,5 @@
-// Other displays: a headset (Meta's emulator), lenticular panels (compared with a simple reference), and Looking Glass Bridge (recorded answers).
+// Other displays: a headset (Meta's emulator), lenticular panels (compared with a simple
+// reference), and Looking Glass Bridge (recorded answers).
 import assert from "node:assert/strict";
 import { mkdirSync, readFileSync } from "node:fs";
 import { dirname, join } from "node:path";
@@ -197,7 +198,8 @@ for (const [name, panel] of Object.entries({ stripes: STRIPES, cells: CELLS })) 
     const woven = Buffer.from(text, "base64");
     const get = (key) => panel[key].value;
     const [cols, rows, count] = [get("screenW"), get("screenH"), 48];
-    // the expected views have the slopes of the panel's cone, scaled down so that they stay in the viewing zone
+    // the expected views have the slopes of the panel's cone, scaled down so that they stay in the
+    // viewing zone
     const cone = (get("viewCone") * Math.PI) / 180;
     const share = Math.min(1, Math.tan((SCENE.fovDeg * Math.PI) / 360) / Math.tan(cone / 2));
     const views = [];
@@ -232,7 +234,8 @@ for (const [name, panel] of Object.entries({ stripes: STRIPES, cells: CELLS })) 
           const phase = ((col + 0.5 + dx) / cols + ((up + 0.5 + dy) / rows) * ((flip * rows) / (cols * get("slope")))) * lenses - get("center");
           const part = phase - Math.floor(phase);
           const view = count * (get("invView") ? 1 - part : part);
-          // skip positions near the border of two views, where single precision may choose the other view
+          // skip positions near the border of two views, where single precision may choose the
+          // other view
           if (Math.abs(view - Math.round(view)) < 0.02) continue;
           used.add(Math.floor(view));
           compared++;

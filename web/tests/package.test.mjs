@@ -1,4 +1,5 @@
-// The npm package. It is packed from the committed files alone, imported with its types, bundled, and shown in a browser.
+// The npm package. It is packed from the committed files alone, imported with its types, bundled,
+// and shown in a browser.
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
 import { copyFileSync, cpSync, mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";

@@ -1,4 +1,5 @@
-// `lumistack preview`: its page in a browser, which reloads itself when the patterns change. LUMISTACK_BIN names the program.
+// `lumistack preview`: its page in a browser, which reloads itself when the patterns change.
+// LUMISTACK_BIN names the program.
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { cpSync, existsSync, mkdtempSync, readFileSync, renameSync, rmSync, writeFileSync } from "node:fs";

@@ -56,7 +56,7 @@ const choose = (at, id, value) =>
     [id, value],
   );
 
-/** Returns a WebAssembly module whose memory cannot grow beyond `most` bytes. */
+/** Returns a WebAssembly module whose memory cannot grow above `most` bytes. */
 function limited(module, most) {
   const PAGE = 65536;
   let at = 8;

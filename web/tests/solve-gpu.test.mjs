@@ -99,7 +99,8 @@ for (const [name, preset] of [
       const { values, squares, codes } = apart(device.patterns, processor.patterns);
       console.log(`${name}, ${iterations} iterations: patterns differ by at most ${values.toExponential(1)}, ${squares.toExponential(1)} in the mean, codes by ${codes}`);
       assert.ok(values > 0, "device and processor round in the same way, so perhaps one of them computed both");
-      // Rounding grows in values that hardly change the emission, so after many iterations only the mean is compared.
+      // Rounding grows in values that hardly change the emission, so after many iterations only the
+      // mean is compared.
       assert.ok((iterations === 1 ? values : squares) <= SAME, `${values}, ${squares}`);
       assert.ok(codes <= 1, `${codes}`);
       if (iterations > 1) await device.at.screenshot({ path: join(SHOTS, `solve-gpu-${preset}.png`), fullPage: true });
@@ -123,7 +124,8 @@ test("the processor continues when the device is lost", async () => {
   assert.match(await at.textContent("#warnings"), /the device (was lost|does not answer).*the processor solves instead/);
   assert.match(await status(at), /^Finished\. .* On the processor\.$/);
   await at.screenshot({ path: join(SHOTS, "solve-gpu-lost.png"), fullPage: true });
-  // The processor starts this solve again, so its patterns equal the patterns of a solve without a device.
+  // The processor starts this solve again, so its patterns equal the patterns of a solve without a
+  // device.
   const processor = await solved(`${display}&device=cpu`);
   assert.deepEqual(apart(found, processor.patterns), { values: 0, codes: 0, squares: 0 });
   assert.deepEqual(at.trouble, []);

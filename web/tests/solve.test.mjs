@@ -16,8 +16,9 @@ import { stripes } from "./stripes.mjs";
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const SCENES = join(dirname(fileURLToPath(import.meta.url)), "../../scenes");
 /**
-* Largest root mean square difference between the patterns of the page and of the command. It is above 0, since page and command use different instructions of
-* the processor, and the command rounds views when it caches them.
+* Largest root mean square difference between the patterns of the page and of the command. It is
+* above 0, since page and command use different instructions of the processor, and the command
+* rounds views when it caches them.
 */
 const SAME = 2e-3;
 /** Largest difference between the PSNR that the page reports and the PSNR that the command reports, dB. */
@@ -56,7 +57,8 @@ async function savedQuilt(at) {
     return { width, height, tiles: [[0, 5], [7, 0]].map(([col, row]) => [...context.getImageData(col * width, row * height, width, height).data]) };
   }, readFileSync(await download.path(), "base64"));
   assert.deepEqual([views.width, views.height], [96, 60]);
-  // The viewing zone is divided into 48 parts, one for each view. The outermost views are half a part inside the zone's edge.
+  // The viewing zone is divided into 48 parts, one for each view. The outermost views are half a
+  // part inside the zone's edge.
   const { slope_x, slope_y } = await at.evaluate(() => JSON.parse(document.querySelector("lumistack-viewer").content.json).target);
   const step = slope_x[1] - slope_x[0];
   const edge = slope_x.at(-1) + step / 2 - (step * slope_x.length) / 96;
@@ -187,7 +189,8 @@ test("a broken file gives the command's error, and the page stays usable", { ski
     assert.equal(status, 1);
     assert.ok(message.includes(plain(said)), `page: ${said}\ncommand: ${message}`);
   }
-  // If a picture is cut short, the module of decoders reports the error, and not the solver's module.
+  // If a picture is cut short, the module of decoders reports the error, and not the solver's
+  // module.
   const letters = join(folder, "cut");
   cpSync(join(SCENES, "letters"), letters, { recursive: true });
   writeFileSync(join(letters, "charts.png"), readFileSync(join(SCENES, "letters/charts.png")).subarray(0, 400));
@@ -225,7 +228,8 @@ test("patterns of light fields agree with those of the command", { skip: !BIN &&
   const command = join(folder, "array-command");
   execFileSync(BIN, ["run", join(ours, "job.toml"), "-o", command], { stdio: "pipe" });
   assert.ok(apart(ours, command) < SAME, `${apart(ours, command)}`);
-  // The command wrote the light field as OpenEXR pictures with rounded values. So the tolerance for this folder is larger.
+  // The command wrote the light field as OpenEXR pictures with rounded values. So the tolerance for
+  // this folder is larger.
   const views = join(folder, "array-views");
   cpSync(join(command, "target"), views, { recursive: true });
   const again = await solved(() => at.setInputFiles("#folder", views), "views");

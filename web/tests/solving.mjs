@@ -1,4 +1,5 @@
-// Helpers of the tests of the page that solves: its state, its saved files, and the command's errors.
+// Helpers of the tests of the page that solves: its state, its saved files, and the command's
+// errors.
 import { spawnSync } from "node:child_process";
 import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";

@@ -1,4 +1,5 @@
-// Parts of the page that need no browser: the state in the address, names of views, the motion of the eye, slopes of a quilt.
+// Parts of the page that need no browser: the state in the address, names of views, the motion of
+// the eye, slopes of a quilt.
 import assert from "node:assert/strict";
 import { join } from "node:path";
 import { test } from "node:test";
@@ -111,10 +112,12 @@ test("each view of a quilt is at the centre of its part of the zone", async () =
   const across = [-0.2, -0.1, 0, 0.1, 0.2];
   const slopes = [0.1, 0, -0.1].flatMap((y) => across.map((x) => [x, y]));
   const near = (found, expected) => found.forEach(([x, y], i) => assert.ok(Math.abs(x - expected[i]) < 1e-12 && y === 0, `${x} ${y}`));
-  // With as many views as the target has per row, the slopes of the quilt equal the slopes of the target's views.
+  // With as many views as the target has per row, the slopes of the quilt equal the slopes of the
+  // target's views.
   near(slopesAcross({ views: { rows: 3, cols: 5, slopes } }, 5), across);
   near(slopesAcross({ views: { rows: 3, cols: 5, slopes } }, 2), [-0.125, 0.125]);
-  // With more views, the outermost slopes of the quilt are farther out than the outermost slopes of the target.
+  // With more views, the outermost slopes of the quilt are farther out than the outermost slopes of
+  // the target.
   near(slopesAcross({ views: { rows: 3, cols: 5, slopes } }, 10), across.flatMap((x) => [x - 0.025, x + 0.025]));
   near(slopesAcross({ views: { rows: 1, cols: 1, slopes: [[0, 0]] } }, 2), [0, 0]);
 });

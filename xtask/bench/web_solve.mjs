@@ -1,5 +1,5 @@
-// Measures the page that solves in headless Chromium: `node web_solve.mjs LUMISTACK FOLDER MODEL`. LUMISTACK is the command, FOLDER gets the results, and MODEL
-// is a glTF file.
+// Measures the page that solves in headless Chromium: `node web_solve.mjs LUMISTACK FOLDER MODEL`.
+// LUMISTACK is the command, FOLDER gets the results, and MODEL is a glTF file.
 //
 // Drops the model as a single .glb on the page, at 160 columns, three layers and six frames. Prints
 // the time to the first picture, the zone score over time, the number of animation frames per
@@ -17,7 +17,11 @@ const ROOT = join(import.meta.dirname, "../..");
 const SETTINGS = "preset=paper-three-layer&cols=160&layers=3&frames=6";
 /** Times at which patterns are saved and scored, seconds after the drop. */
 const SCORED = [5, 10, 20, 30];
-/** Limits: first picture of a dropped model and of a scene of the page, ms; animation frames per second; largest distance from the final zone score after 30 s, and from the command, dB. */
+/**
+ * Limits. `dropped` and `builtIn`: first picture of a dropped model and of a scene of the page, ms.
+ * `rate`: animation frames per second. `behind` and `command`: largest distance from the final zone
+ * score after 30 s, and from the command, dB.
+ */
 const LIMITS = { dropped: 3000, builtIn: 1000, rate: 30, behind: 1, command: 0.1 };
 let missed = 0;
 const check = (text, isMet) => {

@@ -1,5 +1,6 @@
-// Saves a picture of a page: node shot.mjs CHROMIUM ADDRESS WIDTH HEIGHT FILE. Needs the npm packages of web/.
-// Chromium's option --screenshot does not wait for the workers of a page, but puppeteer does.
+// Saves a picture of a page: node shot.mjs CHROMIUM ADDRESS WIDTH HEIGHT FILE. Needs the npm
+// packages of web/. Chromium's option --screenshot does not wait for the workers of a page, but
+// puppeteer does.
 
 import { createRequire } from "node:module";
 import { pathToFileURL } from "node:url";

@@ -63,7 +63,8 @@ const NOT_IN_WINE: [(&str, &[&str]); 2] = [
 /// Libraries and a program that the tests of plugins load.
 const EXAMPLES: [&str; 3] = ["lumistack_plugin_echo", "lumistack_plugin_faulty", "plugin_child"];
 
-/// Checks the types of the command and of the Python module for every system in [`TARGETS`].
+/// Checks the types of the command, with all its features, and of the Python module for every system
+/// in [`TARGETS`]. The other steps of CI do not compile the command with the feature `gpu`.
 pub fn check() -> Outcome {
     for target in TARGETS {
         if let Err(error) = tools::rust_target(target) {
@@ -73,7 +74,7 @@ pub fn check() -> Outcome {
         println!("\n=== {target}");
         let mut check = command("cargo");
         check.args(["check", "--quiet", "--package", "lumistack-cli", "--package", "lumistack-python"]);
-        check.args(["--features", "lumistack-cli/panels", "--target", target]);
+        check.args(["--features", "lumistack-cli/panels,lumistack-cli/gpu", "--target", target]);
         // A dependency assembles a file for the target, which a compiler for Linux cannot do. A
         // check of types needs no object files, so the program `true` replaces compiler and
         // archiver.

@@ -27,7 +27,7 @@ const ABBREVIATIONS: [&str; 14] =
 pub fn blocks(path: &str, text: &str) -> Vec<Block> {
     match path.rsplit_once('.').map(|(_, ending)| ending) {
         Some("rs") => c_like(text, &['"'], true),
-        Some("ts") => c_like(text, &['"', '\'', '`'], false),
+        Some("ts" | "js" | "mjs") => c_like(text, &['"', '\'', '`'], false),
         Some("wgsl") => c_like(text, &[], false),
         Some("py") => python(text),
         Some("md") => paragraphs(text.lines().enumerate().map(|(index, line)| (index + 1, line.to_owned())).collect()),

@@ -34,7 +34,7 @@ const WIDEST_COMMENT: usize = 100;
 const NO_BEGINNING: [&str; 3] = ["what", "whether", "of"];
 
 /// Endings of the names of files that have prose.
-const READ: [&str; 5] = ["rs", "ts", "py", "wgsl", "md"];
+const READ: [&str; 7] = ["rs", "ts", "js", "mjs", "py", "wgsl", "md"];
 
 /// The lines that git writes around the two sides of a conflict, as a regular expression.
 const MERGE_MARK: &str = "^(<{7}|>{7}) ";
@@ -210,7 +210,7 @@ fn wide_comments(path: &str, text: &str) -> impl Iterator<Item = (usize, String)
     // a line that begins with `*` is code in Rust and a comment in TypeScript
     let marks: &[&str] = match path.rsplit_once('.') {
         Some((_, "py")) => &["# "],
-        Some((_, "ts")) => &["//", "* "],
+        Some((_, "ts" | "js" | "mjs")) => &["//", "* "],
         _ => &["//"],
     };
     text.lines().enumerate().filter_map(move |(index, line)| {

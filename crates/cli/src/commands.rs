@@ -133,6 +133,9 @@ fn finish(
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
     let summary = run_job(job, folder, registry, Some(line), task)?;
+    if !json {
+        summary.lacking.iter().for_each(|lacking| say!("Scene: {lacking}"));
+    }
     if json {
         let mut event = serde_json::to_value(&summary).expect("summaries serialize");
         event["event"] = "done".into();
@@ -145,6 +148,11 @@ fn finish(
         let others = [(", flicker", sequence.psnr_change), (", where the target does not change", sequence.psnr_still)];
         let others = others.map(|(name, psnr)| psnr.map_or(String::new(), |psnr| format!("{name} {psnr:.1} dB")));
         say!("PSNR {:.1} dB over {times} time steps{}; {:.0} s", summary.psnr_view, others.concat(), summary.seconds);
+        let preview = format!("{} preview {}", program::name(), folder.display());
+        say!("Look into the display at the first time step: {preview}");
+        if times > 1 {
+            say!("at the last: {preview}/t{times:04}, and likewise at each of the others");
+        }
         say!("{}", summary.report.display());
     } else if !summary.nodes.is_empty() {
         for node in &summary.nodes {

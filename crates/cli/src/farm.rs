@@ -52,6 +52,9 @@ pub(crate) struct Farm {
     engine: EngineArgs,
 }
 
+/// Numbers of workers for which the total time is predicted by default, in the form of the option.
+const WORKERS: &str = "1,2,10,100,1000";
+
 #[derive(Debug, clap::Subcommand)]
 enum What {
     /// Divide a run into units of work, write the list of the units into the run folder, and print
@@ -64,7 +67,7 @@ enum What {
         #[command(flatten)]
         cut: CutArgs,
         /// Numbers of workers, separated by commas. The total time is predicted for each
-        #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
+        #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = WORKERS)]
         workers: Vec<usize>,
     },
     /// List the units of a planned run, and which of them are done
@@ -73,7 +76,7 @@ enum What {
         dir: PathBuf,
         /// Numbers of workers, separated by commas. The total time is predicted for each, from the
         /// measured times of finished units and the estimated times of all other units
-        #[arg(long, value_name = "LIST", value_delimiter = ',', default_values_t = [1, 2, 10, 100, 1000])]
+        #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = WORKERS)]
         workers: Vec<usize>,
     },
     /// Execute one unit of work. Farm managers call this command

@@ -7,7 +7,7 @@ use lumistack_core::config::nearest;
 use lumistack_display::{Backlight, Display};
 use lumistack_pipeline::{
     ImporterJob, Job, LightJob, PipelineError, PoseJob, Prediction, Registry, SceneContents, describe_light_field,
-    is_blend, is_usd, load_scene, memory_of, plugin_list, plugin_text, predict, presets, refused_outputs,
+    is_blend, is_usd, lacking, load_scene, memory_of, plugin_list, plugin_text, predict, presets, refused_outputs,
 };
 use lumistack_scene::{Bounds, Cloud, Scene};
 use lumistack_usd::VariantSet;
@@ -106,6 +106,10 @@ fn scene(args: &Info, registry: &Registry, task: Task<'_>) -> Result<Value, Pipe
         "bounds min": bounds.min.to_array(),
         "bounds max": bounds.max.to_array(),
     }});
+    let lacking = lacking(path, scene.cameras.is_empty(), !scene.is_lit() && !scene.instances.is_empty());
+    if !lacking.is_empty() {
+        value["scene"]["lacking"] = json!(lacking);
+    }
     let choices = choices(&contents);
     if let (Some(value), Some(choices)) = (value["scene"].as_object_mut(), choices.as_object()) {
         value.extend(choices.clone());

@@ -2,10 +2,16 @@
 
 use std::path::Path;
 
-use lumistack_pipeline::{Job, PipelineError, Plan, Registry, Step, plan};
+use lumistack_pipeline::{Job, PipelineError, Plan, Registry, Step, ZoneSamples, plan};
 
 use crate::console::say;
 use crate::values::{duration_text, size_text};
+
+/// Estimated time from which the plan suggests a small run first, seconds.
+const LONG_S: f64 = 1800.0;
+/// Width in pixels, and paths per pixel, of the small run that the plan suggests.
+const SMALL_COLS: usize = 210;
+const SMALL_ZONE_SAMPLES: u32 = 100;
 
 /// Prints the plan of a job in a run folder, without running it.
 pub(crate) fn print(job: &Job, folder: &Path, registry: &Registry, json: bool) -> Result<(), PipelineError> {
@@ -16,8 +22,42 @@ pub(crate) fn print(job: &Job, folder: &Path, registry: &Registry, json: bool) -
         say!("{event}");
         return Ok(());
     }
+    if let Some(hint) = small_first(job, folder, registry, plan_seconds(&plan)) {
+        say!("{hint}");
+    }
     table(&plan).into_iter().for_each(|line| say!("{line}"));
     Ok(())
+}
+
+fn plan_seconds(plan: &Plan) -> f64 {
+    plan.steps.iter().map(|step| step.seconds).sum()
+}
+
+/// Returns a line that suggests a small run before a long one; `None` for a short run, and for a
+/// job that renders no scene or is small already.
+fn small_first(job: &Job, folder: &Path, registry: &Registry, seconds: f64) -> Option<String> {
+    if seconds < LONG_S || job.scene.is_none() {
+        return None;
+    }
+    let [cols, rows] = job.resolve_display().ok()?.field.resolution;
+    if cols <= SMALL_COLS {
+        return None;
+    }
+    let mut small = job.clone();
+    let resolution = [SMALL_COLS, (rows * SMALL_COLS + cols / 2) / cols];
+    small.display.resolution = Some(resolution);
+    small.render.zone_samples = ZoneSamples::Count(SMALL_ZONE_SAMPLES);
+    small.render.samples = None;
+    // a folder that does not exist has no cached results
+    let small_seconds = plan_seconds(&plan(&small, &folder.join("small"), registry).ok()?);
+    let [cols, rows] = resolution;
+    (small_seconds < 0.5 * seconds).then(|| {
+        format!(
+            "about {}; a small run first, --resolution {cols}x{rows} --zone-samples {SMALL_ZONE_SAMPLES} -o another folder, takes about {}",
+            duration_text(seconds),
+            duration_text(small_seconds)
+        )
+    })
 }
 
 /// Returns a line per step, and a last line with the total time and the largest memory.
@@ -41,7 +81,7 @@ fn table(plan: &Plan) -> Vec<String> {
             inputs.join(", ")
         ));
     }
-    let seconds: f64 = plan.steps.iter().map(|step| step.seconds).sum();
+    let seconds = plan_seconds(plan);
     let most = plan.steps.iter().map(|step| step.memory_bytes).max().unwrap_or(0);
     let cached = plan.steps.iter().filter(|step| step.cached == Some(true)).count();
     let (count, time, memory) = (plan.steps.len(), duration_text(seconds), size_text(most));
@@ -50,4 +90,26 @@ fn table(plan: &Plan) -> Vec<String> {
         plan.folder.display()
     ));
     lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_run_is_preceded_by_a_small_one() {
+        let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/still-life/still-life.gltf");
+        let mut job = Job::new(lumistack_pipeline::DisplayJob::by_name_or_path("paper-three-layer"));
+        job.scene = Some(scene);
+        let (registry, folder) = (Registry::built_in().unwrap(), Path::new("nowhere"));
+        let hint = |job: &Job, seconds| small_first(job, folder, &registry, seconds);
+        let line = hint(&job, 1e7).unwrap();
+        assert!(
+            line.starts_with("about 2777.8 h;") && line.contains("--resolution 210x131 --zone-samples 100"),
+            "{line}"
+        );
+        assert_eq!(hint(&job, 600.0), None, "ten minutes are short");
+        job.display.resolution = Some([105, 66]);
+        assert_eq!(hint(&job, 1e7), None, "the job is small");
+    }
 }

@@ -83,7 +83,8 @@ fn announced(args: &Preview, site: &Path, json: bool, task: Task<'_>) -> Result<
 }
 
 /// Finds the preview to serve for a folder. It is the folder itself, or the first preview among a
-/// run's outputs. For a run without previews, a preview must be written.
+/// run's outputs. For a run without previews, a preview must be written. A sequence is shown by its
+/// first time step, since the page shows a still.
 fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if dir.join(PREVIEW_JSON).is_file() {
         return Ok(Source { site: dir.to_owned(), run: None, seen: Mutex::default() });
@@ -100,13 +101,31 @@ fn source_of(dir: &Path, task: Task<'_>) -> Result<Source, PipelineError> {
     if dir.join("layers/stack.json").is_file() {
         return Ok(Source { site: dir.join("preview"), run: Some(dir.to_owned()), seen: Mutex::default() });
     }
+    let times = times_of(dir);
+    if let Some(first) = times.first() {
+        let source = source_of(first, task)?;
+        if let Some(last) = times.get(1).and_then(|_| times.last()) {
+            let text = format!(
+                "shows the first of {} time steps; `lumistack preview {}` shows the last, and likewise each of the others",
+                times.len(),
+                last.display()
+            );
+            task.warn("preview", text);
+        }
+        return Ok(source);
+    }
     let found = match std::fs::metadata(dir) {
         Err(error) => error.to_string(),
         Ok(data) if !data.is_dir() => "a file".into(),
-        Ok(_) if dir.join("t0001").is_dir() => "a sequence: name one of its time steps, such as t0001".into(),
         Ok(_) => "neither stack/preview.json nor layers/stack.json in it".into(),
     };
     Err(PipelineError::value(dir, "folder", "a run or a preview", found))
+}
+
+/// Finds the folders of a sequence's time steps, `t0001` and so on; none for a still run.
+fn times_of(run: &Path) -> Vec<PathBuf> {
+    let names = (1..).map(|time| run.join(format!("t{time:04}")));
+    names.take_while(|folder| folder.is_dir()).collect()
 }
 
 /// Finds the previews among a run's outputs, `outputs/NODE/NAME`, sorted by name.

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// Job type for Flamenco 3: a graph of units of work. Copy this file into the folder `scripts` beside the manager.
+// Job type for Flamenco 3: a graph of units of work. Copy this file into the folder `scripts`
+// beside the manager.
 
 const JOB_TYPE = {
   label: "Lumistack",

@@ -23,6 +23,7 @@ use lumistack_farm::{Graph, Unit};
 use lumistack_plugin_host::Registry;
 use serde::{Deserialize, Serialize};
 
+use crate::engine;
 use crate::error::{PipelineError, field_error};
 use crate::job::Job;
 use crate::plan::execute::Executor;
@@ -145,7 +146,7 @@ pub fn farm_plan(
     task: Task<'_>,
 ) -> Result<FarmPlan, PipelineError> {
     // Workers run in other folders, so all paths of the job become absolute.
-    let mut job = job.clone();
+    let mut job = engine::settled(job, None, task)?;
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     job.folder = absolute(&job.folder);
     let mut job = plugin_files::resolved(&job, registry)?;

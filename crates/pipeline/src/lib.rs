@@ -14,7 +14,9 @@
 //!   patterns of the previous one.
 //! * A sweep solves many designs, for the light fields of a still, a sequence or a graph.
 
+mod bare;
 mod compare;
+mod engine;
 mod error;
 mod farm;
 mod inspect;
@@ -34,6 +36,7 @@ mod steps;
 mod store;
 mod view_options;
 
+pub use bare::lacking;
 pub use compare::{
     DisplayLikeness, DisplaysComparison, Likeness, PhotoComparison, Pose, RunComparison, ZoneLikeness,
     compare_displays, compare_photo, compare_runs, refocused,

@@ -65,6 +65,7 @@ pub(crate) fn reader_of(path: &Path, importer: &ImporterJob, registry: &Registry
         let known = registry.infos().flat_map(|info| info.extensions.iter().map(|extension| format!(", .{extension}")));
         let usd = lumistack_usd::EXTENSIONS.map(|extension| format!(", .{extension}")).concat();
         let expected = format!("a file with the extension .gltf, .glb, .blend{usd}{}", known.collect::<String>());
-        PipelineError::value(path, "scene", expected, format!("extension `{extension}`"))
+        let found = if extension.is_empty() { "no extension".into() } else { format!("extension `{extension}`") };
+        PipelineError::value(path, "scene", expected, found)
     })
 }

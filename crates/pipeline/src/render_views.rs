@@ -8,6 +8,7 @@ use lumistack_field_io::picture::Precision;
 use lumistack_plugin_host::Registry;
 use lumistack_report::DepthBudget;
 
+use crate::engine;
 use crate::error::{PipelineError, display_error, field_error};
 use crate::job::{Denoise, Job};
 use crate::stage::field::{field_info, warn_of_depth};
@@ -38,9 +39,11 @@ pub fn render_views(
         // A denoiser needs all views, but the options may select only some.
         job.render.denoise = Denoise::Off;
     }
-    let job = &plugin_files::resolved(&job, registry)?;
-    job.check()?;
-    let _owned = folder::lock(target_dir, Work::Views, job, registry, task)?;
+    let given = &plugin_files::resolved(&job, registry)?;
+    given.check()?;
+    let _owned = folder::lock(target_dir, Work::Views, given, registry, task)?;
+    let cache = target_dir.join("cache");
+    let job = &plugin_files::resolved(&engine::settled(&job, Some(&cache), task)?, registry)?;
     let display = job.resolve_display()?;
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     // Refuse wrong options before the scene is loaded, which may take minutes.
@@ -48,7 +51,6 @@ pub fn render_views(
     options.chosen(geometry.grid.views())?;
     // Run the stages. Held-out views and views outside the zone are not rendered, since only a
     // report needs them.
-    let cache = target_dir.join("cache");
     let ingested = ingest::load_scene(scene, &job.pose, &job.importer, registry, &job.light, Some(&cache), task)?;
     let placement = place::place(&ingested, &job.window, &display, &geometry, Some(&cache), task)?;
     let mut job = job.clone();

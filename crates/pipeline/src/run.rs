@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use lumistack_core::Task;
+use lumistack_core::{Cancel, Collector, Task};
 use lumistack_plugin_host::Registry;
 use lumistack_report::DepthBudget;
 use serde::Serialize;
 use serde_json::Value;
 
+use crate::engine;
 use crate::error::{FailedOutput, PipelineError};
 use crate::job::Job;
 use crate::plan::estimate;
@@ -19,6 +20,7 @@ use crate::plan::sequence::add_times;
 use crate::plan::steps::{PartKind, Plan};
 use crate::plan::still::{Before, add_field};
 use crate::plan::sweep::{self, Designs, SweepSummary};
+use crate::stage::ingest;
 use crate::store::farm::forget;
 use crate::store::folder;
 use crate::store::lock::{Hold, UNIT_LIMIT, lock_for_unit};
@@ -55,6 +57,9 @@ pub struct Summary {
     /// A sentence that describes `depth`.
     #[serde(skip)]
     pub depth_sentence: Option<String>,
+    /// Sentences about the camera and the lights that the scene's file lacks, as of [`lacking`].
+    #[serde(skip)]
+    pub lacking: Vec<String>,
     /// Results of a sequence.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sequence: Option<SequenceSummary>,
@@ -108,8 +113,9 @@ pub fn run(
     task: Task<'_>,
 ) -> Result<Summary, PipelineError> {
     let start = Instant::now();
-    let job = &without_sweep(job, registry)?;
-    let _owned = folder::lock(run_dir, work_of(job), job, registry, task)?;
+    let given = &without_sweep(job, registry)?;
+    let _owned = folder::lock(run_dir, work_of(given), given, registry, task)?;
+    let job = &without_sweep(&settled(job, run_dir, task)?, registry)?;
     forget(run_dir);
     run_in(job, run_dir, registry, command, start, task)
 }
@@ -129,8 +135,9 @@ pub(crate) fn run_finished(
     if job.sweep.is_some() {
         return sweep(job, run_dir, registry, task).map(|_| ());
     }
-    let job = &without_sweep(job, registry)?;
-    let _owned = folder::lock(run_dir, work_of(job), job, registry, task)?;
+    let given = &without_sweep(job, registry)?;
+    let _owned = folder::lock(run_dir, work_of(given), given, registry, task)?;
+    let job = &without_sweep(&settled(job, run_dir, task)?, registry)?;
     let summary = run_in(job, run_dir, registry, None, Instant::now(), task)?;
     match summary.failed_outputs {
         failed if failed.is_empty() => Ok(()),
@@ -165,8 +172,9 @@ pub fn run_step(
     registry: &Registry,
     task: Task<'_>,
 ) -> Result<(), PipelineError> {
-    let job = &without_sweep(job, registry)?;
-    let _owned = folder::lock(run_dir, work_of(job), job, registry, task)?;
+    let given = &without_sweep(job, registry)?;
+    let _owned = folder::lock(run_dir, work_of(given), given, registry, task)?;
+    let job = &without_sweep(&settled(job, run_dir, task)?, registry)?;
     Executor::new(&of_run(job, run_dir)?, registry, None, task).execute_alone(step)
 }
 
@@ -181,8 +189,9 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
         return Err(PipelineError::job("sweep", "a table `[sweep]`, or an axis as an option", "none"));
     };
     table.check()?;
-    let job = &plugin_files::resolved(job, registry)?;
-    let _owned = folder::lock(dir, Work::Sweep, job, registry, task)?;
+    let given = &plugin_files::resolved(job, registry)?;
+    let _owned = folder::lock(dir, Work::Sweep, given, registry, task)?;
+    let job = &plugin_files::resolved(&engine::settled(job, None, task)?, registry)?;
     let (plan, designs) = of_sweep(job, dir)?;
     sweep::execute(&plan, &designs, job, registry, task)
 }
@@ -193,10 +202,27 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
 /// # Errors
 /// If the job or a design of its sweep is wrong.
 pub fn plan(job: &Job, run_dir: &Path, registry: &Registry) -> Result<Plan, PipelineError> {
-    let job = &plugin_files::resolved(job, registry)?;
+    let job = &plugin_files::resolved(&engine::settled_by_cache(job, &cache_of(run_dir)), registry)?;
     let mut plan = if job.sweep.is_some() { of_sweep(job, run_dir)?.0 } else { of_run(job, run_dir)? };
+    // Report the errors that a run would report before its first step.
+    let (warnings, cancel) = (Collector::default(), Cancel::default());
+    let quiet = Task::quiet(&warnings, &cancel);
+    Executor::new(&plan, registry, None, quiet).check()?;
+    ingest::check_scene(job, registry, quiet)?;
     estimate::fill(&mut plan, registry);
     Ok(plan)
+}
+
+/// Returns the job with the engine that [`engine::settled`] chooses. Only the run of a still caches
+/// conversions in this folder.
+fn settled(job: &Job, run_dir: &Path, task: Task<'_>) -> Result<Job, PipelineError> {
+    let cache = cache_of(run_dir);
+    engine::settled(job, (work_of(job) == Work::Run).then_some(&cache), task)
+}
+
+/// Returns the cache folder of a still's run.
+fn cache_of(run_dir: &Path) -> PathBuf {
+    run_dir.join("cache")
 }
 
 fn without_sweep(job: &Job, registry: &Registry) -> Result<Job, PipelineError> {
@@ -250,6 +276,7 @@ fn summary(context: &mut Context<'_>, job: &Job) -> Summary {
         nodes: Vec::new(),
         depth: context.depth.as_ref().map(DepthBudget::to_json),
         depth_sentence: context.depth.as_ref().map(DepthBudget::sentence),
+        lacking: std::mem::take(&mut context.lacking),
         sequence: None,
         failed_outputs: std::mem::take(&mut context.failed),
         seconds: 0.0,

@@ -89,7 +89,8 @@ impl FromStr for ExtraChannel {
 
     fn from_str(name: &str) -> Result<Self, String> {
         let found = Self::ALL.iter().find(|(known, _)| *known == name);
-        found.map(|&(_, layer)| layer).ok_or_else(|| "expected depth, normal, albedo, variance or coverage".into())
+        let expected = "expected depth, normal, albedo, variance or coverage";
+        found.map(|&(_, layer)| layer).ok_or_else(|| format!("{expected}, found {name}"))
     }
 }
 

@@ -22,7 +22,7 @@ import pytest
 
 import lumistack
 from lumistack.blender import between, command_line, depth, forms, outline
-from lumistack.blender.cameras import Window, WindowError, seen_at_mm, view_camera, window_of_camera, window_of_job
+from lumistack.blender.cameras import Window, WindowError, seen_at_mm, view_camera, window_distance, window_of_camera, window_of_job
 from lumistack.blender.glb import Glb, radiance_hdr
 from lumistack.blender.handover import ball, panel, surface
 from lumistack.blender.live import KEPT, Attached, Files, Live, Program, State, toml_of
@@ -89,6 +89,19 @@ def test_the_window_is_the_camera_frustum_at_its_focus() -> None:
     again = window_of_job(job, (400.0, 250.0))
     for name in ("centre", "right", "up", "back"):
         assert getattr(again, name) == pytest.approx(getattr(window, name))
+
+
+def test_the_window_of_a_camera_without_focus_is_at_the_subject() -> None:
+    # A subject at 3 m covers a tenth to all of the picture, and a backdrop is at 300 m.
+    for near in (17, 60, 165):
+        subject = [2.8 + 0.4 * number / near for number in range(near)]
+        found = window_distance(subject + [300.0] * (165 - near))
+        assert found is not None and 2.8 < found < 4.0, found
+    assert window_distance([2.0 + 2.0 * number / 100 for number in range(101)]) == pytest.approx(3.0), "the middle"
+    # A blade of grass in front of the lens has no effect, and content behind an orthographic camera
+    # neither.
+    assert window_distance([0.05, *[4.0] * 120, -7.0]) == pytest.approx(4.0)
+    assert window_distance([]) is None and window_distance([-1.0]) is None
 
 
 def test_a_window_is_scaled_and_moved_in_its_plane() -> None:

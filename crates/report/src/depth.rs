@@ -157,10 +157,17 @@ impl DepthBudget {
             return None;
         }
         let share = format::percent(self.inside);
-        Some(format!(
-            "only {share} of what is seen lies in the display's depth of field, and the rest loses detail. --fit-depth moves the window to where most of the \
-             scene fits, --fit-depth=compress also compresses its depth"
-        ))
+        let few =
+            format!("only {share} of what is seen lies in the display's depth of field, and the rest loses detail");
+        Some(if self.fitted {
+            format!(
+                "{few}, although the scene was fitted. Bring its far content nearer, or set the camera's focus distance at the subject"
+            )
+        } else {
+            format!(
+                "{few}. --fit-depth moves the window to where most of the scene fits, --fit-depth=compress also compresses its depth"
+            )
+        })
     }
 
     /// Returns the budget as JSON for report.json.
@@ -230,7 +237,11 @@ mod tests {
         assert_eq!(budget.advice(), None);
         assert!(budget.sentence().starts_with("75.0 % of what is seen lies in the depth of field, −80 to 80 mm;"));
         let few = DepthBudget::measure(&display, &geometry, &[-100.0, 100.0, 0.0], &[0.0]);
-        assert!(few.advice().unwrap().contains("only 33.3 %"));
+        assert!(few.advice().is_some_and(|advice| advice.contains("only 33.3 %") && advice.contains("--fit-depth")));
+        let fitted = DepthBudget { fitted: true, ..few };
+        assert!(
+            fitted.advice().is_some_and(|advice| advice.contains("only 33.3 %") && !advice.contains("--fit-depth"))
+        );
     }
 
     #[test]

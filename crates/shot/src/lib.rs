@@ -28,7 +28,7 @@ pub use job::{
     AngularFilter, Background, Denoise, Engine, FitDepth, LightJob, Near, RenderJob, Tone, WindowFrom, WindowJob,
     ZoneSamples, seeded,
 };
-pub use place::{Found, Placement, coarser, find_window, place};
+pub use place::{Found, Placement, coarser, find_camera, find_window, place};
 pub use renderer::{SceneRenderer, put_before, slopes};
 pub use subject::Subject;
 pub use tone_mapping::{ToneMapping, automatic_tone_mapping};

@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::ShotError;
 use crate::job::{FitDepth, Near, WindowFrom, WindowJob};
-pub use crate::place::window::{Found, find_window};
+pub use crate::place::window::{Found, find_camera, find_window};
 use crate::subject::Subject;
 
 /// Largest number of columns of the view from straight ahead by which depth is measured.
@@ -48,8 +48,18 @@ const TRIED: usize = 2001;
 /// Smallest fraction of a pixel's detail that the display must still show in front of a window that
 /// is given by numbers. Nearer content, of which the display shows less detail, is cut off.
 const LEAST_DETAIL: f64 = 0.125;
-/// Smallest factor to which fitting compresses depth.
-const LEAST_SCALE: f64 = 0.01;
+/// Smallest factor to which fitting compresses depth. At this factor a scene looks nearly flat.
+const LEAST_SCALE: f64 = 0.03;
+/// Fractions of the farthest visible content that compression leaves outside the depth of field, in
+/// the order of the attempts. The first is the default.
+const LEFT_OUT: [f64; 19] =
+    [ENDS[0], 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9];
+/// Compression may leave out this fraction for more parallax. It is the fraction that a far
+/// background covers between the subjects of a picture, and its blur resembles that of a
+/// photograph.
+const MAY_LEAVE_OUT: f64 = 0.1;
+/// Factor by which the parallax of the rest must grow, so that content is left out without need.
+const WORTH_LEAVING_OUT: f64 = 2.0;
 
 /// A window in the scene, and the depth scale with which the scene fits.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -145,6 +155,22 @@ pub fn place<S: Subject>(
         Projection::Oblique => None,
         Projection::Perspective { distance_mm } => Some(distance_mm),
     };
+    if fit.is_refused {
+        let message = format!(
+            "{:.0} % of what is seen lies outside the display's depth of field, and no compression of depth down to {:.0} % brings more into it. So the window \
+             stays where it is, and depth stays as it is. The window should be at the subject: set the camera's focus distance (in Blender: Depth of Field, \
+             Focus on Object)",
+            100.0 * fit.outside,
+            100.0 * LEAST_SCALE
+        );
+        task.warn("window.fit_depth", message);
+    } else if fit.left_out > MAY_LEAVE_OUT {
+        let message = format!(
+            "the farthest {:.0} % of what is seen would flatten the rest, so no room is made for it, and it is blurred",
+            100.0 * fit.left_out
+        );
+        task.warn("window.fit_depth", message);
+    }
     Ok(Placement {
         window: window.moved_back(fit.moved_back_mm, eye_mm),
         moved_back_mm: fit.moved_back_mm,
@@ -176,67 +202,141 @@ pub fn coarser(geometry: &FieldGeometry, grid: ViewGrid, most_cols: usize) -> Fi
 struct Fit {
     moved_back_mm: f64,
     depth_scale: f64,
+    /// Fraction of the farthest content for which no room was made.
+    left_out: f64,
+    /// Fraction of the content outside the depth of field after the fit.
+    outside: f64,
+    /// True if no compression shows more of the scene, so nothing changes.
+    is_refused: bool,
+}
+
+/// The depths of a scene, and the display that must show them.
+struct Fitting<'a> {
+    /// Visible depths, sorted, mm. At least one.
+    depths: &'a [f64],
+    /// Depth of field, mm.
+    range: [f64; 2],
+    projection: Projection,
+    /// Scale of the job.
+    scale: f64,
+    means: Means,
 }
 
 /// Finds the movement and the scale that bring most of the sorted `depths` between `low` and
-/// `high`. Among equally good movements, it takes the movements with the least compression. Among
-/// these, it takes the movement that brings the middle of the depths nearest to the middle of the
-/// range.
-fn best_fit(depths: &[f64], [low, high]: [f64; 2], projection: Projection, scale: f64, means: Means) -> Fit {
-    let stay = Fit { moved_back_mm: 0.0, depth_scale: scale };
-    let (Some(&nearest), Some(&farthest)) = (depths.last(), depths.first()) else { return stay };
-    let ends = ENDS.map(|share| depths[(share * (depths.len() - 1) as f64).round() as usize]);
-    let moved = |z: f64, by: f64| match projection {
-        Projection::Oblique => z + by,
-        Projection::Perspective { distance_mm } => (z + by) * distance_mm / (distance_mm + by),
-    };
-    // the window must stay in front of the eye, which limits how far it moves forward
-    let least = match projection {
-        Projection::Oblique => f64::NEG_INFINITY,
-        Projection::Perspective { distance_mm } => -0.9 * distance_mm,
-    };
-    let scale_at = |by: f64| {
-        if !means.compresses {
-            return scale;
-        }
-        // parallax is proportional to the scale, so each end of the depths limits the scale
-        // separately
-        let parallax = |z: f64| projection_parallax(projection, z);
-        ends.into_iter().fold(scale, |scale, end| {
-            let end = moved(end, by);
-            let limit = if end < 0.0 { low } else { high };
-            if end == 0.0 { scale } else { scale.min(parallax(limit) / parallax(end)) }
-        })
-    };
-    let shown = |z: f64, by: f64, scale: f64| projection.scaled_depth(moved(z, by), scale);
-    let fits = |z: f64| (low - ROUNDED..=high + ROUNDED).contains(&shown(z, 0.0, scale));
-    if means.at_need && ends.into_iter().all(fits) {
+/// `high`.
+///
+/// Compression makes room for the depths between two quantiles. If that would leave less than
+/// [`LEAST_SCALE`] of the parallax, as little as possible of the farthest content is left out. Up
+/// to [`MAY_LEAVE_OUT`] is also left out if the rest gains enough parallax. If nothing suffices, or
+/// the result shows no more than before, nothing changes.
+fn best_fit(depths: &[f64], range: [f64; 2], projection: Projection, scale: f64, means: Means) -> Fit {
+    let stay = Fit { moved_back_mm: 0.0, depth_scale: scale, left_out: ENDS[0], outside: 0.0, is_refused: false };
+    if depths.is_empty() {
         return stay;
     }
-    let share = |by: f64| {
-        let scale = scale_at(by);
-        let below = depths.partition_point(|z| shown(*z, by, scale) < low);
-        let inside = depths.partition_point(|z| shown(*z, by, scale) <= high) - below;
-        inside as f64 / depths.len() as f64
-    };
-    // twice the distance between two middles: of the shown quantiles, and of the depth of field
-    let uneven = |by: f64| {
-        let scale = scale_at(by);
-        (ends.map(|end| shown(end, by, scale)).into_iter().sum::<f64>() - (low + high)).abs()
-    };
-    // try moves between two extremes: the whole scene is in front of the depth of field, or the
-    // whole scene is behind it
-    let (first, last) = ((low - nearest).min(0.0).max(least), (high - farthest).max(0.0).max(least));
-    let at = |i: usize| first + (last - first) * i as f64 / (TRIED - 1) as f64;
-    let moves = if means.moves { TRIED } else { 0 };
-    let tried: Vec<(f64, f64, f64)> = (0..moves).map(at).chain([0.0]).map(|by| (by, share(by), scale_at(by))).collect();
-    let most = tried.iter().fold(0.0, |most: f64, (_, share, _)| most.max(*share));
-    let good = tried.iter().filter(|(_, share, _)| *share >= most - AS_GOOD);
-    // choose the moves with the least compression, and among them the most even position
-    let largest = good.clone().fold(0.0, |largest: f64, (_, _, scale)| largest.max(*scale));
-    let good = good.filter(|(_, _, scale)| *scale >= largest * (1.0 - AS_GOOD));
-    let best = good.min_by(|a, b| uneven(a.0).total_cmp(&uneven(b.0)));
-    best.map_or(stay, |(by, _, scale)| Fit { moved_back_mm: *by, depth_scale: scale.max(LEAST_SCALE) })
+    let fitting = Fitting { depths, range, projection, scale, means };
+    let stay = Fit { outside: 1.0 - fitting.inside(0.0, scale), ..stay };
+    if means.at_need && fitting.ends(ENDS[0]).into_iter().all(|end| fitting.is_inside(end, 0.0, scale)) {
+        return stay;
+    }
+    // Leave out more and more, until enough parallax remains.
+    let mut best = fitting.leaving_out(LEFT_OUT[0]);
+    for left_out in LEFT_OUT.into_iter().skip(1) {
+        let is_needed = best.depth_scale < LEAST_SCALE.min(scale);
+        if !means.compresses || !(is_needed || left_out <= MAY_LEAVE_OUT) {
+            break;
+        }
+        let next = fitting.leaving_out(left_out);
+        if is_needed || next.depth_scale >= WORTH_LEAVING_OUT * best.depth_scale {
+            best = next;
+        }
+    }
+    let compresses = best.depth_scale < scale;
+    let is_useless = best.outside > stay.outside - AS_GOOD || best.depth_scale < LEAST_SCALE;
+    if compresses && is_useless { Fit { is_refused: true, ..stay } } else { best }
+}
+
+impl Fitting<'_> {
+    /// Returns the two quantiles of the depths that must fit.
+    fn ends(&self, left_out: f64) -> [f64; 2] {
+        [left_out, ENDS[1]].map(|share| self.depths[(share * (self.depths.len() - 1) as f64).round() as usize])
+    }
+
+    fn moved(&self, z: f64, by: f64) -> f64 {
+        match self.projection {
+            Projection::Oblique => z + by,
+            Projection::Perspective { distance_mm } => (z + by) * distance_mm / (distance_mm + by),
+        }
+    }
+
+    /// Returns the depth at which content at depth z appears after a movement and a scaling.
+    fn shown(&self, z: f64, by: f64, scale: f64) -> f64 {
+        self.projection.scaled_depth(self.moved(z, by), scale)
+    }
+
+    fn is_inside(&self, z: f64, by: f64, scale: f64) -> bool {
+        let [low, high] = self.range;
+        (low - ROUNDED..=high + ROUNDED).contains(&self.shown(z, by, scale))
+    }
+
+    /// Returns the fraction of the depths in the depth of field.
+    fn inside(&self, by: f64, scale: f64) -> f64 {
+        let [low, high] = self.range;
+        let below = self.depths.partition_point(|z| self.shown(*z, by, scale) < low);
+        let inside = self.depths.partition_point(|z| self.shown(*z, by, scale) <= high) - below;
+        inside as f64 / self.depths.len() as f64
+    }
+
+    /// Finds the best fit for the depths without a fraction of the farthest. Among equally good
+    /// movements, it takes the movements with the least compression. Among these, it takes the
+    /// movement that brings the middle of the depths nearest to the middle of the range.
+    fn leaving_out(&self, left_out: f64) -> Fit {
+        let (Self { depths, range: [low, high], projection, scale, means }, ends) = (self, self.ends(left_out));
+        let [nearest, farthest] = [depths[depths.len() - 1], depths[0]];
+        // the window must stay in front of the eye, which limits how far it moves forward
+        let least = match projection {
+            Projection::Oblique => f64::NEG_INFINITY,
+            Projection::Perspective { distance_mm } => -0.9 * distance_mm,
+        };
+        let scale_at = |by: f64| {
+            if !means.compresses {
+                return *scale;
+            }
+            // parallax is proportional to the scale, so each end of the depths limits the scale
+            // separately
+            let parallax = |z: f64| projection_parallax(*projection, z);
+            ends.into_iter().fold(*scale, |scale, end| {
+                let end = self.moved(end, by);
+                let limit = if end < 0.0 { *low } else { *high };
+                if end == 0.0 { scale } else { scale.min(parallax(limit) / parallax(end)) }
+            })
+        };
+        // content that is left out must not draw the window to itself
+        let enough = if left_out > ENDS[0] { ENDS[1] - left_out } else { 1.0 };
+        let share = |by: f64| self.inside(by, scale_at(by)).min(enough);
+        // twice the distance between two middles: of the shown quantiles, and of the depth of field
+        let uneven = |by: f64| {
+            let scale = scale_at(by);
+            (ends.map(|end| self.shown(end, by, scale)).into_iter().sum::<f64>() - (low + high)).abs()
+        };
+        // try moves between two extremes: the whole scene is in front of the depth of field, or the
+        // whole scene is behind it
+        let farthest = if left_out > ENDS[0] { ends[0] } else { farthest };
+        let (first, last) = ((low - nearest).min(0.0).max(least), (high - farthest).max(0.0).max(least));
+        let at = |i: usize| first + (last - first) * i as f64 / (TRIED - 1) as f64;
+        let moves = if means.moves { TRIED } else { 0 };
+        let tried: Vec<(f64, f64, f64)> =
+            (0..moves).map(at).chain([0.0]).map(|by| (by, share(by), scale_at(by))).collect();
+        let most = tried.iter().fold(0.0, |most: f64, (_, share, _)| most.max(*share));
+        let good = tried.iter().filter(|(_, share, _)| *share >= most - AS_GOOD);
+        // choose the moves with the least compression, and among them the most even position
+        let largest = good.clone().fold(0.0, |largest: f64, (_, _, scale)| largest.max(*scale));
+        let good = good.filter(|(_, _, scale)| *scale >= largest * (1.0 - AS_GOOD));
+        let best = good.min_by(|a, b| uneven(a.0).total_cmp(&uneven(b.0)));
+        let (moved_back_mm, depth_scale) = best.map_or((0.0, *scale), |(by, _, scale)| (*by, *scale));
+        let outside = 1.0 - self.inside(moved_back_mm, depth_scale);
+        Fit { moved_back_mm, depth_scale, left_out, outside, is_refused: false }
+    }
 }
 
 /// Returns a value proportional to the parallax of depth z.
@@ -306,12 +406,12 @@ mod tests {
 
     #[test]
     fn unasked_nothing_changes_where_the_scene_fits() {
-        let stay = Fit { moved_back_mm: 0.0, depth_scale: 1.0 };
+        let stays = |fit: Fit| fit.moved_back_mm == 0.0 && fit.depth_scale == 1.0 && !fit.is_refused;
         for means in [AUTO, IN_PLACE] {
             // a fiftieth of the depths at either end may be outside, so nothing changes
-            assert_eq!(best_fit(&evenly(-81.0, 81.0), RANGE, Projection::Oblique, 1.0, means), stay);
-            assert_eq!(best_fit(&evenly(10.0, 60.0), RANGE, PERSPECTIVE, 1.0, means), stay);
-            assert_ne!(best_fit(&evenly(-120.0, 81.0), RANGE, Projection::Oblique, 1.0, means), stay);
+            assert!(stays(best_fit(&evenly(-81.0, 81.0), RANGE, Projection::Oblique, 1.0, means)));
+            assert!(stays(best_fit(&evenly(10.0, 60.0), RANGE, PERSPECTIVE, 1.0, means)));
+            assert!(!stays(best_fit(&evenly(-120.0, 81.0), RANGE, Projection::Oblique, 1.0, means)));
         }
         // a scene that does not fit is moved first, then compressed as far as needed
         let moved = best_fit(&evenly(60.0, 200.0), RANGE, Projection::Oblique, 1.0, AUTO);
@@ -320,6 +420,59 @@ mod tests {
         let squeezed = best_fit(&evenly(100.0, 160.0), RANGE, Projection::Oblique, 1.0, IN_PLACE);
         assert_eq!(squeezed.moved_back_mm, 0.0);
         assert!((squeezed.depth_scale * 158.8 - 80.0).abs() < 0.2, "{squeezed:?}");
+    }
+
+    /// A subject of 120 mm depth stands before a backdrop that is 50 m away in display space.
+    #[test]
+    fn a_far_backdrop_does_not_flatten_the_subject() {
+        for backdrop in [0.08, 0.3, 0.6] {
+            let far = (1000.0 * backdrop) as usize;
+            let mut depths = vec![-50_000.0; far];
+            depths.extend(evenly(-20.0, 100.0).into_iter().take(1000).skip(far));
+            depths.sort_by(f64::total_cmp);
+            for means in [AUTO, COMPRESS, IN_PLACE] {
+                for projection in [Projection::Oblique, PERSPECTIVE] {
+                    let fit = best_fit(&depths, RANGE, projection, 1.0, means);
+                    let name = format!("{backdrop} {means:?} {projection:?} {fit:?}");
+                    // Perspective compresses depth behind the window, so there a scale of a fifth
+                    // suffices for all content.
+                    if projection == Projection::Oblique {
+                        assert!(fit.depth_scale > 0.7, "{name}");
+                        assert!(fit.outside < backdrop + 0.03, "{name}");
+                    } else {
+                        assert!(fit.depth_scale > 0.1 && fit.outside < backdrop + 0.03, "{name}");
+                    }
+                }
+            }
+        }
+    }
+
+    /// A tail of the depths is left out if the rest then has at least twice the parallax.
+    #[test]
+    fn a_thin_tail_is_left_out_for_parallax() {
+        let with_tail = |tail: usize, far: f64| {
+            let mut depths = evenly(-90.0, 90.0);
+            depths.iter_mut().take(tail).for_each(|z| *z = far);
+            depths.sort_by(f64::total_cmp);
+            best_fit(&depths, RANGE, Projection::Oblique, 1.0, AUTO)
+        };
+        let short = with_tail(70, -1000.0);
+        assert!(short.left_out == 0.1 && short.depth_scale > 0.9 && short.outside < 0.115, "{short:?}");
+        // the tail of 15 % is not thin, and −200 mm is not far
+        for kept in [with_tail(150, -1000.0), with_tail(70, -200.0)] {
+            assert!(kept.left_out == ENDS[0] && kept.outside < 0.05 && kept.depth_scale < 0.7, "{kept:?}");
+        }
+    }
+
+    /// All but a twentieth of the picture is a kilometre away, and the rest is in the window. No
+    /// scale shows both, and none shows more than the rest.
+    #[test]
+    fn a_useless_compression_is_refused() {
+        let mut depths = vec![-1e6; 950];
+        depths.extend([0.0; 50]);
+        let fit = best_fit(&depths, RANGE, Projection::Oblique, 1.0, AUTO);
+        assert!(fit.is_refused && fit.moved_back_mm == 0.0 && fit.depth_scale == 1.0, "{fit:?}");
+        assert!((fit.outside - 0.95).abs() < 1e-9);
     }
 
     #[test]
@@ -348,7 +501,7 @@ mod tests {
     #[test]
     fn nothing_to_see_and_a_flat_scene_are_fine() {
         let none = best_fit(&[], RANGE, Projection::Oblique, 0.7, COMPRESS);
-        assert_eq!(none, Fit { moved_back_mm: 0.0, depth_scale: 0.7 });
+        assert_eq!((none.moved_back_mm, none.depth_scale, none.is_refused), (0.0, 0.7, false));
         let flat = best_fit(&[30.0; 9], RANGE, Projection::Oblique, 1.0, COMPRESS);
         assert!((flat.moved_back_mm + 30.0).abs() < 0.2 && flat.depth_scale == 1.0, "{flat:?}");
         // the depth of field of a single layer is a plane

@@ -12,6 +12,9 @@ use crate::{UsdError, blend};
 const BPY: &str = "import sys\ntry: import bpy\nexcept ImportError as error: sys.exit(str(error))\n\
     print('Blender', bpy.app.version_string, 'as a module')";
 
+/// Oldest version of Blender that reads `.blend` files for us, as in `python/blend.py`.
+const OLDEST_BLENDER: [u32; 2] = [4, 2];
+
 /// `Ok` has the program that reads a kind of file, and its version. `Err` lists the programs that
 /// were tried, each with its failure, if none can read the file.
 pub type There = Result<(String, String), Vec<String>>;
@@ -28,6 +31,7 @@ pub fn openusd(cancel: &Cancel) -> Result<There, UsdError> {
             command.args(["-c", CHECK]).env("PYTHONSAFEPATH", "1");
             command
         },
+        |_| None,
         cancel,
     )
 }
@@ -47,21 +51,38 @@ pub fn blender(cancel: &Cancel) -> Result<There, UsdError> {
             };
             command
         },
+        too_old,
         cancel,
     )
+}
+
+/// Returns the failure of a Blender that is too old. `said` begins with its name and version.
+fn too_old(said: &str) -> Option<String> {
+    let number = |text: &str| text.chars().take_while(char::is_ascii_digit).collect::<String>().parse::<u32>().ok();
+    let mut parts = said.strip_prefix("Blender ")?.split('.').map(number);
+    let version = [parts.next()??, parts.next()??];
+    let [major, minor] = OLDEST_BLENDER;
+    (version < OLDEST_BLENDER).then(|| format!("{said}; {major}.{minor} is the oldest supported version"))
 }
 
 fn first_of(
     candidates: &[Candidate],
     question: impl Fn(&Candidate) -> Command,
+    refusal: impl Fn(&str) -> Option<String>,
     cancel: &Cancel,
 ) -> Result<There, UsdError> {
     let mut tried = Vec::new();
     for candidate in candidates {
         let program = candidate.program.display().to_string();
         match run(&mut question(candidate), &mut |_| {}, cancel)? {
-            // Blender prints its version first, and then details of its build
-            Ok(said) => return Ok(Ok((program, said.lines().next().unwrap_or_default().trim().to_owned()))),
+            Ok(said) => {
+                // Blender prints its version first, and then details of its build
+                let version = said.lines().next().unwrap_or_default().trim();
+                match refusal(version) {
+                    None => return Ok(Ok((program, version.to_owned()))),
+                    Some(found) => tried.push(format!("{program} from {}: {found}", candidate.from)),
+                }
+            }
             Err(found) => tried.push(format!("{program} from {}: {found}", candidate.from)),
         }
     }
@@ -88,10 +109,16 @@ mod tests {
         let broken = program(folder.path(), "broken", "echo no module >&2; exit 1");
         let good = program(folder.path(), "good", "echo Version 7; echo built on a Monday");
         let ask = |candidates: &[Candidate]| {
-            first_of(candidates, |candidate| Command::new(&candidate.program), &Cancel::default()).unwrap()
+            first_of(candidates, |candidate| Command::new(&candidate.program), too_old, &Cancel::default()).unwrap()
         };
         let (found, version) = ask(&[broken.clone(), good]).unwrap();
         assert!(found.ends_with("good") && version == "Version 7", "{found}: {version}");
+        // a Blender that is too old does not count
+        let old = program(folder.path(), "blender", "echo Blender 3.4.1; echo built on a Monday");
+        let new = program(folder.path(), "blender-4", "echo Blender 4.2.0 LTS");
+        assert_eq!(ask(&[old.clone(), new]).unwrap().1, "Blender 4.2.0 LTS");
+        let tried = ask(&[old]).unwrap_err();
+        assert!(tried[0].contains("Blender 3.4.1; 4.2 is the oldest supported version"), "{tried:?}");
         let missing = Candidate { program: folder.path().join("nowhere"), from: "PATH", given: false };
         let tried = ask(&[broken, missing]).unwrap_err();
         assert!(tried[0].contains("broken from PATH") && tried[0].contains("no module"), "{tried:?}");

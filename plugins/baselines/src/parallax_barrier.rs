@@ -72,7 +72,8 @@ impl NodePlugin for ParallaxBarrier {
         let positions = period[0] * period[1];
         if display.frames < positions {
             host.warn(&format!(
-                "frames: {}, fewer than the {positions} positions of the slits: the picture shows gaps between the slits",
+                "frames: expected {positions}, one for each position of the slits, found {}: the picture shows gaps between the slits. Set `frames = {positions}`, \
+                 or reduce `views`, or period_x and period_y",
                 display.frames
             ));
         }

@@ -23,30 +23,38 @@ struct Index<'a> {
     file: &'a str,
     width: usize,
     height: usize,
-    tiles: Vec<Tile>,
+    tiles: Vec<Tile<'a>>,
 }
 
 /// The position of one mask in the picture: columns x..x + width, and rows y..y + height from the
 /// top.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(crate = "lumistack_plugin::serde")]
-struct Tile {
+struct Tile<'a> {
     layer: usize,
     frame: usize,
     x: usize,
     y: usize,
     width: usize,
     height: usize,
+    /// Transfer function from light to the tile's code values.
+    encoding: &'a Transfer,
 }
 
-/// Writes the picture and its index; returns [columns, rows] of the picture. `transfer` is the
-/// transfer function that all masks share; `None` if they have different ones. `samples(layer,
-/// frame)` returns a mask's 8-bit samples `[row][col][rgb]`.
+/// Returns the transfer function that all layers share; `None` if they have different ones.
+pub(crate) fn shared<'a>(transfers: &[&'a Transfer]) -> Option<&'a Transfer> {
+    let (first, others) = transfers.split_first()?;
+    others.iter().all(|other| other == first).then_some(*first)
+}
+
+/// Writes the picture and its index; returns [columns, rows] of the picture. `transfers` has the
+/// transfer function of each layer's masks. `samples(layer, frame)` returns a mask's 8-bit samples
+/// `[row][col][rgb]`.
 pub(crate) fn write(
     host: &Host,
     folder: &str,
     stack: &StackInput<'_>,
-    transfer: Option<&Transfer>,
+    transfers: &[&Transfer],
     mut samples: impl FnMut(usize, usize) -> Result<Vec<u8>, PluginError>,
 ) -> Result<[usize; 2], PluginError> {
     // Compute the positions of all tiles: one band of rows per frame, with the layers side by side.
@@ -56,12 +64,20 @@ pub(crate) fn write(
     let height = band * stack.frames();
     let tiles = (0..stack.frames()).flat_map(|frame| {
         let mut x = 0;
-        let tiles: Vec<Tile> = sizes
+        let tiles: Vec<Tile<'_>> = sizes
             .iter()
             .enumerate()
             .map(|(layer, &[rows, cols])| {
                 x += cols;
-                Tile { layer, frame, x: x - cols, y: frame * band, width: cols, height: rows }
+                Tile {
+                    layer,
+                    frame,
+                    x: x - cols,
+                    y: frame * band,
+                    width: cols,
+                    height: rows,
+                    encoding: transfers[layer],
+                }
             })
             .collect();
         tiles
@@ -74,7 +90,7 @@ pub(crate) fn write(
     let mut writer = BufWriter::new(&mut file);
     let mut encoder = png::Encoder::new(&mut writer, side(width)?, side(height)?);
     encoder.set_color(png::ColorType::Rgb);
-    if let Some(transfer) = transfer {
+    if let Some(transfer) = shared(transfers) {
         say_encoding(&mut encoder, transfer);
     }
     encoder.set_compression(png::Compression::Fast);

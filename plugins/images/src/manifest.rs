@@ -96,9 +96,11 @@ pub(crate) struct NamedView {
 pub(crate) enum Format {
     /// PNG with code values. `panel_bits` and the dithering are stated if the panel has fewer bits
     /// than the file.
+    /// `encoding` is missing if parts of the picture have different transfer functions.
     Png {
         bits: u32,
-        encoding: Transfer,
+        #[serde(skip_serializing_if = "Option::is_none")]
+        encoding: Option<Transfer>,
         #[serde(skip_serializing_if = "Option::is_none")]
         panel_bits: Option<u32>,
         #[serde(skip_serializing_if = "Option::is_none")]

@@ -65,13 +65,14 @@ impl Images {
         let folder = folder(time);
         if self.params.atlas {
             let samples = |layer, frame| self.layer_samples(stack, layer, frame);
-            let mut transfers = self.display.layers.iter().map(|layer| self.params.encode.of_panel(&layer.transfer));
-            let first = transfers.next().filter(|first| transfers.all(|other| other == *first));
-            let [width, height] = atlas::write(&self.host, &folder, stack, first, samples)?;
+            let layers = self.display.layers.iter();
+            let transfers: Vec<&Transfer> = layers.map(|layer| self.params.encode.of_panel(&layer.transfer)).collect();
+            let [width, height] = atlas::write(&self.host, &folder, stack, &transfers, samples)?;
             let content = Content::Atlas { index: format!("{folder}atlas.json") };
-            // Each tile is encoded by the transfer function of its own panel. The entry states the
-            // function of layer 0.
-            let format = self.png_format(8, self.params.encode.of_panel(&self.display.layers[0].transfer), None);
+            // Each tile is encoded by the transfer function of its own panel, which the index
+            // states. The entry states the function only if all tiles share it.
+            let encoding = atlas::shared(&transfers).cloned();
+            let format = Format::Png { bits: 8, encoding, panel_bits: None, dither: None };
             let linear = self.params.encode == Encode::Linear;
             entries.push(entry(format!("{folder}atlas.png"), content, format, linear, Some([height, width]), time));
         }
@@ -251,7 +252,7 @@ impl Images {
             bands.push(views.iter().map(|view| sheet::view(source, *view)).collect());
         }
         let [width, height] = sheet::write(&self.host, &path, &legend, &bands)?;
-        let format = Format::Png { bits: 8, encoding: Transfer::Srgb, panel_bits: None, dither: None };
+        let format = Format::Png { bits: 8, encoding: Some(Transfer::Srgb), panel_bits: None, dither: None };
         Ok(entry(path, Content::Sheet, format, false, Some([height, width]), time))
     }
 
@@ -414,7 +415,7 @@ impl Images {
             Dither::BlueNoise => Some("blue_noise"),
             Dither::Diffusion => Some("diffusion"),
         });
-        Format::Png { bits, encoding: transfer.clone(), panel_bits, dither }
+        Format::Png { bits, encoding: Some(transfer.clone()), panel_bits, dither }
     }
 }
 

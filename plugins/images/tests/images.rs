@@ -579,6 +579,19 @@ fn pngs_say_how_their_codes_stand_for_light() {
     assert!(has(&files, "sheet.png", "sRGB") && has(&files, "swing.png", "sRGB"));
     let files = write(&sample, json!({"encode": "linear", "atlas": true})).unwrap();
     assert!(has(&files, "layer_0_frame_00_linear.png", "gAMA") && has(&files, "atlas.png", "gAMA"));
+    // The layers of an atlas keep their own transfer functions, which the index states. The entry
+    // states a function only if all layers share it.
+    let entry = |files: &Files| {
+        let manifest: Value = from_slice(&files["images.json"]).unwrap();
+        let entries = manifest["files"].as_array().unwrap();
+        entries.iter().find(|entry| entry["file"] == "atlas.png").unwrap()["encoding"].clone()
+    };
+    assert_eq!(entry(&files), "linear");
+    let files = write(&sample, json!({"atlas": true})).unwrap();
+    let index: Value = from_slice(&files["atlas.json"]).unwrap();
+    let encodings: Vec<&Value> = (0..3).map(|layer| &index["tiles"][layer]["encoding"]).collect();
+    assert!(entry(&files).is_null() && encodings[0] == "srgb" && encodings[1] == "linear", "{encodings:?}");
+    assert!(encodings[2].to_string().contains("2.2"), "{encodings:?}");
     let files = write(&light_field(), json!({"stanford": true})).unwrap();
     let stanford = files.keys().find(|name| name.starts_with("stanford/") && name.ends_with(".png")).unwrap();
     assert!(has(&files, stanford, "sRGB"));

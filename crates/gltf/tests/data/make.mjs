@@ -1,7 +1,11 @@
-// Writes the files of this folder with encoders of other projects. Run once, by hand:
-//   npm install @gltf-transform/core@4 @gltf-transform/extensions@4 @gltf-transform/functions@4 draco3dgltf meshoptimizer ktx2-encoder
+// Writes the files of this folder with encoders of other projects. Run it once, by hand:
+//
+//   npm install @gltf-transform/core@4 @gltf-transform/extensions@4
+//   npm install @gltf-transform/functions@4 draco3dgltf meshoptimizer ktx2-encoder
 //   node make.mjs FOLDER
-// A grid of 5 × 4 vertices on z = sin(x) · y with normals and coordinates, on a node that turns; and a picture of 20 × 12 texels.
+//
+// The scene is a grid of 5 × 4 vertices on z = sin(x) · y with normals and coordinates. Its node
+// turns, and its picture has 20 × 12 texels.
 import { writeFileSync } from 'node:fs';
 import { Document, NodeIO } from '@gltf-transform/core';
 import { ALL_EXTENSIONS, EXTMeshoptCompression, KHRDracoMeshCompression } from '@gltf-transform/extensions';

@@ -131,7 +131,12 @@ impl Sums {
 /// Reads the target of a run. The folder of a node has no target, so the target is read from the
 /// run folder around it.
 pub(super) fn target_of(run: &Path) -> Result<Option<LightField>, PipelineError> {
-    for folder in [run.join("target"), run.join("../../target")] {
+    // The folder of a node is nodes/ID in its run. The path may be relative, such as `.`, so it is
+    // resolved first.
+    let whole = std::fs::canonicalize(run).unwrap_or_else(|_| run.to_owned());
+    let nodes = whole.parent().filter(|parent| parent.file_name().is_some_and(|name| name == "nodes"));
+    let around = nodes.and_then(Path::parent).map(|around| around.join("target"));
+    for folder in [Some(run.join("target")), around].into_iter().flatten() {
         if folder.join("lightfield.json").is_file() {
             return Ok(Some(lumistack_field_io::read_field_folder(&folder).map_err(field_error)?.0));
         }

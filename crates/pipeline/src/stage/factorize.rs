@@ -6,7 +6,7 @@ use std::time::Instant;
 use lumistack_core::Task;
 use lumistack_core::config::nearest;
 use lumistack_display::{Display, LayerStack, LightField, StackError, Weights};
-use lumistack_factorizer::{AUTO, Factorization, Problem, StartKind};
+use lumistack_factorizer::{AUTO, Factorization, FactorizeError, Problem, StartKind};
 use lumistack_field_io::npy::NpyFile;
 use lumistack_report::{Iteration, Solution};
 use serde::{Deserialize, Serialize};
@@ -308,7 +308,13 @@ pub(crate) fn check(job: &FactorizeJob) -> Result<(), PipelineError> {
     if let Some(path) = &job.warm_start {
         lumistack_field_io::read_stack_index(path).map_err(field_error)?;
     }
-    lumistack_factorizer::solver(&job.solver).map(drop).map_err(PipelineError::Factorize)
+    match lumistack_factorizer::solver(&job.solver) {
+        Ok(_) => Ok(()),
+        Err(FactorizeError::UnknownSolver { expected, found }) => {
+            Err(PipelineError::job("factorize.solver", format!("one of {expected}"), found))
+        }
+        Err(error) => Err(PipelineError::Factorize(error)),
+    }
 }
 
 pub(crate) fn solver_settings(job: &FactorizeJob, seed: u64) -> Result<lumistack_factorizer::Settings, PipelineError> {

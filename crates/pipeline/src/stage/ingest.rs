@@ -16,7 +16,7 @@ use lumistack_shot::SceneRenderer;
 use lumistack_usd::{BlendContents, HandedOver};
 
 use crate::error::{PipelineError, host_error, read};
-use crate::job::{ImporterJob, LightJob, PoseJob};
+use crate::job::{ImporterJob, Job, LightJob, PoseJob};
 use crate::reader::{Reader, reader_of};
 use crate::store::handover;
 use crate::store::key::{KeyBuilder, hash};
@@ -211,6 +211,19 @@ pub fn ingest_scene(
         files.push(("memory".into(), hasher.finalize().to_hex().to_string()));
     }
     lit(scene, files, pose, light_job, task)
+}
+
+/// Checks that a job's scene has a reader and, for glTF, the camera that the job names. Other
+/// readers need another program, so their cameras are checked when the scene is read.
+///
+/// # Errors
+/// If the scene has no reader or no such camera, or a glTF file cannot be read.
+pub(crate) fn check_scene(job: &Job, registry: &Registry, task: Task<'_>) -> Result<(), PipelineError> {
+    let Some(path) = &job.scene else { return Ok(()) };
+    let reader = reader_of(path, &job.importer, registry)?;
+    let Some(camera) = job.window.camera.as_ref().filter(|_| reader == Reader::Gltf) else { return Ok(()) };
+    let (scene, _) = load_gltf(path, &job.pose, &reader, &job.importer, registry, task)?;
+    Ok(lumistack_shot::find_camera(&scene, camera).map(drop)?)
 }
 
 fn lit(

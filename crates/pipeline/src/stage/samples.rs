@@ -81,7 +81,11 @@ pub(crate) fn measured(
 ) -> Result<Option<Samples>, PipelineError> {
     let geometry = display.geometry().map_err(|source| display_error(source, "field"))?;
     let views = geometry.grid.iter().count();
-    let is_ours = job.render.engine != Engine::Blender && ingested.blend().is_none();
+    let is_ours = match job.render.engine {
+        Engine::Lumistack => true,
+        Engine::Blender => false,
+        Engine::Auto => ingested.blend().is_none(),
+    };
     // Do not measure for fixed views. A display with fixed views is correct only at its views.
     // Noise is measured between views, where it has less effect than the display's error.
     let is_chosen = !matches!(display.field.views, Views::Fixed(_));

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use lumistack_core::Task;
-use lumistack_usd::{BlendAccount, HandedOver};
+use lumistack_usd::{BlendAccount, BlendContents, HandedOver};
 use serde::{Deserialize, Serialize};
 
 use super::code;
@@ -70,6 +70,25 @@ pub(crate) fn hand_over(
     Ok(handed)
 }
 
+/// Returns the contents of a `.blend` file from its cached conversion, without running Blender;
+/// `None` if no valid conversion is cached.
+pub(crate) fn known(path: &Path, time_s: Option<f64>, folder: &Path) -> Option<BlendContents> {
+    let [stamp, _] = cached_files(path, time_s, &lumistack_usd::blend_surroundings(), folder);
+    let kept = read_json::<CachedConversion>(&stamp).filter(CachedConversion::holds)?;
+    Some(kept.account.contents)
+}
+
+/// Returns the files of a cached conversion: its record and the scene.
+fn cached_files(path: &Path, time_s: Option<f64>, surroundings: &str, folder: &Path) -> [PathBuf; 2] {
+    // The key contains the file's path, the time, and a text that identifies Blender and our script
+    // in Blender.
+    let mut key = KeyBuilder::new("blend", code::SCENE);
+    let place = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    key.add("path", place.as_os_str().as_encoded_bytes()).add_json("time", &time_s);
+    let key = key.add("surroundings", surroundings.as_bytes()).finish();
+    ["json", "glb"].map(|kind| folder.join(format!("blend-{}.{kind}", &key[..16])))
+}
+
 fn kept_or(
     convert: impl FnOnce() -> Result<HandedOver, PipelineError>,
     path: &Path,
@@ -77,13 +96,8 @@ fn kept_or(
     surroundings: &str,
     folder: &Path,
 ) -> Result<HandedOver, PipelineError> {
-    // The key contains the file's path, the time, and a text that identifies Blender and our script
-    // in Blender.
-    let mut key = KeyBuilder::new("blend", code::SCENE);
     let place = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-    key.add("path", place.as_os_str().as_encoded_bytes()).add_json("time", &time_s);
-    let key = key.add("surroundings", surroundings.as_bytes()).finish();
-    let [stamp, file] = ["json", "glb"].map(|kind| folder.join(format!("blend-{}.{kind}", &key[..16])));
+    let [stamp, file] = cached_files(path, time_s, surroundings, folder);
     if let Some(kept) = read_json::<CachedConversion>(&stamp).filter(CachedConversion::holds)
         && let Ok(glb) = std::fs::read(&file)
         && hash(&glb) == kept.glb

@@ -1,10 +1,24 @@
 //! The window through which the display looks at a scene: given by numbers, by a camera, or framed
 //! on the visible scene.
+//!
+//! A camera without a focus distance has its window at the centre of the scene's bounds, if most of
+//! the visible content is there. Otherwise the window is at the distance
+//!
+//! ```text
+//! d* = Σ q / Σ q²,   q = 1/d
+//! ```
+//!
+//! where d are the distances of the visible surfaces, one per pixel of the camera's picture.
+//! Parallel views show content at distance d with d/d* of the size that it has in the camera's
+//! picture. So a window in the middle between a subject and a far backdrop would show the subject
+//! as a speck. d* minimizes Σ q (q − 1/d*)². Each surface counts by its parallax, so near surfaces
+//! decide, and a backdrop hardly has an effect, even if it covers most of the picture.
 
 use glam::DVec3;
 use lumistack_core::{Task, Tensor};
-use lumistack_display::{FieldGeometry, ViewGrid};
-use lumistack_scene::{Camera, Scene, Window};
+use lumistack_display::{FieldGeometry, Projection, ViewGrid};
+use lumistack_scene::{Camera, Projection as Lens, Scene, Window};
+use serde::{Deserialize, Serialize};
 
 use super::side;
 use crate::error::ShotError;
@@ -19,6 +33,19 @@ const COVERAGE: f64 = 0.26;
 const CLOSEST: f64 = 0.58;
 /// Largest number of columns of the view from straight ahead that finds where the scene is visible.
 const PROBE_COLS: usize = 336;
+/// Number of columns of the camera's picture that finds the distances of the visible surfaces.
+const FOCUS_COLS: usize = 210;
+/// Fraction of the picture that the nearest surfaces must cover to have their full weight. Smaller
+/// things, such as a blade of grass in front of the lens, count as if they were farther away.
+const STRAY: f64 = 0.02;
+/// The window is at the centre of the bounds if the centre's distance differs from d* by at most
+/// this factor. The bounds also hold content that the camera does not see, so they suit compact
+/// scenes.
+const CENTRED: f64 = 1.5;
+/// Content is far if its distance from the camera exceeds the window's distance by this factor.
+const FAR: f64 = 10.0;
+/// A warning reports far content if it covers at least this fraction of the camera's picture.
+const FAR_SHARE: f64 = 0.02;
 
 /// A window before depth is fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,17 +129,102 @@ fn unlimited_window<S: Subject>(
     };
     // A camera's own plane of focus stays. A window of a camera without focus may shrink.
     let Some(camera) = camera else { return framed() };
-    let focus_distance = job.focus_distance.or(camera.focus_distance);
-    let found = |window| Found { window, chosen: focus_distance.is_some(), looked_from_deg: None };
+    let stated = job.focus_distance.or(camera.focus_distance);
+    let focus_distance = match stated {
+        Some(distance) => Some(distance),
+        None => focus(subject, camera, geometry, task)?,
+    };
+    let found = |window| Found { window, chosen: stated.is_some(), looked_from_deg: None };
     match Window::from_camera(&Camera { focus_distance, ..camera.clone() }, scene.seen_bounds(), size_mm) {
-        Ok(window) if focus_distance.is_some() || job.from == WindowFrom::Camera || job.camera.is_some() => {
-            Ok(found(window))
-        }
+        Ok(window) if stated.is_some() || job.from == WindowFrom::Camera || job.camera.is_some() => Ok(found(window)),
         Ok(window) => close_up(subject, window, geometry, false, task).map(found),
         // a camera that the job does not name must not cause an error, so frame the scene instead
         Err(_) if job.from == WindowFrom::Auto && job.camera.is_none() => framed(),
         Err(source) => Err(error(source).into()),
     }
+}
+
+/// The distances of the surfaces that a camera sees, scene units.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct Seen {
+    /// The distance d* of the window.
+    focus: f64,
+    /// Distance of the farthest surface.
+    farthest: f64,
+    /// Fraction of the surfaces that are far.
+    far_share: f64,
+}
+
+impl Seen {
+    /// Measures distances, which need not be sorted. `None` without any.
+    fn of(mut distances: Vec<f64>) -> Option<Self> {
+        distances.sort_by(f64::total_cmp);
+        let &farthest = distances.last()?;
+        // the smallest things count as if they were not nearer than larger things
+        let nearest = distances[(STRAY * (distances.len() - 1) as f64).round() as usize];
+        let disparities = distances.iter().map(|distance| 1.0 / distance.max(nearest));
+        let [sum, squares] = disparities.fold([0.0; 2], |[sum, squares], q| [sum + q, squares + q * q]);
+        let focus = sum / squares;
+        let far = distances.len() - distances.partition_point(|distance| *distance <= FAR * focus);
+        Some(Self { focus, farthest, far_share: far as f64 / distances.len() as f64 })
+    }
+}
+
+/// Returns the distance d* of a camera without focus, and warns of content that is far behind it.
+/// `None` if the camera sees no surface, or if the centre of the bounds is nearly at this distance.
+fn focus<S: Subject>(
+    subject: &S,
+    camera: &Camera,
+    geometry: &FieldGeometry,
+    task: Task<'_>,
+) -> Result<Option<f32>, S::Error> {
+    let size_mm = geometry.size_mm();
+    // Any window of the camera shows its whole picture to an eye at the camera's place.
+    let reach = subject.scene().seen_bounds().size().length();
+    let at = Camera { focus_distance: Some(reach), ..camera.clone() };
+    let Ok(window) = Window::from_camera(&at, subject.scene().seen_bounds(), size_mm) else { return Ok(None) };
+    let centre = Window::from_camera(camera, subject.scene().seen_bounds(), size_mm).ok().map(|middle| {
+        let ahead = middle.scene_from_display.translation - window.scene_from_display.translation;
+        f64::from(reach) + ahead.dot(window.scene_from_display.rotation * DVec3::NEG_Z)
+    });
+    let seen: Option<Seen> = subject.remembered("focus", &format!("{window:?} {camera:?}"), || {
+        let (scale, distance) = (window.scene_from_display.scale, f64::from(reach));
+        let projection = match camera.projection {
+            Lens::Perspective { .. } => Projection::Perspective { distance_mm: distance / scale },
+            Lens::Orthographic { .. } => Projection::Oblique,
+        };
+        let cols = geometry.cols.min(FOCUS_COLS);
+        let pitch_mm = size_mm[0] / cols as f64;
+        let rows = ((size_mm[1] / pitch_mm).round() as usize).max(1);
+        let probe = FieldGeometry { rows, cols, pitch_mm, grid: ViewGrid::single(projection, [0.0; 2]) };
+        let depth = subject.renderer(task)?.depth(&window, &probe, [0, 0], task)?;
+        let distances = depth.data().iter().map(|z| distance - f64::from(*z) * scale);
+        Ok(Seen::of(distances.filter(|distance| distance.is_finite() && *distance > 0.0).collect()))
+    })?;
+    let Some(seen) = seen else { return Ok(None) };
+    if centre.is_some_and(|centre| (1.0 / CENTRED..=CENTRED).contains(&(centre / seen.focus))) {
+        return Ok(None);
+    }
+    if seen.far_share >= FAR_SHARE {
+        task.warn(
+            format!("camera {}", camera.name),
+            format!(
+                "it has no focus distance, so the window is {} scene units in front of it, near the nearest surfaces. {:.0} % of its picture is more than {FAR} \
+                 times as far away, up to {} scene units, and becomes blurred. If the subject is elsewhere, set the camera's focus distance (in Blender: \
+                 Depth of Field, Focus on Object), or the job's `focus_distance`",
+                rounded(seen.focus),
+                100.0 * seen.far_share,
+                rounded(seen.farthest)
+            ),
+        );
+    }
+    Ok(Some(seen.focus as f32))
+}
+
+/// Returns a number with about three digits.
+fn rounded(value: f64) -> String {
+    let digits = (2 - value.abs().max(1e-9).log10().floor() as i32).clamp(0, 9) as usize;
+    format!("{value:.digits$}")
 }
 
 /// Scales a window in its own plane to the visible scene, without cutting off visible content. With
@@ -185,7 +297,11 @@ fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
     ((covered / COVERAGE).sqrt().max(least).min(1.0), middle)
 }
 
-fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, ShotError> {
+/// Finds a camera by its name, or else by its number from 0.
+///
+/// # Errors
+/// If the scene has no such camera.
+pub fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, ShotError> {
     let by_name = scene.cameras.iter().find(|camera| camera.name == wanted);
     let by_number = || wanted.parse::<usize>().ok().and_then(|number| scene.cameras.get(number));
     by_name.or_else(by_number).ok_or_else(|| {
@@ -237,6 +353,29 @@ mod tests {
         let empty = mask(10, 16, |_, _| false);
         assert_eq!(whole(&empty), (1.0, [5.0, 8.0]));
         assert_eq!(closer(&empty), (1.0, [5.0, 8.0]));
+    }
+
+    #[test]
+    fn near_surfaces_place_the_window() {
+        let picture = |near: usize, [from, to]: [f64; 2], far: f64| {
+            let mut distances = vec![far; 1000 - near];
+            distances.extend((0..near).map(|i| from + (to - from) * i as f64 / near as f64));
+            Seen::of(distances).unwrap()
+        };
+        // A subject at 3 m covers a twentieth, a third or most of the picture. The backdrop is at
+        // 300 m, and the middle of all depths would be 150 m.
+        for near in [50, 330, 900] {
+            let seen = picture(near, [2.8, 3.2], 300.0);
+            assert!((2.8..4.5).contains(&seen.focus), "{near}: {seen:?}");
+            assert!((seen.far_share - (1.0 - near as f64 / 1000.0)).abs() < 1e-9 && seen.farthest == 300.0);
+        }
+        // without a backdrop, the window is near the middle of the surfaces
+        let compact = picture(1000, [2.5, 3.5], 0.0);
+        assert!((compact.focus - 3.0).abs() < 0.1 && compact.far_share == 0.0, "{compact:?}");
+        // a blade of grass in front of the lens covers a hundredth of the picture
+        let grass = picture(10, [0.05, 0.06], 4.0);
+        assert!((grass.focus - 4.0).abs() < 1e-9 && grass.far_share == 0.0, "{grass:?}");
+        assert_eq!(Seen::of(Vec::new()), None);
     }
 
     #[test]

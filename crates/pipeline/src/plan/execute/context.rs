@@ -75,6 +75,8 @@ pub(crate) struct Context<'a> {
     pub(crate) sequence: Option<SequenceReport>,
     /// The scene's depth compared with the depth of field of the display in the job.
     pub(crate) depth: Option<DepthBudget>,
+    /// Sentences about the camera and the lights that the scene's file lacks.
+    pub(crate) lacking: Vec<String>,
 }
 
 impl<'a> Context<'a> {
@@ -89,6 +91,7 @@ impl<'a> Context<'a> {
             failed: Vec::new(),
             sequence: None,
             depth: None,
+            lacking: Vec::new(),
         }
     }
 

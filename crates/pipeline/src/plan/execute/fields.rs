@@ -9,6 +9,7 @@ use lumistack_shot::{Placement, ToneMapping};
 use serde_json::json;
 
 use super::context::Context;
+use crate::bare::lacking;
 use crate::error::{PipelineError, display_error};
 use crate::job::Job;
 use crate::plan::steps::PartKind;
@@ -50,6 +51,12 @@ impl Context<'_> {
             Some((_, sequence)) => self.states[sequence].samples,
             None => samples::measured(&job, &ingested, &placement, &display, &cache, task)?,
         };
+        if self.lacking.is_empty() {
+            let path = job.scene.clone().unwrap_or_default();
+            let is_side_chosen = placement.looked_from_deg.is_some() && job.window.look_from.is_none();
+            let no_lights = ingested.studio && ingested.scene.lights.is_empty();
+            self.lacking = lacking(&path, ingested.scene.cameras.is_empty() && is_side_chosen, no_lights);
+        }
         let state = &mut self.states[part];
         (state.placement, state.samples) = (Some(placement), samples);
         Ok(false)

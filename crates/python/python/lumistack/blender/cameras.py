@@ -17,7 +17,7 @@ So the shear is set as the camera's `matrix_parent_inverse`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 Vector = tuple[float, float, float]
@@ -32,6 +32,11 @@ SENSOR_MM = 36.0
 #: Distance of the near clipping plane. It is a fraction of the distance from the camera to the
 #: window in perspective views, and to the farthest content in oblique views.
 NEAREST = 1e-4
+#: Largest factor between the middle of the depths and the distance that near surfaces determine, with
+#: which the window is in the middle.
+CENTRED = 1.5
+#: Fraction of the picture that the nearest surfaces must cover to have their full weight.
+STRAY = 0.02
 
 
 class WindowError(ValueError):
@@ -105,6 +110,29 @@ class ViewCamera:
     shift: tuple[float, float]
     clip_start: float
     clip_end: float
+
+
+def window_distance(depths: Iterable[float]) -> float | None:
+    """Returns the distance of the window for a camera without focus, scene units. None without any
+    depth above 0.
+
+    The distance is the middle of the depths; a tenth at either end is ignored, which contains stray
+    surfaces and the far end of the ground. But a window in the middle between a subject and a far
+    backdrop would show the subject as a speck. So if the middle differs much from the distance
+    Σ q / Σ q², q = 1/depth, which near surfaces determine, the window is at that distance, as in
+    `crates/shot/src/place/window.rs`.
+
+    depths: distances of the visible surfaces along the camera's axis, scene units.
+    """
+    ordered = sorted(depth for depth in depths if depth > 0.0)
+    if not ordered:
+        return None
+    tenth = len(ordered) // 10
+    middle = (ordered[tenth] + ordered[-1 - tenth]) / 2
+    stray = ordered[round(STRAY * (len(ordered) - 1))]
+    disparities = [1.0 / max(depth, stray) for depth in ordered]
+    near = sum(disparities) / sum(part * part for part in disparities)
+    return middle if 1.0 / CENTRED <= middle / near <= CENTRED else near
 
 
 def window_of_camera(

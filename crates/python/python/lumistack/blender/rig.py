@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from .cameras import SENSOR_MM, ViewCamera, Window, window_of_camera
+from .cameras import SENSOR_MM, ViewCamera, Window, window_distance, window_of_camera
 
 #: Name of the objects that this module adds to a scene for a render.
 TEMPORARY = "Lumistack view"
@@ -199,7 +199,7 @@ def focus_of(bpy: Any, camera: Any) -> float | None:
 
 def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: float | None = None, camera: Any = None) -> Window:
     """Returns the window in front of the scene's camera. The window is at the given distance, or
-    else at the camera's plane of focus, or else at the middle of the visible depths."""
+    else at the camera's plane of focus, or else where near content is visible."""
     camera = camera or scene.camera
     if camera is None:
         raise NoWindow("the scene has no camera: add one (Add > Camera, then View > Cameras > Set Active Object as Camera)")
@@ -219,8 +219,8 @@ def window_of(bpy: Any, scene: Any, size_mm: tuple[float, float], distance: floa
 
 
 def middle_of_view(bpy: Any, scene: Any, camera: Any, columns: int = 15, rows: int = 11) -> float | None:
-    """Returns the middle of the visible depths of a camera, scene units. The nearest and the farthest
-    tenth are ignored. None if no content is visible."""
+    """Returns the distance of the window for a camera without focus, scene units. None if no content
+    is visible."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     matrix = camera.evaluated_get(depsgraph).matrix_world.normalized()
     frame = [corner.copy() for corner in camera.data.view_frame(scene=scene)]
@@ -239,12 +239,7 @@ def middle_of_view(bpy: Any, scene: Any, camera: Any, columns: int = 15, rows: i
             hit, point, *_ = scene.ray_cast(depsgraph, origin, direction.normalized())
             if hit:
                 depths.append(float(-(matrix.inverted() @ point).z))
-    if not depths:
-        return None
-    # Omit a tenth at either end, which contains stray surfaces and the far end of the ground.
-    depths.sort()
-    low, high = depths[len(depths) // 10], depths[len(depths) - 1 - len(depths) // 10]
-    return (low + high) / 2
+    return window_distance(depths)
 
 
 def depths_through(bpy: Any, scene: Any, window: Window, distance_mm: float | None, columns: int = 40, rows: int = 25) -> list[float]:

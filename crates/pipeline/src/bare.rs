@@ -1,0 +1,41 @@
+//! Reports what a scene's file lacks: a camera, or lights. Many exporters leave both out by
+//! default, so a user may not expect the replacements.
+
+use std::path::Path;
+
+/// Returns sentences about the camera and the lights that a scene's file lacks, each with the
+/// replacement and the option that changes it.
+pub fn lacking(path: &Path, no_camera: bool, no_lights: bool) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    if no_camera {
+        lines.push(
+            "no camera in the file: the front is seen, or a side with more content; --look-from AZ,EL chooses".into(),
+        );
+    }
+    if no_lights {
+        lines.push("no lights in the file: lit by the built-in studio light; --environment FILE replaces it".into());
+    }
+    let extension = path.extension().unwrap_or_default();
+    if !lines.is_empty() && ["gltf", "glb"].iter().any(|gltf| extension.eq_ignore_ascii_case(gltf)) {
+        let text = "Blender's glTF export contains cameras and lights if Include > Cameras and Include > Punctual Lights are ticked; \
+                    Lumistack also reads .blend files";
+        lines.push(text.into());
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lacking_cameras_and_lights_are_reported_with_a_remedy() {
+        let text = lacking(Path::new("model.GLB"), true, true).join("\n");
+        for part in ["no camera", "--look-from", "no lights", "studio light", "Punctual Lights"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        let of_usd = lacking(Path::new("model.usda"), true, false);
+        assert!(of_usd.len() == 1 && of_usd[0].contains("no camera"), "{of_usd:?}");
+        assert!(lacking(Path::new("model.glb"), false, false).is_empty());
+    }
+}

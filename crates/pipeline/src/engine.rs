@@ -1,0 +1,81 @@
+//! Chooses our path tracer for a `.blend` file before the plan of a run is made.
+//!
+//! Settings with the value `auto` depend on the engine. Blender takes minutes per view, so a
+//! display chooses few views if Blender may render them, and light is not shared between views.
+//! Which engine `auto` selects depends on the converted scene. So the file is converted first, and
+//! the plan gets the settings of the engine that renders.
+
+use std::path::Path;
+
+use lumistack_core::Task;
+use lumistack_usd::BlendContents;
+
+use crate::error::PipelineError;
+use crate::job::{Engine, Job};
+use crate::reader::is_blend;
+use crate::store::handover;
+
+/// Returns the job with the engine `lumistack` if `auto` selects this engine, since the conversion
+/// of the job's `.blend` file loses nothing. Otherwise returns the job as it is. `cache_dir` is the
+/// folder in which the run caches the conversion.
+///
+/// # Errors
+/// If the job is wrong, or Blender does not convert the file.
+pub(crate) fn settled(job: &Job, cache_dir: Option<&Path>, task: Task<'_>) -> Result<Job, PipelineError> {
+    let Some(scene) = undecided(job) else { return Ok(job.clone()) };
+    job.check()?;
+    task.progress.begin("read scene", 1, "scene");
+    let handed = handover::hand_over(scene, job.pose.time_s, cache_dir, task);
+    task.progress.end();
+    Ok(with_engine(job, &handed?.account.contents))
+}
+
+/// Acts as [`settled`] if the conversion is cached. Otherwise returns the job as it is.
+pub(crate) fn settled_by_cache(job: &Job, cache_dir: &Path) -> Job {
+    let known = undecided(job).and_then(|scene| handover::known(scene, job.pose.time_s, cache_dir));
+    known.map_or_else(|| job.clone(), |contents| with_engine(job, &contents))
+}
+
+/// Returns the scene of the job if its content decides on the engine.
+fn undecided(job: &Job) -> Option<&Path> {
+    job.scene.as_deref().filter(|scene| is_blend(scene) && job.render.engine == Engine::Auto)
+}
+
+fn with_engine(job: &Job, contents: &BlendContents) -> Job {
+    let mut job = job.clone();
+    if contents.lost.is_empty() {
+        job.render.engine = Engine::Lumistack;
+    }
+    job
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::job::{Denoise, DisplayJob};
+
+    /// A `.blend` file without content that the conversion loses gets as many views, and shares as
+    /// much light, as the same scene in a glTF file.
+    #[test]
+    fn a_file_that_our_path_tracer_shows_gets_its_settings() {
+        let job = |scene: &str| Job {
+            scene: Some(scene.into()),
+            ..Job::new(DisplayJob::by_name_or_path("paper-three-layer"))
+        };
+        let settings = |job: &Job| {
+            let display = job.resolve_display().unwrap();
+            (display.views(), job.denoise_for(&display))
+        };
+        let of_gltf = settings(&job("shot.glb"));
+        let blend = job("shot.blend");
+        assert!(settings(&blend).0 < of_gltf.0 && settings(&blend).1 == Denoise::Off, "Blender may render");
+        let whole = BlendContents::default();
+        assert_eq!(settings(&with_engine(&blend, &whole)), of_gltf);
+        let hairy = BlendContents { lost: vec!["hair".into()], ..whole.clone() };
+        assert_eq!(settings(&with_engine(&blend, &hairy)), settings(&blend));
+        // an engine that the job names is not changed
+        let mut named = blend.clone();
+        named.render.engine = Engine::Blender;
+        assert!(undecided(&named).is_none() && undecided(&job("shot.glb")).is_none() && undecided(&blend).is_some());
+    }
+}
