@@ -226,6 +226,8 @@ pub(crate) enum Part {
     Weights(Arc<Tensor<4>>),
     /// Values of any shape.
     Values(Vec<usize>, Arc<[f32]>),
+    /// Values of any shape that another object also uses.
+    Shared(Vec<usize>, Arc<Vec<f32>>),
 }
 
 impl Part {
@@ -237,6 +239,7 @@ impl Part {
             Self::Picture(picture) => picture.data(),
             Self::Weights(weights) => weights.data(),
             Self::Values(_, values) => values,
+            Self::Shared(_, values) => values,
         }
     }
 
@@ -247,7 +250,7 @@ impl Part {
             Self::Emission(stack) => stack.emission.as_ref().map_or(vec![0], |emission| emission.shape().to_vec()),
             Self::Picture(picture) => picture.shape().to_vec(),
             Self::Weights(weights) => weights.shape().to_vec(),
-            Self::Values(shape, _) => shape.clone(),
+            Self::Values(shape, _) | Self::Shared(shape, _) => shape.clone(),
         }
     }
 }

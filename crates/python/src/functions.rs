@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use lumistack_core::Task;
+use lumistack_display::Display as Description;
 use lumistack_factorizer::Problem;
 use lumistack_pipeline::{
     FactorizeJob, Job, OutputData, PipelineError, Registry, RenderJob, ReportOn, Viewpoint, WindowJob, factorize_field,
@@ -224,6 +225,7 @@ pub(crate) fn factorize(
     ];
     let job: FactorizeJob = table(py, "factorize", &arguments)?;
     // Adapt the display to the light field.
+    let is_default = display.is_none() && light_field.display.is_none();
     let display = match (display, &light_field.display) {
         (None, Some(display)) => display.clone(),
         (display, _) => display_of(py, display)?,
@@ -249,6 +251,9 @@ pub(crate) fn factorize(
         if let Some(warm) = warm {
             let path = "warm_start".into();
             warm.check(&display).map_err(|source| PipelineError::Stack { path, source })?;
+        }
+        if is_default {
+            task.warn("display", default_warning(&display));
         }
         if let Some(change) = own.backlight_change(&display) {
             task.warn("display", change);
@@ -326,6 +331,7 @@ pub(crate) fn write(
     // Find the data and their display.
     let registry = registry(py)?;
     let params = params.map(|params| map_of("params", params.as_any())).transpose()?.unwrap_or_default();
+    let mut is_default = false;
     let (display, stack, field) = if let Ok(stack) = what.cast::<LayerStack>() {
         let stack = stack.get();
         if display.is_some() {
@@ -334,16 +340,20 @@ pub(crate) fn write(
         (stack.display.clone(), Some(stack.stack.clone()), target.map(|target| target.field.clone()))
     } else if let Ok(field) = what.cast::<LightField>() {
         let field = field.get();
+        is_default = display.is_none() && field.display.is_none();
         let display = match (display, &field.display) {
             (None, Some(display)) => display.clone(),
-            (display, _) => adapted(py, &display_of(py, display)?, &field.field)?,
+            (display, _) => display_of(py, display)?,
         };
-        (display, None, Some(field.field.clone()))
+        (adapted(py, &display, &field.field)?, None, Some(field.field.clone()))
     } else {
         let found = what.get_type().name()?;
         return Err(PyTypeError::new_err(format!("write: expected a LayerStack or a LightField, found {found}")));
     };
     long(py, callback, |task| {
+        if is_default {
+            task.warn("display", default_warning(&display));
+        }
         let data = match (&stack, &field) {
             (Some(stack), target) => OutputData::LayerStack(stack, target.as_deref()),
             (None, Some(field)) => OutputData::LightField(field),
@@ -478,6 +488,14 @@ pub(crate) fn main(py: Python<'_>, arguments: Vec<OsString>, program: Option<OsS
     let program = program.unwrap_or_else(|| "lumistack".into());
     let words: Vec<OsString> = std::iter::once(program).chain(arguments).collect();
     command(py, &words)
+}
+
+/// Returns the warning that a light field without a display gets the default display.
+fn default_warning(display: &Description) -> String {
+    format!(
+        "the light field has no display, so the default is used, {} with {} frames. Remedy: write display=, here or at LightField(...)",
+        display.name, display.frames
+    )
 }
 
 /// Merges a mapping with named arguments; the arguments take precedence.

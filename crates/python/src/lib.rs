@@ -18,11 +18,13 @@ mod field;
 mod field_methods;
 mod functions;
 mod json;
+mod keep;
 mod own;
 mod plugin;
 mod scene;
 mod splats;
 mod stack;
+mod stored;
 mod usd;
 mod work;
 
@@ -42,6 +44,8 @@ mod _lumistack {
     use crate::functions::{
         defaults, displays, factorize, info, main, plugins, render, report, run, set_threads, simulate, write,
     };
+    #[pymodule_export]
+    use crate::keep::{_layer_stack_with, _light_field_with};
     #[pymodule_export]
     use crate::plugin::_plugin_child;
     #[pymodule_export]

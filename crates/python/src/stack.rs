@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use lumistack_core::Tensor;
 use lumistack_display::{
-    Display as Description, LayerStack as Stack, LightField as Field, RayMap, Simulator, Weights, score,
+    Display as Description, LayerStack as Stack, LightField as Field, RayMap, Simulator, ViewGrid, Weights, score,
 };
 use lumistack_factorizer::{Factorization, Iteration};
 use lumistack_pipeline::{FactorizeJob, PipelineError, References, RunFolder, weights_of};
@@ -16,8 +16,13 @@ use crate::array::{Array, Part, Values};
 use crate::display::{Display, display_of};
 use crate::error::raised;
 use crate::field::LightField;
+use crate::keep;
 use crate::own::{in_package, in_python};
+use crate::stored::{self, Holds};
 use crate::work::long;
+
+/// Largest difference between the slopes of equal views.
+const SAME_SLOPE: f64 = 1e-6;
 
 /// The patterns of a display: linear transmittances 0 to 1 of every layer and frame.
 ///
@@ -115,8 +120,9 @@ impl LayerStack {
     }
 
     /// Writes a run's folder: display.toml, and `layers` with stack.json and one .npy array per
-    /// layer.
+    /// layer. The folder does not contain `history` and `solution`; pickles do.
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
+        stored::check_free(py, &folder, Holds::Patterns)?;
         long(py, None, |_| {
             let layers = folder.join("layers");
             lumistack_field_io::write_stack(&layers, &self.display, &self.stack).map_err(PipelineError::Field)?;
@@ -217,7 +223,8 @@ impl LayerStack {
     ///
     /// references: a LightField that render() made with zone_directions; its reference pictures are
     /// compared with the seen pictures. If the light field has no reference pictures, its views are
-    /// compared. Then the light field should not be the target of the patterns. Returns a
+    /// compared. Then the light field should not be the target of the patterns, and a warning counts
+    /// the views that the solver has used. Returns a
     /// dictionary with psnr_zone, psnr_zone_worst_tenth (over the worst tenth of the directions)
     /// and directions, a list of (slope, psnr).
     #[pyo3(signature = (references, *, callback=None))]
@@ -229,7 +236,17 @@ impl LayerStack {
     ) -> PyResult<Bound<'py, PyDict>> {
         let of = references.references.clone();
         let score = long(py, callback, |task| {
-            let of = of.unwrap_or_else(|| Arc::new(References::views_of(&references.field)));
+            let of = of.unwrap_or_else(|| {
+                let grid = &references.field.geometry().grid;
+                let (all, used) = (grid.iter().count(), used_views(&self.display, grid));
+                if used > 0 {
+                    task.warn(
+                        "psnr_zone",
+                        format!("the light field has no reference pictures, so its own {all} views are the references; {used} of them are views of these patterns, which the solver used. Remedy: render with zone_directions=32, or pass other views"),
+                    );
+                }
+                Arc::new(References::views_of(&references.field))
+            });
             of.score(&self.display, &self.stack, task)
         })?;
         let dict = PyDict::new(py);
@@ -340,9 +357,22 @@ impl LayerStack {
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let rebuild = py.import("lumistack._pickle")?.getattr("layer_stack")?;
         let display = Bound::new(py, self.display())?;
-        let parts = (self.layers(py)?, self.emission(py)?, display, self.brightness());
+        let parts = (self.layers(py)?, self.emission(py)?, display, self.brightness(), keep::of_stack(self));
         Ok((rebuild, parts.into_pyobject(py)?))
     }
+}
+
+/// Returns the number of views of a grid that are also views of a display. Patterns are solved for
+/// the views of their display.
+fn used_views(display: &Description, grid: &ViewGrid) -> usize {
+    let Ok(geometry) = display.geometry() else { return 0 };
+    let same = |a: f64, b: f64| (a - b).abs() < SAME_SLOPE;
+    let is_used = |slope: f64, all: &[f64]| all.iter().any(|other| same(slope, *other));
+    let count = |slopes: &[f64], all: &[f64]| slopes.iter().filter(|slope| is_used(**slope, all)).count();
+    if grid.projection != geometry.grid.projection {
+        return 0;
+    }
+    count(&grid.slope_x, &geometry.grid.slope_x) * count(&grid.slope_y, &geometry.grid.slope_y)
 }
 
 /// Returns the weight that `score` gives to every ray, `[view_y][view_x][row][col]`.
