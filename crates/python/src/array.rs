@@ -16,6 +16,7 @@ use pyo3::buffer::PyUntypedBuffer;
 use pyo3::exceptions::{PyBufferError, PyImportError, PyTypeError};
 use pyo3::ffi;
 use pyo3::prelude::*;
+use pyo3::types::PySequence;
 
 use crate::own::in_package;
 
@@ -46,7 +47,8 @@ impl Values {
         }
         let Ok(buffer) = buffer else {
             let found = object.get_type().name()?;
-            return Err(PyTypeError::new_err(format!("{what}: expected an array of floats, found {found}")));
+            let remedy = if object.cast::<PySequence>().is_ok() { "; numpy.asarray(...) makes one" } else { "" };
+            return Err(PyTypeError::new_err(format!("{what}: expected an array of floats, found {found}{remedy}")));
         };
         // Check type and shape.
         let scalar = Scalar::of(&buffer).ok_or_else(|| {

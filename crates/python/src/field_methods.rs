@@ -7,12 +7,13 @@ use lumistack_core::Tensor;
 use lumistack_display::{FieldGeometry, LightField as Field, Projection, ViewGrid};
 use lumistack_field_io::GeometryFlags;
 use lumistack_pipeline::{PipelineError, ReferencePictures, References, expose_field, open_field};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyType};
+use pyo3::types::{PyDict, PyTuple, PyType};
 use serde_json::{Map, Value, json};
 
 use crate::array::{Array, Part, Values};
-use crate::display::{Display, display_of};
+use crate::display::{Display, display_of, unsigned};
 use crate::error::{exception, raised, setting};
 use crate::field::LightField;
 use crate::json::{map_of, numbers, table, to_python};
@@ -24,17 +25,22 @@ use crate::work::long;
 #[pymethods]
 impl LightField {
     #[new]
-    #[pyo3(signature = (radiance, *, display=None, pitch_mm=None, fov_deg=None, slope_x=None, slope_y=None, distance_mm=None))]
+    #[pyo3(signature = (radiance, *rest, display=None, pitch_mm=None, fov_deg=None, slope_x=None, slope_y=None, distance_mm=None), text_signature = "(radiance, *, display=None, pitch_mm=None, fov_deg=None, slope_x=None, slope_y=None, distance_mm=None)")]
     fn new(
         py: Python<'_>,
         radiance: &Bound<'_, PyAny>,
+        rest: &Bound<'_, PyTuple>,
         display: Option<&Bound<'_, PyAny>>,
-        pitch_mm: Option<f64>,
+        pitch_mm: Option<&Bound<'_, PyAny>>,
         fov_deg: Option<&Bound<'_, PyAny>>,
         slope_x: Option<&Bound<'_, PyAny>>,
         slope_y: Option<&Bound<'_, PyAny>>,
-        distance_mm: Option<f64>,
+        distance_mm: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
+        if !rest.is_empty() {
+            let message = "LightField: expected one argument without a name, radiance, found more; write display=, pitch_mm= and so on before the others";
+            return Err(PyTypeError::new_err(message));
+        }
         // Read the values, and check their shape.
         let radiance = Values::read(radiance, "radiance")?.tensor("radiance", Field::AXES)?;
         let [view_rows, view_cols, rows, cols, channels] = radiance.shape();
@@ -42,6 +48,8 @@ impl LightField {
             let message = format!("radiance: expected 3 channels on the last axis, rgb, found {channels}");
             return Err(exception(py, "DataError", &message));
         }
+        let pitch_mm: Option<f64> = numbers("pitch_mm", pitch_mm)?;
+        let distance_mm: Option<f64> = numbers("distance_mm", distance_mm)?;
         let fov_deg: Option<[f64; 2]> = numbers("fov_deg", fov_deg)?;
         let slope_x: Option<Vec<f64>> = numbers("slope_x", slope_x)?;
         let slope_y: Option<Vec<f64>> = numbers("slope_y", slope_y)?;
@@ -126,7 +134,13 @@ impl LightField {
         geometry: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let flags: GeometryFlags = match geometry {
-            Some(geometry) => crate::json::table_of("geometry", geometry.as_any())?,
+            Some(geometry) => {
+                if geometry.contains("slope_x")? || geometry.contains("slope_y")? {
+                    let remedy = "LightField(numpy.load(path), slope_x=..., slope_y=..., pitch_mm=...) takes slopes";
+                    return Err(setting(py, format!("LightField.open: expected `fov_deg`, found slopes; {remedy}")));
+                }
+                crate::json::table_of("LightField.open", geometry.as_any())?
+            }
             None => table(py, "geometry", &[])?,
         };
         let display = display.map(|display| display_of(py, Some(display))).transpose()?;
@@ -145,8 +159,9 @@ impl LightField {
     ///
     /// The reference pictures of the zone score change in the same way. `info["exposed"]` lists all
     /// such changes.
-    #[pyo3(signature = (exposure_ev=0.0, *, tone="linear"))]
-    fn exposed(&self, py: Python<'_>, exposure_ev: f64, tone: &str) -> PyResult<Self> {
+    #[pyo3(signature = (exposure_ev=None, *, tone="linear"), text_signature = "($self, exposure_ev=0.0, *, tone='linear')")]
+    fn exposed(&self, py: Python<'_>, exposure_ev: Option<&Bound<'_, PyAny>>, tone: &str) -> PyResult<Self> {
+        let exposure_ev: f64 = numbers("exposure_ev", exposure_ev)?.unwrap_or(0.0);
         let exposed = py.detach(|| {
             let field = expose_field(&self.field, exposure_ev, tone)?;
             // The reference pictures of the zone score get the same exposure and tone curve.
@@ -238,13 +253,13 @@ impl LightField {
     /// Slopes of the view columns, left to right.
     #[getter]
     fn slope_x(&self) -> Vec<f64> {
-        self.field.geometry().grid.slope_x.clone()
+        unsigned(&self.field.geometry().grid.slope_x)
     }
 
     /// Slopes of the view rows from top to bottom; a slope above 0 points up.
     #[getter]
     fn slope_y(&self) -> Vec<f64> {
-        self.field.geometry().grid.slope_y.clone()
+        unsigned(&self.field.geometry().grid.slope_y)
     }
 
     /// Viewing distance of perspective views, millimetres; None for parallel projections.

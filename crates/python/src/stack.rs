@@ -9,6 +9,7 @@ use lumistack_display::{
 };
 use lumistack_factorizer::{Factorization, Iteration};
 use lumistack_pipeline::{FactorizeJob, PipelineError, References, RunFolder, weights_of};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
 
@@ -16,6 +17,7 @@ use crate::array::{Array, Part, Values};
 use crate::display::{Display, display_of};
 use crate::error::raised;
 use crate::field::LightField;
+use crate::json::numbers;
 use crate::keep;
 use crate::own::{in_package, in_python};
 use crate::stored::{self, Holds};
@@ -76,6 +78,17 @@ impl Solved {
     }
 }
 
+impl LayerStack {
+    /// Returns the patterns that an argument gives.
+    pub(crate) fn of<'a>(argument: &str, object: &'a Bound<'_, PyAny>) -> PyResult<&'a Self> {
+        object.cast::<Self>().map(Bound::get).map_err(|_| {
+            let found = object.get_type().name().map(|name| name.to_string()).unwrap_or_default();
+            let remedy = "factorize(light_field) and LayerStack(layers, display) make one";
+            PyTypeError::new_err(format!("{argument}: expected a LayerStack, found {found}; {remedy}"))
+        })
+    }
+}
+
 #[pymethods]
 impl LayerStack {
     #[new]
@@ -85,7 +98,7 @@ impl LayerStack {
         layers: &Bound<'_, PyAny>,
         display: &Bound<'_, PyAny>,
         emission: Option<&Bound<'_, PyAny>>,
-        brightness: Option<f64>,
+        brightness: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let display = display_of(py, Some(display))?;
         let mut tensors = Vec::new();
@@ -97,7 +110,7 @@ impl LayerStack {
             None => None,
             Some(emission) => Some(Values::read(emission, "emission")?.tensor("emission", Stack::EMISSION_AXES)?),
         };
-        let brightness = brightness.unwrap_or(display.brightness);
+        let brightness = numbers("brightness", brightness)?.unwrap_or(display.brightness);
         let stack = Stack { layers: tensors, emission, brightness };
         stack
             .check(&display)
@@ -205,10 +218,11 @@ impl LayerStack {
     fn psnr(
         &self,
         py: Python<'_>,
-        light_field: &LightField,
+        light_field: &Bound<'_, PyAny>,
         weights: Option<&Bound<'_, PyAny>>,
         raw: bool,
     ) -> PyResult<f64> {
+        let light_field = LightField::of("light_field", light_field)?;
         let weights = weights.map(|weights| Values::read(weights, "weights")).transpose()?.map(Values::into_parts);
         let target = &*light_field.field;
         long(py, None, |_| {
@@ -231,9 +245,10 @@ impl LayerStack {
     fn psnr_zone<'py>(
         &self,
         py: Python<'py>,
-        references: &LightField,
+        references: &Bound<'py, PyAny>,
         callback: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
+        let references = LightField::of("references", references)?;
         let of = references.references.clone();
         let score = long(py, callback, |task| {
             let of = of.unwrap_or_else(|| {
@@ -263,10 +278,11 @@ impl LayerStack {
     fn views(
         &self,
         py: Python<'_>,
-        like: &LightField,
+        like: &Bound<'_, PyAny>,
         raw: bool,
         callback: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<LightField> {
+        let like = LightField::of("like", like)?;
         let scale = if raw { 1.0 } else { (1.0 / self.stack.brightness) as f32 };
         let field = long(py, callback, |task| {
             let mut shown = Field::black(like.field.geometry().clone())?;
@@ -296,9 +312,10 @@ impl LayerStack {
     fn weights<'py>(
         &self,
         py: Python<'py>,
-        light_field: &LightField,
+        light_field: &Bound<'py, PyAny>,
         weights: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
+        let light_field = LightField::of("light_field", light_field)?;
         let weights = weights.map(|weights| Values::read(weights, "weights")).transpose()?.map(Values::into_parts);
         let target = &*light_field.field;
         let weights = long(py, None, |_| {
@@ -330,7 +347,7 @@ impl LayerStack {
     }
 
     /// Draws the masks of a frame with matplotlib, rear to front, and the seen picture from the
-    /// middle. Returns the figure.
+    /// middle. Returns the axes.
     #[pyo3(signature = (frame=0))]
     fn plot<'py>(slf: &Bound<'py, Self>, frame: usize) -> PyResult<Bound<'py, PyAny>> {
         in_package(slf.py(), "_show", "plot_patterns", (slf, frame), None)
