@@ -193,8 +193,8 @@ impl LightField {
     }
 
     /// Writes a light-field folder: lightfield.json and one OpenEXR picture of half floats per
-    /// view. lightfield.json also contains `info` and the display. Views that an earlier light field
-    /// left in the folder are removed.
+    /// view. lightfield.json also contains `info` and the display. Views that an earlier light
+    /// field left in the folder are removed.
     ///
     /// The folder does not contain the reference pictures of zone_directions; pickles do. If the
     /// path ends in .npy, only the values are written, as one float32 array. Then LightField.open()

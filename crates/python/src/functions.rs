@@ -24,7 +24,8 @@ use crate::field::LightField;
 use crate::json::{map_of, numbers, parsed, table, table_of, to_python, value_of};
 use crate::plugin::{registry, set_launcher};
 use crate::scene::Scene;
-use crate::stack::{LayerStack, Solved};
+use crate::solved::Solved;
+use crate::stack::LayerStack;
 use crate::work::{command, long};
 
 /// Renders, with the path tracer, the views of a scene that a display needs.

@@ -1,5 +1,5 @@
-//! The parts of light fields and layer stacks that pickles contain but constructors do not take:
-//! display, settings, depth and reference pictures; history and solution.
+//! The parts of light fields that pickles contain but the constructor does not take: display,
+//! settings, depth and reference pictures.
 
 use std::sync::Arc;
 
@@ -13,14 +13,9 @@ use crate::display::Display;
 use crate::error::exception;
 use crate::field::LightField;
 use crate::json::{map_of, to_python};
-use crate::stack::{LayerStack, Solved};
 
 /// Direction of a reference: slope (x, y), and the viewing distance of a perspective view.
 type Direction = ([f64; 2], Option<f64>);
-/// An iteration: number of iterations, objective, PSNR and seconds.
-type Step = (u32, f64, f64, f64);
-/// Solver, start, number of coarser levels, KKT residual, and PSNRs of layers of few bits.
-type Solution = (String, String, u32, f64, Option<[f64; 3]>);
 
 /// Returns the parts of a light field that its constructor does not take.
 pub(crate) fn of_field<'py>(py: Python<'py>, light_field: &LightField) -> PyResult<Bound<'py, PyDict>> {
@@ -87,29 +82,6 @@ fn references_of(kept: &Bound<'_, PyAny>, geometry: &FieldGeometry) -> PyResult<
     });
     let pictures: Vec<ReferencePictures> = pictures.collect::<PyResult<_>>()?;
     Ok(References::of_pictures(geometry, pictures.into_iter(), left_out))
-}
-
-/// Returns history and solution of a stack, if it is factorized.
-pub(crate) fn of_stack(stack: &LayerStack) -> Option<(Solution, Vec<Step>)> {
-    let Solved { solution: of, steps } = stack.solved.as_ref()?;
-    let solution = (of.solver.clone(), of.start.clone(), of.coarse_levels, of.kkt_residual, of.levels);
-    let step = |step: &lumistack_report::Iteration| (step.iteration, step.objective, step.psnr_view, step.seconds);
-    Some((solution, steps.iter().map(step).collect()))
-}
-
-/// Returns the stack with the history and the solution that [`of_stack`] returned.
-#[pyfunction]
-pub(crate) fn _layer_stack_with(stack: &LayerStack, solved: (Solution, Vec<Step>)) -> LayerStack {
-    let ((solver, start, coarse_levels, kkt_residual, levels), steps) = solved;
-    let solution = lumistack_report::Solution { solver, start, coarse_levels, kkt_residual, levels };
-    let step = |(iteration, objective, psnr_view, seconds)| lumistack_report::Iteration {
-        iteration,
-        objective,
-        psnr_view,
-        seconds,
-    };
-    let solved = Some(Solved { solution, steps: steps.into_iter().map(step).collect() });
-    LayerStack { stack: stack.stack.clone(), display: stack.display.clone(), solved }
 }
 
 fn damaged(py: Python<'_>, message: &str) -> PyErr {

@@ -7,7 +7,6 @@ use lumistack_core::Tensor;
 use lumistack_display::{
     Display as Description, LayerStack as Stack, LightField as Field, RayMap, Simulator, ViewGrid, Weights, score,
 };
-use lumistack_factorizer::{Factorization, Iteration};
 use lumistack_pipeline::{FactorizeJob, PipelineError, References, RunFolder, weights_of};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
@@ -18,8 +17,8 @@ use crate::display::{Display, display_of};
 use crate::error::raised;
 use crate::field::LightField;
 use crate::json::numbers;
-use crate::keep;
 use crate::own::{in_package, in_python};
+use crate::solved::{Solved, SolvedParts};
 use crate::stored::{self, Holds};
 use crate::work::long;
 
@@ -45,37 +44,6 @@ pub(crate) struct LayerStack {
     pub(crate) stack: Arc<Stack>,
     pub(crate) display: Arc<Description>,
     pub(crate) solved: Option<Solved>,
-}
-
-/// Settings and history of the factorization that made a stack.
-pub(crate) struct Solved {
-    pub(crate) solution: lumistack_report::Solution,
-    pub(crate) steps: Vec<lumistack_report::Iteration>,
-}
-
-impl Solved {
-    /// Returns settings and history of a factorization. `seconds` are the times of the evaluations
-    /// of the objective, measured from the start of the solve.
-    pub(crate) fn of(made: &Factorization, seconds: &[f64], warm: bool) -> Self {
-        let settings = &made.settings;
-        let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };
-        let step = |(step, &seconds): (&Iteration, &f64)| lumistack_report::Iteration {
-            iteration: step.iteration,
-            objective: step.objective,
-            psnr_view: step.psnr_view,
-            seconds,
-        };
-        Self {
-            solution: lumistack_report::Solution {
-                solver: settings.solver.clone(),
-                start: start.into(),
-                coarse_levels: if warm { 0 } else { settings.coarse_levels.unwrap_or(0) },
-                kkt_residual: made.kkt_residual,
-                levels: made.levels.map(|loss| [loss.continuous, loss.rounded, loss.reoptimized]),
-            },
-            steps: made.history.iter().zip(seconds).map(step).collect(),
-        }
-    }
 }
 
 impl LayerStack {
@@ -237,10 +205,10 @@ impl LayerStack {
     ///
     /// references: a LightField that render() made with zone_directions; its reference pictures are
     /// compared with the seen pictures. If the light field has no reference pictures, its views are
-    /// compared. Then the light field should not be the target of the patterns, and a warning counts
-    /// the views that the solver has used. Returns a
-    /// dictionary with psnr_zone, psnr_zone_worst_tenth (over the worst tenth of the directions)
-    /// and directions, a list of (slope, psnr).
+    /// compared. Then the light field should not be the target of the patterns; a warning counts
+    /// the views that the solver has used. Returns a dictionary with psnr_zone,
+    /// psnr_zone_worst_tenth (over the worst tenth of the directions) and directions, a list of
+    /// (slope, psnr).
     #[pyo3(signature = (references, *, callback=None))]
     fn psnr_zone<'py>(
         &self,
@@ -374,9 +342,17 @@ impl LayerStack {
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let rebuild = py.import("lumistack._pickle")?.getattr("layer_stack")?;
         let display = Bound::new(py, self.display())?;
-        let parts = (self.layers(py)?, self.emission(py)?, display, self.brightness(), keep::of_stack(self));
+        let parts =
+            (self.layers(py)?, self.emission(py)?, display, self.brightness(), self.solved.as_ref().map(Solved::parts));
         Ok((rebuild, parts.into_pyobject(py)?))
     }
+}
+
+/// Returns a stack with the history and the solution of a pickle.
+#[pyfunction]
+pub(crate) fn _layer_stack_with(stack: &LayerStack, solved: SolvedParts) -> LayerStack {
+    let solved = Some(Solved::from_parts(solved));
+    LayerStack { stack: stack.stack.clone(), display: stack.display.clone(), solved }
 }
 
 /// Returns the number of views of a grid that are also views of a display. Patterns are solved for

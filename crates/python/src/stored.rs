@@ -1,4 +1,4 @@
-//! Folders of light fields and patterns: their notes, stale views, and folders that hold other data.
+//! Folders of light fields and patterns: their notes, stale views, and folders of other data.
 
 use std::io::ErrorKind;
 use std::path::Path;

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -269,6 +271,26 @@ def test_warnings_are_warnings_of_python(display: Display) -> None:
         warnings.simplefilter("error")
         with pytest.raises(lumistack.LumistackWarning):
             lumistack.factorize(field, warm_start=equal, iterations=1)
+
+
+def test_warnings_speak_python(tmp_path: Path) -> None:
+    # the lamp shines away from the triangle
+    corners = base64.b64encode(numpy.array([0, 0, 0, 1, 0, 0, 0, 1, 0], "<f4").tobytes()).decode()
+    lamp = {"KHR_lights_punctual": {"light": 0}}
+    scene = {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": ["KHR_lights_punctual"],
+        "extensions": {"KHR_lights_punctual": {"lights": [{"type": "spot", "spot": {}}]}},
+        "scenes": [{"nodes": [0, 1]}],
+        "nodes": [{"mesh": 0}, {"translation": [0, 0, 50], "rotation": [0, 1, 0, 0], "extensions": lamp}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36, "uri": f"data:application/octet-stream;base64,{corners}"}],
+    }
+    (tmp_path / "dark.gltf").write_text(json.dumps(scene))
+    with pytest.warns(lumistack.LumistackWarning, match='light={"automatic": False} leaves it out'):
+        lumistack.render(tmp_path / "dark.gltf", Display("fig7-uniform", resolution=(8, 5)), samples=1)
 
 
 def test_values_that_no_display_shows_are_named_and_can_be_brought_into_range(light_field: LightField, display: Display, tmp_path: Path) -> None:
