@@ -16,6 +16,7 @@ use pyo3::buffer::PyUntypedBuffer;
 use pyo3::exceptions::{PyBufferError, PyImportError, PyTypeError};
 use pyo3::ffi;
 use pyo3::prelude::*;
+use pyo3::types::PySequence;
 
 use crate::own::in_package;
 
@@ -46,7 +47,8 @@ impl Values {
         }
         let Ok(buffer) = buffer else {
             let found = object.get_type().name()?;
-            return Err(PyTypeError::new_err(format!("{what}: expected an array of floats, found {found}")));
+            let remedy = if object.cast::<PySequence>().is_ok() { "; numpy.asarray(...) makes one" } else { "" };
+            return Err(PyTypeError::new_err(format!("{what}: expected an array of floats, found {found}{remedy}")));
         };
         // Check type and shape.
         let scalar = Scalar::of(&buffer).ok_or_else(|| {
@@ -226,6 +228,8 @@ pub(crate) enum Part {
     Weights(Arc<Tensor<4>>),
     /// Values of any shape.
     Values(Vec<usize>, Arc<[f32]>),
+    /// Values of any shape that another object also uses.
+    Shared(Vec<usize>, Arc<Vec<f32>>),
 }
 
 impl Part {
@@ -237,6 +241,7 @@ impl Part {
             Self::Picture(picture) => picture.data(),
             Self::Weights(weights) => weights.data(),
             Self::Values(_, values) => values,
+            Self::Shared(_, values) => values,
         }
     }
 
@@ -247,7 +252,7 @@ impl Part {
             Self::Emission(stack) => stack.emission.as_ref().map_or(vec![0], |emission| emission.shape().to_vec()),
             Self::Picture(picture) => picture.shape().to_vec(),
             Self::Weights(weights) => weights.shape().to_vec(),
-            Self::Values(shape, _) => shape.clone(),
+            Self::Values(shape, _) | Self::Shared(shape, _) => shape.clone(),
         }
     }
 }

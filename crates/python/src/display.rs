@@ -1,14 +1,16 @@
 //! The class of displays.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use lumistack_display::{Display as Description, LightField as Field, ProjectionKind};
 use lumistack_pipeline::{DisplayJob, PipelineError, presets};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyMapping, PyString, PyTuple};
 
-use crate::error::raised;
+use crate::error::{of_call, raised};
 use crate::field::LightField;
 use crate::json::{map_of, parsed, table, to_python};
 
@@ -29,7 +31,7 @@ use crate::json::{map_of, parsed, table, to_python};
 /// * missing: value of rays that miss a layer: "drop" (weight 0) or "clear" (as if the layer were
 ///   not there)
 ///
-/// Displays are immutable; they compare by value and can be pickled.
+/// Displays are immutable; they compare by value, and can be keys of dictionaries and be pickled.
 ///
 /// >>> display = Display("fig7-uniform", resolution=(64, 40), views=(3, 3), frames=4)
 /// >>> display.frames, display.light_field_shape
@@ -65,7 +67,7 @@ impl Display {
         let changes: DisplayJob = table(py, "display", &arguments)?;
         let display = display_of(py, what)?;
         let changed = changes.changed(Path::new(&display.name), (*display).clone());
-        changed.map(|display| Self(Arc::new(display))).map_err(|error| raised(py, &error))
+        changed.map(|display| Self(Arc::new(display))).map_err(|error| raised(py, &of_call("display", error)))
     }
 
     /// Name of the display.
@@ -123,7 +125,7 @@ impl Display {
             .0
             .geometry()
             .map_err(|source| raised(py, &PipelineError::Display { path: place, text: String::new(), source }))?;
-        Ok((geometry.grid.slope_x, geometry.grid.slope_y))
+        Ok((unsigned(&geometry.grid.slope_x), unsigned(&geometry.grid.slope_y)))
     }
 
     /// Pixel pitch of the light field on the display plane, millimetres.
@@ -147,7 +149,8 @@ impl Display {
     /// Returns this display, adapted to a light field. The result has the views, angles and size of
     /// the light field. The resolutions of the masks, the lenslets and the angular bins change
     /// accordingly. Raises SettingError if a directional backlight cannot separate the views.
-    fn adapted_to(&self, py: Python<'_>, light_field: &LightField) -> PyResult<Self> {
+    fn adapted_to(&self, py: Python<'_>, light_field: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let light_field = LightField::of("light_field", light_field)?;
         adapted(py, &self.0, &light_field.field).map(Self)
     }
 
@@ -181,9 +184,22 @@ impl Display {
         )
     }
 
+    /// Displays that are equal have equal hashes. The hash contains only some of the values.
+    fn __hash__(&self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        let display = &*self.0;
+        (&display.name, display.frames, display.layers.len(), display.field.resolution).hash(&mut hasher);
+        hasher.finish()
+    }
+
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyAny>,))> {
         Ok((py.get_type::<Self>().into_any(), (self.to_dict(py)?,)))
     }
+}
+
+/// Returns the slopes with +0.0 instead of -0.0.
+pub(crate) fn unsigned(slopes: &[f64]) -> Vec<f64> {
+    slopes.iter().map(|slope| slope + 0.0).collect()
 }
 
 /// Returns the display that an argument selects; without an argument the default display.
@@ -203,7 +219,11 @@ pub(crate) fn display_of(py: Python<'_>, what: Option<&Bound<'_, PyAny>>) -> PyR
             .map(|()| Arc::new(display))
             .map_err(|source| raised(py, &PipelineError::Display { path: place, text: String::new(), source }));
     }
-    let path: PathBuf = what.extract()?;
+    let Ok(path) = what.extract::<PathBuf>() else {
+        let found = what.get_type().name()?;
+        let expected = "a Display, a name, a file or a mapping";
+        return Err(PyTypeError::new_err(format!("display: expected {expected}, found {found}")));
+    };
     presets::load_file(&path).map(Arc::new).map_err(|error| raised(py, &error))
 }
 

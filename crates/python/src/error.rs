@@ -3,8 +3,9 @@
 
 use std::io::ErrorKind;
 
+use lumistack_factorizer::FactorizeError;
 use lumistack_field_io::FieldError;
-use lumistack_pipeline::PipelineError;
+use lumistack_pipeline::{PipelineError, Place};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 
@@ -30,6 +31,52 @@ pub(crate) fn setting(py: Python<'_>, message: impl AsRef<str>) -> PyErr {
     exception(py, "SettingError", message.as_ref())
 }
 
+/// Settings of a job that are arguments of functions.
+const ARGUMENTS: [&str; 30] = [
+    "angular_filter",
+    "brightness",
+    "camera",
+    "clamp",
+    "coarse_iterations",
+    "coarse_levels",
+    "denoise",
+    "depth_scale",
+    "exposure_ev",
+    "eye_floor",
+    "eyes",
+    "fit_depth",
+    "fov_deg",
+    "frames",
+    "iterations",
+    "lens_deg",
+    "levels",
+    "look_from",
+    "max_bounces",
+    "missing",
+    "resolution",
+    "samples",
+    "sampling",
+    "seed",
+    "solver",
+    "start",
+    "tone",
+    "views",
+    "zone_directions",
+    "zone_samples",
+];
+
+/// Returns the error of a call without a job: its place is the function, and its key the argument.
+pub(crate) fn of_call(call: &str, error: PipelineError) -> PipelineError {
+    match error {
+        PipelineError::Value(bad) if bad.place == Place::Job => {
+            let argument = bad.key.split_once('.').map_or(&*bad.key, |(_, name)| name);
+            let key = if ARGUMENTS.contains(&argument) { argument } else { &bad.key };
+            PipelineError::value(call, key, bad.expected, bad.found)
+        }
+        error => error,
+    }
+}
+
 fn class_of(error: &PipelineError) -> &'static str {
     let file = |kind: ErrorKind| if kind == ErrorKind::NotFound { "MissingFileError" } else { "FileError" };
     match error {
@@ -46,6 +93,7 @@ fn class_of(error: &PipelineError) -> &'static str {
             "SceneError"
         }
         PipelineError::Field(_) | PipelineError::Grid(_) | PipelineError::Stack { .. } => "DataError",
+        PipelineError::Factorize(FactorizeError::UnknownSolver { .. }) => "SettingError",
         PipelineError::Render(_) => "RenderError",
         PipelineError::Factorize(_) => "FactorizeError",
         PipelineError::Output(_) => "PluginError",
@@ -54,7 +102,7 @@ fn class_of(error: &PipelineError) -> &'static str {
 }
 
 /// Pairs of a flag in messages of the command, and Python's argument for the setting.
-const FLAGS: [(&str, &str); 23] = [
+const FLAGS: [(&str, &str); 25] = [
     ("--fit-depth=compress", "fit_depth=\"compress\""),
     ("--fit-depth", "fit_depth=\"move\""),
     ("--look-from AZ,EL", "look_from"),
@@ -77,6 +125,8 @@ const FLAGS: [(&str, &str); 23] = [
     ("--focus-px", "focus_px"),
     ("--mirror", "mirror"),
     ("--threads: N", "set_threads"),
+    ("`light.automatic = false`", "light={\"automatic\": False}"),
+    ("weights: weights: ", "weights: "),
     ("`lumistack displays` lists the presets", "lumistack.displays() lists the presets"),
 ];
 

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use lumistack_display::{Display as Description, LightField as Field};
 use lumistack_pipeline::References;
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use serde_json::{Map, Value};
 
@@ -45,6 +46,15 @@ pub(crate) struct LightField {
 }
 
 impl LightField {
+    /// Returns the light field that an argument gives.
+    pub(crate) fn of<'a>(argument: &str, object: &'a Bound<'_, PyAny>) -> PyResult<&'a Self> {
+        object.cast::<Self>().map(Bound::get).map_err(|_| {
+            let found = object.get_type().name().map(|name| name.to_string()).unwrap_or_default();
+            let remedy = "LightField(array, display=display) makes one";
+            PyTypeError::new_err(format!("{argument}: expected a LightField, found {found}; {remedy}"))
+        })
+    }
+
     pub(crate) fn plain(field: Field) -> Self {
         Self { field: Arc::new(field), display: None, info: Map::new(), references: None }
     }

@@ -3,35 +3,44 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use lumistack_core::Tensor;
 use lumistack_display::{FieldGeometry, LightField as Field, Projection, ViewGrid};
 use lumistack_field_io::GeometryFlags;
-use lumistack_pipeline::{PipelineError, expose_field, open_field};
+use lumistack_pipeline::{PipelineError, ReferencePictures, References, expose_field, open_field};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyType};
-use serde_json::{Map, Value};
+use pyo3::types::{PyDict, PyTuple, PyType};
+use serde_json::{Map, Value, json};
 
 use crate::array::{Array, Part, Values};
-use crate::display::{Display, display_of};
+use crate::display::{Display, display_of, unsigned};
 use crate::error::{exception, raised, setting};
 use crate::field::LightField;
 use crate::json::{map_of, numbers, table, to_python};
+use crate::keep;
 use crate::own::{in_package, in_python};
+use crate::stored::{self, Holds};
 use crate::work::long;
 
 #[pymethods]
 impl LightField {
     #[new]
-    #[pyo3(signature = (radiance, *, display=None, pitch_mm=None, fov_deg=None, slope_x=None, slope_y=None, distance_mm=None))]
+    #[pyo3(signature = (radiance, *rest, display=None, pitch_mm=None, fov_deg=None, slope_x=None, slope_y=None, distance_mm=None), text_signature = "(radiance, *, display=None, pitch_mm=None, fov_deg=None, slope_x=None, slope_y=None, distance_mm=None)")]
     fn new(
         py: Python<'_>,
         radiance: &Bound<'_, PyAny>,
+        rest: &Bound<'_, PyTuple>,
         display: Option<&Bound<'_, PyAny>>,
-        pitch_mm: Option<f64>,
+        pitch_mm: Option<&Bound<'_, PyAny>>,
         fov_deg: Option<&Bound<'_, PyAny>>,
         slope_x: Option<&Bound<'_, PyAny>>,
         slope_y: Option<&Bound<'_, PyAny>>,
-        distance_mm: Option<f64>,
+        distance_mm: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
+        if !rest.is_empty() {
+            let message = "LightField: expected one argument without a name, radiance, found more; write display=, pitch_mm= and so on before the others";
+            return Err(PyTypeError::new_err(message));
+        }
         // Read the values, and check their shape.
         let radiance = Values::read(radiance, "radiance")?.tensor("radiance", Field::AXES)?;
         let [view_rows, view_cols, rows, cols, channels] = radiance.shape();
@@ -39,6 +48,8 @@ impl LightField {
             let message = format!("radiance: expected 3 channels on the last axis, rgb, found {channels}");
             return Err(exception(py, "DataError", &message));
         }
+        let pitch_mm: Option<f64> = numbers("pitch_mm", pitch_mm)?;
+        let distance_mm: Option<f64> = numbers("distance_mm", distance_mm)?;
         let fov_deg: Option<[f64; 2]> = numbers("fov_deg", fov_deg)?;
         let slope_x: Option<Vec<f64>> = numbers("slope_x", slope_x)?;
         let slope_y: Option<Vec<f64>> = numbers("slope_y", slope_y)?;
@@ -108,6 +119,9 @@ impl LightField {
     /// If neither the files nor these arguments state the size or the angles, `display` provides
     /// them. If `views` leaves out views of the file, psnr_zone() and report() use some of the
     /// omitted views as references.
+    ///
+    /// The result has the `info` of a light-field folder. Its display is the argument `display`, or
+    /// else the display that save() wrote into the folder.
     /// `callback(stage, fraction)` receives progress.
     #[classmethod]
     #[pyo3(signature = (path, *, display=None, callback=None, **geometry))]
@@ -120,12 +134,20 @@ impl LightField {
         geometry: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let flags: GeometryFlags = match geometry {
-            Some(geometry) => crate::json::table_of("geometry", geometry.as_any())?,
+            Some(geometry) => {
+                if geometry.contains("slope_x")? || geometry.contains("slope_y")? {
+                    let remedy = "LightField(numpy.load(path), slope_x=..., slope_y=..., pitch_mm=...) takes slopes";
+                    return Err(setting(py, format!("LightField.open: expected `fov_deg`, found slopes; {remedy}")));
+                }
+                crate::json::table_of("LightField.open", geometry.as_any())?
+            }
             None => table(py, "geometry", &[])?,
         };
         let display = display.map(|display| display_of(py, Some(display))).transpose()?;
         let (field, references) = long(py, callback, |task| open_field(&path, &flags, display.as_deref(), task))?;
-        Ok(Self { references: references.map(Arc::new), ..Self::plain(field) })
+        let (own, info) = stored::notes(&path);
+        let (field, references) = (Arc::new(field), references.map(Arc::new));
+        Ok(Self { field, display: display.or(own), info, references })
     }
 
     /// Returns the light field with another exposure: values are multiplied by 2^exposure_ev, and
@@ -134,17 +156,49 @@ impl LightField {
     /// tone: "linear" clips to 0..1; "khronos-neutral" and "agx" compress bright values. All
     /// views have the same curve. Use this method for light fields with values outside 0..1, which
     /// no display can show; factorize() and report() warn of such values.
-    #[pyo3(signature = (exposure_ev=0.0, *, tone="linear"))]
-    fn exposed(&self, py: Python<'_>, exposure_ev: f64, tone: &str) -> PyResult<Self> {
-        let field = py.detach(|| expose_field(&self.field, exposure_ev, tone)).map_err(|error| raised(py, &error))?;
-        let (field, display, info) = (Arc::new(field), self.display.clone(), self.info.clone());
-        // The reference pictures of the zone score have the old exposure, so they are dropped.
-        Ok(Self { field, display, info, references: None })
+    ///
+    /// The reference pictures of the zone score change in the same way. `info["exposed"]` lists all
+    /// such changes.
+    #[pyo3(signature = (exposure_ev=None, *, tone="linear"), text_signature = "($self, exposure_ev=0.0, *, tone='linear')")]
+    fn exposed(&self, py: Python<'_>, exposure_ev: Option<&Bound<'_, PyAny>>, tone: &str) -> PyResult<Self> {
+        let exposure_ev: f64 = numbers("exposure_ev", exposure_ev)?.unwrap_or(0.0);
+        let exposed = py.detach(|| {
+            let field = expose_field(&self.field, exposure_ev, tone)?;
+            // The reference pictures of the zone score get the same exposure and tone curve.
+            let references = self.references.as_deref().and_then(References::pictures);
+            let references = references.map(|(pictures, left_out)| {
+                let geometry = self.field.geometry();
+                let exposed = |(direction, [a, b]): ReferencePictures| {
+                    let first = exposed_picture(geometry, &direction, &a, exposure_ev, tone)?;
+                    let is_one = Arc::ptr_eq(&a, &b);
+                    let second = if is_one {
+                        first.clone()
+                    } else {
+                        exposed_picture(geometry, &direction, &b, exposure_ev, tone)?
+                    };
+                    Ok((direction, [first, second]))
+                };
+                let pictures = pictures.map(exposed).collect::<Result<Vec<_>, PipelineError>>()?;
+                Ok::<_, PipelineError>(Arc::new(References::of_pictures(geometry, pictures.into_iter(), left_out)))
+            });
+            Ok((Arc::new(field), references.transpose()?))
+        });
+        let (field, references) = exposed.map_err(|error| raised(py, &error))?;
+        let mut info = self.info.clone();
+        // `exposure` and `tone` describe the rendering, so later changes have a list of their own.
+        if let Value::Array(list) = info.entry("exposed").or_insert_with(|| json!([])) {
+            list.push(json!({ "exposure_ev": exposure_ev, "tone": tone }));
+        }
+        Ok(Self { field, display: self.display.clone(), info, references })
     }
 
     /// Writes a light-field folder: lightfield.json and one OpenEXR picture of half floats per
-    /// view. If the path ends in .npy, only the values are written, as one float32 array. Then
-    /// LightField.open() needs the geometry as arguments.
+    /// view. lightfield.json also contains `info` and the display. Views that an earlier light
+    /// field left in the folder are removed.
+    ///
+    /// The folder does not contain the reference pictures of zone_directions; pickles do. If the
+    /// path ends in .npy, only the values are written, as one float32 array. Then LightField.open()
+    /// needs the geometry as arguments.
     #[pyo3(signature = (path, *, info=None))]
     fn save(&self, py: Python<'_>, path: PathBuf, info: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         if path.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("npy")) {
@@ -157,11 +211,19 @@ impl LightField {
             });
         }
         let folder = path;
+        stored::check_free(py, &folder, Holds::Views)?;
         let mut all = self.info.clone();
+        if let Some(display) = &self.display {
+            all.insert(stored::DISPLAY.into(), serde_json::to_value(&**display).expect("displays serialize"));
+        }
         if let Some(info) = info {
             all.extend(map_of("info", info)?);
         }
-        long(py, None, |_| lumistack_field_io::write_field(&folder, &self.field, &all).map_err(PipelineError::Field))
+        long(py, None, |_| {
+            let old = stored::views(&folder);
+            lumistack_field_io::write_field(&folder, &self.field, &all).map_err(PipelineError::Field)?;
+            stored::remove_stale(&folder, &old, self.field.geometry().grid.views())
+        })
     }
 
     /// All values, [view_y, view_x, row, col, rgb], as a read-only NumPy array without a copy.
@@ -191,13 +253,13 @@ impl LightField {
     /// Slopes of the view columns, left to right.
     #[getter]
     fn slope_x(&self) -> Vec<f64> {
-        self.field.geometry().grid.slope_x.clone()
+        unsigned(&self.field.geometry().grid.slope_x)
     }
 
     /// Slopes of the view rows from top to bottom; a slope above 0 points up.
     #[getter]
     fn slope_y(&self) -> Vec<f64> {
-        self.field.geometry().grid.slope_y.clone()
+        unsigned(&self.field.geometry().grid.slope_y)
     }
 
     /// Viewing distance of perspective views, millimetres; None for parallel projections.
@@ -215,8 +277,8 @@ impl LightField {
         self.display.clone().map(Display)
     }
 
-    /// Settings of a rendered light field: exposure, tone, depth_scale, and the depth that the
-    /// display must show.
+    /// Settings of a rendered light field: scene, exposure, tone, and the depth that the display
+    /// must show. After open() the notes in the folder's lightfield.json.
     #[getter]
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &Value::Object(self.info.clone()))
@@ -312,15 +374,30 @@ impl LightField {
     fn __reduce__<'py>(
         &self,
         py: Python<'py>,
-    ) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyAny>, Bound<'py, PyDict>))> {
+    ) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyAny>, Bound<'py, PyDict>, Bound<'py, PyDict>))> {
         let how = PyDict::new(py);
         how.set_item("pitch_mm", self.pitch_mm())?;
         how.set_item("slope_x", self.slope_x())?;
         how.set_item("slope_y", self.slope_y())?;
         how.set_item("distance_mm", self.distance_mm())?;
         let rebuild = py.import("lumistack._pickle")?.getattr("light_field")?;
-        Ok((rebuild, (self.radiance(py)?, how)))
+        Ok((rebuild, (self.radiance(py)?, how, keep::of_field(py, self)?)))
     }
+}
+
+/// Returns a picture with another exposure and a tone curve, as [`LightField::exposed`] does.
+fn exposed_picture(
+    geometry: &FieldGeometry,
+    direction: &ViewGrid,
+    picture: &[f32],
+    exposure_ev: f64,
+    tone: &str,
+) -> Result<Arc<Vec<f32>>, PipelineError> {
+    let geometry = geometry.with_grid(direction.clone());
+    let shape = [1, 1, geometry.rows, geometry.cols, 3];
+    let radiance = Tensor::from_vec(Field::AXES, shape, picture.to_vec()).expect("references have the shape of views");
+    let field = Field::new(geometry, radiance).map_err(PipelineError::Grid)?;
+    Ok(Arc::new(expose_field(&field, exposure_ev, tone)?.radiance().data().to_vec()))
 }
 
 /// Returns the result of `__array__`: the array itself, or a copy if the caller requests a copy or

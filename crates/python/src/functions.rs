@@ -6,10 +6,11 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use lumistack_core::Task;
+use lumistack_display::{Display as Description, LightField as Field};
 use lumistack_factorizer::Problem;
 use lumistack_pipeline::{
-    FactorizeJob, Job, OutputData, PipelineError, Registry, RenderJob, ReportOn, Viewpoint, WindowJob, factorize_field,
-    picture_from, plugin_list, presets, render_field, weights_of, write_output, write_report_on,
+    FactorizeJob, Job, LightJob, OutputData, PipelineError, Registry, RenderJob, ReportOn, Viewpoint, WindowJob,
+    factorize_field, picture_from, plugin_list, presets, render_field, weights_of, write_output, write_report_on,
 };
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
@@ -18,12 +19,13 @@ use serde_json::{Map, Value, json};
 
 use crate::array::{Array, Part, Values};
 use crate::display::{adapted, display_of};
-use crate::error::{raised, setting};
+use crate::error::{exception, of_call, raised, setting};
 use crate::field::LightField;
 use crate::json::{map_of, numbers, parsed, table, table_of, to_python, value_of};
 use crate::plugin::{registry, set_launcher};
 use crate::scene::Scene;
-use crate::stack::{LayerStack, Solved};
+use crate::solved::Solved;
+use crate::stack::LayerStack;
 use crate::work::{command, long};
 
 /// Renders, with the path tracer, the views of a scene that a display needs.
@@ -101,9 +103,12 @@ pub(crate) fn render(
             ("lens_deg", lens_deg),
         ],
     )?;
+    let lit = [("exposure_ev", exposure_ev), ("tone", tone)];
+    table::<LightJob>(py, "render", &lit)?;
     let camera = camera.map(|camera| camera.str()).transpose()?.map(Bound::into_any);
     let fit =
         [("camera", camera.as_ref()), ("look_from", look_from), ("fit_depth", fit_depth), ("depth_scale", depth_scale)];
+    table::<WindowJob>(py, "render", &fit)?;
     let window: WindowJob = parsed(py, "window", merged("window", window, &fit)?)?;
     // Load the scene, unless the argument is a loaded Scene.
     let loaded;
@@ -115,13 +120,19 @@ pub(crate) fn render(
             &loaded
         }
     };
-    let Value::Object(mut lit) = serde_json::to_value(&scene.light).expect("settings serialize") else {
+    if let Some(camera) = camera.as_ref().filter(|_| scene.ingested.scene.cameras.is_empty()) {
+        return Err(setting(
+            py,
+            format!("render: camera: expected none, since the scene has no cameras, found {camera}"),
+        ));
+    }
+    let Value::Object(mut lights) = serde_json::to_value(&scene.light).expect("settings serialize") else {
         unreachable!("a table is an object")
     };
-    lit.extend(merged("light", light, &[("exposure_ev", exposure_ev), ("tone", tone)])?);
+    lights.extend(merged("light", light, &lit)?);
     let display = display_of(py, display)?;
     let mut job = Job::new(Default::default());
-    (job.render, job.window, job.light) = (render, window, parsed(py, "light", lit)?);
+    (job.render, job.window, job.light) = (render, window, parsed(py, "light", lights)?);
     // The lights belong to the Scene, so other settings of lights in this call are an error.
     for (key, differs) in [
         ("environment", job.light.environment != scene.light.environment),
@@ -147,7 +158,7 @@ pub(crate) fn render(
             None => Some(tempfile::tempdir().map_err(PipelineError::write(&std::env::temp_dir()))?),
         };
         let folder = forgotten.as_ref().map(tempfile::TempDir::path).or(cache.as_deref()).unwrap_or(Path::new("."));
-        render_field(&job, &display, &scene.ingested, folder, task)
+        render_field(&job, &display, &scene.ingested, folder, task).map_err(|error| of_call("render", error))
     })?;
     // Keep the settings for `info`.
     let mut info = Map::new();
@@ -194,10 +205,10 @@ pub(crate) fn render(
 ))]
 pub(crate) fn factorize(
     py: Python<'_>,
-    light_field: &LightField,
+    light_field: &Bound<'_, PyAny>,
     display: Option<&Bound<'_, PyAny>>,
-    brightness: Option<f64>,
-    frames: Option<usize>,
+    brightness: Option<&Bound<'_, PyAny>>,
+    frames: Option<&Bound<'_, PyAny>>,
     solver: Option<&Bound<'_, PyAny>>,
     iterations: Option<&Bound<'_, PyAny>>,
     start: Option<&Bound<'_, PyAny>>,
@@ -207,10 +218,16 @@ pub(crate) fn factorize(
     weights: Option<&Bound<'_, PyAny>>,
     eyes: Option<&Bound<'_, PyAny>>,
     eye_floor: Option<&Bound<'_, PyAny>>,
-    warm_start: Option<&LayerStack>,
+    warm_start: Option<&Bound<'_, PyAny>>,
     seed: Option<u64>,
     callback: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<LayerStack> {
+    let warm_start = warm_start.map(|object| LayerStack::of("warm_start", object)).transpose()?;
+    let light_field = LightField::of("light_field", light_field)?;
+    let (brightness, frames) = (numbers("brightness", brightness)?, numbers("frames", frames)?);
+    if let Some(found) = py.detach(|| not_finite(&light_field.field)) {
+        return Err(exception(py, "FactorizeError", &format!("light_field, {found}")));
+    }
     // Read the settings as a table of a job, so that the job's checks apply.
     let arguments = [
         ("solver", solver),
@@ -224,6 +241,7 @@ pub(crate) fn factorize(
     ];
     let job: FactorizeJob = table(py, "factorize", &arguments)?;
     // Adapt the display to the light field.
+    let is_default = display.is_none() && light_field.display.is_none();
     let display = match (display, &light_field.display) {
         (None, Some(display)) => display.clone(),
         (display, _) => display_of(py, display)?,
@@ -250,14 +268,18 @@ pub(crate) fn factorize(
             let path = "warm_start".into();
             warm.check(&display).map_err(|source| PipelineError::Stack { path, source })?;
         }
+        if is_default {
+            task.warn("display", default_warning(&display));
+        }
         if let Some(change) = own.backlight_change(&display) {
             task.warn("display", change);
         }
-        let weights = weights_of(&job, weights, target)?;
+        let weights = weights_of(&job, weights, target).map_err(|error| of_call("factorize", error))?;
         let problem = Problem { display: &display, target, weights: &weights };
         let (start, mut seconds) = (Instant::now(), Vec::new());
         let mut watch = |_: &_| seconds.push(start.elapsed().as_secs_f64());
-        let made = factorize_field(&problem, &job, seed, warm, task, &mut watch)?;
+        let made = factorize_field(&problem, &job, seed, warm, task, &mut watch);
+        let made = made.map_err(|error| of_call("factorize", error))?;
         Ok((made, seconds))
     })?;
     let solved = Some(Solved::of(&made, &seconds, warm.is_some()));
@@ -280,12 +302,13 @@ pub(crate) fn factorize(
 #[pyo3(signature = (stack, slope=None, *, angle_deg=None, eye_mm=None, raw=false))]
 pub(crate) fn simulate<'py>(
     py: Python<'py>,
-    stack: &LayerStack,
+    stack: &Bound<'py, PyAny>,
     slope: Option<&Bound<'_, PyAny>>,
     angle_deg: Option<&Bound<'_, PyAny>>,
     eye_mm: Option<&Bound<'_, PyAny>>,
     raw: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
+    let stack = LayerStack::of("stack", stack)?;
     let (slope, angle) = (numbers("slope", slope)?, numbers("angle_deg", angle_deg)?);
     let viewpoint = match (slope, angle, numbers("eye_mm", eye_mm)?) {
         (None, None, None) => Viewpoint::Slope([0.0, 0.0]),
@@ -319,13 +342,15 @@ pub(crate) fn write(
     plugin: &str,
     folder: PathBuf,
     display: Option<&Bound<'_, PyAny>>,
-    target: Option<&LightField>,
+    target: Option<&Bound<'_, PyAny>>,
     callback: Option<&Bound<'_, PyAny>>,
     params: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Vec<PathBuf>> {
+    let target = target.map(|object| LightField::of("target", object)).transpose()?;
     // Find the data and their display.
     let registry = registry(py)?;
     let params = params.map(|params| map_of("params", params.as_any())).transpose()?.unwrap_or_default();
+    let mut is_default = false;
     let (display, stack, field) = if let Ok(stack) = what.cast::<LayerStack>() {
         let stack = stack.get();
         if display.is_some() {
@@ -334,16 +359,20 @@ pub(crate) fn write(
         (stack.display.clone(), Some(stack.stack.clone()), target.map(|target| target.field.clone()))
     } else if let Ok(field) = what.cast::<LightField>() {
         let field = field.get();
+        is_default = display.is_none() && field.display.is_none();
         let display = match (display, &field.display) {
             (None, Some(display)) => display.clone(),
-            (display, _) => adapted(py, &display_of(py, display)?, &field.field)?,
+            (display, _) => display_of(py, display)?,
         };
-        (display, None, Some(field.field.clone()))
+        (adapted(py, &display, &field.field)?, None, Some(field.field.clone()))
     } else {
         let found = what.get_type().name()?;
         return Err(PyTypeError::new_err(format!("write: expected a LayerStack or a LightField, found {found}")));
     };
     long(py, callback, |task| {
+        if is_default {
+            task.warn("display", default_warning(&display));
+        }
         let data = match (&stack, &field) {
             (Some(stack), target) => OutputData::LayerStack(stack, target.as_deref()),
             (None, Some(field)) => OutputData::LightField(field),
@@ -360,15 +389,20 @@ pub(crate) fn write(
 #[pyo3(signature = (stack, light_field, folder, *, title=None, weights=None, callback=None))]
 pub(crate) fn report<'py>(
     py: Python<'py>,
-    stack: &LayerStack,
-    light_field: &LightField,
+    stack: &Bound<'py, PyAny>,
+    light_field: &Bound<'py, PyAny>,
     folder: PathBuf,
     title: Option<&str>,
     weights: Option<&Bound<'_, PyAny>>,
     callback: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
+    let light_field = LightField::of("light_field", light_field)?;
+    let stack = LayerStack::of("stack", stack)?;
     let weights = weights.map(|weights| Values::read(weights, "weights")).transpose()?.map(Values::into_parts);
     let target = &*light_field.field;
+    if let Some(found) = py.detach(|| not_finite(target)) {
+        return Err(exception(py, "DataError", &format!("light_field, {found}")));
+    }
     let title = title.unwrap_or(&stack.display.name);
     let settings = json!({ "light field": light_field.info, "display": stack.display.name });
     let answer = long(py, callback, |task| {
@@ -466,7 +500,13 @@ pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
 /// this function before any other work.
 #[pyfunction]
 pub(crate) fn set_threads(py: Python<'_>, count: usize) -> PyResult<()> {
-    lumistack_pipeline::set_threads(count).map_err(|error| setting(py, format!("set_threads: {error}")))
+    if count == 0 {
+        return Err(setting(py, "set_threads: expected 1 or more, found 0"));
+    }
+    lumistack_pipeline::set_threads(count).map_err(|_| {
+        let found = "worker threads that have already started; call set_threads before any other work";
+        setting(py, format!("set_threads: expected a call before the first work, found {found}"))
+    })
 }
 
 /// Runs the command `lumistack` with these arguments and returns its exit code: 0 done, 1 failed, 2
@@ -478,6 +518,27 @@ pub(crate) fn main(py: Python<'_>, arguments: Vec<OsString>, program: Option<OsS
     let program = program.unwrap_or_else(|| "lumistack".into());
     let words: Vec<OsString> = std::iter::once(program).chain(arguments).collect();
     command(py, &words)
+}
+
+/// Returns the place of the first value that is not finite, and the remedy; `None` if all values
+/// are finite.
+fn not_finite(field: &Field) -> Option<String> {
+    let values = field.radiance().data();
+    let at = values.iter().position(|value| !value.is_finite())?;
+    let [_, view_cols, rows, cols, channels] = field.radiance().shape();
+    let (channel, pixel) = (["red", "green", "blue"][at % channels], at / channels);
+    let (col, row, view) = (pixel % cols, pixel / cols % rows, pixel / cols / rows);
+    let view = format!("view [{}, {}], row {row}, column {col}, {channel}", view / view_cols, view % view_cols);
+    let remedy = "replace such values, for example with numpy.nan_to_num";
+    Some(format!("{view}: expected a finite value, found {}; {remedy}", values[at]))
+}
+
+/// Returns the warning that a light field without a display gets the default display.
+fn default_warning(display: &Description) -> String {
+    format!(
+        "the light field has no display, so the default is used, {} with {} frames. Remedy: write display=, here or at LightField(...)",
+        display.name, display.frames
+    )
 }
 
 /// Merges a mapping with named arguments; the arguments take precedence.

@@ -33,8 +33,13 @@ pub(crate) fn table_of<T: DeserializeOwned>(place: &str, mapping: &Bound<'_, PyA
 /// Reads a list of numbers from a sequence or a NumPy array.
 pub(crate) fn numbers<T: DeserializeOwned>(place: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<Option<T>> {
     let Some(value) = value.filter(|value| !value.is_none()) else { return Ok(None) };
-    let numbers = serde_json::from_value(value_of(place, value)?);
-    numbers.map(Some).map_err(|error| setting(value.py(), format!("{place}: {}", plain(&error.to_string(), place))))
+    let json = value_of(place, value)?;
+    let error = match serde_json::from_value(json.clone()) {
+        Ok(numbers) => return Ok(Some(numbers)),
+        Err(error) => error.to_string(),
+    };
+    let fits = |value: Value| serde_json::from_value::<T>(value).is_ok();
+    Err(setting(value.py(), format!("{place}: {}", sentence(&error, place, &json, fits))))
 }
 
 /// Reads a table; an error names the key of the wrong value.
@@ -50,12 +55,49 @@ pub(crate) fn parsed<T: DeserializeOwned>(py: Python<'_>, place: &str, map: Map<
         let found = serde_json::from_value::<T>(Value::Object(Map::from_iter([(key.clone(), value)]))).err()?;
         (found.to_string() == error && !error.contains(&format!("`{key}`"))).then_some(key)
     };
-    let key = map.into_iter().find_map(alone).unwrap_or_default();
-    let plainly = plain(&error, &key);
-    let key = if key.is_empty() { key } else { format!("{key}: ") };
+    // A key that the table lacks gives the same error in the empty table, and belongs to no key.
+    let empty = serde_json::from_value::<T>(Value::Object(Map::new())).err();
+    let is_lack = empty.is_some_and(|empty| empty.to_string() == error);
+    let key = if is_lack { None } else { map.clone().into_iter().find_map(alone) }.unwrap_or_default();
+    let value = map.get(&key).cloned().unwrap_or_default();
+    let fits =
+        |value: Value| serde_json::from_value::<T>(Value::Object(Map::from_iter([(key.clone(), value)]))).is_ok();
+    let plainly = sentence(&error, &key, &value, fits);
+    let key = if key.is_empty() { String::new() } else { format!("{key}: ") };
     let near = nearest_key(&error).map_or(String::new(), |near| format!("; did you mean `{near}`?"));
     Err(setting(py, format!("{place}: {key}{plainly}{near}")))
 }
+
+/// Translates serde's sentence about a wrong value into terms of Python. `fits` returns true for
+/// values that the key accepts.
+fn sentence(error: &str, key: &str, value: &Value, fits: impl Fn(Value) -> bool) -> String {
+    // A list is too long: find the accepted length.
+    if let (true, Value::Array(items)) = (error.contains("expected fewer elements"), value)
+        && let Some(count) = (0..items.len()).rev().find(|count| fits(Value::Array(items[..*count].to_vec())))
+    {
+        return format!("expected a list of {count} values, found a list of length {}", items.len());
+    }
+    if let Some((found, names)) =
+        error.strip_prefix("unknown variant `").and_then(|rest| rest.split_once("`, expected "))
+    {
+        return format!("expected {}, found `{found}`", names.replace('`', ""));
+    }
+    if let Some(name) = error.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
+        return format!("expected a value for `{name}`, found none");
+    }
+    // In job files, a table {percent = ...} is a path with unusual bytes.
+    if error.ends_with("expected `percent`") {
+        return "expected a path, found a mapping".into();
+    }
+    let plainly = plain(error, key);
+    if FROM_ONE.contains(&key) {
+        return plainly.replace("a whole number, 0 or more", "a whole number above 0");
+    }
+    plainly
+}
+
+/// Settings that are whole numbers above 0.
+const FROM_ONE: [&str; 3] = ["frames", "samples", "zone_samples"];
 
 /// Converts a mapping whose keys are names.
 pub(crate) fn map_of(place: &str, mapping: &Bound<'_, PyAny>) -> PyResult<Map<String, Value>> {
@@ -148,7 +190,8 @@ pub(crate) fn to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'
         Value::Number(number) => match (number.as_i64(), number.as_u64()) {
             (Some(number), _) => number.into_pyobject(py)?.into_any(),
             (_, Some(number)) => number.into_pyobject(py)?.into_any(),
-            _ => PyFloat::new(py, number.as_f64().unwrap_or(f64::NAN)).into_any(),
+            // The sum makes +0.0 of -0.0.
+            _ => PyFloat::new(py, number.as_f64().unwrap_or(f64::NAN) + 0.0).into_any(),
         },
         Value::Array(items) => {
             let list = PyList::empty(py);

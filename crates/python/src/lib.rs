@@ -18,11 +18,14 @@ mod field;
 mod field_methods;
 mod functions;
 mod json;
+mod keep;
 mod own;
 mod plugin;
 mod scene;
+mod solved;
 mod splats;
 mod stack;
+mod stored;
 mod usd;
 mod work;
 
@@ -43,11 +46,13 @@ mod _lumistack {
         defaults, displays, factorize, info, main, plugins, render, report, run, set_threads, simulate, write,
     };
     #[pymodule_export]
+    use crate::keep::_light_field_with;
+    #[pymodule_export]
     use crate::plugin::_plugin_child;
     #[pymodule_export]
     use crate::scene::Scene;
     #[pymodule_export]
-    use crate::stack::LayerStack;
+    use crate::stack::{_layer_stack_with, LayerStack};
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

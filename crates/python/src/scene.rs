@@ -6,6 +6,7 @@ use std::sync::Arc;
 use lumistack_pipeline::{
     ImporterJob, Ingested, LightJob, PipelineError, PoseJob, SceneContents, ingest_scene, is_usd, load_scene,
 };
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyList;
 
@@ -15,7 +16,9 @@ use crate::splats;
 use crate::usd;
 use crate::work::long;
 
-/// A scene: glTF (.gltf, .glb), USD (.usd, .usda, .usdc, .usdz), or a file for an importer plugin.
+/// A scene: glTF (.gltf, .glb), USD (.usd, .usda, .usdc, .usdz), Blender (.blend), or a file for an
+/// importer plugin. The package has importers for Wavefront OBJ (.obj) and for captures of Gaussian
+/// splats (.ply, .spz, .sog).
 ///
 /// * path: the file, or a stage (pxr.Usd.Stage), which is read from memory
 /// * time: time at which animations are sampled, seconds; without it nodes have the poses of the
@@ -59,7 +62,10 @@ impl Scene {
         let stage = usd::is_stage(source).then_some(source);
         let path: PathBuf = match stage {
             Some(stage) => stage.call_method0("GetRootLayer")?.getattr("identifier")?.extract()?,
-            None => source.extract()?,
+            None => source.extract().map_err(|_| {
+                let found = source.get_type().name().map(|name| name.to_string()).unwrap_or_default();
+                PyTypeError::new_err(format!("scene: expected a Scene, a path or a stage of OpenUSD, found {found}"))
+            })?,
         };
         if stage.is_some() || (importer.plugin.is_none() && is_usd(&path) && usd::is_here(py)) {
             let walked = usd::walk(py, stage, &path, &pose)?;

@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use lumistack_core::Tensor;
 use lumistack_display::{
-    Display as Description, LayerStack as Stack, LightField as Field, RayMap, Simulator, Weights, score,
+    Display as Description, LayerStack as Stack, LightField as Field, RayMap, Simulator, ViewGrid, Weights, score,
 };
-use lumistack_factorizer::{Factorization, Iteration};
 use lumistack_pipeline::{FactorizeJob, PipelineError, References, RunFolder, weights_of};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
 
@@ -16,8 +16,14 @@ use crate::array::{Array, Part, Values};
 use crate::display::{Display, display_of};
 use crate::error::raised;
 use crate::field::LightField;
+use crate::json::numbers;
 use crate::own::{in_package, in_python};
+use crate::solved::{Solved, SolvedParts};
+use crate::stored::{self, Holds};
 use crate::work::long;
+
+/// Largest difference between the slopes of equal views.
+const SAME_SLOPE: f64 = 1e-6;
 
 /// The patterns of a display: linear transmittances 0 to 1 of every layer and frame.
 ///
@@ -40,34 +46,14 @@ pub(crate) struct LayerStack {
     pub(crate) solved: Option<Solved>,
 }
 
-/// Settings and history of the factorization that made a stack.
-pub(crate) struct Solved {
-    pub(crate) solution: lumistack_report::Solution,
-    pub(crate) steps: Vec<lumistack_report::Iteration>,
-}
-
-impl Solved {
-    /// Returns settings and history of a factorization. `seconds` are the times of the evaluations
-    /// of the objective, measured from the start of the solve.
-    pub(crate) fn of(made: &Factorization, seconds: &[f64], warm: bool) -> Self {
-        let settings = &made.settings;
-        let start = if warm { "warm" } else { settings.start.unwrap_or_default().name() };
-        let step = |(step, &seconds): (&Iteration, &f64)| lumistack_report::Iteration {
-            iteration: step.iteration,
-            objective: step.objective,
-            psnr_view: step.psnr_view,
-            seconds,
-        };
-        Self {
-            solution: lumistack_report::Solution {
-                solver: settings.solver.clone(),
-                start: start.into(),
-                coarse_levels: if warm { 0 } else { settings.coarse_levels.unwrap_or(0) },
-                kkt_residual: made.kkt_residual,
-                levels: made.levels.map(|loss| [loss.continuous, loss.rounded, loss.reoptimized]),
-            },
-            steps: made.history.iter().zip(seconds).map(step).collect(),
-        }
+impl LayerStack {
+    /// Returns the patterns that an argument gives.
+    pub(crate) fn of<'a>(argument: &str, object: &'a Bound<'_, PyAny>) -> PyResult<&'a Self> {
+        object.cast::<Self>().map(Bound::get).map_err(|_| {
+            let found = object.get_type().name().map(|name| name.to_string()).unwrap_or_default();
+            let remedy = "factorize(light_field) and LayerStack(layers, display) make one";
+            PyTypeError::new_err(format!("{argument}: expected a LayerStack, found {found}; {remedy}"))
+        })
     }
 }
 
@@ -80,7 +66,7 @@ impl LayerStack {
         layers: &Bound<'_, PyAny>,
         display: &Bound<'_, PyAny>,
         emission: Option<&Bound<'_, PyAny>>,
-        brightness: Option<f64>,
+        brightness: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let display = display_of(py, Some(display))?;
         let mut tensors = Vec::new();
@@ -92,7 +78,7 @@ impl LayerStack {
             None => None,
             Some(emission) => Some(Values::read(emission, "emission")?.tensor("emission", Stack::EMISSION_AXES)?),
         };
-        let brightness = brightness.unwrap_or(display.brightness);
+        let brightness = numbers("brightness", brightness)?.unwrap_or(display.brightness);
         let stack = Stack { layers: tensors, emission, brightness };
         stack
             .check(&display)
@@ -115,8 +101,9 @@ impl LayerStack {
     }
 
     /// Writes a run's folder: display.toml, and `layers` with stack.json and one .npy array per
-    /// layer.
+    /// layer. The folder does not contain `history` and `solution`; pickles do.
     fn save(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {
+        stored::check_free(py, &folder, Holds::Patterns)?;
         long(py, None, |_| {
             let layers = folder.join("layers");
             lumistack_field_io::write_stack(&layers, &self.display, &self.stack).map_err(PipelineError::Field)?;
@@ -199,10 +186,11 @@ impl LayerStack {
     fn psnr(
         &self,
         py: Python<'_>,
-        light_field: &LightField,
+        light_field: &Bound<'_, PyAny>,
         weights: Option<&Bound<'_, PyAny>>,
         raw: bool,
     ) -> PyResult<f64> {
+        let light_field = LightField::of("light_field", light_field)?;
         let weights = weights.map(|weights| Values::read(weights, "weights")).transpose()?.map(Values::into_parts);
         let target = &*light_field.field;
         long(py, None, |_| {
@@ -217,19 +205,31 @@ impl LayerStack {
     ///
     /// references: a LightField that render() made with zone_directions; its reference pictures are
     /// compared with the seen pictures. If the light field has no reference pictures, its views are
-    /// compared. Then the light field should not be the target of the patterns. Returns a
-    /// dictionary with psnr_zone, psnr_zone_worst_tenth (over the worst tenth of the directions)
-    /// and directions, a list of (slope, psnr).
+    /// compared. Then the light field should not be the target of the patterns; a warning counts
+    /// the views that the solver has used. Returns a dictionary with psnr_zone,
+    /// psnr_zone_worst_tenth (over the worst tenth of the directions) and directions, a list of
+    /// (slope, psnr).
     #[pyo3(signature = (references, *, callback=None))]
     fn psnr_zone<'py>(
         &self,
         py: Python<'py>,
-        references: &LightField,
+        references: &Bound<'py, PyAny>,
         callback: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
+        let references = LightField::of("references", references)?;
         let of = references.references.clone();
         let score = long(py, callback, |task| {
-            let of = of.unwrap_or_else(|| Arc::new(References::views_of(&references.field)));
+            let of = of.unwrap_or_else(|| {
+                let grid = &references.field.geometry().grid;
+                let (all, used) = (grid.iter().count(), used_views(&self.display, grid));
+                if used > 0 {
+                    task.warn(
+                        "psnr_zone",
+                        format!("the light field has no reference pictures, so its own {all} views are the references; {used} of them are views of these patterns, which the solver used. Remedy: render with zone_directions=32, or pass other views"),
+                    );
+                }
+                Arc::new(References::views_of(&references.field))
+            });
             of.score(&self.display, &self.stack, task)
         })?;
         let dict = PyDict::new(py);
@@ -246,10 +246,11 @@ impl LayerStack {
     fn views(
         &self,
         py: Python<'_>,
-        like: &LightField,
+        like: &Bound<'_, PyAny>,
         raw: bool,
         callback: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<LightField> {
+        let like = LightField::of("like", like)?;
         let scale = if raw { 1.0 } else { (1.0 / self.stack.brightness) as f32 };
         let field = long(py, callback, |task| {
             let mut shown = Field::black(like.field.geometry().clone())?;
@@ -279,9 +280,10 @@ impl LayerStack {
     fn weights<'py>(
         &self,
         py: Python<'py>,
-        light_field: &LightField,
+        light_field: &Bound<'py, PyAny>,
         weights: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
+        let light_field = LightField::of("light_field", light_field)?;
         let weights = weights.map(|weights| Values::read(weights, "weights")).transpose()?.map(Values::into_parts);
         let target = &*light_field.field;
         let weights = long(py, None, |_| {
@@ -313,7 +315,7 @@ impl LayerStack {
     }
 
     /// Draws the masks of a frame with matplotlib, rear to front, and the seen picture from the
-    /// middle. Returns the figure.
+    /// middle. Returns the axes.
     #[pyo3(signature = (frame=0))]
     fn plot<'py>(slf: &Bound<'py, Self>, frame: usize) -> PyResult<Bound<'py, PyAny>> {
         in_package(slf.py(), "_show", "plot_patterns", (slf, frame), None)
@@ -340,9 +342,30 @@ impl LayerStack {
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let rebuild = py.import("lumistack._pickle")?.getattr("layer_stack")?;
         let display = Bound::new(py, self.display())?;
-        let parts = (self.layers(py)?, self.emission(py)?, display, self.brightness());
+        let parts =
+            (self.layers(py)?, self.emission(py)?, display, self.brightness(), self.solved.as_ref().map(Solved::parts));
         Ok((rebuild, parts.into_pyobject(py)?))
     }
+}
+
+/// Returns a stack with the history and the solution of a pickle.
+#[pyfunction]
+pub(crate) fn _layer_stack_with(stack: &LayerStack, solved: SolvedParts) -> LayerStack {
+    let solved = Some(Solved::from_parts(solved));
+    LayerStack { stack: stack.stack.clone(), display: stack.display.clone(), solved }
+}
+
+/// Returns the number of views of a grid that are also views of a display. Patterns are solved for
+/// the views of their display.
+fn used_views(display: &Description, grid: &ViewGrid) -> usize {
+    let Ok(geometry) = display.geometry() else { return 0 };
+    let same = |a: f64, b: f64| (a - b).abs() < SAME_SLOPE;
+    let is_used = |slope: f64, all: &[f64]| all.iter().any(|other| same(slope, *other));
+    let count = |slopes: &[f64], all: &[f64]| slopes.iter().filter(|slope| is_used(**slope, all)).count();
+    if grid.projection != geometry.grid.projection {
+        return 0;
+    }
+    count(&grid.slope_x, &geometry.grid.slope_x) * count(&grid.slope_y, &geometry.grid.slope_y)
 }
 
 /// Returns the weight that `score` gives to every ray, `[view_y][view_x][row][col]`.

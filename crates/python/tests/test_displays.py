@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import pickle
 from pathlib import Path
 
@@ -55,8 +56,14 @@ def test_displays_survive_dictionaries_files_pickles_and_copies(tmp_path: Path) 
         copy.deepcopy(display),
     ]
     assert all(other == display for other in same)
+    assert len({display, *same, Display("fig7-directional")}) == 2
     assert display != Display("fig7-directional") and display != "fig7-directional"
     assert display.to_toml() == (tmp_path / "d.toml").read_text()
+
+
+def test_no_slope_is_minus_zero(light_field: lumistack.LightField, display: Display) -> None:
+    for slopes in (*display.slopes, light_field.slope_x, light_field.slope_y):
+        assert 0.0 in slopes and all(math.copysign(1.0, slope) > 0.0 for slope in slopes if slope == 0.0)
 
 
 def test_settings_take_numbers_of_numpy() -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -39,13 +42,14 @@ def test_unknown_displays(arguments: tuple[Any, ...], message: str) -> None:
     ("changes", "message"),
     [
         ({"frames": 0}, "frames: expected 1 to 1000, found 0"),
-        ({"frames": 2.5}, "display: frames: expected a whole number, 0 or more, found 2.5"),
-        ({"frames": "two"}, "display: frames: expected a whole number, 0 or more, found the text"),
+        ({"frames": 2.5}, "display: frames: expected a whole number above 0, found 2.5"),
+        ({"frames": "two"}, "display: frames: expected a whole number above 0, found the text"),
         ({"brightness": 1.5}, "brightness: expected above 0, at most 1, found 1.5"),
         ({"brightness": float("nan")}, "expected a finite number"),
-        ({"resolution": (0, 4)}, "resolution"),
+        ({"resolution": (0, 4)}, "^display: resolution: expected at least"),
+        ({"resolution": (64, 40, 3)}, "resolution: expected a list of 2 values, found a list of length 3"),
         ({"resolution": 4}, "display: resolution: expected a list of 2 values, found 4"),
-        ({"sampling": "nearesst"}, "unknown variant `nearesst`.*did you mean `nearest`"),
+        ({"sampling": "nearesst"}, "display: sampling: expected .*found `nearesst`; did you mean `nearest`"),
     ],
 )
 def test_wrong_changes_of_displays(changes: dict[str, Any], message: str) -> None:
@@ -63,7 +67,7 @@ def test_wrong_mappings_and_files(tmp_path: Path, display: Display) -> None:
     (tmp_path / "bad.toml").write_text("name = 3")
     with pytest.raises(lumistack.SettingError, match="line 1, column 8"):
         Display(tmp_path / "bad.toml")
-    with pytest.raises(TypeError):
+    with pytest.raises(TypeError, match="^display: expected a Display, a name, a file or a mapping, found int"):
         Display(3)  # type: ignore[arg-type]
     with pytest.raises(TypeError):
         Display(paper=True)  # type: ignore[call-arg]
@@ -113,14 +117,15 @@ def test_broken_scenes(tmp_path: Path) -> None:
 def test_wrong_settings_of_rendering(scene: Path) -> None:
     loaded = Scene(scene)
     for settings, message in (
-        ({"samples": 0}, "render.samples: expected 1 to 65536, found 0"),
-        ({"samples": 1.5}, "render: samples: expected a whole number, 0 or more, found 1.5"),
-        ({"denoise": "strong"}, "unknown variant `strong`"),
-        ({"lens_deg": 91}, "render.lens_deg: expected 0 to 90, found 91"),
+        ({"samples": 0}, "^render: samples: expected 1 to 65536, found 0"),
+        ({"samples": 1.5}, "render: samples: expected a whole number above 0, found 1.5"),
+        ({"denoise": "strong"}, "render: denoise: expected one of auto, off, .*, found `strong`"),
+        ({"lens_deg": 91}, "^render: lens_deg: expected 0 to 90, found 91"),
         ({"camera": "Nobody"}, "window.camera: expected one of"),
-        ({"depth_scale": 0}, "window.depth_scale"),
+        ({"depth_scale": 0}, "^render: depth_scale"),
         ({"window": {"form": "bounds"}}, "unknown field `form`.*did you mean `from`"),
-        ({"tone": "film"}, "unknown variant `film`"),
+        ({"tone": "film"}, "^render: tone: expected one of auto, .*, found `film`"),
+        ({"zone_directions": 5}, "^render: zone_directions: expected 0, or 32 to 4096, found 5"),
         ({"light": {"automatic": False}}, "light.automatic: expected the value of the Scene"),
         ({"window": 3}, "window: expected a mapping"),
     ):
@@ -130,31 +135,67 @@ def test_wrong_settings_of_rendering(scene: Path) -> None:
 
 def test_wrong_settings_of_factorization(light_field: LightField, display: Display) -> None:
     for settings, error, message in (
-        ({"solver": "newton"}, lumistack.FactorizeError, "solver: expected one of .*found newton"),
-        ({"start": "middle"}, lumistack.SettingError, "factorize.start: expected one of"),
+        ({"solver": "newton"}, lumistack.SettingError, "solver: expected one of .*found newton"),
+        ({"start": "middle"}, lumistack.SettingError, "^factorize: start: expected one of"),
         ({"iterations": -1}, lumistack.SettingError, "factorize: iterations: expected a whole number, 0 or more, found -1"),
         ({"brightness": 0.0}, lumistack.SettingError, "brightness: expected above 0"),
         ({"frames": 0}, lumistack.SettingError, "frames: expected 1 to 1000"),
-        ({"weights": numpy.ones((2, 2), "f4")}, lumistack.SettingError, r"weights: expected shape \[3, 3\]"),
+        ({"weights": numpy.ones((2, 2), "f4")}, lumistack.SettingError, r"^weights: expected shape \[3, 3\]"),
         ({"weights": numpy.ones(3, "f4")}, lumistack.SettingError, r"weights: shape: expected \[view_y\]"),
         ({"weights": -numpy.ones((3, 3), "f4")}, lumistack.SettingError, "finite values ≥ 0"),
         ({"weights": numpy.zeros((3, 3), "f4")}, lumistack.SettingError, "at least one weight above 0, found 0 everywhere"),
         ({"weights": numpy.ones((3, 3), int)}, TypeError, "weights: expected an array of float32"),
-        ({"eyes": [{"eye_mm": (0, 0, -5), "sigma_mm": 1}]}, lumistack.SettingError, "factorize.eyes"),
+        ({"eyes": [{"eye_mm": (0, 0, -5), "sigma_mm": 1}]}, lumistack.SettingError, "^factorize: eyes"),
         ({"eyes": [{"eye": 3}]}, lumistack.SettingError, "unknown field `eye`"),
         ({"iteration": 3}, TypeError, "iteration"),
     ):
         with pytest.raises(error, match=message):
             lumistack.factorize(light_field, display, **settings)
-    with pytest.raises(TypeError, match="light_field"):
-        lumistack.factorize(numpy.zeros((3, 3)), display)  # type: ignore[arg-type]
 
 
-def test_values_that_are_no_light(radiance: Any, display: Display) -> None:
+def test_values_that_are_no_light(radiance: Any, display: Display, tmp_path: Path) -> None:
     radiance[1, 2, 3, 4, 0] = numpy.nan
     bad = LightField(radiance, display=display)
-    with pytest.raises(lumistack.FactorizeError, match=r"view \[1, 2\], row 3, column 4, red: expected a finite value, found NaN"):
-        lumistack.factorize(bad, iterations=1)
+    place = r"^light_field, view \[1, 2\], row 3, column 4, red: expected a finite value, found NaN; replace .* numpy.nan_to_num"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(lumistack.FactorizeError, match=place):
+            lumistack.factorize(bad, iterations=1)
+        stack = LayerStack([numpy.zeros(shape, "f4") for shape in display.layer_shapes], display)
+        with pytest.raises(lumistack.DataError, match=place):
+            lumistack.report(stack, bad, tmp_path)
+
+
+def test_arguments_of_a_wrong_type_are_named(light_field: LightField, radiance: Any, display: Display, scene: Path) -> None:
+    stack = lumistack.factorize(light_field, iterations=0)
+    wanted = "^{}: expected a LightField, found ndarray; LightField\\(array, display=display\\) makes one"
+    cloud = {"positions": numpy.zeros((1, 3)), "scales": numpy.ones((1, 3)), "opacities": [1.0], "harmonics": numpy.ones((1, 1, 3))}
+    without_cameras = Scene.from_splats({name: numpy.asarray(values) for name, values in cloud.items()})
+    calls: list[tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any], str]] = [
+        (lumistack.factorize, (radiance,), {}, wanted.format("light_field")),
+        (lumistack.report, (stack, radiance, "x"), {}, wanted.format("light_field")),
+        (lumistack.write, (stack, "images", "x"), {"target": radiance}, wanted.format("target")),
+        (stack.psnr, (radiance,), {}, wanted.format("light_field")),
+        (stack.psnr_zone, (radiance,), {}, wanted.format("references")),
+        (stack.views, (radiance,), {}, wanted.format("like")),
+        (stack.weights, (radiance,), {}, wanted.format("light_field")),
+        (display.adapted_to, (radiance,), {}, wanted.format("light_field")),
+        (lumistack.simulate, (radiance,), {}, "^stack: expected a LayerStack, found ndarray"),
+        (lumistack.factorize, (light_field,), {"warm_start": radiance}, "^warm_start: expected a LayerStack"),
+        (lumistack.factorize, (light_field,), {"frames": 2.0}, "^frames: expected a whole number above 0, found 2.0"),
+        (lumistack.render, (scene, (64, 40)), {}, "^display: expected a Display, a name, a file or a mapping, found tuple"),
+        (lumistack.render, (3,), {}, "^scene: expected a Scene, a path or a stage of OpenUSD, found int"),
+        (lumistack.render, (without_cameras,), {"camera": "x"}, "camera: expected none, since the scene has no cameras, found x"),
+        (light_field.exposed, ("1",), {}, "^exposure_ev: expected a number"),
+        (LightField, (radiance, display), {}, "write display="),
+        (LightField, (radiance.tolist(),), {"display": display}, r"found list; numpy\.asarray\(\.\.\.\) makes one"),
+        (LightField.open, ("x.npy",), {"slope_x": [0.0]}, r"LightField\(numpy\.load\(path\), slope_x="),
+        (lumistack.set_threads, (0,), {}, "expected 1 or more, found 0"),
+        (lumistack.set_threads, (2,), {}, "call set_threads before any other work"),
+    ]
+    for call, arguments, named, message in calls:
+        with pytest.raises((TypeError, lumistack.SettingError), match=message):
+            call(*arguments, **named)
 
 
 def test_geometry_of_arrays(radiance: Any) -> None:
@@ -208,6 +249,10 @@ def test_viewpoints(light_field: LightField) -> None:
 def test_jobs(tmp_path: Path) -> None:
     with pytest.raises(lumistack.SettingError, match="unknown field `scen`.*did you mean `scene`"):
         lumistack.run({"scen": "a.glb"}, tmp_path)
+    with pytest.raises(lumistack.SettingError, match="^job: scene: expected a path, found a mapping"):
+        lumistack.run({"scene": {"path": "a.glb"}}, tmp_path)
+    with pytest.raises(lumistack.SettingError, match="^job: expected a value for `display`, found none"):
+        lumistack.run({"scene": "a.glb"}, tmp_path)
     with pytest.raises(lumistack.SettingError, match="expected exactly one of `scene`, `light_field` and `source`"):
         lumistack.run({"display": {"preset": "fig7-uniform"}}, tmp_path)
     with pytest.raises(TypeError, match=r"\w: expected strings \(str\) as keys"):
@@ -226,6 +271,26 @@ def test_warnings_are_warnings_of_python(display: Display) -> None:
         warnings.simplefilter("error")
         with pytest.raises(lumistack.LumistackWarning):
             lumistack.factorize(field, warm_start=equal, iterations=1)
+
+
+def test_warnings_speak_python(tmp_path: Path) -> None:
+    # the lamp shines away from the triangle
+    corners = base64.b64encode(numpy.array([0, 0, 0, 1, 0, 0, 0, 1, 0], "<f4").tobytes()).decode()
+    lamp = {"KHR_lights_punctual": {"light": 0}}
+    scene = {
+        "asset": {"version": "2.0"},
+        "extensionsUsed": ["KHR_lights_punctual"],
+        "extensions": {"KHR_lights_punctual": {"lights": [{"type": "spot", "spot": {}}]}},
+        "scenes": [{"nodes": [0, 1]}],
+        "nodes": [{"mesh": 0}, {"translation": [0, 0, 50], "rotation": [0, 1, 0, 0], "extensions": lamp}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36, "uri": f"data:application/octet-stream;base64,{corners}"}],
+    }
+    (tmp_path / "dark.gltf").write_text(json.dumps(scene))
+    with pytest.warns(lumistack.LumistackWarning, match='light={"automatic": False} leaves it out'):
+        lumistack.render(tmp_path / "dark.gltf", Display("fig7-uniform", resolution=(8, 5)), samples=1)
 
 
 def test_values_that_no_display_shows_are_named_and_can_be_brought_into_range(light_field: LightField, display: Display, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import re
 import subprocess
 import sys
 import types
+import warnings
 import zlib
 from pathlib import Path
 from typing import Any
@@ -148,7 +149,7 @@ def test_a_notebook_shows_views_and_sliders(light_field: lumistack.LightField) -
 def test_a_notebook_shows_patterns(light_field: lumistack.LightField) -> None:
     stack = light_field.factorize(iterations=3)
     html = stack._repr_html_()
-    assert html is not None and "-12, 0, 12 mm" in html and f"{stack.history[-1][2]:.2f} dB" in html
+    assert html is not None and "\N{MINUS SIGN}12, 0, 12 mm" in html and f"{stack.history[-1][2]:.2f} dB" in html
     # The notebook shows the seen picture at three slopes, and the masks of three layers.
     assert len(pictures(html)) == 6
     # A name with HTML tags is shown as text.
@@ -173,14 +174,28 @@ def test_plots_show_what_they_say(light_field: lumistack.LightField) -> None:
     assert numpy.array_equal(image.get_array(), _show._srgb(light_field[0, 2]))
     assert light_field.plot(ax=ax) is ax
     stack = light_field.factorize(iterations=5)
-    figure = stack.plot()
-    assert len(figure.axes) == 4
+    assert light_field.plot((0, 0)).get_title().startswith("view [0, 0], slope (\N{MINUS SIGN}0.1")
+    assert light_field.plot((1, 1)).get_title() == "view [1, 1], slope (0.000, 0.000)"
+    # a notebook shows a returned figure twice
+    axes = stack.plot(1)
+    titles = [one.get_title() for one in axes]
+    assert titles == ["layer 0, \N{MINUS SIGN}12 mm", "layer 1, 0 mm", "layer 2, 12 mm", "seen, 2 frames"]
+    assert [text.get_text() for text in axes[0].figure.texts] == ["frame 1 of 0 to 1"]
     with pytest.raises(IndexError, match="frame: expected -2 to 1, found 2"):
         stack.plot(2)
     (line,) = stack.plot_history().get_lines()
     assert line.get_ydata().tolist() == [step[2] for step in stack.history]
     with pytest.raises(ValueError, match="expected patterns that factorize"):
         lumistack.LayerStack(stack.layers, stack.display).plot_history()
+    pyplot.close("all")
+
+
+def test_values_that_are_not_finite_are_drawn_without_warnings(light_field: lumistack.LightField) -> None:
+    radiance = numpy.array(light_field.radiance)
+    radiance[...] = numpy.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lumistack.LightField(radiance, display=light_field.display).plot()
     pyplot.close("all")
 
 

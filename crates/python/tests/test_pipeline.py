@@ -130,7 +130,9 @@ def test_light_fields_and_patterns_survive_files_and_pickles(light_field: LightF
     read = LightField.open(tmp_path / "views")
     assert read.shape == light_field.shape and read.slope_x == pytest.approx(light_field.slope_x)
     assert numpy.allclose(read.radiance, light_field.radiance, rtol=1e-3)
-    assert json.loads((tmp_path / "views" / "lightfield.json").read_text())["info"] == {"note": "waves"}
+    assert read.info == {"note": "waves"} and read.display == light_field.display
+    info = json.loads((tmp_path / "views" / "lightfield.json").read_text())["info"]
+    assert info["note"] == "waves" and info["display"]["name"] == "small"
     stack = lumistack.factorize(light_field, iterations=2)
     stack.save(tmp_path / "run")
     for other in (

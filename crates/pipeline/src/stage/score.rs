@@ -46,6 +46,9 @@ pub struct References {
     pub(crate) cached: bool,
 }
 
+/// A direction, and its two pictures `[row][col][rgb]`, display-referred.
+pub type ReferencePictures = (ViewGrid, [Arc<Vec<f32>>; 2]);
+
 /// Location of the pictures.
 enum Pictures {
     /// The pictures are in a folder of the cache, two per direction.
@@ -184,9 +187,11 @@ impl References {
         Self::of_pictures(geometry, views, true)
     }
 
-    fn of_pictures(
+    /// Returns references from pictures with the pixels of a geometry. `left_out` is true for views
+    /// of the light field's file that the light field lacks.
+    pub fn of_pictures(
         geometry: &FieldGeometry,
-        views: impl Iterator<Item = (ViewGrid, [Arc<Vec<f32>>; 2])>,
+        views: impl Iterator<Item = ReferencePictures>,
         left_out: bool,
     ) -> Self {
         let (directions, pictures): (Vec<ViewGrid>, Vec<_>) = views.unzip();
@@ -197,6 +202,13 @@ impl References {
         }
         let pictures = Pictures::Held { pictures, left_out };
         Self { geometry: geometry.clone(), directions, pictures, key: key.finish(), cached: true }
+    }
+
+    /// Returns the pictures, and `left_out`, as [`Self::of_pictures`] takes them. Returns `None` if
+    /// the pictures are not in memory.
+    pub fn pictures(&self) -> Option<(impl Iterator<Item = ReferencePictures>, bool)> {
+        let Pictures::Held { pictures, left_out } = &self.pictures else { return None };
+        Some((self.directions.iter().cloned().zip(pictures.iter().cloned()), *left_out))
     }
 
     /// Reads all pictures into memory, since their folder will be removed.

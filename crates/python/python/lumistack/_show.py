@@ -47,7 +47,7 @@ def layer_stack(stack: LayerStack) -> str | None:
     seen = [[_png(stack.simulate((slope, 0.0))) for slope in picks]]
     facts = {
         "display": html.escape(stack.display.name),
-        "layers": ", ".join(f"{distance:g}" for distance in stack.display.layer_distances_mm) + " mm",
+        "layers": ", ".join(_number(distance) for distance in stack.display.layer_distances_mm) + " mm",
         "frames": f"{stack.frames}, at a brightness of {stack.brightness:g}",
     }
     if stack.history:
@@ -63,29 +63,32 @@ def plot_view(light_field: LightField, view: tuple[int, int] | None, ax: Any) ->
     width, height = cols * light_field.pitch_mm, rows * light_field.pitch_mm
     ax = _axes(ax)
     ax.imshow(_srgb(light_field[v, u]), extent=(-width / 2, width / 2, -height / 2, height / 2))
-    ax.set_title(f"view [{v}, {u}], slope ({light_field.slope_x[u]:.3f}, {light_field.slope_y[v]:.3f})")
+    ax.set_title(f"view [{v}, {u}], slope ({_number(light_field.slope_x[u], 3)}, {_number(light_field.slope_y[v], 3)})")
     ax.set_xlabel("x, mm")
     ax.set_ylabel("y, mm")
     return ax
 
 
 def plot_patterns(stack: LayerStack, frame: int) -> Any:
-    """Draws the masks of a frame, and the picture of all frames as seen from the middle."""
+    """Draws the masks of a frame, and the picture of all frames as seen from the middle. Returns the
+    axes, since notebooks would show a returned figure twice."""
     from matplotlib import pyplot
 
     if not -stack.frames <= frame < stack.frames:
         raise IndexError(f"frame: expected {-stack.frames} to {stack.frames - 1}, found {frame}")
     pictures = [
-        (f"layer {n}, {distance:g} mm", layer[frame])
+        (f"layer {n}, {_number(distance)} mm", layer[frame])
         for n, (distance, layer) in enumerate(zip(stack.display.layer_distances_mm, stack.layers, strict=True))
     ]
-    pictures.append((f"seen, {stack.frames} frames", stack.simulate()))
+    pictures.append((f"seen, {_count(stack.frames, 'frame')}", stack.simulate()))
     figure, axes = pyplot.subplots(1, len(pictures), squeeze=False, figsize=(3.2 * len(pictures), 2.6), layout="constrained")
     for ax, (title, picture) in zip(axes[0], pictures, strict=True):
         ax.imshow(_srgb(picture))
         ax.set_title(title)
         ax.set_axis_off()
-    return figure
+    last = stack.frames - 1
+    figure.suptitle(f"frame {frame % stack.frames} of 0 to {last}" if last else "the only frame")
+    return axes[0]
 
 
 def plot_history(stack: LayerStack, ax: Any) -> Any:
@@ -97,6 +100,16 @@ def plot_history(stack: LayerStack, ax: Any) -> Any:
     ax.set_xlabel("iterations")
     ax.set_ylabel("PSNR of the solver's views, dB")
     return ax
+
+
+def _number(value: float, digits: int | None = None) -> str:
+    """Returns a number with a minus sign, not a hyphen, and without the sign of -0.0."""
+    text = f"{value:g}" if digits is None else f"{round(value, digits) + 0.0:.{digits}f}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def _count(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def _axes(ax: Any) -> Any:
@@ -123,14 +136,15 @@ def _spread(count: int, most: int) -> list[int]:
 
 
 def _range(slopes: list[float]) -> str:
-    return f"{min(slopes):.3f} to {max(slopes):.3f}" if len(slopes) > 1 else f"{slopes[0]:.3f}"
+    return f"{_number(min(slopes), 3)} to {_number(max(slopes), 3)}" if len(slopes) > 1 else _number(slopes[0], 3)
 
 
 def _srgb(linear: Any) -> Any:
     """Converts linear light to 8-bit sRGB codes (IEC 61966-2-1), [row, col, rgb]."""
     import numpy
 
-    light = numpy.clip(numpy.asarray(linear, numpy.float32), 0.0, 1.0)
+    # Values that are not finite are black or white, since they have no code.
+    light = numpy.clip(numpy.nan_to_num(numpy.asarray(linear, numpy.float32)), 0.0, 1.0)
     encoded = numpy.where(light <= 0.0031308, 12.92 * light, 1.055 * numpy.power(light, 1 / 2.4) - 0.055)
     return (255.0 * encoded + 0.5).astype(numpy.uint8)
 

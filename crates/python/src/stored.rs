@@ -1,0 +1,105 @@
+//! Folders of light fields and patterns: their notes, stale views, and folders of other data.
+
+use std::io::ErrorKind;
+use std::path::Path;
+use std::sync::Arc;
+
+use lumistack_display::{Display as Description, StackIndex};
+use lumistack_field_io::view_file_name;
+use lumistack_pipeline::PipelineError;
+use pyo3::prelude::*;
+use serde_json::{Map, Value};
+
+use crate::error::{exception, setting};
+
+/// Key of the display in the notes (`info`) of a light-field folder.
+pub(crate) const DISPLAY: &str = "display";
+/// Index of a light-field folder.
+const INDEX: &str = "lightfield.json";
+/// Suffixes of files that users expect save() to write, but it writes a folder.
+const FILES: [&str; 16] =
+    ["npz", "exr", "png", "jpg", "jpeg", "tif", "tiff", "hdr", "json", "toml", "h5", "hdf5", "pt", "mat", "zip", "pkl"];
+
+/// Content of a folder.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Holds {
+    /// A light field.
+    Views,
+    /// Patterns.
+    Patterns,
+}
+
+/// Returns the display and the other notes of a light-field folder, or of the folder `target` in a
+/// run's folder. Light fields of other formats have no notes.
+pub(crate) fn notes(path: &Path) -> (Option<Arc<Description>>, Map<String, Value>) {
+    let is_index = path.file_name().is_some_and(|name| name == INDEX);
+    let places =
+        if is_index { vec![path.to_path_buf()] } else { vec![path.join(INDEX), path.join("target").join(INDEX)] };
+    let Some(mut index) = places.iter().find_map(|place| read(place)) else { return (None, Map::new()) };
+    let Some(Value::Object(mut info)) = index.remove("info") else { return (None, Map::new()) };
+    // A note of this name that is no display stays a note.
+    let display = info.get(DISPLAY).and_then(|display| serde_json::from_value::<Description>(display.clone()).ok());
+    let display = display.filter(|display| display.check().is_ok());
+    if display.is_some() {
+        info.remove(DISPLAY);
+    }
+    (display.map(Arc::new), info)
+}
+
+/// Returns the files of the views in a light-field folder.
+pub(crate) fn views(folder: &Path) -> Vec<String> {
+    let index = read(&folder.join(INDEX)).unwrap_or_default();
+    let views = index.get("views").and_then(Value::as_array).into_iter().flatten();
+    views.filter_map(|view| view["file"].as_str().map(String::from)).collect()
+}
+
+/// Removes the files of an earlier light field in this folder that the new one has not replaced.
+/// Only files with names that save() gives are removed.
+pub(crate) fn remove_stale(folder: &Path, old: &[String], views: [usize; 2]) -> Result<(), PipelineError> {
+    let new: Vec<String> =
+        (0..views[0]).flat_map(|row| (0..views[1]).map(move |col| view_file_name(views, [row, col]))).collect();
+    let is_number = |part: &str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
+    let is_ours = |file: &str| {
+        let numbers = file.strip_prefix("view_").and_then(|rest| rest.strip_suffix(".exr"));
+        numbers.and_then(|numbers| numbers.split_once('_')).is_some_and(|(row, col)| is_number(row) && is_number(col))
+    };
+    old.iter().filter(|file| is_ours(file) && !new.contains(file)).try_for_each(|file| {
+        let path = folder.join(file);
+        match std::fs::remove_file(&path) {
+            Err(source) if source.kind() != ErrorKind::NotFound => Err(PipelineError::write(&path)(source)),
+            _ => Ok(()),
+        }
+    })
+}
+
+/// Checks that a path can become a folder of this content: it must not have the name of a file, and
+/// must not be the folder of the other content.
+///
+/// # Errors
+/// SettingError with the remedy.
+pub(crate) fn check_free(py: Python<'_>, folder: &Path, holds: Holds) -> PyResult<()> {
+    let suffix = folder.extension().map(|suffix| suffix.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    if FILES.contains(&&*suffix) && !folder.exists() {
+        let array = if holds == Holds::Views { ", or of a file that ends in .npy" } else { "" };
+        let message = format!("{}: expected the name of a folder{array}, found the suffix .{suffix}", folder.display());
+        return Err(setting(py, message));
+    }
+    let (others, what, found) = match holds {
+        Holds::Views => {
+            (vec![StackIndex::FILE.into(), format!("layers/{}", StackIndex::FILE)], "a light field", "patterns")
+        }
+        Holds::Patterns => (vec![INDEX.into()], "patterns", "a light field"),
+    };
+    if let Some(other) = others.iter().find(|other| folder.join(other).is_file()) {
+        let message = format!(
+            "{}: expected a free folder for {what}, found {found} ({other}); give another folder",
+            folder.display()
+        );
+        return Err(exception(py, "FileError", &message));
+    }
+    Ok(())
+}
+
+fn read(index: &Path) -> Option<Map<String, Value>> {
+    serde_json::from_slice(&std::fs::read(index).ok()?).ok()
+}
