@@ -1,6 +1,6 @@
 /* Output plugin `c_means`, in C: writes the mean transmittance of every layer and frame as text.
  *
- *   cc -shared -fPIC -O2 -I crates/plugin-abi/include -o liblumistack_plugin_c_means.so lumistack_plugin_c_means.c
+ *   cc -shared -fPIC -O2 -I crates/plugin-abi/include -o target/liblumistack_plugin_c_means.so examples/c-plugin/lumistack_plugin_c_means.c
  */
 #include <stdio.h>
 #include <stdlib.h>

@@ -37,7 +37,9 @@ impl LayerStack {
     /// Axis names of the emission.
     pub const EMISSION_AXES: [&'static str; 6] = ["frame", "bin_y", "bin_x", "lenslet_row", "lenslet_col", "rgb"];
 
-    /// Makes a stack in which every value is `value`.
+    /// Makes a stack in which every value is `value`. Its brightness scale β is the display's. The
+    /// patterns must emit β times the light field, since comparisons divide emitted light by β.
+    /// Code that makes patterns of another brightness sets `brightness`.
     pub fn filled(display: &Display, value: f32) -> Self {
         Self {
             layers: (0..display.layers.len())

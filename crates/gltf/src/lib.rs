@@ -15,22 +15,29 @@
 //! use lumistack_core::{Cancel, Collector, Task};
 //! use lumistack_gltf::AssetResolver;
 //!
-//! /// Files beside the glTF file.
+//! /// Reads files in the folder of the glTF file, and no other files.
 //! struct Folder(std::path::PathBuf);
 //!
 //! impl AssetResolver for Folder {
 //!     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String> {
-//!         let path = self.0.join(uri);
-//!         let length = path.metadata().map_err(|error| error.to_string())?.len();
-//!         if length > max_bytes {
-//!             return Err(format!("{length} bytes"));
+//!         let text = |error: std::io::Error| error.to_string();
+//!         // the canonical path has no `..` and no links, so its start shows whether it is inside
+//!         let folder = self.0.canonicalize().map_err(text)?;
+//!         let path = folder.join(uri).canonicalize().map_err(text)?;
+//!         let file = path.metadata().map_err(text)?;
+//!         if !path.starts_with(&folder) || !file.is_file() || file.len() > max_bytes {
+//!             return Err(format!("expected a file of at most {max_bytes} bytes in {}", folder.display()));
 //!         }
-//!         std::fs::read(path).map_err(|error| error.to_string())
+//!         std::fs::read(path).map_err(text)
 //!     }
 //! }
 //!
 //! let (warnings, cancel) = (Collector::default(), Cancel::default());
-//! let resolver = Folder("scenes/none".into());
+//! let resolver = Folder(".".into());
+//! assert!(resolver.read("Cargo.toml", 1 << 20).is_ok());
+//! assert!(resolver.read("Cargo.toml", 1).is_err());
+//! assert!(resolver.read("../../README.md", 1 << 20).is_err());
+//!
 //! let text = br#"{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}]}"#;
 //! let task = Task::quiet(&warnings, &cancel);
 //! let error = lumistack_gltf::load("a.gltf", text, &resolver, task).unwrap_err();

@@ -29,11 +29,20 @@ const WIDTH_MM: f64 = 473.76;
 /// Full angle of the grid of views, in degrees.
 const FOV_DEG: f64 = 20.0;
 
+/// Reads files in the folder of the scene, and no other files.
 struct Folder(PathBuf);
 
 impl AssetResolver for Folder {
-    fn read(&self, uri: &str, _max_bytes: u64) -> Result<Vec<u8>, String> {
-        std::fs::read(self.0.join(uri)).map_err(|error| error.to_string())
+    fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String> {
+        let text = |error: std::io::Error| error.to_string();
+        // the canonical path has no `..` and no links, so its start shows whether it is inside
+        let folder = self.0.canonicalize().map_err(text)?;
+        let path = folder.join(uri).canonicalize().map_err(text)?;
+        let file = path.metadata().map_err(text)?;
+        if !path.starts_with(&folder) || !file.is_file() || file.len() > max_bytes {
+            return Err(format!("expected a file of at most {max_bytes} bytes in {}", folder.display()));
+        }
+        std::fs::read(path).map_err(text)
     }
 }
 
@@ -79,7 +88,7 @@ fn render(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };
     let bytes = std::fs::read(&arguments.scene)?;
-    let folder = Folder(arguments.scene.parent().unwrap_or(Path::new(".")).to_owned());
+    let folder = Folder(arguments.scene.parent().unwrap_or(Path::new("")).join("."));
     let name = arguments.scene.display().to_string();
     let scene = Arc::new(with_light(lumistack_gltf::load(&name, &bytes, &folder, task)?, task)?);
 

@@ -183,7 +183,10 @@ impl Renderer {
         task.cancel.check()?;
         let lights = Lights::new(&scene, &geometry, &materials);
         if lights.is_dark() {
-            task.warn(&scene.name, "nothing in the scene emits light, so every view is black");
+            task.warn(
+                &scene.name,
+                "nothing in the scene emits light, so every view is black: add a light or an environment to the scene, or let the studio light be added (in a job `light.automatic = true`, in Rust `lumistack_shot::light::lit`)",
+            );
         }
         let memory = Memory {
             triangles: scene.triangle_count(),

@@ -103,6 +103,10 @@ impl Registry {
                     continue;
                 }
             };
+            // the user's own folder may be empty
+            if files.is_empty() && paths.named.contains(place) {
+                self.failed.push(LoadError::NoLibraries { path: place.clone(), expected: file_name("*") });
+            }
             for file in files {
                 // add a file once, even if two paths lead to it
                 let real = fs::canonicalize(&file).unwrap_or_else(|_| file.clone());
@@ -146,6 +150,11 @@ fn libraries(place: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
+/// Returns the name of the library's file of a plugin.
+fn file_name(name: &str) -> String {
+    format!("{DLL_PREFIX}{STEM}{name}{DLL_SUFFIX}")
+}
+
 /// Returns the plugin's name from the name of its library's file `lumistack_plugin_<name>`.
 fn name_of(path: &Path) -> Result<String, LoadError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -154,8 +163,7 @@ fn name_of(path: &Path) -> Result<String, LoadError> {
         .and_then(|name| name.strip_prefix(STEM))
         .and_then(|name| name.strip_suffix(DLL_SUFFIX))
         .filter(|own| is_plugin_id(own));
-    own.map(String::from)
-        .ok_or_else(|| LoadError::Name { path: path.into(), expected: format!("{DLL_PREFIX}{STEM}NAME{DLL_SUFFIX}") })
+    own.map(String::from).ok_or_else(|| LoadError::Name { path: path.into(), expected: file_name("NAME") })
 }
 
 /// Opens a library in this process and takes the plugin `id`. `path` is absolute, since the loader

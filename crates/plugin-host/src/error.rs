@@ -116,6 +116,14 @@ pub enum LoadError {
         /// The error of the operating system.
         source: io::Error,
     },
+    /// A folder that the user named contains no plugin library.
+    #[error("{}: expected files named `{expected}`, found none: `cargo build --release` writes a plugin's library to `target/release`", path.display())]
+    NoLibraries {
+        /// The folder.
+        path: PathBuf,
+        /// The expected form of file names.
+        expected: String,
+    },
     /// The file does not have the name of a plugin library.
     #[error("{}: expected a file named `{expected}`", path.display())]
     Name {

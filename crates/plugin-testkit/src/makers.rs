@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use lumistack_core::Tensor;
 use lumistack_core::seed::{Stream, derive};
-use lumistack_display::{Display, LayerStack, LensletBacklight, LightField, Weights};
+use lumistack_display::{Display, Layer, LayerStack, LensletBacklight, LightField, Weights};
 use lumistack_plugin::{Export, PluginError, Time};
 use lumistack_plugin_host::serve::{
     Made as MadeStack, NodeData, Plugin, PluginKind, import, make_field, make_stack, resolved,
@@ -22,7 +22,10 @@ fn displays() -> Vec<Display> {
     let mut directional = of(&[0.0], 1);
     let lenslets = LensletBacklight::new(-6.0, [4, 3], 2.0, [3, 2], [20.0, 14.0]);
     directional.backlight = lumistack_display::Backlight::Lenslets(lenslets);
-    vec![of(&[-3.0, 3.0], 4), of(&[0.0], 2), of(&[-4.0, 0.0, 4.0], 3), directional]
+    // pixels of layers may differ from the pixels of the light field
+    let mut coarse_front = of(&[-3.0, 3.0], 2);
+    coarse_front.layers[1] = Layer::new(3.0, [5, 4], 1.6);
+    vec![of(&[-3.0, 3.0], 4), of(&[0.0], 2), of(&[-4.0, 0.0, 4.0], 3), directional, coarse_front]
 }
 
 /// Returns a light field of random values in a display's geometry. Every call with the same display

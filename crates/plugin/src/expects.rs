@@ -52,6 +52,28 @@ pub fn lenslets(display: &Display) -> Result<&LensletBacklight, PluginError> {
     }
 }
 
+/// Requires that the pixels of every layer have the size and the places of the light field's
+/// pixels. Displays may have layers with other pixels; for these,
+/// [`RayMap`](lumistack_display::RayMap) returns the pixels that a ray hits.
+///
+/// # Errors
+/// If a layer has other pixels, or the display's geometry is invalid.
+pub fn same_pixels(display: &Display) -> Result<(), PluginError> {
+    let geometry = display.geometry().map_err(|error| PluginError::Refused(error.to_string()))?;
+    let wanted = ([geometry.cols, geometry.rows], geometry.pitch_mm, [0.0; 2]);
+    let text = |([cols, rows], pitch_mm, [x, y]): ([usize; 2], f64, [f64; 2])| {
+        format!("{cols} × {rows} pixels of {pitch_mm} mm with an offset of {x}, {y} mm")
+    };
+    for (number, layer) in display.layers.iter().enumerate() {
+        let found = (layer.resolution, layer.pitch_mm, layer.offset_mm);
+        if found != wanted {
+            let expected = format!("layers with the light field's {}", text(wanted));
+            return Err(PluginError::display(display, expected, format!("layer {number} with {}", text(found))));
+        }
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -61,10 +83,16 @@ mod tests {
         let mut display = Display::uniform([8, 6], 1.0, [3, 2], [20.0, 14.0], &[-3.0, 3.0], 4);
         display.name = "bench".into();
         assert_eq!((layers(&display, 2), attenuating(&display), uniform_backlight(&display)), (Ok(()), Ok(()), Ok(())));
+        assert_eq!(same_pixels(&display), Ok(()));
         let refused = |text: &str| PluginError::Refused(text.into());
         assert_eq!(layers(&display, 3), Err(refused("display `bench`: expected 3 layers, found 2")));
         let expected = "display `bench`: expected a directional backlight, found a uniform one";
         assert_eq!(lenslets(&display).err(), Some(refused(expected)));
+        display.layers[1].resolution = [4, 3];
+        display.layers[1].pitch_mm = 2.0;
+        let expected = "display `bench`: expected layers with the light field's 8 × 6 pixels of 1 mm with an offset of 0, 0 mm, \
+                        found layer 1 with 4 × 3 pixels of 2 mm with an offset of 0, 0 mm";
+        assert_eq!(same_pixels(&display), Err(refused(expected)));
         display.formation = Formation::Additive;
         assert_eq!(
             attenuating(&display),

@@ -254,7 +254,7 @@ def test_the_commands_of_a_page_work(page: str, tmp_path: Path, monkeypatch: pyt
             (folder / name).symlink_to(ROOT / name)
         # the library of the page's first plugin is the one in C, which needs no cargo
         [build] = [command for block in pages.blocks(page) if block.language == "sh" for _, command in pages.commands(block) if command.startswith("cc ")]
-        pages.run(build.replace("-o ", "-o target/release/"), folder)
+        pages.run(build.replace("-o target/", "-o target/release/"), folder)
     elif page == "CONTRIBUTING.md":
         (folder / "target/site").mkdir(parents=True)
         (folder / "target/site/index.html").write_text("a page")

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! The pipeline keeps the results in a run folder, the browser page in memory. The crate uses no
-//! file system and no clock, and compiles to wasm32.
+//! file system and no clock, and compiles to wasm32. `examples/patterns.rs` uses all these steps.
 
 mod depth;
 mod edit;
@@ -30,7 +30,7 @@ pub use job::{
 };
 pub use place::{Found, Placement, coarser, find_camera, find_window, place};
 pub use renderer::{SceneRenderer, put_before, slopes};
-pub use subject::Subject;
+pub use subject::{LitScene, Subject};
 pub use tone_mapping::{ToneMapping, automatic_tone_mapping};
 
 /// Hash of this crate's sources, computed at build. It is part of the key of every cached result

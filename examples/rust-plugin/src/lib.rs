@@ -1,5 +1,7 @@
 //! Output plugin `means`: writes the mean transmittance of every layer and frame as a table.
 
+pub mod centre_view;
+
 use std::sync::Mutex;
 
 use lumistack_plugin::serde::Deserialize;
@@ -88,8 +90,26 @@ export_plugin!("means", Means);
 
 #[cfg(test)]
 mod tests {
+    use lumistack_plugin::display::LayerStack;
+    use lumistack_plugin::serde_json::json;
+    use lumistack_plugin::{Display, Time};
+    use lumistack_plugin_testkit::serve::{Output, OutputData, Plugin};
+    use lumistack_plugin_testkit::{MemoryHost, conformance};
+
     #[test]
     fn keeps_the_rules_of_plugins() {
-        lumistack_plugin_testkit::conformance(&super::PLUGIN).unwrap();
+        conformance(&super::PLUGIN).unwrap();
+    }
+
+    #[test]
+    fn writes_a_line_per_layer_and_frame() {
+        let display = Display::uniform([8, 6], 1.0, [3, 3], [20.0, 20.0], &[-3.0, 3.0], 1);
+        let stack = LayerStack::filled(&display, 0.25);
+        let (plugin, host) = (Plugin::compiled_in(&super::PLUGIN).unwrap(), MemoryHost::new());
+        let output = Output::open(&plugin, &host, &json!({ "digits": 3 }), &display).unwrap();
+        // `None`: no light field for which the stack was solved
+        output.submit(Time::default(), OutputData::LayerStack(&stack, None)).unwrap();
+        output.finish().unwrap();
+        assert_eq!(host.files()["means.csv"], b"0000,0,00,0.250\n0000,1,00,0.250\n");
     }
 }

@@ -189,6 +189,7 @@ fn the_tutorial_shows_the_samples_as_they_are() {
     for (language, path) in [
         ("toml", "examples/rust-plugin/Cargo.toml"),
         ("rust", "examples/rust-plugin/src/lib.rs"),
+        ("rust", "examples/rust-plugin/src/centre_view.rs"),
         ("c", "examples/c-plugin/lumistack_plugin_c_means.c"),
     ] {
         let shown = format!("```{language}\n{}```\n", read(path));

@@ -124,6 +124,10 @@ fn names_and_places_are_checked() {
     assert!(failure(&upper).starts_with("expected a file named"));
     let missing = failure(&folder.path().join("nothing"));
     assert!(missing.starts_with("expected a plugin or a folder of plugins, found: "), "{missing}");
+    let empty = folder.path().join("release");
+    fs::create_dir(&empty).unwrap();
+    let expected = format!("expected files named `{}`, found none: `cargo build --release` ", file_name("*"));
+    assert!(failure(&empty).starts_with(&expected), "{}", failure(&empty));
     // A renamed library keeps its plugin's id, since ids come from the exported functions.
     let renamed = folder.path().join(file_name("other"));
     fs::copy(example("faulty"), &renamed).unwrap();
