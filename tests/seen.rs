@@ -160,8 +160,8 @@ fn a_far_backdrop_does_not_draw_the_window_away() {
     };
     let depth = |document: &str| {
         let (said, info, _) = render(folder.path(), document, &["--json"]);
-        let done = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
-        let done = done.filter(|event| event["event"] == "done").next_back().unwrap();
+        let mut done = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        let done = done.rfind(|event| event["event"] == "done").unwrap();
         (said, number(&info, "depth_scale"), number(&done["depth"], "inside"))
     };
     // The card covers about a fifth of the picture. A window at the backdrop would show all of it
