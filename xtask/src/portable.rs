@@ -63,8 +63,8 @@ const NOT_IN_WINE: [(&str, &[&str]); 2] = [
 /// Libraries and a program that the tests of plugins load.
 const EXAMPLES: [&str; 3] = ["lumistack_plugin_echo", "lumistack_plugin_faulty", "plugin_child"];
 
-/// Checks the types of the command, with all its features, and of the Python module for every system
-/// in [`TARGETS`]. The other steps of CI do not compile the command with the feature `gpu`.
+/// Checks the types of the command, with all its features, and of the Python module for every
+/// system in [`TARGETS`]. The other steps of CI do not compile the command with the feature `gpu`.
 pub fn check() -> Outcome {
     for target in TARGETS {
         if let Err(error) = tools::rust_target(target) {
