@@ -178,9 +178,9 @@ fn a_far_backdrop_does_not_draw_the_window_away() {
     assert!(!said.contains("Focus on Object") && !said.contains("no room is made"), "{said}");
 }
 
-/// A run states if the file lacks a camera or lights, and the replacements.
+/// A run reports a camera and lights that the file lacks, and their replacements.
 #[test]
-fn a_run_states_what_the_file_lacks() {
+fn a_run_reports_what_the_file_lacks() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("card.gltf");
     std::fs::write(&file, scene(&[([0.0; 3], UPRIGHT)], |_| {})).unwrap();
