@@ -164,3 +164,21 @@ pub(super) fn save(path: &Path, panes: Vec<Vec<f32>>, [rows, cols]: [usize; 2]) 
     }
     simulate_to_file(&sheet, path)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two folders above a run there may be a folder `target` of other work. Only a node has its
+    /// target there. The file is damaged, so reading it is an error.
+    #[test]
+    fn only_a_node_has_the_target_of_the_run_around_it() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["target", "nodes/a", "runs/a"] {
+            std::fs::create_dir_all(folder.path().join(name)).unwrap();
+        }
+        std::fs::write(folder.path().join("target/lightfield.json"), "{").unwrap();
+        assert!(target_of(&folder.path().join("nodes/a")).is_err(), "the target is read");
+        assert!(target_of(&folder.path().join("runs/a")).unwrap().is_none());
+    }
+}
