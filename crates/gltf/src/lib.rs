@@ -26,7 +26,8 @@
 //!         let path = folder.join(uri).canonicalize().map_err(text)?;
 //!         let file = path.metadata().map_err(text)?;
 //!         if !path.starts_with(&folder) || !file.is_file() || file.len() > max_bytes {
-//!             return Err(format!("expected a file of at most {max_bytes} bytes in {}", folder.display()));
+//!             let folder = folder.display();
+//!             return Err(format!("expected a file of at most {max_bytes} bytes in {folder}"));
 //!         }
 //!         std::fs::read(path).map_err(text)
 //!     }
