@@ -199,7 +199,7 @@ def _settings_class():
             name="Window",
             description="Position of the window; the window is as wide as the camera's picture at its distance",
             items=[
-                ("AUTO", "Automatic", "The camera's plane of focus or, if its depth of field is off, the middle of the visible depths"),
+                ("AUTO", "Automatic", "The camera's plane of focus or, if its depth of field is off, a distance that near content determines"),
                 ("DISTANCE", "Distance", "At a distance from the camera"),
             ],
             **draw,

@@ -18,13 +18,20 @@
 //! /// Reads files in the folder of the glTF file, and no other files.
 //! struct Folder(std::path::PathBuf);
 //!
-//! impl AssetResolver for Folder { fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>,
-//! String> { let text = |error: std::io::Error| error.to_string(); // the canonical path has no
-//! `..` and no links, so its start shows whether it is inside let folder =
-//! self.0.canonicalize().map_err(text)?; let path = folder.join(uri).canonicalize().map_err(text)?;
-//! let file = path.metadata().map_err(text)?; if !path.starts_with(&folder) || !file.is_file() ||
-//! file.len() > max_bytes { return Err(format!("expected a file of at most {max_bytes} bytes in
-//! {}", folder.display())); } std::fs::read(path).map_err(text) } }
+//! impl AssetResolver for Folder {
+//!     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String> {
+//!         let text = |error: std::io::Error| error.to_string();
+//!         // the canonical path has no `..` and no links, so its start shows whether it is inside
+//!         let folder = self.0.canonicalize().map_err(text)?;
+//!         let path = folder.join(uri).canonicalize().map_err(text)?;
+//!         let file = path.metadata().map_err(text)?;
+//!         if !path.starts_with(&folder) || !file.is_file() || file.len() > max_bytes {
+//!             let folder = folder.display();
+//!             return Err(format!("expected a file of at most {max_bytes} bytes in {folder}"));
+//!         }
+//!         std::fs::read(path).map_err(text)
+//!     }
+//! }
 //!
 //! let (warnings, cancel) = (Collector::default(), Cancel::default());
 //! let resolver = Folder(".".into());

@@ -13,6 +13,40 @@
 //! * A sequence has these stages for each time step. The solver starts every time step from the
 //!   patterns of the previous one.
 //! * A sweep solves many designs, for the light fields of a still, a sequence or a graph.
+//!
+//! ```
+//! use lumistack_core::{Cancel, Collector, Task};
+//! use lumistack_pipeline::{Job, Registry, run};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("job.toml");
+//! // a job that renders a scene has `scene = "model.glb"` in place of `[source]`
+//! std::fs::write(
+//!     &path,
+//!     r#"
+//!     [source]
+//!     plugin = "test_views"
+//!     [display]
+//!     preset = "paper-three-layer"
+//!     resolution = [24, 15]
+//!     views = [3, 3]
+//!     frames = 2
+//!     [factorize]
+//!     iterations = 4
+//!     [[outputs]]
+//!     plugin = "images"
+//!     "#,
+//! )?;
+//! let (warnings, cancel) = (Collector::default(), Cancel::default());
+//! let task = Task::quiet(&warnings, &cancel);
+//! let run_dir = folder.path().join("run");
+//! let summary = run(&Job::load(&path)?, &run_dir, &Registry::built_in()?, None, task)?;
+//! for warning in warnings.take() {
+//!     eprintln!("warning: {warning}");
+//! }
+//! assert!(summary.report.is_file() && run_dir.join("outputs/tensor-display/images").is_dir());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod bare;
 mod compare;

@@ -13,8 +13,8 @@ use crate::engine;
 use crate::error::{FailedOutput, PipelineError};
 use crate::job::Job;
 use crate::plan::estimate;
-use crate::plan::execute::Executor;
 use crate::plan::execute::context::Context;
+use crate::plan::execute::{Executor, check};
 use crate::plan::graph::add_displays;
 use crate::plan::sequence::add_times;
 use crate::plan::steps::{PartKind, Plan};
@@ -203,6 +203,8 @@ pub fn sweep(job: &Job, dir: &Path, registry: &Registry, task: Task<'_>) -> Resu
 /// If the job or a design of its sweep is wrong.
 pub fn plan(job: &Job, run_dir: &Path, registry: &Registry) -> Result<Plan, PipelineError> {
     let job = &plugin_files::resolved(&engine::settled_by_cache(job, &cache_of(run_dir)), registry)?;
+    // the run's own check, so that a plan and its run refuse the same plugins
+    check::plugins(job, registry)?;
     let mut plan = if job.sweep.is_some() { of_sweep(job, run_dir)?.0 } else { of_run(job, run_dir)? };
     // Report the errors that a run would report before its first step.
     let (warnings, cancel) = (Collector::default(), Cancel::default());

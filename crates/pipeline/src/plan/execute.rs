@@ -4,7 +4,7 @@
 //! in memory, the input's step is executed first. If the run folder has the current result of the
 //! input's step, this step only reads the result. So a process can execute any single step.
 
-mod check;
+pub(crate) mod check;
 pub(crate) mod context;
 mod fields;
 mod listen;

@@ -131,7 +131,8 @@ pub(crate) fn run(
     // If an output failed, later outputs and the report are still written.
     match written {
         Ok((written, cached)) => {
-            let label = format!("{}, {} files", output.name(), written.len());
+            let files = if written.len() == 1 { "file" } else { "files" };
+            let label = format!("{}, {} {files}", output.name(), written.len());
             Ok((Output { label, path: relative.into(), failed: None }, cached))
         }
         Err(PipelineError::Cancelled) => Err(PipelineError::Cancelled),

@@ -56,6 +56,24 @@ fn cached(plan: &Plan, id: &str) -> Option<bool> {
     plan.steps.iter().find(|step| step.id == id).unwrap_or_else(|| panic!("{id} is no step")).cached
 }
 
+/// A plan that its run would refuse is of no use, so both check plugins alike.
+#[test]
+fn a_plan_refuses_the_plugins_that_its_run_refuses() {
+    let folder = tempfile::tempdir().unwrap();
+    let registry = Registry::built_in().unwrap();
+    let output = "[[outputs]]\nplugin = \"no_such_plugin\"\n";
+    let node = "[[nodes]]\nid = \"a\"\nplugin = \"images\"\n";
+    let params = "[[outputs]]\nplugin = \"images\"\nparams = { no_such = 1 }\n";
+    for (source, wrong) in [(SOURCE, output), (SOURCE, node), (SOURCE, params), ("[source]\nplugin = \"images\"\n", "")]
+    {
+        let job = job(folder.path(), "", &[source, DISPLAY, wrong]);
+        let run_dir = folder.path().join("run");
+        let refused = with_task(|task| run(&job, &run_dir, &registry, None, task)).unwrap_err().to_string();
+        let found = plan(&job, &folder.path().join("plan"), &registry).map(|_| ()).unwrap_err().to_string();
+        assert_eq!(found, refused);
+    }
+}
+
 #[test]
 fn a_sweep_over_a_sequence_of_two_nodes() {
     let registry = Registry::built_in().unwrap();

@@ -51,7 +51,11 @@ pub(super) fn key_figures(input: &ReportInput, measured: &Measured) -> Markup {
     ]);
     if !input.stages.is_empty() {
         let total = input.stages.iter().map(|stage| stage.seconds).sum();
-        figures.push(("Time of this run", format::duration(total), "all stages"));
+        figures.push((
+            "Time of this run",
+            format::duration(total),
+            "all stages, without checks before them and this report",
+        ));
     }
     html! {
         dl class="key" {

@@ -75,7 +75,7 @@ fn table(nodes: &[GraphNode]) -> Markup {
             h2 { "Every display" }
             p { "psnr_zone is the PSNR of seen pictures over the whole zone. psnr_view compares the view of an adapted viewer, L̃/β, with the light field; psnr_raw compares the emitted light L̃ with βL." }
             div class="scroll" {
-                table class="layers" {
+                table class="layers nodes" {
                     thead { tr { @for name in names { th scope="col" { (name) } } } }
                     tbody {
                         @for node in nodes {

@@ -61,7 +61,7 @@ pub(super) fn look_around(measured: &Measured) -> Markup {
             h2 { "Look around" }
             p {
                 "Move the pointer across either picture, as your eye would move in front of the display (or focus a picture and use the arrow keys). When the pointer moves right, things in front of the display plane shift to the "
-                "left and things behind it to the right, in both pictures alike."
+                "left and things behind it to the right, in both pictures alike. A target that was rendered with few samples per view looks speckled; the solver averages this noise over all views."
             }
             div id="look" tabindex="0" data-across=(sheets.across.join("|")) data-up=(sheets.up.join("|")) {
                 (sheet(&sheets.target, "Target"))

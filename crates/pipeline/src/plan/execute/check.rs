@@ -1,10 +1,11 @@
 //! Checks the settings of a plan before its steps run. So a wrong setting is reported immediately,
 //! and not after hours of rendering.
 
-use lumistack_plugin_host::PluginKind;
+use lumistack_plugin_host::{PluginKind, Registry};
 
 use super::context::Context;
 use crate::error::{PipelineError, display_error};
+use crate::job::Job;
 use crate::plan::steps::PartKind;
 use crate::stage::{factorize, node, output};
 use crate::store::files::check_folder;
@@ -34,16 +35,8 @@ impl Context<'_> {
             // Check settings, plugins and folders.
             let display = job.resolve_display()?;
             factorize::check(&job.factorize)?;
-            if let Some(source) = &job.source {
-                self.registry.get_kind(&source.plugin, PluginKind::Source).map_err(PipelineError::Output)?;
-                let params = source.params.clone().into();
-                self.registry.check_params(&source.plugin, &params).map_err(PipelineError::Output)?;
-            }
-            output::check(job, self.registry)?;
+            plugins(job, self.registry)?;
             check_folder(&self.dir(number))?;
-            for node in &job.nodes {
-                node::check(node, self.registry)?;
-            }
             // Open the outputs, so that their plugins refuse displays that they cannot show.
             if job.scene.is_some() && !matches!(part.kind, PartKind::Node(_)) {
                 self.open_outputs(
@@ -55,4 +48,17 @@ impl Context<'_> {
         }
         Ok(())
     }
+}
+
+/// Checks that the plugins of a job exist, and that they accept their parameters.
+///
+/// # Errors
+/// The first plugin or parameter that is wrong.
+pub(crate) fn plugins(job: &Job, registry: &Registry) -> Result<(), PipelineError> {
+    if let Some(source) = &job.source {
+        registry.get_kind(&source.plugin, PluginKind::Source).map_err(PipelineError::Output)?;
+        registry.check_params(&source.plugin, &source.params.clone().into()).map_err(PipelineError::Output)?;
+    }
+    output::check(job, registry)?;
+    job.nodes.iter().try_for_each(|node| node::check(node, registry))
 }
