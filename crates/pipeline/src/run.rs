@@ -57,7 +57,8 @@ pub struct Summary {
     /// A sentence that describes `depth`.
     #[serde(skip)]
     pub depth_sentence: Option<String>,
-    /// Sentences about the camera and the lights that the scene's file lacks, as of [`lacking`](crate::lacking).
+    /// Sentences about the camera and the lights that the scene's file lacks, as of
+    /// [`lacking`](crate::lacking).
     #[serde(skip)]
     pub lacking: Vec<String>,
     /// Results of a sequence.
