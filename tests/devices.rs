@@ -101,8 +101,8 @@ fn tasks_of_the_processor_alone_refuse_a_device() {
     let solved = "light_field = \"views.npy\"\n[geometry]\nfov_deg = [20, 20]\npitch_mm = 3.0\n\
         [display]\npreset = \"fig7-uniform\"\nframes = 2\n[factorize]\ndevice = \"gpu\"\n";
     for (command, rest, reason) in [
-        ("sweep", "[sweep]\nlayers = [1, 2]\n", "designs of a sweep are solved on the processor"),
-        ("run", "tiles = [2, 1]\n", "tiles are solved on the processor"),
+        ("sweep", "[sweep]\nlayers = [1, 2]\n", "designs of a sweep are solved only on the processor"),
+        ("run", "tiles = [2, 1]\n", "tiles are solved only on the processor"),
     ] {
         std::fs::write(&job, format!("{solved}{rest}")).unwrap();
         let text = fail(lumistack().arg(command).arg(&job).arg("-o").arg(folder.path().join(command)));

@@ -112,7 +112,7 @@ fn layers_agree_with_views() {
     let ratio = mean(&more) / mean(&views);
     assert!((0.03..0.12).contains(&ratio), "a sixteenth: {ratio}");
     let text = fail(&mut render(&scene, &more, &["--layers", "variance", "--samples", "1"]));
-    assert!(text.contains("--layers: expected at least 2 samples"), "{text}");
+    assert!(text.contains("--layers: expected at least 2 paths per pixel and view"), "{text}");
 }
 
 /// The additional channels come from the first hits of the paths that make the light. These first
