@@ -66,6 +66,12 @@ impl Scene {
         })
     }
 
+    /// Returns true if views of the scene need paths, since it has surfaces, or a background behind
+    /// its splats.
+    pub fn needs_paths(&self) -> bool {
+        !self.instances.is_empty() || self.environment.is_some() || self.backdrop.is_some()
+    }
+
     /// Returns true if something lights the scene: an environment, a punctual light, or a surface
     /// that emits more than white (radiance 1). A dimmer surface, such as a label or a display in
     /// the scene, is visible but does not light other objects.

@@ -21,7 +21,6 @@ pub mod patterns;
 mod settings;
 #[cfg(target_arch = "wasm32")]
 mod shell;
-mod subject;
 mod views;
 mod work;
 

@@ -5,14 +5,14 @@ use lumistack_display::{Display, FieldGeometry, LightField, ViewGrid};
 use lumistack_pathtracer::denoise::SharedLight;
 use lumistack_pathtracer::{Settings as Paths, SplitView};
 use lumistack_shot::{
-    Brightest, Denoise, Depths, LightJob, Placement, ToneMapping, WindowJob, coarser, place, put_before, seeded, slopes,
+    Brightest, Denoise, Depths, LightJob, LitScene, Placement, ToneMapping, WindowJob, coarser, place, put_before,
+    seeded, slopes,
 };
 use lumistack_simd::{float_from_half, nearest_half};
 use lumistack_splats::Space;
 
 use crate::error::Error;
 use crate::settings::Settings;
-use crate::subject::Held;
 
 /// Number of the stream of random numbers for the target's views; the command uses the same number.
 const TARGET: u64 = 0;
@@ -37,7 +37,7 @@ pub(crate) enum Detail {
 
 /// The views of a scene in front of a display.
 pub(crate) struct Views {
-    held: Held,
+    held: LitScene,
     placement: Placement,
     /// Geometry of the display's light field.
     geometry: FieldGeometry,
@@ -101,7 +101,7 @@ impl Views {
     ///
     /// # Errors
     /// If scene and display do not fit each other.
-    pub(crate) fn new(held: Held, display: &Display, settings: &Settings, task: Task<'_>) -> Result<Self, Error> {
+    pub(crate) fn new(held: LitScene, display: &Display, settings: &Settings, task: Task<'_>) -> Result<Self, Error> {
         let geometry = display.geometry()?;
         let placement = place(&held, &WindowJob::default(), display, &geometry, task)?;
         let grid = geometry.grid.scaled(placement.depth_scale);
@@ -116,7 +116,7 @@ impl Views {
             display.angular_footprint(),
         );
         Ok(Self {
-            denoise: if held.is_traced() { Settings::denoise(display) } else { Denoise::Off },
+            denoise: if held.scene.needs_paths() { Settings::denoise(display) } else { Denoise::Off },
             held,
             placement,
             coarse: Traced::none(coarse),
@@ -131,7 +131,7 @@ impl Views {
     }
 
     /// Returns the scene, so that another display can be placed in it.
-    pub(crate) fn into_held(self) -> Held {
+    pub(crate) fn into_held(self) -> LitScene {
         self.held
     }
 
@@ -145,7 +145,7 @@ impl Views {
     }
 
     pub(crate) fn is_traced(&self) -> bool {
-        self.held.is_traced()
+        self.held.scene.needs_paths()
     }
 
     pub(crate) fn has_splats(&self) -> bool {

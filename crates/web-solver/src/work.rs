@@ -7,13 +7,12 @@ use lumistack_display::{Display, LayerStack, LightField, Weights};
 use lumistack_factorizer::device::Executor;
 use lumistack_factorizer::{FactorizeError, Ongoing, Problem, Processor, has_levels, reoptimize_on_levels};
 use lumistack_scene::Scene;
-use lumistack_shot::{LightJob, light};
+use lumistack_shot::{LightJob, LitScene, light};
 
 use crate::decoders;
 use crate::error::Error;
 use crate::files::Files;
 use crate::settings::Settings;
-use crate::subject::Held;
 use crate::views::{Detail, Picked, Views};
 
 /// Largest number of rows of views for which the first patterns are solved. The number of columns
@@ -89,7 +88,7 @@ pub struct Work {
     /// Files of a scene. `None` for a light field, whose files are in the module of decoders.
     files: Option<Files>,
     scene: Option<Scene>,
-    held: Option<Held>,
+    held: Option<LitScene>,
     views: Option<Views>,
     pieces: VecDeque<Piece>,
     planned: usize,
@@ -325,7 +324,7 @@ impl Work {
             Piece::Light => {
                 let Some(scene) = self.scene.take() else { return Ok(()) };
                 let (scene, _) = light::lit(scene, false, &LightJob::default(), task)?;
-                self.held = Some(Held::new(scene, task)?);
+                self.held = Some(LitScene::new(scene, task)?);
             }
             Piece::Place => {
                 let Some(held) = self.held.take() else { return Ok(()) };

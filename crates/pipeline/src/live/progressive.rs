@@ -89,7 +89,7 @@ impl Progressive {
     /// # Errors
     /// If rendering fails or is cancelled.
     pub(super) fn pass(&mut self, shot: Shot<'_>, task: Task<'_>) -> Result<bool, PipelineError> {
-        let most = if shot.ingested.is_traced() { self.of.settings.samples } else { 0 };
+        let most = if shot.ingested.scene.needs_paths() { self.of.settings.samples } else { 0 };
         let is_first = self.passes == 0;
         if !is_first && self.views.iter().all(|view| view.samples >= most) {
             return Ok(false);

@@ -60,7 +60,7 @@ impl Shot<'_> {
 
     /// Returns the denoiser of the views; `Off` if no paths are traced.
     pub(crate) fn denoise(&self) -> Denoise {
-        if self.ingested.is_traced() { self.job.render.denoise } else { Denoise::Off }
+        if self.ingested.scene.needs_paths() { self.job.render.denoise } else { Denoise::Off }
     }
 
     /// Returns the number of paths per pixel and view.
@@ -263,7 +263,7 @@ impl FieldJob {
     /// # Errors
     /// If a file is missing.
     pub(crate) fn radiance(&self, view: [usize; 2], shot: Shot<'_>) -> Result<Vec<f32>, PipelineError> {
-        let mut picture = if shot.ingested.is_traced() {
+        let mut picture = if shot.ingested.scene.needs_paths() {
             let path = view_path(&self.finished(shot.denoise()), view, None);
             read_view(&path, &self.geometry).ok_or_else(PipelineError::replaced(&path, "cached view"))?
         } else {

@@ -53,12 +53,6 @@ impl Ingested {
         Ok(self.renderer.get_or_init(|| renderer))
     }
 
-    /// Returns true if the scene's views need paths, since the scene has surfaces, or a background
-    /// behind its splats.
-    pub(crate) fn is_traced(&self) -> bool {
-        !self.scene.instances.is_empty() || self.scene.environment.is_some() || self.scene.backdrop.is_some()
-    }
-
     /// If the scene comes from a `.blend` file, returns the file's contents and its features that
     /// the conversion lost.
     pub(crate) fn blend(&self) -> Option<&BlendContents> {

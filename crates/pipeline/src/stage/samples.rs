@@ -89,7 +89,7 @@ pub(crate) fn measured(
     // Do not measure for fixed views. A display with fixed views is correct only at its views.
     // Noise is measured between views, where it has less effect than the display's error.
     let is_chosen = !matches!(display.field.views, Views::Fixed(_));
-    if !(job.render.samples_are_measured() && is_chosen && views > 1 && ingested.is_traced() && is_ours) {
+    if !(job.render.samples_are_measured() && is_chosen && views > 1 && ingested.scene.needs_paths() && is_ours) {
         return Ok(None);
     }
     // The key contains everything that noise and error depend on.

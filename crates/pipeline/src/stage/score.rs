@@ -136,7 +136,7 @@ impl References {
                 ..Settings::default()
             };
             let traced = pixels(&references.directions[i].scaled(depth_scale));
-            let mut picture = if ingested.is_traced() {
+            let mut picture = if ingested.scene.needs_paths() {
                 tracer.render_view(window, &traced, [0, 0], &settings, task).map_err(render_error)?
             } else {
                 Tensor::zeros(["row", "col", "rgb"], [geometry.rows, geometry.cols, 3])

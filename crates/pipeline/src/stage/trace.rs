@@ -108,7 +108,7 @@ fn trace_views(
         std::fs::create_dir_all(&field.folder).map_err(PipelineError::write(&field.folder))?;
         let variance = options.variance() && field.is_target();
         let guides = kind.takes_halves() || options.surfaces() && field.is_target();
-        let traced = if ingested.is_traced() { field.wanted(&views) } else { Vec::new() };
+        let traced = if ingested.scene.needs_paths() { field.wanted(&views) } else { Vec::new() };
         for view in traced {
             for &half in parts(kind) {
                 let shared = kind == Denoise::Shared;
