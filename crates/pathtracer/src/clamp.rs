@@ -34,8 +34,8 @@ impl Clamped {
         kept
     }
 
-    /// Returns the warning about one view; `None` if the limit dimmed no sample. `pixels` are the
-    /// view's radiance after the limit.
+    /// Returns the warning about one view; `None` if the limit dimmed no sample. `pixels` yields
+    /// the radiance of the view's pixels after the limit.
     pub(crate) fn message(
         &self,
         settings: &Settings,

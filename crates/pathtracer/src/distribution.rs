@@ -6,9 +6,9 @@ pub(crate) struct Distribution {
     /// Cumulative probability up to and including each entry; the last is 1.
     cumulative: Vec<f32>,
     probabilities: Vec<f32>,
-    /// The interval [0, 1) is divided into as many equal parts as there are entries. For each part,
-    /// this lists the entry that the start of the part chooses. A search starts at this entry and
-    /// takes constant time on average (Chen, Asau 1974).
+    /// Divides the interval [0, 1) into one equal part per entry. For each part, `guide` contains
+    /// the entry that the start of the part chooses. A search starts at this entry and takes
+    /// constant time on average (Chen, Asau 1974).
     guide: Vec<u32>,
 }
 

@@ -1,12 +1,13 @@
 //! The scene's triangles, and the surface data at a hit.
 //!
-//! Triangles of meshes that are placed once are kept in render space, as if the scene were one
-//! mesh. A mesh that is placed often is kept once, in its own space around its centre, with a
-//! transform per instance. So memory grows with unique geometry only.
+//! Most triangles are *loose*: each instance has its own copy in render space, as if the scene were
+//! one mesh. In large scenes a mesh that is placed often is *shared*: its triangles are kept once,
+//! in a space around the mesh's centre, with a transform per instance. So the memory of large
+//! scenes grows with unique geometry only.
 //!
-//! Render space is the scene moved to the centre of its bounds and scaled by a power of two. In
-//! render space the half diagonal of the bounds is 1 to 2. So 32-bit rounding is relatively the
-//! same for scenes of any size and position.
+//! Render space is the scene, moved so that the centre of its bounds is the origin, and scaled by a
+//! power of two. In render space the half diagonal of the bounds is 1 to 2. So 32-bit rounding is
+//! relatively the same for scenes of any size and position.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -52,7 +53,7 @@ pub(crate) enum Sharing {
     Always,
 }
 
-/// All triangles, each kept once.
+/// The triangles of the scene, prepared for hits.
 pub(crate) struct Geometry {
     scene: Arc<Scene>,
     pub(crate) space: RenderSpace,
@@ -96,7 +97,7 @@ const SWAPPED: u32 = 1;
 const COLORED: u32 = 2;
 /// Marks a triangle whose vertex normals all equal the geometric normal.
 const FLAT: u32 = 4;
-/// Cosine from which on two normals are treated as equal.
+/// Two normals are treated as equal if the cosine between them is larger than this.
 const SAME_NORMAL: f32 = 1.0 - 1e-6;
 
 struct PlacedInstance {
@@ -118,7 +119,7 @@ pub(crate) struct SurfacePoint<'a> {
     pub(crate) position: Vec3,
     /// Geometric normal on the front side.
     pub(crate) geometric_normal: Vec3,
-    /// Length in the space of the triangle's corners, over the same length in render space.
+    /// Length in the space of the triangle's corners, divided by the same length in render space.
     shrinking: f32,
     /// Distance from the surface at which a ray must start.
     pub(crate) offset: f32,
@@ -481,7 +482,7 @@ impl SurfacePoint<'_> {
     }
 
     /// Returns `normal`, turned by a tangent-space normal (glTF: x along u, y up in the picture).
-    /// `None` if the mesh has no tangents.
+    /// `None` if the mesh has no tangents, or if the tangent or the result has no direction.
     pub(crate) fn mapped_normal(&self, normal: Vec3, mapped: Vec3) -> Option<Vec3> {
         let tangents = &self.mesh().tangents;
         if tangents.is_empty() {

@@ -7,10 +7,10 @@
 //! ```
 //!
 //! Paths start at the viewer's side of the scene and are traced backwards. Each vertex receives
-//! light from a sampled light and along the next scattered ray. Both are weighted by the power
-//! heuristic (Veach, Guibas 1995). A path ends by Russian roulette or after
-//! [`Settings::max_bounces`]. Any number of views share one [`Renderer`]; a held-out view is one
-//! more call with another geometry.
+//! light in two ways: from a sampled light, and along the next scattered ray. The power heuristic
+//! weights both contributions (Veach, Guibas 1995). A path ends at a miss, at a surface that
+//! scatters nothing, by Russian roulette, or after [`Settings::max_bounces`]. Any number of views
+//! share one [`Renderer`]; a held-out view is one more call with another geometry.
 //!
 //! ```text
 //! Scene ─▶ Geometry ─▶ Bvh             PrimaryRays (window, geometry, view)

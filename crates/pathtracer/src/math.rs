@@ -35,9 +35,9 @@ pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
 }
 
 /// Maps the unit square to the unit disc, equal areas to equal areas (concentric map of Shirley,
-/// Chiu 1997). The square has the coordinates a and b, each −1..1, and two halves, |a| > |b| and
-/// |a| ≤ |b|. One formula serves both halves, and x and y are exchanged at the end for one half. A
-/// branch would be slower, since no branch predictor can guess the half.
+/// Chiu 1997). The square is first scaled to coordinates a and b, each −1..1. It has two halves,
+/// |a| > |b| and |a| ≤ |b|. One formula serves both halves, and x and y are exchanged at the end for
+/// one half. A branch would be slower, since no branch predictor can guess the half.
 #[inline]
 pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
     let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
@@ -89,7 +89,8 @@ mod tests {
                 let u = [i as f32 / 100.0, j as f32 / 100.0];
                 let (x, y) = concentric_disc(u);
                 let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
-                // a square around the centre becomes a circle whose radius is the larger coordinate
+                // a square around the centre becomes a circle, whose radius is the larger of |a|
+                // and |b|
                 assert!((x.hypot(y) - a.abs().max(b.abs())).abs() < 1e-5, "{u:?}");
                 // an eighth of the square becomes an eighth of the disc, so angles are proportional
                 let turn = |x: f32, y: f32| f64::from(y).atan2(f64::from(x));

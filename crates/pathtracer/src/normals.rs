@@ -45,11 +45,10 @@ impl Normals {
     /// 2 cos θ / (cos θ + √(cos² θ + α² sin² θ))
     /// ```
     ///
-    /// This is Smith's shadowing of a GGX surface of the same roughness. With the cosine to the
-    /// mapped normal alone, light would end in a hard edge where the smooth surface turns away. It
-    /// would also reach slopes that neighbouring bumps hide. Source: Estevez, Lecocq, Stein 2019,
-    /// "A microfacet-based shadowing function to solve the bump terminator problem", Ray Tracing
-    /// Gems.
+    /// This is Smith's shadowing of a GGX surface with this α. With the cosine to the mapped normal
+    /// alone, light would end in a hard edge where the smooth surface turns away. It would also
+    /// reach slopes that neighbouring bumps hide. Source: Estevez, Lecocq, Stein 2019, "A
+    /// microfacet-based shadowing function to solve the bump terminator problem", Ray Tracing Gems.
     #[inline]
     pub(crate) fn unshadowed(&self, direction: Vec3) -> f32 {
         if self.alpha2 == 0.0 {

@@ -9,8 +9,8 @@
 //!
 //! from a start τ₀. So τ is −z in display space. In oblique views the start is in front of the
 //! scene's bounds, so that objects in front of the display plane are seen too. In perspective views
-//! the start is in front of the bounds, or at the eye if the eye is nearer to the bounds. If the
-//! window has a near plane, no ray starts nearer to the viewer than that plane.
+//! the start is there too, or at the eye if the eye is farther along the rays. If the window has a
+//! near plane, no ray starts nearer to the viewer than that plane.
 //!
 //! A sample has two offsets: from the centre of its pixel, and from the centre of the range of
 //! slopes. The start and the direction of its ray are linear in these offsets. So a pixel's central
@@ -43,31 +43,33 @@ pub(crate) struct PrimaryRays<'a> {
     slope_width: [f64; 2],
     /// True if slopes fill the ellipse with these widths, false if they fill the rectangle.
     round: bool,
-    /// In render space: the origin of display space, one millimetre along each axis of display
-    /// space, and the length of a millimetre.
+    /// Origin of display space, in render space.
     origin: DVec3,
+    /// Vectors of one millimetre along the axes of display space, in render space.
     axes: [DVec3; 3],
+    /// Length of a millimetre in render space.
     millimetre: f64,
     /// Half the size of the scene's bounds, with a margin.
     half_size: DVec3,
-    /// τ is −z in display space, in millimetres. `start` is τ at the start of all rays, and
-    /// `deepest` is the largest |τ| up to the far end of the bounds.
+    /// τ at the start of all rays, in millimetres; τ is −z in display space.
     start: f64,
+    /// Largest |τ| from the start to the far end of the bounds, in millimetres.
     deepest: f64,
 }
 
 /// The rays of one pixel.
 #[derive(Clone, Copy)]
 pub(crate) struct PixelRays {
-    /// Start and direction of the central ray.
+    /// Start of the central ray.
     origin: Vec3,
+    /// Direction of the central ray, not normalized.
     direction: Vec3,
     /// Vectors of one pixel to the right and one pixel up, on the plane z = 0.
     pixel: [Vec3; 2],
-    /// Unit vectors to the right and up in render space, and the distance from the display plane to
-    /// the start of the central ray. A change of slope moves the start along these vectors, in
-    /// proportion to that distance.
+    /// Unit vectors to the right and up in render space. A change of slope moves the start of a ray
+    /// along these vectors, in proportion to `start`.
     axes: [Vec3; 2],
+    /// τ at the start of the rays, as a length in render space.
     start: f32,
     /// Change of the slope from a pixel to the next: to the right (x), and up (y).
     turn: [f32; 2],
@@ -264,9 +266,10 @@ mod tests {
         assert_eq!(in_disc([0.0, 0.0]), [0.0, 0.0]);
     }
 
-    /// Rays of random windows that are far from the scene, near it or inside it. Each ray lies on
-    /// the line through its point of the display plane with its slope. It starts in front of the
-    /// bounds or at the eye. If it intersects the bounds, its pixel is `in_bounds`.
+    /// Tests rays of random windows that are far from the scene, near it or inside it. Each ray
+    /// lies on the line through its point of the display plane with its slope. Each ray starts in
+    /// front of the bounds, at the eye or at the near plane. If a ray intersects the bounds, its
+    /// pixel is `in_bounds`.
     #[test]
     fn rays_are_lines_of_the_display() {
         let mut stream = Stream::new(4);

@@ -1,4 +1,4 @@
-//! The tree alone, for measurements: intersects rays with triangles, without a scene.
+//! Intersects rays with a tree of triangles, without a scene, for measurements.
 
 use glam::Vec3;
 
@@ -39,7 +39,7 @@ impl Tree {
     #[inline]
     pub fn hits_of_beam(&self, rays: impl ExactSizeIterator<Item = (Vec3, Vec3)>, scratch: &mut Scratch) -> usize {
         let count = rays.len();
-        assert!(count <= BEAM, "{count} rays in a beam of {BEAM}");
+        assert!(count <= BEAM, "expected at most {BEAM} rays in a beam, found {count}");
         let mut beam = [Ray::ANY; BEAM];
         for (ray, (origin, direction)) in beam.iter_mut().zip(rays) {
             (ray.origin, ray.direction) = (origin, direction);

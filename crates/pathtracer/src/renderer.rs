@@ -42,7 +42,7 @@ pub use split::{GuidedSplit, SplitView};
 /// Edge of a tile in pixels. A tile is the unit of work and of progress.
 const TILE: usize = 16;
 
-/// A scene prepared for rendering. Shared by all views and threads.
+/// A scene prepared for rendering, which all views and threads share.
 ///
 /// ```
 /// # use std::sync::Arc;
@@ -90,11 +90,11 @@ pub struct Memory {
     pub unique_triangles: usize,
     /// Number of bytes of the tree's nodes, leaves and instances.
     pub tree_bytes: usize,
-    /// Number of bytes of corners, transforms and references to the scene.
+    /// Number of bytes of the triangles' records and of the instances' transforms.
     pub geometry_bytes: usize,
     /// Number of bytes of the scene's meshes and images.
     pub scene_bytes: usize,
-    /// Number of bytes of the textures' coarser levels: up to a third of the bytes of the images.
+    /// Number of bytes of the textures' coarser levels: about a third of the bytes of the images.
     pub texture_bytes: usize,
 }
 
@@ -108,7 +108,7 @@ struct PixelMean {
     not_finite: u32,
 }
 
-/// A view that cannot be rendered.
+/// A scene or a view that cannot be rendered, or a cancelled render.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RenderError {
     /// A setting is out of its range.
@@ -118,7 +118,7 @@ pub enum RenderError {
     #[error(transparent)]
     Geometry(#[from] GridError),
     /// The view is not in the grid.
-    #[error("view: expected a row below {} and a column below {}, found row {} and column {}", .views[0], .views[1], .view[0], .view[1])]
+    #[error("view: expected a row smaller than {} and a column smaller than {}, found row {} and column {}", .views[0], .views[1], .view[0], .view[1])]
     View {
         /// Number of views, [vertical, horizontal].
         views: [usize; 2],
@@ -127,7 +127,7 @@ pub enum RenderError {
     },
     /// The tree cannot hold as many triangles as the scene has.
     #[error(
-        "scene: expected at most {} triangles (each mesh is counted once, even if it is placed several times), found {found}",
+        "scene: expected at most {} triangles (a mesh that is placed several times counts once, unless it emits light or has fewer than 16 triangles), found {found}",
         bvh::MAX_TRIANGLES
     )]
     TooManyTriangles {
@@ -378,10 +378,10 @@ impl Renderer {
         }
     }
 
-    /// Renders pixels with the given numbers [paths, rays] of each; the first rays continue as
+    /// Renders pixels. Each pixel has the given numbers [paths, rays]; its first rays continue as
     /// paths. If `FIRST` is true, also adds up data of the first surfaces of the rays. Calls `take`
-    /// for every pixel, in order. Several pixels may only be given together if all their rays fit
-    /// into a beam.
+    /// for every pixel, in the given order. Several pixels may only be given together if all their
+    /// rays fit into a beam.
     fn pixels<const FIRST: bool>(
         &self,
         samples: &ViewSamples<'_>,
@@ -461,7 +461,7 @@ impl Renderer {
     }
 
     /// Computes `[row][col][k]` tile by tile, with groups of up to `most` neighbouring pixels.
-    /// `group` appends the values of the given pixels, in order.
+    /// `group` appends the values of the given pixels, in the given order.
     fn by_groups<const K: usize>(
         &self,
         geometry: &FieldGeometry,
@@ -632,8 +632,8 @@ mod tests {
 
     use super::*;
 
-    /// Returns a scene with many instances of a bowl with texture coordinates: turned, stretched,
-    /// mirrored. One of the bowl's materials is transparent.
+    /// Returns a scene with 30 instances of a textured bowl: turned, stretched, and every second
+    /// one mirrored. The bowl's material has the given alpha mode.
     fn bowls(alpha_mode: AlphaMode) -> Arc<Scene> {
         let size = 7;
         let mut mesh = Mesh::default();
@@ -689,8 +689,8 @@ mod tests {
         Arc::new(parts.validate(Task::quiet(&warnings, &cancel)).unwrap())
     }
 
-    /// A pixel has the same light if its rays are traced with the rays of its neighbours, in every
-    /// projection.
+    /// The light of a pixel is the same if its rays are traced alone or together with the rays of
+    /// its neighbours, in both projections.
     #[test]
     fn pixels_are_the_same_in_any_company() {
         let (warnings, cancel) = (Collector::default(), Cancel::default());

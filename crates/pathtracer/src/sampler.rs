@@ -23,7 +23,7 @@ const PATTERNS: usize = 64;
 const LONGEST: u32 = 4096;
 /// Odd step between the hash inputs of successive pairs (2⁶⁴ / golden ratio).
 const PAIR_STEP: u64 = 0x9e37_79b9_7f4a_7c15;
-/// Fixed seed of the bank. The job's seed has its effect by the hash of the pixel.
+/// Fixed seed of the bank. The job's seed changes the hashes of the pixels instead.
 const BANK_SEED: u64 = 0x5eed_ba17;
 
 /// The bank of scrambled sequences for one number of samples per pixel.
@@ -47,7 +47,7 @@ pub(crate) struct Draws<'a> {
 pub(crate) struct Pair<'a> {
     draws: &'a Draws<'a>,
     pair: u64,
-    /// Values of the ray that was drawn last. They serve all rays of its pixel.
+    /// Data of the pixel whose ray was drawn last. They serve all rays of that pixel.
     last: PixelPair<'a>,
 }
 
@@ -68,9 +68,9 @@ impl SampleBank {
         Self::with_more(samples, samples)
     }
 
-    /// Makes a bank with at least `points` and at least `samples` points per pixel, up to
-    /// [`LONGEST`]. [`Draws::parts`] describes the first `samples` points. The first points of a
-    /// scrambled sequence are stratified, as the whole sequence is.
+    /// Makes a bank with the larger of `points` and `samples` points per pixel, rounded up to a
+    /// power of two, but at most [`LONGEST`]. [`Draws::parts`] describes the first `samples`
+    /// points. The first points of a scrambled sequence are stratified, as the whole sequence is.
     pub(crate) fn with_more(samples: u32, points: u32) -> Self {
         let length = points.max(samples).clamp(1, LONGEST).next_power_of_two();
         let parts = 1 << samples.clamp(1, LONGEST).ilog2();
@@ -91,8 +91,8 @@ impl SampleBank {
     }
 
     /// Returns the random numbers of the samples `first` to `first` + `each` − 1 of each pixel, in
-    /// the order of the pixels. A pixel is given by its hash. There may be at most [`BEAM`]
-    /// samples.
+    /// the order of the pixels. A pixel is given by its hash. There may be at most [`BEAM`] samples
+    /// of all pixels together.
     #[inline]
     pub(crate) fn draws(&self, pixels: &[u64], first: u32, each: u32) -> Draws<'_> {
         let mut draws = Draws { bank: self, rays: [(0, 0); BEAM] };
@@ -113,9 +113,9 @@ impl SampleBank {
 }
 
 impl Draws<'_> {
-    /// Returns the number of equal parts into which a pixel's samples stratify [0, 1). Each part
-    /// holds one of the samples' numbers, for both dimensions of every pair. If the number of
-    /// samples is no power of two, a part holds one or two numbers.
+    /// Returns the number of equal parts into which a pixel's samples stratify [0, 1). If the
+    /// number of samples is a power of two, each part holds one of the samples' numbers, for both
+    /// dimensions of every pair. Otherwise each part holds one or two numbers.
     #[inline]
     pub(crate) fn parts(&self) -> u32 {
         self.bank.parts
@@ -284,8 +284,8 @@ mod tests {
 
     #[test]
     fn pairs_and_pixels_are_independent() {
-        // Correlations between pairs, between pixels and between samples are means of products of
-        // centred numbers over many pixels.
+        // The first three sums, of products of centred numbers, give correlations: within a pair,
+        // between pairs, and between pixels. The last sum gives the mean of a number.
         let bank = SampleBank::new(16);
         let pixels = 20_000u64;
         let mut sums = [0.0f64; 4];
@@ -309,8 +309,8 @@ mod tests {
 
     #[test]
     fn a_smooth_integral_converges_faster_than_random() {
-        // The integral is the area π/4 of a quarter disc of radius 1. With random points its
-        // standard deviation is 0.41/√n.
+        // The integral is the area π/4 of a quarter disc of radius 1. With n random points the
+        // standard deviation of the estimate is 0.41/√n.
         let samples = 256;
         let bank = SampleBank::new(samples);
         let mean_square: f64 = (0..200)

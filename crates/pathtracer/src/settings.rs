@@ -7,15 +7,14 @@ use thiserror::Error;
 pub struct Settings {
     /// Paths per pixel and view, 1..=65536. Powers of two stratify best. Default 32.
     pub samples: u32,
-    /// Gives further rays and paths to noisy pixels of a [split
-    /// view](crate::Renderer::render_split): pixels whose light other views cannot share. This
+    /// Gives further rays and paths to the noisy pixels of a [split
+    /// view](crate::Renderer::render_split): at edges, in mirrored light and inside textures. This
     /// setting is for views that are seen one by one. Functions that render no split view ignore
-    /// it. Default false. On wasm32 it is always false, since pages would load its code without
-    /// need.
+    /// it. Default false. On wasm32 it has no effect, since pages would load its code without need.
     pub further_paths: bool,
     /// Largest number of scattering events of a path, 0..=1024. The event at the first hit is
-    /// included, so 0 shows emission only. Longer paths are cut off, which is the renderer's only
-    /// systematic error. Default 8.
+    /// included, so 0 shows emission only. Longer paths are cut off. Without [`clamp`](Self::clamp)
+    /// this is the renderer's only systematic error. Default 8.
     pub max_bounces: u32,
     /// Bounce after which Russian roulette may end a path, 0..=1024; the estimate stays unbiased.
     /// Default 3.
@@ -86,7 +85,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Checks every range.
+    /// Checks the ranges of all settings except [`angular_filter`](Self::angular_filter).
     ///
     /// # Errors
     /// On the first value outside its range.

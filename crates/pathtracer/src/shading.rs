@@ -82,7 +82,8 @@ impl Materials {
         Self { scene, textures, slots, compensated: true }
     }
 
-    /// Turns the compensation off, so that surfaces lose the light that single scattering loses.
+    /// Turns the compensation for multiple scattering off, so that surfaces lose the light that
+    /// single scattering loses.
     pub(crate) fn without_compensation(&mut self) {
         self.compensated = false;
     }

@@ -11,23 +11,23 @@
 //! follow the power heuristic w. Its numerator is the squared density of the technique that made
 //! the sample: p_b² for w_b, p_l² for w_l.
 //!
-//! For alpha of mode `Blend`, chance decides whether the surface is there for a scattered ray. A
-//! shadow ray passes the surface, and its light is multiplied by the transparent fraction. The mean
-//! is right in both cases.
+//! For alpha of mode `Blend`, chance decides whether the surface is there for a camera ray or a
+//! scattered ray. A shadow ray passes the surface, and its light is multiplied by the transparent
+//! fraction. The mean is right in both cases.
 //!
-//! The samples of a pixel are traced together, one vertex of all paths at a time. If a pixel has
-//! few samples, the samples of neighbouring pixels are added. First rays are close together and
-//! traverse the tree as a beam. Random numbers of a vertex of a pixel share their hash. While one
-//! path waits for memory, the next is computed.
+//! The samples of a pixel are traced together: first one vertex of every path, then the next vertex
+//! of every path. If a pixel has few samples, the samples of neighbouring pixels are added. First
+//! rays are close together and traverse the tree as a beam. Random numbers of a vertex of a pixel
+//! share their hash. While one path waits for memory, the next is computed.
 //!
 //! Measured on FlightHelmet with 16 samples per pixel:
 //!
 //! * Tracing rays takes half of the time. The other half is spent on waiting for memory and on
 //!   branches rather than on arithmetic. The whole program compiled for AVX2 with FMA was no
 //!   faster.
-//! * Nearly all variance of a diffuse scene comes from the first scattered direction. The first hit
-//!   was given four jointly stratified points of lights instead of one. The squared error fell by 7
-//!   %, but the time rose by 80 %.
+//! * Nearly all variance of a diffuse scene comes from the first scattered direction. With four
+//!   jointly stratified points of lights at the first hit instead of one, the squared error fell by
+//!   7 %, but the time rose by 80 %.
 //! * Between rays, paths wait for chains of roots and quotients, and for results that are read in
 //!   larger pieces than they were written in. So directions around normals and primary rays are
 //!   computed for all paths together, as vectors. Hits are written where they are read, and a
@@ -124,9 +124,10 @@ struct Path {
     radiance: Vec3,
     throughput: Vec3,
     cone: Cone,
-    /// The last vertex that changed the path's direction, as a receiver of light, and the density
-    /// of the direction that was chosen there.
+    /// The last vertex that changed the path's direction, as a receiver of light.
     scattered_at: Receiver,
+    /// Density of the direction that was chosen at `scattered_at`; infinite for primary rays and
+    /// after mirrors.
     scattered_pdf: f32,
     /// True if no event has changed the path's direction since the viewer.
     straight: bool,
@@ -144,14 +145,16 @@ struct Path {
 pub(crate) struct First {
     /// True if the path hits a surface.
     pub(crate) is_there: bool,
-    /// Radiance that the ray itself sees: emission of the surface, or the sky without a surface.
+    /// Radiance that the ray itself sees: emission of the surface, or the sky if there is no
+    /// surface.
     pub(crate) seen: Vec3,
     /// Radiance that the surface scatters by Lambert's law.
     pub(crate) diffuse: Vec3,
     /// Reflectance of the diffuse lobe.
     pub(crate) reflectance: Vec3,
-    /// Position of the surface in render space, and its geometric normal on the viewer's side.
+    /// Position of the surface in render space.
     pub(crate) position: Vec3,
+    /// Geometric normal of the surface on the viewer's side.
     pub(crate) normal: Vec3,
     pub(crate) guide: Guide,
 }
@@ -335,8 +338,8 @@ impl Tracer<'_> {
         first
     }
 
-    /// Returns the first surface of a ray that does not continue, and the light that the ray itself
-    /// sees.
+    /// Returns the first surface of a ray that does not continue as a path, and the light that the
+    /// ray itself sees.
     fn seen(&self, ray: &Ray, hit: Option<&Hit>, cone: Cone, settings: &Settings, draws: &Draws<'_>) -> First {
         let Some(hit) = hit else {
             let seen = match self.backdrop {
@@ -372,7 +375,7 @@ impl Tracer<'_> {
         hits[..rays.len()].iter().filter(|hit| hit.is_none()).count()
     }
 
-    /// The first hits of rays that are close together.
+    /// Finds the first hits of rays that are close together.
     #[inline]
     fn first_hits(
         &self,
@@ -611,8 +614,8 @@ impl Tracer<'_> {
         self.traits[self.geometry.material_index(hit.triangle)] & UNSEEN != 0
     }
 
-    /// Decides whether a surface is there. Surfaces with alpha are there by chance. A lamp that
-    /// viewers do not see is there for all hits except first hits.
+    /// Decides whether a surface is there. A surface that is partly transparent by its alpha is
+    /// there by chance. A lamp that viewers do not see is there for all hits except first hits.
     fn is_there(&self, hit: &Hit, bounce: u32, draws: &Draws<'_>, index: usize) -> bool {
         if hit.flags & ALPHA == 0 {
             return true;

@@ -3,8 +3,8 @@
 //!
 //! The rays' points at distance t lie in the box o₀ + t d₀ ..= o₁ + t d₁. Here o₀ and o₁ are the
 //! least and the greatest coordinates of the rays' origins. The least and the greatest coordinates
-//! of their directions are d₀ and d₁. That box overlaps a child's bounds b₀ ..= b₁ along an axis
-//! while
+//! of their directions are d₀ and d₁. The box of the rays' points overlaps a child's bounds b₀ ..=
+//! b₁ along an axis while
 //!
 //! ```text
 //! o₁ + t d₁ ≥ b₀   and   o₀ + t d₀ ≤ b₁
@@ -196,8 +196,9 @@ impl<F: FnMut(usize, &Hit) -> bool> Kernel for NearestOfBeam<F> {
 struct Sheared<V> {
     /// Rows of the axes in a block, see [`Shear::axes`].
     axes: [usize; 3],
-    /// Number of rays, and of vectors that hold a ray.
+    /// Number of rays.
     count: usize,
+    /// Number of vectors that hold a ray.
     vectors: usize,
     /// Values of [`Shear::origin`] and [`Shear::shear`] for every ray.
     origin: [[V; 3]; VECTORS],

@@ -20,7 +20,7 @@ use super::tree::{Block, Bvh, EMPTY, INSTANCE, Input, LEAF, Node, Placed, WIDTH}
 ///
 /// Measured: if all nodes of the scene still-life are reinserted (0.04 s), 3 to 4 % more rays are
 /// traced per second. All nodes of FlightHelmet (0.4 s) give 1 to 2 %. Half of the nodes of 15
-/// copies (4 s more) also give 1 to 2 %.
+/// copies of FlightHelmet (4 s more) also give 1 to 2 %.
 const REINSERTION_RATIO: f32 = 0.2;
 const REINSERTED_AT_LEAST: f32 = 20_000.0;
 /// Number of first passes in which obvhs pairs only direct neighbours (its
@@ -185,8 +185,8 @@ struct Collapse<'a> {
 }
 
 impl Collapse<'_> {
-    /// Returns the root and the depth of the traversal stack. A list of open nodes replaces
-    /// recursion, since obvhs' trees over hostile input may be deep.
+    /// Adds the wide nodes and the blocks. Returns the root and the depth of the traversal stack. A
+    /// list of open nodes replaces recursion, since obvhs' trees over hostile input may be deep.
     fn run(&mut self) -> (u32, usize) {
         if self.binary.nodes.is_empty() {
             return (EMPTY, 1);

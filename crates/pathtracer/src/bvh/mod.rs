@@ -7,9 +7,9 @@
 //! test both work on a whole vector. The surface area heuristic chooses these subtrees.
 //!
 //! ```text
-//! top tree, render space ─▶ nodes ─▶ blocks            triangles of meshes that are placed once
-//!                              └───▶ instances ─▶ nodes ─▶ blocks    meshes that are placed often:
-//!                                                                    a tree in its own space
+//! top tree, render space ─▶ nodes ─▶ blocks                          loose triangles
+//!                              └───▶ instances ─▶ nodes ─▶ blocks    a shared mesh: a tree in the
+//!                                                                    mesh's own space
 //! ```
 //!
 //! Nodes and blocks of all trees are in the same two arrays. [`build`] makes them, [`traverse`]

@@ -33,7 +33,7 @@ const FEWER: u8 = 0;
 
 impl Plan {
     /// Makes the plan of a binary tree. `primitives` has an index for every slot of the tree. An
-    /// index below `triangles` is a triangle, any other is an instance.
+    /// index smaller than `triangles` is a triangle, any other index is an instance.
     pub(super) fn new(binary: &Bvh2, primitives: &[u32], triangles: usize) -> Self {
         let mut plan = vec![[END; WIDTH]; binary.nodes.len()];
         let mut order = Vec::with_capacity(binary.nodes.len());
@@ -46,7 +46,7 @@ impl Plan {
             }
         }
         // A stack with (number of triangles, costs) of the finished subtrees whose parents are not
-        // finished. A second child lies directly above its first child.
+        // finished. A second child is directly above the first child of the same parent.
         let mut finished: Vec<(u32, [f32; WIDTH])> = Vec::new();
         for &index in order.iter().rev() {
             let node = &binary.nodes[index as usize];

@@ -8,7 +8,8 @@ use lumistack_simd::Backend;
 use super::BEAM;
 use super::tree::*;
 
-/// Distances of the f32 test and the f64 oracle agree to this fraction of the scene's size.
+/// Distances of the f32 test and of the f64 oracle differ by less than this. The scenes are about 2
+/// units wide.
 const DISTANCE_TOLERANCE: f64 = 2e-5;
 /// If a ray passes an edge at less than this distance (in barycentric units), rounding in f32
 /// decides whether it hits the triangle. Such rays are not compared.
@@ -209,8 +210,8 @@ fn hostile_triangles_are_found_as_by_testing_each() {
         let open = bvh.transmittance(&ray, &mut stack, |_| Vec3::ZERO);
         assert_eq!(open == Vec3::ONE, expected.is_none());
         if let (Some(hit), Some((t, _))) = (hit, expected) {
-            // Any one of coincident triangles is right. The unit of t is the direction's length, so
-            // the error of t is multiplied by that length.
+            // If several triangles coincide, any of them is a right hit. The unit of t is the
+            // direction's length, so the error of t is multiplied by that length.
             found += 1;
             let error = (f64::from(hit.t) - t).abs() * f64::from(ray.direction.length());
             assert!(error < 10.0 * DISTANCE_TOLERANCE, "{error} {ray:?}");
@@ -335,8 +336,9 @@ fn an_instance_alone_is_a_scene() {
     assert_eq!(empty.transmittance(&ray, &mut empty.stack(), |_| Vec3::ZERO), Vec3::ONE);
 }
 
-/// Beams of every width, along axes and across them, return the distances of single rays, bit for
-/// bit. `accept` rejects some hits of some rays. Any of coincident triangles is right.
+/// Beams of all sizes and widths, some of them parallel to an axis, return the distances of single
+/// rays, bit for bit. `accept` rejects some hits of some rays. If several triangles coincide, any
+/// of them is a right hit.
 #[test]
 fn a_beam_has_the_hits_of_its_rays() {
     let mut triangles = hostile_soup(13);

@@ -12,12 +12,12 @@ pub(super) const LEAF: u32 = 1 << 31;
 /// Marks a child reference, together with [`LEAF`], as an instance.
 pub(super) const INSTANCE: u32 = 1 << 30;
 /// Marks a child that does not exist. Its bounds are empty, so that no ray enters it. On a
-/// traversal's stack it marks the end of an instance.
+/// traversal's stack this value marks the end of an instance.
 pub(super) const EMPTY: u32 = u32::MAX;
 /// Bits of a triangle reference that hold the triangle's index; all other bits are flags.
 pub(super) const INDEX_MASK: u32 = (1 << 29) - 1;
-/// Largest number of triangles that references can address. A mesh's triangles are included once,
-/// for any number of instances.
+/// Largest number of triangles that references can address. The triangles of a shared mesh are
+/// included once, for any number of instances.
 pub(crate) const MAX_TRIANGLES: usize = INDEX_MASK as usize;
 /// The largest number of instances of shared trees.
 pub(crate) const MAX_INSTANCES: usize = INSTANCE as usize - 1;
@@ -52,7 +52,8 @@ pub(crate) struct Hit {
     pub(crate) instance: u32,
     /// Weights of the three vertices; their sum is 1.
     pub(crate) barycentric: [f32; 3],
-    /// True if the triangle shows its front: it winds counter-clockwise as seen from the origin.
+    /// True if the triangle shows its front: it winds counter-clockwise as seen from the ray's
+    /// origin.
     pub(crate) front: bool,
     /// Flags of the triangle.
     pub(crate) flags: u32,
@@ -61,7 +62,7 @@ pub(crate) struct Hit {
 /// Input of [`Bvh::new`](super::Bvh::new).
 pub(crate) struct Input<'a> {
     /// Corners of all triangles. The triangles in `loose` are in render space. The triangles of
-    /// each range in `shared` are in a space of their own.
+    /// each range in `shared` are in the space of that mesh's tree.
     pub(crate) triangles: &'a [[Vec3; 3]],
     /// [`CULL_BACK`], [`ALPHA`] and [`TINT`] of every triangle.
     pub(crate) flags: &'a [u32],

@@ -20,8 +20,9 @@ use super::sample::magnitude;
 use crate::distribution::Distribution;
 use crate::math::{angle_turns, sin_cos_turns};
 
-/// Largest and smallest number of cell rows and columns.
+/// Largest number of cells along an axis of the map.
 const MOST_CELLS: usize = 1024;
+/// Smallest number of cells along an axis of the map.
 const FEWEST_CELLS: usize = 64;
 
 pub(crate) struct EnvironmentLight {
@@ -153,8 +154,9 @@ impl EnvironmentLight {
         let mut sum = 0.0;
         let ((u0, u1), (v0, v1)) = (self.columns.range(column), self.rows.range(row));
         let (across, down) = (self.columns.joined, self.rows.joined);
-        // Add up the values at the corners of squares of half a texel. The outermost corners have
-        // half the weight, since neighbouring cells share them.
+        // Add up the values at the corners of squares of half a texel, or of half a cell if cells
+        // are smaller than texels. The outermost corners have half the weight, since neighbouring
+        // cells share them.
         for j in 0..=2 * down {
             let v = v0 + (v1 - v0) * j as f32 / (2 * down) as f32;
             let mut line = 0.0;
@@ -247,7 +249,7 @@ mod tests {
 
     #[test]
     fn the_picture_stands_as_documented() {
-        // 4 × 2 texels, each of its own value; the directions point to the middles of four of them
+        // 4 × 2 texels with different values; the directions point to the centres of four texels
         let sky = light(4, 2, Quat::IDENTITY, |x, y| (4 * y + x) as f32);
         let direction = |yaw_right: f32, up: f32| {
             let (yaw, pitch) = (yaw_right.to_radians(), up.to_radians());
@@ -271,8 +273,8 @@ mod tests {
             let mut observed = vec![0u64; rows * cols];
             for _ in 0..count {
                 let (direction, _, density) = sky.sample([stream.next_f32(), stream.next_f32()]).unwrap();
-                // near a cell's edge, rounding may choose different neighbours in the two
-                // computations, and one of them may return a density of 0
+                // near a cell's edge, rounding may choose different cells in the two computations,
+                // and one of these cells may have a density of 0
                 let reported = sky.evaluate(direction).1;
                 assert!(reported > 0.0 || density < 1e-3, "{direction}");
                 let cell = |z: f32, n: usize| ((0.5 * (z + 1.0) * n as f32) as usize).min(n - 1);
@@ -313,8 +315,9 @@ mod tests {
             above(sky.evaluate(Vec3::new(sine * phi.cos(), sine * phi.sin(), z)).0) * 4.0 * std::f64::consts::PI
         }));
         important.assert_same(uniform, 0.0, FALSE_ALARM_RATE);
-        // `uniform` has ten times as many samples. With as few as `important`, its standard error
-        // would be 3.2 times as large. `important` must have less than half of this error.
+        // `uniform` has ten times as many samples. With the number of samples of `important`, the
+        // standard error of `uniform` would be 3.2 times as large. `important` must have less than
+        // half of this error.
         assert!(important.standard_error < 0.5 * 3.2 * uniform.standard_error, "{important:?} {uniform:?}");
         // the integral over a cell is exact unless the radiance crosses `floor` within it
         assert!((important.value / (4.0 * std::f64::consts::PI * f64::from(sky.sampled_magnitude)) - 1.0).abs() < 0.03);

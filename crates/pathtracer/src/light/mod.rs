@@ -266,7 +266,7 @@ impl TriangleLight {
 }
 
 impl TriangleLight {
-    /// Joins this triangle and the previous triangle to one light. `None` if they are not the
+    /// Joins this triangle and the triangle `before` to one light. `None` if they are not the
     /// halves of a parallelogram of one radiance.
     fn joined(&self, before: &Self, geometry: &Geometry) -> Option<Self> {
         let alike = before.partner.is_none()
@@ -343,8 +343,8 @@ fn emitting_triangles(geometry: &Geometry, materials: &Materials) -> (Vec<Triang
         };
         let area = geometry.area(triangle);
         let strength = area * magnitude(mean);
-        // A triangle is left out here if its strength or area is not a normal floating-point
-        // number. Scattered rays still find its light.
+        // A triangle is left out here if its strength is not positive and finite, or if its area is
+        // not a normal floating-point number. Scattered rays still find its light.
         if strength > 0.0 && strength.is_finite() && area.is_normal() {
             // two halves of a parallelogram become one light
             let corners @ [a, b, c] = geometry.corners(triangle);
@@ -395,7 +395,7 @@ fn share(kinds: &[Vec<f64>; 3]) -> Vec<f64> {
     kinds.iter().zip(sums).flat_map(|(powers, sum)| powers.iter().map(move |&power| weight(power, sum))).collect()
 }
 
-/// Returns the number of parts of [0, 1) that fit into an interval of length `chance`.
+/// Returns the length `chance` of an interval in parts of [0, 1), rounded to whole parts.
 #[inline]
 fn parts_of(chance: f32, parts: Parts) -> Parts {
     (chance * parts as f32 + 0.5) as Parts

@@ -6,10 +6,12 @@ use glam::Vec3;
 pub(crate) struct LightSample {
     /// Direction to the light.
     pub(crate) direction: Vec3,
-    /// End of the shadow ray, just in front of the light; `None` for light from infinity.
+    /// End of the shadow ray: the position of a point light or spotlight, or a point just in front
+    /// of an emitting triangle. `None` for light from infinity.
     pub(crate) end: Option<Vec3>,
-    /// Radiance divided by density. It is still to be multiplied by f |cos| with the scattering
-    /// function f, by visibility, and by the weight of the power heuristic.
+    /// Radiance divided by density; for punctual lights, irradiance divided by the chance of the
+    /// light. It is still to be multiplied by f |cos| with the scattering function f, by
+    /// visibility, and by the weight of the power heuristic.
     pub(crate) weight: Vec3,
     /// 1 over the density per solid angle, where the density includes the choice of the light. 0
     /// for punctual lights, which scattered rays never find.

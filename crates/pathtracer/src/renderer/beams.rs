@@ -10,8 +10,9 @@ use crate::sampler::{Draws, SampleBank};
 use crate::settings::Settings;
 use crate::tracer::{Cone, all_ones};
 
-/// Pairs of random numbers of a primary ray: one for the position in the pixel, one for the slope.
+/// Pair of random numbers for a primary ray's position in the pixel.
 const PLACE_PAIR: u64 = 0;
+/// Pair of random numbers for a primary ray's slope.
 const SLOPE_PAIR: u64 = 1;
 
 /// Samples of a view.
@@ -101,7 +102,7 @@ pub(super) struct RayBeam {
     count: usize,
     /// Number of rays of a pixel. The rays of a pixel are successive.
     pub(super) each: usize,
-    /// For each ray that continues as a path, a bit that is set.
+    /// Bit i is set if ray i continues as a path.
     pub(super) paths: u32,
     /// False if no ray can hit the scene.
     pub(super) in_bounds: bool,

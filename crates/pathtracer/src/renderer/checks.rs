@@ -19,9 +19,9 @@ use crate::settings::Settings;
 
 /// Edge of the squares of pixels, each of which holds one check.
 const SPACING: usize = 8;
-/// Streams of random numbers that differ from the streams of all views. One chooses the pixels, and
-/// the other renders them.
+/// Stream of random numbers that chooses the pixels. No view uses it.
 const PLACES: u64 = 0xc4ec_0001;
+/// Stream of random numbers that renders the pixels. No view uses it.
 const RADIANCE: u64 = 0xc4ec_0002;
 
 /// Pixels of a view with two renders each.

@@ -84,7 +84,7 @@ impl Features {
         Feature { covered, albedo, normal, z_mm, gloss, alpha, central_z_mm }
     }
 
-    /// [rows, columns].
+    /// Returns [rows, columns].
     pub fn size(&self) -> [usize; 2] {
         let [rows, cols, _] = self.values.shape();
         [rows, cols]

@@ -48,10 +48,11 @@ impl DisplayAxes {
 pub(super) struct FirstSums {
     hits: u32,
     z_mm: f32,
-    /// Sums of geometric normals, and of the reflectances of the diffuse lobe.
+    /// Sum of the geometric normals.
     normal: Vec3,
+    /// Sum of the reflectances of the diffuse lobe.
     reflectance: Vec3,
-    /// Sums of the guides' values.
+    /// This sum and the next three are the sums of the guides' values.
     albedo: Vec3,
     shading: Vec3,
     gloss: f32,
@@ -63,8 +64,9 @@ pub(super) struct FirstSums {
     diffuse: Vec3,
     /// Light that the first surfaces emit, or that rays past all surfaces see.
     seen: Vec3,
-    /// The sums of `seen` and of `reflectance` over the rays that continue as paths.
+    /// The part of `seen` that comes from the rays that continue as paths.
     path_seen: Vec3,
+    /// The part of `reflectance` that comes from the rays that continue as paths.
     path_reflectance: Vec3,
 }
 
@@ -121,8 +123,8 @@ impl FirstSums {
     }
 
     /// Returns the values of a pixel with its diffuse and other light separate. `mean` is the mean
-    /// light of the paths, of which `finite` have finite light. The means over surfaces are over
-    /// all `rays`.
+    /// light of the paths, of which `finite` have finite light. `rays` is the number of all rays of
+    /// the pixel.
     pub(super) fn split(&self, mean: Vec3, finite: u32, rays: u32) -> [f32; PARTS] {
         // light is a mean over the finite paths, reflectance over all rays, normal and depth over
         // the rays with a surface

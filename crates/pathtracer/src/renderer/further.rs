@@ -6,7 +6,8 @@
 //! Such a ray takes a quarter of the time of a path.
 //!
 //! ```text
-//! paths of pixel i = n σ_i / σ_0       σ_i: standard deviation of the light of a path
+//! paths of pixel i = n σ_i / σ_0       σ_i: standard deviation of the light of a path,
+//!                                      n: paths of every pixel without further paths
 //! ```
 //!
 //! The choice for a pixel depends only on the pixels around it and on the mean of the view. The
@@ -38,8 +39,8 @@ use crate::settings::Settings;
 
 /// Stream of random numbers that no view uses for its other paths.
 const STREAM: u64 = 0xed9e_0001;
-/// The light of brighter pixels is limited to this multiple of the view's mean light, since no
-/// display shows more.
+/// The light of a pixel counts at most as this multiple of the view's mean light, since no display
+/// shows more.
 const BRIGHTEST: f32 = 4.0;
 /// Two surfaces are treated as different if a point of one is farther than this from the plane of
 /// the other, in pixels. They are also different if the cosine between their normals is below
@@ -47,9 +48,10 @@ const BRIGHTEST: f32 = 4.0;
 const LEAST_STEP: f32 = 1.5;
 const LEAST_COSINE: f32 = 0.8;
 
-/// σ_0 of light that is not diffuse, and of all light at edges, as fractions of the view's mean
-/// light. With half or twice these values, the measured results were up to a tenth worse.
+/// σ_0 of the light that is not diffuse, as a fraction of the view's mean light. With half or twice
+/// the values of `OTHER` and `EDGE`, the measured results were up to a tenth worse.
 const OTHER: f32 = 0.12;
+/// σ_0 of all light at edges, as a fraction of the view's mean light.
 const EDGE: f32 = 0.2;
 /// Greatest number of further paths of a pixel, as a multiple of the samples of a pixel.
 const MOST: f32 = 8.0;

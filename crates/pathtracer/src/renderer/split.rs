@@ -83,7 +83,7 @@ impl SplitView {
         &self.values
     }
 
-    /// [rows, columns].
+    /// Returns [rows, columns].
     pub fn size(&self) -> [usize; 2] {
         let [rows, cols, _] = self.values.shape();
         [rows, cols]
