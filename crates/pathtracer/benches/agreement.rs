@@ -6,11 +6,11 @@
 //!     FOLDER [--batches N] [--samples N] [--size N]
 //! ```
 //!
-//! Every scene gets a folder with `scene.json`, `mesh_K.f32` and `ours.f32`. The camera is
-//! orthographic, looks along −z, and sees the square −1..1. A mesh has 15 numbers per triangle: xyz
-//! and texture uv of each corner. `ours.f32` is `[batch][row][col][rgb]`. Surfaces are flat, so
-//! that the renderers' interpolation of normals makes no difference. Microfacets scatter once, as
-//! in the other renderer.
+//! Every scene gets a folder with `scene.json`, `floor.f32`, `mesh_K.f32` and `ours.f32`, and, if
+//! it has an environment map, `sky.f32`. The camera is orthographic, looks along −z, and sees the
+//! square −1..1. A mesh has 15 numbers per triangle: xyz and texture uv of each corner. `ours.f32`
+//! is `[batch][row][col][rgb]`. Surfaces are flat, so that the renderers' interpolation of normals
+//! makes no difference. Microfacets scatter once, as in the other renderer.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -91,7 +91,7 @@ fn arguments() -> Result<Arguments, String> {
             _ => parsed.folder = word.into(),
         }
     }
-    if parsed.folder.as_os_str().is_empty() { Err("name a folder to write to".into()) } else { Ok(parsed) }
+    if parsed.folder.as_os_str().is_empty() { Err("expected the name of a folder to write to, found none".into()) } else { Ok(parsed) }
 }
 
 fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
@@ -331,7 +331,7 @@ fn describe(spec: &SceneSpec, arguments: &Arguments, folder: &Path) -> Result<()
         Sky::Map => {
             text += "], \"sky\": \"sky.f32\"}";
             // Rows go from +y to −y, with both ends included. Columns have equal angles, from −z
-            // over +x. The script that reads them has the same order.
+            // towards +x. The script that reads them has the same order.
             let [width, height] = SKY;
             let texel = |k: usize| {
                 let phi = std::f32::consts::TAU * ((k % width) as f32 + 0.5) / width as f32;

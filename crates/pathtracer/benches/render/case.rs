@@ -21,10 +21,11 @@ pub type Outcome<T = ()> = Result<T, Box<dyn Error>>;
 
 /// Width of the window in display space, in millimetres; only its ratio to the distance matters.
 const WIDTH_MM: f64 = 400.0;
-/// Distance of the eye over the height of the window: a vertical angle of view of 23°.
+/// Distance of the eye divided by the height of the window; the vertical angle of view is 23°.
 const DISTANCE_PER_HEIGHT: f64 = 2.5;
-/// Radiance of the sky and of the light.
+/// Radiance of the sky.
 const SKY: f32 = 0.4;
+/// Radiance of the light.
 const LIGHT: f32 = 40.0;
 /// Name of the mesh and the material of the light.
 const LIGHT_NAME: &str = "rectangle light";
@@ -199,12 +200,12 @@ impl Case {
             if let Pixels::Rgba8(texels) = &image.pixels {
                 let rgb = texels.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
                 let picture = image::RgbImage::from_raw(image.width as u32, image.height as u32, rgb);
-                picture.ok_or("picture size")?.save(folder.join(format!("image_{index}.png")))?;
+                picture.ok_or("picture: expected three bytes per pixel, found fewer")?.save(folder.join(format!("image_{index}.png")))?;
             }
         }
         let map = &self.window.scene_from_display;
         let Projection::Perspective { distance_mm } = geometry.grid.projection else {
-            return Err("expected perspective views".into());
+            return Err("expected perspective views, found oblique views".into());
         };
         let axis = |v: DVec3| (map.rotation * v).to_array();
         let camera = |[y, x]: [usize; 2]| {
@@ -236,7 +237,7 @@ impl Case {
     }
 }
 
-/// Arranges copies of the scene side by side, and mirrors every other copy.
+/// Arranges copies of the scene side by side, and mirrors every second copy.
 fn repeat(parts: &mut SceneParts, copies: usize, bounds: lumistack_scene::Bounds) {
     parts.cameras.clear();
     let across = (copies as f64).sqrt().ceil() as usize;

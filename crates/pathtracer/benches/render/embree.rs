@@ -94,12 +94,12 @@ impl Embree {
         // SAFETY: the path is a C string; the library's initializers are as trusted as the library
         let handle = unsafe { dlopen(path.as_ptr(), NOW) };
         if handle.is_null() {
-            return Err(format!("{}: not a library that can be opened", library.display()).into());
+            return Err(format!("{}: expected a library that can be opened", library.display()).into());
         }
         let symbol = |name: &CStr| -> Outcome<*mut c_void> {
             // SAFETY: handle and name are valid
             let found = unsafe { dlsym(handle, name.as_ptr()) };
-            if found.is_null() { Err(format!("{name:?} is missing").into()) } else { Ok(found) }
+            if found.is_null() { Err(format!("the library: expected a function {name:?}, found none").into()) } else { Ok(found) }
         };
         let mut vertices: Vec<f32> = triangles.iter().flatten().flat_map(|v| v.to_array()).collect();
         // Embree may read four values per vertex

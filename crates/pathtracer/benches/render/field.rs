@@ -17,9 +17,9 @@ use crate::{BOUNCES, Options};
 const BELOW_WHITE: f64 = 0.99;
 /// Number of samples per pixel of the view from which white is computed.
 const OF_WHITE: u32 = 16;
-/// Largest value of a path, as a multiple of white. All ways dim brighter paths to this value,
-/// since a few of them would hide all other errors. Pictures are not cut to white, since this would
-/// darken pictures with more noise.
+/// Largest value of a path, as a multiple of white. Without peers, all ways dim brighter paths to
+/// this value, since a few of them would hide all other errors. Pictures are not cut to white,
+/// since this would darken pictures with more noise.
 const CLAMP: f32 = 8.0;
 /// Unit of the times in `/proc/self/stat`, in milliseconds.
 const TICK_MS: u64 = 10;
@@ -112,7 +112,7 @@ fn compare_means(bench: &Bench, ways: &[Way], samples: u32, task: Task<'_>) -> O
     let views = [[0, 0], [rows / 2, cols / 2], [rows - 1, cols - 1]];
     let mut largest = vec![(0.0f64, 0.0f64); ways.len()];
     for view in views {
-        // A half of the samples with each seed. The seeds are none of the ways' seeds.
+        // Render half of the samples with this seed, which no way uses.
         let half = |seed: u64| {
             let clamp = Some(CLAMP * bench.white);
             let samples = samples.div_ceil(2);
@@ -241,14 +241,14 @@ impl Way {
     }
 }
 
-/// Renders all ways twice, in turns.
+/// Renders all ways once, and then all ways again with other seeds.
 fn render(bench: &Bench, ways: &mut [Way], task: Task<'_>) -> Outcome {
     let count = ways.len() as u64;
     for round in 0..2 {
         for (number, way) in ways.iter_mut().enumerate() {
             let seed = count * round as u64 + number as u64;
             let (samples, clamp) = (way.samples, Some(CLAMP * bench.white));
-            // the peers know neither a limit nor roulette
+            // the peers have neither this limit nor roulette
             let settings = match bench.geometry.grid.projection {
                 Projection::Oblique => Settings { samples, max_bounces: BOUNCES, seed, clamp, ..Settings::default() },
                 Projection::Perspective { .. } => {
@@ -280,7 +280,7 @@ fn render_peers(bench: &Bench, options: &Options, samples: u32) -> Outcome<Vec<(
         let mut peer = match Peer::start(python, script, &folder) {
             Ok(peer) => peer,
             Err(error) => {
-                println!("without {}: {error}", script.display());
+                println!("{} is left out: {error}", script.display());
                 continue;
             }
         };

@@ -65,10 +65,11 @@ struct Options {
     peers: Vec<[PathBuf; 2]>,
     copies: usize,
     embree: Option<PathBuf>,
-    /// For `field`: numbers of rows and columns of views, their field of view in degrees, and true
-    /// if surfaces keep the materials of the file.
+    /// For `field` and `filters`: numbers of rows and columns of views.
     views: [usize; 2],
+    /// For `field` and `filters`: field of view of an axis with several views, in degrees.
     fov_deg: f64,
+    /// For `field` and `filters`: true if surfaces keep the materials of the file.
     own_materials: bool,
     /// For `field`: number of samples of the pictures with which means are compared.
     converged: Option<u32>,
@@ -89,7 +90,7 @@ fn main() -> ExitCode {
         Some("field") => options(&words[1..]).and_then(|options| field::measure(&options)),
         Some("filters") => options(&words[1..]).and_then(|options| field::filters(&options)),
         Some("big") => options(&words[1..]).and_then(|options| big(&options)),
-        _ => Err("say `view SCENE`, `rays SCENE`, `agree SCENE`, `big SCENE`, `field SCENE` or `filters SCENE`".into()),
+        _ => Err("expected `view SCENE`, `rays SCENE`, `agree SCENE`, `big SCENE`, `field SCENE` or `filters SCENE`".into()),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -141,7 +142,7 @@ fn options(words: &[String]) -> Outcome<Options> {
 
 /// Parses two numbers, such as 420x262.
 fn pair(word: &str) -> Outcome<[usize; 2]> {
-    let (a, b) = word.split_once('x').ok_or(format!("{word}: expected two numbers, as 420x262"))?;
+    let (a, b) = word.split_once('x').ok_or(format!("{word}: expected two numbers, such as 420x262"))?;
     Ok([a.parse()?, b.parse()?])
 }
 
@@ -194,7 +195,7 @@ fn view(options: &Options) -> Outcome {
                 }
                 peers.push(peer);
             }
-            Err(error) => println!("without {}: {error}", script.display()),
+            Err(error) => println!("{} is left out: {error}", script.display()),
         }
     }
     let file = folder.join("view.npy");
@@ -280,7 +281,7 @@ fn agree(options: &Options) -> Outcome {
     if worst[0] > AGREE[0] || worst[1] > AGREE[1] {
         let [mean, rmse, worst_mean, worst_rmse] = [AGREE[0], AGREE[1], worst[0], worst[1]].map(|part| 100.0 * part);
         return Err(format!(
-            "{}: expected mean radiance within {mean:.1} % and a relative RMSE of at most {rmse:.1} %, \
+            "{}: expected a difference of the mean radiance of at most {mean:.1} % and a relative RMSE of at most {rmse:.1} %, \
              found {worst_mean:.2} % and {worst_rmse:.2} %",
             case.name
         )
@@ -319,7 +320,7 @@ fn print_memory(memory: &Memory) {
     );
     let images = memory.scene_bytes + memory.texture_bytes;
     println!(
-        "meshes and images {:.1} MB, coarser levels of images {:.1} MB, {:.2} times the data itself",
+        "meshes and images {:.1} MB, coarser levels of images {:.1} MB, together {:.2} times the meshes and images alone",
         memory.scene_bytes as f64 * 1e-6,
         memory.texture_bytes as f64 * 1e-6,
         images as f64 / memory.scene_bytes as f64
@@ -331,7 +332,7 @@ fn write_png(path: &std::path::Path, radiance: &[f32], [cols, rows]: [usize; 2])
         std::fs::create_dir_all(folder)?;
     }
     let codes = radiance.iter().map(|&v| lumistack_core::colour::srgb_code(v)).collect();
-    Ok(image::RgbImage::from_raw(cols as u32, rows as u32, codes).ok_or("picture size")?.save(path)?)
+    Ok(image::RgbImage::from_raw(cols as u32, rows as u32, codes).ok_or("picture: expected three bytes per pixel, found fewer")?.save(path)?)
 }
 
 fn mean_square(picture: &[f32], reference: &[f32]) -> f64 {

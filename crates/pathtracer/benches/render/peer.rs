@@ -22,8 +22,9 @@ pub struct Peer {
 
 /// A picture of a peer.
 pub struct Rendered {
-    /// Time of the paths, and processor time of all threads for the paths, in seconds.
+    /// Time of the paths in seconds.
     pub seconds: f64,
+    /// Processor time of all threads for the paths, in seconds.
     pub cpu_s: f64,
     /// Radiance `[row][col][rgb]`.
     pub picture: Vec<f32>,
@@ -40,9 +41,9 @@ impl Peer {
         let answers = BufReader::new(child.stdout.take().ok_or("the renderer has no standard output")?);
         let mut peer = Self { name: String::new(), samplers: Vec::new(), child, requests, answers };
         let hello = peer.answer()?;
-        let samplers = hello["samplers"].as_array().ok_or("no samplers")?;
+        let samplers = hello["samplers"].as_array().ok_or("the renderer's first line: expected a list `samplers`, found none")?;
         peer.samplers = samplers.iter().filter_map(|name| name.as_str().map(str::to_owned)).collect();
-        peer.name = hello["name"].as_str().ok_or("no name")?.to_owned();
+        peer.name = hello["name"].as_str().ok_or("the renderer's first line: expected a text `name`, found none")?.to_owned();
         Ok(peer)
     }
 

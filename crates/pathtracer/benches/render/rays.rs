@@ -57,7 +57,7 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
     let peer = match embree.map(|library| Embree::new(library, &triangles)) {
         Some(Ok(peer)) => Some(peer),
         Some(Err(error)) => {
-            println!("without Embree: {error}");
+            println!("Embree is left out: {error}");
             None
         }
         None => None,

@@ -42,10 +42,11 @@ const SAMPLES: u32 = 987;
 /// Step of the Fibonacci lattice of [`SAMPLES`] points.
 const LATTICE_STEP: u32 = 610;
 /// Numbers of nodes of the table for stretched lobes, one per coordinate. The coordinates are the
-/// root of the cosine, the azimuth, √α along the stretch, and √α across the stretch. The next two
-/// constants are the number of samples per node, and the step of the lattice that the samples form.
+/// root of the cosine, cos² of the azimuth, √α along the stretch, and √α across the stretch.
 const STRETCHED: [usize; 4] = [16, 6, 13, 13];
+/// Number of samples per node of the table for stretched lobes.
 const STRETCHED_SAMPLES: u32 = 377;
+/// Step of the Fibonacci lattice of [`STRETCHED_SAMPLES`] points.
 const STRETCHED_STEP: u32 = 233;
 /// The smallest cosine and the smallest α of the table. At this α the lobe is a mirror.
 const SMALLEST: f32 = 1e-3;
@@ -53,10 +54,11 @@ const SMALLEST: f32 = 1e-3;
 /// clear coats. The top of the file defines E and B.
 pub(crate) const COMMON_IOR: f32 = 1.5;
 /// Numbers of nodes of the table for other indices of refraction, one per coordinate. The
-/// coordinates are the root of the cosine, √α, and the root of (n − 1)/(n + 1). The next two
-/// constants are the number of samples per node, and the step of the lattice that the samples form.
+/// coordinates are the root of the cosine, √α, and the root of (n − 1)/(n + 1).
 const INDICES: [usize; 3] = [40, 16, 20];
+/// Number of samples per node of the table for other indices.
 const INDICES_SAMPLES: u32 = 377;
+/// Step of the Fibonacci lattice of [`INDICES_SAMPLES`] points.
 const INDICES_STEP: u32 = 233;
 /// (n − 1)/(n + 1) of n = 4, the highest index in the table of [`INDICES`]. A higher index is
 /// treated as 4.
@@ -72,9 +74,9 @@ const MEAN: usize = 3;
 pub(crate) struct Albedo {
     /// E: albedo without Fresnel, in (0, 1].
     pub(crate) full: f32,
-    /// B, which the top of the file defines. `metal` is B of metals, `dielectric` is B of
-    /// dielectrics whose index of refraction is [`COMMON_IOR`].
+    /// B of metals; the top of the file defines B.
     pub(crate) metal: f32,
+    /// B of dielectrics whose index of refraction is [`COMMON_IOR`].
     pub(crate) dielectric: f32,
     /// Mean of `full` over all cosines, weighted by projected solid angle.
     pub(crate) mean: f32,

@@ -28,7 +28,7 @@ use super::table::{Slice, Table, slice};
 /// Indices of refraction closer to 1 than this do not bend light.
 const NO_REFRACTION: f32 = 1e-3;
 /// Numbers of nodes of the albedo table over the root of the cosine, perceptual roughness, and the
-/// index of refraction.
+/// root of |n − 1|/(n + 1) for the index n.
 const NODES: [usize; 3] = [24, 16, 16];
 /// Largest root of the reflectance at normal incidence in the table (index 4); the smallest is 0.
 const LARGEST_ROOT: f32 = 0.6;

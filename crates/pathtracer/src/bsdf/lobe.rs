@@ -146,9 +146,9 @@ pub(crate) struct Surface<'a> {
     pub(crate) color: Vec3,
     pub(crate) metallic: f32,
     pub(crate) ior: f32,
-    /// Fraction of the dielectric that is the glass of a solid, and fraction of the remaining
-    /// dielectric that is a thin wall.
+    /// Fraction of the dielectric that is the glass of a solid.
     pub(crate) glass_share: f32,
+    /// Fraction of the remaining dielectric that is a thin wall.
     pub(crate) thin_share: f32,
     /// Perceptual roughness, 0 for a mirror.
     pub(crate) roughness: f32,
@@ -163,9 +163,9 @@ pub(crate) struct Surface<'a> {
     pub(crate) wave_weight: Vec3,
     /// Reflectance of the dielectric; its weight is 1.
     pub(crate) dielectric: Fresnel,
-    /// Compensation of the dielectric's reflection, and the albedo of the compensated reflection,
-    /// at most 1.
+    /// Compensation of the dielectric's reflection.
     pub(crate) dielectric_compensation: Vec3,
+    /// Albedo of the dielectric's compensated reflection, at most 1.
     pub(crate) dielectric_albedo: Vec3,
 }
 

@@ -87,7 +87,8 @@ macro_rules! lobes {
 
         impl Lobes {
             /// Makes the lobes at a point. `layers` has the parameters of the layers; it is `None`
-            /// if the viewer is inside a solid, where no layer is seen.
+            /// for materials without layers, and if the viewer is inside a solid, where no layer is
+            /// seen.
             #[inline]
             pub(crate) fn new(surface: &Surface<'_>, layers: Option<&Layers>) -> Self {
                 let mut below = 1.0;

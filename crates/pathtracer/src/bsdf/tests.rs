@@ -1,4 +1,5 @@
-//! Sampling follows the density, the density integrates to one, energy is conserved.
+//! Tests that sampling follows the density, that the density integrates to at most one, and that
+//! energy is conserved.
 
 use std::f32::consts::{FRAC_1_PI, TAU};
 

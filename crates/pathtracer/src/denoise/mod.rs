@@ -108,7 +108,7 @@ pub fn denoise(
     Ok(filtered)
 }
 
-/// Returns the indices of the views around the view `index`, without itself.
+/// Returns the indices of the views around the view `index`, without `index` itself.
 fn neighbours(places: &[[usize; 2]], index: usize, radius: usize) -> Vec<usize> {
     let near = |other: &[usize; 2]| (0..2).all(|axis| other[axis].abs_diff(places[index][axis]) <= radius);
     (0..places.len()).filter(|&other| other != index && near(&places[other])).collect()

@@ -21,14 +21,14 @@
 //! E is read at the pixel nearest to p_u. G stays as rendered, and so does D where no other view
 //! sees the surface.
 //!
-//! So a point that hundreds of views see has the samples of all of them. Each of these views costs
-//! one shift and one comparison. Averages over rows and then over columns take as many steps as the
-//! grid has rows and columns together. One average over all views would take the product of these
-//! numbers.
+//! So a point that hundreds of views see has the samples of all of them. Each step of an average
+//! costs one shift and one comparison. The averages over a row and then over a column of views take
+//! one step per view of that row and column. One average over all views would take one step per
+//! view of the grid.
 //!
-//! Further paths for noisy pixels improve views that are seen one by one. They do not help a
-//! display that chooses its views, since its solver averages the same noise over the views. The
-//! table has 13 × 13 views of still-life with its own materials, 70 × 44 pixels. The variance in
+//! Further paths for noisy pixels improve views that are seen one by one. They do not help if the
+//! views are chosen for a display, since its solver averages the same noise over many views. The
+//! table is for 13 × 13 views of still-life with its own materials, 70 × 44 pixels. The variance in
 //! the table is the variance of the mean of all views, as a fraction of white squared.
 //!
 //! | samples | further paths | CPU seconds | variance |

@@ -1,5 +1,5 @@
-//! The denoiser on rendered views, compared with long renders: its reported errors are true, and
-//! means and edges are kept.
+//! Compares denoised views with long renders: the reported errors are true, and means and edges are
+//! kept.
 
 use crate::common::{Builder, WINDOW_MM, diffuse, glowing, rectangle, window};
 use glam::{Quat, Vec3, Vec4};
@@ -10,9 +10,9 @@ use lumistack_pathtracer::{Renderer, Settings, SplitView};
 use lumistack_scene::Material;
 
 const SIZE: usize = 64;
-/// Column of the pole's edge, where the depth changes, and column of the back wall where the colour
-/// changes.
+/// Column of the pole's edge, where the depth changes.
 const POLE: usize = 16;
+/// Column of the back wall where the colour changes.
 const COLOUR: usize = 44;
 
 /// Returns a renderer of a corner of a room: a back wall of two colours, a floor, and a pole in

@@ -238,8 +238,8 @@ fn the_mean_does_not_depend_on_the_number_of_samples() {
     }
 }
 
-/// Hundreds of points, spots and panels above a plane: every pixel is compared with the sum over
-/// all lights.
+/// Hundreds of point lights and panels are above a plane. The test compares every pixel with the
+/// sum over all lights.
 #[test]
 fn hundreds_of_lights_add_up() {
     let mut scene = plane();

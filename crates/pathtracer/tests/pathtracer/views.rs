@@ -254,8 +254,8 @@ fn blended_surfaces_cast_partial_shadows() {
     assert!((lit(Some(0.25)) / open - 0.75).abs() < 1e-5 && lit(Some(1.0)) == 0.0);
 }
 
-/// A normal map whose picture is lit from its upper left shows the same relief on every placement:
-/// turned, mirrored, scaled unevenly.
+/// A normal map shows the same relief on every placement: mirrored, stretched, turned. The test
+/// surface leans towards the right of the map's picture.
 #[test]
 fn normal_maps_keep_their_relief() {
     use lumistack_scene::{Light, LightKind};
@@ -535,8 +535,7 @@ fn samples_that_overflow_are_counted_and_left_out() {
 
 #[test]
 fn extreme_scenes_stay_finite() {
-    // extreme scenes: huge and tiny scales, far from the origin, lights on the surface itself,
-    // black and white, roughness 0
+    // extreme scenes: tiny and huge scales, a position far from the origin, roughness 0
     for (scale, at) in [(1e-6, 0.0), (1e6, 0.0), (1.0, 1e4)] {
         let mut scene = Builder::default();
         let place = |v: Vec3| (scale * v.as_dvec3() + DVec3::splat(at)).as_vec3();
@@ -577,7 +576,7 @@ fn a_clamp_is_reported() {
     assert!((dimmed.data()[0] - 1.0).abs() < 1e-5 && (dimmed.data()[2] - 0.25).abs() < 1e-5, "the colour stays");
     let [warning] = warnings.as_slice() else { panic!("{warnings:?}") };
     assert!(
-        warning.to_string().contains("the limit 1 dims 256 of 256 samples, which removes 75.000 % of the light"),
+        warning.to_string().contains("the clamp limit 1 dims 256 of 256 samples, which removes 75.000 % of the light"),
         "{warning}"
     );
 }
