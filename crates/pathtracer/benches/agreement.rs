@@ -91,7 +91,7 @@ fn arguments() -> Result<Arguments, String> {
             _ => parsed.folder = word.into(),
         }
     }
-    if parsed.folder.as_os_str().is_empty() { Err("expected the name of a folder to write to, found none".into()) } else { Ok(parsed) }
+    if parsed.folder.as_os_str().is_empty() { Err("expected a folder, found none".into()) } else { Ok(parsed) }
 }
 
 fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {

@@ -81,7 +81,7 @@ fn arguments() -> Result<Arguments, String> {
             _ => parsed.scene = word.into(),
         }
     }
-    if parsed.scene.as_os_str().is_empty() { Err("expected the name of a .gltf or .glb file, found none".into()) } else { Ok(parsed) }
+    if parsed.scene.as_os_str().is_empty() { Err("expected a .gltf or .glb file".into()) } else { Ok(parsed) }
 }
 
 fn render(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
@@ -142,6 +142,6 @@ fn with_light(scene: Scene, task: Task<'_>) -> Result<Scene, Box<dyn std::error:
 fn write_png(path: &Path, radiance: &Tensor<3>) -> Result<(), Box<dyn std::error::Error>> {
     let [rows, cols, _] = radiance.shape();
     let codes = radiance.data().iter().map(|&v| srgb_code(v)).collect();
-    let picture = image::RgbImage::from_raw(cols as u32, rows as u32, codes).ok_or("picture: expected three bytes per pixel, found fewer")?;
+    let picture = image::RgbImage::from_raw(cols as u32, rows as u32, codes).ok_or("expected 3 bytes per pixel")?;
     Ok(picture.save(path)?)
 }

@@ -102,7 +102,7 @@ impl Settings {
         check("roulette_start", self.roulette_start, 0..=1024, "0 to 1024")?;
         match self.clamp {
             Some(limit) if !(limit > 0.0 && limit.is_finite()) => {
-                Err(SettingsError { name: "clamp", expected: "a number above 0", found: limit.to_string() })
+                Err(SettingsError { name: "clamp", expected: "a finite number above 0", found: limit.to_string() })
             }
             _ => Ok(()),
         }

@@ -35,7 +35,7 @@ impl AssetResolver for Folder {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
-    let [model, folder] = &words[..] else { return Err("expected MODEL FOLDER".into()) };
+    let [model, folder] = &words[..] else { return Err("expected two arguments: MODEL FOLDER".into()) };
     patterns(model, folder)
 }
 
@@ -53,7 +53,7 @@ pub(crate) fn patterns(model: &Path, folder: &Path) -> Result<(), Box<dyn Error>
     // 160 × 100 pixels of 1.5 mm, 5 × 5 views over 20°, layers at −20, 0 and 20 mm, two frames
     let display = Display::uniform([160, 100], 1.5, [5, 5], [20.0, 20.0], &[-20.0, 0.0, 20.0], 2);
     let geometry = display.geometry()?;
-    // the window that shows the scene; its depth is compressed if the display cannot show all of it
+    // the window that shows the scene, whose depth is compressed if the display cannot show all of it
     let placement = place(&subject, &WindowJob::default(), &display, &geometry, task)?;
     let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
 
@@ -93,6 +93,6 @@ pub(crate) fn patterns(model: &Path, folder: &Path) -> Result<(), Box<dyn Error>
 
 fn write_png(path: &Path, [rows, cols]: [usize; 2], values: &[f32], gain: f32) -> Result<(), Box<dyn Error>> {
     let codes = values.iter().map(|value| srgb_code(gain * value)).collect();
-    let picture = image::RgbImage::from_raw(cols as u32, rows as u32, codes).ok_or("picture size")?;
+    let picture = image::RgbImage::from_raw(cols as u32, rows as u32, codes).ok_or("expected 3 bytes per pixel")?;
     Ok(picture.save(path)?)
 }

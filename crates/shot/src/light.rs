@@ -22,12 +22,12 @@ const STUDIO: [usize; 2] = [128, 64];
 const PROBE: [usize; 2] = [96, 60];
 /// Number of paths per pixel of the picture that measures whether lamps light a scene.
 const PROBE_SAMPLES: u32 = 16;
-/// Surfaces whose exposed radiance is below this value are regarded as unlit.
+/// Surfaces whose value after exposure and tone curve is below this are regarded as unlit.
 const DARK: f64 = 0.02;
-/// Smallest fractions of the visible surfaces that the scene's own light must light. The first
-/// fraction applies if only glowing objects give light, the second if there are light sources. The
-/// author of light sources may want a spot in a dark room.
+/// Smallest fraction of the visible surfaces that the scene's own light must light, if only glowing
+/// objects give light.
 const LIT_BY_GLOW: f64 = 0.5;
+/// The same fraction if the scene has light sources. Their author may want a spot in a dark room.
 const LIT_BY_LAMPS: f64 = 0.05;
 /// Radiance of the background behind a scene in studio light: a dark neutral ground.
 const GROUND: f32 = 0.035;
@@ -42,8 +42,8 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
     if scene.environment.is_some() {
         return Ok(None);
     }
-    // Replace opaque materials by clay, which keeps their emission. So scenes that differ in the
-    // reflectance of opaque surfaces get the same result.
+    // Replace opaque materials by clay, which keeps their emission. So scenes that differ only in
+    // the reflectance of opaque surfaces get the same result.
     let scene = &Arc::new(edited::<ShotError>((**scene).clone(), task, |parts| {
         parts.materials.iter_mut().for_each(to_clay);
         Ok(())
@@ -76,7 +76,7 @@ pub(crate) fn probe(scene: &Arc<Scene>, task: Task<'_>) -> Result<Option<&'stati
     let has_lamps = !scene.lights.is_empty() || scene.materials.iter().any(|material| material.lamp != Lamp::No);
     let message = if has_lamps {
         (lit < LIT_BY_LAMPS * count).then_some(
-            "its own lamps leave the visible surfaces black, so the studio light is added; `light.automatic = false` leaves it out",
+            "its own lamps leave almost all visible surfaces dark, so the studio light is added; `light.automatic = false` leaves it out",
         )
     } else {
         (lit < LIT_BY_GLOW * count).then_some(
@@ -145,7 +145,8 @@ pub fn set_environment(parts: &mut SceneParts, image: Image, strength: Vec3, sce
 }
 
 /// Lights a scene as a job says. `environment` is true if the scene's environment came from the
-/// job's file, at the job's strength. Returns the scene, and true if the studio light was added.
+/// file that `light.environment` names, at the job's strength. Returns the scene, and true if the
+/// studio light was added.
 ///
 /// # Errors
 /// When the scene cannot be rendered, or when cancelled.

@@ -50,15 +50,16 @@ const TRIED: usize = 2001;
 const LEAST_DETAIL: f64 = 0.125;
 /// Smallest factor to which fitting compresses depth. At this factor a scene looks nearly flat.
 const LEAST_SCALE: f64 = 0.03;
-/// Fractions of the farthest visible content that compression leaves outside the depth of field, in
-/// the order of the attempts. The first is the default.
+/// Fractions of the visible content that compression leaves outside the depth of field, in the
+/// order of the attempts. The farthest content is left out. The first fraction is the default.
 const LEFT_OUT: [f64; 19] =
     [ENDS[0], 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9];
-/// Compression may leave out this fraction for more parallax. It is the fraction that a far
-/// background covers between the subjects of a picture, and its blur resembles that of a
+/// Compression may leave out this fraction for more parallax. A far background between the subjects
+/// of a picture often covers about this fraction. Blur of such a background resembles the blur in a
 /// photograph.
 const MAY_LEAVE_OUT: f64 = 0.1;
-/// Factor by which the parallax of the rest must grow, so that content is left out without need.
+/// Factor by which the parallax of the rest must grow, so that fitting leaves out content that
+/// compression could include.
 const WORTH_LEAVING_OUT: f64 = 2.0;
 
 /// A window in the scene, and the depth scale with which the scene fits.
@@ -202,7 +203,7 @@ pub fn coarser(geometry: &FieldGeometry, grid: ViewGrid, most_cols: usize) -> Fi
 struct Fit {
     moved_back_mm: f64,
     depth_scale: f64,
-    /// Fraction of the farthest content for which no room was made.
+    /// Fraction of the content, the farthest part, for which no room was made.
     left_out: f64,
     /// Fraction of the content outside the depth of field after the fit.
     outside: f64,
@@ -222,8 +223,7 @@ struct Fitting<'a> {
     means: Means,
 }
 
-/// Finds the movement and the scale that bring most of the sorted `depths` between `low` and
-/// `high`.
+/// Finds the movement and the scale that bring most of the sorted `depths` into `range`.
 ///
 /// Compression makes room for the depths between two quantiles. If that would leave less than
 /// [`LEAST_SCALE`] of the parallax, as little as possible of the farthest content is left out. Up
@@ -287,9 +287,10 @@ impl Fitting<'_> {
         inside as f64 / self.depths.len() as f64
     }
 
-    /// Finds the best fit for the depths without a fraction of the farthest. Among equally good
-    /// movements, it takes the movements with the least compression. Among these, it takes the
-    /// movement that brings the middle of the depths nearest to the middle of the range.
+    /// Finds the best fit for the depths without the fraction `left_out`, which is the farthest
+    /// part. Among equally good movements, it takes the movements with the least compression. Among
+    /// these, it takes the movement that brings the middle of the depths nearest to the middle of
+    /// the range.
     fn leaving_out(&self, left_out: f64) -> Fit {
         let (Self { depths, range: [low, high], projection, scale, means }, ends) = (self, self.ends(left_out));
         let [nearest, farthest] = [depths[depths.len() - 1], depths[0]];

@@ -40,7 +40,8 @@ impl SceneRenderer {
     /// If the scene cannot be rendered, or the task was cancelled.
     pub fn new(scene: Arc<Scene>, task: Task<'_>) -> Result<Self, ShotError> {
         let has_surfaces = !scene.instances.is_empty();
-        // splats bring their own light, so warnings about missing light do not apply
+        // a scene of splats alone brings its own light, so warnings about missing light do not
+        // apply
         let unused = Collector::default();
         let quiet = if has_surfaces { task } else { Task { warnings: &unused, ..task } };
         let tracer = Renderer::new(scene.clone(), quiet)?;
@@ -69,7 +70,7 @@ impl SceneRenderer {
     }
 
     /// Computes [`depth`](Self::depth) of several views, and calls `done` with the index and the
-    /// depths of each view, in order.
+    /// depths of each view, in the order of `views`.
     ///
     /// # Errors
     /// The errors of [`depth`](Self::depth) and of `done`.
@@ -121,8 +122,8 @@ impl SceneRenderer {
     }
 
     /// Renders the splats of views at `slopes`, and calls `done` with the index and the result of
-    /// each view, in order. Without splats, this function does nothing. Only size and projection of
-    /// `geometry` are used; its slopes are ignored.
+    /// each view, in the order of `slopes`. Without splats, this function does nothing. Only size
+    /// and projection of `geometry` are used; its slopes are ignored.
     ///
     /// # Errors
     /// When the geometry is out of range, or when cancelled. Errors of `done` are returned too.

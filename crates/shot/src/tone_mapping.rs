@@ -17,7 +17,7 @@ use rayon::prelude::*;
 
 use crate::job::{LightJob, Tone};
 
-/// The brightest hundredth of the surfaces is shown at this value or above it.
+/// The brightest hundredth of the surfaces is exposed to this value or above it.
 const WHITE: f32 = 0.95;
 /// If a few lamps would leave most surfaces dark, half of the surfaces are shown above this value.
 const MIDDLE: f32 = 0.22;
@@ -124,7 +124,8 @@ fn is_display_referred(scene: &Scene) -> bool {
     !scene.instances.is_empty() && scene.instances.iter().all(|instance| material(instance.mesh).unlit)
 }
 
-/// Computes the factor that shows the brightest hundredth of the surfaces as [`WHITE`].
+/// Computes the factor that exposes the brightest hundredth of the surfaces to [`WHITE`] or more,
+/// before the tone curve.
 ///
 /// If most surfaces would stay dark, half of them are shown above [`MIDDLE`] instead, with at most
 /// a twentieth above [`WHITE`]. Percentiles ignore single bright samples. Rays that miss all

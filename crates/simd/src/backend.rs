@@ -124,7 +124,7 @@ fn detect() -> Vec<Backend> {
 
 #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
 fn detect() -> Vec<Backend> {
-    #[cfg_attr(target_arch = "wasm32", allow(unused_mut, reason = "there is no other without vectors"))]
+    #[cfg_attr(target_arch = "wasm32", allow(unused_mut, reason = "no other set exists without vectors"))]
     let mut found = vec![Backend(Set::Portable)];
     #[cfg(target_arch = "aarch64")]
     found.push(Backend(Set::Neon));

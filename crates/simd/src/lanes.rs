@@ -14,7 +14,7 @@ pub trait Lanes: Copy {
     /// Number of vectors that registers hold; 0 where the compiler chooses the width of a vector.
     const REGISTERS: usize;
 
-    /// The same value in all lanes.
+    /// Returns `value` in all lanes.
     unsafe fn splat(value: f32) -> Self;
     /// Reads `COUNT` values.
     unsafe fn load(from: *const f32) -> Self;
@@ -73,13 +73,14 @@ pub trait Lanes: Copy {
     }
 
     /// Calls another kernel with the same type of vector, so with the same instruction set. The
-    /// call is out of line, unless the compiler finds inlining cheap.
+    /// call is out of line, except for [`Pair`](crate::Pair), or if the compiler finds inlining
+    /// cheap.
     unsafe fn call<K: Kernel>(args: K::Args<'_>) -> K::Output;
 
     /// Reads an array of exactly `COUNT` values.
     #[inline(always)]
     unsafe fn from_array<const N: usize>(values: &[f32; N]) -> Self {
-        const { assert!(N == Self::COUNT, "an array of another length") };
+        const { assert!(N == Self::COUNT, "expected an array of COUNT values") };
         // SAFETY: passed on from the caller; the array has COUNT values
         unsafe { Self::load(values.as_ptr()) }
     }
@@ -87,7 +88,7 @@ pub trait Lanes: Copy {
     /// Returns the lanes as an array of exactly `COUNT` values.
     #[inline(always)]
     unsafe fn to_array<const N: usize>(self) -> [f32; N] {
-        const { assert!(N == Self::COUNT, "an array of another length") };
+        const { assert!(N == Self::COUNT, "expected an array of COUNT values") };
         let mut values = [0.0; N];
         // SAFETY: passed on from the caller; the array has COUNT values
         unsafe { self.store(values.as_mut_ptr()) };

@@ -12,8 +12,8 @@
 //! small only if kernels are small: a kernel inlines everything that it does not
 //! [`call`](Lanes::call).
 //!
-//! [`Portable`] is the scalar twin: it compiles everywhere, and the tests compare every other
-//! backend with it, operation by operation.
+//! [`Portable`] is scalar code, which compiles everywhere. The tests compare every backend,
+//! operation by operation, with plain numbers.
 
 mod backend;
 mod half;

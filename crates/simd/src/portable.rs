@@ -1,5 +1,4 @@
-//! Vectors as arrays of eight values, in scalar code. The tests compare all other backends with
-//! this code.
+//! Vectors as arrays of eight values, in scalar code, for all machines.
 
 use std::array::from_fn;
 

@@ -200,7 +200,7 @@ impl Case {
             if let Pixels::Rgba8(texels) = &image.pixels {
                 let rgb = texels.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
                 let picture = image::RgbImage::from_raw(image.width as u32, image.height as u32, rgb);
-                picture.ok_or("picture: expected three bytes per pixel, found fewer")?.save(folder.join(format!("image_{index}.png")))?;
+                picture.ok_or("expected 3 bytes per pixel")?.save(folder.join(format!("image_{index}.png")))?;
             }
         }
         let map = &self.window.scene_from_display;

@@ -99,7 +99,7 @@ impl Embree {
         let symbol = |name: &CStr| -> Outcome<*mut c_void> {
             // SAFETY: handle and name are valid
             let found = unsafe { dlsym(handle, name.as_ptr()) };
-            if found.is_null() { Err(format!("the library: expected a function {name:?}, found none").into()) } else { Ok(found) }
+            if found.is_null() { Err(format!("expected the function {name:?}").into()) } else { Ok(found) }
         };
         let mut vertices: Vec<f32> = triangles.iter().flatten().flat_map(|v| v.to_array()).collect();
         // Embree may read four values per vertex

@@ -90,7 +90,7 @@ fn main() -> ExitCode {
         Some("field") => options(&words[1..]).and_then(|options| field::measure(&options)),
         Some("filters") => options(&words[1..]).and_then(|options| field::filters(&options)),
         Some("big") => options(&words[1..]).and_then(|options| big(&options)),
-        _ => Err("expected `view SCENE`, `rays SCENE`, `agree SCENE`, `big SCENE`, `field SCENE` or `filters SCENE`".into()),
+        _ => Err("expected view, rays, agree, big, field or filters, followed by SCENE".into()),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -332,7 +332,7 @@ fn write_png(path: &std::path::Path, radiance: &[f32], [cols, rows]: [usize; 2])
         std::fs::create_dir_all(folder)?;
     }
     let codes = radiance.iter().map(|&v| lumistack_core::colour::srgb_code(v)).collect();
-    Ok(image::RgbImage::from_raw(cols as u32, rows as u32, codes).ok_or("picture: expected three bytes per pixel, found fewer")?.save(path)?)
+    Ok(image::RgbImage::from_raw(cols as u32, rows as u32, codes).ok_or("expected 3 bytes per pixel")?.save(path)?)
 }
 
 fn mean_square(picture: &[f32], reference: &[f32]) -> f64 {

@@ -41,9 +41,9 @@ impl Peer {
         let answers = BufReader::new(child.stdout.take().ok_or("the renderer has no standard output")?);
         let mut peer = Self { name: String::new(), samplers: Vec::new(), child, requests, answers };
         let hello = peer.answer()?;
-        let samplers = hello["samplers"].as_array().ok_or("the renderer's first line: expected a list `samplers`, found none")?;
+        let samplers = hello["samplers"].as_array().ok_or("expected `samplers` in the renderer's first line")?;
         peer.samplers = samplers.iter().filter_map(|name| name.as_str().map(str::to_owned)).collect();
-        peer.name = hello["name"].as_str().ok_or("the renderer's first line: expected a text `name`, found none")?.to_owned();
+        peer.name = hello["name"].as_str().ok_or("expected `name` in the renderer's first line")?.to_owned();
         Ok(peer)
     }
 

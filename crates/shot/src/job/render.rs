@@ -117,7 +117,7 @@ impl JsonSchema for ZoneSamples {
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
         json_schema!({
-            "description": "Paths per pixel of all views together: `auto` measures how many improve the display's picture, or a number.",
+            "description": "Paths per pixel of all views together: a number, or `auto`, which measures how many improve the display's picture.",
             "anyOf": [{ "const": "auto" }, { "type": "integer", "minimum": 1, "maximum": Self::MOST }],
         })
     }
@@ -278,7 +278,7 @@ impl RenderJob {
     }
 
     /// For each file of a light field, returns the number of bytes that may be in memory: a quarter
-    /// of `field_mib`. At most two files are in use at a time. The other half of `field_mib` is for
+    /// of `field_mib`. At most two files are in use together. The other half of `field_mib` is for
     /// views and rows that are being processed.
     pub fn window_bytes(&self) -> usize {
         (self.field_mib << 18) as usize
@@ -362,11 +362,11 @@ impl RenderJob {
         }
         if self.engine == Engine::Blender && !self.is_plain() {
             let expected =
-                "`blender` without `angular_filter`, `lens_deg`, `denoise` and `clamp`: the .blend file has its own";
+                "`blender` without `angular_filter`, `lens_deg`, `denoise` and `clamp` (the .blend file has its own)";
             return fail("render.engine", expected, "`blender` with one of these keys".into());
         }
         if let Some(limit) = self.clamp.filter(|limit| !(*limit > 0.0 && limit.is_finite())) {
-            return fail("render.clamp", "a number above 0", limit.to_string());
+            return fail("render.clamp", "a finite number above 0", limit.to_string());
         }
         for (key, count) in [("render.held_out", self.held_out), ("render.outside", self.outside)] {
             if count > 64 {

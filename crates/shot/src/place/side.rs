@@ -25,8 +25,9 @@ use crate::renderer::SceneRenderer;
 
 /// Azimuth and elevation of the front, degrees.
 pub(crate) const FRONT: [f64; 2] = [0.0; 2];
-/// Candidate directions in order of preference, degrees: azimuths, and the elevations at each.
+/// Azimuths of the candidate directions in order of preference, degrees.
 const AZIMUTHS: [f64; 8] = [0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0];
+/// Elevations of the candidate directions at each azimuth, in order of preference, degrees.
 const ELEVATIONS: [f64; 7] = [0.0, 20.0, 40.0, 55.0, -20.0, -40.0, -55.0];
 /// The front stays if it shows at least this fraction of the largest area.
 const FRONT_SHARE: f64 = 0.125;

@@ -44,7 +44,7 @@ const STRAY: f64 = 0.02;
 const CENTRED: f64 = 1.5;
 /// Content is far if its distance from the camera exceeds the window's distance by this factor.
 const FAR: f64 = 10.0;
-/// A warning reports far content if it covers at least this fraction of the camera's picture.
+/// A warning reports far content if at least this fraction of the visible surfaces is far.
 const FAR_SHARE: f64 = 0.02;
 
 /// A window before depth is fitted.
@@ -68,7 +68,8 @@ pub struct Found {
 /// most until the scene covers about a quarter of the window, and never cuts off the scene.
 ///
 /// # Errors
-/// When the job names a camera that does not exist, or gives numbers that make no rectangle.
+/// When the job names a camera that does not exist, gives numbers that make no rectangle, or lacks
+/// the keys or the camera that its `from` requires.
 pub fn find_window<S: Subject>(
     subject: &S,
     job: &WindowJob,
@@ -96,7 +97,7 @@ fn unlimited_window<S: Subject>(
     // Read the four keys of a given window.
     if job.from == WindowFrom::Given {
         let missing =
-            |key: &str| ShotError::job(format!("window.{key}"), "a value, as `from = \"given\"` needs", "nothing");
+            |key: &str| ShotError::job(format!("window.{key}"), "a value, since `from` is \"given\"", "nothing");
         let vector = |key: &str, value: Option<[f64; 3]>| value.map(DVec3::from_array).ok_or_else(|| missing(key));
         let (centre, forward) = (vector("centre", job.centre)?, vector("forward", job.forward)?);
         let (up, width) = (vector("up", job.up)?, job.width.ok_or_else(|| missing("width"))?);
@@ -209,8 +210,8 @@ fn focus<S: Subject>(
         task.warn(
             format!("camera {}", camera.name),
             format!(
-                "it has no focus distance, so the window is {} scene units in front of it, near the nearest surfaces. {:.0} % of its picture is more than {FAR} \
-                 times as far away, up to {} scene units, and becomes blurred. If the subject is elsewhere, set the camera's focus distance (in Blender: \
+                "it has no focus distance, so the window is {} scene units in front of it, near the nearest surfaces. {:.0} % of the surfaces in its picture are more than {FAR} \
+                 times as far away, up to {} scene units, and become blurred. If the subject is elsewhere, set the camera's focus distance (in Blender: \
                  Depth of Field, Focus on Object), or the job's `focus_distance`",
                 rounded(seen.focus),
                 100.0 * seen.far_share,
@@ -306,7 +307,7 @@ pub fn find_camera<'a>(scene: &'a Scene, wanted: &str) -> Result<&'a Camera, Sho
     let by_number = || wanted.parse::<usize>().ok().and_then(|number| scene.cameras.get(number));
     by_name.or_else(by_number).ok_or_else(|| {
         let names: Vec<&str> = scene.cameras.iter().map(|camera| camera.name.as_str()).collect();
-        let expected = format!("one of the scene's cameras ({}): {}", names.len(), names.join(", "));
+        let expected = format!("one of the scene's cameras (number: {}; names: {})", names.len(), names.join(", "));
         ShotError::value(&scene.name, "window.camera", expected, wanted)
     })
 }
