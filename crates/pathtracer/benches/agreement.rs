@@ -140,6 +140,7 @@ fn scenes() -> Vec<SceneSpec> {
         mesh.positions.iter_mut().for_each(|p| *p = centre + turn * (scale * (turn.transpose() * (*p - centre))));
         (mesh, surface)
     };
+    // each scene tests one kind of light or of surface
     let grey = Sky::Constant(0.4);
     vec![
         SceneSpec {
@@ -248,6 +249,7 @@ fn material(surface: Surface) -> Material {
 }
 
 fn render(spec: &SceneSpec, arguments: &Arguments, folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
+    // build the scene: a mesh and a material per part, the floor's texture, and the sky
     let mut parts = SceneParts { name: spec.name.into(), ..SceneParts::default() };
     for (index, (mesh, surface)) in spec.parts.iter().enumerate() {
         parts.materials.push(material(*surface));
@@ -279,6 +281,7 @@ fn render(spec: &SceneSpec, arguments: &Arguments, folder: &Path) -> Result<(), 
         let scene_from_environment = Quat::IDENTITY;
         parts.environment = Some(Environment { image: 1, strength: Vec3::ONE, scene_from_environment });
     }
+    // render independent batches, from whose differences the comparison estimates the noise
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
     let renderer = Renderer::new(Arc::new(parts.validate(task)?), task)?.single_scattering();
@@ -303,6 +306,7 @@ fn render(spec: &SceneSpec, arguments: &Arguments, folder: &Path) -> Result<(), 
 /// Writes the scene for the other renderer.
 fn describe(spec: &SceneSpec, arguments: &Arguments, folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
     let Arguments { batches, samples, size, .. } = arguments;
+    // write the surfaces, and one file with the triangles of each part
     let mut text = format!(
         "{{\"size\": {size}, \"batches\": {batches}, \"samples\": {samples}, \"max_bounces\": {MAX_BOUNCES}, \"parts\": ["
     );
@@ -325,6 +329,7 @@ fn describe(spec: &SceneSpec, arguments: &Arguments, folder: &Path) -> Result<()
         let bytes: Vec<u8> = numbers.flat_map(f32::to_le_bytes).collect();
         std::fs::write(folder.join(format!("mesh_{index}.f32")), bytes)?;
     }
+    // write the light from infinity, and the texels of the floor
     match spec.sky {
         Sky::Dark => text += "], \"sky\": null}",
         Sky::Constant(value) => write!(text, "], \"sky\": {value}}}")?,

@@ -85,6 +85,7 @@ fn arguments() -> Result<Arguments, String> {
 }
 
 fn render(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
+    // load the scene, and place the window
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task { progress: &NoProgress, warnings: &warnings, cancel: &cancel };
     let bytes = std::fs::read(&arguments.scene)?;
@@ -101,6 +102,7 @@ fn render(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     };
     let settings = Settings { samples: arguments.samples, ..Settings::default() };
 
+    // time the preparation and the views, and write some of the pictures
     let start = Instant::now();
     let renderer = Renderer::new(scene.clone(), task)?;
     println!("{} triangles, prepared in {:.2} s", scene.triangle_count(), start.elapsed().as_secs_f64());

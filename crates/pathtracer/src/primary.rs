@@ -276,6 +276,7 @@ mod tests {
         let mut next = move || f64::from(stream.next_f32()) - 0.5;
         let (mut inside, mut outside) = (0, 0);
         for round in 0..600 {
+            // make a random scene, a window at one of three distances, and a grid of views
             let half_size = Vec3::new(next() as f32, next() as f32, next() as f32).abs() * 2.0 + 1e-3;
             let space = RenderSpace {
                 centre: DVec3::new(next(), next(), next()) * 30.0,
@@ -299,6 +300,7 @@ mod tests {
             let (view, slope_width) = ([0, 1], [[0.0; 2], [0.2, 0.1]][round / 2 % 2]);
             let rays = PrimaryRays::new(&window, &geometry, view, space, slope_width, false);
             for _ in 0..40 {
+                // compute the same ray in f64 from the definitions of pixel and slope
                 let (row, col) = ((20.0 * (next() + 0.5)) as usize, (30.0 * (next() + 0.5)) as usize);
                 let (in_pixel, in_bin) = ([next(), next()], [next(), next()]);
                 let pixel = rays.pixel(row, col);
@@ -322,6 +324,7 @@ mod tests {
                     let width = pitch * (distance_mm - z) / distance_mm * scale * space.scale * FOOTPRINT_SHARE;
                     assert!((f64::from(pixel.cone.width) - width).abs() < 1e-5 * width + rounded, "{width}");
                 }
+                // compare `in_bounds` with the intersection of the line and the bounds
                 let half = space.half_size.as_dvec3();
                 if passes_through(on_plane, direction, half) {
                     assert!(pixel.in_bounds);
@@ -329,6 +332,7 @@ mod tests {
                 } else {
                     outside += usize::from(!pixel.in_bounds);
                 }
+                // no visible corner of the bounds may be nearer to the viewer than the start
                 for corner in 0..8 {
                     let sign = |bit: u32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
                     let at = space.centre + half * DVec3::new(sign(0), sign(1), sign(2)) / space.scale;

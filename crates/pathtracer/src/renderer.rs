@@ -278,6 +278,7 @@ impl Renderer {
                 filled.push(values(pixel, first));
             });
         })?;
+        // report samples that could not be used, and light that was removed
         let lost = lost.into_inner();
         if lost > 0 {
             let all = settings.samples as usize * geometry.rows * geometry.cols;
@@ -397,6 +398,7 @@ impl Renderer {
         let Buffers { stack, sums } = buffers;
         sums.clear();
         sums.resize_with(pixels.len(), PixelSums::default);
+        // trace beam by beam, and add each ray to the sums of its pixel
         samples.for_each_beam_of(pixels, seed, rays_of_pixel, |beam, draws| {
             let (paths, each, in_bounds) = (beam.paths, beam.each, beam.in_bounds);
             let (rays, cones) = beam.parts();
@@ -440,6 +442,7 @@ impl Renderer {
                 sums.light = light;
             }
         });
+        // return the means; normals are converted to display space once per pixel
         for sums in sums.drain(..) {
             let pixel = sums.light.mean(rays_of_pixel[0]);
             take(&pixel, &if FIRST { sums.first.turned(&samples.axes) } else { sums.first });
@@ -488,6 +491,7 @@ impl Renderer {
         let filled: Result<Vec<_>, Cancelled> = (0..tiles.count()).into_par_iter().map(fill).collect();
         #[cfg(not(feature = "parallel"))]
         let filled: Result<Vec<_>, Cancelled> = (0..tiles.count()).map(fill).collect();
+        // copy the tiles into the picture
         let mut image = Tensor::zeros(axes, [geometry.rows, geometry.cols, K]);
         for (tile, values) in filled?.into_iter().enumerate() {
             for ([row, col], value) in tiles.pixels(tile).zip(values) {
@@ -635,6 +639,7 @@ mod tests {
     /// Returns a scene with 30 instances of a textured bowl: turned, stretched, and every second
     /// one mirrored. The bowl's material has the given alpha mode.
     fn bowls(alpha_mode: AlphaMode) -> Arc<Scene> {
+        // make a grid of points on a paraboloid, at some distance from the mesh's origin
         let size = 7;
         let mut mesh = Mesh::default();
         for row in 0..=size {
@@ -651,6 +656,7 @@ mod tests {
                 }
             }
         }
+        // turn, stretch and move every instance differently
         let instances = (0..30).map(|i| {
             let i = i as f32;
             let turn = Quat::from_euler(glam::EulerRot::XYZ, 0.9 * i, 0.4 * i, 1.7 * i);
@@ -660,6 +666,7 @@ mod tests {
                 Affine3A::from_scale_rotation_translation(stretch, turn, place - turn * (stretch * 3.0 * Vec3::Y));
             Instance { mesh: 0, scene_from_mesh }
         });
+        // the colour texture has an alpha, and the normal map varies
         let texels = (0..64).map(|i| [90 + 2 * i as u8, 200, 160, if i % 3 == 0 { 80 } else { 250 }]).collect();
         let relief = (0..64).map(|i| [100 + i as u8, 150, 230, 255]).collect();
         let image =

@@ -579,6 +579,7 @@ impl Tracer<'_> {
         shadows: &mut Shadows,
         diffuse: impl FnOnce(Vec3, Vec3) -> Vec3,
     ) {
+        // draw a light and a point of it
         let receiver = vertex.receiver(surface, self.lights.has_horizon());
         let Some(light) = self.lights.sample(self.geometry, self.materials, &receiver, u, u_fine, parts) else {
             return;
@@ -596,6 +597,7 @@ impl Tracer<'_> {
         if contribution == Vec3::ZERO {
             return;
         }
+        // keep the contribution until the shadow ray is traced
         let mut shadow = vertex.leave(light.direction);
         if is_hard && light.direction.dot(vertex.normal) <= 0.0 {
             shadow.origin = vertex.point.smooth_position(vertex.side()) + vertex.point.offset * vertex.normal;

@@ -94,6 +94,7 @@ impl Case {
         own_materials: bool,
         task: Task<'_>,
     ) -> Outcome<Self> {
+        // choose the height of the window from the bounds, which do not depend on lights
         let unread = Collector::default();
         let bounds = parts.clone().validate(Task { warnings: &unread, ..task })?.bounds();
         let mut parts = if own_materials { unlit(parts) } else { diffuse(unlit(parts)) };
@@ -101,6 +102,7 @@ impl Case {
         let centre = bounds.centre();
         let height = f64::from(size.y).max(f64::from(size.length()) * 0.5) * 1.15;
 
+        // place the eye and the window
         let pitch_mm = WIDTH_MM / cols as f64;
         let distance_mm = DISTANCE_PER_HEIGHT * pitch_mm * rows as f64;
         let grid = ViewGrid::single(Projection::Perspective { distance_mm }, [0.0, 0.0]);
@@ -113,6 +115,7 @@ impl Case {
                 Window::given(centre.as_dvec3(), forward, DVec3::Y, height * size_mm[0] / size_mm[1], size_mm)?
             }
         };
+        // add a floor, so that a file without a camera has a surface that receives shadows
         if parts.cameras.is_empty() {
             let at = Vec3::new(centre.x, bounds.min.y, centre.z);
             let half = 4.0 * size.length();
@@ -129,6 +132,7 @@ impl Case {
             Material { name: LIGHT_NAME.into(), emission: Vec3::splat(LIGHT), ..diffuse_material(Vec4::ZERO) };
         add(&mut parts, rectangle(at, u, v), emitting);
 
+        // a constant sky lights what the light does not reach
         parts.images.push(Image { name: "sky".into(), width: 1, height: 1, pixels: Pixels::RgbF32(vec![[SKY; 3]]) });
         parts.environment = Some(Environment {
             image: parts.images.len() - 1,
@@ -167,6 +171,7 @@ impl Case {
     /// `geometry`, which are perspective.
     pub fn export(&self, geometry: &FieldGeometry, folder: &Path, exact: bool) -> Outcome {
         std::fs::create_dir_all(folder)?;
+        // write the arrays of every mesh except the light, which peers make themselves
         let mut meshes = Vec::new();
         for (index, instance) in self.scene.instances.iter().enumerate() {
             let mesh = &self.scene.meshes[instance.mesh];
@@ -196,6 +201,7 @@ impl Case {
                 "image": texture.map(|texture| self.scene.textures[texture.texture].image),
             }));
         }
+        // write the textures as pictures, without alpha
         for (index, image) in self.scene.images.iter().enumerate() {
             if let Pixels::Rgba8(texels) = &image.pixels {
                 let rgb = texels.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
@@ -203,6 +209,7 @@ impl Case {
                 picture.ok_or("expected 3 bytes per pixel")?.save(folder.join(format!("image_{index}.png")))?;
             }
         }
+        // describe the camera of every view, and the scene
         let map = &self.window.scene_from_display;
         let Projection::Perspective { distance_mm } = geometry.grid.projection else {
             return Err("expected perspective views, found oblique views".into());

@@ -180,6 +180,7 @@ fn view(options: &Options) -> Outcome {
         Ok((start.elapsed().as_secs_f64(), picture.data().to_vec()))
     };
 
+    // start the peers; each sampler of a peer is one entry
     let mut peers = Vec::new();
     let mut entries = vec![Entry { name: "Lumistack".into(), peer: None, reference: Vec::new(), runs: Vec::new() }];
     for [python, script] in &options.peers {
@@ -203,6 +204,7 @@ fn view(options: &Options) -> Outcome {
         None => own(samples, seed),
         Some((index, sampler)) => peers[*index].render(sampler, samples, seed, &file),
     };
+    // render the references first, so that every timed picture can be compared at once
     for index in 0..entries.len() {
         // one reference per renderer serves all its samplers
         let same = entries[..index]
@@ -214,6 +216,7 @@ fn view(options: &Options) -> Outcome {
         };
         entries[index].runs = vec![Vec::new(); options.samples.len()];
     }
+    // alternate between the entries, so that other programs slow all of them equally
     for round in 0..options.rounds {
         for (at, &samples) in options.samples.iter().enumerate() {
             for entry in &mut entries {
@@ -238,6 +241,7 @@ fn view(options: &Options) -> Outcome {
             );
         }
     }
+    // compare the references of the renderers with each other
     println!("\nconverged pictures, {} samples per pixel, against ours:", options.reference);
     for entry in &entries[1..] {
         let (mean, relative) = agreement(&entries[0].reference, &entry.reference);
@@ -267,6 +271,7 @@ fn agree(options: &Options) -> Outcome {
         Settings { samples, seed: 4711, max_bounces: BOUNCES, roulette_start: BOUNCES, ..Settings::default() };
     let picture = renderer.render_view(&case.window, &case.geometry, [0, 0], &settings, task)?;
     write_png(&folder.join("ours.png"), picture.data(), options.size)?;
+    // render the same view with every peer, and keep the largest differences
     let mut worst = [0.0f64; 2];
     println!("\n{}, {samples} samples per pixel, against ours:", case.name);
     for (number, [python, script]) in options.peers.iter().enumerate() {

@@ -43,6 +43,7 @@ enum Kind {
 /// Prints millions of rays per second for primary rays, two bounces and shadow rays. Each value is
 /// the fastest of several rounds, since other programs only make a round slower.
 pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
+    // build our tree, and Embree's if its library was given
     let triangles = world_triangles(case);
     let start = Instant::now();
     let tree = Tree::new(&triangles);
@@ -64,6 +65,7 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
     };
     #[cfg(not(unix))]
     let _ = embree;
+    // prepare the batches of rays, and a list of rates for each
     let batches = batches(case, &tree, &triangles);
     println!(
         "Mrays/s                    {}",
@@ -75,6 +77,7 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
     let mut beams = vec![Vec::new(); coherent];
     let mut packets = vec![Vec::new(); coherent];
     let mut differing = 0usize;
+    // alternate between both libraries, so that other programs slow both equally
     for _ in 0..rounds {
         for (index, Batch { kind, rays, .. }) in batches.iter().enumerate() {
             let (shadow, coherent) = (*kind == Kind::Shadow, *kind == Kind::Coherent);
@@ -118,6 +121,7 @@ pub fn measure(case: &Case, embree: Option<&Path>, rounds: usize) -> Outcome {
             }
         }
     }
+    // print the fastest rate of every batch
     let row = |name: &str, values: &mut [Vec<f64>]| {
         let fastest = |values: &mut Vec<f64>| {
             let fastest = values.iter().copied().fold(f64::NAN, f64::max);

@@ -27,6 +27,7 @@ impl<const D: usize, const V: usize> Table<D, V> {
     /// Interpolates multilinearly; coordinates are clamped to 0..1.
     #[inline]
     pub(crate) fn at(&self, at: [f32; D]) -> [f32; V] {
+        // find the lower corner of the cell that contains the position
         let mut first = 0;
         let mut strides = [0; D];
         let mut shares = [0.0; D];
@@ -44,6 +45,7 @@ impl<const D: usize, const V: usize> Table<D, V> {
             first += index * stride;
             stride *= self.nodes[axis];
         }
+        // add up the corners of the cell in the two slices on either side
         let mut sums = [0.0; V];
         for (slice, share) in [(lower, 1.0 - shares[D - 1]), (lower + 1, shares[D - 1])] {
             // at a node of the last coordinate, the other slice is not needed

@@ -468,6 +468,7 @@ fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
         let sine = (1.0 - z * z).max(0.0).sqrt();
         bsdf.facet.scene_from_local * Vec3::new(sine * phi.cos(), sine * phi.sin(), z)
     };
+    // integrate the density over every cell
     let mut expected = vec![0.0f64; rows * cols];
     for (cell, expected) in expected.iter_mut().enumerate() {
         for k in 0..CELL_POINTS * CELL_POINTS {
@@ -483,6 +484,7 @@ fn check_density(bsdf: &Bsdf, count: u64, seed: u64) {
     let inside: f64 = expected.iter().sum::<f64>();
     assert!(inside < 1.005 * count as f64, "the density integrates to {}", inside / count as f64);
     expected.push((count as f64 - inside).max(0.0));
+    // count the sampled directions in the same cells
     let mut observed = vec![0u64; rows * cols + 1];
     let mut stream = Stream::new(seed);
     for _ in 0..count {

@@ -314,6 +314,7 @@ impl<V: Lanes> Sheared<V> {
             let flags = reference & !INDEX_MASK;
             let zero = V::splat(0.0);
             let mut any = false;
+            // test eight rays together, and keep the hits that are nearer than earlier hits
             for vector in 0..self.vectors {
                 let corners = self.corners(vector, &vertices);
                 let edges = corners.edges();
@@ -331,6 +332,7 @@ impl<V: Lanes> Sheared<V> {
                 if bits == 0 {
                     continue;
                 }
+                // alpha and tint depend on the point, so `accept` decides for each ray
                 if flags & !CULL_BACK != 0 {
                     let test = Test { t, u, v, determinant }.store();
                     let mut agreed = [0.0; WIDTH];

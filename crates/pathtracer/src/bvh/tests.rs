@@ -81,6 +81,7 @@ fn traversal_agrees_with_testing_every_triangle() {
                 (random_point(&mut stream, 1.0) - 0.5 * origin).normalize()
             };
             let ray = Ray { origin, direction, t_max: f32::INFINITY };
+            // compare hit, side, barycentrics and occlusion with the oracle
             let (expected, doubtful) = oracle(&triangles, &ray);
             if doubtful {
                 continue;
@@ -249,6 +250,7 @@ fn vectors_and_scalars_give_the_same_bits() {
 
 #[test]
 fn instances_are_met_where_their_copies_would_be() {
+    // make loose triangles and instances of one mesh, and copies of the instances' triangles
     let mesh = soup(500, 0.3, 11);
     let mut stream = Stream::new(12);
     let mut triangles = soup(50, 0.3, 13);
@@ -270,6 +272,7 @@ fn instances_are_met_where_their_copies_would_be() {
         let tree_from_render = render_from_tree.inverse();
         placements.push(Placement { shared: 0, id, render_from_tree, tree_from_render, translation });
     }
+    // build a tree with instances, and a tree over the copies
     let flags = vec![CULL_BACK; flat.len()];
     let flags_shared = &flags[..triangles.len()];
     let two_level = Bvh::new(&Input {
@@ -283,6 +286,7 @@ fn instances_are_met_where_their_copies_would_be() {
     assert!(two_level.bytes() * 4 < one_level.bytes());
     let (mut stack, mut flat_stack) = (two_level.stack(), one_level.stack());
     let (mut found, mut in_instances, mut differing) = (0, 0, 0);
+    // trace the same rays in both trees
     for i in 0..5000 {
         let ray = random_ray(&mut stream, i);
         let expected = one_level.nearest(&ray, &mut flat_stack, |_| true).map(|hit| {
@@ -350,6 +354,7 @@ fn a_beam_has_the_hits_of_its_rays() {
     let mut stream = Stream::new(15);
     let mut found = 0;
     for i in 0..3000 {
+        // make a beam of 1 to `BEAM` rays that start and run within `width` of an axis
         let count = 1 + i % BEAM;
         let axis = Ray { t_max: f32::INFINITY, ..random_ray(&mut stream, i) };
         let width = [0.0, 1e-4, 1e-2, 0.3, 3.0][i % 5];
@@ -361,6 +366,7 @@ fn a_beam_has_the_hits_of_its_rays() {
             })
             .collect();
         let accept = |ray: usize, hit: &Hit| !(hit.triangle as usize + ray).is_multiple_of(3);
+        // trace the beam with vectors and with scalar code, and compare both with single rays
         let (mut hits, mut slow) = ([None; BEAM], [None; BEAM]);
         bvh.nearest_of_beam(&rays, &mut hits, &mut stack, accept);
         portable.nearest_of_beam(&rays, &mut slow, &mut stack, accept);

@@ -281,6 +281,7 @@ mod tests {
                 let phi = direction.y.atan2(direction.x) / PI;
                 observed[cell(direction.z, rows) * cols + cell(phi, cols)] += 1;
             }
+            // integrate the density over cells of equal solid angle
             let points = 64;
             let mut expected = vec![0.0f64; rows * cols];
             for i in 0..rows * points {

@@ -482,6 +482,8 @@ mod tests {
             };
             let total: f32 = lights.iter().map(power).sum();
             for receiver in receivers() {
+                // returns the relative variance of the estimate, computed from the chances of all
+                // lights
                 let moments = |chance: &dyn Fn(usize) -> f32| {
                     let (mut mean, mut square) = (0.0, 0.0);
                     for (index, light) in lights.iter().enumerate() {

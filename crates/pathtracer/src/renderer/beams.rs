@@ -68,6 +68,7 @@ impl<'a> ViewSamples<'a> {
         let mut seeds = [0; BEAM];
         seeds.iter_mut().zip(pixels).for_each(|(to, at)| *to = seed(*at));
         let seeds = &seeds[..pixels.len()];
+        // a pixel with more rays than a beam is traced in several beams
         for first in (0..count).step_by(BEAM) {
             let each = (count - first).min(BEAM as u32) as usize;
             let draws = self.bank.draws(seeds, first, each as u32);
@@ -81,6 +82,7 @@ impl<'a> ViewSamples<'a> {
             };
             let of_pixel = all_ones((paths.saturating_sub(first) as usize).min(each));
             let (mut in_pixel, mut in_bin) = (draws.pair(PLACE_PAIR), draws.pair(SLOPE_PAIR));
+            // append the rays of every pixel
             for (number, [row, col]) in pixels.iter().enumerate() {
                 let (pixel, at) = (self.rays.pixel(*row, *col), number * each);
                 pixel.fill(&mut beam.rays[at..at + each], |index| {

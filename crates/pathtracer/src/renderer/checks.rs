@@ -57,6 +57,7 @@ impl Renderer {
         let (places, radiance) = (of_view(PLACES), of_view(RADIANCE));
         let clamped = Clamped::default();
         let quiet = Task { progress: &NoProgress, ..task };
+        // render the drawn pixels twice, with two seeds; all other pixels stay NaN
         let values = self.by_groups(geometry, quiet, ["row", "col", "half rgb"], 1, |pixels, buffers, values| {
             let mut halves = [f32::NAN; 6];
             if pixels.iter().all(|[row, col]| is_drawn(places, *row, *col)) {
@@ -70,6 +71,7 @@ impl Renderer {
             }
             values.push(halves);
         })?;
+        // collect the drawn pixels
         let at = |row: usize, col: usize| {
             let v = values.block([row, col]);
             Check { row, col, radiance: [[v[0], v[1], v[2]], [v[3], v[4], v[5]]] }

@@ -90,6 +90,7 @@ impl Renderer {
         values: &Tensor<3>,
         mut variance: Option<&mut Tensor<3>>,
     ) -> Result<Tensor<3>, RenderError> {
+        // choose the pixels that get further rays
         let cols = values.shape()[1];
         let mut joined = joined::<MORE_PARTS>(values);
         let further = further(&joined, geometry.pitch_mm as f32, settings.samples);
@@ -97,6 +98,7 @@ impl Renderer {
         if most == 0 {
             return Ok(joined);
         }
+        // trace the further rays, with random numbers that no other ray uses
         let seed = seed::derive(settings.seed, &[STREAM]);
         let settings = Settings { seed, ..*settings };
         let rays = self.primary_rays(window, geometry, view, settings.angular_filter)?;
@@ -117,6 +119,7 @@ impl Renderer {
             }
             more.push(values);
         })?;
+        // join the values of both sets of rays, weighted by their numbers
         let own_samples = settings.samples as f32;
         let own = values.data().chunks_exact(APART);
         let pixels = joined.data_mut().chunks_exact_mut(MORE_PARTS).zip(own).zip(more.data().chunks_exact(APART + 3));

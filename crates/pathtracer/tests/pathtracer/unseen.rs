@@ -30,6 +30,7 @@ fn nothing_before_the_near_plane_is_seen() {
         for (slope, filter) in [([0.0, 0.0], AngularFilter::Point), ([0.3, -0.2], AngularFilter::Lens(0.2))] {
             let geometry = FieldGeometry { grid: ViewGrid::single(projection, slope), ..one_view(SIZE, slope) };
             let settings = Settings { angular_filter: filter, ..long_paths(4) };
+            // pairs of a near plane and the channel of the card that is then seen
             let seen = [
                 (None, Some(0)),
                 (Some(1.5), Some(0)),

@@ -188,6 +188,7 @@ fn focus<S: Subject>(
         let ahead = middle.scene_from_display.translation - window.scene_from_display.translation;
         f64::from(reach) + ahead.dot(window.scene_from_display.rotation * DVec3::NEG_Z)
     });
+    // measure the distances of the surfaces in the camera's picture
     let seen: Option<Seen> = subject.remembered("focus", &format!("{window:?} {camera:?}"), || {
         let (scale, distance) = (window.scene_from_display.scale, f64::from(reach));
         let projection = match camera.projection {
@@ -203,6 +204,7 @@ fn focus<S: Subject>(
         Ok(Seen::of(distances.filter(|distance| distance.is_finite() && *distance > 0.0).collect()))
     })?;
     let Some(seen) = seen else { return Ok(None) };
+    // the centre of the bounds suits compact scenes; otherwise take d*
     if centre.is_some_and(|centre| (1.0 / CENTRED..=CENTRED).contains(&(centre / seen.focus))) {
         return Ok(None);
     }
