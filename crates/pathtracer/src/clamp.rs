@@ -15,7 +15,7 @@ const PARTS: f64 = 65536.0;
 #[derive(Default)]
 pub(crate) struct Clamped {
     samples: AtomicU64,
-    /// Removed luminance, in units of the limit over [`PARTS`].
+    /// Removed luminance, in units of the limit divided by [`PARTS`].
     removed: AtomicU64,
 }
 

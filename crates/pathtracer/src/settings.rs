@@ -16,8 +16,8 @@ pub struct Settings {
     /// included, so 0 shows emission only. Longer paths are cut off. Without [`clamp`](Self::clamp)
     /// this is the renderer's only systematic error. Default 8.
     pub max_bounces: u32,
-    /// Bounce after which Russian roulette may end a path, 0..=1024; the estimate stays unbiased.
-    /// Default 3.
+    /// Index of the first bounce after which Russian roulette may end a path, 0..=1024. The bounce
+    /// at the first hit has the index 0. The estimate stays unbiased. Default 3.
     pub roulette_start: u32,
     /// Seed of all random numbers. Default 0.
     pub seed: u64,

@@ -390,8 +390,8 @@ impl Tracer<'_> {
         }
     }
 
-    /// Returns directions around a normal for the paths that continue, in the order of the paths.
-    /// The directions are computed together, as vectors.
+    /// Returns directions around the z axis, which later becomes a normal, for the paths that
+    /// continue, in the order of the paths. The directions are computed together, as vectors.
     #[inline]
     fn cosine_directions(&self, going: u32, pair: &mut Pair<'_>) -> [[f32; BEAM]; 3] {
         let mut u = [[0.0; BEAM]; 2];

@@ -32,9 +32,9 @@ use glam::{Vec2, Vec3};
 use super::table::{Slice, Table, slice};
 use super::{fresnel, ggx};
 
-/// Numbers of nodes of the table for lobes that are not stretched, over the cosine μ and over
-/// perceptual roughness √α.
+/// Number of nodes over the cosine μ, in the table for lobes that are not stretched.
 const COSINES: usize = 64;
+/// Number of nodes over perceptual roughness √α, in the same table.
 const ROUGHNESSES: usize = 32;
 /// Number of samples per node, on a rank-1 lattice. Their error is below the interpolation error of
 /// about 1e-3.
@@ -60,13 +60,13 @@ const INDICES: [usize; 3] = [40, 16, 20];
 const INDICES_SAMPLES: u32 = 377;
 /// Step of the Fibonacci lattice of [`INDICES_SAMPLES`] points.
 const INDICES_STEP: u32 = 233;
-/// (n − 1)/(n + 1) of n = 4, the highest index in the table of [`INDICES`]. A higher index is
+/// Largest (n − 1)/(n + 1) in the table of [`INDICES`], for the index n = 4. A higher index is
 /// treated as 4.
 const LARGEST_ROOT: f32 = 0.6;
 
-/// Positions of two values in a node of a table: E, the albedo without Fresnel's term, and the mean
-/// of E over all cosines.
+/// Position of E, the albedo without Fresnel's term, in a node of a table.
 const FULL: usize = 0;
+/// Position of the mean of E over all cosines in a node of a table.
 const MEAN: usize = 3;
 
 /// The albedos E and B, and the mean of E, for a cosine and α.

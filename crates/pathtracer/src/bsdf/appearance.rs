@@ -29,11 +29,11 @@ pub(crate) struct Appearance {
 pub(crate) struct Extras {
     pub(crate) specular: f32,
     pub(crate) specular_color: Vec3,
-    /// Strength 0..1.
+    /// Strength of the anisotropy, 0..1.
     pub(crate) anisotropy: f32,
     pub(crate) film: Option<Film>,
     pub(crate) layers: Layers,
-    /// 20 / Abbe number.
+    /// Strength of the dispersion: 20 divided by the Abbe number.
     pub(crate) dispersion: f32,
     /// Factor per colour channel on transmitted light. It differs from 1 only at the point where a
     /// path enters dispersing glass and draws its wavelength.

@@ -153,7 +153,7 @@ pub(crate) const RGB_FROM_XYZ: Mat3 = Mat3::from_cols(
 );
 
 /// Returns the reflectance of a dielectric interface for unpolarized light, and the cosine on the
-/// far side. `eta` is the index on the far side over the index on the viewer's side.
+/// far side. `eta` is the index on the far side divided by the index on the viewer's side.
 pub(crate) fn dielectric(cosine: f32, eta: f32) -> (f32, f32) {
     let cosine = cosine.clamp(0.0, 1.0);
     let sin2_far = (1.0 - cosine * cosine) / (eta * eta);

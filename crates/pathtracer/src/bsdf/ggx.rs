@@ -30,7 +30,7 @@ pub(crate) fn density(h: Vec3, alpha: Vec2) -> f32 {
 }
 
 /// Returns √(α_x² v_x² + α_y² v_y² + v_z²). All of Smith's terms follow from this root. For
-/// example, 1 + 2Λ is the root over |v_z|.
+/// example, 1 + 2Λ is the root divided by |v_z|.
 #[inline]
 fn smith_root(v: Vec3, alpha: Vec2) -> f32 {
     let (x, y) = (alpha.x * v.x, alpha.y * v.y);

@@ -1,20 +1,20 @@
 //! The rough interface between air and a solid, reflecting and refracting.
 //!
 //! The formulas are those of Walter et al. 2007, with Fresnel's exact term F. The symbols D, V, G₂,
-//! h, o and i are defined in [`ggx`]. The symbol η is the index of refraction on the far side over
-//! the index on the viewer's side.
+//! h, o and i are defined in [`ggx`]. The symbol η is the index of refraction on the far side
+//! divided by the index on the viewer's side.
 //!
 //! ```text
 //! reflection     F D V
 //! transmission   (1 − F) D G₂ |o·h| J / |o_z|,   J = η² |i·h| / (o·h + η i·h)²
 //! ```
 //!
-//! The path carries basic radiance: radiance over the squared index of the medium. Basic radiance
-//! does not change when light enters or leaves a solid, so transmission needs no factor η². Single
-//! scattering loses the fraction 1 − E(o, α, η) of the light. So both terms are divided by the
-//! tabulated albedo E, as in Turquin 2019, which makes clear glass lossless. Stretched glass has
-//! another albedo, and so has glass whose reflection a film or `KHR_materials_specular` changes.
-//! These two kinds of glass are not compensated.
+//! The path carries basic radiance: radiance divided by the squared index of the medium. Basic
+//! radiance does not change when light enters or leaves a solid, so transmission needs no factor
+//! η². Single scattering loses the fraction 1 − E(o, α, η) of the light. So both terms are divided
+//! by the tabulated albedo E, as in Turquin 2019, which makes clear glass lossless. Stretched glass
+//! has another albedo, and so has glass whose reflection a film or `KHR_materials_specular`
+//! changes. These two kinds of glass are not compensated.
 
 use std::sync::LazyLock;
 
@@ -40,7 +40,7 @@ const SMALLEST: f32 = 1e-3;
 
 /// A glass interface at one point.
 pub(crate) struct Glass {
-    /// Index of refraction on the far side over the index on the viewer's side.
+    /// Index of refraction on the far side divided by the index on the viewer's side.
     eta: f32,
     /// Fraction of the light that the glass gets: its fraction of the surface, times the fraction
     /// that the layers above pass.

@@ -128,8 +128,9 @@ macro_rules! lobes {
                 sum
             }
 
-            /// Adds Σ f |cos| to `value`, and Σ chance · density to `pdf`. The sums are over the
-            /// lobes with frames of their own, or over all other lobes if `OWN_FRAME` is false.
+            /// Adds Σ f |cos| to `value`, and Σ chance · density to `pdf`. If `OWN_FRAME` is true,
+            /// the sums are over the lobes with their own frame or horizon, otherwise over all
+            /// other lobes.
             #[inline]
             pub(crate) fn evaluate<const OWN_FRAME: bool>(
                 &self,

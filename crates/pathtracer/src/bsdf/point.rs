@@ -31,7 +31,7 @@ pub(crate) struct Scatter {
     pub(crate) crossed: bool,
     /// True if the light crosses into or out of a solid, not through a thin wall.
     pub(crate) refracted: bool,
-    /// α of the chosen lobe, 1 for diffuse; widens the ray's footprint.
+    /// α of the chosen lobe, which widens the ray's footprint; 1 for diffuse, 0 for a mirror.
     pub(crate) alpha: f32,
 }
 

@@ -15,9 +15,11 @@ use glam::Vec3;
 
 use super::fresnel::RGB_FROM_XYZ;
 
-/// Range and number of the bands in which the spectra are constant.
+/// Shortest wavelength of the spectra, nanometres.
 const FIRST_NM: f32 = 400.0;
+/// Longest wavelength of the spectra, nanometres.
 const LAST_NM: f32 = 700.0;
+/// Number of bands of wavelengths; the spectra are constant in each band.
 const BANDS: usize = 60;
 
 /// A wavelength, and the weight of each channel at it.

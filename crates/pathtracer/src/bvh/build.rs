@@ -1,4 +1,4 @@
-//! Building: binary trees by obvhs, collapsed to eight children.
+//! Builds the trees: binary trees by obvhs, collapsed to eight children per node.
 
 use std::ops::Range;
 

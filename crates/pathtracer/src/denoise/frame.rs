@@ -18,12 +18,17 @@ pub(super) const PLANES: usize = 22;
 pub(super) const HALVES: [usize; 2] = [0, 3];
 /// First plane of the variance of one half of the samples, with three channels.
 pub(super) const VARIANCE: usize = 6;
-/// First planes of the guides: normal, position, reflectance, gloss, α, coverage.
+/// First of the three planes of the normal.
 pub(super) const NORMAL: usize = 9;
+/// First of the three planes of the position.
 pub(super) const PLACE: usize = 12;
+/// First of the three planes of the reflectance.
 pub(super) const ALBEDO: usize = 15;
+/// Plane of the gloss.
 pub(super) const GLOSS: usize = 18;
+/// Plane of α.
 pub(super) const ALPHA: usize = 19;
+/// Plane of the coverage.
 pub(super) const COVERED: usize = 20;
 /// Plane that is 1 for pixels inside the picture, and 0 for pixels outside of it.
 pub(super) const THERE: usize = 21;

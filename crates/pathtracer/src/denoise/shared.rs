@@ -37,8 +37,9 @@
 //! | 1 | yes | 2.19 | 1.5e-4 |
 //! | 2 | no | 1.79 | 1.5e-4 |
 //!
-//! The README's job confirms this. With further paths and 1 path per view it scored 26.2 dB after
-//! 72 s of rendering. Without them and with 2 paths per view it scored 26.0 dB in about 60 s.
+//! The job `scenes/still-life/job.toml` confirms this. With further paths and 1 path per view it
+//! scored 26.2 dB after 72 s of rendering. Without them and with 2 paths per view it scored 26.0 dB
+//! in about 60 s.
 
 use std::io;
 
@@ -144,7 +145,8 @@ impl<'a> SharedLight<'a> {
     /// Adds the next view of the grid.
     ///
     /// # Panics
-    /// If the view is not of the geometry's size, or there are more views than the grid has.
+    /// If the view is not of the geometry's size. With a storage, also if all views of the grid
+    /// were added before.
     pub fn add(&mut self, view: &SplitView) {
         let [rows, cols] = view.size();
         assert_eq!([rows, cols], [self.geometry.rows, self.geometry.cols], "views of the geometry's size");

@@ -43,8 +43,8 @@ pub(crate) struct EnvironmentLight {
     constant: Option<Vec3>,
 }
 
-/// Division of one axis of the map into cells: a cell is a number of texels, or a texel is a number
-/// of cells.
+/// Division of one axis of the map into cells. A cell covers one or more texels, or a texel is
+/// split into several cells.
 #[derive(Clone, Copy)]
 struct Cells {
     texels: usize,

@@ -7,6 +7,7 @@
 //!
 //! ```text
 //! paths of pixel i = n σ_i / σ_0       σ_i: standard deviation of the light of a path,
+//!                                      σ_0: the constant `OTHER` or `EDGE`,
 //!                                      n: paths of every pixel without further paths
 //! ```
 //!
@@ -56,8 +57,9 @@ const EDGE: f32 = 0.2;
 /// Greatest number of further paths of a pixel, as a multiple of the samples of a pixel.
 const MOST: f32 = 8.0;
 /// Smallest standard deviation of a texture's light, as a fraction of the view's mean light, for
-/// which a pixel gets further rays. Their number is `TEXTURE_RAYS` times the samples of a pixel.
+/// which a pixel gets further rays.
 const TEXTURE: f32 = 0.2;
+/// Number of further rays of a pixel of a texture, as a multiple of the samples of a pixel.
 const TEXTURE_RAYS: u32 = 3;
 /// The light of neighbouring pixels differs by noise, which falls with more samples, and by
 /// contrast, which does not. Above this number of samples, contrast is the greater part.
@@ -171,8 +173,8 @@ pub(super) fn joined<const K: usize>(apart: &Tensor<3>) -> Tensor<3> {
     joined
 }
 
-/// Returns the first `K` values of a pixel of [`FirstSums::apart`]. Its last three values, the
-/// light that the rays themselves see, are added to the light that is not diffuse.
+/// Returns the first `K` values of a pixel of [`FirstSums::apart`]. The last three values of
+/// `apart`, the light that the rays themselves see, are added to the light that is not diffuse.
 fn join<const K: usize>(apart: &[f32]) -> [f32; K] {
     let mut joined = [0.0; K];
     joined.copy_from_slice(&apart[..K]);
