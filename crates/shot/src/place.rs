@@ -12,9 +12,9 @@
 //! In perspective the eye stays in place, and the window grows by (D + t)/D to fill the eye's
 //! frustum. So the eye's distance in display space remains D.
 //!
-//! By default, fitting has an effect only if the scene does not fit. If numbers or a focus distance
-//! determine the window's depth, the window stays in place, and depth is compressed about it:
-//! content in the display plane remains there.
+//! The default, [`FitDepth::Auto`], has an effect only if the scene does not fit. With this
+//! default, the window stays in place if numbers or a focus distance determine its depth. Depth is
+//! then compressed about the window: content in the display plane remains there.
 //!
 //! Scaling the slopes is the same as moving all viewpoints closer together: every displacement
 //! between views shrinks by k. In oblique views the effect is an affine compression along the

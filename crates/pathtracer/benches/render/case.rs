@@ -1,8 +1,9 @@
 //! The scene that all renderers get: Lambert surfaces with base-colour textures, one rectangle
 //! light, a constant sky, one perspective view.
 //!
-//! All materials of the file become diffuse, opaque and two-sided with face normals, so that every
-//! renderer can express the scene exactly. The light faces the scene, and its back is out of view.
+//! Unless a case keeps the materials of its file, they become diffuse, opaque and two-sided with
+//! face normals, so that every renderer can express the scene exactly. The light faces the scene,
+//! and its back is out of view.
 
 use std::error::Error;
 use std::path::Path;
@@ -27,7 +28,7 @@ const DISTANCE_PER_HEIGHT: f64 = 2.5;
 const SKY: f32 = 0.4;
 /// Radiance of the light.
 const LIGHT: f32 = 40.0;
-/// Name of the mesh and the material of the light.
+/// Name of the light's material.
 const LIGHT_NAME: &str = "rectangle light";
 
 /// A scene, with its geometry, window and settings for a view.

@@ -23,10 +23,10 @@ const OF_WHITE: u32 = 16;
 const CLAMP: f32 = 8.0;
 /// Unit of the times in `/proc/self/stat`, in milliseconds.
 const TICK_MS: u64 = 10;
-/// Numbers of samples per pixel of filtered views (`FILTERED`) and of views rendered one by one
-/// (`ALONE`). Views with the last number of `ALONE` are the reference, which takes longer to render
-/// than any filtered views.
+/// Numbers of samples per pixel of filtered views.
 const FILTERED: [u32; 3] = [4, 16, 64];
+/// Numbers of samples per pixel of views rendered one by one. Views with the last number are the
+/// reference, which takes longer to render than any filtered views.
 const ALONE: [u32; 4] = [4, 16, 64, 256];
 
 /// A way to render the views of a light field.
@@ -51,8 +51,9 @@ struct Way {
 
 /// Errors of the pictures that one way of rendering makes, over all views.
 struct Errors {
-    /// Mean squared error, bias included, over all views (`all`) and over the worst view (`worst`).
+    /// Mean squared error over all views, bias included.
     all: f64,
+    /// Mean squared error of the worst view, bias included.
     worst: f64,
     /// Part of the squared error that is not noise; it remains at any number of samples.
     bias: f64,

@@ -44,9 +44,9 @@ const STREAM: u64 = 0xed9e_0001;
 /// shows more.
 const BRIGHTEST: f32 = 4.0;
 /// Two surfaces are treated as different if a point of one is farther than this from the plane of
-/// the other, in pixels. They are also different if the cosine between their normals is below
-/// `LEAST_COSINE`.
+/// the other, in pixels.
 const LEAST_STEP: f32 = 1.5;
+/// Two surfaces are also treated as different if the cosine between their normals is below this.
 const LEAST_COSINE: f32 = 0.8;
 
 /// σ_0 of the light that is not diffuse, as a fraction of the view's mean light. With half or twice

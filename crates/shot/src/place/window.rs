@@ -180,7 +180,7 @@ fn focus<S: Subject>(
     task: Task<'_>,
 ) -> Result<Option<f32>, S::Error> {
     let size_mm = geometry.size_mm();
-    // Any window of the camera shows its whole picture to an eye at the camera's place.
+    // Any window of a camera shows the camera's whole picture to an eye at the camera's position.
     let reach = subject.scene().seen_bounds().size().length();
     let at = Camera { focus_distance: Some(reach), ..camera.clone() };
     let Ok(window) = Window::from_camera(&at, subject.scene().seen_bounds(), size_mm) else { return Ok(None) };
@@ -295,7 +295,7 @@ fn closer(mask: &Tensor<2>) -> (f64, [f64; 2]) {
         (1.0 + 2.0 * MARGIN) * first.max(end) / middle[axis]
     };
     let least = reach(0).max(reach(1)).max(CLOSEST);
-    // the wanted area is `covered` / COVERAGE; `least` keeps all set pixels inside
+    // the required area is `covered` / COVERAGE; `least` keeps all set pixels inside
     let covered = mask.data().iter().map(|&hit| f64::from(hit)).sum::<f64>() / (rows * cols) as f64;
     ((covered / COVERAGE).sqrt().max(least).min(1.0), middle)
 }
