@@ -36,8 +36,8 @@ pub(crate) fn angle_turns(y: f32, x: f32) -> f32 {
 
 /// Maps the unit square to the unit disc, equal areas to equal areas (concentric map of Shirley,
 /// Chiu 1997). The square is first scaled to coordinates a and b, each −1..1. It has two halves,
-/// |a| > |b| and |a| ≤ |b|. One formula serves both halves, and x and y are exchanged at the end for
-/// one half. A branch would be slower, since no branch predictor can guess the half.
+/// |a| > |b| and |a| ≤ |b|. One formula serves both halves, and x and y are exchanged at the end
+/// for one half. A branch would be slower, since no branch predictor can guess the half.
 #[inline]
 pub(crate) fn concentric_disc(u: [f32; 2]) -> (f32, f32) {
     let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);

@@ -53,7 +53,7 @@ pub(crate) fn patterns(model: &Path, folder: &Path) -> Result<(), Box<dyn Error>
     // 160 × 100 pixels of 1.5 mm, 5 × 5 views over 20°, layers at −20, 0 and 20 mm, two frames
     let display = Display::uniform([160, 100], 1.5, [5, 5], [20.0, 20.0], &[-20.0, 0.0, 20.0], 2);
     let geometry = display.geometry()?;
-    // the window that shows the scene, whose depth is compressed if the display cannot show all of it
+    // the window that shows the scene; depth is compressed if the display cannot show all of it
     let placement = place(&subject, &WindowJob::default(), &display, &geometry, task)?;
     let traced = geometry.with_grid(geometry.grid.scaled(placement.depth_scale));
 
