@@ -1,7 +1,7 @@
 //! The scene's triangles, and the surface data at a hit.
 //!
 //! Most triangles are *loose*: each instance has its own copy in render space, as if the scene were
-//! one mesh. In large scenes a mesh that is placed often is *shared*: its triangles are kept once,
+//! one mesh. In large scenes a mesh that is placed often is *shared*. Its triangles are kept once,
 //! in a space around the mesh's centre, with a transform per instance. So the memory of large
 //! scenes grows with unique geometry only.
 //!

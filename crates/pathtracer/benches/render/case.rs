@@ -1,9 +1,9 @@
 //! The scene that all renderers get: Lambert surfaces with base-colour textures, one rectangle
 //! light, a constant sky, one perspective view.
 //!
-//! Unless a case keeps the materials of its file, they become diffuse, opaque and two-sided with
-//! face normals, so that every renderer can express the scene exactly. The light faces the scene,
-//! and its back is out of view.
+//! Unless a case keeps the materials of its file, they become diffuse, opaque and two-sided, with
+//! face normals. So every renderer can express the scene exactly. The light faces the scene, and
+//! its back is out of view.
 
 use std::error::Error;
 use std::path::Path;

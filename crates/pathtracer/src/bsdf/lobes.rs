@@ -86,7 +86,7 @@ macro_rules! lobes {
         }
 
         impl Lobes {
-            /// Makes the lobes at a point. `layers` has the parameters of the layers; it is `None`
+            /// Makes the lobes at a point. `layers` has the parameters of the layers. It is `None`
             /// for materials without layers, and if the viewer is inside a solid, where no layer is
             /// seen.
             #[inline]

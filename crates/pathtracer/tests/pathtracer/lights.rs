@@ -140,8 +140,8 @@ fn irradiance_below_square(radiance: f64, half_width: f64, height: f64) -> f64 {
 
 #[test]
 fn a_square_light_has_its_form_factor() {
-    // test three lights, from a small one far above the plane to one so near that it fills almost
-    // the whole half space above the plane's points
+    // test a small light far above the plane, a larger light, and a light so near that it fills
+    // almost the whole half space above the plane
     for (half_width, height) in [(0.1, 2.0), (0.5, 1.0), (1.0, 0.1)] {
         let mut scene = plane();
         let light = rectangle(Vec3::new(0.0, 0.0, height), -half_width * Vec3::X, half_width * Vec3::Y);

@@ -68,8 +68,8 @@ pub struct Found {
 /// most until the scene covers about a quarter of the window, and never cuts off the scene.
 ///
 /// # Errors
-/// When the job names a camera that does not exist, gives numbers that make no rectangle, or lacks
-/// the keys or the camera that its `from` requires.
+/// When the job names a camera that does not exist, or gives numbers that make no rectangle. Also
+/// when a key or a camera is missing that its `from` requires.
 pub fn find_window<S: Subject>(
     subject: &S,
     job: &WindowJob,
