@@ -94,9 +94,9 @@ fn the_report_is_true_and_means_and_edges_stay() {
         after += error(picture);
         let truth = 0.5 * (mean(&a) + mean(&b));
         assert!((mean(picture) / truth - 1.0).abs() < 0.01, "{} instead of {truth}", mean(picture));
-        // Test the two columns on either side of both edges, in the middle view. In this view the
-        // edges are between two columns. In other views the edges pass through pixels, and the four
-        // samples of a pixel locate them only roughly.
+        // Test the two columns on either side of both edges. In the middle view the edges are
+        // between two columns. In the other views the edges pass through pixels. Four samples of a
+        // pixel locate such an edge only roughly, so the tolerance is large.
         for col in [POLE - 2, POLE - 1, POLE, POLE + 1, COLOUR - 2, COLOUR - 1, COLOUR, COLOUR + 1] {
             let (found, truth) = (column(picture, col), 0.5 * (column(&a, col) + column(&b, col)));
             assert!((found / truth - 1.0).abs() < 0.15, "view {view:?}, column {col}: {found} instead of {truth}");

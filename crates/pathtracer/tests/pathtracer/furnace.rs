@@ -1,4 +1,4 @@
-//! Closed scenes whose radiance is known exactly.
+//! Tests scenes whose radiance is known exactly.
 
 use crate::common::{
     self, Builder, cube, diffuse, glowing, long_paths, mean_of, one_view, render, sphere, window, window_at,
@@ -13,7 +13,7 @@ const ROUNDING: f64 = 2e-4;
 /// Energy that microfacet surfaces may lose: the interpolation error of the albedo table.
 const ALBEDO_TABLE: f64 = 5e-3;
 /// Energy that a sphere of triangles may lose: its shading normals lean away from the surface, and
-/// light from below it is lost.
+/// light from below the surface is lost.
 const TRIANGLES: f64 = 1e-2;
 
 /// Inside a closed room whose diffuse walls of albedo ρ all emit L, every point radiates L + ρL +
@@ -101,7 +101,8 @@ fn a_flat_white_metal_is_invisible_at_every_roughness() {
     }
 }
 
-/// A sphere that absorbs light is darker than a lossless one, so the tests above can fail.
+/// A sphere that absorbs light is darker than a lossless one. So the tests above would notice
+/// absorption.
 #[test]
 fn an_absorbing_sphere_is_visible() {
     let mut scene = Builder::default();

@@ -1,5 +1,5 @@
-//! Results that come with a view's radiance: the fraction of a pixel without a surface, and the
-//! variance of the pixel's mean.
+//! Tests results that come with a view's radiance: the fraction of a pixel without a surface, and
+//! the variance of the pixel's mean.
 
 use crate::common::{Builder, diffuse, one_view, rectangle, sphere, window};
 use glam::Vec3;
