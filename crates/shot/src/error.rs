@@ -81,7 +81,7 @@ pub struct BadValue {
 /// File, option or object that holds a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// The value is in a job; the caller knows its file.
+    /// The value is in a job. The caller can add the name of the job's file.
     Job,
     /// The value results from several options together.
     CommandLine,
