@@ -58,7 +58,7 @@ impl Layout {
         self.lines() + 1
     }
 
-    /// Returns the offset of the red value in the tensor of a layer or of the emission.
+    /// Returns the offset of a pixel's red value in the tensor of a layer or of the emission.
     pub(crate) fn tensor_offset(&self, frame: usize, line: usize, col: usize) -> usize {
         let ([bins_y, bins_x], [rows, cols]) = (self.bins, self.size);
         let (bin_y, row, bin_x, col) = (line / rows, line % rows, col / cols, col % cols);

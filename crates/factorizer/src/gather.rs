@@ -17,8 +17,8 @@
 //! The code departs from the simple version in the following ways:
 //!
 //! 1. **Blocks.** Columns are processed in blocks of one vector, and a block sums all views before
-//!    the next begins. Its values stay in the first-level cache, and accumulators stay in
-//!    registers.
+//!    the next block begins. The values of a block stay in the first-level cache, and accumulators
+//!    stay in registers.
 //! 2. **Registers.** If registers hold a_m and the sums of all frames,
 //!    [`registers`](crate::registers) has the loop. AVX-512 and NEON hold up to 8 frames for the
 //!    paper's rule, and up to 4 for G. For G of 6 frames, 3×3 tiles along its diagonal are summed

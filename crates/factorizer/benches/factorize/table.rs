@@ -180,7 +180,7 @@ impl Report {
                 let _ = writeln!(
                     text,
                     "  reach that PSNR after {iterations} iterations: {:.3} s (fastest {:.3}) from the call until it is reported,\n  \
-                     {:.3} s (fastest {:.3}) for a call with as many iterations, until the patterns are returned",
+                     {:.3} s (fastest {:.3}) for a call with this number of iterations, until the patterns are returned",
                     quality.until_reached.median(),
                     quality.until_reached.fastest(),
                     quality.whole_call.median(),
@@ -230,7 +230,7 @@ impl Report {
         let _ = writeln!(
             text,
             "Shares are of these rates, at the fastest time. Operations per ray and channel with F factors and M frames: F M (F+1) multiplicative,\n\
-             F (M (F−1) + M (M+1)/2) block-exact. Bytes: per factor, the target in 16 bits and all factors in 32 are read and one is written."
+             F (M (F−1) + M (M+1)/2) block-exact. Bytes: for each factor, an update reads the target in 16 bits and all factors in 32 bits, and writes one factor."
         );
     }
 
