@@ -75,7 +75,9 @@ fn arguments() -> Result<Arguments, String> {
         let mut value = || words.next().ok_or(format!("{word}: expected a value, found none"));
         match word.as_str() {
             "--quick" => parsed.resolution = [210, 131],
-            "--rounds" => parsed.rounds = value()?.parse().map_err(|_| "--rounds: expected a number, found other text")?,
+            "--rounds" => {
+                parsed.rounds = value()?.parse().map_err(|_| "--rounds: expected a number, found other text")?
+            }
             "--json" => parsed.json = Some(value()?.into()),
             "--folder" => parsed.folder = value()?.into(),
             "--peer" => parsed.peers.push([value()?.into(), value()?.into()]),
