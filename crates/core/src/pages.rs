@@ -13,9 +13,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// than two large pages.
 const LARGE_PAGE: usize = 2 << 20;
 
-/// Requests large pages from the system, which gives them only on Linux, if some are free. Call it
-/// for untouched memory, such as the spare capacity of a new [`Vec`] or a large `vec![0; n]`. The
-/// system assigns pages at the first write.
+/// Requests large pages from the system, which gives them only on Linux, if some are free. Call
+/// this function for untouched memory, such as the spare capacity of a new [`Vec`] or a large
+/// `vec![0; n]`. The system assigns pages at the first write.
 pub fn prefer_large_pages<T>(memory: &[T]) {
     if size_of_val(memory) >= 2 * LARGE_PAGE {
         advise(memory.as_ptr() as usize, size_of_val(memory));

@@ -241,8 +241,8 @@ fn finer(geometry: &FieldGeometry) -> FieldGeometry {
     }
 }
 
-/// Returns the number of views at which each angular footprint has one view. More views add no
-/// detail that the bound allows.
+/// Returns the number of views at which each angular footprint has one view, at most
+/// [`MOST_VIEWS`]. More views than one per footprint add no detail that the bound allows.
 fn useful_views(display: &Display, axis: usize) -> usize {
     let zone = 2.0 * (0.5 * display.field.fov_deg[axis].to_radians()).tan();
     let footprint = display.angular_footprint()[axis];

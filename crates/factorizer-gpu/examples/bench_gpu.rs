@@ -86,7 +86,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let adapter = device.adapter();
     if !adapter.is_hardware {
-        println!("no graphics processor: the device measured below is the processor, through a software driver");
+        println!("no graphics processor: these results are those of the processor, through a software driver");
     }
     // measure the adapter's limits; no update can be faster than they allow
     let limits = device.measured_limits();

@@ -27,8 +27,8 @@ const OBJECTIVE_TOLERANCE: f64 = 1e-4;
 const OBJECTIVE_PER_VALUE: f64 = 1e-11;
 /// Largest relative difference of an objective whose terms are summed in another order.
 const SUM_TOLERANCE: f64 = 1e-5;
-/// The device's value of a pattern is compared with the processor's only if its influence on the
-/// emission is at least this. Rounding decides a value with less influence.
+/// A pattern's value by the device is compared with the value by the processor only if the value's
+/// influence on the emission is at least this. Rounding decides a value with less influence.
 const DETERMINED: f32 = 0.1;
 /// Number of iterations whose updates are compared one by one.
 const ROUNDS: usize = 4;
@@ -167,7 +167,8 @@ fn one_update_equals_the_processors() {
             let each = factors.len();
             for (round, n) in (0..ROUNDS * each).map(|at| (at / each, at % each)) {
                 let what = format!("{kind:?} {name}, round {round}, factor {n}");
-                // every second update extrapolates, and uses the curvature at the current point
+                // in every second round the block-exact rule extrapolates, and every rule takes the
+                // curvature at the current point where L̃ is not linear
                 let odd = round % 2 == 1;
                 let extrapolation = (odd && name == "block-exact").then_some(0.35);
                 let local = odd && !plan.is_bounded(n);

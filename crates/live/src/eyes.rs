@@ -123,8 +123,8 @@ impl EyeViews {
         &self.display
     }
 
-    /// Returns the light field: for each viewer a row of views, and for each of their eyes two
-    /// columns of views.
+    /// Returns the light field. It has a row of views for each viewer, and two columns of views for
+    /// each eye. With [`Eyes::Picture`], a viewer has one eye.
     pub fn field(&self) -> &LightField {
         &self.field
     }

@@ -2,8 +2,8 @@
 //!
 //! Windows signals all programs of a console, and a program can only signal its own console. So a
 //! program that will be interrupted gets a console of its own, without a window. Then a second
-//! process of the test's program joins this console to signal it. This process runs only the test
-//! `common::helps`, which calls `help`.
+//! process of the test's program joins this console, and signals the first program. The second
+//! process runs only the test `common::helps`, which calls `help`.
 
 use std::process::{Child, Command};
 
@@ -48,7 +48,7 @@ mod windows {
     /// Environment variables of the second process, with the words of its task.
     pub(super) const INTERRUPT: &str = "LUMISTACK_TEST_INTERRUPTS";
     const SHOW: &str = "LUMISTACK_TEST_SHOWS";
-    /// Between words and lines, neither of which contains it.
+    /// Separates words, and lines. No word and no line contains it.
     const SEPARATOR: &str = "\u{1f}";
     /// Size of a console's screen, columns and rows. No line of the tested programs is wider.
     const SCREEN: COORD = COORD { X: 400, Y: 300 };

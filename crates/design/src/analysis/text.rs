@@ -54,7 +54,10 @@ impl Analysis {
             let depths = depths.map(|([z, bound], share)| format!("{share} at {} mm: {bound:.2}", number(*z)));
             line(
                 "",
-                format!("finest detail there, × the finest of the pixels: {}", depths.collect::<Vec<_>>().join(", ")),
+                format!(
+                    "bound at percentiles of depth, × the finest detail of the pixels: {}",
+                    depths.collect::<Vec<_>>().join(", ")
+                ),
             );
         }
         text.trim_end().into()
