@@ -543,6 +543,7 @@ mod tests {
     #[test]
     fn the_default_has_few_plots() {
         let base = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 12.0], 2);
+        // four axes vary, so that there would be many plots
         let mut rows = Vec::new();
         for (layers, frames, tenths) in (2..6).flat_map(|n| (1..4).flat_map(move |m| (1..11).map(move |b| (n, m, b)))) {
             for gap_mm in [5.0, 10.0, 20.0] {

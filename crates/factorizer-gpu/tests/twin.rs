@@ -233,12 +233,14 @@ fn ten_updates_equal_the_processors() {
         let owned = random(kind, SEED);
         let start = random_start(&owned.display, SEED);
         for name in ["multiplicative", "block-exact", "extrapolated"].into_iter().filter(|name| takes(&owned, name)) {
+            // run both from the same start, and compare the emissions
             let what = format!("{kind:?} {name}");
             let on_device = device.solver(name).unwrap();
             let [(expected, objective), (found, value)] = [solver(name).unwrap(), &on_device]
                 .map(|solver: &dyn Solver| run(solver, &owned.problem(), &start, UPDATES));
             let (expected, found) = (emissions(&owned, &expected), emissions(&owned, &found));
             let emitted = largest(&expected, &found);
+            // if they differ, the processor's own runs must differ by a similar amount
             let mut own_objective = 0.0;
             if emitted.is_nan() || emitted > EMISSION_TOLERANCE {
                 let runs = own_runs(kind, name, &start);

@@ -543,6 +543,7 @@ pub(crate) fn rays_between<'a>(
     rays.others_per_view = factors.len() - 1;
     rays.strides.extend(others().map(stride));
     rays.own_stride = stride(at.factor);
+    // mix the lines of factors that need expanded rows; `Windows` holds all other mixtures
     spare.mix_lines(plan, factors, at.channel, |k| !is_there(k));
     let elsewhere = others().filter(|&k| !is_there(k)).count();
     let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere);
@@ -558,6 +559,7 @@ pub(crate) fn rays_between<'a>(
                 true => &[],
             });
         }
+        // list each view: its range, weights and target, then the rows of all factors
         for view_x in 0..plan.views[1] {
             let own = plan.maps[at.factor].x[view_x].between;
             let ([run], Some((own, _))) = (plan.runs[view_x].as_slice(), own) else { continue };

@@ -217,6 +217,7 @@ fn start_peers(arguments: &Arguments, case: &Case) -> Outcome<Vec<TimedPeer>> {
 /// Starts the peers and compares their first update with Lumistack's. A peer that does not start is
 /// reported and left out.
 fn start_peers_in(folder: &Path, peers: &[[PathBuf; 2]], case: &Case) -> Outcome<Vec<TimedPeer>> {
+    // write the problem, and compute Lumistack's first update
     let start = random_start(&case.display, SEED);
     peers::write_problem(folder, case, &start)?;
     let saved = folder.join("after-one-update");
@@ -224,6 +225,7 @@ fn start_peers_in(folder: &Path, peers: &[[PathBuf; 2]], case: &Case) -> Outcome
     let mut run = solver("multiplicative")?.start(&case.problem(), start)?;
     run.step(&Cancel::default())?;
     let ours = run.download();
+    // start each peer, and compare the first update of each variant
     let mut started = Vec::new();
     for [python, script] in peers {
         let mut peer = match Peer::start(python, script, folder) {

@@ -161,6 +161,7 @@ impl Report {
     }
 
     fn describe_quality(&self, text: &mut String) {
+        // first the quality of the paper's rule, then the time in which the default reaches it
         let quality = &self.quality;
         let settings = &quality.settings;
         let _ = writeln!(
@@ -199,6 +200,7 @@ impl Report {
     }
 
     fn describe_machine(&self, text: &mut String, machine: &Machine) {
+        // the best rates of the machine, and a warning if other programs ran
         let _ = writeln!(
             text,
             "\n{} threads, {}: {:.0} G multiply-adds/s, {:.0} GB/s read: the best of many measurements between the updates",
@@ -215,6 +217,7 @@ impl Report {
                 100.0 * share
             );
         }
+        // the shortest possible times of two updates at these rates
         for row in &self.rows[..2] {
             let Some(needs) = row.needs else { continue };
             let _ = writeln!(
@@ -236,6 +239,7 @@ impl Report {
 
     /// Returns the measurements as JSON, with all single times.
     pub fn json(&self, machine: &Machine) -> Value {
+        // list Lumistack's updates, then the peers' updates, then all other values
         let quality = &self.quality;
         let rows = self.rows.iter().map(|row| {
             let mut value = json!({ "what": row.what, "times": row.times.json() });

@@ -81,6 +81,7 @@ fn modelling_an_effect_recovers_at_least_half_of_what_it_costs() {
         let row = |own: usize| [0, 1, 2].map(|c: usize| if c == own { 1.0 - 2.0 * share } else { share });
         Some([row(0), row(1), row(2)])
     };
+    // measure each effect alone, on all layers or on the rear layer
     for (name, real) in [
         ("contrast 1000:1", each(&|layer| layer.black_level = 1e-3)),
         ("contrast 200:1", each(&|layer| layer.black_level = 5e-3)),
