@@ -1,5 +1,5 @@
 //! Memory of large arrays: pages of a large size, and arrays in files, of which only a few pages
-//! are in memory at a time.
+//! are in memory at any time.
 //!
 //! With small pages, random reads are slower, since more of them wait for the translation of
 //! addresses. New memory also takes longer to map.
@@ -79,7 +79,7 @@ impl Window {
 /// of bytes, and returns an array in which all bytes are zero.
 pub type Storage = Arc<dyn Fn(usize) -> io::Result<Pages> + Send + Sync>;
 
-/// Bytes in a file, of which few are in memory at a time.
+/// Bytes in a file, of which few are in memory at any time.
 pub struct Pages {
     mapped: Box<dyn MappedBytes>,
     window: Window,

@@ -362,8 +362,8 @@ impl Ongoing {
 /// Returns true if a warm start is better than a fresh start by the settings `fresh`. The fresh
 /// start includes coarser levels.
 ///
-/// If the warm start has the lower objective, the answer is yes. Otherwise both starts take one
-/// iteration of `warm_solver`, and the answer is yes if the warm start then leads by 1 dB. The
+/// If the warm start has the lower objective, the result is true. Otherwise both starts take one
+/// iteration of `warm_solver`, and the result is true if the warm start then leads by 1 dB. The
 /// objectives of the starts themselves mislead: patterns of moved content have a high objective at
 /// first, which falls quickly. The first case costs a fresh start, the second case also two
 /// iterations.

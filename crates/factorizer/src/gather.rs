@@ -50,7 +50,7 @@
 //!   take 48 instead of 54. If in addition all view rows read one line, they take 38. With
 //!   everything in the first-level cache they would take 26.
 //! * Three other versions took longer per view and block. Aligned loads with a permutation took 63
-//!   cycles. Sums over one to three view rows at a time took 58 to 75 cycles. Lines in the order of
+//!   cycles. Sums over one to three view rows together took 58 to 75 cycles. Lines in the order of
 //!   a view's shift took 60 cycles.
 //! * These changes had no effect: tiles of fewer columns, vectors of AVX2 with the registers of
 //!   AVX-512, and two independent chains of additions for the sum over frames.

@@ -40,7 +40,7 @@ pub fn paged_bytes(display: &Display, geometry: &FieldGeometry, threads: usize, 
     let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
     let (views, rows, threads) = (view_rows * view_cols, geometry.rows as u64, threads as u64);
     let file = 2 * target_bytes(geometry);
-    // each thread reads the rays of one line at a time, or writes rows of a view
+    // a thread reads the rays of one line, or writes rows of one view
     let row = 4 * (geometry.cols as u64 + 2 * PAD as u64);
     let reading = views * row + view_rows * 2 * Window::NEIGHBOURS as u64;
     let writing = 3 * rows * (row + 2 * PAGE);

@@ -42,7 +42,7 @@ impl Problem<'_> {
     /// Checks that every value of the target is finite.
     pub(crate) fn check_target(&self) -> Result<(), FactorizeError> {
         let geometry = self.target.geometry();
-        // one view at a time is read, since the target may be in a file
+        // read view by view, since the target may be in a file
         for view in geometry.grid.iter() {
             let values = self.target.view(view);
             if bands::all(values, |part| part.iter().all(|value| value.is_finite())) {

@@ -1,4 +1,4 @@
-//! The rules of a step: new values of pixels from their sums, one vector of pixels at a time.
+//! The rules of a step: the new values of one vector of pixels from their sums.
 //!
 //! For pixel j of one factor, all sums are over the rays r through the pixel:
 //!

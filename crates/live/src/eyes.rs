@@ -155,7 +155,8 @@ struct Between {
 }
 
 impl Between {
-    /// Finds the views on both sides of a slope. Outside of the views, both are the outermost one.
+    /// Finds the views on both sides of a slope. For a slope outside of all views, both are the
+    /// outermost view.
     fn of(slopes: &[f64], slope: f64) -> Self {
         let below = (0..slopes.len()).filter(|&i| slopes[i] <= slope).max_by(|&a, &b| slopes[a].total_cmp(&slopes[b]));
         let above = (0..slopes.len()).filter(|&i| slopes[i] >= slope).min_by(|&a, &b| slopes[a].total_cmp(&slopes[b]));

@@ -1,13 +1,13 @@
 //! Ctrl-C for programs that tests start, and, on Windows, the text that they write to a console.
 //!
 //! Windows signals all programs of a console, and a program can only signal its own console. So a
-//! program that will be interrupted gets a console of its own, without a window. Then a second
-//! process of the test's program joins this console, and signals the first program. The second
-//! process runs only the test `common::helps`, which calls `help`.
+//! program that will be interrupted gets its own console, without a window. Then a second process
+//! of the test's program joins this console, and signals the first program. The second process runs
+//! only the test `common::helps`, which calls `help`.
 
 use std::process::{Child, Command};
 
-/// Gives the program a process group (on Windows a console) of its own, so that [`interrupt`]
+/// Gives the program its own process group (on Windows its own console), so that [`interrupt`]
 /// signals this program and the programs that it starts, but not the test.
 pub fn interruptible(command: &mut Command) -> &mut Command {
     #[cfg(unix)]
@@ -70,7 +70,7 @@ mod windows {
         pub interprets: bool,
     }
 
-    /// Runs a program in a console of its own, and returns the console's screen.
+    /// Runs a program in its own console, and returns the console's screen.
     pub fn screen_of(program: &str, words: &[&str]) -> Screen {
         let words: Vec<String> = [&[program], words].concat().into_iter().map(str::to_owned).collect();
         let output = helper(SHOW, &words).creation_flags(CREATE_NO_WINDOW).output().expect("the test starts itself");

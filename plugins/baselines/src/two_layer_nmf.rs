@@ -60,8 +60,7 @@ impl NodePlugin for TwoLayerNmf {
         };
         let (warnings, cancel) = (Collector::default(), Cancel::default());
         let failed = |error: FactorizeError| PluginError::Failed(error.to_string());
-        // Make the start, then run one iteration at a time, so that the host can cancel between
-        // iterations.
+        // Make the start, then run single iterations, so that the host can cancel between them.
         let start = Settings { iterations: 0, ..settings };
         let task = Task::quiet(&warnings, &cancel);
         let start = lumistack_factorizer::factorize(&problem, &start, None, task, &mut |_| {}).map_err(failed)?;
