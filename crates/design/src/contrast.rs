@@ -439,8 +439,8 @@ mod tests {
     #[test]
     fn a_layer_helps_on_the_display_plane_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();
-        // At this depth the frequency is above the limit 1/(2Δx) of the lens array alone, and below
-        // the bound 1/(2 z Δs) with the layer. Δs is the width of an angular bin.
+        // At this depth the frequency is above 1/(2Δx), the limit of the lens array alone. It is
+        // below 1/(2 z Δs), the bound with the layer. Here Δs is the width of an angular bin.
         let off = 0.45 * 2.0 / bin;
         let gratings = |display: &Display| {
             let found = measured(display, &[0.0, off], &[0.45]);

@@ -141,10 +141,10 @@ pub trait Updater {
 
     /// Computes the objective after an update of factor `n` from the update's outcome.
     ///
-    /// The outcome determines the objective only if layers attenuate, all weights are 1, and every
-    /// ray reads exactly one pixel of the factor, which must be free to step. The factor must be
-    /// stored as rays read it, and more than 1 % of the error must remain. Otherwise the result is
-    /// `None`.
+    /// Returns `None` unless the outcome determines the objective. For this, layers must attenuate,
+    /// and all weights must be 1. Every ray must read exactly one pixel of the factor, and this
+    /// pixel must be free to step. Rays must read the stored values, and more than 1 % of the error
+    /// must remain.
     fn objective_after(&self, n: usize, outcome: Outcome) -> Option<Objective> {
         let (plan, map) = (self.plan(), &self.plan().maps[n]);
         let stored_is_read = self.display().layers.get(n).is_none_or(|layer| layer.response().is_none());

@@ -42,8 +42,8 @@ pub struct Settings {
     /// Number of iterations between evaluations of the objective, at least 1; the last iteration
     /// always has an evaluation.
     ///
-    /// Block-exact solvers obtain the objective from the sums of an iteration, if layers attenuate,
-    /// the weights are uniform, and every ray reads one pixel per layer. Otherwise an evaluation
+    /// If layers attenuate, weights are uniform and every ray reads one pixel per layer,
+    /// block-exact solvers obtain the objective from an iteration's sums. Otherwise an evaluation
     /// costs about a third of an iteration.
     pub report_every: u32,
     /// True to re-optimize patterns of layers with few bits on the levels of their panels.

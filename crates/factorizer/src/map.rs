@@ -349,12 +349,12 @@ fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> O
         .then_some(shift)
 }
 
-/// Returns two values that all rays of a single run share: the index of the first pixel that a ray
-/// reads, minus the ray's field column; and the weight of the second pixel. Rays that read only the
-/// border pixel also fit.
+/// Returns two values that all rays of the run share. The first is the index of a ray's first pixel
+/// minus the ray's field column. The second is the weight of the second pixel. Rays that read only
+/// the border pixel also fit.
 ///
-/// Returns `None` if the values differ between rays, if a ray misses the factor, if no ray reads
-/// two pixels, or if there is not exactly one run.
+/// Returns `None` if the values differ between rays, or if a ray misses the factor. Also returns
+/// `None` if no ray reads two pixels, or if there is not exactly one run.
 fn constant_between(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<(isize, f32)> {
     let [run] = runs else { return None };
     let distance = |c: usize| taps[c].map(|tap| (tap.first as isize - c as isize, tap.t));

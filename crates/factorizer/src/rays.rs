@@ -299,9 +299,9 @@ impl<'a> Left<'a> {
 
     /// Returns the line of factor `k` that a row of rays reads, in all frames.
     ///
-    /// The caller must call this for every factor, in the order of the factors, since mixed lines
-    /// are taken in the order in which they were made. If factor `k` is being updated in place, it
-    /// has no values here, and the result is empty.
+    /// The caller must call this for all factors in their order, since mixed lines are taken in the
+    /// order in which they were made. If factor `k` is being updated in place, it has no values
+    /// here, and the result is empty.
     fn line(&mut self, plan: &Plan, factors: &'a [Factor], k: usize, channel: usize, rays: RowOfRays) -> &'a [f32] {
         let (map, factor) = (&plan.maps[k], &factors[k]);
         let tap = map.y[rays.view_y][rays.row];

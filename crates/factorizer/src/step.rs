@@ -1,4 +1,4 @@
-//! The rules of a step: the new values of one vector of pixels from their sums.
+//! The rules of a step: each computes the new values of one vector of pixels from their sums.
 //!
 //! For pixel j of one factor, all sums are over the rays r through the pixel:
 //!

@@ -64,8 +64,9 @@ impl ChannelRun {
     /// noise. `target` has half floats in the order `[view_y][view_x][row][col]`.
     ///
     /// # Errors
-    /// If the display is invalid; if layers have blur, crosstalk, colour filters or tied channels;
-    /// if the target has another size, fewer than 16 columns, or values that are not finite.
+    /// If the display is invalid, or if layers have blur, crosstalk, colour filters or tied
+    /// channels. Also if the target has another size, fewer than 16 columns, or values that are not
+    /// finite.
     pub fn start(
         display: &Display,
         geometry: &FieldGeometry,

@@ -7,8 +7,8 @@
 
 use std::process::{Child, Command};
 
-/// Gives the program its own process group (on Windows its own console), so that [`interrupt`]
-/// signals this program and the programs that it starts, but not the test.
+/// Gives the program its own process group (on Windows its own console). So [`interrupt`] signals
+/// this program and the programs that it starts, but not the test.
 pub fn interruptible(command: &mut Command) -> &mut Command {
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(command, 0);
