@@ -127,7 +127,7 @@ impl<T: Plain> Array<T> {
     /// Makes `count` zeros in the storage, or in memory if there is no storage.
     ///
     /// # Errors
-    /// If the storage is full.
+    /// If the storage cannot create the array, for example because it is full.
     pub fn zeros(count: usize, storage: Option<&Storage>) -> io::Result<Self> {
         let Some(storage) = storage else {
             let values = vec![T::default(); count];

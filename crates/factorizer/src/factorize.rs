@@ -116,7 +116,8 @@ pub struct Factorization {
     pub settings: Settings,
     /// KKT residual before quantization; see [`crate::Run::kkt_residual`].
     pub kkt_residual: f64,
-    /// PSNR that few levels cost; `None` if no layer has few bits, or without [`Settings::levels`].
+    /// PSNR with and without the restriction to few levels. `None` if no layer has few bits, or
+    /// without [`Settings::levels`].
     pub levels: Option<LevelsLoss>,
 }
 
@@ -174,8 +175,7 @@ pub fn factorize_on(
 /// tile are solved. Without `warm`, the tile starts with its section of the whole display's start.
 ///
 /// # Errors
-/// The errors of [`factorize`], and [`FactorizeError::NoRays`] if no ray of the tile has a weight
-/// above 0.
+/// The errors of [`factorize`]. [`FactorizeError::NoRays`] refers to the tile's rays alone.
 pub fn factorize_tile(
     problem: &Problem,
     (tile, whole): (&Tile, &RayMap),

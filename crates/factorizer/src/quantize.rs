@@ -1,5 +1,5 @@
 //! Patterns for panels of few bits: confines one mask after another to the panel's levels, and lets
-//! the other masks compensate for its error.
+//! the other masks compensate for the error.
 //!
 //! The masks are confined frame by frame and layer by layer to the levels that the panel can show
 //! ([`lumistack_display::Layer::levels`]). After each mask is confined, its layer is updated. A

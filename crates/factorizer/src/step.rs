@@ -119,7 +119,7 @@ pub(crate) struct Block {
     change: Aligned,
     /// Decrease of the objective by the last step, per lane. The rays' weights are divided by the
     /// largest weight. The multiplicative rule does not compute the decrease and leaves 0.
-    /// [`Rule::KktResidual`] stores its result here.
+    /// [`Rule::KktResidual`] and [`Rule::Darken`] store their result here.
     pub(crate) gain: Vector,
 }
 
@@ -283,8 +283,8 @@ impl Block {
 
     /// Sets unlit values to `low`. A value is unlit if Σ w a_m² is at most the limit of its lane.
     ///
-    /// A negative limit exempts a lane. This function runs once per solve, so it has no vector
-    /// code. Inlined into the kernels, it made every update a fifth slower.
+    /// A negative limit exempts a lane. Only the end of a solve needs this function, so it has no
+    /// vector code. Inlined into the kernels, it made every update a fifth slower.
     #[cold]
     #[inline(never)]
     pub(crate) fn darken(&mut self, lanes: usize, limits: &[f32], low: f32) {
