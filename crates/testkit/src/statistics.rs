@@ -1,9 +1,9 @@
 //! Tests of Monte Carlo results. Each takes its false-alarm rate: the probability that it fails
 //! although the code is right.
 //!
-//! Two-sided z-test of a mean: z = (x̄ − μ) / (s/√n), refused when P(|Z| > |z|) < false_alarm_rate.
-//! Pearson's chi-square test: X² = Σ (O − E)²/E over cells, refused when P(χ²_(cells−1) > X²) <
-//! false_alarm_rate.
+//! Two-sided z-test of a mean: z = (x̄ − μ) / (s/√n), rejected if P(|Z| > |z|) < false_alarm_rate.
+//! Pearson's chi-square test: X² = Σ (O − E)²/E over cells, rejected if
+//! P(χ²_(cells−1) > X²) < false_alarm_rate.
 
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 
