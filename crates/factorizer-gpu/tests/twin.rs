@@ -32,9 +32,10 @@ const SUM_TOLERANCE: f64 = 1e-5;
 const DETERMINED: f32 = 0.1;
 /// Number of iterations whose updates are compared one by one.
 const ROUNDS: usize = 4;
-/// Number of updates of a whole run.
+/// Number of iterations of a whole run.
 const UPDATES: usize = 10;
-/// Seed of the random problems. All tests use this seed, so that they share compiled shaders.
+/// Seed of the random problems. Both tests that compare updates use it, so that they share compiled
+/// shaders.
 const SEED: u64 = 4;
 /// The processor's own difference is the difference of emission between runs whose starts and
 /// targets differ by rounding. The device's emission may differ from the processor's by this
