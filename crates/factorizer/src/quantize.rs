@@ -65,7 +65,7 @@ pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, F
     }
     let rule = Rule::Block { sweeps: SWEEPS };
     let steps = few.len() * frames + LAST_ROUNDS as usize * engine.plan().factor_count();
-    task.progress.begin("quantize", steps as u64, "masks");
+    task.progress.begin("quantize", steps as u64, "updates");
     let update = |engine: &mut Engine, n: usize| -> Result<(), FactorizeError> {
         engine.update(n, rule, None);
         task.cancel.check()?;
