@@ -272,7 +272,8 @@ fn start_run(
             // Equal frames stay equal, so the user is warned. In a tile with fixed pixels, equal
             // frames may be intended.
             if display.frames > 1 && plan.free(0).is_none() && frames_are_equal(warm) {
-                let message = "all frames are equal, and the solver keeps them equal, so the result is that of a single frame";
+                let message =
+                    "all frames are equal, and the solver keeps them equal, so the result is that of a single frame";
                 task.warn("warm start", message);
             }
             let start = if settings.iterations > 0 { unlit::lifted(warm) } else { warm.clone() };
