@@ -8,8 +8,8 @@ use std::sync::LazyLock;
 /// code starts with the code of the lower end of the value's bin.
 const BINS: usize = 4096;
 
-/// A table for [`srgb_code`]. The formula's `f32::powf` for every value would take most of the time
-/// of a picture.
+/// A table for [`srgb_code`]. The formula calls `f32::powf` for every value, which would take most
+/// of the time to write a picture.
 pub struct SrgbCodes {
     /// The code of each bin's lower end.
     start: Vec<u8>,

@@ -14,7 +14,7 @@ pub struct ConfigError {
     pub column: usize,
     /// Range of bytes in the text to which the error applies.
     pub span: std::ops::Range<usize>,
-    /// One sentence with the expected and the found value.
+    /// One sentence that states the expected and the found value, or the unknown key.
     pub message: String,
     /// The known key that is spelled most like the unknown one.
     pub suggestion: Option<String>,

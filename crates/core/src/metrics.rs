@@ -94,7 +94,8 @@ pub struct MetricMap {
 }
 
 impl MetricMap {
-    /// Returns the metric of the whole picture: the mean over all pixels inside the margin.
+    /// Returns the metric of the whole picture: the mean over all pixels except those of the
+    /// border.
     pub fn mean(&self) -> Mean {
         self.mean_where(|_| true)
     }

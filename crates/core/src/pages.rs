@@ -1,5 +1,5 @@
 //! Memory of large arrays: pages of a large size, and arrays in files, of which only a few pages
-//! are in memory at a time.
+//! are in memory at any time.
 //!
 //! With small pages, random reads are slower, since more of them wait for the translation of
 //! addresses. New memory also takes longer to map.
@@ -13,9 +13,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// than two large pages.
 const LARGE_PAGE: usize = 2 << 20;
 
-/// Requests large pages from the system, which gives them only on Linux, if some are free. Call it
-/// for untouched memory, such as the spare capacity of a new [`Vec`] or a large `vec![0; n]`. The
-/// system assigns pages at the first write.
+/// Requests large pages from the system, which gives them only on Linux, if some are free. Call
+/// this function for untouched memory, such as the spare capacity of a new [`Vec`] or a large
+/// `vec![0; n]`. The system assigns pages at the first write.
 pub fn prefer_large_pages<T>(memory: &[T]) {
     if size_of_val(memory) >= 2 * LARGE_PAGE {
         advise(memory.as_ptr() as usize, size_of_val(memory));
@@ -79,7 +79,7 @@ impl Window {
 /// of bytes, and returns an array in which all bytes are zero.
 pub type Storage = Arc<dyn Fn(usize) -> io::Result<Pages> + Send + Sync>;
 
-/// Bytes in a file, of which few are in memory at a time.
+/// Bytes in a file, of which few are in memory at any time.
 pub struct Pages {
     mapped: Box<dyn MappedBytes>,
     window: Window,
@@ -127,7 +127,7 @@ impl<T: Plain> Array<T> {
     /// Makes `count` zeros in the storage, or in memory if there is no storage.
     ///
     /// # Errors
-    /// If the storage is full.
+    /// If the storage cannot create the array, for example because it is full.
     pub fn zeros(count: usize, storage: Option<&Storage>) -> io::Result<Self> {
         let Some(storage) = storage else {
             let values = vec![T::default(); count];

@@ -25,7 +25,7 @@ const KEY: &str = "percent";
 pub mod optional {
     use super::*;
 
-    /// Writes the path; `None` is written as nothing.
+    /// Writes the path. `None` is written as null in JSON, and is left out in TOML.
     pub fn serialize<S: Serializer>(path: &Option<PathBuf>, serializer: S) -> Result<S::Ok, S::Error> {
         path.as_deref().map(Text).serialize(serializer)
     }

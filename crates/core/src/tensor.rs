@@ -18,7 +18,7 @@ pub struct Tensor<const N: usize> {
     data: Values,
 }
 
-/// Values of a tensor that another part of the program owns, such as an array of Python.
+/// A shared owner of values that tensors use without a copy, such as an array of Python.
 pub type Lender = Arc<dyn Lend>;
 
 /// The owner of lent values.

@@ -162,7 +162,7 @@ fn sigmoid(x: f32) -> f32 {
 }
 
 /// Turns the hue of `rgb`, in the hexcone of HSV, towards the hue of the colour `before`. The angle
-/// of the turn is 1 − [`HUE_AFTER`] times the difference of the two hues.
+/// of the turn is (1 − [`HUE_AFTER`]) times the difference of the two hues.
 fn with_hue_of(rgb: [f32; 3], before: [f32; 3]) -> [f32; 3] {
     let (low, high) = (rgb[0].min(rgb[1]).min(rgb[2]), rgb[0].max(rgb[1]).max(rgb[2]));
     let (Some(after), Some(before)) = (hue(rgb), hue(before)) else { return rgb };
@@ -317,9 +317,8 @@ mod tests {
         }
     }
 
-    /// The hue of the hexcone, in degrees, stays nearly the same. The neutral curve keeps it
-    /// exactly, since it only scales colours and mixes them with grey. AgX changes it by at most
-    /// 45°.
+    /// The neutral curve keeps the hue of the hexcone, since it only scales colours and mixes them
+    /// with grey. AgX changes the hue by at most 45°.
     #[test]
     fn hues_stay() {
         let mut stream = Stream::new(6);

@@ -22,7 +22,8 @@ pub struct Analysis {
     pub layers_mm: Vec<f64>,
     /// Distance of a directional backlight from z = 0, millimetres; `None` for a uniform backlight.
     pub backlight_mm: Option<f64>,
-    /// Depth from the rearmost to the frontmost of layers and backlight, millimetres.
+    /// Distance between the rearmost and the frontmost of the layers and the directional backlight,
+    /// millimetres.
     pub thickness_mm: f64,
     /// [low, high] depths between which the display can show the finest detail of the light field's
     /// pixels, millimetres. `None` if there is no such depth.
@@ -122,7 +123,8 @@ pub struct Timing {
     pub period_hz: f64,
     /// Refresh rate at which all frames are shown [`Display::FLICKER_HZ`] times a second, hertz.
     pub wanted_hz: f64,
-    /// True if all frames are shown less than [`Display::FLICKER_HZ`] times a second.
+    /// True if the panels change, and show all frames less than [`Display::FLICKER_HZ`] times a
+    /// second.
     pub flickers: bool,
 }
 
@@ -271,9 +273,9 @@ impl Zone {
         let size = display.field_pixels().size_mm();
         let step = [0, 1].map(|axis| 2.0 * half[axis] / display.views()[axis] as f64);
         let pinholes = field.distance_mm.filter(|_| field.projection == ProjectionKind::Perspective);
-        // Let α be the field of view. From this distance on, the rays from the eye to both edges of
-        // the display have slopes of at most tan(α/2). An axis with a single direction requires no
-        // distance.
+        // Let α be the field of view. From the distance `whole` on, the rays from the eye to both
+        // edges of the display have slopes of at most tan(α/2). An axis with a single direction
+        // requires no distance.
         let whole = [0, 1].map(|axis| if half[axis] > 0.0 { 0.5 * size[axis] / half[axis] } else { 0.0 });
         let whole_from_mm = pinholes.unwrap_or(whole[0].max(whole[1]));
         let at_mm = pinholes.unwrap_or(2.0 * whole_from_mm);

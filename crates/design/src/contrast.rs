@@ -241,8 +241,8 @@ fn finer(geometry: &FieldGeometry) -> FieldGeometry {
     }
 }
 
-/// Returns the number of views at which each angular footprint has one view. More views add no
-/// detail that the bound allows.
+/// Returns the number of views at which each angular footprint has one view, at most
+/// [`MOST_VIEWS`]. More views than one per footprint add no detail that the bound allows.
 fn useful_views(display: &Display, axis: usize) -> usize {
     let zone = 2.0 * (0.5 * display.field.fov_deg[axis].to_radians()).tan();
     let footprint = display.angular_footprint()[axis];
@@ -439,8 +439,8 @@ mod tests {
     #[test]
     fn a_layer_helps_on_the_display_plane_and_off_it_only_with_frames() {
         let bin = 0.4 * 10f64.to_radians().tan();
-        // At this depth the frequency is above the limit 1/(2Δx) of the lens array alone, and below
-        // the bound 1/(2 z Δs) with the layer. Δs is the width of an angular bin.
+        // At this depth the frequency is above 1/(2Δx), the limit of the lens array alone. It is
+        // below 1/(2 z Δs), the bound with the layer. Here Δs is the width of an angular bin.
         let off = 0.45 * 2.0 / bin;
         let gratings = |display: &Display| {
             let found = measured(display, &[0.0, off], &[0.45]);

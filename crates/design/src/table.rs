@@ -18,20 +18,21 @@ pub struct Design {
     /// Brightness scale β.
     pub brightness: f64,
     /// Mean distance between neighbouring layers, millimetres. For a single layer, the layer's
-    /// distance to the backlight; 0 if there is no directional backlight.
+    /// distance to the directional backlight, or 0 without such a backlight.
     pub gap_mm: f64,
     /// Field of view: [horizontal, vertical] full angles, degrees.
     pub fov_deg: [f64; 2],
     /// [columns, rows] of lenslets; [0, 0] without lenslets.
     pub lenslets: [usize; 2],
-    /// Depth from the rearmost to the frontmost of layers and backlight, millimetres.
+    /// Distance between the rearmost and the frontmost of the layers and the directional backlight,
+    /// millimetres.
     pub thickness_mm: f64,
     /// Number of panels: the layers, and the panel behind the lenslets.
     pub panels: usize,
     /// Lowest refresh rate at which the display does not flicker, hertz; 0 for a static display.
     pub refresh_hz: f64,
     /// Values of the patterns per ray of the light field: the degrees of freedom. With 1 or more,
-    /// each ray could have a value of its own.
+    /// each ray could have its own value.
     pub values_per_ray: f64,
 }
 
@@ -283,12 +284,14 @@ const GOOD_DB: f64 = 40.0;
 pub enum Plots {
     /// No plots.
     None,
-    /// Maps over one pair of axes: the first of (frames, layers), (frames, brightness) and (layers,
-    /// brightness) that the sweep varies. Curves along every other axis.
+    /// At most six plots: maps over one pair of axes, then curves along the other axes. The pair is
+    /// the first of (frames, layers), (frames, brightness) and (layers, brightness) whose two axes
+    /// the sweep varies.
     #[default]
     Few,
     /// Maps over every pair of the axes layers, frames and brightness, and curves along every axis.
-    /// Each combination of values on the remaining axes has plots of its own.
+    /// Each combination of values on the remaining axes has separate plots, at most twelve per pair
+    /// or axis.
     All,
 }
 
@@ -355,7 +358,8 @@ fn sketches(rows: &[Row]) -> Vec<Sketch> {
     found
 }
 
-/// Selects all maps of the first pair of axes, and the first curves along every other axis.
+/// Selects the first maps of the first pair of axes, and the first curves along every other axis,
+/// at most [`FEW_PLOTS`] together.
 fn few(all: Vec<Sketch>) -> Vec<Sketch> {
     let mut shown: Vec<Axis> = Vec::new();
     let mut pair = None;
@@ -539,6 +543,7 @@ mod tests {
     #[test]
     fn the_default_has_few_plots() {
         let base = Display::uniform([16, 10], 1.0, [3, 3], [20.0, 20.0], &[-12.0, 12.0], 2);
+        // four axes vary, so that there would be many plots
         let mut rows = Vec::new();
         for (layers, frames, tenths) in (2..6).flat_map(|n| (1..4).flat_map(move |m| (1..11).map(move |b| (n, m, b)))) {
             for gap_mm in [5.0, 10.0, 20.0] {

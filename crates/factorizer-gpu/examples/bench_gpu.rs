@@ -39,7 +39,7 @@ struct Case {
 const PAPER: Case = Case { resolution: [840, 525], views: 5, frames: 12 };
 /// The main example of this repository, with the views that its display chooses.
 const ZONE: Case = Case { resolution: [420, 262], views: 13, frames: 6 };
-/// Smaller displays for a quick look.
+/// Smaller displays, for `--quick`.
 const QUICK: [Case; 2] = [Case { resolution: [210, 131], ..PAPER }, Case { resolution: [105, 66], ..ZONE }];
 
 /// Returns the seconds of the start and the first update together, and the seconds of a later
@@ -86,7 +86,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let adapter = device.adapter();
     if !adapter.is_hardware {
-        println!("no graphics processor: the device measured below is the processor, through a software driver");
+        println!("no graphics processor: these results are those of the processor, through a software driver");
     }
     // measure the adapter's limits; no update can be faster than they allow
     let limits = device.measured_limits();

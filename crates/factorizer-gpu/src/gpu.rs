@@ -9,7 +9,7 @@ use crate::adapters::{self, Adapter};
 use crate::text::{FIRST_FACTOR, Program};
 use crate::wait;
 
-/// Number of bytes that are written or read at a time.
+/// Largest number of bytes that are written or read in one step.
 pub(crate) const CHUNK: u64 = 32 << 20;
 
 /// Number of threads of a workgroup, as in the shaders.
@@ -48,8 +48,8 @@ impl Gpu {
         let failed = |device: &str, why: String| FactorizeError::Device { device: device.into(), why };
         let (adapter, found) = adapters::choose(name).map_err(|why| failed(name.unwrap_or("gpu"), why))?;
         let limits = found.limits();
-        // In a web page no subgroups are used. There WGSL requires the line `enable subgroups;`,
-        // which wgpu's own parser does not know.
+        // In a web page no subgroups are used: a browser requires the line `enable subgroups;` in
+        // WGSL, which wgpu's own parser does not know.
         let offered = if cfg!(target_arch = "wasm32") { wgpu::Features::empty() } else { found.features() };
         let features = offered & wgpu::Features::SUBGROUP;
         let least = found.get_info().subgroup_min_size.max(1) as usize;
@@ -71,8 +71,8 @@ impl Gpu {
         };
         let (heard, lost) = (record(&failure), record(&failure));
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| heard(error.to_string())));
-        // In a web page the solver then continues on the processor by itself, so the error states
-        // no remedy.
+        // If a web page loses its device, the solver continues on the processor. So this error
+        // states no remedy there.
         let remedy = if cfg!(target_arch = "wasm32") { "" } else { "; run again, or use --device cpu" };
         device.set_device_lost_callback(move |_, message| {
             lost(format!("the device was lost: {message}").trim_end_matches(": ").to_owned() + remedy);
@@ -141,8 +141,8 @@ impl Gpu {
         }
     }
 
-    /// Writes words to a buffer, a chunk at a time, since words that are being copied are in memory
-    /// twice.
+    /// Writes words to a buffer in chunks, since the words of a chunk are in memory twice until
+    /// they are copied.
     pub(crate) fn write<T: Copy>(&self, buffer: &wgpu::Buffer, words: &[T], bytes_of: impl Fn(T) -> [u8; 4]) {
         let per_chunk = (CHUNK / 4) as usize;
         let mut bytes = Vec::new();
@@ -167,7 +167,7 @@ impl Gpu {
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        // read a chunk at a time, through one staging buffer
+        // read in chunks, through one staging buffer
         for start in (0..bytes).step_by(CHUNK as usize) {
             let len = (bytes - start).min(CHUNK);
             let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());

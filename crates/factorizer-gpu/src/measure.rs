@@ -53,8 +53,8 @@ pub(crate) fn limits(gpu: &Gpu) -> Limits {
     });
     let groups = (threads / 64) as u32;
     let across = groups.min(1 << 12);
-    // Returns the shortest time per dispatch. One submission holds so many dispatches that the time
-    // to start and end it is negligible.
+    // Returns the shortest time per dispatch. Each submission holds enough dispatches that the time
+    // to start and end the submission is negligible.
     let fastest = |entry: &str| {
         let pipeline = gpu.pipeline(&module, &layout, entry);
         let timed = |dispatches: u32| {

@@ -50,7 +50,8 @@ impl State {
     /// Copies the patterns of a run to the device.
     ///
     /// # Errors
-    /// [`FactorizeError::Device`] if the device cannot solve this display or is too small.
+    /// [`FactorizeError::Device`] if the device cannot solve this display, or has too little
+    /// memory.
     pub(crate) fn begin(gpu: Arc<Gpu>, begin: Begin) -> Result<Self, FactorizeError> {
         // refuse displays outside the device's limits with a clear message, before any allocation
         let (plan, n_factors) = (begin.plan.clone(), begin.plan.factor_count());

@@ -71,8 +71,7 @@ impl Target {
     }
 }
 
-/// Writes a buffer some rows at a time, so that memory never holds a second copy of the whole
-/// buffer.
+/// Writes a buffer in chunks of rows, so that memory never holds a second copy of the whole buffer.
 fn by_rows(gpu: &Gpu, buffer: &wgpu::Buffer, rows: usize, words: u64, fill: impl Fn(usize, &mut Vec<u8>)) {
     let together = (CHUNK / (4 * words)).max(1) as usize;
     let mut bytes = Vec::new();

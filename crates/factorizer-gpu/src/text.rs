@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! //@ factors   all factors, {k}             //@ frames   {m} = 0 .. M
-//! //@ others    all but the own factor       //@ pairs    {m} ≤ {j}
+//! //@ others    all but the own factor       //@ pairs    {m} ≤ {j}, or {m} = {j} without G
 //! //@ layers    the layers among them        //@ row      within frames: all {j}, with
 //! //@ lights    the backlight among them                  {g} = g{m}_{j} of the upper triangle
 //! //@ if FLAG, //@ if !FLAG                  //@ sums     the sums {s} that the rule needs

@@ -27,14 +27,15 @@ const OBJECTIVE_TOLERANCE: f64 = 1e-4;
 const OBJECTIVE_PER_VALUE: f64 = 1e-11;
 /// Largest relative difference of an objective whose terms are summed in another order.
 const SUM_TOLERANCE: f64 = 1e-5;
-/// The device's value of a pattern is compared with the processor's only if its influence on the
-/// emission is at least this. Rounding decides a value with less influence.
+/// Smallest influence on the emission of a value for which device and processor are compared.
+/// Rounding decides a value with less influence.
 const DETERMINED: f32 = 0.1;
 /// Number of iterations whose updates are compared one by one.
 const ROUNDS: usize = 4;
-/// Number of updates of a whole run.
+/// Number of iterations of a whole run.
 const UPDATES: usize = 10;
-/// Seed of the random problems. All tests use this seed, so that they share compiled shaders.
+/// Seed of the random problems. Both tests that compare updates use it, so that they share compiled
+/// shaders.
 const SEED: u64 = 4;
 /// The processor's own difference is the difference of emission between runs whose starts and
 /// targets differ by rounding. The device's emission may differ from the processor's by this
@@ -167,7 +168,8 @@ fn one_update_equals_the_processors() {
             let each = factors.len();
             for (round, n) in (0..ROUNDS * each).map(|at| (at / each, at % each)) {
                 let what = format!("{kind:?} {name}, round {round}, factor {n}");
-                // every second update extrapolates, and uses the curvature at the current point
+                // in every second round the block-exact rule extrapolates, and every rule takes the
+                // curvature at the current point where L̃ is not linear
                 let odd = round % 2 == 1;
                 let extrapolation = (odd && name == "block-exact").then_some(0.35);
                 let local = odd && !plan.is_bounded(n);
@@ -232,12 +234,14 @@ fn ten_updates_equal_the_processors() {
         let owned = random(kind, SEED);
         let start = random_start(&owned.display, SEED);
         for name in ["multiplicative", "block-exact", "extrapolated"].into_iter().filter(|name| takes(&owned, name)) {
+            // run both from the same start, and compare the emissions
             let what = format!("{kind:?} {name}");
             let on_device = device.solver(name).unwrap();
             let [(expected, objective), (found, value)] = [solver(name).unwrap(), &on_device]
                 .map(|solver: &dyn Solver| run(solver, &owned.problem(), &start, UPDATES));
             let (expected, found) = (emissions(&owned, &expected), emissions(&owned, &found));
             let emitted = largest(&expected, &found);
+            // if they differ, the processor's own runs must differ by a similar amount
             let mut own_objective = 0.0;
             if emitted.is_nan() || emitted > EMISSION_TOLERANCE {
                 let runs = own_runs(kind, name, &start);

@@ -122,7 +122,9 @@ fn groups() -> Outcome<Vec<Group>> {
                 groups.push(Group { name, target: light_field(&display, &bytes)?, display, references });
             }
         }
-        Err(error) => println!("left out: {}: {error}; set LUMISTACK_LIGHTFIELDS to its folder", path.display()),
+        Err(error) => {
+            println!("left out: {}: {error}; set LUMISTACK_LIGHTFIELDS to the folder of this file", path.display())
+        }
     }
     for brightness in [0.2, 1.0] {
         let display = three_layers(brightness);

@@ -74,7 +74,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
     }
     let held = gib(anonymous_bytes());
-    assert!(held < 3.0 || cols > 3840, "{held:.2} GiB of anonymous memory, expected less than 3");
+    assert!(held < 3.0 || cols > 3840, "expected less than 3 GiB of anonymous memory, found {held:.2} GiB");
     std::fs::remove_file(&path)?;
     Ok(())
 }

@@ -14,8 +14,8 @@ pub(crate) const LINE: usize = 16;
 #[repr(C, align(64))]
 struct CacheLine([f32; LINE]);
 
-/// Number of cache lines that one thread initializes at a time. The first access to a page is the
-/// costly one, so all threads share the work.
+/// Number of cache lines in one part of an initialization. The first access to a page is slow, so
+/// the parts are distributed to all threads.
 const PART: usize = 1 << 14;
 
 /// A fixed number of values.

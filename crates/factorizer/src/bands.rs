@@ -28,7 +28,8 @@ pub(crate) fn for_each_chunk<T: Send, S>(
     }
 }
 
-/// Returns `work(scratch, index)` for every index below `count`, in order.
+/// Returns `work(scratch, index)` for every index from 0 to `count` − 1, in the order of the
+/// indices.
 pub(crate) fn map<T: Send + Clone + Default, S>(
     count: usize,
     init: impl Fn() -> S + Sync + Send,

@@ -1,9 +1,9 @@
 //! Updates lines of one factor that rays read between pixels. All rays of a view column read the
-//! factor at the same distance from their own columns.
+//! factor at one constant shift from their field columns.
 //!
 //! As in [`scatter`](crate::scatter), each ray adds its terms to four pixels, by the shares
-//! (1 − t_y, t_y) and (1 − t_x, t_x). But at a constant distance, a pixel's rays are known from its
-//! column, so each pixel collects its sums:
+//! (1 − t_y, t_y) and (1 − t_x, t_x). But at a constant shift, a pixel's rays are known from the
+//! pixel's column, so each pixel collects its sums:
 //!
 //! ```text
 //! for every part of line j, some columns x:
@@ -17,13 +17,14 @@
 //!
 //! The terms a_m and e of a ray are computed once, with one ray per lane. A ray that reads pixel x
 //! − 1 with the share 1 − t_x reads pixel x with the share t_x. So a second vector has the terms of
-//! the first vector, moved up by one lane. Its lane 0 is the last lane of the previous block.
-//! Shares are applied like weights: the terms are multiplied by the root of the share, as by √w.
+//! the first vector, moved up by one lane. Lane 0 of the second vector is the last lane of the
+//! previous block. Shares are applied like weights: the terms are multiplied by the root of the
+//! share, as by √w.
 //!
 //! At a border, a ray reads the border pixel twice. So the lines that rays read are copies whose
-//! border pixels are repeated once, and a border pixel gets both shares. Copies and mixtures of
-//! lines are made for one part and one row of rays at a time. So they stay in the first-level
-//! cache, as the sums of a part do. An update by whole lines took 10 % longer.
+//! border pixels are repeated once, and a border pixel gets both shares. A line is copied or mixed
+//! for only one part and one row of rays, just before its use. So the copy stays in the first-level
+//! cache, like the sums of the part. An update by whole lines took 10 % longer.
 
 use std::ops::Range;
 
@@ -74,9 +75,8 @@ pub(crate) struct Scratch {
     windows: Windows,
     /// For each row of rays, the index at which its entries end in the list of rows to prefetch.
     ahead: Vec<usize>,
-    /// A ray reads a column of every factor. For each factor k, this is the range of the distance
-    /// between two such columns: the column of factor k minus the column of the factor under
-    /// update.
+    /// For each factor k, a range over all rays: the column that a ray reads in factor k, minus its
+    /// column in the factor under update.
     spread: Vec<[isize; 2]>,
     /// The sums for the pixels of a part of the line under update, `[quantity][column]`.
     low: Aligned,
@@ -120,8 +120,8 @@ impl Scratch {
     }
 }
 
-/// A ray reads a column of every factor. For each factor k, returns the range of the distance
-/// between two such columns: the column of factor k minus the column of factor `n`.
+/// Returns, for each factor k, a range over all rays: the column that a ray reads in factor k,
+/// minus its column in factor `n`.
 fn spread(plan: &Plan, n: usize) -> Vec<[isize; 2]> {
     let distances = |k: usize| {
         let both = plan.maps[k].x.iter().zip(&plan.maps[n].x);
@@ -281,13 +281,13 @@ impl BetweenBand<'_> {
 struct PartBetween<'a> {
     rays: &'a LineRays<'a>,
     shares: &'a [ColumnShares],
-    /// The first view of the row of rays.
+    /// Index of the row's first view in the list of rays.
     first: usize,
-    /// The share of the ray's sums that the next line gets.
+    /// The share of these rays' sums that the next line gets.
     t: f32,
-    /// Range of the rows to prefetch, in the list of rows.
+    /// Range of this row's entries in the list of rows to prefetch.
     ahead: Range<usize>,
-    /// Range of x of the part.
+    /// Range of the part's columns x.
     part: Range<usize>,
     params: SumParams,
     buffers: &'a mut Buffers,
@@ -394,6 +394,7 @@ unsafe fn add_view<V: Lanes>(
         let between = !column.second.is_empty();
         let first = load::<V>(&column.first, x);
         let second = if between { load::<V>(&column.second, x) } else { first };
+        // buffer the derivatives a_m, for as many frames as registers hold, and sum L̃
         let (mut emitted, mut m) = (V::splat(0.0), 0);
         while m < frames {
             let target =
@@ -405,6 +406,7 @@ unsafe fn add_view<V: Lanes>(
                 _ => (reads.frames::<V, 6>(m, emitted, target), m + 6),
             };
         }
+        // βL and L̃ stay 0 if no ray has its first pixel in the block
         let (mut wanted, ratio) = (V::splat(0.0), params.sums == Sums::Ratio);
         if reads.fresh {
             emitted = emitted.mul(V::splat(1.0 / frames as f32));
@@ -418,6 +420,7 @@ unsafe fn add_view<V: Lanes>(
         if !between {
             return (1, squares);
         }
+        // rays whose second pixel is in the block have the same terms, one lane further
         let (wanted_at, emitted_at) = (frames * V::COUNT, (frames + 1) * V::COUNT);
         let moved_wanted = wanted.moved_up(load::<V>(before, wanted_at));
         let moved_emitted = emitted.moved_up(load::<V>(before, emitted_at));
@@ -472,6 +475,7 @@ impl Reads<'_> {
         let (rays, view, x) = (self.rays, self.view, self.x);
         // SAFETY: guaranteed by the caller
         unsafe {
+            // a_m is the product of √w and the other factors' values; L̃ also needs the own values
             let mut a = [V::splat(0.0); R];
             if self.fresh {
                 let fractions = &rays.fractions[view * (rays.others_per_view + 1)..][..rays.others_per_view + 1];
@@ -502,6 +506,7 @@ impl Reads<'_> {
                     }
                 }
             }
+            // buffer a_m for the rays' first pixels, and moved by one lane for their second pixels
             for i in 0..R {
                 store(a[i].mul(first), products, (to * frames + m + i) * V::COUNT);
                 if between {

@@ -1,7 +1,8 @@
 //! The block-exact solver: updates the M values of a pixel together.
 //!
-//! With all other factors fixed, L̃ is linear in a pixel's values f = (f_1 … f_M). P_m is the
-//! product of the other factors in frame m. An update minimizes, over the box of allowed values,
+//! If layers attenuate and all other factors are fixed, L̃ is linear in a pixel's values
+//! f = (f_1 … f_M). P_m is the product of the other factors in frame m. An update minimizes, over
+//! the box of allowed values,
 //!
 //! ```text
 //! Σ_{r through the pixel} w (βL − (1/M) Σ_m P_m f_m)²
@@ -140,9 +141,9 @@ struct BlockExactRun {
 
 impl BlockExactRun {
     fn new(prepared: Prepared, extrapolation: Option<Extrapolation>) -> Result<Self, FactorizeError> {
-        // The curvature of sin² varies strongly, so extrapolation does not help. A step by the
-        // curvature at the current point often gains more than a step by the bound of the
-        // curvature.
+        // Layers that rotate polarization emit sin². Its curvature varies strongly, so
+        // extrapolation does not help. A step by the curvature at the current point often gains
+        // more than a step by the bound of the curvature.
         let tries_local = prepared.display.formation == Formation::Polarization;
         let state = prepared.begin(0.0, tries_local)?;
         Ok(Self { state, extrapolation: extrapolation.filter(|_| !tries_local), known: None })

@@ -291,8 +291,8 @@ pub(crate) unsafe fn sum_views<V: Lanes, const SHARED: bool>(
     let (frames, tiles) = (group.frames, Tiles::<SHARED> { group, shares, products, errors, emitted });
     // SAFETY: guaranteed by the caller
     unsafe {
-        // Without the whole Gram matrix, a pixel has two sums per frame. They are computed for as
-        // many frames at a time as registers hold.
+        // Without the whole Gram matrix, a pixel has two sums per frame. Each pass over the views
+        // computes them for as many frames as registers hold.
         if sums != Sums::Gram {
             let mut m = 0;
             while m < frames {
@@ -362,8 +362,8 @@ impl<const SHARED: bool> Tiles<'_, SHARED> {
         unsafe { store(sum, sums, quantity * V::COUNT) }
     }
 
-    /// Adds up n and d of the frames m..m + R, or r and the diagonal of G; `step.rs` defines these
-    /// sums.
+    /// Adds up two sums for each of the frames m..m + R: n and d, or r and the diagonal of G if
+    /// `diagonal` is true. `step.rs` defines these sums.
     #[inline(always)]
     unsafe fn pair<V: Lanes, const R: usize>(&self, m: usize, diagonal: bool, block: &mut Block) {
         // SAFETY: guaranteed by the caller

@@ -2,8 +2,9 @@
 //!
 //! Low frequencies converge at half the resolution at a quarter of the cost. Field and layers keep
 //! half their pixels per axis. The parallax between two views is half as many coarse pixels as fine
-//! pixels, so fewer views suffice. If there are many views, every second view is kept. Lenslets,
-//! angular bins and frames stay the same.
+//! pixels, so fewer views suffice. On an axis with an odd number of at least 9 views, only every
+//! second view is kept, if the backlight is uniform. Lenslets, angular bins and frames stay the
+//! same.
 //!
 //! A coarse pixel is the area-weighted mean of the fine pixels that it covers. A coarse solution is
 //! interpolated linearly at the centres of the fine pixels. All values stay in the layout of the
@@ -17,10 +18,10 @@ use crate::bands;
 use crate::factor::{Factor, Layout};
 use crate::plan::Plan;
 
-/// Smallest number of pixels per axis of a coarse field. A smaller field would save too little
-/// time.
+/// Smallest number of pixels per axis of a coarse field and its layers. A coarser level with fewer
+/// pixels would save too little time.
 const SMALLEST_FIELD: usize = 48;
-/// Smallest number of views per axis of which only every second view is kept.
+/// Smallest number of views on an axis for which only every second view is kept.
 const MANY_VIEWS: usize = 9;
 
 /// A coarse problem that owns its parts.
@@ -56,9 +57,9 @@ impl Coarse {
             layer.pitch_mm *= 2.0;
             layer.blur_px /= 2.0;
         }
-        // Every second view is dropped only if the backlight is uniform, since angular bins need
-        // all views. The number of views must be odd, since otherwise the remaining views would not
-        // be symmetrical.
+        // Every second view of an axis is dropped only if the backlight is uniform, since angular
+        // bins need all views. The axis must have an odd number of views, since otherwise the
+        // remaining views would not be symmetrical.
         let thins = |count: usize| display.backlight == Backlight::Uniform && count >= MANY_VIEWS && count % 2 == 1;
         let views = geometry.grid.views().map(|count| (0..count).step_by(if thins(count) { 2 } else { 1 }));
         let mut coarse = FieldGeometry {
@@ -79,8 +80,9 @@ impl Coarse {
     }
 }
 
-/// Interpolates a coarse solution to a finer factor, clamped to its box. A backlight has the same
-/// lenslets on both levels.
+/// Interpolates a factor of a coarse solution at the pixels of the finer `layout`, and clamps the
+/// values to `low`..`high`. The values of a backlight are copied, since it has the same lenslets on
+/// both levels.
 pub(crate) fn refine(coarse: &Factor, layout: &Layout, [low, high]: [f32; 2]) -> Factor {
     let channels = coarse.channels();
     let mut fine = Factor::blank(layout, channels);

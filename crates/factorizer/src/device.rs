@@ -1,10 +1,10 @@
-//! The interface of devices that hold and update patterns: this machine's processor, or another.
+//! The interface of devices that hold and update patterns, such as this machine's processor.
 //!
-//! A solver is a schedule: it chooses the factor to update, the extrapolation, and restarts. It
-//! calls an [`Updater`], which does the computation, and never reads the updater's patterns.
-//! [`Processor`](crate::Processor) is the executor of this crate. Another executor gets the same
-//! [`Plan`], whose tables define the pixels that every ray reads. That executor returns the same
-//! results up to rounding.
+//! A solver is a schedule: it chooses the factor to update, the extrapolation, and restarts. An
+//! [`Updater`] does all computation; the solver never reads the updater's patterns.
+//! [`Processor`](crate::Processor) is the executor of this crate. An executor of another crate gets
+//! the same [`Plan`], whose tables define the pixels that every ray reads. So its results are the
+//! same up to rounding.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -46,8 +46,9 @@ pub struct Begin {
     pub tries_local: bool,
 }
 
-/// The remaining error is computed as error − gain only if it exceeds this fraction of the error. A
-/// smaller difference would be mostly rounding, since the gain's terms are f32.
+/// Smallest ratio of the difference error − gain to the error at which this difference is used as
+/// the remaining error. A smaller difference would be mostly rounding, since the gain's terms are
+/// f32.
 const LEAST_LEFT: f64 = 0.01;
 
 /// The patterns of a run, on any device.
@@ -69,8 +70,8 @@ pub trait Updater {
     /// Updates factor `n` by the current values of all factors.
     ///
     /// With `extrapolation` = β_k, rays then read the extrapolated values x + β_k (x − x'), clamped
-    /// to the box. x and x' are this and the previous iterate. If L̃ is not linear, `local` selects
-    /// the curvature at the current point instead of its upper bound.
+    /// to the box. x is the new iterate, and x' the previous iterate. If L̃ is not linear, `local`
+    /// selects the curvature at the current point instead of its upper bound.
     fn apply(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>, local: bool);
 
     /// Returns error and gain of the last [`apply`](Self::apply).
@@ -113,11 +114,12 @@ pub trait Updater {
     /// The errors of [`check`](Self::check).
     fn into_factors(self: Box<Self>) -> Result<Vec<Factor>, FactorizeError>;
 
-    /// Runs [`apply`](Self::apply) with the better curvature.
+    /// Runs [`apply`](Self::apply), and chooses the curvature.
     ///
-    /// A step by the curvature at the current point usually gains more than a step by the upper
-    /// bound of the curvature. But such a step may raise the objective. If so, the update is undone
-    /// and repeated with the bound.
+    /// If [`tries_local`](Self::tries_local) is false, or L̃ is linear in factor `n`, the update
+    /// runs once, with the upper bound of the curvature. Otherwise it runs first with the curvature
+    /// at the current point, which usually gains more, and without extrapolation. If this step
+    /// raises the objective, it is undone, and repeated with the upper bound.
     fn update(&mut self, n: usize, rule: Rule, extrapolation: Option<f32>) {
         if !self.tries_local() || self.plan().is_bounded(n) || rule == Rule::KktResidual {
             return self.apply(n, rule, extrapolation, false);
@@ -139,8 +141,10 @@ pub trait Updater {
 
     /// Computes the objective after an update of factor `n` from the update's outcome.
     ///
-    /// This needs exact steps: layers attenuate, every weighted ray reads one pixel of the factor,
-    /// and all weights are equal. Otherwise the result is `None`.
+    /// Returns `None` unless the outcome determines the objective. For this, layers must attenuate,
+    /// and all weights must be 1. Every ray must read exactly one pixel of the factor, and this
+    /// pixel must be free to step. Rays must read the stored values, and more than 1 % of the error
+    /// must remain.
     fn objective_after(&self, n: usize, outcome: Outcome) -> Option<Objective> {
         let (plan, map) = (self.plan(), &self.plan().maps[n]);
         let stored_is_read = self.display().layers.get(n).is_none_or(|layer| layer.response().is_none());
@@ -293,7 +297,7 @@ impl Plan {
     }
 
     /// Returns one row of √w of a view, with weights relative to the largest weight. `None` if all
-    /// weights are equal.
+    /// weights are 1.
     pub fn weights_row(&self, view: [usize; 2], row: usize) -> Option<&[f32]> {
         let weights = self.target.weights(self.view(view[0], view[1]), row)?;
         Some(&weights[crate::factor::PAD..][..self.cols])

@@ -140,8 +140,9 @@ impl Engine {
         &self.factors[n].row(channel, line, frame)[layout.pad..layout.pad + layout.cols()]
     }
 
-    /// Selects the instruction set. `fast` permits the fast kernel for factors that all rays of a
-    /// view read at a constant shift.
+    /// Selects the instruction set. `fast` permits the kernels of `gather` and `between`, for
+    /// factors that all rays of a view read at a constant shift. Without `fast`, `scatter` updates
+    /// these factors too.
     pub fn use_kernel(&mut self, backend: lumistack_simd::Backend, fast: bool) {
         Arc::make_mut(&mut self.plan).use_backend(backend);
         self.fast = fast;
@@ -423,8 +424,8 @@ impl Updater for Engine {
         stack_of(&self.display, self.own())
     }
 
-    /// Does the same as [`download`](Updater::download), but into the memory of the previous
-    /// iterate if there is one. Allocation of new memory would take longer than the copy.
+    /// Does the same as [`download`](Updater::download), but into the memory of `latest`, if it is
+    /// not empty. Allocation of new memory would take longer than the copy.
     fn into_stack(mut self: Box<Self>) -> Result<LayerStack, FactorizeError> {
         if self.latest.is_empty() {
             return Ok(self.download());

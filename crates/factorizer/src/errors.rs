@@ -128,9 +128,9 @@ unsafe fn squared_shifted<V: Lanes>(
         let (mean, brightness) = (V::splat(1.0 / plan.frames as f32), V::splat(plan.target.brightness));
         let zero = V::splat(0.0);
         let (mut weighted, mut plain) = (zero, zero);
-        // compute one vector of rays at a time
+        // compute the errors of one vector of rays after another
         for (index, col) in run.clone().step_by(V::COUNT).enumerate() {
-            // compute L̃ for up to three frames at a time
+            // compute L̃, for up to three frames together
             let mut emitted = zero;
             for m in (0..plan.frames).step_by(3) {
                 emitted = match plan.frames - m {

@@ -58,7 +58,7 @@ impl Layout {
         self.lines() + 1
     }
 
-    /// Returns the offset of the red value in the tensor of a layer or of the emission.
+    /// Returns the offset of a pixel's red value in the tensor of a layer or of the emission.
     pub(crate) fn tensor_offset(&self, frame: usize, line: usize, col: usize) -> usize {
         let ([bins_y, bins_x], [rows, cols]) = (self.bins, self.size);
         let (bin_y, row, bin_x, col) = (line / rows, line % rows, col / cols, col % cols);
@@ -77,7 +77,7 @@ impl Factor {
     /// Copies a tensor's values, clamped to `low`..`high`.
     pub(crate) fn upload(layout: &Layout, tensor: &[f32], [low, high]: [f32; 2]) -> Self {
         let mut factor = Self::blank(layout, 3);
-        // copy a line of all three channels at a time, so that every pixel of the tensor is read
+        // copy one line in all three channels together, so that every pixel of the tensor is read
         // once
         let (line_len, width) = (layout.line_len(), layout.size[1]);
         let (red, rest) = factor.values.split_at_mut(layout.stored_lines() * line_len);

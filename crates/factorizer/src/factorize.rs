@@ -19,7 +19,7 @@ use crate::start::start_patterns;
 use crate::{Extrapolated, FactorizeError, Multiplicative, Objective, Problem, Solver, StartKind, unlit};
 
 /// Number of iterations that suffices for a score over the whole viewing zone; further iterations
-/// do not raise it.
+/// do not raise the score.
 pub const ZONE_ITERATIONS: u32 = 16;
 
 /// Settings of a factorization.
@@ -42,9 +42,9 @@ pub struct Settings {
     /// Number of iterations between evaluations of the objective, at least 1; the last iteration
     /// always has an evaluation.
     ///
-    /// Block-exact solvers obtain the objective from the sums of an iteration if all rays have one
-    /// weight and read one pixel per layer. Otherwise an evaluation costs about a third of an
-    /// iteration.
+    /// If layers attenuate, weights are uniform and every ray reads one pixel per layer,
+    /// block-exact solvers obtain the objective from an iteration's sums. Otherwise an evaluation
+    /// costs about a third of an iteration.
     pub report_every: u32,
     /// True to re-optimize patterns of layers with few bits on the levels of their panels.
     /// Otherwise the patterns stay continuous.
@@ -67,8 +67,8 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Returns `report_every` for a plot with some 40 points. Each point costs a fraction of an
-    /// update.
+    /// Returns `report_every` for a plot with at most 80 points. Each point costs at most about a
+    /// third of an iteration.
     pub fn curve_interval(iterations: u32) -> u32 {
         (iterations / 40).max(1)
     }
@@ -116,7 +116,8 @@ pub struct Factorization {
     pub settings: Settings,
     /// KKT residual before quantization; see [`crate::Run::kkt_residual`].
     pub kkt_residual: f64,
-    /// PSNR that few levels cost; `None` if no layer has few bits, or without [`Settings::levels`].
+    /// PSNR with and without the restriction to few levels. `None` if no layer has few bits, or
+    /// without [`Settings::levels`].
     pub levels: Option<LevelsLoss>,
 }
 
@@ -174,8 +175,7 @@ pub fn factorize_on(
 /// tile are solved. Without `warm`, the tile starts with its section of the whole display's start.
 ///
 /// # Errors
-/// The errors of [`factorize`], and [`FactorizeError::NoRays`] if no ray of the tile has a weight
-/// above 0.
+/// The errors of [`factorize`]. [`FactorizeError::NoRays`] refers to the tile's rays alone.
 pub fn factorize_tile(
     problem: &Problem,
     (tile, whole): (&Tile, &RayMap),
@@ -269,10 +269,11 @@ fn start_run(
         // A warm start replaces the start of the settings and has no coarser levels.
         Some(warm) => {
             warm.check(display)?;
-            // Equal frames stay equal, so the user is warned. In a tile with fixed pixels they may
-            // be intended.
+            // Equal frames stay equal, so the user is warned. In a tile with fixed pixels, equal
+            // frames may be intended.
             if display.frames > 1 && plan.free(0).is_none() && frames_are_equal(warm) {
-                let message = "all frames are equal and will stay equal: more frames than one have no effect";
+                let message =
+                    "all frames are equal, and the solver keeps them equal, so the result is that of a single frame";
                 task.warn("warm start", message);
             }
             let start = if settings.iterations > 0 { unlit::lifted(warm) } else { warm.clone() };
@@ -288,8 +289,8 @@ fn start_run(
 
 /// A factorization for callers that read the patterns between iterations.
 ///
-/// After the same number of iterations, its patterns equal the patterns of [`factorize`] before
-/// re-optimization on few levels.
+/// The patterns of [`finish`](Self::finish) equal those of [`factorize`] after the same number of
+/// iterations (at least one), before re-optimization on few levels.
 pub struct Ongoing(Box<dyn Iterated>);
 
 impl Ongoing {
@@ -362,10 +363,11 @@ impl Ongoing {
 /// Returns true if a warm start is better than a fresh start by the settings `fresh`. The fresh
 /// start includes coarser levels.
 ///
-/// If the warm start has the lower objective, the answer is yes. Otherwise both starts take one
-/// iteration of `warm_solver`, and the answer is yes if the warm start then leads by 1 dB. The
+/// If the warm start has the lower objective, the result is true. Otherwise both starts take one
+/// iteration of `warm_solver`, and the result is true if the warm start then leads by 1 dB. The
 /// objectives of the starts themselves mislead: patterns of moved content have a high objective at
-/// first, which falls quickly. The cost is a fresh start, and sometimes two iterations.
+/// first, which falls quickly. The first case costs a fresh start, the second case also two
+/// iterations.
 ///
 /// This was measured on a plane of waves and on a striped card, moved by 0 to 20 of 64 pixels (5 ×
 /// 3 views, 4 frames). A start that led by 1 dB after one iteration was never more than 1.4 dB

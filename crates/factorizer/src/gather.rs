@@ -17,8 +17,8 @@
 //! The code departs from the simple version in the following ways:
 //!
 //! 1. **Blocks.** Columns are processed in blocks of one vector, and a block sums all views before
-//!    the next begins. Its values stay in the first-level cache, and accumulators stay in
-//!    registers.
+//!    the next block begins. The values of a block stay in the first-level cache, and accumulators
+//!    stay in registers.
 //! 2. **Registers.** If registers hold a_m and the sums of all frames,
 //!    [`registers`](crate::registers) has the loop. AVX-512 and NEON hold up to 8 frames for the
 //!    paper's rule, and up to 4 for G. For G of 6 frames, 3×3 tiles along its diagonal are summed
@@ -50,7 +50,7 @@
 //!   take 48 instead of 54. If in addition all view rows read one line, they take 38. With
 //!   everything in the first-level cache they would take 26.
 //! * Three other versions took longer per view and block. Aligned loads with a permutation took 63
-//!   cycles. Sums over one to three view rows at a time took 58 to 75 cycles. Lines in the order of
+//!   cycles. Sums over one to three view rows together took 58 to 75 cycles. Lines in the order of
 //!   a view's shift took 60 cycles.
 //! * These changes had no effect: tiles of fewer columns, vectors of AVX2 with the registers of
 //!   AVX-512, and two independent chains of additions for the sum over frames.

@@ -12,7 +12,7 @@
 //! Rays are never listed; the separable tables of [`lumistack_display::RayMap`] describe them all.
 //!
 //! ```text
-//! Problem ──start: warm, or content at half the resolution──▶ Solver::start
+//! Problem ──start: warm, random, or content at half the resolution──▶ Solver::start
 //!         ──▶ Run::step × iterations
 //!         ──▶ re-optimization on the levels of panels of few bits ──▶ LayerStack
 //!

@@ -93,7 +93,8 @@ impl LineStep<'_> {
     }
 
     /// Steps the vector of pixels at x by the sums and values in `block`, and writes the gain to
-    /// the block. The vector must be within the padded rows.
+    /// the block. If `sums` is given, only stores the sums there, and does not step. The vector
+    /// must be within the padded rows.
     pub(crate) fn finish_block(&mut self, functions: &StepFunctions, block: &mut Block, x: usize) {
         let lanes = functions.lanes;
         // Lanes past the last column are padding, to which rays that miss the layer add their sums.

@@ -249,9 +249,9 @@ impl ColumnTaps {
     }
 }
 
-/// Returns a tap that reads one pixel alone if the weight of the other pixel is only rounding.
-/// Without this, rays that hit pixels exactly would read single pixels in some columns and pairs in
-/// others.
+/// If the weight of one of a tap's two pixels is only rounding, returns a tap that reads the other
+/// pixel alone. Without this, rays that hit pixels exactly would read single pixels in some columns
+/// and pairs in others.
 pub(crate) fn snapped(tap: Tap) -> Tap {
     match tap.t {
         t if t < SAME_WEIGHT => Tap { t: 0.0, ..tap },
@@ -332,7 +332,8 @@ pub(crate) struct RawMap {
     pub(crate) y: Vec<Vec<Option<Tap>>>,
 }
 
-/// Returns the pixel index minus the field column.
+/// Returns the shift of the runs' rays: the index of the pixel that a ray reads, minus the ray's
+/// field column.
 ///
 /// Returns `None` if this shift differs between rays of the runs, or if a ray reads two pixels.
 /// Also returns `None` if, at this shift, a ray that misses the factor would read one of the
@@ -348,9 +349,12 @@ fn constant_shift(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> O
         .then_some(shift)
 }
 
-/// Returns the first pixel minus the field column, and the weight of the second pixel. Returns
-/// `None` if these two values differ between rays of the run. At the borders, rays read the border
-/// pixel alone.
+/// Returns two values that all rays of the run share. The first is the index of a ray's first pixel
+/// minus the ray's field column. The second is the weight of the second pixel. Rays that read only
+/// the border pixel also fit.
+///
+/// Returns `None` if the values differ between rays, or if a ray misses the factor. Also returns
+/// `None` if no ray reads two pixels, or if there is not exactly one run.
 fn constant_between(taps: &[Option<Tap>], runs: &[Range<usize>], cols: usize) -> Option<(isize, f32)> {
     let [run] = runs else { return None };
     let distance = |c: usize| taps[c].map(|tap| (tap.first as isize - c as isize, tap.t));

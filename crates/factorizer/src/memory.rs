@@ -23,15 +23,15 @@ const SMALL: u64 = 1 << 20;
 /// * the factors during the run, and the patterns before and after it,
 /// * tables, and the buffers of each thread.
 ///
-/// The bound does not include the caller's own target, which may be in a mapped file, nor the
-/// weights. A target whose values half floats cannot hold exactly is kept in f32, which takes twice
-/// as much.
+/// The bound does not include the weights, nor the caller's own target, which may be in a mapped
+/// file. The bound assumes that half floats hold the target's values exactly. Otherwise the target
+/// is kept in f32, and takes twice the memory.
 pub fn held_bytes(display: &Display, geometry: &FieldGeometry, threads: usize) -> u64 {
     4 * target_bytes(geometry) / 3 + bytes_beside_target(display, geometry, threads)
 }
 
 /// Returns the bound of [`held_bytes`] for a target that the caller has in a file. The factorizer's
-/// copy is then also in a file. About `window` bytes of that file may be in memory.
+/// copy is then also in a file. About `window` bytes of the copy's file may be in memory.
 pub fn paged_bytes(display: &Display, geometry: &FieldGeometry, threads: usize, window: u64) -> u64 {
     /// Bytes of a small page.
     const PAGE: u64 = 4096;
@@ -40,7 +40,7 @@ pub fn paged_bytes(display: &Display, geometry: &FieldGeometry, threads: usize, 
     let [view_rows, view_cols] = geometry.grid.views().map(|count| count as u64);
     let (views, rows, threads) = (view_rows * view_cols, geometry.rows as u64, threads as u64);
     let file = 2 * target_bytes(geometry);
-    // each thread reads the rays of one line at a time, or writes rows of a view
+    // a thread reads the rays of one line, or writes rows of one view
     let row = 4 * (geometry.cols as u64 + 2 * PAD as u64);
     let reading = views * row + view_rows * 2 * Window::NEIGHBOURS as u64;
     let writing = 3 * rows * (row + 2 * PAGE);

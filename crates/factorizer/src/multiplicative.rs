@@ -50,7 +50,7 @@ impl Method for Multiplicative {
         if prepared.display.formation == Formation::Polarization {
             return Err(FactorizeError::Unsuitable {
                 solver: "multiplicative",
-                why: "it needs a product of nonnegative values, which layers that rotate polarization do not form",
+                why: "expected layers that attenuate or emit light, found layers that rotate polarization",
             });
         }
         Ok(Box::new(MultiplicativeRun { state: prepared.begin(FLOOR, false)? }))

@@ -166,7 +166,7 @@ impl Plan {
         self.formation == Formation::Attenuating
     }
 
-    /// Returns true if L̃ is linear in the values of factor `n`, so that its Gram matrix bounds the
+    /// Returns true if L̃ is linear in the values of factor `n`. The Gram matrix then bounds the
     /// curvature.
     pub fn is_bounded(&self, n: usize) -> bool {
         self.formation != Formation::Polarization || n >= self.layers

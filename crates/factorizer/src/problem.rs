@@ -42,7 +42,7 @@ impl Problem<'_> {
     /// Checks that every value of the target is finite.
     pub(crate) fn check_target(&self) -> Result<(), FactorizeError> {
         let geometry = self.target.geometry();
-        // one view at a time is read, since the target may be in a file
+        // read view by view, since the target may be in a file
         for view in geometry.grid.iter() {
             let values = self.target.view(view);
             if bands::all(values, |part| part.iter().all(|value| value.is_finite())) {
@@ -94,14 +94,15 @@ pub enum FactorizeError {
         found: f32,
     },
     /// The patterns exceed the address space.
-    #[error("the display's patterns have {values} values: more than fit into memory")]
+    #[error("display: expected patterns that fit into memory, found patterns of {values} values")]
     TooLarge {
         /// Number of values over all layers, frames and channels.
         values: u128,
     },
-    /// No ray with a weight above 0 hits all layers, so all patterns are equally good.
+    /// No valid ray has a weight above 0, so all patterns are equally good. A ray is valid if it
+    /// hits a lit lenslet and all layers; some displays also allow rays that miss layers.
     #[error(
-        "no ray with a weight above 0 hits all layers: expected layers and weights with which the display shows some of the target"
+        "weights and layers: expected a ray that has a weight above 0 and hits all layers and a lit lenslet, found none"
     )]
     NoRays,
     /// No solver has this name.

@@ -1,5 +1,5 @@
-//! Patterns for panels of few bits: confines one mask at a time to the panel's levels, and lets the
-//! other masks compensate for this mask's error.
+//! Patterns for panels of few bits: confines one mask after another to the panel's levels, and lets
+//! the other masks compensate for the error.
 //!
 //! The masks are confined frame by frame and layer by layer to the levels that the panel can show
 //! ([`lumistack_display::Layer::levels`]). After each mask is confined, its layer is updated. A
@@ -65,7 +65,7 @@ pub(crate) fn reoptimize(prepared: Prepared, task: Task) -> Result<LayerStack, F
     }
     let rule = Rule::Block { sweeps: SWEEPS };
     let steps = few.len() * frames + LAST_ROUNDS as usize * engine.plan().factor_count();
-    task.progress.begin("quantize", steps as u64, "masks");
+    task.progress.begin("quantize", steps as u64, "updates");
     let update = |engine: &mut Engine, n: usize| -> Result<(), FactorizeError> {
         engine.update(n, rule, None);
         task.cancel.check()?;

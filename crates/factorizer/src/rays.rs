@@ -299,8 +299,9 @@ impl<'a> Left<'a> {
 
     /// Returns the line of factor `k` that a row of rays reads, in all frames.
     ///
-    /// The caller must call this for every factor in turn, since mixed lines are taken in order. If
-    /// factor `k` is being updated in place, it has no values here, and the result is empty.
+    /// The caller must call this for all factors in their order, since mixed lines are taken in the
+    /// order in which they were made. If factor `k` is being updated in place, it has no values
+    /// here, and the result is empty.
     fn line(&mut self, plan: &Plan, factors: &'a [Factor], k: usize, channel: usize, rays: RowOfRays) -> &'a [f32] {
         let (map, factor) = (&plan.maps[k], &factors[k]);
         let tap = map.y[rays.view_y][rays.row];
@@ -312,8 +313,9 @@ impl<'a> Left<'a> {
         line
     }
 
-    /// Returns the place of the values that the rays of a view read from a line of factor `k`. The
-    /// values are in the line itself, or in a row that is expanded along the rays.
+    /// Returns the place of the values that the rays of a view read from a line of factor `k`. If
+    /// `is_there` is true, the values are in the line itself. Otherwise they are in a row that is
+    /// expanded along the rays.
     ///
     /// `offset` is added to x, see [`Place`].
     fn place(
@@ -541,6 +543,7 @@ pub(crate) fn rays_between<'a>(
     rays.others_per_view = factors.len() - 1;
     rays.strides.extend(others().map(stride));
     rays.own_stride = stride(at.factor);
+    // mix the lines of factors that need expanded rows; `Windows` holds all other mixtures
     spare.mix_lines(plan, factors, at.channel, |k| !is_there(k));
     let elsewhere = others().filter(|&k| !is_there(k)).count();
     let (mut left, rows) = Left::of(spare, plan, plan.views[1] * elsewhere);
@@ -556,6 +559,7 @@ pub(crate) fn rays_between<'a>(
                 true => &[],
             });
         }
+        // list each view: its range, weights and target, then the rows of all factors
         for view_x in 0..plan.views[1] {
             let own = plan.maps[at.factor].x[view_x].between;
             let ([run], Some((own, _))) = (plan.runs[view_x].as_slice(), own) else { continue };

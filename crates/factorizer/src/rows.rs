@@ -72,7 +72,7 @@ impl RowFunctions {
         unsafe { (self.weigh)((values, share, root_weights, to)) }
     }
 
-    /// Writes βL of the first columns of a row of the target.
+    /// Writes βL of the first columns of a row of the target, for as many columns as `to` has.
     pub(crate) fn radiance(&self, row: Row, brightness: f32, to: &mut [f32]) {
         unsafe { (self.radiance)((row, brightness, to)) }
     }

@@ -8,7 +8,7 @@ use crate::step::{Block, Sums};
 pub(crate) struct Scratch {
     /// a_m of `step.rs` along a run of columns, `[frame][column of the run]`.
     pub(crate) product: Vec<f32>,
-    /// Per frame, the sum of all layers' rotations; empty unless layers rotate polarization.
+    /// Per frame, the sum of the rotations by all layers; empty if layers attenuate.
     pub(crate) phase: Vec<f32>,
     /// Values of one factor along a run.
     pub(crate) values: Vec<f32>,
@@ -16,8 +16,8 @@ pub(crate) struct Scratch {
     pub(crate) emitted: Vec<f32>,
     /// The error e = βL − L̃ along a run.
     pub(crate) errors: Vec<f32>,
-    /// Curvature along a run of columns. It is used only for a formation whose curvature the Gram
-    /// matrix does not bound.
+    /// Curvature along a run of columns. It is used only for layers that rotate polarization, since
+    /// the Gram matrix does not bound their curvature.
     pub(crate) curvature: Vec<f32>,
     /// Another row of this struct (error, emission, a_m or curvature), times the weights.
     pub(crate) weighted: Vec<f32>,

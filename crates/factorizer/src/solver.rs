@@ -14,7 +14,7 @@ pub trait Solver: Sync {
     /// Returns the name that selects the solver.
     fn name(&self) -> &'static str;
 
-    /// Returns one sentence that helps users choose.
+    /// Returns a short text that helps users choose.
     fn doc(&self) -> &'static str;
 
     /// Prepares a run from the patterns `start`; clamps their values to the solver's box.
@@ -61,7 +61,8 @@ pub trait Run {
     /// target's views may see them.
     fn darken_unlit(&mut self) -> f64;
 
-    /// Returns the number of rays with w > 0 that hit all layers.
+    /// Returns the number of rays with w > 0 that hit a lit lenslet and all layers. If the display
+    /// allows rays that miss layers, these rays count too.
     fn rays(&self) -> u64;
 
     /// Checks that the patterns still exist; a lost device loses them. The results of

@@ -1,7 +1,7 @@
 //! Starting patterns.
 //!
-//! Frames that start equal stay equal, and a multiplicative rule never changes an exact 0. So every
-//! kind of start has noise of its own in each frame, and no value below [`FLOOR`].
+//! Frames that start equal stay equal, and a multiplicative rule never changes an exact 0. So in
+//! every kind of start, each frame has different noise, and no value is below [`FLOOR`].
 
 use lumistack_core::seed::{Stream, derive};
 use lumistack_display::{Display, Formation, Layer, LayerStack};
@@ -59,8 +59,8 @@ impl StartKind {
     pub fn doc(self) -> &'static str {
         match self {
             Self::Random => "Independent uniform noise.",
-            Self::Smooth => "Noise that is blurred, so that neighbouring rays see nearly the same.",
-            Self::Content => "Every pixel near the mean of the rays through it, times smooth noise.",
+            Self::Smooth => "Noise that is blurred, so that neighbouring rays read nearly the same values.",
+            Self::Content => "Every pixel's value from the mean target of its rays, times smooth noise.",
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The rules of a step: new values of pixels from their sums, one vector of pixels at a time.
+//! The rules of a step: each computes the new values of one vector of pixels from their sums.
 //!
 //! For pixel j of one factor, all sums are over the rays r through the pixel:
 //!
@@ -10,9 +10,9 @@
 //! wanted     n_m  = Σ w βL a_m         emitted  d_m  = Σ w L̃ a_m
 //! ```
 //!
-//! Let u = f/M, and let δ be the change of u. The terms of the objective that depend on the pixel
-//! are the quadratic −2 rᵀδ + δᵀGδ + constant. All sums are in units of u, so no inner loop
-//! multiplies by 1/M.
+//! Let u = f/M, and let δ be the change of u. If L̃ is linear in u, the terms of the objective that
+//! depend on the pixel are the quadratic −2 rᵀδ + δᵀGδ + constant. All sums are in units of u, so
+//! no inner loop multiplies by 1/M.
 
 use lumistack_display::quantize;
 use lumistack_simd::{Backend, Kernel, Lanes, MAX_LANES};
@@ -65,8 +65,8 @@ pub(crate) enum Sums {
     /// For each frame m, the residual sum r_m = Σ w e a_m, and the diagonal entry Σ w a_m² of the
     /// Gram matrix.
     Diagonal,
-    /// For each frame m, the residual sum r_m = Σ w e a_m. After these, the Gram matrix
-    /// G_mk = Σ w a_m a_k.
+    /// For each frame m, the residual sum r_m = Σ w e a_m; then the upper triangle of the Gram
+    /// matrix G_mk = Σ w a_m a_k.
     Gram,
 }
 
@@ -96,9 +96,9 @@ pub(crate) enum Freedom {
     Levels,
 }
 
-/// Smallest diagonal entry of a Gram matrix; smaller entries are replaced by it. They belong to
-/// pixels that almost no light reaches, whose values are arbitrary until [`Rule::Darken`] darkens
-/// them.
+/// Lower limit of the diagonal entries of a Gram matrix: a smaller entry is raised to this value.
+/// Such an entry belongs to a pixel that almost no light reaches. The pixel's values are arbitrary
+/// until [`Rule::Darken`] darkens them.
 const LEAST_CURVATURE: f32 = 1e-30;
 
 /// Sums and values of one vector of pixels, `[frame][lane]`.
@@ -106,8 +106,8 @@ pub(crate) struct Block {
     pub(crate) frames: usize,
     /// The sums r_m = Σ w e a_m; for the paper's rule the sums n_m = Σ w βL a_m.
     pub(crate) residual: Aligned,
-    /// The sums d_m = Σ w L̃ a_m, or the diagonal G_mm of the Gram matrix. During coordinate
-    /// descent these are M/G_mm.
+    /// For the paper's rule, the sums d_m = Σ w L̃ a_m. For the KKT residual, the diagonal G_mm of
+    /// the Gram matrix. During coordinate descent, M/G_mm.
     pub(crate) emitted: Aligned,
     /// The Gram matrix, `[frame][frame][lane]`. The input is its upper triangle.
     pub(crate) gram: Aligned,
@@ -119,6 +119,7 @@ pub(crate) struct Block {
     change: Aligned,
     /// Decrease of the objective by the last step, per lane. The rays' weights are divided by the
     /// largest weight. The multiplicative rule does not compute the decrease and leaves 0.
+    /// [`Rule::KktResidual`] and [`Rule::Darken`] store their result here.
     pub(crate) gain: Vector,
 }
 
@@ -251,7 +252,7 @@ impl Block {
     }
 
     /// Makes coordinate steps for values that are confined to levels. Along a coordinate the
-    /// objective is a parabola, so the level nearest to its minimum is the best one.
+    /// objective is a parabola, so the best level is the one nearest to the parabola's minimum.
     #[inline(always)]
     unsafe fn descend_levels<V: Lanes>(&mut self, sweeps: u32, [low, high]: [f32; 2], levels: &Levels) -> V {
         let (n, frames) = (V::COUNT, self.frames);
@@ -282,8 +283,8 @@ impl Block {
 
     /// Sets unlit values to `low`. A value is unlit if Σ w a_m² is at most the limit of its lane.
     ///
-    /// A negative limit exempts a lane. This function runs once per solve, so it has no vector
-    /// code. Inlined into the kernels, it made every update a fifth slower.
+    /// A negative limit exempts a lane. Only the end of a solve needs this function, so it has no
+    /// vector code. Inlined into the kernels, it made every update a fifth slower.
     #[cold]
     #[inline(never)]
     pub(crate) fn darken(&mut self, lanes: usize, limits: &[f32], low: f32) {

@@ -1,9 +1,10 @@
 //! One colour channel of a display whose light field is larger than memory.
 //!
-//! The target stays in its mapped file and is read row by row. The patterns exist once, and are
-//! returned row by row. Channels are independent, so a colour display is three such problems in
-//! sequence. Updates are block-exact without extrapolation, which would need a second copy of the
-//! patterns.
+//! The target stays in its mapped file and is read row by row. The patterns are returned row by
+//! row. A layer exists once, if all rays of a view read it at a constant shift; otherwise an update
+//! needs a second copy of it. Channels are independent, so a colour display is three such problems
+//! in sequence. Updates are block-exact without extrapolation, which would need a further copy of
+//! all patterns.
 
 use lumistack_core::seed::{Stream, derive};
 use lumistack_core::{Cancel, Cancelled};
@@ -63,8 +64,9 @@ impl ChannelRun {
     /// noise. `target` has half floats in the order `[view_y][view_x][row][col]`.
     ///
     /// # Errors
-    /// If the display is invalid, if layers mix channels or neighbouring pixels, or if the target
-    /// has another size or values that are not finite.
+    /// If the display is invalid, or if layers have blur, crosstalk, colour filters or tied
+    /// channels. Also if the target has another size, fewer than 16 columns, or values that are not
+    /// finite.
     pub fn start(
         display: &Display,
         geometry: &FieldGeometry,
@@ -79,14 +81,14 @@ impl ChannelRun {
         let values = (*target).as_ref();
         let unsuitable = |why: &'static str| Err(FactorizeError::Unsuitable { solver: "one channel", why });
         if values.len() != count || geometry.cols < PAD {
-            return unsuitable("the target does not have the size of the geometry, or has fewer than 16 columns");
+            return unsuitable("expected a target of the geometry's size with at least 16 columns, found another size");
         }
         if display.layers.iter().any(|layer| layer.response().is_some()) {
-            return unsuitable("layers with blur, crosstalk or tied channels need all channels together");
+            return unsuitable("expected layers without blur, crosstalk, filters or tied channels, found one of these");
         }
         const EXPONENT: u16 = 0x7c00;
         if !crate::bands::all(values, |part| part.iter().all(|half| half & EXPONENT != EXPONENT)) {
-            return unsuitable("the target has values that are not finite");
+            return unsuitable("expected a target of finite values, found values that are not finite");
         }
         // start each line from the mean of its rays
         let plan = Plan::with_target(display, geometry, Target::lent(geometry, display.brightness, target));
@@ -120,7 +122,7 @@ impl ChannelRun {
         self.engine.objective()
     }
 
-    /// Returns the number of rays with w > 0 that hit all layers.
+    /// Returns the number of valid rays; see [`crate::Run::rays`].
     pub fn rays(&self) -> u64 {
         self.engine.plan().rays
     }

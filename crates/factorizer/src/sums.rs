@@ -41,7 +41,7 @@ impl SumLine<'_, '_> {
         scratch.long_sums.fill(0.0);
         let error = add_line(plan, factors, at, step.rule.sums(), local, scratch);
         let Scratch { sums, long_sums, block, .. } = scratch;
-        // the step reads f32, so long sums are rounded once, at their end
+        // the step reads f32, so sums in f64 are rounded once, at the end
         if !plan.maps[at.factor].short_sums {
             sums.iter_mut().zip(long_sums).for_each(|(to, sum)| *to = *sum as f32);
         }

@@ -36,8 +36,7 @@ pub(crate) struct Target {
     pub(crate) brightness: f32,
     /// √w.
     weights: RayWeights,
-    /// The largest weight. Kept weights are divided by it, since only their ratios matter to a
-    /// step.
+    /// The largest weight. `weights` are relative to it, since only their ratios matter to a step.
     pub(crate) weight_scale: f64,
 }
 
@@ -77,8 +76,9 @@ enum Radiance {
 /// Half floats `[view_y][view_x][row][col]` in the caller's memory, for example a mapped file.
 pub type LentTarget = Arc<dyn AsRef<[u16]> + Send + Sync>;
 
-/// Rows without padding. Reads past a row's ends get values of its neighbours, which are then
-/// ignored. The first and the last row have no neighbour, so padded copies of them are read.
+/// Rows without padding. Reads past a row's ends get values of the rows before and after it, which
+/// are then ignored. No row is before the first row or after the last row, so padded copies of
+/// these two rows are read.
 #[derive(Clone)]
 struct Lent {
     values: LentTarget,

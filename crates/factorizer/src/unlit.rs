@@ -3,7 +3,8 @@
 //!
 //! The factor a_m of a value f_m is the light that the other layers transmit in frame m. If another
 //! layer is black in frame m on all rays through a pixel, then a_m = 0. Every value of f_m then
-//! gives the same emission. A run ends with the darkest value ([`crate::Run::darken_unlit`]).
+//! gives the same emission. At the end of a run, [`crate::Run::darken_unlit`] chooses the darkest
+//! value.
 //!
 //! If two layers are black on the same rays, no update can change either layer there, since each
 //! layer makes a_m of the other layer 0. A warm start therefore [lifts](lifted) black slightly.
@@ -21,8 +22,8 @@ use crate::plan::Plan;
 /// step in 8-bit sRGB.
 const UNLIT: f64 = 1e-4;
 
-/// Smallest value of a warm start. An exact step moves a value to its minimum even if very little
-/// light reaches it. So any number whose square is a normal f32 suffices.
+/// Smallest value of a warm start. An exact step moves a value to the minimum of the objective even
+/// if very little light reaches the pixel. So any number whose square is a normal f32 suffices.
 const LIFTED: f32 = 1e-4;
 
 /// Returns a limit for each pixel of factor `n`. The pixel is unlit if Σ w a_m² over its rays is at
@@ -71,8 +72,8 @@ pub(crate) fn share(plan: &Plan) -> f32 {
     ((UNLIT * f64::from(plan.target.brightness)).powi(2)) as f32
 }
 
-/// Raises values below [`LIFTED`] to it, so that updates can change layers that are black on the
-/// same rays.
+/// Raises values below [`LIFTED`] to [`LIFTED`], so that updates can change layers that are black
+/// on the same rays.
 pub(crate) fn lifted(stack: &LayerStack) -> LayerStack {
     let mut stack = stack.clone();
     let tensors = stack.layers.iter_mut().map(|layer| layer.data_mut());

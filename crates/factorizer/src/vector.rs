@@ -63,7 +63,8 @@ pub(crate) unsafe fn sum<V: Lanes>(vector: V) -> f64 {
 
 /// Returns the sum of lanes, in f64; their number is a multiple of four.
 ///
-/// There are four chains of additions, since each addition waits for the previous one.
+/// The additions form four chains, since in a single chain each addition would wait for the
+/// previous one.
 pub(crate) fn sum_of(lanes: &[f32]) -> f64 {
     let mut sums = [0.0; 4];
     for part in lanes.as_chunks::<4>().0 {

@@ -94,6 +94,7 @@ fn directional() -> Display {
 
 #[test]
 fn a_solve_holds_no_more_than_is_said_before() {
+    // displays that need additional memory for different reasons
     let few_bits = {
         let mut display = uniform(5, 3);
         display.layers.iter_mut().for_each(|layer| layer.bits = Some(4));
@@ -119,11 +120,13 @@ fn a_solve_holds_no_more_than_is_said_before() {
             let problem = Problem { display: &display, target, weights: &Weights::Uniform };
             factorize(&problem, &settings, None, Task::quiet(&warnings, &cancel), &mut |_| {}).unwrap()
         };
+        // a target in a file must give the same patterns as the same target in memory
         let (solved, held) = peak(|| solve(&field));
         let values = field.radiance().data().to_vec();
         let radiance = Tensor::from_vec(LightField::AXES, field.radiance().shape(), values).unwrap();
         let in_memory = LightField::new(field.geometry().clone(), radiance).unwrap();
         assert!(solve(&in_memory) == solved, "{name}: other patterns than from memory");
+        // the bound must hold, and must not exceed the held bytes by more than a factor of 4
         let said = held_bytes(&display, field.geometry(), rayon::current_num_threads());
         assert!(held <= said, "{name}: {held} bytes were held, held_bytes returned {said}");
         assert!(said <= 4 * held, "{name}: held_bytes returned {said}, only {held} bytes were held");

@@ -123,8 +123,8 @@ impl EyeViews {
         &self.display
     }
 
-    /// Returns the light field: for each viewer a row of views, and for each of their eyes two
-    /// columns of views.
+    /// Returns the light field. It has a row of views for each viewer, and two columns of views for
+    /// each eye. With [`Eyes::Picture`], a viewer has one eye.
     pub fn field(&self) -> &LightField {
         &self.field
     }
@@ -155,7 +155,8 @@ struct Between {
 }
 
 impl Between {
-    /// Finds the views on both sides of a slope. Outside of the views, both are the outermost one.
+    /// Finds the views on both sides of a slope. For a slope outside of all views, both are the
+    /// outermost view.
     fn of(slopes: &[f64], slope: f64) -> Self {
         let below = (0..slopes.len()).filter(|&i| slopes[i] <= slope).max_by(|&a, &b| slopes[a].total_cmp(&slopes[b]));
         let above = (0..slopes.len()).filter(|&i| slopes[i] >= slope).min_by(|&a, &b| slopes[a].total_cmp(&slopes[b]));

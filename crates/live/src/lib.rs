@@ -6,10 +6,10 @@
 //! ```
 //!
 //! A [`Mailbox`] holds only the newest value, so no thread works on an old value, and values do not
-//! accumulate. A [`State`] is numbered and complete, and never changes. A [`Solver`] starts from
-//! the previous patterns or, if this gives a smaller error, from patterns that are moved with the
-//! content ([`motion`]). A [`Tracker`] predicts where viewers will be, and [`Rays`] are the rays to
-//! their eyes. A [`Player`] schedules the time steps of a video.
+//! accumulate. A [`State`] is numbered and complete, and never changes. For new content, a
+//! [`Solver`] starts from the best of three patterns: the previous ones, the previous ones moved
+//! with the content ([`motion`]), and fresh ones. A [`Tracker`] predicts where viewers will be, and
+//! [`Rays`] are the rays to their eyes. A [`Player`] schedules the time steps of a video.
 //!
 //! The crate reads no clock and no file: times are arguments.
 

@@ -1,5 +1,5 @@
-//! Tracked viewers: positions of their heads, predicted positions, and weights of rays near the
-//! viewers, which fade out when the tracker is silent.
+//! Tracked viewers: positions of their heads, predicted positions, and weights of rays. Rays near
+//! the viewers have large weights, until the tracker is silent.
 //!
 //! ```text
 //! eye(t) = eye + velocity · (t − seen + latency)
@@ -71,11 +71,11 @@ pub struct Boxes {
     pub zone: f64,
 }
 
-/// A wrong position of a viewer.
+/// A wrong report of a tracker: a position of a viewer, or a packet.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("viewer: expected {expected}, found {found}")]
 pub struct HeadError {
-    /// Description of a valid position.
+    /// Description of a valid position or packet.
     pub expected: &'static str,
     /// The value as found.
     pub found: String,
@@ -104,8 +104,8 @@ impl Tracker {
     }
 
     /// Predicts the positions of the viewers at the time `now` + `latency`. After [`SILENCE`]
-    /// without a report, `zone` grows from 0 to 1 within [`FADE`]. Then, or without viewers, the
-    /// result has no positions and `zone` is 1.
+    /// without a report, `zone` grows from 0 to 1 within [`FADE`]. After that, or without viewers,
+    /// the result has no positions and `zone` is 1.
     pub fn boxes(&self, now: Duration, latency: Duration) -> Boxes {
         let Some(seen) = self.seen else { return Boxes::default() };
         let silent = now.saturating_sub(seen);

@@ -1,14 +1,14 @@
 //! Ctrl-C for programs that tests start, and, on Windows, the text that they write to a console.
 //!
 //! Windows signals all programs of a console, and a program can only signal its own console. So a
-//! program that will be interrupted gets a console of its own, without a window. Then a second
-//! process of the test's program joins this console to signal it. This process runs only the test
-//! `common::helps`, which calls `help`.
+//! program that will be interrupted gets its own console, without a window. Then a second process
+//! of the test's program joins this console, and signals the first program. The second process runs
+//! only the test `common::helps`, which calls `help`.
 
 use std::process::{Child, Command};
 
-/// Gives the program a process group (on Windows a console) of its own, so that [`interrupt`]
-/// signals this program and the programs that it starts, but not the test.
+/// Gives the program its own process group (on Windows its own console). So [`interrupt`] signals
+/// this program and the programs that it starts, but not the test.
 pub fn interruptible(command: &mut Command) -> &mut Command {
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(command, 0);
@@ -48,7 +48,7 @@ mod windows {
     /// Environment variables of the second process, with the words of its task.
     pub(super) const INTERRUPT: &str = "LUMISTACK_TEST_INTERRUPTS";
     const SHOW: &str = "LUMISTACK_TEST_SHOWS";
-    /// Between words and lines, neither of which contains it.
+    /// Separates words, and lines. No word and no line contains it.
     const SEPARATOR: &str = "\u{1f}";
     /// Size of a console's screen, columns and rows. No line of the tested programs is wider.
     const SCREEN: COORD = COORD { X: 400, Y: 300 };
@@ -70,7 +70,7 @@ mod windows {
         pub interprets: bool,
     }
 
-    /// Runs a program in a console of its own, and returns the console's screen.
+    /// Runs a program in its own console, and returns the console's screen.
     pub fn screen_of(program: &str, words: &[&str]) -> Screen {
         let words: Vec<String> = [&[program], words].concat().into_iter().map(str::to_owned).collect();
         let output = helper(SHOW, &words).creation_flags(CREATE_NO_WINDOW).output().expect("the test starts itself");

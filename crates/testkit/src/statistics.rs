@@ -1,9 +1,9 @@
 //! Tests of Monte Carlo results. Each takes its false-alarm rate: the probability that it fails
 //! although the code is right.
 //!
-//! Two-sided z-test of a mean: z = (x̄ − μ) / (s/√n), refused when P(|Z| > |z|) < false_alarm_rate.
-//! Pearson's chi-square test: X² = Σ (O − E)²/E over cells, refused when P(χ²_(cells−1) > X²) <
-//! false_alarm_rate.
+//! Two-sided z-test of a mean: z = (x̄ − μ) / (s/√n), rejected if P(|Z| > |z|) < false_alarm_rate.
+//! Pearson's chi-square test: X² = Σ (O − E)²/E over cells, rejected if
+//! P(χ²_(cells−1) > X²) < false_alarm_rate.
 
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 
@@ -104,8 +104,8 @@ pub fn chi_square_p(observed: &[u64], expected: &[f64]) -> f64 {
     if pooled_expected >= LEAST_EXPECTED {
         add(pooled_observed, pooled_expected);
     } else if pooled_observed > 0.0 {
-        // The pooled cells expect too few samples for a term of their own. The same number is added
-        // to the observed and the expected count, so that an excess of samples is still detected.
+        // The pooled cells expect too few samples for a separate term. The same number is added to
+        // the observed and the expected count, so that an excess of samples is still detected.
         add(pooled_observed + LEAST_EXPECTED, pooled_expected + LEAST_EXPECTED);
     }
     assert!(cells >= 2, "a chi-square test needs two cells");

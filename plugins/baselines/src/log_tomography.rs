@@ -126,8 +126,8 @@ impl Volume {
             // Limit black to 6·10⁻⁶ ≈ e⁻¹², since x = −log f is infinite at 0. Smaller values are
             // invisible.
             let range = [-brightest.ln(), -darkest.max(6e-6).ln()];
-            // Start with equal layers that attenuate by β together: each has x = −ln β / N for N
-            // layers.
+            // Start with equal layers that together attenuate light to β: each of N layers has
+            // x = −ln β / N.
             let start = (-display.brightness.ln() as f32 / display.layers.len() as f32).clamp(range[0], range[1]);
             volume.values.push(vec![start; count]);
             volume.gradient.push(vec![0.0; count]);

@@ -1,6 +1,6 @@
 //! Node plugin `parallax_barrier`: a time-multiplexed parallax barrier (Ives 1903). This is the
-//! baseline of tensor displays with two layers. A barrier of slits has horizontal parallax, and one
-//! of pinholes also has vertical parallax.
+//! baseline of tensor displays with two layers. A barrier of slits has horizontal parallax, and a
+//! barrier of pinholes also has vertical parallax.
 //!
 //! The front layer is a mask of slits (or pinholes), one pixel wide, with a period of P_x × P_y
 //! mask pixels. The slits move from frame to frame. The rear layer shows the picture behind the
@@ -14,9 +14,10 @@
 //! open mask pixel. This mean is the least-squares optimum for a mask of zeros and ones. If the
 //! period is at least the number of views, rays of different views through one slit hit different
 //! rear pixels. Then the display shows every ray through an open mask pixel exactly. With M = P
-//! frames every mask pixel is open in exactly one frame, so the display emits β = 1/P times the
-//! target along every ray. With fewer frames some mask pixels are never open. The display then
-//! emits β times the target only in the mean over a period.
+//! frames every mask pixel is open in exactly one frame, so the display emits β times the target
+//! along every ray. β is the front layer's largest transmittance, divided by P. With fewer frames
+//! some mask pixels are never open. The display then emits β times the target only in the mean over
+//! a period.
 
 use lumistack_plugin::core::Tensor;
 use lumistack_plugin::display::{LayerMap, LayerStack, RayMap};
@@ -65,7 +66,7 @@ impl NodePlugin for ParallaxBarrier {
         let period = [or(params.period_y, views_y), or(params.period_x, views_x)];
         if period[1] < views_x || period[0] < views_y {
             host.warn(&format!(
-                "{views_x} × {views_y} views, but a period of only {} × {} mask pixels: several views share a pixel of the rear layer; increase period_x, period_y",
+                "period_x, period_y: expected at least {views_x} × {views_y} mask pixels, one per view, found {} × {}: several views share a pixel of the rear layer",
                 period[1], period[0]
             ));
         }
@@ -114,11 +115,13 @@ impl NodePlugin for ParallaxBarrier {
             }
             stage.advance(1, "");
         }
+        // The rear layer shows the means. Rear pixels without such rays stay dark.
         for (pixel, &rays) in rays.iter().enumerate().filter(|(_, rays)| **rays > 0) {
             for channel in 3 * pixel..3 * pixel + 3 {
                 stack.layers[0].data_mut()[channel] = (sums[channel] / rays as f32).clamp(rear_dark, rear_bright);
             }
         }
+        // The front layer opens the mask pixels of each frame.
         for frame in 0..display.frames {
             for (row, col) in (0..front.rows).flat_map(|row| (0..front.cols).map(move |col| (row, col))) {
                 if is_open([row, col], frame, display.frames, period) {

@@ -4,9 +4,9 @@
 //! The light field of two layers is a matrix L. It has a row for each rear pixel and a column for
 //! each front pixel. An entry of L is known if a ray hits its rear pixel and its front pixel. A
 //! display with M frames emits the matrix F Gᵀ of rank M. Column m of F is the rear mask of frame
-//! m, and column m of G is the front mask. F and G start from random values. The weighted
-//! multiplicative rule (Blondel et al. 2008) updates F and G in turn. W is 1 for known entries and
-//! 0 for all others, and ⊛ multiplies element by element:
+//! m, and column m of G is the front mask. F and G start from random values. In each iteration, the
+//! weighted multiplicative rule (Blondel et al. 2008) updates F, then G. W is 1 for known entries
+//! and 0 for all others, and ⊛ multiplies element by element:
 //!
 //! ```text
 //! F ← F ⊛ [(W ⊛ βL) G] / [(W ⊛ F Gᵀ) G], G likewise, clamped to 0..1
@@ -60,13 +60,12 @@ impl NodePlugin for TwoLayerNmf {
         };
         let (warnings, cancel) = (Collector::default(), Cancel::default());
         let failed = |error: FactorizeError| PluginError::Failed(error.to_string());
-        // Make the start, then run one iteration at a time, so that the host can cancel between
-        // iterations.
+        // Make the start, then run single iterations, so that the host can cancel between them.
         let start = Settings { iterations: 0, ..settings };
         let task = Task::quiet(&warnings, &cancel);
         let start = lumistack_factorizer::factorize(&problem, &start, None, task, &mut |_| {}).map_err(failed)?;
         let mut run = Multiplicative.start(&problem, start.stack).map_err(failed)?;
-        let stage = host.stage("matrix factorization", u64::from(params.iterations), "updates");
+        let stage = host.stage("matrix factorization", u64::from(params.iterations), "iterations");
         for _ in 0..params.iterations {
             host.check_cancelled()?;
             run.step(&cancel).map_err(|_| PluginError::Cancelled)?;

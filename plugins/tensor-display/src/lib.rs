@@ -43,7 +43,7 @@ impl TensorParams {
 }
 
 impl NodePlugin for TensorDisplay {
-    const DOC: &'static str = "Computes the layer stacks of any display by weighted nonnegative tensor factorization of the light field (Wetzstein et al. 2012). \
+    const DOC: &'static str = "Computes the patterns of any display by weighted nonnegative tensor factorization of the light field (Wetzstein et al. 2012). \
         This is the default node of a job.";
     type Params = TensorParams;
 
@@ -58,7 +58,7 @@ impl NodePlugin for TensorDisplay {
                 auto("The best solver known.").chain(solvers().iter().map(|solver| (solver.name(), solver.doc()))),
                 "Algorithm that finds the masks.",
             ),
-            Param::int("iterations", defaults.iterations.into(), 0..=most, "Iterations; each updates all layers.").unit("1"),
+            Param::int("iterations", defaults.iterations.into(), 0..=most, "Iterations; each updates every layer, and a directional backlight.").unit("1"),
             Param::choice(
                 "start",
                 AUTO,
@@ -77,7 +77,7 @@ impl NodePlugin for TensorDisplay {
             Param::bool(
                 "levels",
                 defaults.levels,
-                "Optimize the masks of panels with few bits once more, restricted to the panel's levels.",
+                "Optimize the masks of panels with few bits once more, restricted to the panels' levels.",
             ),
         ])
     }

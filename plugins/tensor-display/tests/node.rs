@@ -26,6 +26,7 @@ fn its_result_is_that_of_the_factorizer() {
     let field = random_field(&display).unwrap();
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
+    // make weights that differ from view to view, and a warm start
     let per_view: Vec<f32> = (0..9).map(|n| 0.1 + n as f32 / 7.0).collect();
     let per_view = Weights::PerView(Tensor::from_vec(["view_y", "view_x"], [3, 3], per_view).unwrap());
     let warm = {
@@ -33,6 +34,7 @@ fn its_result_is_that_of_the_factorizer() {
         let settings = Settings { iterations: 1, seed: 9, ..Settings::default() };
         factorize(&problem, &settings, None, task, &mut |_| {}).unwrap().stack
     };
+    // compare patterns, steps and summary with those of the factorizer
     let plugin = Plugin::compiled_in(&PLUGIN).unwrap();
     for (solver, start, weights, warm) in [
         (AUTO, AUTO, &Weights::Uniform, None),

@@ -7,7 +7,7 @@
 
 use std::ops::{AddAssign, Mul, Range};
 
-/// Number of rows of a band, the part of a picture that is filtered at a time, without its halo.
+/// Number of rows of a band, without its halo.
 const BAND: usize = 128;
 
 /// One quantity at every pixel of a band of rows and of its halo, `[row][col]`.

@@ -4,7 +4,7 @@
 //! colour    linear RGB ─▶ Y Cx Cz ─▶ contrast sensitivity filters (Gaussians) ─▶ clamped RGB
 //!             ─▶ Lab, a and b times L/100 (Hunt)
 //!           ΔE_c = HyAB distance ^ 0.7, mapped to 0..1:
-//!             up to 0.4 of the largest distance to 0..0.95, larger distances to 0.95..1
+//!             values up to 0.4 of the largest value to 0..0.95, larger values to 0.95..1
 //! features  Y ─▶ first and second derivatives of a Gaussian of 0.082°/2 ─▶ edges and points,
 //!             each is the length of the vector of its x and y derivatives
 //!           ΔE_f = (larger difference / √2) ^ 0.5
@@ -33,8 +33,8 @@ const SENSITIVITY_CX: (f64, f64) = (1.0, 0.0053);
 const SENSITIVITY_CZ: [(f64, f64); 2] = [(34.1, 0.04), (13.5, 0.025)];
 /// Exponent to which colour distances are raised.
 const COLOUR_EXPONENT: f32 = 0.7;
-/// Colour distances up to this fraction of the largest distance are mapped to 0..`COLOUR_KNEE_TO`.
-/// Larger distances are mapped to the rest of 0..1.
+/// Colour distances are raised to `COLOUR_EXPONENT`. Results up to this fraction of the largest
+/// result are mapped to 0..`COLOUR_KNEE_TO`, and larger results to the rest of 0..1.
 const COLOUR_KNEE_FROM: f32 = 0.4;
 const COLOUR_KNEE_TO: f32 = 0.95;
 /// Width of the feature detectors, which is twice the Gaussian's standard deviation, degrees.
@@ -77,7 +77,7 @@ impl Flip {
     pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 3840.0 * std::f64::consts::PI / 180.0;
 
     /// Makes the filters for a number of pixels per degree of visual angle, which is clamped to
-    /// 1..1000.
+    /// 1..1000. A number that is not finite counts as the default.
     pub fn new(pixels_per_degree: f64) -> Self {
         let density = if pixels_per_degree.is_finite() {
             pixels_per_degree.clamp(1.0, 1000.0)
@@ -136,12 +136,14 @@ impl Flip {
     fn seen(&self, rgb: &[f32], shape: [usize; 2], band: &Range<usize>) -> Seen {
         let halo = self.y.len().max(self.smooth.len()) / 2;
         let clamped = |value: f32| if value > 0.0 { value.min(1.0) } else { 0.0 };
+        // convert to the opponent colours Y, Cx and Cz
         let [red, green, blue] = channels(rgb, shape, band, halo, Border::Nearest, clamped);
         let opponent = |weights: [f32; 3]| {
             let [r, g, b] = weights;
             red.with(&green, |red, green| r * red + g * green).with(&blue, |sum, blue| sum + b * blue)
         };
         let [y, cx, cz] = self.colours.opponent_from_rgb.map(opponent);
+        // blur each colour by the eye's contrast sensitivity, and convert the pixels to Lab
         let along_rows = |plane: &Plane<f32>, weights: &[f32]| plane.filtered_along_rows(weights, Border::Nearest);
         let blurred =
             |plane: &Plane<f32>, weights: &[f32]| along_rows(plane, weights).filtered_along_columns(weights, halo).data;
@@ -152,6 +154,7 @@ impl Flip {
         for i in 0..pixels {
             [lightness[i], a[i], b[i]] = self.colours.seen([blurred_y[i], blurred_cx[i], cz1[i] + cz2[i]]);
         }
+        // edges and points: the lengths of the vectors of Y's first and second derivatives
         let smooth_y = along_rows(&y, &self.smooth);
         let strength = |derivative: &[f32]| -> Vec<f32> {
             let x = along_rows(&y, derivative).filtered_along_columns(&self.smooth, halo);

@@ -51,10 +51,13 @@ impl Analysis {
         if let Some(scene) = &self.scene {
             line("Scene", scene.sentence.clone());
             let depths = scene.percentiles.iter().zip(["2 %", "25 %", "50 %", "75 %", "98 %"]);
-            let depths = depths.map(|([z, bound], share)| format!("{share} at {} mm: {bound:.2}", number(*z)));
+            let depths = depths.map(|([z, bound], share)| format!("{bound:.2} at {} mm ({share})", number(*z)));
             line(
                 "",
-                format!("finest detail there, × the finest of the pixels: {}", depths.collect::<Vec<_>>().join(", ")),
+                format!(
+                    "bound at percentiles of depth, relative to the finest detail of the pixels: {}",
+                    depths.collect::<Vec<_>>().join(", ")
+                ),
             );
         }
         text.trim_end().into()
@@ -86,7 +89,7 @@ impl Analysis {
         };
         let values = [0.0, 0.125, 0.25, 0.5, 1.0].map(|share| share * reach);
         let values = values.map(|z| format!("{:.2} at {} mm", at(z), number(z)));
-        format!("× the finest detail of the pixels: {}", values.join(", "))
+        format!("relative to the finest detail of the pixels: {}", values.join(", "))
     }
 
     fn zone_text(&self) -> String {
@@ -153,7 +156,11 @@ fn closed(form: &Closed) -> String {
         "the same as the general form".into()
     } else {
         let percent = 100.0 * largest_difference;
-        format!("{percent:.1} % off at {} mm, {:+.1} % far away", number(*at_mm), 100.0 * difference_far)
+        format!(
+            "the bound differs by {percent:.1} % at {} mm, by {:+.1} % far away",
+            number(*at_mm),
+            100.0 * difference_far
+        )
     };
     let because = if broken.is_empty() { String::new() } else { format!(", since {}", broken.join(" and ")) };
     format!("eq. {equation} ({assumes}): {differs}{because}")

@@ -22,11 +22,12 @@ struct Params {
     // offset of this dispatch's results, and the number of results per line
     sums_base: u32,
     groups_x: u32,
-    // offsets of tables: the rays through each line and each column of the own factor, and the
-    // flags of valid rows and columns of rays
+    // offsets of the tables of the rays through each line and each column of the own factor
     own_lines: u32,
     own_columns: u32,
+    // number of lines of the own factor
     stored_lines: u32,
+    // offsets of the flags of valid rows and columns of rays
     counted_rows: u32,
     counted_cols: u32,
     sweeps: u32,

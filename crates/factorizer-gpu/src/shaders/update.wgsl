@@ -119,8 +119,8 @@ fn update_pixel(line: u32, column: u32) -> vec2<f32> {
 //@ end
 //@ end
 //@ if gram
-    // Coordinate descent: the value of each frame in turn moves to its minimum, clamped to
-    // low..high.
+    // Coordinate descent: the value of one frame after another moves to the minimum of the
+    // objective, clamped to low..high.
 //@ frames
     let inverse{m} = f32(FRAMES) / max(g{m}_{m}, LEAST_CURVATURE);
     let before{m} = r{m};

@@ -6,10 +6,10 @@
 //!     [--quick] [--rounds N] [--json FILE] [--folder DIR] [--peer PYTHON SCRIPT]...
 //! ```
 //!
-//! All cases are timed in turn, round after round. Other programs then slow all of them alike, and
-//! ratios of medians stay valid. A peer computes the same multiplicative update with another
-//! library, from the same data. It is timed in turn with Lumistack's update. Its masks must agree
-//! with Lumistack's except for rounding.
+//! Every round times all cases. So other programs slow all cases alike, and ratios of medians stay
+//! valid. A peer computes the same multiplicative update with another library, from the same data.
+//! Its update is timed next to Lumistack's update. Its masks must agree with Lumistack's except for
+//! rounding.
 //!
 //! `cargo xtask bench factorize` passes NumPy and PyTorch as peers. Files for peers go into
 //! `--folder` (default: the system's folder of temporary files). `--quick` uses a quarter of the
@@ -41,7 +41,8 @@ const SEED: u64 = 1;
 const PAPER_UPDATES: u32 = 50;
 /// Largest difference in transmittance that rounding may cause between masks after one update.
 const SAME_MASKS: f32 = 1e-4;
-/// Smallest number of updates of each of Lumistack's solvers in one round.
+/// Smallest number of Lumistack's multiplicative updates of the main case in one round. Every other
+/// run of Lumistack makes one update in a round.
 const OWN_UPDATES: usize = 3;
 
 type Outcome<T = ()> = Result<T, Box<dyn Error>>;
@@ -71,14 +72,16 @@ fn arguments() -> Result<Arguments, String> {
     // cargo adds `--bench`
     let mut words = std::env::args().skip(1).filter(|word| word != "--bench");
     while let Some(word) = words.next() {
-        let mut value = || words.next().ok_or(format!("{word} needs a value"));
+        let mut value = || words.next().ok_or(format!("{word}: expected a value, found none"));
         match word.as_str() {
             "--quick" => parsed.resolution = [210, 131],
-            "--rounds" => parsed.rounds = value()?.parse().map_err(|_| "--rounds needs a number")?,
+            "--rounds" => {
+                parsed.rounds = value()?.parse().map_err(|_| "--rounds: expected a number, found other text")?
+            }
             "--json" => parsed.json = Some(value()?.into()),
             "--folder" => parsed.folder = value()?.into(),
             "--peer" => parsed.peers.push([value()?.into(), value()?.into()]),
-            _ => return Err(format!("unknown argument {word}; see the top of the source")),
+            _ => return Err(format!("expected an argument that the top of the source lists, found {word}")),
         }
     }
     if parsed.rounds < 3 { Err(format!("--rounds: expected at least 3, found {}", parsed.rounds)) } else { Ok(parsed) }
@@ -214,6 +217,7 @@ fn start_peers(arguments: &Arguments, case: &Case) -> Outcome<Vec<TimedPeer>> {
 /// Starts the peers and compares their first update with Lumistack's. A peer that does not start is
 /// reported and left out.
 fn start_peers_in(folder: &Path, peers: &[[PathBuf; 2]], case: &Case) -> Outcome<Vec<TimedPeer>> {
+    // write the problem, and compute Lumistack's first update
     let start = random_start(&case.display, SEED);
     peers::write_problem(folder, case, &start)?;
     let saved = folder.join("after-one-update");
@@ -221,6 +225,7 @@ fn start_peers_in(folder: &Path, peers: &[[PathBuf; 2]], case: &Case) -> Outcome
     let mut run = solver("multiplicative")?.start(&case.problem(), start)?;
     run.step(&Cancel::default())?;
     let ours = run.download();
+    // start each peer, and compare the first update of each variant
     let mut started = Vec::new();
     for [python, script] in peers {
         let mut peer = match Peer::start(python, script, folder) {

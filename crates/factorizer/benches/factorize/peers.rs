@@ -43,10 +43,13 @@ impl Peer {
         let answers = BufReader::new(child.stdout.take().ok_or("the child has no standard output")?);
         let mut peer = Self { name: String::new(), threads: 0, variants: Vec::new(), child, requests, answers };
         let hello = peer.answer()?;
-        let variants = hello["variants"].as_array().ok_or("no variants")?;
+        let variants =
+            hello["variants"].as_array().ok_or("expected the list `variants` in the first answer, found none")?;
         peer.variants = variants.iter().filter_map(|name| name.as_str().map(str::to_owned)).collect();
-        peer.name = hello["name"].as_str().ok_or("no name")?.to_owned();
-        peer.threads = hello["threads"].as_u64().ok_or("no number of threads")?;
+        peer.name =
+            hello["name"].as_str().ok_or("expected the text `name` in the first answer, found none")?.to_owned();
+        peer.threads =
+            hello["threads"].as_u64().ok_or("expected the number `threads` in the first answer, found none")?;
         Ok(peer)
     }
 
@@ -62,7 +65,7 @@ impl Peer {
         writeln!(self.requests, "update\t{variant}")?;
         let answer = self.answer()?;
         std::thread::sleep(PAUSE);
-        Ok(answer["seconds"].as_f64().ok_or("no time")?)
+        Ok(answer["seconds"].as_f64().ok_or("expected the number `seconds` in the answer, found none")?)
     }
 
     fn answer(&mut self) -> Outcome<Value> {

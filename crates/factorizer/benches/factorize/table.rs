@@ -161,6 +161,7 @@ impl Report {
     }
 
     fn describe_quality(&self, text: &mut String) {
+        // first the quality of the paper's rule, then the time in which the default reaches it
         let quality = &self.quality;
         let settings = &quality.settings;
         let _ = writeln!(
@@ -180,7 +181,7 @@ impl Report {
                 let _ = writeln!(
                     text,
                     "  reach that PSNR after {iterations} iterations: {:.3} s (fastest {:.3}) from the call until it is reported,\n  \
-                     {:.3} s (fastest {:.3}) for a call with as many iterations, until the patterns are returned",
+                     {:.3} s (fastest {:.3}) for a call with this number of iterations, until the patterns are returned",
                     quality.until_reached.median(),
                     quality.until_reached.fastest(),
                     quality.whole_call.median(),
@@ -199,6 +200,7 @@ impl Report {
     }
 
     fn describe_machine(&self, text: &mut String, machine: &Machine) {
+        // the best rates of the machine, and a warning if other programs ran
         let _ = writeln!(
             text,
             "\n{} threads, {}: {:.0} G multiply-adds/s, {:.0} GB/s read: the best of many measurements between the updates",
@@ -215,6 +217,7 @@ impl Report {
                 100.0 * share
             );
         }
+        // the shortest possible times of two updates at these rates
         for row in &self.rows[..2] {
             let Some(needs) = row.needs else { continue };
             let _ = writeln!(
@@ -230,12 +233,13 @@ impl Report {
         let _ = writeln!(
             text,
             "Shares are of these rates, at the fastest time. Operations per ray and channel with F factors and M frames: F M (F+1) multiplicative,\n\
-             F (M (F−1) + M (M+1)/2) block-exact. Bytes: per factor, the target in 16 bits and all factors in 32 are read and one is written."
+             F (M (F−1) + M (M+1)/2) block-exact. Bytes: for each factor, an update reads the target in 16 bits and all factors in 32 bits, and writes one factor."
         );
     }
 
     /// Returns the measurements as JSON, with all single times.
     pub fn json(&self, machine: &Machine) -> Value {
+        // list Lumistack's updates, then the peers' updates, then all other values
         let quality = &self.quality;
         let rows = self.rows.iter().map(|row| {
             let mut value = json!({ "what": row.what, "times": row.times.json() });

@@ -5,14 +5,15 @@ use lumistack_display::{Backlight, Display, LensletBacklight, LightField, Missin
 
 use lumistack_factorizer::{Multiplicative, Problem, Settings, Solver, factorize, random_start};
 
-/// Largest tolerated PSNR difference from a published value, since random starts differ, dB.
+/// Largest tolerated PSNR difference from a published value, dB. It is not 0, since random starts
+/// differ.
 const FIGURE_TOLERANCE: f64 = 0.3;
 
 /// Width of the display in millimetres at any resolution.
 const WIDTH_MM: f64 = 473.76;
 
-/// Reads the middle of a light field of the shared folder, which has the size of the display.
-/// Without the file, the test is skipped.
+/// Reads a light field of the shared folder, and returns its middle, cut to the size of the
+/// display. If the file is missing, returns `None`, and reports the test as skipped.
 #[allow(clippy::disallowed_methods, reason = "a test may read files")]
 pub(super) fn light_field(name: &str, display: &Display) -> Option<LightField> {
     let folder = lumistack_testkit::skip::folder("LUMISTACK_LIGHTFIELDS", "../shared/lightfields")?;
@@ -41,7 +42,7 @@ pub(super) fn display(views: usize, layers: usize, frames: usize, brightness: f6
     display_of([160, 100], views, layers, frames, brightness)
 }
 
-/// Returns the same display with another number of pixels, columns × rows.
+/// Returns the display of [`display`] with another number of pixels, columns × rows.
 pub(super) fn display_of(
     resolution: [usize; 2],
     views: usize,
@@ -79,7 +80,8 @@ fn directional(frames: usize, brightness: f64) -> Display {
     Display { backlight, ..display(5, 1, frames, brightness) }
 }
 
-/// Returns the PSNR after each of the given numbers of updates, from the default start.
+/// Returns the PSNR after each of the given numbers of iterations of the paper's rule, from a
+/// random start.
 fn curve(display: &Display, target: &LightField, updates: &[u32]) -> Vec<f64> {
     let problem = Problem { display, target, weights: &Weights::Uniform };
     let mut run = Multiplicative.start(&problem, random_start(display, 1)).unwrap();

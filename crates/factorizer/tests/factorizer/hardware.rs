@@ -9,14 +9,16 @@ use lumistack_factorizer::device::Updater;
 use lumistack_factorizer::internals::Engine;
 use lumistack_factorizer::{Factorization, Problem, Settings, factorize};
 
-/// Number of iterations of every solve; PSNR differences then vary by about 0.2 dB.
+/// Number of iterations of a solve; the last test makes half of them. PSNR differences then vary by
+/// about 0.2 dB.
 const ITERATIONS: u32 = 30;
 
 /// Pixels of the display, columns × rows. Every effect acts within a few pixels, so the middle of
 /// the light fields shows all effects.
 const MIDDLE: [usize; 2] = [96, 60];
 
-/// PSNR differences below this limit are treated as noise, since solves have few iterations, dB.
+/// Limit in dB, below which PSNR differences are treated as noise, since solves have few
+/// iterations.
 const NEGLIGIBLE_DB: f64 = 0.2;
 
 fn display(views: usize, layers: usize, frames: usize, brightness: f64) -> Display {
@@ -79,6 +81,7 @@ fn modelling_an_effect_recovers_at_least_half_of_what_it_costs() {
         let row = |own: usize| [0, 1, 2].map(|c: usize| if c == own { 1.0 - 2.0 * share } else { share });
         Some([row(0), row(1), row(2)])
     };
+    // measure each effect alone, on all layers or on the rear layer
     for (name, real) in [
         ("contrast 1000:1", each(&|layer| layer.black_level = 1e-3)),
         ("contrast 200:1", each(&|layer| layer.black_level = 5e-3)),

@@ -15,8 +15,8 @@ struct Entry {
     at: usize,
     /// Weight of the stored value in the value that the ray reads.
     share: f64,
-    /// Weight in the bound of the curvature. It is `share` times a sum. The sum is over the weights
-    /// with which stored values are mixed into the hit pixel.
+    /// Weight in the bound of the curvature: `share`, times the sum of the weights with which
+    /// stored values are mixed into the hit pixel.
     bound: f64,
 }
 
@@ -221,8 +221,8 @@ fn entries(layer: &Layer, pixels: &[(usize, f64)]) -> [Vec<Entry>; 3] {
     let taps: Vec<f64> =
         layer.response().map_or(vec![1.0], |response| response.taps().iter().map(|&t| f64::from(t)).collect());
     let radius = (taps.len() / 2) as isize;
-    // Blur spreads a pixel along one axis. Shares outside the border are divided among the pixels
-    // inside.
+    // Spread a pixel along one axis by the blur. The shares of pixels outside the border are
+    // divided among the pixels inside.
     let spread = |i: usize, count: usize| -> Vec<(usize, f64)> {
         let all = (-radius..=radius).map(|k| (i as isize + k, taps[(k + radius) as usize]));
         let within: Vec<_> = all.filter(|(i, _)| (0..count as isize).contains(i)).collect();
@@ -299,8 +299,8 @@ fn rays(problem: &Problem) -> Vec<Ray> {
                 let tan = b.fov_deg.map(|fov| (fov / 2.0).to_radians().tan());
                 let bin_x = (bins_x / 2.0 * (1.0 + sx / tan[0])).floor();
                 let bin_y = (bins_y / 2.0 * (1.0 - sy / tan[1])).floor();
-                // Outside its bins, a lenslet shows the picture of the pixels behind a neighbouring
-                // lenslet.
+                // Outside its bins, a lenslet is dark, or it repeats the picture of the pixels
+                // behind a neighbouring lenslet.
                 let (zone_x, zone_y) = ((bin_x / bins_x).floor(), (bin_y / bins_y).floor());
                 let (i, j) = (i - zone_x, j - zone_y);
                 let (bin_x, bin_y) = (bin_x - zone_x * bins_x, bin_y - zone_y * bins_y);

@@ -68,6 +68,7 @@ fn the_start_that_is_taken_is_not_the_worse_one() {
     let (warnings, cancel) = (Collector::default(), Cancel::default());
     let task = Task::quiet(&warnings, &cancel);
     type Make = fn(f64, f64) -> Owned;
+    // each case has moves: (shift, scene, expected choice), with `None` if both choices are right
     let cases: [(Make, [(f64, f64, Option<bool>); 5]); 3] = [
         (
             |shift, scene| plane(shift, scene, 0.2),
@@ -101,6 +102,7 @@ fn the_start_that_is_taken_is_not_the_worse_one() {
         ),
     ];
     for (number, (make, moves)) in cases.into_iter().enumerate() {
+        // compare both starts after five iterations, from a solution of the unmoved content
         let before = make(0.0, 0.0);
         let warm = factorize(&before.problem(), &settings("auto", 30), None, task, &mut |_| ()).unwrap().stack;
         for (shift, scene, expected) in moves {

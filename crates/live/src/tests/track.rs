@@ -119,6 +119,7 @@ fn two_viewers_who_move_get_what_the_whole_zone_cannot_have() {
     const REPORT_MS: u64 = 33;
     const UPDATES: u32 = 5;
     const WARM_UP: usize = 30;
+    // solve patterns for the whole zone, with which the tracked patterns are compared
     let plain = Display::uniform([48, 30], 1.0, [25, 1], [32.0, 1.0], &[-20.0, 20.0], 6);
     let content = Content::Waves;
     let target = fields::target(&Display { brightness: 0.3, ..plain }, content, 0.0, 0);
@@ -129,6 +130,7 @@ fn two_viewers_who_move_get_what_the_whole_zone_cannot_have() {
     let (mut tracker, mut solver) = (Tracker::default(), Solver::new(Settings::default()));
     let (mut tracked, mut gains) = (Vec::new(), Vec::new());
     let heads = recorded();
+    // after every second report, solve for the predicted eyes, and score at the later real eyes
     for now in 0..heads.len() - LATENCY {
         let now_ms = ms(REPORT_MS * now as u64);
         tracker.see(&heads[now].map(|head| head.map(f64::round)), Eyes::Two, now_ms).unwrap();
@@ -148,6 +150,7 @@ fn two_viewers_who_move_get_what_the_whole_zone_cannot_have() {
             }
         }
     }
+    // compare the median and the worst twentieth
     for scores in [&mut tracked, &mut gains] {
         scores.sort_by(f64::total_cmp);
     }
