@@ -1,4 +1,4 @@
-//! The data that an output or node receives: planes of numbers, fetched one at a time.
+//! The data that an output or node receives: planes of numbers, fetched one by one.
 
 use core::ffi::c_void;
 
@@ -105,7 +105,8 @@ pub struct Data {
     ///   patterns have the display's shape; `layer_plane` and `emission_plane` lend them.
     /// * A depth: `{"rows", "cols", "z_mm": [...]}`, row by row, in millimetres towards the viewer,
     ///   null for a miss. It belongs to the view [view rows / 2, view columns / 2], and may be
-    ///   coarser than the views. The key is left out if the depth is unknown.
+    ///   coarser than the views. If the depth is unknown, the keys `depth` and `target_depth` are
+    ///   left out.
     /// * A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
     ///   "distance_mm", "slope_x": [...], "slope_y": [...]}`.
     pub description_json: Str,

@@ -70,8 +70,8 @@ impl LensletPanel {
         }
     }
 
-    /// Returns the lens and the bin of the panel's point (x, y), millimetres. Returns `None`
-    /// outside the array, and if the slope of the point's light is outside the bins.
+    /// Returns the lens and the bin of the panel's point (x, y), millimetres. Returns `None` if the
+    /// point is outside the array, or the slope of its light is outside the bins.
     pub fn spot(&self, [x_mm, y_mm]: [f64; 2]) -> Option<Spot> {
         let (sin, cos) = self.rotation_deg.to_radians().sin_cos();
         let [dx, dy] = [x_mm - self.offset_mm[0], y_mm - self.offset_mm[1]];
@@ -116,7 +116,7 @@ impl LensletPanel {
     pub fn picture(&self, planes: &[Vec<f32>], samples: usize) -> Vec<f32> {
         let [cols, rows] = self.resolution;
         let lens_cols = self.lenslets[0];
-        assert!(samples > 0 && planes.len() == self.bins[0] * self.bins[1], "one plane per bin");
+        assert!(samples > 0 && planes.len() == self.bins[0] * self.bins[1], "expected at least one sample, and one plane per bin");
         let mut picture = vec![0.0; 3 * rows * cols];
         let weight = 1.0 / (samples * samples) as f32;
         let point = |i: usize, count: usize, sample: usize| {

@@ -154,6 +154,7 @@ unsafe extern "C" fn make_field<P: SourcePlugin>(
         let (display, time, sink) =
             unsafe { (display_from_json(lent_text(display_json, "display")?)?, Time::from_abi(time)?, &*field) };
         needs(sink.size, size_of::<FieldSink>())?;
+        // Make the light field, then send its geometry and each of its views.
         let made = P::make(&host.get(), params, &display, time)?;
         let geometry = serde_json::to_string(&Geometry::from(made.geometry()))
             .map_err(|error| PluginError::failed("geometry", error))?;

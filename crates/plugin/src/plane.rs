@@ -30,7 +30,7 @@ impl PlaneView<'_> {
         if plane.dtype != dtype::F32 || plane.ndim != 3 {
             let (dtype, ndim) = (plane.dtype, plane.ndim);
             return Err(PluginError::Failed(format!(
-                "expected a plane of 3 axes and type {}, found {ndim} axes and type {dtype}",
+                "expected a plane of 3 axes and data type {} (f32), found {ndim} axes and data type {dtype}",
                 dtype::F32
             )));
         }
@@ -62,7 +62,7 @@ impl PlaneView<'_> {
     pub fn get(&self, row: usize, col: usize, channel: usize) -> f32 {
         assert!(
             row < self.rows() && col < self.cols() && channel < self.channels(),
-            "[{row}][{col}][{channel}] of a plane of shape {:?}",
+            "expected an index inside a plane of shape {:?}, found [{row}][{col}][{channel}]",
             &self.plane.shape[..3]
         );
         let [r, c, k, _] = self.plane.strides;

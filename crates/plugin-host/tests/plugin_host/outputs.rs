@@ -323,6 +323,6 @@ fn data_of_a_port_that_the_plugin_does_not_take_are_refused() {
     let mut bench = Bench::new();
     bench.sample = samples().swap_remove(2);
     let error = bench.write(json!({})).unwrap_err();
-    assert_eq!(error.to_string(), "output `faulty`: `faulty` accepts layer_stack, found light_field");
+    assert_eq!(error.to_string(), "output `faulty`: expected data that `faulty` accepts (layer_stack), found light_field");
     assert!(bench.tree().is_empty());
 }
