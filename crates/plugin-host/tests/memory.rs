@@ -30,8 +30,8 @@ const MIB: f64 = (1 << 20) as f64;
 /// need this memory.
 const LISTS_MIB: f64 = 0.25;
 
-/// Returns the outputs that are measured: name, plugin and parameters. Every kind of output that
-/// writes frames is measured alone. `images` is measured with all its kinds together.
+/// Returns the outputs that are measured: name, plugin and parameters. The plugin `images` writes
+/// several kinds of files, which are measured alone and all together.
 fn outputs() -> [(&'static str, &'static str, Value); 7] {
     let images = |wanted: &[&str]| {
         let chosen = |name: &str| wanted.contains(&name);

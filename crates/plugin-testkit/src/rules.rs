@@ -17,8 +17,8 @@ pub struct Broken {
     pub found: String,
 }
 
-/// Iterates over the default parameters, and then over both ends of every parameter's range. Only
-/// one parameter at a time differs from its default.
+/// Iterates over sets of parameters: first the defaults, then sets in which one parameter is at an
+/// end of its range and all others have their defaults.
 pub(crate) fn defaults_and_ends<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Iterator<Item = Value> + 'a {
     let ends = varied(plugin, at_default).flat_map(allowed);
     std::iter::once(json!({})).chain(ends.map(|(name, value)| Value::Object(Map::from_iter([(name, value)]))))

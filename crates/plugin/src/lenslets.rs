@@ -116,7 +116,10 @@ impl LensletPanel {
     pub fn picture(&self, planes: &[Vec<f32>], samples: usize) -> Vec<f32> {
         let [cols, rows] = self.resolution;
         let lens_cols = self.lenslets[0];
-        assert!(samples > 0 && planes.len() == self.bins[0] * self.bins[1], "expected at least one sample, and one plane per bin");
+        assert!(
+            samples > 0 && planes.len() == self.bins[0] * self.bins[1],
+            "expected at least one sample, and one plane per bin"
+        );
         let mut picture = vec![0.0; 3 * rows * cols];
         let weight = 1.0 / (samples * samples) as f32;
         let point = |i: usize, count: usize, sample: usize| {

@@ -240,7 +240,9 @@ impl Schema {
         for (i, param) in self.params.iter().enumerate() {
             let name = &param.name;
             if name.is_empty() || !name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_') {
-                return Err(format!("parameter `{name}`: expected a name of lower-case letters, digits and underscores"));
+                return Err(format!(
+                    "parameter `{name}`: expected a name of lower-case letters, digits and underscores"
+                ));
             }
             if self.params[..i].iter().any(|earlier| earlier.name == *name) {
                 return Err(format!("parameter `{name}` is declared twice"));

@@ -91,7 +91,11 @@ impl<'a> Output<'a> {
     pub fn submit(&self, time: Time, data: OutputData<'_>) -> Result<(), PluginError> {
         if !self.ports.contains(&data.port()) {
             let accepted = self.ports.iter().map(Port::to_string).collect::<Vec<_>>().join(", ");
-            return Err(PluginError::Refused(format!("expected data that `{}` accepts ({accepted}), found {}", self.id, data.port())));
+            return Err(PluginError::Refused(format!(
+                "expected data that `{}` accepts ({accepted}), found {}",
+                self.id,
+                data.port()
+            )));
         }
         let lent = Lent::new(self.display, data)?;
         let data = lent.to_abi();

@@ -113,8 +113,8 @@ impl Progress for StopAtFirstStep<'_> {
     fn end(&self) {}
 }
 
-/// Runs the plugin with every fault. Each run must report its fault, and leave the bench's folder
-/// unchanged.
+/// Runs the plugin with faults, wrong parameters and wrong paths. Each run must report its error,
+/// and leave the bench's folder unchanged.
 fn everything_goes_wrong(bench: &Bench) {
     let before = bench.tree();
     for (params, message) in [
@@ -323,6 +323,9 @@ fn data_of_a_port_that_the_plugin_does_not_take_are_refused() {
     let mut bench = Bench::new();
     bench.sample = samples().swap_remove(2);
     let error = bench.write(json!({})).unwrap_err();
-    assert_eq!(error.to_string(), "output `faulty`: expected data that `faulty` accepts (layer_stack), found light_field");
+    assert_eq!(
+        error.to_string(),
+        "output `faulty`: expected data that `faulty` accepts (layer_stack), found light_field"
+    );
     assert!(bench.tree().is_empty());
 }

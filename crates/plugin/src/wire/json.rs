@@ -94,7 +94,9 @@ impl TryFrom<Depth> for SeenDepth {
         let Depth { rows, cols, z_mm } = json;
         if rows.checked_mul(cols) != Some(z_mm.len()) || z_mm.is_empty() {
             let found = z_mm.len();
-            return Err(PluginError::Refused(format!("depth: expected {rows} × {cols} values, at least one, found {found}")));
+            return Err(PluginError::Refused(format!(
+                "depth: expected {rows} × {cols} values, at least one, found {found}"
+            )));
         }
         Ok(Self { rows, cols, z_mm })
     }
