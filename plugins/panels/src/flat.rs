@@ -37,7 +37,7 @@ pub fn flat_codes(display: &Display, shows: Shows, output: [usize; 2], picture: 
         image::Rgb(picture.get_pixel(x, y).0.map(|code| srgb_decode(f32::from(code) / 255.0)))
     });
     let fitted = resize(&linear, width, height, FilterType::Triangle);
-    // Reduce the display to this one layer, at panel resolution.
+    // Reduce the display to layer `n`, at panel resolution.
     let mut one = Display { frames: 1, ..display.clone() };
     one.layers.truncate(n + 1);
     one.layers.drain(..n);

@@ -47,7 +47,7 @@ pub fn keep_panels(text: &str, display: &Display) -> Result<String, KeepError> {
     // Read the new text as a display, to verify it.
     match Display::from_toml(&text) {
         Ok(_) => Ok(text),
-        Err(error) => Err(wrong("display file", "a display", error.to_string())),
+        Err(error) => Err(wrong("display file", "a display without errors", error.to_string())),
     }
 }
 

@@ -21,8 +21,8 @@ pub struct Settings {
     pub mode: Mode,
     /// True if masks are scaled to fill the panels ([`crate::fit`]).
     pub fit: bool,
-    /// The frame that all refreshes show until a command changes it; `None` shows all frames in
-    /// turn.
+    /// The frame that all refreshes show until a command selects another; `None` shows all frames
+    /// one after another.
     pub hold: Option<usize>,
     /// Duration of the presentation; `None` for a presentation that runs until the user closes it.
     pub duration: Option<Duration>,
@@ -83,7 +83,7 @@ pub enum Command {
     Stack(LayerStack),
     /// Show only this frame.
     Hold(usize),
-    /// Show all frames in turn.
+    /// Show all frames one after another.
     Run,
     /// Show a later (positive) or earlier (negative) frame, relative to the frame that is held.
     Step(i64),
