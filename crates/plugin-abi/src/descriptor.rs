@@ -47,7 +47,8 @@ pub struct Descriptor {
     /// One of [`kind`]; it selects the type of `vtable`.
     pub kind: u32,
     /// Accepted input ports, bits of [`port`]: [`FILE`](port::FILE) for importers, none for
-    /// sources, [`LIGHT_FIELD`](port::LIGHT_FIELD) for nodes.
+    /// sources, [`LIGHT_FIELD`](port::LIGHT_FIELD) for nodes. An output accepts
+    /// [`LIGHT_FIELD`](port::LIGHT_FIELD), [`LAYER_STACK`](port::LAYER_STACK) or both.
     pub ports: u32,
     /// Name in job files and on the command line: lower-case letters, digits and underscores; the
     /// first is a letter.

@@ -10,7 +10,7 @@ use crate::viewpoint::ViewPoint;
 use crate::wire::{Description, RayWeights, Start, call, lent_text};
 use crate::{Host, PlaneView, PluginError, Port};
 
-/// The data of one `submit`. Later versions may add ports.
+/// Data from the host, for one `submit` of an output or for a node. Later versions may add ports.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Input<'a> {
@@ -20,7 +20,7 @@ pub enum Input<'a> {
     LightField(FieldInput<'a>),
 }
 
-/// The data of one `submit`, borrowed from the host.
+/// A pointer to data that the host lends until `submit` or `make` returns.
 #[derive(Debug)]
 struct Lent<'a> {
     data: *const Data,

@@ -51,7 +51,7 @@ pub struct Spot {
 }
 
 impl LensletPanel {
-    /// Makes the lenslet array of a display file, in front of a panel. If the file has no measured
+    /// Makes the panel behind the lenslet array of a display file. If the file has no measured
     /// focal length, the focal length is p / (2 tan(α/2)), with the lens pitch p and the bins'
     /// horizontal angle α. Then the horizontal bins fill the width of the panel behind one lens.
     pub fn new(backlight: &LensletBacklight, resolution: [usize; 2], pitch_mm: f64) -> Self {
@@ -112,7 +112,7 @@ impl LensletPanel {
     /// the point is the pixel's centre.
     ///
     /// # Panics
-    /// If `planes` does not have the shape of the emission.
+    /// If `samples` is 0, or `planes` does not have the shape of the emission.
     pub fn picture(&self, planes: &[Vec<f32>], samples: usize) -> Vec<f32> {
         let [cols, rows] = self.resolution;
         let lens_cols = self.lenslets[0];

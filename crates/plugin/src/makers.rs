@@ -59,7 +59,7 @@ pub trait SourcePlugin: 'static {
     fn make(host: &Host, params: Self::Params, display: &Display, time: Time) -> Result<LightField, PluginError>;
 }
 
-/// A plugin that solves a display's layer stacks for light fields.
+/// A plugin that makes the layer stacks of a display from light fields.
 pub trait NodePlugin: 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;

@@ -18,8 +18,8 @@ use crate::{Host, PluginError, Port, Schema};
 
 /// A plugin that writes or shows results. A host calls [`open`](Self::open), then
 /// [`submit`](Self::submit) for every time step, and at the end [`finish`](Self::finish). For a
-/// presenter it calls [`run`](Self::run) before `finish`; `submit` is also called while `run` runs.
-/// If the host abandons the output, the output is dropped without `finish`.
+/// presenter, the host calls [`run`](Self::run) before `finish`, and also calls `submit` while
+/// `run` runs. If the host abandons the output, the output is dropped without `finish`.
 pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;

@@ -17,8 +17,8 @@ use lumistack_plugin::display::{Backlight, Display};
 use crate::assign::Output;
 use crate::{Place, Shows};
 
-/// Returns [columns, rows] of panel pixels that the mask covers, and [columns, rows] of the panel's
-/// upright picture.
+/// Returns [columns, rows] of panel pixels that the mask covers. Also returns [columns, rows] of
+/// the panel's upright picture, or of its crop.
 pub fn cover(display: &Display, shows: Shows, output: [usize; 2]) -> ([f64; 2], [f64; 2]) {
     let place = Place::new(display, shows, output);
     let ([cols, rows], pitch_mm) = match (shows, &display.backlight) {

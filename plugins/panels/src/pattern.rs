@@ -28,7 +28,7 @@ pub enum Pattern {
     Crosshairs,
     /// Equal steps of linear light in grey, red, green and blue, by the declared transfer function.
     Ramp,
-    /// One code value in all pixels, which is sent unchanged. It serves to measure transfer
+    /// One RGB code in all pixels, which is sent unchanged. It serves to measure transfer
     /// functions.
     Code([u8; 3]),
     /// Light from all bins of one lenslet, [column, row].

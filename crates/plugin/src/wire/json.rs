@@ -8,7 +8,7 @@ use serde_path_to_error::{Path, Segment};
 
 use crate::PluginError;
 
-/// Shapes and geometry of submitted data.
+/// Shapes and geometry of the data that a host lends.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "port", rename_all = "snake_case")]
 pub enum Description {
