@@ -7,7 +7,7 @@ use core::ffi::c_void;
 
 use crate::{Bytes, Data, ErrorSink, HostServices, Plane, Status, Str, Time};
 
-/// Receives bytes, in order.
+/// Receives a sequence of bytes, piece by piece.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct ByteSink {

@@ -60,8 +60,8 @@ pub struct PanelsParams {
 }
 
 impl OutputPlugin for Panels {
-    const DOC: &'static str = "Shows every layer on its own panel, one frame per refresh, or a preview of the display in a window, until the user closes the presentation. \
-        `lumistack show` runs this plugin, in builds with windows.";
+    const DOC: &'static str = "Shows every layer on its own panel, or a preview of the display in a window, until the user closes the presentation. \
+        Panels show one frame per refresh. `lumistack show` runs this plugin, in builds with windows.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     const PRESENTS: bool = true;
     type Params = PanelsParams;

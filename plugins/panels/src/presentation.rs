@@ -119,8 +119,8 @@ pub enum Event {
     },
     /// The windows are open.
     Started,
-    /// New frames are shown: the first ones, those of a new layer stack, or the frames after a
-    /// change of a shift, of the preview's viewer or of its window.
+    /// New frames are shown: the first frames, or frames after a change of the layer stack, of a
+    /// panel's shift, or of the preview's viewer or window.
     Swapped {
         /// Number of these events so far.
         times: u64,

@@ -246,7 +246,7 @@ impl App<'_> {
             self.windows.push((Arc::new(window), name.to_string(), size));
             Ok::<_, WindowError>(())
         };
-        // A preview needs one ordinary window, enlarged by a whole number.
+        // A preview needs one ordinary window. Its size is a whole multiple of the resolution.
         if settings.mode == Mode::Window {
             let [cols, rows] = display.field.resolution;
             let scale = (960 / cols.max(1)).clamp(1, 8);
