@@ -1,5 +1,5 @@
-//! Tests the memory of outputs: for a 4K stack of three layers, twelve frames need no more memory
-//! than four.
+//! Tests the memory of outputs: for a 4K stack of three layers, twelve frames need hardly more
+//! memory than four.
 //!
 //! Each output and number of frames is measured in its own process, by two numbers. `alive` is the
 //! peak of the bytes that the output allocates, counted by the allocator; it is exact and

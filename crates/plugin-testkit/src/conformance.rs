@@ -36,10 +36,11 @@ pub fn conformance_but_for(export: &'static LazyLock<Export>, at_default: &[&str
 /// plugin's C functions.
 ///
 /// An output describes itself, declares all its parameters with units and ranges, and refuses other
-/// parameters. It accepts data of all its ports, and produces identical files in a second run and
-/// from any thread. It stops on cancellation, reports a full disk, leaves no file open, and writes
-/// through the host only. Most rules are checked with default parameters, and again with all
-/// switches on. Parameters in `at_default` keep their defaults.
+/// parameters. It accepts at least one sample of its ports, and gives a reason if it refuses
+/// another. It produces identical files in a second run and from any thread. It stops on
+/// cancellation, reports a full disk, leaves no file open, and writes through the host only. Most
+/// rules are checked with default parameters, and again with all switches on. Parameters in
+/// `at_default` keep their defaults.
 ///
 /// A node or a source produces identical results in a second run, stops on cancellation, and
 /// accepts every display or refuses it with a reason. An importer fails without a panic on invalid
@@ -89,8 +90,8 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
 }
 
 /// Checks that two builds of one plugin have equal descriptions and produce equal bytes. All
-/// samples are compared with default parameters and with all switches on. One sample is also
-/// compared at the ends of every parameter's range. Returns the number of compared files, stacks,
+/// samples are compared with default parameters and with all switches on. For each end of a
+/// parameter's range, one sample is compared again. Returns the number of compared files, stacks,
 /// light fields or documents.
 ///
 /// # Errors

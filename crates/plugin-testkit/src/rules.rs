@@ -45,7 +45,8 @@ pub(crate) fn varied<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Ite
     plugin.info().schema.params.iter().filter(|param| !at_default.contains(&param.name.as_str()))
 }
 
-/// Returns both ends of a parameter's range, or all its options, without the default value.
+/// Returns both ends of a parameter's range, or all its options, without the default value. For a
+/// text this is the empty text, for a file the name of a missing file.
 pub(crate) fn allowed(param: &Param) -> Vec<(String, Value)> {
     let values = match &param.kind {
         Kind::Bool { .. } => vec![json!(false), json!(true)],

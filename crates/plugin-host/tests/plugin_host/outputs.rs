@@ -202,8 +202,8 @@ fn a_panic_in_a_thread_of_the_plugin_is_its_own() {
 #[test]
 fn a_loaded_plugin_writes_the_same_as_the_compiled_one() {
     let [compiled, loaded] = [Bench::new(), Bench::loaded()].map(|bench| bench.registry.get("faulty").unwrap().clone());
-    // With default parameters, each of three samples has three files. One sample is also compared
-    // at both ends of the range of the parameter `files`, 0 and 9. So 18 files are compared.
+    // With default parameters, each of three samples has three files. For each end of the range of
+    // the parameter `files`, 0 and 9, one sample is compared again. So 18 files are compared.
     assert_eq!(same_outputs(&compiled, &loaded, &[]).unwrap(), 18);
 }
 
