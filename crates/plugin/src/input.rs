@@ -91,7 +91,7 @@ impl<'a> Input<'a> {
 impl PluginError {
     /// Makes the error for data of a port that the plugin does not accept.
     pub fn unexpected(data: &Input<'_>) -> Self {
-        Self::Refused(format!("expected data of another port, found {}", data.port()))
+        Self::Refused(format!("expected data that the plugin accepts, found {}", data.port()))
     }
 }
 

@@ -112,7 +112,7 @@ impl Vtable {
 /// `error` is null or a valid sink.
 unsafe fn missing(error: *const ErrorSink) -> Status {
     // SAFETY: guaranteed by the caller.
-    unsafe { answer(error, || Err(PluginError::Refused("the plugin does not have this function".into()))) }
+    unsafe { answer(error, || Err(PluginError::Refused("the plugin does not have the called function".into()))) }
 }
 
 // SAFETY: each call is forwarded to the plugin's function with the caller's arguments, and nothing

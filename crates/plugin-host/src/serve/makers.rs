@@ -87,7 +87,7 @@ pub fn make_field<S: Services>(
         functions.make_field(&host, Str::new(params_json), Str::new(&display_json), &time, &sink, error)
     })?;
     let Field { made } = builder.into_inner();
-    let (field, given) = made.ok_or_else(|| PluginError::Failed("the plugin gave no light field".into()))?;
+    let (field, given) = made.ok_or_else(|| PluginError::Failed("the plugin made no light field".into()))?;
     let views = field.geometry().grid.views();
     all_given(&given, |i| format!("view {}, {}", i / views[1], i % views[1]))?;
     Ok(field)
@@ -152,7 +152,7 @@ pub fn make_stack<S: Services>(
     })?;
     made.stack
         .check(display)
-        .map_err(|error| PluginError::Failed(format!("the plugin gave a wrong stack: {error}")))?;
+        .map_err(|error| PluginError::Failed(format!("the plugin made a wrong stack: {error}")))?;
     Ok(made)
 }
 
@@ -232,7 +232,7 @@ unsafe extern "C" fn field_view(
         // SAFETY: as above.
         let mut field = unsafe { Builder::<Field>::of(context) };
         let Some((field, given)) = &mut field.made else {
-            return Err(PluginError::Refused("a view came before the geometry".into()));
+            return Err(PluginError::Refused("expected the geometry before the first view, found a view".into()));
         };
         let what = || format!("view {view_y}, {view_x}");
         let [views_y, views_x, rows, cols, channels] = field.radiance().shape();
