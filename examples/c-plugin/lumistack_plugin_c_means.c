@@ -34,7 +34,7 @@ static LumistackStatus open_(const LumistackHostServices *host, LumistackStr par
     if (host->size < sizeof *host) return fail(error, LUMISTACK_STATUS_REFUSED, "the program is older than the plugin");
     if (params.len != 2 || memcmp(params.ptr, "{}", 2) != 0) {
         char reason[512];
-        snprintf(reason, sizeof reason, "there are no parameters, found %.*s",
+        snprintf(reason, sizeof reason, "expected no parameters, found %.*s",
                  (int)(params.len < 400 ? params.len : 400), (const char *)params.ptr);
         return fail(error, LUMISTACK_STATUS_REFUSED, reason);
     }
@@ -62,11 +62,11 @@ static double mean_of(const LumistackPlane *plane) {
     return sum / ((double)plane->shape[0] * (double)plane->shape[1] * (double)plane->shape[2]);
 }
 
-/* Writes the means of one layer stack. Several threads may call this function at once, so it keeps no state. */
+/* Writes the means of one layer stack. Several threads may call this function at once, so the plugin keeps no state. */
 static LumistackStatus submit(void *instance, const LumistackTime *time, const LumistackData *data,
                               const LumistackErrorSink *error) {
     const LumistackHostServices *host = ((CMeans *)instance)->host;
-    if (data->port != LUMISTACK_PORT_LAYER_STACK) return fail(error, LUMISTACK_STATUS_REFUSED, "not a layer stack");
+    if (data->port != LUMISTACK_PORT_LAYER_STACK) return fail(error, LUMISTACK_STATUS_REFUSED, "expected a layer stack, found other data");
     char name[64];
     int length = snprintf(name, sizeof name, "means_%04llu.txt", (unsigned long long)time->index);
     LumistackStr path = {(const uint8_t *)name, (size_t)length};

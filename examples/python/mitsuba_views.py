@@ -4,8 +4,8 @@
     python examples/python/mitsuba_views.py out
 
 The display is a window at z = 0 of Mitsuba's Cornell box. A pinhole camera at the distance D in front
-of the window renders the view of slope s. It is at D·s beside the window's middle and looks straight
-ahead. Its principal point is shifted so that the film covers exactly the window.
+of the window renders the view of slope s. The camera is at D·s beside the window's middle and looks
+straight ahead. Its principal point is shifted so that the film covers exactly the window.
 """
 
 from __future__ import annotations

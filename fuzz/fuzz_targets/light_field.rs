@@ -1,7 +1,7 @@
-//! Reads folders of light fields. The first byte selects the kind of folder. In a folder of
-//! Lumistack's own kind the input is `lightfield.json`, and all views are the same picture. In a
-//! folder of HCI's kind the input is `parameters.cfg`. The third kind has pictures with numbers in
-//! their names.
+//! Reads folders of light fields. The first byte selects the kind of folder; a text, a separator
+//! and a picture follow. All views are this picture. In a folder of Lumistack's own kind the text
+//! is `lightfield.json`, in a folder of HCI's kind `parameters.cfg`. In the third kind of folder
+//! the text lists the names of the pictures.
 
 #![no_main]
 

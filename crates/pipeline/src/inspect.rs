@@ -120,7 +120,7 @@ mod tests {
             (Param::choice("a", "x", [("x", "X."), ("y", "Y.")], "A."), "one of x, y; default x"),
             (Param::text("a", "", "A."), "a text; default none"),
             (Param::text("a", "b c", "A."), "a text; default b c"),
-            (Param::file("a", "A."), "a file's path, or its text, which begins with {; default none"),
+            (Param::file("a", "A."), "the path of a file, or a file's text, which begins with {; default none"),
         ] {
             assert_eq!(values_of(&param), expected);
         }

@@ -1,4 +1,4 @@
-//! The data that an output or node receives: planes of numbers, fetched one at a time.
+//! The data that an output or node receives: planes of numbers, fetched one by one.
 
 use core::ffi::c_void;
 
@@ -63,7 +63,8 @@ impl Plane {
 pub struct Time {
     /// Size of this struct in bytes.
     pub size: usize,
-    /// Number of the time step in this output, from 0. A still has only 0.
+    /// Number of the time step. For outputs and nodes the first number is 0, also of a still. For a
+    /// source the job sets the first number.
     pub index: u64,
     /// Time in the scene, seconds.
     pub seconds: f64,
@@ -105,7 +106,8 @@ pub struct Data {
     ///   patterns have the display's shape; `layer_plane` and `emission_plane` lend them.
     /// * A depth: `{"rows", "cols", "z_mm": [...]}`, row by row, in millimetres towards the viewer,
     ///   null for a miss. It belongs to the view [view rows / 2, view columns / 2], and may be
-    ///   coarser than the views. The key is left out if the depth is unknown.
+    ///   coarser than the views. If the depth is unknown, the keys `depth` and `target_depth` are
+    ///   left out.
     /// * A geometry: `{"rows", "cols", "pitch_mm", "projection": "oblique" | "perspective",
     ///   "distance_mm", "slope_x": [...], "slope_y": [...]}`.
     pub description_json: Str,

@@ -30,8 +30,8 @@ pub mod port {
 
 /// The function that a plugin exports as [`ENTRY_PREFIX`](crate::ENTRY_PREFIX) + id.
 ///
-/// Its result is valid as long as the process lives, since libraries are never unloaded. It is null
-/// when the plugin cannot describe itself.
+/// The result is valid as long as the process lives, since libraries are never unloaded. The result
+/// is null if the plugin cannot describe itself.
 pub type Entry = unsafe extern "C" fn() -> *const Descriptor;
 
 /// Description of a plugin. All texts live as long as the process.
@@ -47,7 +47,8 @@ pub struct Descriptor {
     /// One of [`kind`]; it selects the type of `vtable`.
     pub kind: u32,
     /// Accepted input ports, bits of [`port`]: [`FILE`](port::FILE) for importers, none for
-    /// sources, [`LIGHT_FIELD`](port::LIGHT_FIELD) for nodes.
+    /// sources, [`LIGHT_FIELD`](port::LIGHT_FIELD) for nodes. An output accepts
+    /// [`LIGHT_FIELD`](port::LIGHT_FIELD), [`LAYER_STACK`](port::LAYER_STACK) or both.
     pub ports: u32,
     /// Name in job files and on the command line: lower-case letters, digits and underscores; the
     /// first is a letter.
@@ -80,8 +81,8 @@ pub struct OutputVtable {
     /// Starts an output. `params_json` is an object with any of the schema's parameters.
     /// `display_json` is the display file as JSON. `host` is valid until `close` returns.
     ///
-    /// On success `*instance` is a handle for the other functions. Otherwise it stays unchanged,
-    /// and `close` is not called.
+    /// On success `*instance` is a handle for the other functions. After a failure `*instance` is
+    /// unchanged, and `close` is not called.
     pub open: Option<
         unsafe extern "C" fn(
             host: *const HostServices,
@@ -91,8 +92,8 @@ pub struct OutputVtable {
             error: *const ErrorSink,
         ) -> Status,
     >,
-    /// Takes one time step of the sequence. Any thread may call it; several threads may call it in
-    /// parallel.
+    /// Takes one time step of the sequence. Any thread may call this function; several threads may
+    /// call it in parallel.
     pub submit: Option<
         unsafe extern "C" fn(
             instance: *mut c_void,
@@ -110,8 +111,8 @@ pub struct OutputVtable {
     /// Frees the handle. Called exactly once, as the last function, in any state. Without an
     /// earlier `finish` the output is discarded.
     pub close: Option<unsafe extern "C" fn(instance: *mut c_void)>,
-    /// For presenters with commands, else null. Executes a command while `run` runs; any thread may
-    /// call it. The plugin defines the form of `command_json`.
+    /// For presenters with commands, else null. Executes a command while `run` runs. Any thread may
+    /// call this function. The plugin defines the form of `command_json`.
     pub command:
         Option<unsafe extern "C" fn(instance: *mut c_void, command_json: Str, error: *const ErrorSink) -> Status>,
 }

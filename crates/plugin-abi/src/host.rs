@@ -16,10 +16,11 @@ pub mod level {
     pub const DEBUG: u32 = 4;
 }
 
-/// Functions of the host. Any thread may call them, from `open` until `close` returns.
+/// Functions of the host, which any thread may call. An output may call them from `open` until
+/// `close` returns; other plugins may call them until `import` or `make` returns.
 ///
-/// They are passed as a table because every library has its own statics (loggers, allocators,
-/// thread pools), and cannot reach the host's.
+/// The functions are passed as a table because every library has its own statics (loggers,
+/// allocators, thread pools), and cannot reach those of the host.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct HostServices {
@@ -35,8 +36,8 @@ pub struct HostServices {
     pub progress_advance: unsafe extern "C" fn(context: *const c_void, steps: u64, note: Str),
     /// Ends the stage.
     pub progress_end: unsafe extern "C" fn(context: *const c_void),
-    /// Returns nonzero once the user cancelled. Long work checks it often, and then returns
-    /// [`Status::CANCELLED`].
+    /// Returns nonzero once the user cancelled. Long work calls this function often. After a
+    /// nonzero result it returns [`Status::CANCELLED`].
     pub is_cancelled: unsafe extern "C" fn(context: *const c_void) -> u8,
     /// Starts a file, with `*file` as its handle. `path` is relative to the output's folder, with
     /// `/` between names and no `..`.
@@ -66,6 +67,6 @@ pub struct HostServices {
     /// the form of the JSON.
     pub tell: unsafe extern "C" fn(context: *const c_void, event_json: Str),
     /// Port whose data the output will receive, a bit of [`port`](crate::port); 0 if the host does
-    /// not know it.
+    /// not know the port.
     pub port: u32,
 }

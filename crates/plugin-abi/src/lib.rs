@@ -7,7 +7,7 @@
 //! ```text
 //! host                                   plugin
 //!  │  open(HostServices, params, display) ─▶ │   JSON in, a handle out
-//!  │  submit(Time, Data) ──────────────────▶ │   any thread; fetches one lent Plane at a time
+//!  │  submit(Time, Data) ──────────────────▶ │   any thread; fetches lent Planes one by one
 //!  │ ◀── file_open / append / commit ─────── │   files are written only through the host
 //!  │  run() ───────────────────────────────▶ │   presenters only, on the main thread
 //!  │  finish() ────────────────────────────▶ │   no more data

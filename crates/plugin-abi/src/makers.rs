@@ -7,7 +7,7 @@ use core::ffi::c_void;
 
 use crate::{Bytes, Data, ErrorSink, HostServices, Plane, Status, Str, Time};
 
-/// Receives bytes, in order.
+/// Receives a sequence of bytes, piece by piece.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct ByteSink {
@@ -46,7 +46,8 @@ pub struct Assets {
 pub struct ImporterVtable {
     /// Size of this struct in bytes.
     pub size: usize,
-    /// Extensions of the files that it reads: lower case, without the dot, separated by spaces.
+    /// Extensions of the files that the importer reads: lower case, without the dot, separated by
+    /// spaces.
     pub extensions: Str,
     /// Reads the file `file`, a name for `assets`, and writes a whole `.glb` or `.gltf` to `scene`.
     /// The document may refer to files in the imported file's folder. `host` offers messages,
@@ -77,8 +78,8 @@ pub struct FieldSink {
     pub size: usize,
     /// Passed to every function.
     pub context: *mut c_void,
-    /// Sets the light field's geometry, in the form that [`Data::description_json`] gives a
-    /// geometry. Called once, before the first view.
+    /// Sets the light field's geometry, in the form of a geometry in [`Data::description_json`].
+    /// Called once, before the first view.
     pub geometry: unsafe extern "C" fn(context: *mut c_void, geometry_json: Str, error: *const ErrorSink) -> Status,
     /// Copies the linear radiance `[row][col][rgb]` of one view, finite and at least 0. Called
     /// exactly once for every view, in any order.
@@ -111,8 +112,8 @@ pub struct SourceVtable {
     >,
 }
 
-/// Receives a layer stack for the node's display. Only one thread at a time may call these
-/// functions.
+/// Receives a layer stack for the node's display. Two threads must never call these functions at
+/// the same time.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct StackSink {
@@ -158,8 +159,8 @@ pub struct StackSink {
     ///
     /// * `coarse_levels`: number of coarser resolutions, each half the next finer one, that were
     ///   solved first.
-    /// * `kkt_residual`: one more exact update of a value of the patterns would change the
-    ///   emission. The residual is the root mean square of these changes over all values.
+    /// * `kkt_residual`: if one value of the patterns had one more exact update, the emission would
+    ///   change. The residual is the root mean square of this change over all values.
     /// * `levels`: PSNR in dB of [continuous, rounded, re-optimized] patterns for panels of few
     ///   bits, or null.
     pub solution: unsafe extern "C" fn(context: *mut c_void, solution_json: Str, error: *const ErrorSink) -> Status,

@@ -52,7 +52,7 @@ fn generated() -> String {
             export.rename.insert((*name).into(), full.join("_"));
         }
     }
-    // cbindgen finds types through other types; no other type contains these, so they are named
+    // cbindgen writes a type only if another item uses it, or if it is named here
     let items = ["Descriptor", "OutputVtable", "ImporterVtable", "SourceVtable", "NodeVtable"];
     export.include = items.map(String::from).to_vec();
     export.exclude = vec!["ENTRY_PREFIX".into()];
@@ -76,7 +76,7 @@ fn generated() -> String {
     let mut bytes = Vec::new();
     builder.generate().expect("the types have a form in C").write(&mut bytes);
     let text = String::from_utf8(bytes).unwrap();
-    // constants of a transparent struct would be struct literals, which C cannot compare
+    // cbindgen does not rename the constants of a struct
     without_links(&text.replace("LumistackStatus_", "LUMISTACK_STATUS_"))
 }
 

@@ -31,8 +31,8 @@ struct Files {
 
 struct OpenFile {
     name: String,
-    /// Path of the file until it is committed, in the folder of the committed files. Its name
-    /// starts with a dot, which plugins may not use.
+    /// Temporary path in the staging folder, until the file is committed. The temporary name starts
+    /// with a dot; the names of plugins' files must not.
     path: PathBuf,
     writer: BufWriter<File>,
 }
@@ -61,7 +61,7 @@ impl<'a> DiskHost<'a> {
 }
 
 fn not_open(file: u64) -> PluginError {
-    PluginError::Refused(format!("file {file} is not open"))
+    PluginError::Refused(format!("expected the handle of an open file, found {file}"))
 }
 
 fn cannot(doing: &str, name: &str) -> impl FnOnce(io::Error) -> PluginError {
@@ -83,7 +83,9 @@ impl Services for DiskHost<'_> {
         path_parts(path)?;
         let mut files = self.files();
         if !files.taken.insert(path.to_lowercase()) {
-            return Err(PluginError::Refused(format!("file `{path}` was already written")));
+            return Err(PluginError::Refused(format!(
+                "file `{path}` was already written (names that differ only in case are one file)"
+            )));
         }
         let file = files.opened;
         files.opened += 1;

@@ -82,8 +82,8 @@ fn user_data() -> Option<PathBuf> {
 }
 
 impl Registry {
-    /// Adds all plugins in these paths. [`Registry::failed`] lists every file that is no plugin
-    /// library.
+    /// Adds all plugins in these paths. [`Registry::failed`] lists the errors, for example of a
+    /// file that is no plugin library.
     ///
     /// This function runs no library code: the first use of a plugin loads its library, in a child
     /// process.
@@ -150,12 +150,12 @@ fn libraries(place: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Returns the name of the library's file of a plugin.
+/// Returns the file name of the plugin library `name`.
 fn file_name(name: &str) -> String {
     format!("{DLL_PREFIX}{STEM}{name}{DLL_SUFFIX}")
 }
 
-/// Returns the plugin's name from the name of its library's file `lumistack_plugin_<name>`.
+/// Returns `<name>` from the file name `lumistack_plugin_<name>` of a library.
 fn name_of(path: &Path) -> Result<String, LoadError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let own = name
@@ -197,8 +197,8 @@ fn loader_message(error: &libloading::Error) -> String {
 }
 
 /// Returns the ids of the plugins that a file exports. Fails if the file is no shared library for
-/// this machine. System loaders report "no such file" for some of these files, so this function
-/// checks the kind first.
+/// this machine. For some files of other kinds, system loaders report "no such file". Therefore
+/// this function checks the kind itself.
 fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     let read = |source| LoadError::Read { path: path.into(), source };
     let other = |found: String| LoadError::NotALibrary { path: path.into(), found };
@@ -220,6 +220,7 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
         Ok(library) => library,
         Err(error) => return Err(other(format!("a damaged library: {error}"))),
     };
+    // The file must be a shared library for this system and this processor.
     let (format, machine) = (library.format(), library.architecture());
     if format != FORMAT || native().is_some_and(|native| native != machine) {
         let found = format!("{machine:?} ({format:?})").to_lowercase();
@@ -230,6 +231,7 @@ fn ids_of(path: &Path, name: String) -> Result<Vec<String>, LoadError> {
     if kind != ObjectKind::Dynamic {
         return Err(other(format!("an object file that is not a shared library ({kind:?})").to_lowercase()));
     }
+    // The names of the exported entry functions end with the ids.
     let exports = library.exports().map_err(|error| other(format!("a damaged library: {error}")))?;
     let names = exports.iter().filter_map(|export| std::str::from_utf8(export.name()).ok());
     // Mach-O prefixes C symbols with an underscore

@@ -105,11 +105,11 @@ pub enum HostError {
     },
 }
 
-/// A library whose plugin cannot be used. The program continues without it.
+/// A library, a search path or a limit that cannot be used. The program continues without it.
 #[derive(Debug, Error)]
 pub enum LoadError {
     /// There is no such file or folder, or it cannot be read.
-    #[error("{}: expected a plugin or a folder of plugins, found: {source}", path.display())]
+    #[error("{}: expected a plugin or a folder of plugins that can be read: {source}", path.display())]
     Read {
         /// The file or folder.
         path: PathBuf,
@@ -207,7 +207,7 @@ pub enum LoadError {
         found: String,
     },
     /// The id is in use; the first plugin is kept.
-    #[error("{}: another plugin has the id `{id}` already: {first}", path.display())]
+    #[error("{}: expected an id that no other plugin has, found `{id}`, the id of another plugin ({first})", path.display())]
     Duplicate {
         /// The path of the file.
         path: PathBuf,

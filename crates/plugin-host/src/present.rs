@@ -48,8 +48,8 @@ pub struct PresentContext<'a> {
 /// Interval between the checks for the end of the presentation.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Runs the presenter `id` until it is closed. Call it on the main thread, which windows require. A
-/// presenter writes no files.
+/// Runs the presenter `id` until the user closes or cancels the presentation. Callers call this
+/// function on the main thread, which windows require. A presenter writes no files.
 ///
 /// # Errors
 /// If no presenter has this id, or the presenter refuses parameters, display or layer stacks, or

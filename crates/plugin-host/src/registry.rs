@@ -87,8 +87,8 @@ impl Registry {
     /// library, the first call loads the library in a child process.
     ///
     /// # Errors
-    /// If no plugin has this id (the message names the most similar id), or if its library cannot
-    /// be used.
+    /// If no plugin has this id, or if its library cannot be used. For an unknown id, the message
+    /// states the most similar id. If no id is similar, it lists all ids.
     pub fn get(&self, id: &str) -> Result<&Plugin, HostError> {
         if let Some(plugin) = self.plugins.iter().find(|plugin| same_id(&plugin.info().id, id)) {
             return Ok(plugin);
@@ -164,16 +164,17 @@ impl Registry {
     }
 
     /// Returns the errors of libraries and folders whose plugins cannot be used. The program
-    /// continues without these plugins. A library is listed only after an attempt to load it.
+    /// continues without these plugins. Some errors appear only after the attempt to load a
+    /// library.
     pub fn failed(&self) -> Vec<&LoadError> {
         let loaded = self.libraries.iter().filter_map(|library| library.loaded.get()?.as_ref().err());
         self.failed.iter().chain(loaded).collect()
     }
 
-    /// Checks parameters before the work for an output begins, and fills in defaults.
+    /// Checks parameters against the schema of the plugin `id`, and fills in defaults.
     ///
     /// # Errors
-    /// If there is no such plugin, or it refuses the parameters.
+    /// If there is no such plugin, or its schema refuses the parameters.
     pub fn check_params(&self, id: &str, params: &Value) -> Result<Map<String, Value>, HostError> {
         let info = self.get(id)?.info();
         let resolved = info.schema.resolve(params);

@@ -32,7 +32,8 @@ pub struct OutputContext<'a> {
 ///
 /// Files are staged next to `out_dir` and moved into it after the plugin has finished. Existing
 /// files of equal names are replaced. Files of an earlier output in this folder that the new output
-/// does not write are removed. Other files stay. Only one output at a time may write into a folder.
+/// does not write are removed. Other files stay. Two outputs must not write into one folder at the
+/// same time.
 ///
 /// # Errors
 /// See [`HostError`]. After an error `out_dir` is unchanged.

@@ -1,5 +1,5 @@
-//! Tests the memory of outputs: for a 4K stack of three layers, twelve frames need no more memory
-//! than four.
+//! Tests the memory of outputs: for a 4K stack of three layers, twelve frames need hardly more
+//! memory than four.
 //!
 //! Each output and number of frames is measured in its own process, by two numbers. `alive` is the
 //! peak of the bytes that the output allocates, counted by the allocator; it is exact and
@@ -30,8 +30,8 @@ const MIB: f64 = (1 << 20) as f64;
 /// need this memory.
 const LISTS_MIB: f64 = 0.25;
 
-/// Returns the outputs that are measured: name, plugin and parameters. Every kind of output that
-/// writes frames is measured alone. `images` is measured with all its kinds together.
+/// Returns the outputs that are measured: name, plugin and parameters. The plugin `images` writes
+/// several kinds of files, which are measured alone and all together.
 fn outputs() -> [(&'static str, &'static str, Value); 7] {
     let images = |wanted: &[&str]| {
         let chosen = |name: &str| wanted.contains(&name);

@@ -36,10 +36,11 @@ pub fn conformance_but_for(export: &'static LazyLock<Export>, at_default: &[&str
 /// plugin's C functions.
 ///
 /// An output describes itself, declares all its parameters with units and ranges, and refuses other
-/// parameters. It accepts data of all its ports, and produces identical files in a second run and
-/// from any thread. It stops on cancellation, reports a full disk, leaves no file open, and writes
-/// through the host only. Most rules are checked with default parameters, and again with all
-/// switches on. Parameters in `at_default` keep their defaults.
+/// parameters. It accepts at least one sample of its ports, and gives a reason if it refuses
+/// another. It produces identical files in a second run and from any thread. It stops on
+/// cancellation, reports a full disk, leaves no file open, and writes through the host only. Most
+/// rules are checked with default parameters, and again with all switches on. Parameters in
+/// `at_default` keep their defaults.
 ///
 /// A node or a source produces identical results in a second run, stops on cancellation, and
 /// accepts every display or refuses it with a reason. An importer fails without a panic on invalid
@@ -89,8 +90,8 @@ fn output_conformance(plugin: &Plugin, at_default: &[&str]) -> Result<(), Broken
 }
 
 /// Checks that two builds of one plugin have equal descriptions and produce equal bytes. All
-/// samples are compared with default parameters and with all switches on. One sample is also
-/// compared at the ends of every parameter's range. Returns the number of compared files, stacks,
+/// samples are compared with default parameters and with all switches on. For each end of a
+/// parameter's range, one sample is compared again. Returns the number of compared files, stacks,
 /// light fields or documents.
 ///
 /// # Errors
@@ -137,7 +138,7 @@ fn described(plugin: &Plugin) -> Result<(), Broken> {
     let numbers = version.len() == 3 && version[..2].iter().all(|part| part.parse::<u64>().is_ok());
     require("version is major.minor.patch", numbers, || info.version.clone())?;
     require("describes itself in sentences", info.doc.trim().ends_with('.'), || {
-        format!("doc {:?}, expected sentences", info.doc)
+        format!("expected a doc that ends with a full stop, found {:?}", info.doc)
     })?;
     for param in &info.schema.params {
         let named = param.unit.as_ref().is_some_and(|unit| !unit.trim().is_empty());
@@ -153,9 +154,8 @@ fn described(plugin: &Plugin) -> Result<(), Broken> {
     Ok(())
 }
 
-/// Returns parameters with as many switches on as the plugin accepts together, and with choices at
-/// their last option. Each parameter in turn is changed, and the change is kept if the plugin
-/// accepts it.
+/// Returns parameters with switches on and choices at their last option. The parameters are changed
+/// one after another; a change is kept if the plugin accepts it together with the earlier changes.
 fn everything(plugin: &Plugin, sample: &Sample, at_default: &[&str]) -> Option<Value> {
     let mut on = Map::new();
     for param in varied(plugin, at_default) {
@@ -183,12 +183,14 @@ fn defaults_work(plugin: &Plugin, sample: &Sample) -> Result<(), Broken> {
 }
 
 fn same_again_from_any_thread(plugin: &Plugin, sample: &Sample, params: &Value) -> Result<(), Broken> {
+    // Write a still twice.
     let [once, again] = [MemoryHost::new(), MemoryHost::new()];
     rule("works twice", write(plugin, &once, params, sample))?;
     rule("works twice", write(plugin, &again, params, sample))?;
     let [stills, others] = [once.files(), again.files()];
     require("writes the same bytes again", stills == others, || difference(&others, &stills))?;
 
+    // Write two time steps one after another, and from two threads at once.
     let sequence = |threads: bool| {
         let host = MemoryHost::new();
         let output = Output::open(plugin, &host, params, &sample.display)?;
@@ -305,7 +307,7 @@ fn difference(found: &Files, expected: &Files) -> String {
     let names = |files: &Files| files.keys().cloned().collect::<BTreeSet<_>>();
     let unequal: Vec<_> =
         expected.iter().filter(|(name, bytes)| found.get(*name) != Some(bytes)).map(|e| e.0).collect();
-    format!("files {:?}, expected {:?}; missing or different: {unequal:?}", names(found), names(expected))
+    format!("found the files {:?}, expected {:?}; missing or different: {unequal:?}", names(found), names(expected))
 }
 
 fn listing() -> BTreeSet<String> {

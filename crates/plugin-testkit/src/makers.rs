@@ -16,7 +16,7 @@ use crate::rules::{Broken, bad_parameters_are_refused, closed, defaults_and_ends
 
 type Made<T> = Result<T, PluginError>;
 
-/// Returns displays of all kinds that a node may support.
+/// Returns displays of several kinds. A node must support at least one of them.
 fn displays() -> Vec<Display> {
     let of = |layers: &[f64], frames: usize| Display::uniform([8, 6], 1.0, [3, 2], [20.0, 14.0], layers, frames);
     let mut directional = of(&[0.0], 1);
@@ -180,6 +180,7 @@ pub fn import_conformance(plugin: &Plugin, file: &str, files: &[(&str, &[u8])]) 
     let read = |path: &str| {
         files.get(path).map(|bytes| bytes.to_vec()).ok_or_else(|| PluginError::Failed(format!("{path}: no such file")))
     };
+    // The importer must make the same document twice, for all parameters.
     for params in defaults_and_ends(plugin, &[]) {
         let params = rule("works with every parameter in its range", resolved(plugin, &params))?;
         let made = rule("reads the sample", import(plugin, &MemoryHost::new(), &params, file, &read))?;
@@ -195,6 +196,7 @@ pub fn import_conformance(plugin: &Plugin, file: &str, files: &[(&str, &[u8])]) 
     require("returns `cancelled` if cancelled before it begins", result == Err(PluginError::Cancelled), || {
         format!("{:?}", result.as_ref().err())
     })?;
+    // Truncated files must not cause a panic.
     let whole = rule("reads the sample", read(file))?;
     for length in (0..whole.len()).step_by((whole.len() / 64).max(1)) {
         let short = |path: &str| if path == file { Ok(whole[..length].to_vec()) } else { read(path) };

@@ -89,7 +89,7 @@ impl MemoryHost {
 }
 
 fn not_open(file: u64) -> PluginError {
-    PluginError::Refused(format!("file {file} is not open"))
+    PluginError::Refused(format!("expected the handle of an open file, found {file}"))
 }
 
 impl Progress for MemoryHost {

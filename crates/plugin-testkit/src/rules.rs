@@ -17,8 +17,8 @@ pub struct Broken {
     pub found: String,
 }
 
-/// Iterates over the default parameters, and then over both ends of every parameter's range. Only
-/// one parameter at a time differs from its default.
+/// Iterates over sets of parameters: first the defaults, then sets in which one parameter is at an
+/// end of its range and all others have their defaults.
 pub(crate) fn defaults_and_ends<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Iterator<Item = Value> + 'a {
     let ends = varied(plugin, at_default).flat_map(allowed);
     std::iter::once(json!({})).chain(ends.map(|(name, value)| Value::Object(Map::from_iter([(name, value)]))))
@@ -45,7 +45,8 @@ pub(crate) fn varied<'a>(plugin: &'a Plugin, at_default: &'a [&str]) -> impl Ite
     plugin.info().schema.params.iter().filter(|param| !at_default.contains(&param.name.as_str()))
 }
 
-/// Returns both ends of a parameter's range, or all its options, without the default value.
+/// Returns both ends of a parameter's range, or all its options, without the default value. For a
+/// text this is the empty text, for a file the name of a missing file.
 pub(crate) fn allowed(param: &Param) -> Vec<(String, Value)> {
     let values = match &param.kind {
         Kind::Bool { .. } => vec![json!(false), json!(true)],

@@ -79,8 +79,8 @@ impl Export {
     }
 }
 
-/// The entry function of a plugin. Returns the descriptor, or null if the construction of the
-/// descriptor panics.
+/// Returns a plugin's descriptor, as the result of its entry function. Returns null if the
+/// construction of the descriptor panics.
 pub fn entry_of(plugin: &'static LazyLock<Export>) -> *const Descriptor {
     catch_unwind(|| &raw const *plugin.descriptor()).unwrap_or(std::ptr::null())
 }

@@ -14,12 +14,13 @@ use crate::wire::{call, needs};
 use crate::{PlaneView, PluginError, Port, ViewPoint};
 
 /// The host's services. A clone uses the same services. An output's services end when the output is
-/// closed; the services of another plugin end when its function returns. After that, files cannot
-/// be written, messages and progress are lost, and [`Host::is_cancelled`] returns true.
+/// closed; the services of an importer, source or node end when its function returns. After the
+/// end, files cannot be written, messages and progress are lost, and [`Host::is_cancelled`] returns
+/// true.
 #[derive(Clone)]
 pub struct Host(Arc<RwLock<Option<Table>>>);
 
-/// A pointer to the host's table, valid until the output is closed.
+/// A pointer to the host's table, valid until the services end.
 #[derive(Clone, Copy)]
 struct Table(*const HostServices);
 
@@ -99,7 +100,7 @@ impl Host {
         Port::ALL.into_iter().find(|port| port.bit() == bit)
     }
 
-    /// Returns true after the user cancelled, or after the output was closed.
+    /// Returns true after the user cancelled, or after the services have ended.
     pub fn is_cancelled(&self) -> bool {
         // SAFETY: the context belongs to the table.
         self.with(|table| unsafe { (table.is_cancelled)(table.context) != 0 }).unwrap_or(true)
@@ -108,7 +109,7 @@ impl Host {
     /// Checks for cancellation. Loops call this function with `?`.
     ///
     /// # Errors
-    /// If the user cancelled.
+    /// If the user cancelled, or the services have ended.
     pub fn check_cancelled(&self) -> Result<(), Cancelled> {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
@@ -131,8 +132,8 @@ impl Host {
                     ask();
                 }
             });
-            // `_done` ends the checking thread when it is dropped, also after a panic. Otherwise
-            // the scope would wait for that thread for ever.
+            // The drop of `_done` ends the checking thread, also after a panic. Otherwise the scope
+            // would wait for this thread for ever.
             let _done = Done { done: &done, checker: checker.thread().clone() };
             work(Task { progress: &forward, warnings: &forward, cancel: &cancel })
         })
@@ -239,7 +240,8 @@ pub(crate) struct CloseHost(Option<Host>);
 
 impl CloseHost {
     /// # Safety
-    /// `host` is a table of services, valid until this is dropped or the kept host is closed.
+    /// `host` is a table of services. The table is valid until the returned value is dropped, or,
+    /// after [`keep`](Self::keep), until the kept host is closed.
     pub(crate) unsafe fn checked(host: *const HostServices) -> Result<Self, PluginError> {
         // SAFETY: guaranteed by the caller; the size comes first in every version.
         needs(unsafe { (*host).size }, size_of::<HostServices>())?;

@@ -1,4 +1,4 @@
-//! The data of a `submit`, as a plugin reads them.
+//! The data that a host lends: to an output in `submit`, and to a node.
 
 use std::marker::PhantomData;
 
@@ -10,7 +10,7 @@ use crate::viewpoint::ViewPoint;
 use crate::wire::{Description, RayWeights, Start, call, lent_text};
 use crate::{Host, PlaneView, PluginError, Port};
 
-/// The data of one `submit`. Later versions may add ports.
+/// Data from the host, for one `submit` of an output or for a node. Later versions may add ports.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Input<'a> {
@@ -20,7 +20,7 @@ pub enum Input<'a> {
     LightField(FieldInput<'a>),
 }
 
-/// The data of one `submit`, borrowed from the host.
+/// A pointer to data that the host lends until `submit` or `make` returns.
 #[derive(Debug)]
 struct Lent<'a> {
     data: *const Data,
@@ -46,7 +46,8 @@ pub struct StackInput<'a> {
     depth: Option<SeenDepth>,
 }
 
-/// A light field: linear radiance of many views, 0..1 after exposure. Highlights may exceed 1.
+/// A light field: linear radiance of many views after exposure, at least 0. Only highlights exceed
+/// 1.
 #[derive(Debug)]
 pub struct FieldInput<'a> {
     lent: Lent<'a>,
@@ -90,7 +91,7 @@ impl<'a> Input<'a> {
 impl PluginError {
     /// Makes the error for data of a port that the plugin does not accept.
     pub fn unexpected(data: &Input<'_>) -> Self {
-        Self::Refused(format!("data of port {} are not accepted", data.port()))
+        Self::Refused(format!("expected data that the plugin accepts, found {}", data.port()))
     }
 }
 
@@ -110,7 +111,7 @@ impl StackInput<'_> {
         self.frames
     }
 
-    /// Brightness β: the display emits β times the target.
+    /// Returns the brightness β: the display emits β times the target.
     pub fn brightness(&self) -> f64 {
         self.brightness
     }
@@ -278,7 +279,7 @@ fn fill(to: &mut [f32], plane: &PlaneView<'_>, what: impl FnOnce() -> String) ->
     let values = plane.values();
     if values.len() != to.len() {
         let (expected, found) = (to.len(), values.len());
-        let text = format!("the host lent {} as a plane of {found} values, expected {expected}", what());
+        let text = format!("{}: expected a plane of {expected} values from the host, found {found}", what());
         return Err(PluginError::Failed(text));
     }
     to.copy_from_slice(&values);

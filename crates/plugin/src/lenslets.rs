@@ -51,7 +51,7 @@ pub struct Spot {
 }
 
 impl LensletPanel {
-    /// Makes the lenslet array of a display file, in front of a panel. If the file has no measured
+    /// Makes the panel behind the lenslet array of a display file. If the file has no measured
     /// focal length, the focal length is p / (2 tan(α/2)), with the lens pitch p and the bins'
     /// horizontal angle α. Then the horizontal bins fill the width of the panel behind one lens.
     pub fn new(backlight: &LensletBacklight, resolution: [usize; 2], pitch_mm: f64) -> Self {
@@ -70,8 +70,8 @@ impl LensletPanel {
         }
     }
 
-    /// Returns the lens and the bin of the panel's point (x, y), millimetres. Returns `None`
-    /// outside the array, and if the slope of the point's light is outside the bins.
+    /// Returns the lens and the bin of the panel's point (x, y), millimetres. Returns `None` if the
+    /// point is outside the array, or the slope of its light is outside the bins.
     pub fn spot(&self, [x_mm, y_mm]: [f64; 2]) -> Option<Spot> {
         let (sin, cos) = self.rotation_deg.to_radians().sin_cos();
         let [dx, dy] = [x_mm - self.offset_mm[0], y_mm - self.offset_mm[1]];
@@ -112,11 +112,14 @@ impl LensletPanel {
     /// the point is the pixel's centre.
     ///
     /// # Panics
-    /// If `planes` does not have the shape of the emission.
+    /// If `samples` is 0, or `planes` does not have the shape of the emission.
     pub fn picture(&self, planes: &[Vec<f32>], samples: usize) -> Vec<f32> {
         let [cols, rows] = self.resolution;
         let lens_cols = self.lenslets[0];
-        assert!(samples > 0 && planes.len() == self.bins[0] * self.bins[1], "one plane per bin");
+        assert!(
+            samples > 0 && planes.len() == self.bins[0] * self.bins[1],
+            "expected at least one sample, and one plane per bin"
+        );
         let mut picture = vec![0.0; 3 * rows * cols];
         let weight = 1.0 / (samples * samples) as f32;
         let point = |i: usize, count: usize, sample: usize| {

@@ -60,10 +60,11 @@
 //! [`NodePlugin`]. Each of these traits has one function that does the work. The plugin's file ends
 //! with `export_plugin!("id", Type as importer)` (`as source`, `as node`).
 //!
-//! A crate of plugins is a plain library. It has one module per plugin if it has several plugins. A
-//! host with the plugins compiled in lists the `PLUGIN` of each module. A host that loads the
-//! library finds the symbols `lumistack_plugin_entry_<id>` in `lumistack_plugin_<name>`. Both hosts
-//! call the same C functions, and a panic of the plugin becomes an error.
+//! A crate of plugins is an ordinary library crate. If it has several plugins, each has its own
+//! module. A host with the plugins compiled in lists the `PLUGIN` of each module. A host that loads
+//! the library's file `lumistack_plugin_<name>` finds the symbols `lumistack_plugin_entry_<id>` in
+//! the file. Both kinds of host call the same C functions, and a panic of the plugin becomes an
+//! error.
 //!
 //! The host's side is `lumistack-plugin-host`; tests of a plugin use it through
 //! `lumistack-plugin-testkit`. [`wire`] contains the code shared by both sides.

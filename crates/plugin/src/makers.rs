@@ -59,7 +59,7 @@ pub trait SourcePlugin: 'static {
     fn make(host: &Host, params: Self::Params, display: &Display, time: Time) -> Result<LightField, PluginError>;
 }
 
-/// A plugin that solves a display's layer stacks for light fields.
+/// A plugin that makes the layer stacks of a display from light fields.
 pub trait NodePlugin: 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
@@ -154,6 +154,7 @@ unsafe extern "C" fn make_field<P: SourcePlugin>(
         let (display, time, sink) =
             unsafe { (display_from_json(lent_text(display_json, "display")?)?, Time::from_abi(time)?, &*field) };
         needs(sink.size, size_of::<FieldSink>())?;
+        // Make the light field, then send its geometry and each of its views.
         let made = P::make(&host.get(), params, &display, time)?;
         let geometry = serde_json::to_string(&Geometry::from(made.geometry()))
             .map_err(|error| PluginError::failed("geometry", error))?;

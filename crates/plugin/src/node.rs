@@ -40,8 +40,8 @@ pub struct Solution {
     /// Number of coarser resolutions that were solved first. Each is half the next finer
     /// resolution.
     pub coarse_levels: u32,
-    /// KKT residual. One more exact update of a value of the factors would change the emission. The
-    /// residual is the root mean square of these changes over all values.
+    /// KKT residual. If one value of the factors had one more exact update, the emission would
+    /// change. The residual is the root mean square of this change over all values.
     pub kkt_residual: f64,
     /// For panels of few bits, the PSNR in dB with continuous masks, with rounded masks, and with
     /// masks that are optimized again after the rounding. `None` for panels of many bits.
@@ -91,21 +91,21 @@ impl NodeInput<'_> {
         self.field.start(&self.display)
     }
 
-    /// Reports the solver's state, for the convergence plot of the report. Call it in the order of
-    /// iterations, first for the start.
+    /// Reports the solver's state, for the convergence plot of the report. Nodes call this function
+    /// in the order of iterations, first for the start.
     ///
     /// # Errors
-    /// If the host refuses it.
+    /// If the host refuses the state.
     pub fn step(&self, step: Step) -> Result<(), PluginError> {
         let Step { iteration, objective, psnr_view } = step;
         // SAFETY: the context belongs to the sink, valid as long as the input.
         call(|error| unsafe { (self.sink.step)(self.sink.context, iteration, objective, psnr_view, error) })
     }
 
-    /// Reports the summary of the solution. Call it at most once.
+    /// Reports the summary of the solution. Nodes call this function at most once.
     ///
     /// # Errors
-    /// If the host refuses it.
+    /// If the host refuses the summary.
     pub fn solution(&self, solution: &Solution) -> Result<(), PluginError> {
         let json = serde_json::to_string(solution).map_err(|error| PluginError::failed("solution", error))?;
         // SAFETY: the context belongs to the sink, which is valid as long as the input; the text is

@@ -17,9 +17,9 @@ use crate::wire::{answer, display_from_json, lent_text, needs, panic_text};
 use crate::{Host, PluginError, Port, Schema};
 
 /// A plugin that writes or shows results. A host calls [`open`](Self::open), then
-/// [`submit`](Self::submit) for every time step, then [`run`](Self::run) for presenters, then
-/// [`finish`](Self::finish). If the host abandons the output, the output is dropped without
-/// `finish`.
+/// [`submit`](Self::submit) for every time step, and at the end [`finish`](Self::finish). For a
+/// presenter, the host calls [`run`](Self::run) before `finish`, and also calls `submit` while
+/// `run` runs. If the host abandons the output, the output is dropped without `finish`.
 pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// Description for users; listings show its first sentence.
     const DOC: &'static str;
@@ -52,9 +52,9 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// user cancelled.
     fn submit(&self, time: Time, data: &Input<'_>) -> Result<(), PluginError>;
 
-    /// Runs a presenter on the main thread until the user closes the presentation or cancels. While
-    /// it runs, every [`submit`](Self::submit) replaces the presented data. [`Host::tell`] sends
-    /// events to the program.
+    /// Runs a presenter on the main thread until the user closes the presentation or cancels. In
+    /// the meantime, every [`submit`](Self::submit) replaces the presented data. [`Host::tell`]
+    /// sends events to the program.
     ///
     /// # Errors
     /// If the presentation fails.
@@ -66,7 +66,7 @@ pub trait OutputPlugin: Sized + Send + Sync + 'static {
     /// the plugin defines. The host calls this function from any thread.
     ///
     /// # Errors
-    /// [`PluginError::Refused`] if it is no command of the plugin.
+    /// [`PluginError::Refused`] if the plugin has no such command.
     fn command(&self, command: &Value) -> Result<(), PluginError> {
         Err(PluginError::Refused(format!("expected no command, found {command}")))
     }

@@ -19,7 +19,8 @@ impl PlaneView<'_> {
     /// Checks a plane that the other side filled in. If the check fails, releases the plane.
     ///
     /// # Errors
-    /// If the plane does not have three axes of `f32`, or has no data.
+    /// If the plane does not have three axes of `f32`, or its pointer is null although it has
+    /// elements.
     ///
     /// # Safety
     /// The plane's pointer, shape, strides and type describe memory that stays readable and
@@ -30,7 +31,7 @@ impl PlaneView<'_> {
         if plane.dtype != dtype::F32 || plane.ndim != 3 {
             let (dtype, ndim) = (plane.dtype, plane.ndim);
             return Err(PluginError::Failed(format!(
-                "expected a plane of 3 axes and type {}, found {ndim} axes and type {dtype}",
+                "expected a plane of 3 axes and data type {} (f32), found {ndim} axes and data type {dtype}",
                 dtype::F32
             )));
         }
@@ -62,7 +63,7 @@ impl PlaneView<'_> {
     pub fn get(&self, row: usize, col: usize, channel: usize) -> f32 {
         assert!(
             row < self.rows() && col < self.cols() && channel < self.channels(),
-            "[{row}][{col}][{channel}] of a plane of shape {:?}",
+            "expected an index inside a plane of shape {:?}, found [{row}][{col}][{channel}]",
             &self.plane.shape[..3]
         );
         let [r, c, k, _] = self.plane.strides;
@@ -72,8 +73,8 @@ impl PlaneView<'_> {
         unsafe { self.plane.data.cast::<u8>().offset(offset).cast::<f32>().read_unaligned() }
     }
 
-    /// Returns all values as one slice `[row][col][channel]`; `None` if they are not contiguous in
-    /// memory.
+    /// Returns all values as one slice `[row][col][channel]`. Returns `None` if there are no
+    /// values, or if they are not contiguous and aligned in memory.
     pub fn as_slice(&self) -> Option<&[f32]> {
         let element = size_of::<f32>() as isize;
         let [rows, cols, channels, _] = self.plane.shape;
@@ -104,8 +105,8 @@ impl PlaneView<'_> {
         self.values().into_owned()
     }
 
-    /// Returns all values `[row][col][channel]`. They are copied only if they are not contiguous in
-    /// memory.
+    /// Returns all values `[row][col][channel]`. They are copied only if they are not contiguous
+    /// and aligned in memory.
     pub fn values(&self) -> Cow<'_, [f32]> {
         self.as_slice().map_or_else(|| self.iter_rows().flatten().collect(), Cow::Borrowed)
     }

@@ -156,7 +156,7 @@ impl Param {
                 format!("one of {}", options.iter().map(|option| option.value.as_str()).collect::<Vec<_>>().join(", "))
             }
             Kind::Text { .. } => "a text".into(),
-            Kind::File => "a file's path, or its text, which begins with {".into(),
+            Kind::File => "the path of a file, or a file's text, which begins with {".into(),
         }
     }
 
@@ -192,8 +192,9 @@ impl Schema {
     /// Checks the given parameters (an object) and fills in the defaults of all other parameters.
     ///
     /// # Errors
-    /// If a parameter does not exist (the message names the most similar one), is of the wrong
-    /// type, or is out of range.
+    /// If `given` is not an object, or if a parameter does not exist, is of the wrong type, or is
+    /// out of range. For an unknown name, the message states the most similar name. If no name is
+    /// similar, it lists all names.
     pub fn resolve(&self, given: &Value) -> Result<Map<String, Value>, ParamError> {
         let empty = Map::new();
         let given = match given {
@@ -230,16 +231,18 @@ impl Schema {
         serde_json::to_string(self).expect("a schema holds only texts, booleans and numbers")
     }
 
-    /// Checks the schema itself: names must be unique, each parameter needs help, and defaults must
-    /// be in range.
+    /// Checks the schema itself: names must be unique and have the allowed characters, each
+    /// parameter needs help, and defaults must be in range.
     ///
     /// # Errors
-    /// If a rule is violated: a message for the plugin's author.
+    /// If a rule is violated. The message is for the plugin's author.
     pub fn check(&self) -> Result<(), String> {
         for (i, param) in self.params.iter().enumerate() {
             let name = &param.name;
             if name.is_empty() || !name.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_') {
-                return Err(format!("parameter `{name}`: a name has lower-case letters, digits and underscores"));
+                return Err(format!(
+                    "parameter `{name}`: expected a name of lower-case letters, digits and underscores"
+                ));
             }
             if self.params[..i].iter().any(|earlier| earlier.name == *name) {
                 return Err(format!("parameter `{name}` is declared twice"));
@@ -256,7 +259,7 @@ impl Schema {
     }
 }
 
-/// A parameter that the plugin refuses.
+/// The reason why given parameters do not match the schema.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum ParamError {
     /// There is no such parameter.

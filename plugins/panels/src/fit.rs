@@ -17,8 +17,8 @@ use lumistack_plugin::display::{Backlight, Display};
 use crate::assign::Output;
 use crate::{Place, Shows};
 
-/// Returns [columns, rows] of panel pixels that the mask covers, and [columns, rows] of the panel's
-/// upright picture.
+/// Returns [columns, rows] of panel pixels that the mask covers. Also returns [columns, rows] of
+/// the panel's upright picture, or of its crop.
 pub fn cover(display: &Display, shows: Shows, output: [usize; 2]) -> ([f64; 2], [f64; 2]) {
     let place = Place::new(display, shows, output);
     let ([cols, rows], pitch_mm) = match (shows, &display.backlight) {
@@ -52,7 +52,8 @@ pub fn misfits(display: &Display, assigned: &[(Shows, Output)]) -> Vec<String> {
             "{shows} covers {:.0} × {:.0} pixels, and output {name} has {} × {}",
             covers[0], covers[1], there[0], there[1]
         );
-        // An excess below a pixel is rounding. The outer lenses of an array may be cut off.
+        // An excess of less than a pixel comes from rounding. The outer lenses of an array may be
+        // cut off.
         let slack = match (shows, &display.backlight) {
             (Shows::Backlight, Backlight::Lenslets(backlight)) => covers[0] / backlight.lenslets[0].max(1) as f64,
             _ => 1.0,

@@ -1,9 +1,9 @@
 //! The 2D mode at full resolution: one panel shows a picture with all its pixels, and the other
 //! panels are clear. Source: section 5.1.2 of the paper.
 //!
-//! The picture keeps its aspect ratio. It is as large as fits into the field. A panel pixel takes
-//! the mean linear light of the picture pixels that it covers. If picture pixels are larger than
-//! panel pixels, a panel pixel interpolates between four picture pixels.
+//! The picture keeps its aspect ratio, and has the largest size that fits into the field. A panel
+//! pixel takes a weighted mean of the linear light of the picture pixels that it covers. If picture
+//! pixels are larger than panel pixels, a panel pixel interpolates between four picture pixels.
 
 use image::Rgb32FImage;
 use image::imageops::{FilterType, resize};
@@ -37,7 +37,7 @@ pub fn flat_codes(display: &Display, shows: Shows, output: [usize; 2], picture: 
         image::Rgb(picture.get_pixel(x, y).0.map(|code| srgb_decode(f32::from(code) / 255.0)))
     });
     let fitted = resize(&linear, width, height, FilterType::Triangle);
-    // Reduce the display to this one layer, at panel resolution.
+    // Reduce the display to layer `n`, at panel resolution.
     let mut one = Display { frames: 1, ..display.clone() };
     one.layers.truncate(n + 1);
     one.layers.drain(..n);

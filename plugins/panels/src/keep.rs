@@ -1,5 +1,5 @@
-//! Writes calibration into the text of a display file. Comments and layout of the text stay, and
-//! only values change.
+//! Writes calibration into the text of a display file. Values change, and missing keys are added;
+//! comments and layout of the text stay.
 
 use lumistack_plugin::display::{Backlight, Display, Panel};
 use thiserror::Error;
@@ -18,7 +18,8 @@ pub struct KeepError {
 /// homographies and outputs of the display's panels. All else stays unchanged.
 ///
 /// # Errors
-/// If the text is not TOML, or its layers do not match the display.
+/// If the text is not TOML, if its layers do not match the display, or if the updated text is not a
+/// valid display file.
 pub fn keep_panels(text: &str, display: &Display) -> Result<String, KeepError> {
     let wrong =
         |key: &str, expected: &str, found: String| KeepError { key: key.into(), expected: expected.into(), found };
@@ -47,7 +48,7 @@ pub fn keep_panels(text: &str, display: &Display) -> Result<String, KeepError> {
     // Read the new text as a display, to verify it.
     match Display::from_toml(&text) {
         Ok(_) => Ok(text),
-        Err(error) => Err(wrong("display file", "a display", error.to_string())),
+        Err(error) => Err(wrong("display file", "a display without errors", error.to_string())),
     }
 }
 

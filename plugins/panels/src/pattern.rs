@@ -28,7 +28,7 @@ pub enum Pattern {
     Crosshairs,
     /// Equal steps of linear light in grey, red, green and blue, by the declared transfer function.
     Ramp,
-    /// One code value in all pixels, which is sent unchanged. It serves to measure transfer
+    /// One RGB code in all pixels, which is sent unchanged. It serves to measure transfer
     /// functions.
     Code([u8; 3]),
     /// Light from all bins of one lenslet, [column, row].
@@ -99,8 +99,8 @@ pub fn spacing_mm(display: &Display) -> f64 {
     display.field.resolution[0] as f64 * display.field.pitch_mm * SPACING
 }
 
-/// Returns [columns, rows] of crosses on each side of the central cross, as many as fit into the
-/// field with their arms.
+/// Returns the largest numbers [columns, rows] of crosses on each side of the central cross that
+/// fit into the field with their arms.
 pub fn crosses(display: &Display) -> [usize; 2] {
     let spacing = spacing_mm(display);
     display.field.resolution.map(|count| {
@@ -110,10 +110,10 @@ pub fn crosses(display: &Display) -> [usize; 2] {
 }
 
 impl Pattern {
-    /// Returns the codes `[row][col][red, green, blue, 255]` of the output that shows the panel
-    /// `shows`. With `only`, all panels except `only` are clear, and the crosses on `only` are
-    /// black. `eye_mm` is the eye position for which the crosses coincide, in display space,
-    /// millimetres.
+    /// Returns the codes `[row][col][red, green, blue, 255]` of the output that drives the panel
+    /// `shows`. With `only`, all layers except `only` are clear, and the crosses on `only` are
+    /// black. The patterns [`Self::Lenslet`] and [`Self::View`] ignore `only`. `eye_mm` is the eye
+    /// position for which the crosses coincide, in display space, millimetres.
     ///
     /// # Errors
     /// If the display has no such lenslet or bin.

@@ -83,7 +83,8 @@ impl Encoder {
 }
 
 impl Picture {
-    /// Precomputes the lookup for an output of [columns, rows] pixels that shows `shows`.
+    /// Precomputes the lookup for an output of [columns, rows] pixels that drives the panel
+    /// `shows`.
     pub fn new(display: &Display, shows: Shows, output: [usize; 2]) -> Self {
         // Make the lookup, which maps panel pixels to mask pixels, and the encoder, which maps
         // values to codes.

@@ -60,8 +60,8 @@ pub struct PanelsParams {
 }
 
 impl OutputPlugin for Panels {
-    const DOC: &'static str = "Shows every layer on its own panel, one frame per refresh, or a preview of the display in a window, until the user closes it. \
-        `lumistack show` runs it, in builds with windows.";
+    const DOC: &'static str = "Shows every layer on its own panel, or a preview of the display in a window, until the user closes the presentation. \
+        Panels show one frame per refresh. `lumistack show` runs this plugin, in builds with windows.";
     const PORTS: &'static [Port] = &[Port::LayerStack];
     const PRESENTS: bool = true;
     type Params = PanelsParams;
@@ -86,8 +86,8 @@ impl OutputPlugin for Panels {
                 false,
                 "Scale masks until they fill the panels. The layers' distances then no longer fit the masks.",
             ),
-            Param::int("hold", -1, -1..=1 << 20, "Frame to hold; -1 shows all frames in turn.").unit("1"),
-            Param::float("duration_s", 0.0, 0.0..=1e9, "Duration of the presentation; 0 shows until it is closed.").unit("s"),
+            Param::int("hold", -1, -1..=1 << 20, "Frame to hold; -1 shows all frames one after another.").unit("1"),
+            Param::float("duration_s", 0.0, 0.0..=1e9, "Duration of the presentation; 0 for a presentation that runs until the user closes it.").unit("s"),
             Param::float("from_x_deg", 0.0, -80.0..=80.0, "Initial angle between the viewer's direction and the display's axis in the window, positive to the right.")
                 .unit("degrees"),
             Param::float("from_y_deg", 0.0, -80.0..=80.0, "Initial angle between the viewer's direction and the display's axis in the window, positive upwards.").unit("degrees"),
@@ -104,7 +104,7 @@ impl OutputPlugin for Panels {
                 "Eye position for which the crosshairs coincide, to the right of the display's centre.",
             )
             .unit("mm"),
-            Param::float("eye_y_mm", 0.0, -1e6..=1e6, "Eye position, upwards from the display's centre.").unit("mm"),
+            Param::float("eye_y_mm", 0.0, -1e6..=1e6, "Eye position for which the crosshairs coincide, upwards from the display's centre.").unit("mm"),
             Param::float(
                 "eye_z_mm",
                 0.0,

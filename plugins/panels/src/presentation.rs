@@ -21,8 +21,8 @@ pub struct Settings {
     pub mode: Mode,
     /// True if masks are scaled to fill the panels ([`crate::fit`]).
     pub fit: bool,
-    /// The frame that all refreshes show until a command changes it; `None` shows all frames in
-    /// turn.
+    /// The frame that all refreshes show until a command selects another; `None` shows all frames
+    /// one after another.
     pub hold: Option<usize>,
     /// Duration of the presentation; `None` for a presentation that runs until the user closes it.
     pub duration: Option<Duration>,
@@ -83,7 +83,7 @@ pub enum Command {
     Stack(LayerStack),
     /// Show only this frame.
     Hold(usize),
-    /// Show all frames in turn.
+    /// Show all frames one after another.
     Run,
     /// Show a later (positive) or earlier (negative) frame, relative to the frame that is held.
     Step(i64),
@@ -119,11 +119,12 @@ pub enum Event {
     },
     /// The windows are open.
     Started,
-    /// A new layer stack is shown.
+    /// New frames are shown: the first frames, or frames after a change of the layer stack, of a
+    /// panel's shift, or of the preview's viewer or window.
     Swapped {
-        /// Number of swaps so far.
+        /// Number of these events so far.
         times: u64,
-        /// Number of the first refresh that shows the new stack.
+        /// Number of the first refresh that shows the new frames.
         refresh: u64,
     },
     /// A warning for the user. Plugin hosts log it, so it has no JSON.
@@ -164,7 +165,7 @@ pub struct Report {
     pub interval_s: f64,
     /// The source of `interval_s`.
     pub interval_from: String,
-    /// Number of times that a new layer stack replaced the shown one.
+    /// Number of [`Event::Swapped`] events.
     pub swaps: u64,
     /// Number of surface images that could not be acquired, summed over all surfaces.
     pub missed: u64,
@@ -179,8 +180,9 @@ pub struct Report {
     /// Largest time between the first and the last output of a refresh, seconds. `None` in the same
     /// cases as for the mean.
     pub skew_largest_s: Option<f64>,
-    /// (refresh number, position in the period, number of the layer stack, seconds) of every
-    /// submission, if requested.
+    /// (refresh number, position in the period, number of the frame set, seconds) of every
+    /// submission, if requested. A new layer stack makes a new frame set, and so does any other
+    /// change of the frames.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub log: Vec<(u64, usize, u64, f64)>,
 }

@@ -26,8 +26,8 @@ use crate::serve::Functions;
 /// Time for which the program's last answer about cancellation is used without a new request. Every
 /// answer of the program states whether the user has cancelled.
 const CANCEL_VALIDITY: Duration = Duration::from_millis(2);
-/// Stack size of a thread that runs a plugin's function, bytes. Main threads usually have this
-/// size.
+/// Stack size of a thread that runs `submit` or `command`, bytes. Stacks of main threads usually
+/// have this size.
 const STACK: usize = 8 << 20;
 /// Longest time in which the destructors of the library's statics may run before the process is
 /// ended.
@@ -68,6 +68,8 @@ fn serve(library: &Path, id: &str) -> io::Result<()> {
         functions: OnceLock::new(),
         instance: Mutex::default(),
     }));
+    // A thread reads the program's messages. It passes calls to the main thread, and answers to the
+    // threads that wait for them.
     thread::spawn(move || {
         while let Ok(Some((message, body))) = read_frame(&mut from) {
             match message {
@@ -97,6 +99,7 @@ fn serve(library: &Path, id: &str) -> io::Result<()> {
         end_now();
     });
 
+    // Load the library, and report its plugin or the error.
     let loaded = match dynamic::open(library, id) {
         Ok(plugin) => {
             let info = plugin.info().clone();
@@ -112,6 +115,7 @@ fn serve(library: &Path, id: &str) -> io::Result<()> {
     link.send(&FromChild::Loaded(loaded), &[])?;
     link.active.fetch_sub(1, Ordering::SeqCst);
 
+    // Run calls on the main thread until the program closes the connection.
     let host: &'static HostServices = Box::leak(Box::new(link.services()));
     for (call, what) in waiting {
         link.run(host, call, what);
@@ -160,7 +164,7 @@ struct Link {
     requests: AtomicU64,
     /// Number of running calls. Loading the library counts as one call.
     active: AtomicUsize,
-    /// Time of the program's last answer about cancellation, and whether the user has cancelled.
+    /// Time of the program's last answer, and true if this answer stated a cancellation.
     asked: Mutex<(Option<Instant>, bool)>,
     /// The plugin's functions. The cell is empty if loading failed; the program then sends no
     /// calls.
@@ -677,6 +681,7 @@ impl Link {
             Call::Open { port, .. } => Box::leak(Box::new(HostServices { port: *port, ..*host })),
             _ => host,
         };
+        // Call the function with sinks that forward the plugin's results to the program.
         let running = Running { link, call };
         let context = (&raw const running).cast::<c_void>();
         let Instance(handle) = instance;

@@ -14,9 +14,9 @@
 //! layer stack also has its own child process.
 //!
 //! Program and child implement the two sides of the C interface. So the code of the host and of the
-//! plugin is the same with a child and without. Planes are sent through the pipe one at a time,
-//! when the plugin requests them. Shared memory would save one copy. However, if the child
-//! truncated the file of the shared memory, a bus error would end the program.
+//! plugin is the same with a child and without. Planes are sent through the pipe one by one, when
+//! the plugin requests them. Shared memory would save one copy. However, if the child truncated the
+//! file of the shared memory, a bus error would end the program.
 //!
 //! [`outside`] forwards the plugin's functions, [`session`] controls the child, [`requests`] serves
 //! its requests, and [`inside`] runs in the child.

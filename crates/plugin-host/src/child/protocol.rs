@@ -86,7 +86,7 @@ pub(super) enum FromChild {
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Loaded {
     Plugin(PluginInfo),
-    /// The system's loader refuses it.
+    /// The system's loader refuses the library.
     Open(String),
     /// The entry function of this name is missing.
     NoEntry(String),
@@ -202,7 +202,8 @@ pub(super) enum Say {
 pub(super) fn write_frame(to: &mut impl Write, head: &impl Serialize, body: &[u8]) -> io::Result<()> {
     let head = serde_json::to_vec(head)?;
     let length = u32::try_from(head.len()).ok().filter(|length| *length <= MAX_HEAD);
-    let length = length.ok_or_else(|| io::Error::other("a message is too long"))?;
+    let length =
+        length.ok_or_else(|| io::Error::other("expected a message head of at most 64 MiB, found a longer one"))?;
     let mut start = Vec::with_capacity(12 + head.len());
     start.extend(length.to_le_bytes());
     start.extend((body.len() as u64).to_le_bytes());

@@ -15,8 +15,7 @@ use super::protocol::{Answer, Request, Say};
 /// The objects that are lent to the running calls of a child.
 #[derive(Default)]
 pub(super) struct Lending {
-    /// The objects lent to each call, by the call's number. The host's table is lent to the whole
-    /// output, with the key [`HOST`].
+    /// The objects lent to each call, by the call's number. The key [`HOST`] has the host's table.
     all: RwLock<HashMap<u64, Lent>>,
     /// Names of the files that are being written, by their handles.
     files: Mutex<BTreeMap<u64, String>>,
@@ -46,8 +45,8 @@ unsafe impl Send for Lent {}
 // SAFETY: as above.
 unsafe impl Sync for Lent {}
 
-/// The key of the host's table in [`Lending`]; no call has this number. The table is lent from
-/// `open` to `close`, also while no call runs.
+/// The key of the host's table in [`Lending`]; no call has this number. The table of an output is
+/// lent from `open` to `close`, also while no call runs.
 pub(super) const HOST: u64 = 0;
 
 /// # Safety

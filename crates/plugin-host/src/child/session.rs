@@ -1,10 +1,10 @@
 //! The session of a child process: its start, its calls, its supervision and its end.
 //!
 //! Every child has three threads in the program. One writes messages, one reads messages and serves
-//! requests, and one forwards the plugin's prints. The caller of a plugin function waits for the
-//! function's end. Meanwhile the caller checks for cancellation, for the child's exit, and for a
-//! child that gives no sign of life. No call joins the three threads, since a process started by
-//! the plugin may hold the pipes open.
+//! requests, and one forwards the plugin's prints. Requests that may take long run in threads of
+//! their own. The caller of a plugin function waits for the function's end. Meanwhile the caller
+//! checks for cancellation, for the child's exit, and for a child that gives no sign of life. No
+//! call joins the threads, since a process started by the plugin may hold the pipes open.
 
 use std::collections::HashMap;
 use std::io::{Read, Write};
@@ -245,8 +245,8 @@ impl Session {
                 Err(RecvTimeoutError::Timeout) => {}
             }
             // A process that the child started may hold the pipe open. Then only the exit status
-            // shows that the child has ended. Before the failure is returned, there is time to read
-            // the child's last messages.
+            // shows that the child has ended. The failure is returned after `DRAIN_TIMEOUT`, so
+            // that the child's last messages are read.
             if matches!(locked(&self.child).try_wait(), Ok(Some(_))) {
                 if gone.get_or_insert_with(Instant::now).elapsed() > DRAIN_TIMEOUT {
                     return Err(self.died(doing));
@@ -284,8 +284,8 @@ impl Session {
         if names.is_empty() { call.into() } else { format!("it wrote {}", names.join(", ")) }
     }
 
-    /// Waits for the exit status of a child that has closed its connection, and returns the cause
-    /// of the end.
+    /// Waits for the exit status of a child that has ended or closed its connection, and returns
+    /// the cause of the end.
     fn died(&self, doing: &str) -> Stopped {
         let doing = self.doing(doing);
         let deadline = Instant::now() + EXIT_TIMEOUT;

@@ -17,7 +17,10 @@ use lumistack_plugin::wire::answer;
 /// An implementation follows the interface's rules for a plugin. It does not use borrowed arguments
 /// after the call has returned; `host` of [`open`](Self::open) may be used until
 /// [`close`](Self::close). Callers follow the rules for a host in the documentation of the tables.
-#[expect(clippy::missing_safety_doc, reason = "the tables' documentation has it, function by function")]
+#[expect(
+    clippy::missing_safety_doc,
+    reason = "the documentation of the tables states the safety rules of each function"
+)]
 pub unsafe trait Functions: Send + Sync {
     /// Calls [`ImporterVtable::import`].
     unsafe fn import(
@@ -109,14 +112,14 @@ impl Vtable {
 /// `error` is null or a valid sink.
 unsafe fn missing(error: *const ErrorSink) -> Status {
     // SAFETY: guaranteed by the caller.
-    unsafe { answer(error, || Err(PluginError::Refused("the plugin does not have this function".into()))) }
+    unsafe { answer(error, || Err(PluginError::Refused("the plugin does not have the called function".into()))) }
 }
 
 // SAFETY: each call is forwarded to the plugin's function with the caller's arguments, and nothing
 // is kept.
 #[expect(
     clippy::undocumented_unsafe_blocks,
-    reason = "every function passes its caller's promise on, as the impl says"
+    reason = "every function relies on its caller, as the comment above the impl states"
 )]
 unsafe impl Functions for Vtable {
     unsafe fn import(

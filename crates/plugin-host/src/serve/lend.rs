@@ -1,4 +1,4 @@
-//! Lends layer stacks and light fields to plugins, one plane at a time.
+//! Lends layer stacks and light fields to plugins, plane by plane.
 
 use std::ffi::c_void;
 use std::sync::OnceLock;
@@ -186,7 +186,7 @@ unsafe extern "C" fn layer_plane(
     error: *const ErrorSink,
 ) -> Status {
     let lend = || {
-        // SAFETY: the plugin returns the context of `to_abi` during submit.
+        // SAFETY: the plugin passes the context of `to_abi`, during `submit` or `make`.
         let stack = (unsafe { lent(context) }).patterns("layers")?;
         let values = stack.layers.get(layer).ok_or_else(|| beyond("layer", layer, stack.layers.len()))?;
         let [frames, rows, cols, channels] = values.shape();
@@ -210,7 +210,9 @@ unsafe extern "C" fn emission_plane(
         // SAFETY: as in `layer_plane`.
         let stack = (unsafe { lent(context) }).patterns("emission")?;
         let Some(emission) = &stack.emission else {
-            return Err(PluginError::Refused("the backlight is uniform and has no emission".into()));
+            return Err(PluginError::Refused(
+                "expected a directional backlight, found a uniform backlight, which has no emission".into(),
+            ));
         };
         let [frames, bins_y, bins_x, rows, cols, channels] = emission.shape();
         within("frame", frame, frames)?;
@@ -341,5 +343,5 @@ fn beyond(what: &str, index: usize, count: usize) -> PluginError {
 }
 
 fn wrong_port(what: &str) -> PluginError {
-    PluginError::Refused(format!("data of this port have no {what}"))
+    PluginError::Refused(format!("the data of this call have no {what}"))
 }

@@ -87,7 +87,7 @@ pub fn make_field<S: Services>(
         functions.make_field(&host, Str::new(params_json), Str::new(&display_json), &time, &sink, error)
     })?;
     let Field { made } = builder.into_inner();
-    let (field, given) = made.ok_or_else(|| PluginError::Failed("the plugin gave no light field".into()))?;
+    let (field, given) = made.ok_or_else(|| PluginError::Failed("the plugin made no light field".into()))?;
     let views = field.geometry().grid.views();
     all_given(&given, |i| format!("view {}, {}", i / views[1], i % views[1]))?;
     Ok(field)
@@ -152,16 +152,17 @@ pub fn make_stack<S: Services>(
     })?;
     made.stack
         .check(display)
-        .map_err(|error| PluginError::Failed(format!("the plugin gave a wrong stack: {error}")))?;
+        .map_err(|error| PluginError::Failed(format!("the plugin made a wrong stack: {error}")))?;
     Ok(made)
 }
 
-/// The result that a sink builds; the sink's `context` points to it. A plugin must call a sink from
-/// one thread at a time. The lock protects the host from plugins that violate this rule.
+/// The result that a sink builds; the sink's `context` points to it. Two threads of a plugin must
+/// never call a sink at the same time. The lock protects the host from plugins that violate this
+/// rule.
 struct Builder<T>(Mutex<T>);
 
-/// A light field that is being built, and a flag per view that is true if the view was received.
-/// `None` before the geometry was received.
+/// A light field that is being built, and a flag per view: true if the view was received. `made` is
+/// `None` until the geometry was received.
 struct Field {
     made: Option<(LightField, Vec<bool>)>,
 }
@@ -231,13 +232,13 @@ unsafe extern "C" fn field_view(
         // SAFETY: as above.
         let mut field = unsafe { Builder::<Field>::of(context) };
         let Some((field, given)) = &mut field.made else {
-            return Err(PluginError::Refused("a view came before the geometry".into()));
+            return Err(PluginError::Refused("expected the geometry before the first view, found a view".into()));
         };
         let what = || format!("view {view_y}, {view_x}");
         let [views_y, views_x, rows, cols, channels] = field.radiance().shape();
         if view_y >= views_y || view_x >= views_x {
             return Err(PluginError::Refused(format!(
-                "{}: expected a view row below {views_y} and a view column below {views_x}",
+                "{}: expected a view row less than {views_y} and a view column less than {views_x}",
                 what()
             )));
         }
@@ -254,7 +255,9 @@ unsafe extern "C" fn field_view(
 unsafe extern "C" fn stack_brightness(context: *mut c_void, brightness: f64, error: *const ErrorSink) -> Status {
     let take = || {
         if !(brightness > 0.0 && brightness <= 1.0) {
-            return Err(PluginError::Refused(format!("brightness: expected above 0, at most 1, found {brightness}")));
+            return Err(PluginError::Refused(format!(
+                "brightness: expected a number above 0 and at most 1, found {brightness}"
+            )));
         }
         // SAFETY: as above.
         unsafe { Builder::<Stack>::of(context) }.made.stack.brightness = brightness;
@@ -309,11 +312,13 @@ unsafe extern "C" fn stack_emission(
         let Stack { made: Made { stack, .. }, frames, bins, given_bins, .. } = &mut *built;
         let what = || format!("emission of frame {frame}, bin {bin_y}, {bin_x}");
         let Some(emission) = &mut stack.emission else {
-            return Err(PluginError::Refused("the backlight is uniform and takes no emission".into()));
+            return Err(PluginError::Refused(
+                "expected a directional backlight, found a uniform backlight, which takes no emission".into(),
+            ));
         };
         if frame >= *frames || bin_y >= bins[0] || bin_x >= bins[1] {
             return Err(PluginError::Refused(format!(
-                "{}: expected a frame below {frames} and a bin below {bins:?}",
+                "{}: expected a frame index less than {frames} and bin indices less than {bins:?}",
                 what()
             )));
         }
@@ -392,7 +397,7 @@ unsafe fn values_of(
     let values = view.to_vec();
     match values.iter().find(|value| !(0.0..=most).contains(*value)) {
         Some(value) if most == 1.0 => refused(format!("expected values in 0..1, found {value}")),
-        Some(value) => refused(format!("expected finite values that are not below 0, found {value}")),
+        Some(value) => refused(format!("expected finite values of at least 0, found {value}")),
         None => Ok(values),
     }
 }

@@ -51,7 +51,7 @@ impl<'a> Output<'a> {
     }
 
     /// Opens an output as [`open`](Self::open) does, but leaves all checks of the parameters to the
-    /// plugin. A host in another language may leave them to the plugin, too.
+    /// plugin. A host in another language may do the same.
     ///
     /// # Errors
     /// The plugin's error.
@@ -91,7 +91,11 @@ impl<'a> Output<'a> {
     pub fn submit(&self, time: Time, data: OutputData<'_>) -> Result<(), PluginError> {
         if !self.ports.contains(&data.port()) {
             let accepted = self.ports.iter().map(Port::to_string).collect::<Vec<_>>().join(", ");
-            return Err(PluginError::Refused(format!("`{}` accepts {accepted}, found {}", self.id, data.port())));
+            return Err(PluginError::Refused(format!(
+                "expected data that `{}` accepts ({accepted}), found {}",
+                self.id,
+                data.port()
+            )));
         }
         let lent = Lent::new(self.display, data)?;
         let data = lent.to_abi();
@@ -100,7 +104,7 @@ impl<'a> Output<'a> {
         call(|error| unsafe { self.functions.submit(self.instance, &time, &data, error) })
     }
 
-    /// Runs a presenter until the user closes it. Call it on the main thread.
+    /// Runs a presenter until the user closes it. Callers call this function on the main thread.
     ///
     /// # Errors
     /// If the plugin is no presenter, or fails.

@@ -14,7 +14,7 @@ const MAX_PATH_BYTES: usize = 1024;
 /// * does not start with a dot (which excludes `..` and names that the host reserves), and does not
 ///   end with a dot or a space,
 /// * is no device name (`nul`, `com1.txt`),
-/// * contains no control character and none of `\\ : * ? " < > |`.
+/// * contains no control character and none of `\ : * ? " < > |`.
 ///
 /// # Errors
 /// If a rule is violated.
@@ -34,7 +34,7 @@ pub fn path_parts(path: &str) -> Result<Vec<&str>, PluginError> {
         let (shown, rest) = path.split_at(path.floor_char_boundary(80));
         Err(PluginError::Refused(format!(
             "file `{}{}`: expected a path inside the output's folder; it must not have `..`, a leading `/`, a name that starts with a dot, or \
-                         characters or lengths that some system refuses",
+                         names, characters or lengths that some system refuses",
             shown.escape_debug(),
             if rest.is_empty() { "" } else { "…" }
         )))

@@ -96,11 +96,14 @@ impl Plugin {
     /// to satisfies the documentation of [`Descriptor`] and lives as long as the process.
     pub unsafe fn from_descriptor(descriptor: *const Descriptor) -> Result<Self, PluginError> {
         if descriptor.is_null() {
-            return Err(PluginError::Refused("the plugin could not describe itself".into()));
+            return Err(PluginError::Refused(
+                "expected a descriptor from the plugin's entry function, found null".into(),
+            ));
         }
         // SAFETY: version and size come first in every version of the struct.
         let (major, minor, size) = unsafe { ((*descriptor).abi_major, (*descriptor).abi_minor, (*descriptor).size) };
-        // Refuse other major versions, and structs shorter than this version's.
+        // Refuse other major versions, and structs that are shorter than the struct of this
+        // version.
         if major != ABI_MAJOR {
             let remedy = if major > ABI_MAJOR {
                 "the plugin needs a newer version of this program"
@@ -113,7 +116,7 @@ impl Plugin {
         }
         if size < size_of::<Descriptor>() {
             return Err(PluginError::Refused(format!(
-                "its descriptor states version {major}.{minor} and a size of {size} bytes, expected {} bytes or more",
+                "descriptor of version {major}.{minor}: expected {} bytes or more, found a size of {size} bytes",
                 size_of::<Descriptor>()
             )));
         }
@@ -134,7 +137,7 @@ impl Plugin {
         let (kind, vtable) = unsafe { vtable_of(descriptor) }.map_err(refused)?;
         let ports: Vec<Port> = Port::ALL.into_iter().filter(|port| descriptor.ports & port.bit() != 0).collect();
         if ports.is_empty() && kind != PluginKind::Source {
-            return Err(refused("its descriptor lists no input port".into()));
+            return Err(refused("expected at least one input port in the descriptor, found no input port".into()));
         }
         let mut extensions = Vec::new();
         if let Vtable::Importer(importer) = vtable {
@@ -142,7 +145,9 @@ impl Plugin {
             if extensions.is_empty()
                 || extensions.iter().any(|word| word.starts_with('.') || *word != word.to_lowercase())
             {
-                return Err(refused("an importer names extensions in lower case, without dots".into()));
+                return Err(refused(
+                    "expected at least one extension of files, in lower case and without a dot".into(),
+                ));
             }
         }
         let info = PluginInfo {

@@ -36,6 +36,10 @@ fn built(name: &str) -> PathBuf {
     let test = std::env::current_exe().unwrap();
     let folder = test.parent().and_then(|deps| deps.parent()).unwrap().join("examples");
     let file = folder.join(name);
-    assert!(file.exists(), "{}: cargo builds it unless a single test target is requested", file.display());
+    assert!(
+        file.exists(),
+        "{}: expected this file, which cargo builds unless a single test target is requested",
+        file.display()
+    );
     file
 }

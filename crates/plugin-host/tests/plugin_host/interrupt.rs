@@ -1,5 +1,5 @@
-//! Ctrl-C reaches every program of a terminal. A plugin's process outlives it, so that the host
-//! stops the plugin in order.
+//! Ctrl-C must not end the process of a plugin. Only the host receives Ctrl-C, and cancels the
+//! plugin.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
@@ -17,7 +17,7 @@ use crate::common;
 /// Environment variable of the program that the test starts and interrupts.
 const INTERRUPTED: &str = "LUMISTACK_TEST_INTERRUPTED";
 
-/// The test's program runs this test again, as the program with the plugin.
+/// The test starts its own program a second time, to run the plugin and to be interrupted.
 #[test]
 fn ctrl_c_leaves_a_plugin_to_its_host() {
     if std::env::var_os(INTERRUPTED).is_some() {

@@ -1,5 +1,5 @@
-//! Tests with files that are no usable plugins. Each must give one clear message, and the other
-//! plugins must still work.
+//! Tests with files that are no usable plugins. Each such file must give one clear message, and the
+//! other plugins must still work.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -123,7 +123,7 @@ fn names_and_places_are_checked() {
     fs::copy(example("faulty"), &upper).unwrap();
     assert!(failure(&upper).starts_with("expected a file named"));
     let missing = failure(&folder.path().join("nothing"));
-    assert!(missing.starts_with("expected a plugin or a folder of plugins, found: "), "{missing}");
+    assert!(missing.starts_with("expected a plugin or a folder of plugins that can be read: "), "{missing}");
     let empty = folder.path().join("release");
     fs::create_dir(&empty).unwrap();
     let expected = format!("expected files named `{}`, found none: `cargo build --release` ", file_name("*"));
@@ -149,7 +149,8 @@ fn an_id_that_is_taken_stays_with_the_first() {
     assert_eq!(origin.to_string(), a.join(file_name("faulty")).display().to_string());
     let texts: Vec<String> = registry.failed().iter().map(ToString::to_string).collect();
     let [at, first] = [&b, &a].map(|place| place.join(file_name("faulty")).display().to_string());
-    assert_eq!(texts, [format!("{at}: another plugin has the id `faulty` already: {first}")]);
+    let expected = "expected an id that no other plugin has, found `faulty`, the id of another plugin";
+    assert_eq!(texts, [format!("{at}: {expected} ({first})")]);
 }
 
 #[test]
@@ -216,8 +217,8 @@ fn libraries_of_other_versions_are_recognized() {
         )
     );
     let short = message("short", ABI_MAJOR, ABI_MINOR, 24, "4, 4, TEXTS, 0");
-    let expected = format!("its descriptor states version {ABI_MAJOR}.{ABI_MINOR} and a size of 24 bytes");
-    assert!(short.starts_with(&expected), "{short}");
+    let expected = format!("descriptor of version {ABI_MAJOR}.{ABI_MINOR}: expected ");
+    assert!(short.starts_with(&expected) && short.ends_with("found a size of 24 bytes"), "{short}");
     let unknown = message("unknown", ABI_MAJOR, ABI_MINOR, size, "77, 4, TEXTS, 0");
     let expected = "expected kind 1 (importer), 2 (source), 3 (node) or 4 (output), found 77";
     assert_eq!(unknown, format!("plugin `unknown`: {expected}"));
@@ -285,7 +286,7 @@ fn libraries_without_a_usable_entry_are_named() {
     let none = descriptor_in_c(folder.path(), "none", "int answer(void) { return 42; }");
     assert_eq!(failure(&none), "expected the function `lumistack_plugin_entry_none`, found none of that name");
     let null = descriptor_in_c(folder.path(), "null", "const void *lumistack_plugin_entry_null(void) { return 0; }");
-    assert_eq!(failure(&null), "the plugin could not describe itself");
+    assert_eq!(failure(&null), "expected a descriptor from the plugin's entry function, found null");
     let needy = descriptor_in_c(
         folder.path(),
         "needy",

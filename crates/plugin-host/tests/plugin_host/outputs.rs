@@ -113,8 +113,8 @@ impl Progress for StopAtFirstStep<'_> {
     fn end(&self) {}
 }
 
-/// Runs the plugin with every fault. Each run must report its fault, and leave the bench's folder
-/// unchanged.
+/// Runs the plugin with faults, wrong parameters and wrong paths. Each run must report its error,
+/// and leave the bench's folder unchanged.
 fn everything_goes_wrong(bench: &Bench) {
     let before = bench.tree();
     for (params, message) in [
@@ -202,8 +202,8 @@ fn a_panic_in_a_thread_of_the_plugin_is_its_own() {
 #[test]
 fn a_loaded_plugin_writes_the_same_as_the_compiled_one() {
     let [compiled, loaded] = [Bench::new(), Bench::loaded()].map(|bench| bench.registry.get("faulty").unwrap().clone());
-    // With default parameters, each of three samples has three files. One sample is also compared
-    // at both ends of the range of the parameter `files`, 0 and 9. So 18 files are compared.
+    // With default parameters, each of three samples has three files. For each end of the range of
+    // the parameter `files`, 0 and 9, one sample is compared again. So 18 files are compared.
     assert_eq!(same_outputs(&compiled, &loaded, &[]).unwrap(), 18);
 }
 
@@ -323,6 +323,9 @@ fn data_of_a_port_that_the_plugin_does_not_take_are_refused() {
     let mut bench = Bench::new();
     bench.sample = samples().swap_remove(2);
     let error = bench.write(json!({})).unwrap_err();
-    assert_eq!(error.to_string(), "output `faulty`: `faulty` accepts layer_stack, found light_field");
+    assert_eq!(
+        error.to_string(),
+        "output `faulty`: expected data that `faulty` accepts (layer_stack), found light_field"
+    );
     assert!(bench.tree().is_empty());
 }

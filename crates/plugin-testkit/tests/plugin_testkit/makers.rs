@@ -182,7 +182,7 @@ fn what_is_wrong_is_said_and_goes_no_further() {
     }
     let card = Plugin::compiled_in(&card::PLUGIN).unwrap();
     let error = make_field(&card, &MemoryHost::new(), r#"{"fault": "nan"}"#, &display(), Time::default()).unwrap_err();
-    assert_eq!(error.to_string(), "view 0, 0: expected finite values that are not below 0, found NaN");
+    assert_eq!(error.to_string(), "view 0, 0: expected finite values of at least 0, found NaN");
 }
 
 #[test]
@@ -266,8 +266,8 @@ fn pieces_that_do_not_fit_are_refused_where_they_are_given() {
     assert_eq!([0, 1].map(|frame| stack.layers[0].block([frame])[7]), [0.25, 1.0]);
 }
 
-/// A node that returns its start, with each value times the mean weight of a view. It also reports
-/// a step and a solution.
+/// A node that returns its start, with the values of the layers times one weight of the last view.
+/// It also reports two steps and a solution.
 struct Warm;
 
 impl NodePlugin for Warm {

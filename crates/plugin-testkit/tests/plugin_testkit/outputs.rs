@@ -1,5 +1,5 @@
 //! Tests calls across the C interface, with a plugin and a host in one program. Also tests that the
-//! kit detects plugins that violate its rules.
+//! kit detects plugins that violate the rules of the interface.
 
 use std::sync::{LazyLock, Mutex};
 
@@ -228,7 +228,7 @@ fn descriptors_of_other_versions_are_refused() {
     assert!(refused(abi::Descriptor { size: 8, ..descriptor }).contains("version"));
     assert!(refused(abi::Descriptor { kind: 9, ..descriptor }).contains("found 9"));
     assert!(refused(abi::Descriptor { id: abi::Str::new("a b"), ..descriptor }).contains("`a b`"));
-    assert!(refused(abi::Descriptor { ports: 0, ..descriptor }).contains("no input port"));
+    assert!(refused(abi::Descriptor { ports: 0, ..descriptor }).contains("found no input port"));
     assert!(refused(abi::Descriptor { schema_json: abi::Str::new("{}"), ..descriptor }).contains("parameters"));
     assert!(refused(abi::Descriptor { vtable: std::ptr::null(), ..descriptor }).contains("missing"));
     // SAFETY: null is allowed.

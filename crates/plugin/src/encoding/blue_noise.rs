@@ -42,7 +42,7 @@ fn ranks() -> Vec<usize> {
             pattern.toggle(place);
         }
     }
-    // Move the dot of the tightest cluster to the largest void, until a dot returns to its old
+    // Move the tightest cluster to the largest void, until the moved dot returns to its old
     // position.
     loop {
         let cluster = pattern.tightest_cluster();

@@ -68,9 +68,9 @@ pub fn panel_codes(
     codes
 }
 
-/// Returns the brightest code, except the last one, whose light is at most `value`. Also returns
-/// the value's position t, 0..1, between the light of this code and the light of the next code.
-/// `light` has the light of every code.
+/// Returns the brightest code whose light is at most `value`, but never the last code, which has no
+/// next code. Also returns the value's position t, 0..1, between the light of the returned code and
+/// the light of the next code. `light` has the light of every code.
 fn between(light: &[f32], value: f32) -> (u16, f32) {
     let value = if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) };
     let above = light.partition_point(|&l| l <= value).clamp(1, light.len() - 1);

@@ -85,7 +85,7 @@ pub(crate) fn panic_text(payload: Box<dyn Any + Send>) -> String {
 /// Returns a text that the other side lends; `what` names the text in errors.
 ///
 /// # Errors
-/// If the text is longer than an array can be, or not UTF-8.
+/// If the text is at a null pointer, longer than an array can be, or not UTF-8.
 ///
 /// # Safety
 /// `text` points to `len` readable bytes (or `len` is 0) as long as the result is used.
@@ -95,8 +95,8 @@ pub unsafe fn lent_text<'a>(text: Str, what: &str) -> Result<&'a str, PluginErro
     std::str::from_utf8(bytes).map_err(|error| PluginError::failed(what, error))
 }
 
-/// Returns a text that the other side lends, with invalid UTF-8 replaced. The result is empty if
-/// the text is longer than an array can be.
+/// Returns a text that the other side lends, with invalid UTF-8 replaced. If the text is at a null
+/// pointer or longer than an array can be, the result is empty.
 ///
 /// # Safety
 /// As for [`lent_text`].
@@ -108,7 +108,7 @@ pub unsafe fn lent_lossy<'a>(text: Str) -> std::borrow::Cow<'a, str> {
 /// Returns bytes that the other side lends; `what` names the bytes in errors.
 ///
 /// # Errors
-/// If they are more than an array can hold.
+/// If the bytes are at a null pointer, or more than an array can hold.
 ///
 /// # Safety
 /// `bytes` points to `len` readable bytes (or `len` is 0) as long as the result is used.
@@ -117,8 +117,8 @@ pub unsafe fn lent_bytes<'a>(bytes: Bytes, what: &str) -> Result<&'a [u8], Plugi
         return Ok(&[]);
     }
     if bytes.ptr.is_null() || isize::try_from(bytes.len).is_err() {
-        let place = if bytes.ptr.is_null() { "at a null pointer" } else { "in one array" };
-        return Err(PluginError::Refused(format!("{what}: {} bytes {place}, which is invalid", bytes.len)));
+        let place = if bytes.ptr.is_null() { " at a null pointer" } else { ", more than an array can hold" };
+        return Err(PluginError::Refused(format!("{what}: expected readable bytes, found {} bytes{place}", bytes.len)));
     }
     // SAFETY: guaranteed by the caller; the length was checked.
     Ok(unsafe { std::slice::from_raw_parts(bytes.ptr, bytes.len) })
@@ -132,8 +132,8 @@ unsafe extern "C" fn keep_text(context: *mut c_void, text: Str) {
     unsafe { *context.cast::<String>() = lent_lossy(text).into_owned() };
 }
 
-/// Appends bytes to the `Vec<u8>` to which `context` points. This is the function
-/// [`ByteSink::write`](lumistack_plugin_abi::ByteSink::write) of a sink that collects bytes.
+/// Appends bytes to the `Vec<u8>` to which `context` points. In a sink that collects bytes, this
+/// function is [`ByteSink::write`](lumistack_plugin_abi::ByteSink::write).
 ///
 /// # Safety
 /// `context` points to a vector without other users during the call; the bytes are lent for the
@@ -152,7 +152,7 @@ pub unsafe extern "C" fn append(context: *mut c_void, bytes: Bytes, error: *cons
 pub(crate) fn needs(size: usize, least: usize) -> Result<(), PluginError> {
     if size < least {
         let text = format!(
-            "the host's interface is older than the plugin's: a struct has {size} bytes, expected at least {least}"
+            "the host's interface is older than the plugin's: expected a struct of at least {least} bytes, found {size}"
         );
         return Err(PluginError::Refused(text));
     }

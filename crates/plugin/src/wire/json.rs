@@ -8,7 +8,7 @@ use serde_path_to_error::{Path, Segment};
 
 use crate::PluginError;
 
-/// Shapes and geometry of submitted data.
+/// Shapes and geometry of the data that a host lends.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "port", rename_all = "snake_case")]
 pub enum Description {
@@ -28,7 +28,8 @@ pub enum Description {
         /// True if the target's views can be read. Older hosts lack this key and lend no views.
         #[serde(default)]
         target_views: bool,
-        /// Depth of the target's central view; older hosts lack this key.
+        /// Depth of the target's central view. Older hosts lack this key, and so do hosts that do
+        /// not know the depth.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         target_depth: Option<Depth>,
     },
@@ -61,7 +62,7 @@ pub enum RayWeights {
     PerRay,
 }
 
-/// Layer stack in the display's shape, lent plane by plane.
+/// Describes a warm start: patterns in the display's shape, which the host lends plane by plane.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Start {
     /// Brightness β of the layer stack.
@@ -93,7 +94,9 @@ impl TryFrom<Depth> for SeenDepth {
         let Depth { rows, cols, z_mm } = json;
         if rows.checked_mul(cols) != Some(z_mm.len()) || z_mm.is_empty() {
             let found = z_mm.len();
-            return Err(PluginError::Refused(format!("depth: expected {rows} × {cols} values, found {found}")));
+            return Err(PluginError::Refused(format!(
+                "depth: expected {rows} × {cols} values, at least one, found {found}"
+            )));
         }
         Ok(Self { rows, cols, z_mm })
     }
@@ -141,7 +144,7 @@ impl TryFrom<Geometry> for FieldGeometry {
             (PERSPECTIVE, Some(distance_mm)) => Projection::Perspective { distance_mm },
             (other, _) => {
                 return Err(PluginError::Refused(format!(
-                    "expected projection `oblique`, or `perspective` with a distance, found `{other}`"
+                    "expected projection `oblique`, or `perspective` with `distance_mm`, found `{other}`"
                 )));
             }
         };
@@ -152,8 +155,8 @@ impl TryFrom<Geometry> for FieldGeometry {
     }
 }
 
-/// Reads a display and skips keys that this version does not know. Such a key may come from a newer
-/// host. In a display *file* it is an error, which the host has already checked.
+/// Reads a display and skips keys that this version does not know, since the host may be newer. In
+/// a display *file* an unknown key is an error; the host has already checked the file.
 pub(crate) fn display_from_json(text: &str) -> Result<Display, PluginError> {
     let mut json: Value = serde_json::from_str(text).map_err(|error| PluginError::failed("display", error))?;
     let display: Display = loop {

@@ -1,8 +1,8 @@
 //! Computes the panels' homographies from photographs of the crosshair array.
 //!
 //! There is one photograph per layer, all from one camera position e. A layer's photograph shows
-//! the array on this layer alone, drawn in perspective for e. From the reference layer's photograph
-//! the camera is computed, which maps a point P of the display plane to the photograph:
+//! the array on this layer alone, drawn in perspective for e. One layer is the reference. Its
+//! photograph determines the camera, which maps a point P of the display plane to the photograph:
 //!
 //! ```text
 //! photograph = centre + size · distort(H(P)),   distort(u) = u · (1 + k₁ |u|² + k₂ |u|⁴)
@@ -10,7 +10,7 @@
 //!
 //! H is a homography, and `size` is half the photograph's diagonal. If a layer at d is misplaced,
 //! its cross for point P of the display plane appears at another point P'. The cross was drawn at
-//! point q of the layer, but the real panel shows it at point t. With D the distance of e from the
+//! point q of the layer, but the real panel shows it at point t. D is the distance of e from the
 //! display plane:
 //!
 //! ```text
@@ -136,7 +136,7 @@ fn array(display: &Display, (layer, photograph): (usize, &GrayImage)) -> Result<
     let wrong = |expected: String, found: String| CalibrationError::Array { layer, expected, found };
     let [cols, rows] = pattern::crosses(display);
     let found = find_crosses(photograph, [cols, rows])
-        .map_err(|found| wrong("the array of crosses with the mark of its middle one".into(), found))?;
+        .map_err(|found| wrong("the array of crosses with the mark of its central cross".into(), found))?;
     if found.len() < FEWEST {
         let expected = format!("at least {FEWEST} of {} crosses", (2 * cols + 1) * (2 * rows + 1));
         return Err(wrong(expected, found.len().to_string()));

@@ -44,9 +44,9 @@ const SPAN_TITLE: &str = "lumistack panels: span";
 /// field of view.
 const REACH: f64 = 1.2;
 
-/// Runs a presentation until a key, a command, `cancelled` or the duration ends it. `emit` receives
-/// events from any thread. Call this function once per process. On macOS it must run on the main
-/// thread.
+/// Runs a presentation until a key, a command, a closed window, `cancelled` or the duration ends
+/// it. `emit` receives events from any thread. Call this function once per process. On macOS it
+/// must run on the main thread.
 ///
 /// # Errors
 /// If there is no windowing system, no graphics driver or too few outputs. Also if an output is
@@ -246,6 +246,7 @@ impl App<'_> {
             self.windows.push((Arc::new(window), name.to_string(), size));
             Ok::<_, WindowError>(())
         };
+        // A preview needs one ordinary window. Its size is a whole multiple of the resolution.
         if settings.mode == Mode::Window {
             let [cols, rows] = display.field.resolution;
             let scale = (960 / cols.max(1)).clamp(1, 8);
@@ -268,7 +269,7 @@ impl App<'_> {
             // have any position and size, so it covers only the assigned outputs.
             let (corner, size) = if is_x11 { bounds(assigned.iter().map(|(_, output)| output)) } else { bounds(&all) };
             let attributes = span_attributes(plain().with_title(SPAN_TITLE), corner, size);
-            open(attributes, "across all outputs", Some(size))?;
+            open(attributes, "the surface across all outputs", Some(size))?;
             self.viewports = assigned
                 .into_iter()
                 .map(|(shows, output)| {
@@ -512,10 +513,11 @@ impl App<'_> {
         }
     }
 
-    /// Executes the command of a key. Escape or q ends the presentation. Space holds a frame or
-    /// resumes. Comma and full stop show the previous and the next frame. Tab selects a panel, and
-    /// arrows shift it by a pixel (Shift: 10 pixels, Control: 0.1). The key s saves the shifts, and
-    /// the key r requests a report. In a preview, arrows turn the view by one degree.
+    /// Executes the command of a key. Escape or q ends the presentation. Space holds frame 0, or
+    /// resumes. Comma and full stop show the previous and the next frame. Tab selects a panel. An
+    /// arrow shifts this panel by a pixel (with Shift by 10 pixels, with Control by 0.1 pixels). In
+    /// a preview, an arrow turns the view by one degree (10 or 0.1 degrees). The key s saves the
+    /// shifts, and the key r requests a report.
     fn key(&mut self, event_loop: &ActiveEventLoop, key: &Key) {
         let Some(running) = &self.running else { return };
         let step = match (self.modifiers.shift_key(), self.modifiers.control_key()) {

@@ -1,5 +1,5 @@
-//! The windows of a presentation: one borderless fullscreen surface per output, or one surface
-//! across all outputs.
+//! The windows of a presentation: one borderless fullscreen surface per output, one surface across
+//! all outputs, or an ordinary window with a preview.
 //!
 //! ```text
 //! main thread   windows, keys, outputs that appear and disappear  (winit requires this thread)
@@ -73,13 +73,13 @@ pub enum WindowError {
         "graphics: expected a Vulkan or OpenGL driver that can present on {on} (Mesa's llvmpipe needs no graphics card), found {found}"
     )]
     Graphics {
-        /// The name of the output, or `the outputs`.
+        /// The name of the output, or another name of the surface, such as `the window`.
         on: String,
         /// The error of the graphics driver.
         found: String,
     },
     /// A window did not reach the size of its output.
-    #[error("output {output}: expected a surface of {expected:?} pixels, found {found:?}: set the output's scale to 1")]
+    #[error("{output}: expected a surface of {expected:?} pixels, found {found:?}: set the output's scale to 1")]
     Size {
         /// The name of the output.
         output: String,

@@ -23,7 +23,7 @@ use crate::assign::Output;
 /// Returns the outputs of this session, from left to right.
 ///
 /// # Errors
-/// Without a windowing system.
+/// If there is no windowing system.
 pub fn outputs() -> Result<Vec<Output>, WindowError> {
     struct Lister(Vec<Output>);
     impl ApplicationHandler for Lister {

@@ -12,7 +12,8 @@ use crate::{Feed, Tally};
 /// State shared with the present loop, which reads it without blocking.
 pub(super) struct SharedState {
     pub(super) stop: AtomicBool,
-    /// The position in the period that all refreshes show; −1 if all positions are shown in turn.
+    /// The position in the period that all refreshes show; −1 if all positions are shown one after
+    /// another.
     pub(super) hold: AtomicI64,
     /// Number of positions in a period: the number of frames, times three in a colour sequence.
     pub(super) places: AtomicU64,
@@ -41,7 +42,7 @@ pub(super) struct PresentLoop {
     pub(super) screens: Vec<Screen>,
     pub(super) viewports: Vec<Viewport>,
     pub(super) shared: Arc<SharedState>,
-    /// Channel for replaced frame sets. Another thread frees them, since that takes time.
+    /// Channel for replaced frame sets. Another thread frees them, since the release takes time.
     pub(super) retired: Sender<FrameSet>,
     pub(super) interval_s: f64,
     pub(super) interval_from: &'static str,

@@ -29,8 +29,8 @@ pub(super) fn surface_of(connection: &Connection, window: &Window) -> Option<WlS
     WlSurface::from_id(connection, id).ok()
 }
 
-/// Closes a window's connection, which unblocks every thread that waits for the compositor. A
-/// thread may wait for ever otherwise, since a compositor sends no answers for a hidden surface.
+/// Closes a window's connection, which unblocks every thread that waits for the compositor.
+/// Otherwise a thread may wait for ever, since a compositor sends no answers for a hidden surface.
 pub(super) fn disconnect(window: &Window) {
     if let Some(connection) = connection_of(window)
         && let Ok(socket) = connection.backend().poll_fd().try_clone_to_owned()
