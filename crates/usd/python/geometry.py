@@ -17,12 +17,13 @@ def value(attribute, time, writer):
     try:
         return writer.array(array)
     except TypeError:
-        writer.warn(attribute.GetPath(), "expected %s, found %s; left out" % (attribute.GetTypeName(), type(array).__name__))
+        writer.warn(attribute.GetPath(), "expected %s, found %s; the attribute is left out" % (attribute.GetTypeName(), type(array).__name__))
         return None
 
 
 def mesh(prim, writer, time, pose=None):
-    """Returns the entry of a `UsdGeomMesh`. `pose` is None, or new (points, normals)."""
+    """Returns the entry of a `UsdGeomMesh`. If `pose` is given, its points and normals replace the
+    points and normals of the file."""
     points, normals = pose or (None, None)
     source = UsdGeom.Mesh(prim)
     entry = {

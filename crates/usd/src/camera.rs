@@ -10,7 +10,7 @@ use crate::placing::affine;
 /// the same name.
 ///
 /// # Errors
-/// The reason why the camera shows nothing, as a phrase after "the camera has".
+/// The reason why the camera shows nothing, as a phrase after "it has".
 pub(crate) fn camera(entry: &CameraEntry, all: &[CameraEntry], scene_from_stage: &DAffine3) -> Result<Camera, String> {
     let name = entry.place.rsplit('/').next().unwrap_or_default();
     let is_unique = all.iter().filter(|other| other.place.rsplit('/').next() == Some(name)).count() == 1;

@@ -1,12 +1,12 @@
 //! Converts the lights of a scene package (UsdLux).
 //!
 //! A light with a surface has the radiance L = intensity · 2^exposure · colour · colour
-//! temperature, divided by its area in the scene if normalized. It becomes a black emitting mesh,
-//! which the viewer sees only if the user requests it.
+//! temperature, divided by its area in the scene if normalized. The light becomes a black emitting
+//! mesh. Camera rays pass through this mesh, unless the user requests visible lights.
 //!
 //! * A distant light of angle 2θ has radiance L in a cone, so its irradiance is L π sin²θ. If it is
 //!   normalized, its irradiance is L.
-//! * A sphere that is treated as a point has the intensity L π r².
+//! * A sphere that is treated as a point, or that has a cone, has the intensity L π r².
 //! * A disc or rectangle with a cone is a spot light of intensity L · area.
 //! * A dome is the environment. In USD's picture the centre is +z and the right edge is towards −x,
 //!   as in OpenEXR. In the scene's picture the centre is −z.
@@ -112,7 +112,7 @@ impl Lights {
         if !(finite && scene_from_light.is_finite()) {
             return task.warn(
                 &entry.place,
-                "the light has a size, brightness or placement that is negative or not finite; it is left out",
+                "the light has a size, brightness or placement that is negative or not finite; the light is left out",
             );
         }
         if Vec3::from(entry.radiance) == Vec3::ZERO {
@@ -166,8 +166,8 @@ impl Lights {
         });
     }
 
-    /// Adds a light that has a surface. It becomes a mesh, or a point or spot light if it is small
-    /// or has a cone.
+    /// Adds a light that has a surface. It becomes a spot light if it has a cone, a point light if
+    /// it is a sphere without a size, and otherwise a mesh.
     fn surface(&mut self, entry: &Entry, scene_from_light: &DAffine3, textures: &mut Textures<'_>, task: Task<'_>) {
         // Build the mesh, and compensate for its area, which is a little smaller than the area of
         // the exact shape.
@@ -245,6 +245,7 @@ impl Lights {
 /// Returns a copy of a material with the emission of a mesh that is a light (`MeshLightAPI`). With
 /// "materialGlowTintsLight" the material's own emission, if any, tints the light. With
 /// "noMaterialResponse" the material reflects nothing. `area` is the mesh's area in the scene.
+/// `None` if the light emits nothing.
 pub(crate) fn emissive(entry: &serde_json::Value, material: &Material, area: f32) -> Option<Material> {
     let entry: MeshEntry = serde_json::from_value(entry.clone()).ok()?;
     let mut radiance = Vec3::from(entry.radiance);

@@ -194,8 +194,8 @@ mod tests {
         0.5 * points.iter().zip(next).map(|(a, b)| f64::from(a[0] * b[1] - b[0] * a[1])).sum::<f64>()
     }
 
-    /// Returns the signed and absolute area of all triangles. They are equal if no triangle is
-    /// outside the polygon or overlaps another.
+    /// Returns two sums over all triangles: of signed areas and of absolute areas. Both equal the
+    /// polygon's area if the triangles cover the polygon once.
     fn areas(geometry: &Geometry) -> [f64; 2] {
         let signed: Vec<f64> = geometry.corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a).z).collect();
         [signed.iter().sum(), signed.iter().map(|area| area.abs()).sum()]

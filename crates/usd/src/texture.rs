@@ -259,8 +259,8 @@ impl<'a> Textures<'a> {
         Some(self.images.len() - 1)
     }
 
-    /// Converts a picture to linear radiance, for the environment and lights; returns the index of
-    /// the image.
+    /// Converts a picture to linear radiance, for the environment. Returns the index of the image,
+    /// or `None` if the picture cannot be read.
     pub(crate) fn radiance(&mut self, image: usize) -> Option<usize> {
         let source = Source::plain(image);
         let key = format!("radiance {image}");
