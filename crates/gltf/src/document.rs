@@ -28,8 +28,8 @@ pub(crate) struct Document<'a> {
     pub(crate) variant: Option<usize>,
     raw: Value,
     bin: Option<&'a [u8]>,
-    /// Content of every buffer's file or data URI. Buffers with the same URI share one entry, whose
-    /// index is that of the first such buffer.
+    /// Content of every buffer's file or data URI. Buffers with the same URI share one entry, which
+    /// has the index of the first of these buffers.
     buffers: Vec<OnceCell<Cow<'a, [u8]>>>,
     /// For every buffer, the index of the first buffer with the same URI.
     first_buffer: Vec<usize>,

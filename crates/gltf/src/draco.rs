@@ -1,7 +1,7 @@
 //! `KHR_draco_mesh_compression`: a primitive whose triangles and attributes are one Draco stream.
 //!
-//! Attributes of the stream take precedence over the primitive's accessors. Only the accessors'
-//! `normalized` is read.
+//! An attribute of the stream replaces the attribute's accessor, of which only `normalized` is
+//! read.
 
 use std::collections::HashMap;
 

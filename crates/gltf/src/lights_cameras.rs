@@ -1,4 +1,4 @@
-//! Light sources other than surfaces; cameras.
+//! Reads light sources other than surfaces, cameras, and the environment.
 //!
 //! Sources: KHR_lights_punctual (candela and lux, light along −z of the node), and glTF 2.0,
 //! section 3.10 (cameras). Two extras belong to Lumistack: `extras.lumistack.focus_distance` on a
@@ -43,9 +43,10 @@ pub(crate) fn lights(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Light
             (Some(direction), _) => direction.as_vec3(),
             (None, LightKind::Point) => Vec3::NEG_Z,
             (None, _) => {
-                document
-                    .task
-                    .warn(format!("/nodes/{node}"), "left out: with a scale of zero the light has no direction");
+                document.task.warn(
+                    format!("/nodes/{node}"),
+                    "the light is left out, since with a scale of zero it has no direction",
+                );
                 continue;
             }
         };
@@ -63,7 +64,7 @@ fn light_kind(document: &Document<'_>, source: &Source, place: &str) -> Result<L
             let Some(spot) = &source.spot else { return Err(Fault::new(place, "cone angles", "nothing")) };
             let (inner, outer) = (spot.inner_cone_angle, spot.outer_cone_angle);
             if !(outer > 0.0 && outer <= FRAC_PI_2 && inner >= 0.0 && inner <= outer) {
-                let expected = "0 ≤ innerConeAngle < outerConeAngle ≤ π/2";
+                let expected = "0 ≤ innerConeAngle ≤ outerConeAngle and 0 < outerConeAngle ≤ π/2";
                 return Err(Fault::new(place, expected, format!("{inner} and {outer}")));
             }
             Ok(LightKind::Spot { inner_cone_rad: inner, outer_cone_rad: outer })
@@ -127,7 +128,8 @@ pub(crate) fn projection(document: &Document<'_>, source: &json::Camera, place: 
         if value > 0.0 && value < most {
             return Ok(value);
         }
-        let expected = if most.is_finite() { format!("a number between 0 and {most}") } else { "above 0".to_owned() };
+        let expected =
+            if most.is_finite() { format!("a number between 0 and {most}") } else { "a number above 0".to_owned() };
         Err(Fault::new(format!("{place}/{field}"), expected, value))
     };
     use gltf::json::camera::Type::{Orthographic, Perspective};
@@ -186,7 +188,7 @@ pub(crate) fn environment(
         },
     };
     if !(strength.is_finite() && strength.min_element() >= 0.0) {
-        return Err(Fault::new(format!("{place}/strength"), "finite, ≥ 0", strength));
+        return Err(Fault::new(format!("{place}/strength"), "finite numbers ≥ 0", strength));
     }
     let scene_from_environment = match environment.get("rotation") {
         None => Quat::IDENTITY,

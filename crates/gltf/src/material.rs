@@ -147,7 +147,7 @@ fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2]
     }
     if used.len() > 2 {
         let message = format!(
-            "expected at most two sets of texture coordinates, found {used:?}; textures that use another than the \
+            "expected at most two sets of texture coordinates, found {used:?}; textures that use another set than the \
              first two get set {}",
             used[0]
         );

@@ -90,7 +90,7 @@ impl<'d> Packed<'d> {
         if filter != Filter::None && codec != Codec::Attributes {
             return Err(Fault::new(
                 fields.place("filter"),
-                "none for indices",
+                "no filter in the modes TRIANGLES and INDICES",
                 document.quote(&fields.place("filter")),
             ));
         }

@@ -26,12 +26,12 @@ pub(crate) struct Nodes {
     pub(crate) shown: Vec<usize>,
     /// Placement in the scene of every node of the file; the index is the node's number.
     pub(crate) scene_from_node: Vec<DAffine3>,
-    /// Animated values, which replace a node's own; the key is the node's number.
+    /// Animated values, which replace a node's own values; the key is the node's number.
     pub(crate) poses: HashMap<usize, NodePose>,
 }
 
 impl Nodes {
-    /// Returns the JSON pointer to the list of shown nodes.
+    /// Returns the JSON pointer to the scene or, if the file has no scenes, to the list of nodes.
     pub(crate) fn place(&self) -> String {
         self.scene_place.clone().unwrap_or_else(|| "/nodes".to_owned())
     }
@@ -119,7 +119,7 @@ fn adopt(
     }
     path.into_iter().for_each(|ancestor| known[ancestor] = Some(shown));
     if shown {
-        document.task.warn(place, format!("{found}; it stays a child of that node"));
+        document.task.warn(place, format!("{found}; the node stays a child of this parent"));
         return false;
     }
     document
@@ -144,7 +144,10 @@ fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
                 None => parents[child.value()] = Some(parent),
                 Some(first) => {
                     let found = format!("node {}, which is a child of node {first}", child.value());
-                    document.task.warn(place, format!("expected one parent, found {found}; it keeps this parent"));
+                    document.task.warn(
+                        place,
+                        format!("expected a node without another parent, found {found}; the node keeps that parent"),
+                    );
                 }
             }
         }
@@ -162,7 +165,7 @@ fn placements(
     let mut placements: Vec<Option<DAffine3>> = vec![None; nodes.len()];
     for start in 0..nodes.len() {
         // Go up to the nearest ancestor whose placement is known. Then compute the placements of
-        // the nodes on the path, from there down.
+        // the nodes on the path, from this ancestor down.
         let mut path = Vec::new();
         let mut at = Some(start);
         while let Some(node) = at.filter(|&node| placements[node].is_none()) {
@@ -232,7 +235,7 @@ pub(crate) fn rotation(xyzw: [f32; 4], place: impl FnOnce() -> String) -> Result
     if length > 0.0 && length.is_finite() {
         return Ok(quaternion / length);
     }
-    Err(Fault::new(place(), "a unit quaternion", format!("{xyzw:?}")))
+    Err(Fault::new(place(), "a quaternion that is finite and not zero", format!("{xyzw:?}")))
 }
 
 const TRANSLATION: Format = Format { types: &[Type::Vec3], components: &[F32], text: "VEC3 of FLOAT" };
@@ -266,7 +269,11 @@ pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<
         ));
     };
     if counts.into_iter().flatten().any(|other| other != count) {
-        return Err(Fault::new(format!("{place}/attributes"), "one count for all", format!("{counts:?}")));
+        return Err(Fault::new(
+            format!("{place}/attributes"),
+            "equal counts of TRANSLATION, ROTATION and SCALE",
+            format!("{counts:?}"),
+        ));
     }
     document.spend(&place, count, size_of::<DAffine3>())?;
     let translations = vectors(document, translations)?;
@@ -297,7 +304,10 @@ pub(crate) fn extras<'a>(document: &'a Document<'_>, owner: &str, known: &[&str]
     let value = document.json(&place)?;
     for key in value.as_object().into_iter().flatten().map(|(key, _)| key) {
         if !known.contains(&key.as_str()) {
-            document.task.warn(format!("{place}/{key}"), format!("unknown; known here: {}", known.join(", ")));
+            document.task.warn(
+                format!("{place}/{key}"),
+                format!("the member is unknown and has no effect; known members: {}", known.join(", ")),
+            );
         }
     }
     Some(value)

@@ -19,14 +19,16 @@ use crate::options::MAX_SIDE;
 /// First bytes of a KTX2 file.
 pub(super) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 
-/// Number of bytes of the header before the list of levels, and of one level's entry in the list.
+/// Number of bytes of the header before the list of levels.
 const HEADER_BYTES: usize = 80;
+/// Number of bytes of one level's entry in this list.
 const LEVEL_BYTES: usize = 24;
 /// Range of the header's bytes that states offset and length of the key/value data.
 #[cfg(feature = "ktx2")]
 const NOTES: Range<usize> = 56..64;
-/// Colour models of the data format descriptor that stand for Basis Universal's two codecs.
+/// Colour model of the data format descriptor for Basis Universal's codec ETC1S.
 const ETC1S: u32 = 163;
+/// Colour model of the data format descriptor for Basis Universal's codec UASTC.
 const UASTC: u32 = 166;
 
 /// The decoded channels from which glTF's red, green, blue and alpha are taken.

@@ -186,8 +186,8 @@ fn basis_pictures_are_decoded() {
         }
         println!("{name}: off by at most {largest}");
         assert!(largest <= tolerance, "{name}: {largest}");
-        // The file is cut short, which must be an error. Then every byte is broken in turn, which
-        // gives an error or a picture, but no panic.
+        // The file is cut short, which must be an error. Then one byte after another is broken,
+        // which gives an error or a picture, but no panic.
         for length in 0..file.len() {
             assert!(load(&picture(&file[..length]).glb()).0.is_err(), "{name} cut to {length}");
         }
