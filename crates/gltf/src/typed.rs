@@ -205,7 +205,9 @@ impl<'v> EnumAccess<'v> for Typed<'v> {
                 (name.ok_or_else(|| Mistyped::custom("a variant without a name"))?, content)
             }
             _ => {
-                return Err(Mistyped::custom("invalid type: another value, expected a text or an object of one member"));
+                return Err(Mistyped::custom(
+                    "invalid type: another value, expected a text or an object of one member",
+                ));
             }
         };
         let name: StrDeserializer<'_, Mistyped> = name.as_str().into_deserializer();
