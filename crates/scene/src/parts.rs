@@ -43,10 +43,11 @@ pub struct Mesh {
     pub positions: Vec<Vec3>,
     /// Unit normals, one per vertex. If there are none, the validator generates flat ones.
     pub normals: Vec<Vec3>,
-    /// Unit tangents. Their w = ±1 is the handedness of the bitangent `w · normal × tangent`. May
-    /// be empty: the validator generates tangents if the material has a normal map or anisotropy.
+    /// Unit tangents. Their w = ±1 is the handedness of the bitangent `w · normal × tangent`. The
+    /// list may be empty; the validator then generates tangents if the material has a normal map or
+    /// anisotropy.
     pub tangents: Vec<Vec4>,
-    /// Texture coordinates of sets 0 and 1. Each may be empty; the mesh then has (0, 0) everywhere.
+    /// Texture coordinates of sets 0 and 1. An empty set has the coordinates (0, 0) everywhere.
     pub uvs: [Vec<Vec2>; 2],
     /// Linear RGBA per vertex, which multiplies the base colour; may be empty.
     pub colors: Vec<Vec4>,

@@ -16,7 +16,7 @@ use glam::{Quat, Vec3};
 
 use super::found::{Axes, Found, ReadError, cloud, constant, degree_of, exp, from_smallest_three, sigmoid};
 
-/// Largest size of a header in bytes; the end of the header is searched only so far.
+/// Largest size of a header in bytes; the end of the header is searched only within these bytes.
 const MAX_HEADER: usize = 1 << 16;
 /// Number of splats per chunk of the compressed form.
 const CHUNK: usize = 256;
