@@ -230,8 +230,8 @@ impl Cloud {
         sorted.sort_by(f32::total_cmp);
         let Some(&most) = sorted.get(sorted.len() * 9 / 10) else { return Bounds::EMPTY };
         areas.iter_mut().zip(&self.opacities).for_each(|(area, opacity)| *area = area.min(most) * opacity);
-        // Find the bulk on each axis, and surround it by a fence. Only splats inside the fence extend
-        // the bounds.
+        // Find the bulk on each axis, and surround it by a fence. Only splats inside the fence
+        // extend the bounds.
         let all: f64 = areas.iter().map(|area| f64::from(*area)).sum();
         let mut fence = Bounds { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY };
         if all > 0.0 {

@@ -181,7 +181,8 @@ pub fn render_views(
 ) -> Result<(), UsdError> {
     let folder = temporary()?;
     let mut next = 0;
-    // Take every finished view in order, since Blender finishes the views in order.
+    // Take the finished views by increasing number, since Blender renders them by increasing
+    // number.
     let mut collect = || {
         while next < views.slopes.len() {
             let picture = folder.path().join(format!("done_{next:05}.exr"));

@@ -76,7 +76,8 @@ enum Failed {
 /// Runs the walker in the first Python that has OpenUSD.
 ///
 /// # Errors
-/// If none has OpenUSD, OpenUSD refuses the file, or the child fails.
+/// If no Python has OpenUSD, if OpenUSD refuses the file, if the child fails, or if the request is
+/// cancelled.
 pub(crate) fn ask(request: &Request<'_>, cancel: &Cancel) -> Result<Answer, UsdError> {
     ask_one_of(&Surroundings::of_system().candidates(), request, cancel)
 }
@@ -215,7 +216,7 @@ fn ended(status: ExitStatus, said: &str) -> String {
     format!("{status}{}", last_line(said))
 }
 
-/// Returns the last lines of standard error, or of standard output if standard error is empty.
+/// Returns the last four lines of standard error, or of standard output if standard error is empty.
 pub(crate) fn last_lines(said: &str, printed: &str) -> String {
     let text = if said.trim().is_empty() { printed } else { said };
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
@@ -332,8 +333,8 @@ mod tests {
         assert!(!alive.success(), "process {pid} is still there");
     }
 
-    /// If the Python has no OpenUSD, the boot script reports this. If it has OpenUSD, it refuses
-    /// the file, which does not exist.
+    /// If the Python has no OpenUSD, the boot script reports this. If the Python has OpenUSD,
+    /// OpenUSD refuses the file, which does not exist.
     #[test]
     fn a_real_python_answers() {
         let python = Candidate { program: "python3".into(), from: "PATH", given: false };

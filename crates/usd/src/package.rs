@@ -37,7 +37,7 @@ pub struct Header {
     pub version: u32,
     /// The reason why the walker has no scene; `None` if it has one.
     pub error: Option<Failure>,
-    /// Name of the stage, for messages.
+    /// Display name of the stage's root layer.
     pub name: String,
     /// "Y" or "Z": the axis that points up.
     pub up_axis: String,
@@ -66,7 +66,7 @@ pub struct Failure {
     /// `python` (too old), `pxr` (no OpenUSD), `scene` (the file is refused), or `walker` (an error
     /// in the walker).
     pub kind: String,
-    /// The reason in one sentence, for the user.
+    /// The reason, for the user. For an error in the walker this is Python's traceback.
     pub message: String,
 }
 
@@ -91,9 +91,9 @@ pub struct Contents {
     pub time_range: Option<TimeRange>,
     /// Number of prims that OpenUSD's default traversal visits.
     pub prims: usize,
-    /// Number of meshes among these prims.
+    /// Number of meshes that this traversal visits.
     pub meshes: usize,
-    /// Number of points of these meshes.
+    /// Number of points of the counted meshes.
     pub points: usize,
 }
 
