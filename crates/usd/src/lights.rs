@@ -1,8 +1,9 @@
 //! Converts the lights of a scene package (UsdLux).
 //!
 //! A light with a surface has the radiance L = intensity · 2^exposure · colour · colour
-//! temperature, divided by its area in the scene if normalized. The light becomes a black emitting
-//! mesh. Camera rays pass through this mesh, unless the user requests visible lights.
+//! temperature, divided by the light's area in the scene if the light is normalized. The light
+//! becomes a black emitting mesh. Camera rays pass through this mesh, unless the user requests
+//! visible lights.
 //!
 //! * A distant light of angle 2θ has radiance L in a cone, so its irradiance is L π sin²θ. If it is
 //!   normalized, its irradiance is L.
@@ -167,7 +168,7 @@ impl Lights {
     }
 
     /// Adds a light that has a surface. It becomes a spot light if it has a cone, a point light if
-    /// it is a sphere without a size, and otherwise a mesh.
+    /// it is a sphere that is treated as a point or has the radius 0, and otherwise a mesh.
     fn surface(&mut self, entry: &Entry, scene_from_light: &DAffine3, textures: &mut Textures<'_>, task: Task<'_>) {
         // Build the mesh, and compensate for its area, which is a little smaller than the area of
         // the exact shape.
@@ -186,8 +187,8 @@ impl Lights {
         if entry.shaping.is_some_and(|shaping| shaping.focus > 0.0) {
             task.warn(&entry.place, "the light's shaping:focus is not supported");
         }
-        // A light with a cone becomes a spot. A sphere of radius 0 or with treatAsPoint and no cone
-        // becomes a point light.
+        // A light with a cone becomes a spot. A sphere without a cone becomes a point light if it
+        // has the radius 0 or treatAsPoint.
         let cone = entry.shaping.filter(|shaping| shaping.angle < 90.0);
         let small = is_sphere && (entry.as_point || entry.radius == 0.0);
         if cone.is_some() || small {

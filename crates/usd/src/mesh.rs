@@ -116,7 +116,7 @@ impl<'a> Vertices<'a> {
     }
 }
 
-/// Cuts polygons into triangles. It keeps its buffers, so that they are allocated once.
+/// Cuts polygons into triangles, with buffers that are allocated only once.
 #[derive(Default)]
 struct Cutter {
     earcut: earcut::Earcut<f64>,
@@ -143,7 +143,7 @@ impl Cutter {
         };
         let convex = (0..count).all(|i| turn(i) >= 0.0);
         if count == 4 && !convex {
-            // start the diagonal at a concave corner, so that it is inside the polygon
+            // start the diagonal at a concave corner, so that the diagonal is inside the polygon
             let hub = if turn(1) < 0.0 || turn(3) < 0.0 { 1 } else { 0 };
             self.triangles.extend([[hub, hub + 1, hub + 2], [hub, hub + 2, (hub + 3) % 4]]);
             return &self.triangles;

@@ -12,7 +12,7 @@ use crate::{UsdError, blend};
 const BPY: &str = "import sys\ntry: import bpy\nexcept ImportError as error: sys.exit(str(error))\n\
     print('Blender', bpy.app.version_string, 'as a module')";
 
-/// Oldest version of Blender that reads `.blend` files for us, as in `python/blend.py`.
+/// Oldest supported version of Blender, as in `python/blend.py`.
 const OLDEST_BLENDER: [u32; 2] = [4, 2];
 
 /// `Ok` has the program that reads a kind of file, and the version of OpenUSD or Blender. If there
