@@ -246,7 +246,7 @@ fn read_splats(
 /// A mesh, with the weights and the skin that determine its shape. Each node with a skin or with
 /// weights has its own shape; all other nodes that show the mesh share one shape.
 struct Shape<'a> {
-    /// The node's weights of morph targets, if the node has its own.
+    /// Weights of morph targets that an animation or the node sets.
     weights: Option<&'a [f32]>,
     mesh: &'a json::Mesh,
     number: usize,

@@ -6,7 +6,7 @@
 //!
 //! The alternative is `serde_path_to_error`, a wrapper around the deserializer of `serde_json`.
 //! With it, the code that reads each type is compiled once more. In a module for the web, the
-//! additional code was a twelfth of the size.
+//! additional code was a twelfth of the module's size.
 
 use std::fmt::{Display, Write};
 

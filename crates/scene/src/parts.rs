@@ -75,7 +75,7 @@ pub struct Light {
     /// Unit direction in which light travels; unused by point lights.
     pub direction: Vec3,
     /// Linear RGB. For point and spot lights this is the radiant intensity (candela up to a
-    /// factor), for directional and distant lights the irradiance (lux up to a factor).
+    /// factor). For directional and distant lights it is the irradiance (lux up to a factor).
     pub intensity: Vec3,
     /// Kind of the light. The kind decides how the light spreads.
     pub kind: LightKind,

@@ -103,8 +103,8 @@ impl SceneParts {
     /// zero, with warnings.
     ///
     /// # Errors
-    /// If an index is out of range, a list has the wrong length, a number is not finite (except in
-    /// splats), or too many splats are placed. Also if nothing remains to render.
+    /// If an index is out of range, a list has the wrong length, or a number is not finite (except
+    /// in splats). Also if too many splats are placed, or if nothing remains to render.
     pub fn validate(mut self, task: Task<'_>) -> Result<Scene, SceneError> {
         self.check_images()?;
         self.check_materials(task)?;

@@ -90,8 +90,8 @@ pub fn pythons() -> Vec<(PathBuf, &'static str)> {
 /// Loads a USD file.
 ///
 /// # Errors
-/// [`UsdError`] if the file cannot be opened, if no Python has OpenUSD, if OpenUSD or the walker
-/// fails, if nothing in the file can be rendered, or if the task is cancelled.
+/// [`UsdError`] if the file cannot be opened, if no Python has OpenUSD, or if OpenUSD or the walker
+/// fails. Also if nothing in the file can be rendered, or if the task is cancelled.
 pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded, UsdError> {
     let name = file_name(path)?;
     let LoadOptions { time_s, variants } = options;

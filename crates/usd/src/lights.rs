@@ -1,9 +1,9 @@
 //! Converts the lights of a scene package (UsdLux).
 //!
 //! A light with a surface has the radiance L = intensity · 2^exposure · colour · colour
-//! temperature, divided by the light's area in the scene if the light is normalized. The light
-//! becomes a black emitting mesh. Camera rays pass through this mesh, unless the user requests
-//! visible lights.
+//! temperature. If the light is normalized, L is divided by the light's area in the scene. The
+//! light becomes a black emitting mesh. Camera rays pass through this mesh, unless the user
+//! requests visible lights.
 //!
 //! * A distant light of angle 2θ has radiance L in a cone, so its irradiance is L π sin²θ. If it is
 //!   normalized, its irradiance is L.
@@ -167,8 +167,9 @@ impl Lights {
         });
     }
 
-    /// Adds a light that has a surface. It becomes a spot light if it has a cone, a point light if
-    /// it is a sphere that is treated as a point or has the radius 0, and otherwise a mesh.
+    /// Adds a light that has a surface. A light with a cone becomes a spot light. A sphere that is
+    /// treated as a point, or has the radius 0, becomes a point light. Any other light becomes a
+    /// mesh.
     fn surface(&mut self, entry: &Entry, scene_from_light: &DAffine3, textures: &mut Textures<'_>, task: Task<'_>) {
         // Build the mesh, and compensate for its area, which is a little smaller than the area of
         // the exact shape.

@@ -46,7 +46,7 @@ pub enum Packed<'a> {
     Capture(&'a [u8], Vec<(&'a str, &'a [u8])>),
 }
 
-/// The use of a picture, which decides its formats.
+/// The use of a picture, which decides the allowed formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Use {
     /// A texture, which may be PNG, JPEG, WebP or KTX2.

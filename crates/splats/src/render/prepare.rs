@@ -11,8 +11,8 @@
 //! ```
 //!
 //! The ray from an eye through the splat's centre has s = (e − c)/(D − z) and m = D/(D − z). Here e
-//! and c = (x, y) are the columns and rows of the eye and of the centre, and D is the distance of
-//! the eye from the window. Within one splat, rays are treated as parallel. This is the affine
+//! has the column and row of the eye, and c = (x, y) those of the centre. D is the distance of the
+//! eye from the window. Within one splat, rays are treated as parallel. This is the affine
 //! approximation that KHR_gaussian_splatting prescribes, for the sheared frustum of the window.
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
