@@ -31,6 +31,7 @@ pub(crate) fn lights(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Light
         let used_at = format!("/nodes/{node}/extensions/KHR_lights_punctual/light");
         let source = document.get(reference.light, &used_at)?;
         let place = format!("/extensions/KHR_lights_punctual/lights/{}", reference.light.value());
+        // check the light even if its node gives it no direction
         let kind = light_kind(document, source, &place)?;
         let intensity = Vec3::from(source.color) * source.intensity;
         if !(intensity.is_finite() && intensity.min_element() >= 0.0) {
@@ -172,6 +173,7 @@ pub(crate) fn environment(
         let expected = format!("an object with {}", known.join(", "));
         return Err(Fault::new(place, expected, quote(Some(environment))));
     }
+    // read the picture, the factor and the rotation
     let Some(uri) = environment.get("image").and_then(Value::as_str) else {
         let place = format!("{place}/image");
         return Err(Fault::new(&place, "the path of a Radiance .hdr picture", document.quote(&place)));

@@ -267,6 +267,7 @@ fn read_mesh(
         if splats::is_splats(document, &place) {
             continue;
         }
+        // all primitives without a material share one default material
         let material = match variants::material(document, primitive, &place)? {
             Some(material) => material.value(),
             None => *default_material.get_or_insert_with(|| {

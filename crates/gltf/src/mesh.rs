@@ -229,6 +229,7 @@ fn morph(
         if weight == 0.0 {
             continue;
         }
+        // read the offsets of this target, and add them to the values of the mesh
         let place = |name: &str| format!("{}/targets/{i}/{name}", attributes.place);
         let read = |index: Option<json::Index<json::Accessor>>, name: &str, format: &Format| {
             let Some(index) = index else { return Ok(None) };

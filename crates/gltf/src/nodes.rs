@@ -275,6 +275,7 @@ pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<
             format!("{counts:?}"),
         ));
     }
+    // read the attributes, and combine them to one placement per copy
     document.spend(&place, count, size_of::<DAffine3>())?;
     let translations = vectors(document, translations)?;
     let scales = vectors(document, scales)?;

@@ -205,6 +205,7 @@ impl SceneParts {
     }
 
     fn check_images(&self) -> Result<(), SceneError> {
+        // check the size of each image, and the values of radiance
         for image in &self.images {
             let texels = image.width.checked_mul(image.height);
             if texels != Some(image.pixels.len()) || image.pixels.is_empty() {
@@ -218,6 +219,7 @@ impl SceneParts {
                 return Err(SceneError::new(place, "finite radiance ≥ 0", format!("{:?}", texels[at])));
             }
         }
+        // check the textures, the backdrop and the environment
         for (i, texture) in self.textures.iter().enumerate() {
             index(&format!("/textures/{i}/source"), texture.image, self.images.len(), "image")?;
         }
@@ -401,6 +403,7 @@ fn index(place: &str, value: usize, count: usize, what: &str) -> Result<(), Scen
 
 /// Checks and repairs a mesh; returns the number of triangles without area, which it leaves out.
 fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<usize, SceneError> {
+    // check positions, lengths of lists, and indices
     let count = mesh.positions.len();
     index(&format!("{} material", mesh.place), mesh.material, material_count, "material")?;
     if let Some(at) = mesh.positions.iter().position(|p| !p.is_finite()) {
@@ -431,6 +434,7 @@ fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<
             format!("{:?}", mesh.triangles[at]),
         ));
     }
+    // check the numbers of the other attributes
     for (set, uvs) in mesh.uvs.iter().enumerate() {
         if let Some(at) = uvs.iter().position(|uv| !uv.is_finite()) {
             let place = format!("{} TEXCOORD_{set}[{at}]", mesh.place);
@@ -441,6 +445,7 @@ fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<
         let place = format!("{} COLOR_0[{at}]", mesh.place);
         return Err(SceneError::new(place, "finite colours", mesh.colors[at].to_string()));
     }
+    // leave out triangles without area, and repair normals without a direction
     let before = mesh.triangles.len();
     let positions = &mesh.positions;
     mesh.triangles.retain(|&triangle| face_normal(positions, triangle).is_some());
@@ -512,6 +517,7 @@ fn generate_flat_normals(mesh: &mut Mesh) {
 /// perpendicular to its normal. The bitangent points up in the texture, along decreasing v, since
 /// green is up and v is down in glTF's normal maps.
 fn generate_tangents(mesh: &mut Mesh, uv_set: usize) {
+    // sum the tangents and bitangents of the triangles around each vertex
     let count = mesh.positions.len();
     let uvs = &mesh.uvs[uv_set];
     let mut sums = vec![(Vec3::ZERO, Vec3::ZERO); count];

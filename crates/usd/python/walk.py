@@ -129,6 +129,7 @@ def choose_variants(stage, wanted, writer):
     """
     if not wanted:
         return
+    # Select variants in the session layer, so that the file stays unchanged.
     stage.SetEditTarget(stage.GetSessionLayer())
     for text in wanted:
         path, _, rest = text.rpartition("{")

@@ -93,6 +93,7 @@ impl Lights {
         textures: &mut Textures<'_>,
         task: Task<'_>,
     ) {
+        // Read and check the entry, since packages are not trusted.
         let entry: Entry = match serde_json::from_value(entry.clone()) {
             Ok(entry) => entry,
             Err(error) => {
@@ -116,6 +117,7 @@ impl Lights {
                 "the light has a size, brightness or placement that is negative or not finite; the light is left out",
             );
         }
+        // A black light needs no warning.
         if Vec3::from(entry.radiance) == Vec3::ZERO {
             return;
         }

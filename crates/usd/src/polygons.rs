@@ -170,6 +170,7 @@ impl Reader<'_, '_> {
             Fault::Cancelled(_) => String::new(),
         };
         let values = self.package.reals::<N>(&primvar.values, &place).map_err(text)?;
+        // Find the number of elements that need a value.
         let (interpolation, elements) = match primvar.interpolation.as_str() {
             "constant" => (Interpolation::Constant, 1),
             "uniform" => (Interpolation::Uniform, self.sizes.faces),
@@ -181,6 +182,7 @@ impl Reader<'_, '_> {
         if values.iter().flatten().any(|value| !value.is_finite()) {
             return Err("values that are not finite".into());
         }
+        // Read the indices, and check them and the number of values.
         let indices = match &primvar.indices {
             None => None,
             Some(array) => {

@@ -187,6 +187,7 @@ impl<'a> Assembly<'a> {
         let constant = primvars.iter().filter(|primvar| primvar.interpolation == "constant").cloned().collect();
         let whole = MeshEntry { place: shape.place().to_owned(), primvars: constant, ..MeshEntry::default() };
         let whole = polygons::read(self.package, &whole, [None, None], &mut |_| {})?;
+        // Select the material: the bound one, or a new one that shows the display colour.
         let (material, colors) = match bound {
             Some((_, true)) if geometry.colors.is_empty() => {
                 if let Some(&[r, g, b]) = whole.colors.as_ref().and_then(|colors| colors.values.first()) {
