@@ -89,7 +89,7 @@ pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 pub trait AssetResolver {
     /// Returns the content of the file at `uri`, which is relative to the glTF file and already
     /// percent-decoded. The glTF file is not trusted: `uri` may name any file (`../../secret`,
-    /// `/dev/zero`), so the resolver decides which ones it reads.
+    /// `/dev/zero`), so the resolver decides which files it reads.
     ///
     /// An error is the reason in a few words, for the user ("No such file"). A file larger than
     /// `max_bytes` is an error, too; the resolver must not read such a file.

@@ -139,7 +139,7 @@ fn load_scene(
     })
 }
 
-/// For each material, finds whether a mesh of the scene uses it.
+/// Returns, for each material, true if a mesh of the scene uses it.
 fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, Fault> {
     let mut used = vec![false; document.root.materials.len()];
     // thousands of nodes may share a mesh of thousands of primitives, so each mesh is searched once

@@ -139,7 +139,7 @@ impl Loader<'_, '_> {
 /// Assigns the texture coordinate sets that a material uses to the two sets of a mesh. Returns the
 /// file's numbers of the mesh's sets 0 and 1. They are 0 and 1 if the material uses no higher set.
 fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2] {
-    // find the coordinate sets that the textures use; sets 0 and 1 keep their numbers
+    // find the coordinate sets that the textures use; without a set above 1 nothing changes
     let mut used: Vec<usize> = material.textures().map(|(_, texture)| texture.uv_set).collect();
     used.sort_unstable();
     used.dedup();

@@ -91,8 +91,8 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
 
 /// Returns true if a node that the scene lists becomes a root of the scene. A scene should not list
 /// a node that has a parent, but many readers show such a node. If the scene shows an ancestor too,
-/// the node stays with its parent. Otherwise it is shown without its parent. `known` keeps, for
-/// each ancestor, whether the scene shows it.
+/// the node stays with its parent. Otherwise it is shown without its parent. `known` keeps true for
+/// each ancestor that the scene shows, and false for other ancestors that were searched.
 fn adopt(
     document: &Document<'_>,
     node: usize,

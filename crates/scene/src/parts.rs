@@ -41,7 +41,8 @@ pub struct Mesh {
     pub place: String,
     /// Vertex positions in mesh space.
     pub positions: Vec<Vec3>,
-    /// Unit normals, one per vertex. If there are none, the validator generates flat ones.
+    /// Unit normals, one per vertex. If the list is empty, the validator generates the normals of
+    /// the triangles.
     pub normals: Vec<Vec3>,
     /// Unit tangents. Their w = ±1 is the handedness of the bitangent `w · normal × tangent`. The
     /// list may be empty; the validator then generates tangents if the material has a normal map or

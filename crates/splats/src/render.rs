@@ -213,7 +213,7 @@ fn bin(prepared: &Prepared, ends: &[Eye], tiles: [usize; 2]) -> (Vec<usize>, Vec
         })
     };
     // Sort by counting: count the splats of each tile, sum the counts to starts, then fill the
-    // lists in order of depth.
+    // lists, the nearest splats first.
     let mut starts = vec![0usize; count + 1];
     for reach in &reaches {
         for range in each_row(*reach) {

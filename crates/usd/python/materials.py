@@ -164,7 +164,7 @@ class Graph:
         if not shader:
             return None
         if self.depth > 50:
-            self.writer.warn(shader.GetPath(), "the shader is connected in a circle")
+            self.writer.warn(shader.GetPath(), "the shader is connected in a circle; the input keeps its default")
             return None
         self.depth += 1
         found = self.node(shader, output)

@@ -135,7 +135,7 @@ def choose_variants(stage, wanted, writer):
         path, _, rest = text.rpartition("{")
         name, _, variant = rest.rstrip("}").partition("=")
         found, known = False, {}
-        # A variant may add prims with variants of their own, so repeat until nothing changes.
+        # A variant may add prims with further variants, so repeat until nothing changes.
         for _ in range(8):
             changed = False
             for prim, set_name, choices, selection in list(variant_sets(stage)):

@@ -406,7 +406,7 @@ impl<'a> Package<'a> {
         let wanted = rows.checked_mul(width).and_then(|count| count.checked_mul(size));
         if wanted != Some(bytes.len()) {
             let found = format!("{} bytes of type {} for shape {:?}", bytes.len(), array.kind, array.shape);
-            return Err(fault("as many bytes as the shape needs".into(), found));
+            return Err(fault("the number of bytes that the shape needs".into(), found));
         }
         Ok((bytes, rows))
     }

@@ -126,7 +126,8 @@ impl Header {
             let found = format!("colour model {model} with supercompression {scheme}");
             return fault("ETC1S in BasisLZ, or UASTC plain or in Zstandard", found);
         }
-        // check that every level has as many bytes as its texels need
+        // check that every level is within the file, and that a level of UASTC has the size that
+        // its texels need
         for level in 0..levels {
             let entry = HEADER_BYTES + LEVEL_BYTES * level as usize;
             inside(long(entry)?, long(entry + 8)?)?;
