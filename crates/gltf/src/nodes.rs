@@ -228,7 +228,8 @@ fn posed(pose: Option<&NodePose>, (scale, rotation, translation): (DVec3, DQuat,
     )
 }
 
-/// Makes a unit quaternion of four numbers. As a vector, they may have any length except 0.
+/// Makes a unit quaternion of four numbers. The vector of these numbers may have any length except
+/// 0.
 pub(crate) fn rotation(xyzw: [f32; 4], place: impl FnOnce() -> String) -> Result<DQuat, Fault> {
     let quaternion = DQuat::from_array(xyzw.map(f64::from));
     let length = quaternion.length();

@@ -84,7 +84,7 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
         found.left_out.into_iter().for_each(|message| document.task.warn(place, message));
         let cloud = Cloud { place: place.to_owned(), encoding, ..found.cloud };
         // SPZ has x to the right and z to the back, glTF has x to the left and z to the front. A
-        // half turn about y converts one to the other.
+        // half turn about y converts the axes of SPZ to those of glTF.
         let mesh_from_cloud = DAffine3::from_quat(DQuat::from_xyzw(0.0, 1.0, 0.0, 0.0));
         return Ok(Splats { cloud, mesh_from_cloud });
     }

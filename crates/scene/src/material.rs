@@ -116,8 +116,8 @@ pub struct Iridescence {
     pub texture: Option<TextureUse>,
     /// Index of refraction of the film, ≥ 1.
     pub ior: f32,
-    /// Thickness of the film in nanometres, where its texture is 0 and where it is 1. Without a
-    /// texture the film has the second thickness.
+    /// Thickness of the film in nanometres: where the thickness texture is 0, and where the texture
+    /// is 1. Without a texture the film has the second thickness.
     pub thickness_nm: [f32; 2],
     /// Texture that mixes the two values of `thickness_nm`, in the green channel; linear.
     pub thickness_texture: Option<TextureUse>,

@@ -401,7 +401,8 @@ fn index(place: &str, value: usize, count: usize, what: &str) -> Result<(), Scen
     Err(SceneError::new(place, format!("the index of a {what}, below {count}"), value.to_string()))
 }
 
-/// Checks and repairs a mesh; returns the number of triangles without area, which it leaves out.
+/// Checks and repairs a mesh, and leaves out its triangles without area. Returns the number of
+/// these triangles.
 fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<usize, SceneError> {
     // check positions, lengths of lists, and indices
     let count = mesh.positions.len();

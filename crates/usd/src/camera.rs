@@ -6,8 +6,8 @@ use lumistack_scene::{Camera, Projection};
 use crate::package::CameraEntry;
 use crate::placing::affine;
 
-/// Converts a camera. Its name is the name of its prim, or the prim's path if other cameras have
-/// the same name.
+/// Converts a camera. The camera's name is the name of the prim, or the prim's path if other
+/// cameras have the same name.
 ///
 /// # Errors
 /// The reason why the camera shows nothing, as a phrase after "it has".

@@ -121,7 +121,7 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
         }
         let text = serde_json::to_vec(&WithModules { modules: &MODULES, request }).expect("requests serialize");
         // Write in a thread, since the text is longer than a pipe holds. A write fails if the child
-        // has ended; its status is checked later.
+        // has ended; the child's status is checked later.
         std::thread::spawn(move || input.write_all(&text));
     }
     // Wait for the end of the child; Ctrl-C reaches the child too.

@@ -304,8 +304,8 @@ mod tests {
             triangulate(&Polygons { opacities: Some(opacities), ..pair() }).positions.len()
         };
         assert_eq!(agree([0.5; 8]), 6);
-        // the two faces have different values along their common edge, so its points get two
-        // vertices each
+        // the two faces have different values along their common edge, so the points of this edge
+        // get two vertices each
         assert_eq!(agree([0., 0., 0., 0., 1., 1., 1., 1.]), 8);
     }
 

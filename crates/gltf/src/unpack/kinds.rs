@@ -84,7 +84,7 @@ pub enum Filter {
 /// Decoded content.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Unpacked {
-    /// Size of a picture in texels, and of one of its texels in bytes.
+    /// Size of a picture in texels, and size of a texel in bytes.
     Size {
         /// Number of texels in a row of the picture.
         width: u32,

@@ -68,8 +68,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
 pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
     let Header { width, height, channels } = Header::read(bytes)?;
     let broken = |error| Unsound::new("a sound Basis Universal picture", format!("{error:?}"));
-    // hide the key/value data: texels do not need it, and the decoder trusts the length of its last
-    // entry
+    // hide the key/value data: texels do not need this data, and the decoder trusts the length of
+    // its last entry
     let mut noteless = bytes.to_vec();
     noteless[NOTES].fill(0);
     let transcoder = Transcoder::new(&noteless).map_err(broken)?;

@@ -171,7 +171,7 @@ fn picture(bytes: &[u8]) -> Builder {
 #[test]
 fn basis_pictures_are_decoded() {
     // KHR_texture_basisu. In ETC1S the colours of a block lie on one line in the space of colours,
-    // so its tolerance is larger.
+    // so the tolerance of ETC1S is larger.
     for (name, tolerance) in [("etc1s", 24), ("uastc", 8), ("uastc-zstd", 8)] {
         let file = data(&format!("{name}.ktx2"));
         let scene = scene(&picture(&file));

@@ -215,8 +215,8 @@ fn packed(
         Some(sh) => return Err(ReadError::new("element sh", format!("{} rows", vertices.count), sh.count)),
         None => (Vec::new(), 0),
     };
-    // Expand the words of each splat. Their 11, 10 and 11 bits are x, y and z between the chunk's
-    // bounds.
+    // Expand the words of each splat. In a position and in a scale, 11, 10 and 11 bits are x, y and
+    // z between the chunk's bounds.
     let word = |column: &Column<'_>, i: usize| u32::from_le_bytes(column.bytes(i));
     let three = |word: u32| [unit(word, 21, 11), unit(word, 11, 10), unit(word, 0, 11)];
     let lerp = |low: f32, high: f32, t: f32| low + t * (high - low);
