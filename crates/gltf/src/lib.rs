@@ -99,7 +99,7 @@ pub trait AssetResolver {
     /// to that module.
     ///
     /// # Errors
-    /// When the content is broken.
+    /// If the content is broken, or if its decoder panics.
     fn unpack(&self, packed: &unpack::Packed<'_>) -> Result<unpack::Unpacked, unpack::Unsound> {
         unpack::unpack(packed)
     }

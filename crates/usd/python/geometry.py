@@ -10,7 +10,8 @@ SINGLE = {"color3f": Vt.Vec3fArray, "color3d": Vt.Vec3dArray, "color3h": Vt.Vec3
 
 
 def value(attribute, time, writer):
-    """Returns a reference to the array of an attribute; None if the attribute has no value."""
+    """Returns a reference to the array of an attribute. None if the attribute has no value, or, after
+    a warning, if the value is not an array."""
     array = attribute.Get(time) if attribute else None
     if array is None:
         return None

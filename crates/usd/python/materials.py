@@ -100,7 +100,8 @@ def numbers(value):
 
 
 def linear(values, space):
-    """Converts a constant colour to linear Rec. 709."""
+    """Converts a constant colour from sRGB or ACEScg to linear Rec. 709. Colours of other spaces stay
+    unchanged."""
     if space in SRGB:
         return [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in values[:3]] + values[3:]
     if space in ("acescg", "lin_ap1", "lin_ap1_scene") and len(values) >= 3:
@@ -148,7 +149,8 @@ class Graph:
         return attribute, None, None
 
     def input(self, given):
-        """Returns the value of an input; None if it has neither value nor connection."""
+        """Returns the value of an input. None if the input has neither a connection nor a value of a
+        known type."""
         attribute, shader, output = self.producer(given)
         if attribute:
             values = numbers(attribute.Get(self.time))
@@ -273,7 +275,8 @@ class Graph:
         return (attribute.GetColorSpace() if attribute and attribute.HasColorSpace() else None) or default
 
     def normal_map(self, shader):
-        """Returns a normal map in tangent space, with the codes 0..1 mapped to −1..1."""
+        """Returns a normal map in tangent space, with the codes 0..1 mapped to −1..1. None if there is
+        no such map."""
         found = self.get(shader, "in")
         if found is None or "texture" not in found:
             return None

@@ -2,8 +2,8 @@
 //! entry of a .usdz package.
 //!
 //! The first bytes determine the format. TGA has no signature, so a file name that ends with .tga
-//! determines it. The bytes are not trusted: sizes are limited before decoding, and a panic in a
-//! library is an error.
+//! determines this format. The bytes are not trusted: sizes are limited before decoding, and a
+//! panic in a library is an error.
 
 use std::io::Cursor;
 use std::panic::AssertUnwindSafe;

@@ -11,8 +11,9 @@
 //! | `Ns` | roughness = 1 − √(Ns / 1000), as Blender writes it |
 //! | `Pr`, `Pm` | roughness and metallic, if the file has them |
 //!
-//! Lines, points and curves are ignored. All other maps are ignored with a warning. OBJ files state
-//! neither their unit nor their upward axis, so the parameters `scale` and `up` set them.
+//! Lines, points and curves are ignored. All maps except `map_Kd` are ignored with a warning. OBJ
+//! files state neither their unit nor their upward axis, so the parameters `scale` and `up` set
+//! them.
 
 mod glb;
 mod mtl;
