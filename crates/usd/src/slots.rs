@@ -113,7 +113,7 @@ impl Inputs {
     /// Returns the names of inputs that have no effect although the file sets them. `known` lists
     /// inputs without a counterpart, with the default of their components. Such an input is
     /// returned if it differs from the default, or is a texture or primvar. An input outside this
-    /// list is returned if it was not read.
+    /// list is returned if it has a value or texture that was not read.
     pub(crate) fn ignored(&self, known: &[(&'static str, f32)]) -> Vec<String> {
         let read = self.read.borrow();
         let matters = |name: &str, input: &Input| {
