@@ -37,7 +37,8 @@ pub(crate) struct Accessor<'a> {
     sparse: Option<Sparse<'a>>,
 }
 
-/// The elements of an accessor that are to be read, in order.
+/// The elements of an accessor that are read: all, or the elements with these indices in this
+/// order.
 pub(crate) enum Selection {
     All,
     Some(Vec<u32>),
@@ -117,7 +118,7 @@ impl<'a> Accessor<'a> {
         let draco::Attribute { component, dimensions, ref bytes } = *source;
         let known = format.types.iter().any(|kind| kind.multiplicity() == dimensions);
         if !(known && format.components.contains(&component)) {
-            let found = format!("{dimensions} of {component:?} in the Draco stream");
+            let found = format!("{dimensions} components of {component:?} in the Draco stream");
             return Err(Fault::new(used_at, format.text, found));
         }
         let size = dimensions * component.size();

@@ -188,7 +188,7 @@ fn channels(document: &Document<'_>, number: usize) -> Result<Vec<Channel>, Faul
         let Some(node) = target.index::<json::Node>("node")? else { continue };
         document.get(node, &target.place("node"))?;
         if !moved.insert((node.value(), property)) {
-            return Err(Fault::new(target_place, "one channel for one target", "a second one"));
+            return Err(Fault::new(target_place, "one channel for each node and property", "a second channel"));
         }
         // read the sampler: keys, values, and the interpolation between them
         let Some(sampler) = channel.count("sampler")?.filter(|&sampler| sampler < sampler_count) else {
@@ -317,7 +317,11 @@ fn rotation(document: &Document<'_>, channel: &Channel, time_s: f64) -> Result<D
         let quaternion = DQuat::from_array(xyzw);
         let length = quaternion.length();
         let place = format!("{}/output", channel.sampler);
-        if length > 0.0 { Ok(quaternion / length) } else { Err(Fault::new(place, "unit quaternions", quaternion)) }
+        if length > 0.0 {
+            Ok(quaternion / length)
+        } else {
+            Err(Fault::new(place, "quaternions that are not zero", quaternion))
+        }
     };
     match values::<4>(document, channel, &ROTATIONS, 1, time_s)? {
         Values::Linear { values: [from, to], share } => Ok(unit(from[0])?.slerp(unit(to[0])?, share)),

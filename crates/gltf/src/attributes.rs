@@ -20,7 +20,8 @@ pub(crate) struct Attributes<'d, 'f> {
 }
 
 impl<'d> Attributes<'d, '_> {
-    /// Opens an attribute that the primitive has, and checks that it has `count` elements.
+    /// Opens an attribute; `None` if the primitive lacks it. If `count` is given, an accessor must
+    /// have this number of elements.
     pub(crate) fn open(
         &self,
         semantic: Semantic,
@@ -36,7 +37,8 @@ impl<'d> Attributes<'d, '_> {
         }
     }
 
-    /// Opens the accessor that the file names at `place`, and checks that it has `count` elements.
+    /// Opens the accessor that the file names at `place`. If `count` is given, the accessor must
+    /// have this number of elements.
     pub(crate) fn open_index(
         &self,
         index: json::Index<json::Accessor>,

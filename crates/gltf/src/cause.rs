@@ -37,7 +37,7 @@ const ANY: Format = Format {
     text: "a type and a component type of glTF 2.0",
 };
 
-/// Returns the error of a file whose scene has no mesh.
+/// Returns the error of a file whose scene shows neither a mesh nor splats.
 pub(crate) fn nothing_to_show(document: &Document<'_>, nodes: &Nodes) -> Fault {
     let found = format!("none: {}", structure(document, nodes));
     let defect = match defect(document, nodes) {
@@ -103,6 +103,7 @@ fn structure(document: &Document<'_>, nodes: &Nodes) -> String {
 /// Reads all objects of the file, dependencies first, up to the first defect.
 fn defect(document: &Document<'_>, nodes: &Nodes) -> Result<(), Fault> {
     let root = &document.root;
+    // Read the data first: buffers, views, accessors and images.
     let mut dataless = None;
     let mut note = |read: Result<(), Fault>| match read {
         // a buffer without data may be a placeholder, so report it only if there is no other defect
@@ -131,6 +132,7 @@ fn defect(document: &Document<'_>, nodes: &Nodes) -> Result<(), Fault> {
     for i in 0..root.images.len() {
         note(images.texture(document, json::Index::new(i as u32), &format!("/images/{i}")).map(drop))?;
     }
+    // Then read the objects that use the data.
     let appearance = Material::default();
     let read: HashSet<usize> = nodes.shown.iter().filter_map(|&node| Some(root.nodes[node].mesh?.value())).collect();
     for (i, mesh) in root.meshes.iter().enumerate().filter(|(i, _)| !read.contains(i)) {

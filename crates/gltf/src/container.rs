@@ -1,4 +1,5 @@
-//! The container of a glTF file: the two chunks of a `.glb`, the JSON text, and its structure.
+//! The container of a glTF file: the two chunks of a `.glb`, the JSON text, and the structure of
+//! the JSON.
 //!
 //! Source: glTF 2.0 specification, sections 3.2 (JSON) and 4 (GLB).
 

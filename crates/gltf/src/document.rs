@@ -28,8 +28,8 @@ pub(crate) struct Document<'a> {
     pub(crate) variant: Option<usize>,
     raw: Value,
     bin: Option<&'a [u8]>,
-    /// Content of every buffer's file or data URI. Buffers with the same URI share one entry, whose
-    /// index is that of the first such buffer.
+    /// Content of every buffer's file or data URI. Buffers with the same URI share one entry, which
+    /// has the index of the first of these buffers.
     buffers: Vec<OnceCell<Cow<'a, [u8]>>>,
     /// For every buffer, the index of the first buffer with the same URI.
     first_buffer: Vec<usize>,
@@ -105,8 +105,8 @@ impl<'a> Document<'a> {
         }
     }
 
-    /// Adds the bytes of decoded content to their sum before they are allocated. Fails if the sum
-    /// exceeds the limit.
+    /// Adds bytes of decoded content to the sum of all such bytes, before memory is allocated for
+    /// the content. Fails if the sum exceeds the limit.
     pub(crate) fn spend(&self, place: &str, elements: usize, element_bytes: usize) -> Result<(), Fault> {
         let bytes = elements as u64 * element_bytes as u64;
         let total = self.decoded_bytes.get().saturating_add(bytes);

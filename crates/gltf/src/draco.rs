@@ -1,7 +1,7 @@
 //! `KHR_draco_mesh_compression`: a primitive whose triangles and attributes are one Draco stream.
 //!
-//! Attributes of the stream take precedence over the primitive's accessors. Only the accessors'
-//! `normalized` is read.
+//! An attribute of the stream replaces the attribute's accessor, of which only `normalized` is
+//! read.
 
 use std::collections::HashMap;
 
@@ -37,6 +37,7 @@ pub(crate) fn decode(document: &Document<'_>, place: &str) -> Result<Option<Deco
     let Some(fields) = Fields::at(document, format!("{place}/extensions/KHR_draco_mesh_compression"))? else {
         return Ok(None);
     };
+    // list the ids of the attributes that the primitive uses
     let listed = document.json(&fields.place("attributes"));
     let Some(list) = listed.and_then(Value::as_object) else {
         return Err(Fault::new(fields.place("attributes"), "an object of attributes", quote(listed)));
@@ -61,6 +62,7 @@ pub(crate) fn decode(document: &Document<'_>, place: &str) -> Result<Option<Deco
     if triangles.as_flattened().iter().any(|&corner| corner as usize >= vertices) {
         return Err(broken(format!("a corner past its {vertices} vertices")));
     }
+    // check the decoded attributes, and store them by name
     let mut attributes = HashMap::new();
     for ((name, id), known) in list.iter().zip(ids) {
         let place = fields.place(&format!("attributes/{name}"));

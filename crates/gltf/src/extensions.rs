@@ -58,7 +58,8 @@ const EXTENSIONS: [(&str, Handling); 37] = [
     ("MSFT_texture_dds", NotRead("; `gltf-transform png IN OUT` writes pictures that can be read")),
 ];
 
-/// Refuses files that require an extension which is not read; warns of files that use one.
+/// Refuses a file that requires an extension which is not read. Warns of each extension that a file
+/// uses and that is not read.
 pub(crate) fn check(document: &Document<'_>) -> Result<(), Fault> {
     let handling =
         |name: &str| EXTENSIONS.iter().find(|(known, _)| *known == name).map_or(NotRead(""), |found| found.1);

@@ -5,9 +5,9 @@
 //! specular colour alone sets the reflection. Sources: KHR_materials_specular, "Conversions", and
 //! KHR_materials_ior.
 //!
-//! Roughness is 1 − glossiness. A texture may hold glossiness in its alpha. Such a texture is
-//! replaced by a picture whose green channel is 1 − glossinessFactor · alpha, since no factor on a
-//! roughness texture can express this.
+//! Roughness is 1 − glossiness. A texture may hold glossiness in its alpha. Then a roughness
+//! texture is made, whose green channel is 1 − glossinessFactor · alpha, since no factor on a
+//! texture can express this.
 
 use glam::{Vec3, Vec4};
 use lumistack_scene::{Material, Texture};
@@ -41,7 +41,7 @@ pub(crate) fn convert(loader: &mut Loader<'_, '_>, material: &mut Material, plac
     Ok(true)
 }
 
-/// Returns the index of a roughness texture that replaces `glossy`, a texture whose alpha is
+/// Returns the index of a roughness texture that is made from `glossy`, a texture whose alpha is
 /// glossiness.
 fn roughness_texture(loader: &mut Loader<'_, '_>, glossy: usize, factor: f32, place: &str) -> Result<usize, Fault> {
     let source = loader.textures[glossy];

@@ -1,9 +1,9 @@
 //! Reads glTF 2.0 files into a [`Scene`](lumistack_scene::Scene).
 //!
 //! [`load`] takes the bytes of a `.gltf` or `.glb` file, and an [`AssetResolver`] that reads the
-//! files to which it refers. The crate itself uses no file system. The `gltf` crate gives the JSON
-//! its types. This crate checks every index, count and offset before its use. So no file can cause
-//! a panic, and memory is bounded.
+//! files to which the glTF file refers. The crate itself uses no file system. The `gltf` crate
+//! defines the types of the JSON. This crate checks every index, count and offset before its use.
+//! So no file can cause a panic, and memory is bounded.
 //!
 //! [`load_with`] also takes a time of an animation, and a variant of materials. `docs/GLTF.md`
 //! lists the supported extensions.
@@ -21,7 +21,7 @@
 //! impl AssetResolver for Folder {
 //!     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String> {
 //!         let text = |error: std::io::Error| error.to_string();
-//!         // the canonical path has no `..` and no links, so its start shows whether it is inside
+//!         // the canonical path has no `..` and no links, so its start shows the folder
 //!         let folder = self.0.canonicalize().map_err(text)?;
 //!         let path = folder.join(uri).canonicalize().map_err(text)?;
 //!         let file = path.metadata().map_err(text)?;
@@ -89,17 +89,17 @@ pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");
 pub trait AssetResolver {
     /// Returns the content of the file at `uri`, which is relative to the glTF file and already
     /// percent-decoded. The glTF file is not trusted: `uri` may name any file (`../../secret`,
-    /// `/dev/zero`), so the resolver decides which ones it reads.
+    /// `/dev/zero`), so the resolver decides which files it reads.
     ///
     /// An error is the reason in a few words, for the user ("No such file"). A file larger than
-    /// `max_bytes` is an error too, and must be found before the file is read.
+    /// `max_bytes` is an error, too; the resolver must not read such a file.
     fn read(&self, uri: &str, max_bytes: u64) -> Result<Vec<u8>, String>;
 
     /// Decodes packed content. A web page whose decoders are in another module passes the content
     /// to that module.
     ///
     /// # Errors
-    /// When the content is broken.
+    /// If the content is broken, or if its decoder panics.
     fn unpack(&self, packed: &unpack::Packed<'_>) -> Result<unpack::Unpacked, unpack::Unsound> {
         unpack::unpack(packed)
     }

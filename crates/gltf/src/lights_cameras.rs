@@ -1,4 +1,4 @@
-//! Light sources other than surfaces; cameras.
+//! Reads light sources other than surfaces, cameras, and the environment.
 //!
 //! Sources: KHR_lights_punctual (candela and lux, light along −z of the node), and glTF 2.0,
 //! section 3.10 (cameras). Two extras belong to Lumistack: `extras.lumistack.focus_distance` on a
@@ -31,6 +31,7 @@ pub(crate) fn lights(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Light
         let used_at = format!("/nodes/{node}/extensions/KHR_lights_punctual/light");
         let source = document.get(reference.light, &used_at)?;
         let place = format!("/extensions/KHR_lights_punctual/lights/{}", reference.light.value());
+        // check the light even if its node gives it no direction
         let kind = light_kind(document, source, &place)?;
         let intensity = Vec3::from(source.color) * source.intensity;
         if !(intensity.is_finite() && intensity.min_element() >= 0.0) {
@@ -43,9 +44,10 @@ pub(crate) fn lights(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<Light
             (Some(direction), _) => direction.as_vec3(),
             (None, LightKind::Point) => Vec3::NEG_Z,
             (None, _) => {
-                document
-                    .task
-                    .warn(format!("/nodes/{node}"), "left out: with a scale of zero the light has no direction");
+                document.task.warn(
+                    format!("/nodes/{node}"),
+                    "the light is left out, since with a scale of zero it has no direction",
+                );
                 continue;
             }
         };
@@ -63,7 +65,7 @@ fn light_kind(document: &Document<'_>, source: &Source, place: &str) -> Result<L
             let Some(spot) = &source.spot else { return Err(Fault::new(place, "cone angles", "nothing")) };
             let (inner, outer) = (spot.inner_cone_angle, spot.outer_cone_angle);
             if !(outer > 0.0 && outer <= FRAC_PI_2 && inner >= 0.0 && inner <= outer) {
-                let expected = "0 ≤ innerConeAngle < outerConeAngle ≤ π/2";
+                let expected = "0 ≤ innerConeAngle ≤ outerConeAngle and 0 < outerConeAngle ≤ π/2";
                 return Err(Fault::new(place, expected, format!("{inner} and {outer}")));
             }
             Ok(LightKind::Spot { inner_cone_rad: inner, outer_cone_rad: outer })
@@ -127,7 +129,8 @@ pub(crate) fn projection(document: &Document<'_>, source: &json::Camera, place: 
         if value > 0.0 && value < most {
             return Ok(value);
         }
-        let expected = if most.is_finite() { format!("a number between 0 and {most}") } else { "above 0".to_owned() };
+        let expected =
+            if most.is_finite() { format!("a number between 0 and {most}") } else { "a number above 0".to_owned() };
         Err(Fault::new(format!("{place}/{field}"), expected, value))
     };
     use gltf::json::camera::Type::{Orthographic, Perspective};
@@ -170,6 +173,7 @@ pub(crate) fn environment(
         let expected = format!("an object with {}", known.join(", "));
         return Err(Fault::new(place, expected, quote(Some(environment))));
     }
+    // read the picture, the factor and the rotation
     let Some(uri) = environment.get("image").and_then(Value::as_str) else {
         let place = format!("{place}/image");
         return Err(Fault::new(&place, "the path of a Radiance .hdr picture", document.quote(&place)));
@@ -186,7 +190,7 @@ pub(crate) fn environment(
         },
     };
     if !(strength.is_finite() && strength.min_element() >= 0.0) {
-        return Err(Fault::new(format!("{place}/strength"), "finite, ≥ 0", strength));
+        return Err(Fault::new(format!("{place}/strength"), "finite numbers ≥ 0", strength));
     }
     let scene_from_environment = match environment.get("rotation") {
         None => Quat::IDENTITY,

@@ -23,8 +23,8 @@ use crate::{
 
 /// Loads a `.gltf` or `.glb` file.
 ///
-/// `name` is the file's name in messages, `bytes` is its content, and `resolver` reads the files to
-/// which it refers. Only objects that the default scene uses are read.
+/// `name` is the file's name in messages, and `bytes` is the file's content. `resolver` reads the
+/// files to which the content refers. Only objects that the default scene uses are read.
 ///
 /// # Errors
 /// [`GltfError`] with the place in the file. The file may be broken, refer to a missing file, or
@@ -119,8 +119,8 @@ fn load_scene(
     };
     place_meshes(&document, &nodes, &mut materials, &mut parts)?;
     if parts.instances.is_empty() && parts.placed_clouds.is_empty() {
-        // without meshes there is nothing to validate; [`cause`] finds the reason why there are
-        // none
+        // without meshes and splats there is nothing to validate; [`cause`] finds the reason why
+        // the scene is empty
         return Err(cause::nothing_to_show(&document, &nodes));
     }
     materials.images.decode(&document)?;
@@ -130,7 +130,7 @@ fn load_scene(
     let triangles: usize = parts.meshes.iter().map(|mesh| mesh.triangles.len()).sum();
     parts.validate(task).map_err(|mut error| {
         // For an error of the whole scene, the validator's place is the file's name, with which the
-        // message begins anyway. Name the scene's list of nodes instead.
+        // message begins anyway. Use the JSON pointer to the scene instead.
         if error.place == name {
             error.place = nodes.place();
             error.found = cause::no_area(&document, &error.found, triangles);
@@ -139,7 +139,7 @@ fn load_scene(
     })
 }
 
-/// For each material, finds whether a mesh of the scene uses it.
+/// Returns, for each material, true if a mesh of the scene uses it.
 fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, Fault> {
     let mut used = vec![false; document.root.materials.len()];
     // thousands of nodes may share a mesh of thousands of primitives, so each mesh is searched once
@@ -160,16 +160,16 @@ fn used_materials(document: &Document<'_>, nodes: &Nodes) -> Result<Vec<bool>, F
     Ok(used)
 }
 
-/// Reads each mesh of the scene and places it for each node that shows it. Nodes with a skin or
-/// with morph weights get a copy of their own; all other nodes share one copy.
+/// Reads each mesh of the scene, and places the mesh for each node that shows it. A node with a
+/// skin or with morph weights gets its own copy of the mesh; all other nodes share one copy.
 fn place_meshes(
     document: &Document<'_>,
     nodes: &Nodes,
     materials: &mut Materials,
     parts: &mut SceneParts,
 ) -> Result<(), Fault> {
-    // The key is a mesh. If a node's skin or weights give the mesh a shape of its own, the key has
-    // that node too.
+    // The key is the index of a mesh. If a node's skin or weights change the shape of the mesh, the
+    // key also has the node's index.
     let mut loaded: HashMap<(usize, Option<usize>), Range<usize>> = HashMap::new();
     let mut loaded_splats: HashMap<usize, Vec<(usize, DAffine3)>> = HashMap::new();
     let mut default_material = None;
@@ -243,10 +243,10 @@ fn read_splats(
     Ok(found)
 }
 
-/// A mesh in one shape. A node with a skin or with weights has a shape of its own. All other nodes
-/// that show the mesh share one shape.
+/// A mesh, with the weights and the skin that determine its shape. Each node with a skin or with
+/// weights has its own shape; all other nodes that show the mesh share one shape.
 struct Shape<'a> {
-    /// The node's weights of morph targets, if the node has its own.
+    /// Weights of morph targets that an animation or the node sets.
     weights: Option<&'a [f32]>,
     mesh: &'a json::Mesh,
     number: usize,
@@ -267,6 +267,7 @@ fn read_mesh(
         if splats::is_splats(document, &place) {
             continue;
         }
+        // all primitives without a material share one default material
         let material = match variants::material(document, primitive, &place)? {
             Some(material) => material.value(),
             None => *default_material.get_or_insert_with(|| {

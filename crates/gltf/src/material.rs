@@ -139,6 +139,7 @@ impl Loader<'_, '_> {
 /// Assigns the texture coordinate sets that a material uses to the two sets of a mesh. Returns the
 /// file's numbers of the mesh's sets 0 and 1. They are 0 and 1 if the material uses no higher set.
 fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2] {
+    // find the coordinate sets that the textures use; without a set above 1 nothing changes
     let mut used: Vec<usize> = material.textures().map(|(_, texture)| texture.uv_set).collect();
     used.sort_unstable();
     used.dedup();
@@ -147,7 +148,7 @@ fn fit_uv_sets(material: &mut Material, place: &str, task: Task<'_>) -> [u32; 2]
     }
     if used.len() > 2 {
         let message = format!(
-            "expected at most two sets of texture coordinates, found {used:?}; textures that use another than the \
+            "expected at most two sets of texture coordinates, found {used:?}; textures that use another set than the \
              first two get set {}",
             used[0]
         );

@@ -65,7 +65,8 @@ pub(crate) struct Request<'a> {
     pub(crate) pose: Option<&'a Pose>,
 }
 
-/// Reads a primitive. `None`, with a warning, if it makes no triangles.
+/// Reads a primitive. `None`, with a warning, if it consists of points or lines, or has no
+/// positions.
 pub(crate) fn load(document: &Document<'_>, request: &Request<'_>) -> Result<Option<Mesh>, Fault> {
     document.task.cancel.check()?;
     let Request { place, primitive, .. } = request;
@@ -164,7 +165,7 @@ fn indices(document: &Document<'_>, request: &Request<'_>, count: usize) -> Resu
         None => Ok(indices),
         Some(at) => {
             let found = format!("{} in element {at}", indices[at]);
-            Err(Fault::new(place, format!("vertices below {count}"), found))
+            Err(Fault::new(place, format!("vertex indices below {count}"), found))
         }
     }
 }
@@ -228,6 +229,7 @@ fn morph(
         if weight == 0.0 {
             continue;
         }
+        // read the offsets of this target, and add them to the values of the mesh
         let place = |name: &str| format!("{}/targets/{i}/{name}", attributes.place);
         let read = |index: Option<json::Index<json::Accessor>>, name: &str, format: &Format| {
             let Some(index) = index else { return Ok(None) };

@@ -65,6 +65,7 @@ impl<'d> Packed<'d> {
         }
         let (count, stride) = (count as usize, stride as usize);
         document.spend(&fields.place("count"), count, stride)?;
+        // read the codec and the filter, then decompress
         let mode = fields.text("mode")?;
         let codec = match mode {
             Some("ATTRIBUTES") => Codec::Attributes,
@@ -90,7 +91,7 @@ impl<'d> Packed<'d> {
         if filter != Filter::None && codec != Codec::Attributes {
             return Err(Fault::new(
                 fields.place("filter"),
-                "none for indices",
+                "no filter in the modes TRIANGLES and INDICES",
                 document.quote(&fields.place("filter")),
             ));
         }

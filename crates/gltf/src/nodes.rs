@@ -26,12 +26,12 @@ pub(crate) struct Nodes {
     pub(crate) shown: Vec<usize>,
     /// Placement in the scene of every node of the file; the index is the node's number.
     pub(crate) scene_from_node: Vec<DAffine3>,
-    /// Animated values, which replace a node's own; the key is the node's number.
+    /// Animated values, which replace a node's own values; the key is the node's number.
     pub(crate) poses: HashMap<usize, NodePose>,
 }
 
 impl Nodes {
-    /// Returns the JSON pointer to the list of shown nodes.
+    /// Returns the JSON pointer to the scene or, if the file has no scenes, to the list of nodes.
     pub(crate) fn place(&self) -> String {
         self.scene_place.clone().unwrap_or_else(|| "/nodes".to_owned())
     }
@@ -91,8 +91,8 @@ pub(crate) fn load(document: &Document<'_>, poses: HashMap<usize, NodePose>) -> 
 
 /// Returns true if a node that the scene lists becomes a root of the scene. A scene should not list
 /// a node that has a parent, but many readers show such a node. If the scene shows an ancestor too,
-/// the node stays with its parent. Otherwise it is shown without its parent. `known` keeps, for
-/// each ancestor, whether the scene shows it.
+/// the node stays with its parent. Otherwise it is shown without its parent. `known` keeps true for
+/// each ancestor that the scene shows, and false for other ancestors that were searched.
 fn adopt(
     document: &Document<'_>,
     node: usize,
@@ -119,7 +119,7 @@ fn adopt(
     }
     path.into_iter().for_each(|ancestor| known[ancestor] = Some(shown));
     if shown {
-        document.task.warn(place, format!("{found}; it stays a child of that node"));
+        document.task.warn(place, format!("{found}; the node stays a child of this parent"));
         return false;
     }
     document
@@ -144,7 +144,10 @@ fn parents(document: &Document<'_>) -> Result<Vec<Option<usize>>, Fault> {
                 None => parents[child.value()] = Some(parent),
                 Some(first) => {
                     let found = format!("node {}, which is a child of node {first}", child.value());
-                    document.task.warn(place, format!("expected one parent, found {found}; it keeps this parent"));
+                    document.task.warn(
+                        place,
+                        format!("expected a node without another parent, found {found}; the node keeps that parent"),
+                    );
                 }
             }
         }
@@ -162,7 +165,7 @@ fn placements(
     let mut placements: Vec<Option<DAffine3>> = vec![None; nodes.len()];
     for start in 0..nodes.len() {
         // Go up to the nearest ancestor whose placement is known. Then compute the placements of
-        // the nodes on the path, from there down.
+        // the nodes on the path, from this ancestor down.
         let mut path = Vec::new();
         let mut at = Some(start);
         while let Some(node) = at.filter(|&node| placements[node].is_none()) {
@@ -225,14 +228,15 @@ fn posed(pose: Option<&NodePose>, (scale, rotation, translation): (DVec3, DQuat,
     )
 }
 
-/// Makes a unit quaternion of four numbers. As a vector, they may have any length except 0.
+/// Makes a unit quaternion of four numbers. The vector of these numbers may have any length except
+/// 0.
 pub(crate) fn rotation(xyzw: [f32; 4], place: impl FnOnce() -> String) -> Result<DQuat, Fault> {
     let quaternion = DQuat::from_array(xyzw.map(f64::from));
     let length = quaternion.length();
     if length > 0.0 && length.is_finite() {
         return Ok(quaternion / length);
     }
-    Err(Fault::new(place(), "a unit quaternion", format!("{xyzw:?}")))
+    Err(Fault::new(place(), "a quaternion that is finite and not zero", format!("{xyzw:?}")))
 }
 
 const TRANSLATION: Format = Format { types: &[Type::Vec3], components: &[F32], text: "VEC3 of FLOAT" };
@@ -266,8 +270,13 @@ pub(crate) fn copies(document: &Document<'_>, node: usize) -> Result<Option<Vec<
         ));
     };
     if counts.into_iter().flatten().any(|other| other != count) {
-        return Err(Fault::new(format!("{place}/attributes"), "one count for all", format!("{counts:?}")));
+        return Err(Fault::new(
+            format!("{place}/attributes"),
+            "equal counts of TRANSLATION, ROTATION and SCALE",
+            format!("{counts:?}"),
+        ));
     }
+    // read the attributes, and combine them to one placement per copy
     document.spend(&place, count, size_of::<DAffine3>())?;
     let translations = vectors(document, translations)?;
     let scales = vectors(document, scales)?;
@@ -297,7 +306,10 @@ pub(crate) fn extras<'a>(document: &'a Document<'_>, owner: &str, known: &[&str]
     let value = document.json(&place)?;
     for key in value.as_object().into_iter().flatten().map(|(key, _)| key) {
         if !known.contains(&key.as_str()) {
-            document.task.warn(format!("{place}/{key}"), format!("unknown; known here: {}", known.join(", ")));
+            document.task.warn(
+                format!("{place}/{key}"),
+                format!("the member is unknown and has no effect; known members: {}", known.join(", ")),
+            );
         }
     }
     Some(value)

@@ -12,9 +12,9 @@ pub(crate) const MAX_VIEW_BYTES: u64 = 2 << 30;
 /// weights, and the default materials are used.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadOptions {
-    /// Time at which animations are sampled, in seconds. Outside of their range animations keep
-    /// their first and last values. `None`: time 0 with an [`animation`](Self::animation),
-    /// otherwise the nodes' own values.
+    /// Time at which animations are sampled, in seconds. Before its first key and after its last
+    /// key, an animation keeps the value of this key. `None`: time 0 with an
+    /// [`animation`](Self::animation), otherwise the nodes' own values.
     pub time_s: Option<f64>,
     /// Name or number of the animation. `None` with a [`time_s`](Self::time_s): all animations
     /// together if no two move the same property of a node, otherwise the first. `None` without a

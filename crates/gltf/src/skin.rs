@@ -86,7 +86,11 @@ impl Pose {
                 for (&joint, &weight) in joints.iter().zip(weights) {
                     let Some(matrix) = self.scene_from_bind.get(joint as usize) else {
                         let place = format!("{}/attributes/JOINTS_{set}", mesh.place);
-                        return Err(Fault::new(place, format!("joints below {}", self.scene_from_bind.len()), joint));
+                        return Err(Fault::new(
+                            place,
+                            format!("joint indices below {}", self.scene_from_bind.len()),
+                            joint,
+                        ));
                     };
                     sum.0.matrix3 += matrix.matrix3 * weight;
                     sum.0.translation += matrix.translation * weight;

@@ -61,8 +61,10 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
         Some("srgb_rec709_display") => Encoding::Srgb,
         Some("lin_rec709_display") => Encoding::Linear,
         other => {
-            let found = other.map_or_else(|| "no colorSpace".to_owned(), |name| format!("colorSpace `{name}`"));
-            document.task.warn(&here, format!("{found} is taken for srgb_rec709_display"));
+            let found = other.map_or_else(|| "none".to_owned(), |name| format!("`{name}`"));
+            document
+                .task
+                .warn(&here, format!("expected a known colorSpace, found {found}; srgb_rec709_display is used"));
             Encoding::Srgb
         }
     };
@@ -82,7 +84,7 @@ pub(crate) fn load(document: &Document<'_>, place: &str) -> Result<Splats, Fault
         found.left_out.into_iter().for_each(|message| document.task.warn(place, message));
         let cloud = Cloud { place: place.to_owned(), encoding, ..found.cloud };
         // SPZ has x to the right and z to the back, glTF has x to the left and z to the front. A
-        // half turn about y converts one to the other.
+        // half turn about y converts the axes of SPZ to those of glTF.
         let mesh_from_cloud = DAffine3::from_quat(DQuat::from_xyzw(0.0, 1.0, 0.0, 0.0));
         return Ok(Splats { cloud, mesh_from_cloud });
     }
@@ -106,7 +108,7 @@ fn from_accessors(document: &Document<'_>, place: &str, encoding: Encoding) -> R
     };
     let own = |name: &str| format!("{NAME}:{name}");
     let needed = |name: &str, format: &Format, count: Option<usize>| {
-        open(name, format, count)?.ok_or_else(|| Fault::new(at(name), "an attribute that splats have", "none"))
+        open(name, format, count)?.ok_or_else(|| Fault::new(at(name), "an attribute that splats need", "none"))
     };
     let positions = needed("POSITION", &POSITION, None)?;
     let count = Some(positions.count);

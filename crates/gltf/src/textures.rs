@@ -49,8 +49,9 @@ impl<'d, 'f> Loader<'d, 'f> {
         let place = fields.place(key);
         let Some(info) = Fields::at(self.document, place.clone())? else { return Ok(None) };
         let uv_set = info.count("texCoord")?.unwrap_or_default();
-        let uv_set =
-            u32::try_from(uv_set).map_err(|_| Fault::new(info.place("texCoord"), "a set of coordinates", uv_set))?;
+        let uv_set = u32::try_from(uv_set).map_err(|_| {
+            Fault::new(info.place("texCoord"), "the number of a coordinate set, at most 4294967295", uv_set)
+        })?;
         let transform = self.document.json(&info.place("extensions/KHR_texture_transform"));
         let transform = transform.map(|value| untyped_transform(value, &place)).transpose()?;
         self.texture_use(Some(Reference { index: info.needed_index("index")?, uv_set, transform, place }))
@@ -126,11 +127,16 @@ pub(crate) fn plain(info: &json::texture::Info, parent: &str, slot: &str) -> Ref
     Reference { index: info.index, uv_set: info.tex_coord, transform, place: format!("{parent}/{slot}") }
 }
 
-/// Reads the transform of a normal texture, for whose extensions the `gltf` crate has no type.
+/// Reads the transform of a texture for whose extensions the `gltf` crate has no type: a normal
+/// texture, or a texture of a material extension.
 pub(crate) fn untyped_transform(value: &Value, place: &str) -> Result<TextureTransform, Fault> {
     serde_json::from_value(value.clone()).map_err(|_| {
         let place = format!("{place}/extensions/KHR_texture_transform");
-        Fault::new(place, "offset, rotation, scale, texCoord", quote(Some(value)))
+        Fault::new(
+            place,
+            "an object of offset, rotation, scale and texCoord with the types of the extension",
+            quote(Some(value)),
+        )
     })
 }
 

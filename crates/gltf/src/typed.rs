@@ -1,4 +1,4 @@
-//! From JSON to typed values, with the place of an error as a JSON pointer.
+//! Converts JSON to typed values, and reports the place of an error as a JSON pointer.
 //!
 //! This deserializer is like the one of `serde_json::Value`, but it records the place of an error.
 //! Where a type expects a text, a list, an object or a truth value, the deserializer accepts only
@@ -6,7 +6,7 @@
 //!
 //! The alternative is `serde_path_to_error`, a wrapper around the deserializer of `serde_json`.
 //! With it, the code that reads each type is compiled once more. In a module for the web, the
-//! additional code was a twelfth of the size.
+//! additional code was a twelfth of the module's size.
 
 use std::fmt::{Display, Write};
 
@@ -204,7 +204,11 @@ impl<'v> EnumAccess<'v> for Typed<'v> {
                 let (name, content) = members.iter().next().unzip();
                 (name.ok_or_else(|| Mistyped::custom("a variant without a name"))?, content)
             }
-            _ => return Err(Mistyped::custom("expected a text or an object of one member")),
+            _ => {
+                return Err(Mistyped::custom(
+                    "invalid type: another value, expected a text or an object of one member",
+                ));
+            }
         };
         let name: StrDeserializer<'_, Mistyped> = name.as_str().into_deserializer();
         Ok((seed.deserialize(name)?, Content(content)))

@@ -12,7 +12,7 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// The box that holds no point. Including a point makes it a box of that point.
+    /// The box that holds no point. Including a point gives the box of this point alone.
     pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
 
     /// Grows the box to hold a point.

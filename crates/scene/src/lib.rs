@@ -24,6 +24,6 @@ pub use splats::{Cloud, Encoding, MAX_DEGREE, PlacedCloud};
 pub use validate::Scene;
 pub use window::{Similarity, Window, WindowError};
 
-/// Hash of this crate's sources, made at build. It is part of the key of every kept result that
-/// this code contributes to.
+/// Hash of this crate's sources, made at build. It is part of the key of every cached result to
+/// which this code contributes.
 pub const FINGERPRINT: &str = env!("LUMISTACK_FINGERPRINT");

@@ -116,8 +116,8 @@ pub struct Iridescence {
     pub texture: Option<TextureUse>,
     /// Index of refraction of the film, ≥ 1.
     pub ior: f32,
-    /// Thickness of the film in nanometres, where its texture is 0 and where it is 1. Without a
-    /// texture the film has the second thickness.
+    /// Thickness of the film in nanometres: where the thickness texture is 0, and where the texture
+    /// is 1. Without a texture the film has the second thickness.
     pub thickness_nm: [f32; 2],
     /// Texture that mixes the two values of `thickness_nm`, in the green channel; linear.
     pub thickness_texture: Option<TextureUse>,
@@ -222,8 +222,8 @@ impl Material {
     }
 
     /// Returns the coordinate set that tangents must follow. It is the set of the normal map, or
-    /// else of the coat's normal map, or else of the anisotropy texture. `None` if the material
-    /// needs no tangents.
+    /// else of the coat's normal map, or else of the anisotropy texture. Anisotropy without a
+    /// texture has set 0. `None` if the material needs no tangents.
     pub fn tangent_uv_set(&self) -> Option<usize> {
         let coat = self.clearcoat.as_ref().and_then(|coat| coat.normal_texture.as_ref());
         let mapped = self.normal_texture.as_ref().or(coat).map(|texture| texture.uv_set);
@@ -319,7 +319,7 @@ pub enum Pixels {
     Rgba8(Vec<[u8; 4]>),
     /// 16-bit codes of red, green, blue and alpha.
     Rgba16(Vec<[u16; 4]>),
-    /// Linear radiance, for environment maps.
+    /// Linear radiance, for environment maps and emission.
     RgbF32(Vec<[f32; 3]>),
 }
 

@@ -41,12 +41,14 @@ pub struct Mesh {
     pub place: String,
     /// Vertex positions in mesh space.
     pub positions: Vec<Vec3>,
-    /// Unit normals, one per vertex. If there are none, the validator generates flat ones.
+    /// Unit normals, one per vertex. If the list is empty, the validator generates the normals of
+    /// the triangles.
     pub normals: Vec<Vec3>,
-    /// Unit tangents. Their w = ±1 is the handedness of the bitangent `w · normal × tangent`. May
-    /// be empty: the validator generates tangents if the material has a normal map or anisotropy.
+    /// Unit tangents. Their w = ±1 is the handedness of the bitangent `w · normal × tangent`. The
+    /// list may be empty; the validator then generates tangents if the material has a normal map or
+    /// anisotropy.
     pub tangents: Vec<Vec4>,
-    /// Texture coordinates of sets 0 and 1. Each may be empty; the mesh then has (0, 0) everywhere.
+    /// Texture coordinates of sets 0 and 1. An empty set has the coordinates (0, 0) everywhere.
     pub uvs: [Vec<Vec2>; 2],
     /// Linear RGBA per vertex, which multiplies the base colour; may be empty.
     pub colors: Vec<Vec4>,
@@ -74,7 +76,7 @@ pub struct Light {
     /// Unit direction in which light travels; unused by point lights.
     pub direction: Vec3,
     /// Linear RGB. For point and spot lights this is the radiant intensity (candela up to a
-    /// factor), for directional and distant lights the irradiance (lux up to a factor).
+    /// factor). For directional and distant lights it is the irradiance (lux up to a factor).
     pub intensity: Vec3,
     /// Kind of the light. The kind decides how the light spreads.
     pub kind: LightKind,

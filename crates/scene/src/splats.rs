@@ -18,8 +18,8 @@ use crate::{Bounds, SceneError};
 /// The highest degree of spherical harmonics that a cloud may have.
 pub const MAX_DEGREE: usize = 3;
 
-/// Splats in the cloud's own space. All arrays have one entry per splat. The validator may change
-/// the order of the splats.
+/// Splats in the cloud's own space. All arrays list the splats in the same order. The validator may
+/// change the order of the splats.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloud {
     /// Place in the file ("/meshes/3/primitives/0"), for messages.
@@ -135,8 +135,8 @@ impl Cloud {
         }
     }
 
-    /// Checks lengths, normalizes rotations, and drops splats that are not Gaussians. Files of some
-    /// trainers contain such splats.
+    /// Checks lengths, normalizes rotations, drops splats that are not Gaussians, and sorts a large
+    /// cloud by position. Files of some trainers contain such splats.
     pub(crate) fn check(&mut self, task: Task<'_>) -> Result<(), SceneError> {
         if self.degree > MAX_DEGREE {
             let expected = format!("a degree of harmonics up to {MAX_DEGREE}");
@@ -230,6 +230,8 @@ impl Cloud {
         sorted.sort_by(f32::total_cmp);
         let Some(&most) = sorted.get(sorted.len() * 9 / 10) else { return Bounds::EMPTY };
         areas.iter_mut().zip(&self.opacities).for_each(|(area, opacity)| *area = area.min(most) * opacity);
+        // Find the bulk on each axis, and surround it by a fence. Only splats inside the fence
+        // extend the bounds.
         let all: f64 = areas.iter().map(|area| f64::from(*area)).sum();
         let mut fence = Bounds { min: Vec3::NEG_INFINITY, max: Vec3::INFINITY };
         if all > 0.0 {

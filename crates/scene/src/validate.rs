@@ -99,12 +99,12 @@ impl Scene {
 
 impl SceneParts {
     /// Checks everything on which later stages rely, and generates missing normals and tangents.
-    /// Drops triangles without area, splats that are not Gaussians, and instances without volume,
-    /// with warnings.
+    /// Drops triangles without area, splats that are not Gaussians, and copies with a scale of
+    /// zero, with warnings.
     ///
     /// # Errors
-    /// On the first index out of range, number that is not finite, or attribute of the wrong
-    /// length. Also if there is nothing left to render.
+    /// If an index is out of range, a list has the wrong length, or a number is not finite (except
+    /// in splats). Also if too many splats are placed, or if nothing remains to render.
     pub fn validate(mut self, task: Task<'_>) -> Result<Scene, SceneError> {
         self.check_images()?;
         self.check_materials(task)?;
@@ -191,7 +191,7 @@ impl SceneParts {
         self.placed_clouds.retain(|placed| {
             let keep = is_invertible(&placed.scene_from_cloud);
             if !keep {
-                task.warn(&clouds[placed.cloud].place, "placed with a scale of zero; this copy is left out");
+                task.warn(&clouds[placed.cloud].place, "a copy has a scale of zero and is left out");
             }
             keep && !clouds[placed.cloud].is_empty()
         });
@@ -205,6 +205,7 @@ impl SceneParts {
     }
 
     fn check_images(&self) -> Result<(), SceneError> {
+        // check the size of each image, and the values of radiance
         for image in &self.images {
             let texels = image.width.checked_mul(image.height);
             if texels != Some(image.pixels.len()) || image.pixels.is_empty() {
@@ -218,6 +219,7 @@ impl SceneParts {
                 return Err(SceneError::new(place, "finite radiance ≥ 0", format!("{:?}", texels[at])));
             }
         }
+        // check the textures, the backdrop and the environment
         for (i, texture) in self.textures.iter().enumerate() {
             index(&format!("/textures/{i}/source"), texture.image, self.images.len(), "image")?;
         }
@@ -229,7 +231,11 @@ impl SceneParts {
         if let Some(environment) = &self.environment {
             index("environment image", environment.image, self.images.len(), "image")?;
             if !(environment.strength.is_finite() && environment.strength.min_element() >= 0.0) {
-                return Err(SceneError::new("environment strength", "finite, ≥ 0", environment.strength.to_string()));
+                return Err(SceneError::new(
+                    "environment strength",
+                    "finite numbers ≥ 0",
+                    environment.strength.to_string(),
+                ));
             }
             if !matches!(self.images[environment.image].pixels, Pixels::RgbF32(_)) {
                 return Err(SceneError::new(
@@ -334,7 +340,7 @@ impl SceneParts {
         self.instances.retain(|instance| {
             let keep = is_invertible(&instance.scene_from_mesh);
             if !keep {
-                task.warn(&meshes[instance.mesh].place, "placed with a scale of zero; this copy is left out");
+                task.warn(&meshes[instance.mesh].place, "a copy has a scale of zero and is left out");
             }
             keep && !meshes[instance.mesh].triangles.is_empty()
         });
@@ -392,11 +398,13 @@ fn index(place: &str, value: usize, count: usize, what: &str) -> Result<(), Scen
     if value < count {
         return Ok(());
     }
-    Err(SceneError::new(place, format!("a {what} below {count}"), value.to_string()))
+    Err(SceneError::new(place, format!("the index of a {what}, below {count}"), value.to_string()))
 }
 
-/// Checks and repairs a mesh; returns the number of triangles without area, which it leaves out.
+/// Checks and repairs a mesh, and leaves out its triangles without area. Returns the number of
+/// these triangles.
 fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<usize, SceneError> {
+    // check positions, lengths of lists, and indices
     let count = mesh.positions.len();
     index(&format!("{} material", mesh.place), mesh.material, material_count, "material")?;
     if let Some(at) = mesh.positions.iter().position(|p| !p.is_finite()) {
@@ -421,8 +429,13 @@ fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<
     }
     if let Some(at) = mesh.triangles.iter().position(|t| t.iter().any(|&i| i as usize >= count)) {
         let place = format!("{} indices of triangle {at}", mesh.place);
-        return Err(SceneError::new(place, format!("vertices below {count}"), format!("{:?}", mesh.triangles[at])));
+        return Err(SceneError::new(
+            place,
+            format!("vertex indices below {count}"),
+            format!("{:?}", mesh.triangles[at]),
+        ));
     }
+    // check the numbers of the other attributes
     for (set, uvs) in mesh.uvs.iter().enumerate() {
         if let Some(at) = uvs.iter().position(|uv| !uv.is_finite()) {
             let place = format!("{} TEXCOORD_{set}[{at}]", mesh.place);
@@ -433,6 +446,7 @@ fn check_mesh(mesh: &mut Mesh, material_count: usize, task: Task<'_>) -> Result<
         let place = format!("{} COLOR_0[{at}]", mesh.place);
         return Err(SceneError::new(place, "finite colours", mesh.colors[at].to_string()));
     }
+    // leave out triangles without area, and repair normals without a direction
     let before = mesh.triangles.len();
     let positions = &mesh.positions;
     mesh.triangles.retain(|&triangle| face_normal(positions, triangle).is_some());
@@ -504,6 +518,7 @@ fn generate_flat_normals(mesh: &mut Mesh) {
 /// perpendicular to its normal. The bitangent points up in the texture, along decreasing v, since
 /// green is up and v is down in glTF's normal maps.
 fn generate_tangents(mesh: &mut Mesh, uv_set: usize) {
+    // sum the tangents and bitangents of the triangles around each vertex
     let count = mesh.positions.len();
     let uvs = &mesh.uvs[uv_set];
     let mut sums = vec![(Vec3::ZERO, Vec3::ZERO); count];
@@ -633,7 +648,7 @@ mod tests {
     fn indices_are_checked() {
         let mut parts = triangle();
         parts.meshes[0].triangles[0][2] = 3;
-        assert!(validate(parts).0.unwrap_err().to_string().contains("vertices below 3"));
+        assert!(validate(parts).0.unwrap_err().to_string().contains("vertex indices below 3"));
         let mut parts = triangle();
         parts.meshes[0].material = 1;
         assert!(validate(parts).0.is_err());

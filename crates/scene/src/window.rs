@@ -44,7 +44,8 @@ pub struct Window {
     /// Width and height of the light field's rectangle in millimetres, both > 0.
     pub size_mm: [f64; 2],
     /// Near plane: z in display space, in millimetres, at which camera rays start, so that objects
-    /// in front of it are not seen. With `None` all objects in front of the window are seen.
+    /// in front of this plane are not seen. With `None` all objects in front of the window are
+    /// seen.
     pub near_mm: Option<f64>,
 }
 
@@ -75,9 +76,9 @@ pub enum WindowError {
 const FRAMING_MARGIN: f64 = 0.02;
 
 impl Window {
-    /// Returns the camera's plane of focus, as wide as the camera's frustum at that distance.
-    /// Without a focus distance the plane passes through the centre of the scene's bounds. Objects
-    /// in front of the camera's near plane are not seen.
+    /// Returns the window in the camera's plane of focus, as wide as the camera's frustum in this
+    /// plane. Without a focus distance the plane passes through the centre of the scene's bounds.
+    /// Objects in front of the camera's near plane are not seen.
     ///
     /// # Errors
     /// If the rectangle is empty, infinite or behind the camera.
@@ -116,7 +117,8 @@ impl Window {
     /// `width` scene units wide.
     ///
     /// # Errors
-    /// If the vectors are zero or parallel, or the width is not a positive number.
+    /// If the centre is not finite, if the directions are zero or parallel, or if the width is not
+    /// a positive number.
     pub fn given(centre: DVec3, forward: DVec3, up: DVec3, width: f64, size_mm: [f64; 2]) -> Result<Self, WindowError> {
         let z = -forward.normalize_or_zero();
         let x = up.cross(z).normalize_or_zero();
@@ -138,7 +140,7 @@ impl Window {
     }
 
     /// Returns a window in the same plane. Its centre is the point (x, y) of this window, in
-    /// millimetres, and its size is this window's size times `factor`.
+    /// millimetres, and its size in the scene is this window's size times `factor`.
     #[must_use]
     pub fn scaled_about(&self, point_mm: [f64; 2], factor: f64) -> Self {
         let map = self.scene_from_display;
@@ -149,8 +151,8 @@ impl Window {
 
     /// Returns the window, moved back along its normal by `by_mm`, so that depth −`by_mm` becomes
     /// its plane. The view from straight ahead stays the same. For parallel projections the window
-    /// keeps its size. For an eye at distance `eye_mm` it grows with the distance, and eye and
-    /// frustum stay the same.
+    /// keeps its size. For an eye at distance `eye_mm` the window grows with the distance, and eye
+    /// and frustum stay the same.
     #[must_use]
     pub fn moved_back(&self, by_mm: f64, eye_mm: Option<f64>) -> Self {
         let map = self.scene_from_display;

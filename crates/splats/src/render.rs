@@ -14,8 +14,8 @@
 //!
 //! A naive renderer projects, shades and sorts all splats for every view. This renderer transforms
 //! and sorts them by depth once per window. Blocks of views share lists of splats per tile. Each
-//! view sorts the splats of a list again, some at a time, by their distances in this view. A splat
-//! is projected and shaded only if nearer splats do not hide it.
+//! view sorts the splats of a list again, in chunks, by their distances in this view. A splat is
+//! projected and shaded only if nearer splats do not hide it.
 //!
 //! The filter, which widens a splat by P and lowers its peak, is the 2D filter of mip-splatting (Yu
 //! et al., CVPR 2024).
@@ -86,7 +86,8 @@ impl Renderer {
         self.scene.splat_count() * size_of::<Splat>()
     }
 
-    /// Renders a view per slope, and calls `done` with each view's index and the view, in order.
+    /// Renders a view per slope, and calls `done` with each view's index and the view, in the order
+    /// of the slopes.
     ///
     /// `slopes` replace the slopes of `geometry`'s grid. `surfaces` returns the depths of surfaces
     /// in a view, or `None`. The bytes of a view do not depend on the other views of the call, nor
@@ -195,7 +196,7 @@ fn block_of(
     Ok(all)
 }
 
-/// Lists the splats that may be visible in each tile in any of the views, nearest first.
+/// Lists, for each tile, the splats that may be visible there in any of the views, nearest first.
 ///
 /// Returns the start of each tile's list, and all lists one after another.
 fn bin(prepared: &Prepared, ends: &[Eye], tiles: [usize; 2]) -> (Vec<usize>, Vec<u32>) {
@@ -212,7 +213,7 @@ fn bin(prepared: &Prepared, ends: &[Eye], tiles: [usize; 2]) -> (Vec<usize>, Vec
         })
     };
     // Sort by counting: count the splats of each tile, sum the counts to starts, then fill the
-    // lists in order of depth.
+    // lists, the nearest splats first.
     let mut starts = vec![0usize; count + 1];
     for reach in &reaches {
         for range in each_row(*reach) {

@@ -1,5 +1,5 @@
-//! Writers of clouds: `.ply` as trainers write it, `.spz`, and SOG. All of them store sRGB colours,
-//! also for clouds with linear colours.
+//! Writers of clouds: `.ply` as trainers write it, `.spz`, and SOG. These formats state no colour
+//! space, and readers take colours for sRGB. The writers do not convert colours.
 
 mod sog;
 

@@ -4,7 +4,8 @@ it.
     blender -b --python-exit-code 1 --python blend.py -- FOLDER
     python blend.py -- FOLDER
 
-FOLDER contains request.json. The results are scene.glb and then answer.json. The modules of the
+FOLDER contains request.json. The script exports scene.glb there, or renders the views that the
+request lists, or only lists the file's contents. It writes answer.json last. The modules of the
 Python package `lumistack.blender` do the work; the request contains their source.
 """
 

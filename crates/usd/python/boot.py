@@ -1,5 +1,5 @@
-# The script that a child runs by `python -c`. Every Python, also an old one, must be able to parse
-# it and to report the missing package.
+# The script that a child runs by `python -c`. Even an old Python must be able to parse it, since
+# the script also reports that a Python is too old.
 import sys
 
 sys.path[:] = [place for place in sys.path if place]  # modules in the working folder must not shadow Python's

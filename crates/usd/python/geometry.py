@@ -10,19 +10,21 @@ SINGLE = {"color3f": Vt.Vec3fArray, "color3d": Vt.Vec3dArray, "color3h": Vt.Vec3
 
 
 def value(attribute, time, writer):
-    """Returns a reference to the array of an attribute; None if the attribute has no value."""
+    """Returns a reference to the array of an attribute. None if the attribute has no value, or, after
+    a warning, if the value is not an array."""
     array = attribute.Get(time) if attribute else None
     if array is None:
         return None
     try:
         return writer.array(array)
     except TypeError:
-        writer.warn(attribute.GetPath(), "expected %s, found %s; left out" % (attribute.GetTypeName(), type(array).__name__))
+        writer.warn(attribute.GetPath(), "expected %s, found %s; the attribute is left out" % (attribute.GetTypeName(), type(array).__name__))
         return None
 
 
 def mesh(prim, writer, time, pose=None):
-    """Returns the entry of a `UsdGeomMesh`. `pose` is None, or new (points, normals)."""
+    """Returns the entry of a `UsdGeomMesh`. If `pose` is given, its points and normals replace the
+    points and normals of the file."""
     points, normals = pose or (None, None)
     source = UsdGeom.Mesh(prim)
     entry = {

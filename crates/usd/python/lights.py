@@ -125,7 +125,8 @@ def asset(prim, name, time):
 
 
 def picture(prim, writer, time):
-    """Returns the index of the image of a light's texture, or None if it has no texture."""
+    """Returns the index of the image of a light's texture. None if the light has no texture, or, after
+    a warning, if the texture's file does not exist."""
     found = asset(prim, "texture:file", time)
     if found is None:
         return None

@@ -57,7 +57,7 @@ def material(prim, writer, time):
                 if found is not None and found is not UNKNOWN:
                     entry["inputs"][given.GetBaseName()] = found
             if graph.unknown:
-                what = "the nodes %s are not supported; inputs that depend on them keep their defaults, and a mix whose amount is not a constant uses half of each of its two inputs"
+                what = "these nodes are not supported: %s. Inputs that depend on them keep their defaults; a mix whose amount is not constant uses half of each of its two inputs"
                 writer.warn(prim.GetPath(), what % ", ".join(sorted(graph.unknown)))
             return entry
         if kind not in unknown:
@@ -68,7 +68,7 @@ def material(prim, writer, time):
         shown = ", ".join(kind or "one without an id" for kind in unknown)
         writer.warn(prim.GetPath(), "the material's surface shader (%s) is not supported; the display colour is used" % shown)
     elif needs_materialx(prim):
-        missing = "the material is in a MaterialX file, which this OpenUSD cannot open: the package usd-exchange can (`pip install usd-exchange` instead of usd-core)"
+        missing = "the material is in a MaterialX file, which this OpenUSD cannot open (type `lumistack setup usd --materialx`, or `pip install usd-exchange` instead of usd-core)"
         writer.warn(prim.GetPath(), missing + "; the display colour is used")
     elif any(output.GetAttr().GetConnections() for output in source.GetSurfaceOutputs()):
         writer.warn(prim.GetPath(), "the material's surface output leads to no shader; the display colour is used")
@@ -100,7 +100,8 @@ def numbers(value):
 
 
 def linear(values, space):
-    """Converts a constant colour to linear Rec. 709."""
+    """Converts a constant colour from sRGB or ACEScg to linear Rec. 709. Colours of other spaces stay
+    unchanged."""
     if space in SRGB:
         return [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in values[:3]] + values[3:]
     if space in ("acescg", "lin_ap1", "lin_ap1_scene") and len(values) >= 3:
@@ -148,7 +149,8 @@ class Graph:
         return attribute, None, None
 
     def input(self, given):
-        """Returns the value of an input; None if it has neither value nor connection."""
+        """Returns the value of an input. None if the input has neither a connection nor a value of a
+        known type."""
         attribute, shader, output = self.producer(given)
         if attribute:
             values = numbers(attribute.Get(self.time))
@@ -164,7 +166,7 @@ class Graph:
         if not shader:
             return None
         if self.depth > 50:
-            self.writer.warn(shader.GetPath(), "the shader is connected in a circle")
+            self.writer.warn(shader.GetPath(), "the shader is connected in a circle; the input keeps its default")
             return None
         self.depth += 1
         found = self.node(shader, output)
@@ -176,7 +178,8 @@ class Graph:
         return self.input(shader.GetInput(name))
 
     def value(self, shader, name, default):
-        """Returns the value of a constant input. A texture instead causes a warning."""
+        """Returns the value of a constant input. Any other input causes a warning, and `default` is
+        returned."""
         found = self.get(shader, name)
         if found is None:
             return default
@@ -205,7 +208,7 @@ class Graph:
             return self.normal_map(shader)
         if kind.startswith("ND_"):
             return self.operation(shader, kind, output)
-        self.unknown.add(kind or "without an id")
+        self.unknown.add(kind or "a node without an id")
         return UNKNOWN
 
     def primvar(self, shader, kind):
@@ -272,7 +275,8 @@ class Graph:
         return (attribute.GetColorSpace() if attribute and attribute.HasColorSpace() else None) or default
 
     def normal_map(self, shader):
-        """Returns a normal map in tangent space, with the codes 0..1 mapped to −1..1."""
+        """Returns a normal map in tangent space, with the codes 0..1 mapped to −1..1. None if there is
+        no such map."""
         found = self.get(shader, "in")
         if found is None or "texture" not in found:
             return None
@@ -396,7 +400,7 @@ class Graph:
             values = widened(found["value"], count)
             length = math.sqrt(sum(value * value for value in values))
             return constant([value / length for value in values] if length > 0.0 else values)
-        # The map needs no change, since its length is ignored and only its direction has an effect.
+        # A normal map needs no change, since only the direction of its vectors has an effect.
         return found
 
     def do_transformnormal(self, shader, count, output):
@@ -476,7 +480,8 @@ class Graph:
     # Textures
 
     def picture(self, shader):
-        """Returns the index of a texture's image, or None after a warning."""
+        """Returns the index of a texture's image, or None if the shader names no file. A file that does
+        not exist gives None and a warning."""
         attribute = self.producer(shader.GetInput("file"))[0]
         asset = attribute.Get(self.time) if attribute else None
         path = getattr(asset, "path", "")
@@ -612,7 +617,8 @@ def rescaled(texture, scale, bias):
 
 
 def picked(found, order):
-    """Returns the components `order` of an input's value, or None if it lacks one of them."""
+    """Returns the components `order` of an input's value. A component that a constant lacks is 0. None
+    if a texture lacks a component, or if the input is neither a constant nor a texture."""
     if found is None or not order:
         return None
     if "value" in found:

@@ -1,6 +1,6 @@
 """Definitions of MaterialX's surface shaders, for an OpenUSD whose MaterialX library lacks them.
 
-OpenUSD drops shaders of a .mtlx file without a known definition, and the wheel usd-exchange
+OpenUSD drops each shader of a .mtlx file whose definition it does not have. The wheel usd-exchange
 contains only the definition of OpenPBR. This module adds the inputs (names, types, defaults) of the
 other surface shaders. It also adds the nodes of UsdPreviewSurface that `materials` reads. """
 
@@ -12,8 +12,9 @@ import tempfile
 from pxr import Plug, Sdf
 
 SEARCHED = "PXR_MTLX_PLUGIN_SEARCH_PATHS"
-# Every line is a type, a colon, and pairs `name=default`. A single number is the default of all
-# components of a colour or vector.
+# Every line is a type, a colon, and the inputs of this type as `name=default`; an input without a
+# default ends with `=`. A single number is the default of all components of a colour or vector. A
+# line after `->` lists outputs.
 SHADERS = {
     ("ND_standard_surface_surfaceshader", "standard_surface"): """
         float: base=1 diffuse_roughness=0 metalness=0 specular=1 specular_roughness=0.2 specular_IOR=1.5 specular_anisotropy=0 specular_rotation=0
@@ -81,7 +82,7 @@ def document():
 
 @contextlib.contextmanager
 def definitions():
-    """Makes the definitions known to OpenUSD, which searches them at its first use of MaterialX."""
+    """Makes the definitions known to OpenUSD, which reads them at its first use of MaterialX."""
     if not Sdf.FileFormat.FindByExtension("mtlx") or complete():
         yield
         return

@@ -118,7 +118,7 @@ class Skeletons:
             shapes.ComputeDeformedPoints(*parts, indices, offsets, points)
 
     def normals(self, mesh, target, joints, point_count):
-        """Returns the file's normals, rotated with the points."""
+        """Returns the file's normals, rotated with the points. None if they cannot be rotated."""
         normals, interpolation = mesh.GetNormalsAttr().Get(self.time), mesh.GetNormalsInterpolation()
         primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
         if primvar and primvar.HasValue():

@@ -1,7 +1,7 @@
 """Particle fields: Gaussian splats, as in UsdVol since OpenUSD 26.03.
 
-An older OpenUSD does not know their types. It reports prims without a type, but the attributes of
-these prims can be read by name.
+An older OpenUSD does not know the types of particle fields. It reports the fields as prims without
+a type, but their attributes can be read by name.
 """
 
 from pxr import Usd
@@ -36,7 +36,7 @@ def is_shown(prim, writer):
     if str(prim.GetTypeName()) == SPLAT or ELLIPSOID in kernels or SURFLET in kernels:
         return True
     found = ", ".join(kernels) or "none"
-    writer.warn(prim.GetPath(), "expected a particle field with a Gaussian kernel, found %s; left out" % found)
+    writer.warn(prim.GetPath(), "expected a particle field with a Gaussian kernel, found %s; the field is left out" % found)
     return False
 
 

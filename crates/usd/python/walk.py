@@ -1,4 +1,5 @@
-"""Converts a stage to a scene package: visible prims at a time, their transforms and materials.
+"""Converts a stage to a scene package: the prims that are visible at one time, and their transforms
+and materials.
 
 Prototypes of native instancing and of point instancers are read once. A placement is a chain of
 links, the innermost first. The links transform a point one after another, from left to right (`p' =
@@ -24,7 +25,7 @@ INHERITED_PRIMVARS = ("primvars:displayColor", "primvars:displayOpacity")
 
 
 def walk(request, stage=None):
-    """Reads a stage, or opens the file that the request names; returns a `Writer`."""
+    """Reads `stage` or, if it is None, the file that the request names. Returns a `Writer`."""
     with mtlx.definitions():
         return walk_stage(stage or open_stage(request["path"]), request)
 
@@ -105,7 +106,8 @@ def warn_of_composition(stage, writer):
 
 
 def time_code(stage, time_s):
-    """Returns the time code at `time_s` seconds after the stage's start."""
+    """Returns the time code `time_s` seconds after the stage's first time code, or after 0 if the
+    stage has none. If `time_s` is None, returns the first time code, or else the earliest time."""
     start = stage.GetStartTimeCode() if stage.HasAuthoredTimeCodeRange() else None
     if time_s is not None:
         return Usd.TimeCode((start or 0.0) + time_s * stage.GetTimeCodesPerSecond())
@@ -127,12 +129,13 @@ def choose_variants(stage, wanted, writer):
     """
     if not wanted:
         return
+    # Select variants in the session layer, so that the file stays unchanged.
     stage.SetEditTarget(stage.GetSessionLayer())
     for text in wanted:
         path, _, rest = text.rpartition("{")
         name, _, variant = rest.rstrip("}").partition("=")
         found, known = False, {}
-        # A variant may add prims with variants of their own, so repeat until nothing changes.
+        # A variant may add prims with further variants, so repeat until nothing changes.
         for _ in range(8):
             changed = False
             for prim, set_name, choices, selection in list(variant_sets(stage)):
@@ -143,7 +146,7 @@ def choose_variants(stage, wanted, writer):
                 found = True
                 if selection != variant:
                     if prim.IsInstanceProxy():
-                        writer.warn(place, "the variant set is inside an instance, whose variants cannot be chosen one by one")
+                        writer.warn(place, "the variant set is inside an instance, so its variant cannot be chosen")
                         continue
                     prim.GetVariantSet(name).SetVariantSelection(variant)
                     changed = True
@@ -245,7 +248,8 @@ class Walker:
             prim, above, parent = todo.pop()
             imageable = UsdGeom.Imageable(prim)
             if not imageable and not splats.is_field(prim):
-                # A prim without a type, or a scope of materials: only its children may be visible.
+                # A prim that USD does not show, for example a prim without a type: only its
+                # children may be visible.
                 todo.extend((child, above, parent) for child in reversed(prim.GetFilteredChildren(predicate)))
                 continue
             if imageable.GetVisibilityAttr().Get(self.time) == UsdGeom.Tokens.invisible:
@@ -287,7 +291,7 @@ class Walker:
         local = xformable.GetLocalTransformation(self.time)
         if xformable.GetResetXformStack():
             if self.open_frames:
-                self.writer.warn(prim.GetPath(), "the prim resets its transform inside a prototype; it starts from the prototype's transform")
+                self.writer.warn(prim.GetPath(), "the prim is inside a prototype and resets its transform; the transforms of the prototype's copies still apply to it")
             return local
         return local * above
 
@@ -408,7 +412,7 @@ class Walker:
         )
         if len(matrices) != len(indices):
             found = "%d prototype indices and %d placements" % (len(indices), len(matrices))
-            self.writer.warn(place, "expected as many placements as prototype indices, found %s; left out" % found)
+            self.writer.warn(place, "expected as many placements as prototype indices, found %s; the instancer is left out" % found)
             return []
         # All prototypes refer to these arrays. Each prototype selects its own copies from them.
         shared = {"matrices": self.writer.array(matrices), "prototypes": self.writer.array(indices)}

@@ -83,7 +83,7 @@ class Writer:
         return dict(self.header, files=list(self._files), **{name: getattr(self, name) for name in lists})
 
     def header_text(self, **places):
-        """Returns the header as JSON in UTF-8; in a file it contains the offsets of its buffers."""
+        """Returns the header as JSON in UTF-8. `places` has the offsets of the buffers, for a file."""
         header = dict(self.finished_header(), **places)
         try:
             return json.dumps(header, allow_nan=False).encode("utf-8")

@@ -53,7 +53,7 @@ pub struct BlendContents {
     /// message per kind of content, with the names of the objects.
     pub lost: Vec<String>,
     /// The reason why the scene's engine cannot render on this machine. `None` if the engine can
-    /// render, or if the export drops nothing.
+    /// render, if the export drops nothing, or if the caller requested only the contents or views.
     pub unfit: Option<String>,
 }
 
@@ -121,8 +121,8 @@ pub fn blend_surroundings() -> String {
     format!("{MODULES:?} {BOOT} {found:?}")
 }
 
-/// Returns the length of a file and time of its last change in nanoseconds; `None` if it does not
-/// exist.
+/// Returns the length of a file in bytes, and the time of its last change in nanoseconds since
+/// 1970. `None` if the system does not report them.
 pub fn file_stamp(path: &Path) -> Option<[u64; 2]> {
     let known = std::fs::metadata(path).ok()?;
     let changed = known.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;
@@ -138,7 +138,7 @@ pub fn blend_contents(path: &Path, task: Task<'_>) -> Result<BlendContents, UsdE
     Ok(ask(&Request::new(path, None, true)?, folder.path(), task.cancel)?.contents)
 }
 
-/// The views that Blender renders, as they are passed to it.
+/// The views that Blender renders, in the form that is passed to Blender.
 #[derive(Clone, Debug, Serialize)]
 pub struct BlendViews {
     /// The window in the scene, in glTF's axes.
@@ -181,7 +181,8 @@ pub fn render_views(
 ) -> Result<(), UsdError> {
     let folder = temporary()?;
     let mut next = 0;
-    // Take every finished view in order, since Blender finishes the views in order.
+    // Take the finished views by increasing number, since Blender renders them by increasing
+    // number.
     let mut collect = || {
         while next < views.slopes.len() {
             let picture = folder.path().join(format!("done_{next:05}.exr"));
@@ -215,7 +216,7 @@ impl<'a> Request<'a> {
         lumistack_files::open(path).map_err(io)?;
         let absolute = std::path::absolute(path).map_err(io)?;
         let Some(path) = absolute.to_str() else {
-            let message = "expected a name in UTF-8, as Blender needs it";
+            let message = "expected a path in UTF-8, found another encoding";
             return Err(io(std::io::Error::new(std::io::ErrorKind::InvalidInput, message)));
         };
         Ok(Self { modules: &MODULES, path: path.to_owned(), time_s, contents_only, views: None })
@@ -246,7 +247,8 @@ fn temporary() -> Result<tempfile::TempDir, UsdError> {
     tempfile::tempdir().map_err(|source| UsdError::Io { place: "a temporary folder".into(), source })
 }
 
-/// Programs that are tried, in this order: Blender, then Pythons that may have bpy.
+/// Returns the programs that are tried, in this order: Blender, then Pythons that may have bpy. If
+/// `LUMISTACK_BLENDER` is set, returns only its program.
 pub(crate) fn candidates() -> Vec<Candidate> {
     let named = |program: PathBuf, from| Candidate { program, from, given: false };
     if let Some(program) = var_os(VARIABLE).filter(|value| !value.is_empty()) {
@@ -254,14 +256,16 @@ pub(crate) fn candidates() -> Vec<Candidate> {
     }
     let mut found = vec![named("blender".into(), "PATH")];
     if cfg!(target_os = "macos") {
-        found.push(named("/Applications/Blender.app/Contents/MacOS/Blender".into(), "the applications"));
+        found.push(named("/Applications/Blender.app/Contents/MacOS/Blender".into(), "the folder Applications"));
     }
     if cfg!(windows) {
         let folder = Path::new(r"C:\Program Files\Blender Foundation");
         let mut versions: Vec<PathBuf> =
             std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
         versions.sort();
-        found.extend(versions.iter().rev().map(|version| named(version.join("blender.exe"), "the programs")));
+        found.extend(
+            versions.iter().rev().map(|version| named(version.join("blender.exe"), "the folder Program Files")),
+        );
     }
     found.extend(Surroundings::of_system().candidates().into_iter().map(|python| Candidate { given: false, ..python }));
     found

@@ -6,11 +6,11 @@ use lumistack_scene::{Camera, Projection};
 use crate::package::CameraEntry;
 use crate::placing::affine;
 
-/// Converts a camera. Its name is the name of its prim, or the prim's path if other cameras have
-/// the same name.
+/// Converts a camera. The camera's name is the name of the prim, or the prim's path if other
+/// cameras have the same name.
 ///
 /// # Errors
-/// The reason why the camera shows nothing, as a phrase after "the camera has".
+/// The reason why the camera shows nothing, as a phrase after "it has".
 pub(crate) fn camera(entry: &CameraEntry, all: &[CameraEntry], scene_from_stage: &DAffine3) -> Result<Camera, String> {
     let name = entry.place.rsplit('/').next().unwrap_or_default();
     let is_unique = all.iter().filter(|other| other.place.rsplit('/').next() == Some(name)).count() == 1;

@@ -1,9 +1,9 @@
 //! Runs the walker (the Python code that reads a stage) in the user's Python, and reads the scene
 //! package that the walker writes.
 //!
-//! The child's standard output is a file without a name, so no file is left if the parent or the
-//! child dies. The request is JSON and contains the walker's source. The end of standard error is
-//! kept for error messages.
+//! The Python runs as a child process. Its standard output is a file without a name, so no file is
+//! left if the parent or the child dies. The request is JSON and contains the walker's source. The
+//! end of standard error is kept for error messages.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -36,7 +36,7 @@ pub const MODULES: [(&str, &str); 9] = [
 const BOOT: &str = include_str!("../python/boot.py");
 /// Time between two checks of a running child process.
 const POLL: Duration = Duration::from_millis(5);
-/// Number of bytes at the end of a child's standard error that are kept.
+/// Largest number of bytes that are kept from the end of a child's output.
 const SAID: usize = 16 << 10;
 
 /// A request to the walker, in the form that is passed to the walker as JSON.
@@ -76,7 +76,8 @@ enum Failed {
 /// Runs the walker in the first Python that has OpenUSD.
 ///
 /// # Errors
-/// If none has OpenUSD, OpenUSD refuses the file, or the child fails.
+/// If no Python has OpenUSD, if OpenUSD refuses the file, if the child fails, or if the request is
+/// cancelled.
 pub(crate) fn ask(request: &Request<'_>, cancel: &Cancel) -> Result<Answer, UsdError> {
     ask_one_of(&Surroundings::of_system().candidates(), request, cancel)
 }
@@ -120,7 +121,7 @@ fn ask_python(program: &Path, request: &Request<'_>, cancel: &Cancel) -> Result<
         }
         let text = serde_json::to_vec(&WithModules { modules: &MODULES, request }).expect("requests serialize");
         // Write in a thread, since the text is longer than a pipe holds. A write fails if the child
-        // has ended; its status is checked later.
+        // has ended; the child's status is checked later.
         std::thread::spawn(move || input.write_all(&text));
     }
     // Wait for the end of the child; Ctrl-C reaches the child too.
@@ -183,7 +184,7 @@ pub(crate) fn wait(child: &mut Child, cancel: &Cancel, meanwhile: &mut dyn FnMut
     }
 }
 
-/// Reads a stream to its end in its own thread; returns its last [`SAID`] bytes.
+/// Reads a stream to its end in a new thread. The thread returns the stream's last [`SAID`] bytes.
 pub(crate) fn read_end(stream: Option<impl Read + Send + 'static>) -> JoinHandle<String> {
     std::thread::spawn(move || {
         let mut kept = Vec::new();
@@ -215,7 +216,7 @@ fn ended(status: ExitStatus, said: &str) -> String {
     format!("{status}{}", last_line(said))
 }
 
-/// Returns the last lines of standard error, or of standard output if standard error is empty.
+/// Returns the last four lines of standard error, or of standard output if standard error is empty.
 pub(crate) fn last_lines(said: &str, printed: &str) -> String {
     let text = if said.trim().is_empty() { printed } else { said };
     let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
@@ -332,8 +333,8 @@ mod tests {
         assert!(!alive.success(), "process {pid} is still there");
     }
 
-    /// A Python without OpenUSD is reported by the boot script. With OpenUSD, the file that does
-    /// not exist is refused.
+    /// If the Python has no OpenUSD, the boot script reports this. If the Python has OpenUSD,
+    /// OpenUSD refuses the file, which does not exist.
     #[test]
     fn a_real_python_answers() {
         let python = Candidate { program: "python3".into(), from: "PATH", given: false };

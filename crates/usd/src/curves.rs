@@ -1,8 +1,8 @@
 //! Curves as tubes and ribbons, points as balls (UsdGeomBasisCurves, UsdGeomPoints).
 //!
-//! A cubic segment is Σ bᵢ(t) pᵢ with the functions bᵢ of its basis. A pinned curve gets an extra
-//! point 2 p₀ − p₁ before the first point p₀, so that the curve starts at p₀. In the same way, the
-//! curve gets an extra point after the last point.
+//! A cubic segment is Σ bᵢ(t) pᵢ with the functions bᵢ of its basis. A pinned B-spline or
+//! Catmull–Rom curve gets an extra point 2 p₀ − p₁ before the first point p₀, so that the curve
+//! starts at p₀. In the same way, the curve gets an extra point after the last point.
 //!
 //! The frame of a sample follows from the previous sample without twist (double reflection, Wang et
 //! al. 2008). The twist that remains in a closed curve is spread over its length. Widths are
@@ -245,6 +245,7 @@ struct Rib {
 }
 
 fn sweep(curves: &Curves<'_>, mut place: Place<'_>, samples: &[Sample], sides: usize) {
+    // Compute a rib per sample.
     let points = |sample: &Sample| {
         sample.points.iter().map(|&(point, weight)| weight * curves.points[place.first_point + point]).sum::<Vec3>()
     };

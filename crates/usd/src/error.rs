@@ -7,7 +7,7 @@ use lumistack_core::Cancelled;
 use lumistack_scene::SceneError;
 use thiserror::Error;
 
-/// A USD file that could not be loaded.
+/// The reason why a USD or Blender file was not loaded, or why no Python environment was made.
 #[derive(Debug, Error)]
 pub enum UsdError {
     /// No Python with OpenUSD was found.
@@ -51,7 +51,8 @@ pub enum UsdError {
         file: String,
         /// The Python or Blender that was run.
         python: String,
-        /// The status of the process, and its last output.
+        /// The status of the process with its last output, the defect of its result, or the
+        /// exception in the script.
         found: String,
     },
     /// OpenUSD or the walker refuses the file.

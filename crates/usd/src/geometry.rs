@@ -14,7 +14,7 @@ pub(crate) struct Geometry {
     pub(crate) colors: Vec<Vec4>,
     /// Vertex indices of the corners of each triangle.
     pub(crate) triangles: Vec<[u32; 3]>,
-    /// The face of the source (a polygon or a curve) that contains each triangle.
+    /// For each triangle, the index of the polygon, curve or point from which it was made.
     pub(crate) face_of_triangle: Vec<u32>,
 }
 

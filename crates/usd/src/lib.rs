@@ -63,11 +63,12 @@ pub const EXTENSIONS: [&str; 4] = ["usd", "usda", "usdc", "usdz"];
 /// The part of a file to load: a time, and variants.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LoadOptions {
-    /// Time in seconds after the stage's first time code. `None`: the first time code; in a stage
-    /// without time codes, the first time sample of every attribute.
+    /// Time in seconds after the stage's first time code, or after time code 0 if the stage has
+    /// none. `None` stands for the first time code. In a stage without time codes, `None` stands
+    /// for the first time sample of every attribute.
     pub time_s: Option<f64>,
-    /// Variants: `set=variant` selects on every prim that has the set, `/prim{set=variant}` on one
-    /// prim.
+    /// Variants: `set=variant` selects the variant on every prim that has the set,
+    /// `/prim{set=variant}` on one prim only.
     pub variants: Vec<String>,
 }
 
@@ -89,8 +90,8 @@ pub fn pythons() -> Vec<(PathBuf, &'static str)> {
 /// Loads a USD file.
 ///
 /// # Errors
-/// [`UsdError`] if no Python has OpenUSD, if the file is refused, if nothing in it can be rendered,
-/// or if the task is cancelled.
+/// [`UsdError`] if the file cannot be opened, if no Python has OpenUSD, or if OpenUSD or the walker
+/// fails. Also if nothing in the file can be rendered, or if the task is cancelled.
 pub fn load(path: &Path, options: &LoadOptions, task: Task<'_>) -> Result<Loaded, UsdError> {
     let name = file_name(path)?;
     let LoadOptions { time_s, variants } = options;
@@ -116,7 +117,8 @@ pub fn contents(path: &Path, task: Task<'_>) -> Result<Contents, UsdError> {
 fn file_name(path: &Path) -> Result<&str, UsdError> {
     lumistack_files::open(path).map_err(|source| UsdError::Io { place: path.display().to_string(), source })?;
     path.to_str().ok_or_else(|| {
-        let source = std::io::Error::new(std::io::ErrorKind::InvalidInput, "expected a name in UTF-8, as USD needs it");
+        let source =
+            std::io::Error::new(std::io::ErrorKind::InvalidInput, "expected a path in UTF-8, found another encoding");
         UsdError::Io { place: path.display().to_string(), source }
     })
 }

@@ -1,12 +1,13 @@
 //! Converts the lights of a scene package (UsdLux).
 //!
 //! A light with a surface has the radiance L = intensity · 2^exposure · colour · colour
-//! temperature, divided by its area in the scene if normalized. It becomes a black emitting mesh,
-//! which the viewer sees only if the user requests it.
+//! temperature. If the light is normalized, L is divided by the light's area in the scene. The
+//! light becomes a black emitting mesh. Camera rays pass through this mesh, unless the user
+//! requests visible lights.
 //!
 //! * A distant light of angle 2θ has radiance L in a cone, so its irradiance is L π sin²θ. If it is
 //!   normalized, its irradiance is L.
-//! * A sphere that is treated as a point has the intensity L π r².
+//! * A sphere that is treated as a point, or that has a cone, has the intensity L π r².
 //! * A disc or rectangle with a cone is a spot light of intensity L · area.
 //! * A dome is the environment. In USD's picture the centre is +z and the right edge is towards −x,
 //!   as in OpenEXR. In the scene's picture the centre is −z.
@@ -92,6 +93,7 @@ impl Lights {
         textures: &mut Textures<'_>,
         task: Task<'_>,
     ) {
+        // Read and check the entry, since packages are not trusted.
         let entry: Entry = match serde_json::from_value(entry.clone()) {
             Ok(entry) => entry,
             Err(error) => {
@@ -112,9 +114,10 @@ impl Lights {
         if !(finite && scene_from_light.is_finite()) {
             return task.warn(
                 &entry.place,
-                "the light has a size, brightness or placement that is negative or not finite; it is left out",
+                "the light has a size, brightness or placement that is negative or not finite; the light is left out",
             );
         }
+        // A black light needs no warning.
         if Vec3::from(entry.radiance) == Vec3::ZERO {
             return;
         }
@@ -166,8 +169,9 @@ impl Lights {
         });
     }
 
-    /// Adds a light that has a surface. It becomes a mesh, or a point or spot light if it is small
-    /// or has a cone.
+    /// Adds a light that has a surface. A light with a cone becomes a spot light. A sphere that is
+    /// treated as a point, or has the radius 0, becomes a point light. Any other light becomes a
+    /// mesh.
     fn surface(&mut self, entry: &Entry, scene_from_light: &DAffine3, textures: &mut Textures<'_>, task: Task<'_>) {
         // Build the mesh, and compensate for its area, which is a little smaller than the area of
         // the exact shape.
@@ -186,8 +190,8 @@ impl Lights {
         if entry.shaping.is_some_and(|shaping| shaping.focus > 0.0) {
             task.warn(&entry.place, "the light's shaping:focus is not supported");
         }
-        // A light with a cone becomes a spot. A sphere of radius 0 or with treatAsPoint and no cone
-        // becomes a point light.
+        // A light with a cone becomes a spot. A sphere without a cone becomes a point light if it
+        // has the radius 0 or treatAsPoint.
         let cone = entry.shaping.filter(|shaping| shaping.angle < 90.0);
         let small = is_sphere && (entry.as_point || entry.radius == 0.0);
         if cone.is_some() || small {
@@ -245,6 +249,7 @@ impl Lights {
 /// Returns a copy of a material with the emission of a mesh that is a light (`MeshLightAPI`). With
 /// "materialGlowTintsLight" the material's own emission, if any, tints the light. With
 /// "noMaterialResponse" the material reflects nothing. `area` is the mesh's area in the scene.
+/// `None` if the light emits nothing.
 pub(crate) fn emissive(entry: &serde_json::Value, material: &Material, area: f32) -> Option<Material> {
     let entry: MeshEntry = serde_json::from_value(entry.clone()).ok()?;
     let mut radiance = Vec3::from(entry.radiance);

@@ -55,6 +55,8 @@ pub(crate) fn load<'a>(entry: &serde_json::Value, textures: &mut Textures<'a>, t
             return None;
         }
     };
+    // Replace inputs that cannot be used: invalid ones have their default, and unreadable textures
+    // their fallback.
     let model = entry.model.take()?;
     for input in entry.inputs.values_mut() {
         let broken = input.texture.as_ref().is_some_and(|source| !source.is_sound());

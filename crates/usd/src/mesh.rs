@@ -116,7 +116,7 @@ impl<'a> Vertices<'a> {
     }
 }
 
-/// Cuts polygons into triangles. It keeps its buffers, so that they are allocated once.
+/// Cuts polygons into triangles, with buffers that are allocated only once.
 #[derive(Default)]
 struct Cutter {
     earcut: earcut::Earcut<f64>,
@@ -143,7 +143,7 @@ impl Cutter {
         };
         let convex = (0..count).all(|i| turn(i) >= 0.0);
         if count == 4 && !convex {
-            // start the diagonal at a concave corner, so that it is inside the polygon
+            // start the diagonal at a concave corner, so that the diagonal is inside the polygon
             let hub = if turn(1) < 0.0 || turn(3) < 0.0 { 1 } else { 0 };
             self.triangles.extend([[hub, hub + 1, hub + 2], [hub, hub + 2, (hub + 3) % 4]]);
             return &self.triangles;
@@ -194,8 +194,8 @@ mod tests {
         0.5 * points.iter().zip(next).map(|(a, b)| f64::from(a[0] * b[1] - b[0] * a[1])).sum::<f64>()
     }
 
-    /// Returns the signed and absolute area of all triangles. They are equal if no triangle is
-    /// outside the polygon or overlaps another.
+    /// Returns two sums over all triangles: of signed areas and of absolute areas. Both equal the
+    /// polygon's area if the triangles cover the polygon once.
     fn areas(geometry: &Geometry) -> [f64; 2] {
         let signed: Vec<f64> = geometry.corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a).z).collect();
         [signed.iter().sum(), signed.iter().map(|area| area.abs()).sum()]
@@ -304,8 +304,8 @@ mod tests {
             triangulate(&Polygons { opacities: Some(opacities), ..pair() }).positions.len()
         };
         assert_eq!(agree([0.5; 8]), 6);
-        // the two faces have different values along their common edge, so its points get two
-        // vertices each
+        // the two faces have different values along their common edge, so the points of this edge
+        // get two vertices each
         assert_eq!(agree([0., 0., 0., 0., 1., 1., 1., 1.]), 8);
     }
 

@@ -1,5 +1,5 @@
 //! Scene packages: a JSON header, and arrays to which the header refers. The walker, which is the
-//! Python code that reads a stage, writes them.
+//! Python code that reads a stage, writes the packages.
 //!
 //! A file consists of the magic `LUMIPKG1`, the header's length as a little-endian u64, the header,
 //! and the arrays. Each array starts at a multiple of 64 bytes; `buffers` in the header lists their
@@ -37,7 +37,7 @@ pub struct Header {
     pub version: u32,
     /// The reason why the walker has no scene; `None` if it has one.
     pub error: Option<Failure>,
-    /// Name of the stage, for messages.
+    /// Display name of the stage's root layer.
     pub name: String,
     /// "Y" or "Z": the axis that points up.
     pub up_axis: String,
@@ -66,7 +66,7 @@ pub struct Failure {
     /// `python` (too old), `pxr` (no OpenUSD), `scene` (the file is refused), or `walker` (an error
     /// in the walker).
     pub kind: String,
-    /// The reason in one sentence, for the user.
+    /// The reason, for the user. For an error in the walker this is Python's traceback.
     pub message: String,
 }
 
@@ -91,9 +91,9 @@ pub struct Contents {
     pub time_range: Option<TimeRange>,
     /// Number of prims that OpenUSD's default traversal visits.
     pub prims: usize,
-    /// Number of meshes among these prims.
+    /// Number of meshes that this traversal visits.
     pub meshes: usize,
-    /// Number of points of these meshes.
+    /// Number of points of the counted meshes.
     pub points: usize,
 }
 
@@ -127,7 +127,7 @@ impl TimeRange {
 /// A shape, in its own coordinates.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-#[expect(clippy::large_enum_variant, reason = "nearly all of them are meshes")]
+#[expect(clippy::large_enum_variant, reason = "nearly all shapes are meshes")]
 pub(crate) enum Shape {
     Mesh(MeshEntry),
     Solid(SolidEntry),
@@ -220,8 +220,8 @@ pub(crate) struct SolidEntry {
     pub(crate) place: String,
     /// Name of the shape: `sphere`, `cube`, `cylinder`, `cone`, `capsule` or `plane`.
     pub(crate) solid: String,
-    /// Sizes of the shape, in the order of the schema's attributes. A shape with two radii lists
-    /// the radii first.
+    /// Sizes of the shape: radii before the height, and the width before the length, as in `SOLIDS`
+    /// of `python/shapes.py`.
     pub(crate) sizes: Vec<f32>,
     /// Axis of the shape: `x`, `y` or `z`.
     #[serde(default)]
@@ -285,7 +285,7 @@ pub(crate) struct SplatsEntry {
     pub(crate) colour_space: String,
 }
 
-/// Copies of one shape, all of which have the same chain of transforms.
+/// Copies of one shape, which one chain of links places.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Placement {
     pub(crate) geometry: usize,
@@ -353,7 +353,7 @@ impl Header {
         let header: Self =
             serde_json::from_slice(json).map_err(|error| format!("a scene package with a broken header: {error}"))?;
         if header.schema != SCHEMA || header.version != 1 {
-            return Err(format!("a package of {:?}, version {}", header.schema, header.version));
+            return Err(format!("a package of the schema {:?}, version {}", header.schema, header.version));
         }
         Ok(header)
     }
@@ -401,12 +401,12 @@ impl<'a> Package<'a> {
             return Err(fault(format!("rows of {width} numbers"), format!("shape {:?}", array.shape)));
         }
         let bytes = self.buffers.get(array.buffer).copied();
-        let bytes =
-            bytes.ok_or_else(|| fault(format!("a buffer below {}", self.buffers.len()), array.buffer.to_string()))?;
+        let bytes = bytes
+            .ok_or_else(|| fault(format!("a buffer index below {}", self.buffers.len()), array.buffer.to_string()))?;
         let wanted = rows.checked_mul(width).and_then(|count| count.checked_mul(size));
         if wanted != Some(bytes.len()) {
             let found = format!("{} bytes of type {} for shape {:?}", bytes.len(), array.kind, array.shape);
-            return Err(fault("as many bytes as the shape needs".into(), found));
+            return Err(fault("the number of bytes that the shape needs".into(), found));
         }
         Ok((bytes, rows))
     }
@@ -418,7 +418,7 @@ impl<'a> Package<'a> {
             "f32" => numbers(bytes, f32::from_le_bytes).collect(),
             "f64" => numbers(bytes, f64::from_le_bytes).map(|value| value as f32).collect(),
             "f16" => numbers(bytes, u16::from_le_bytes).map(from_half).collect(),
-            other => return Err(Fault::new(place, "real numbers", format!("type {other}"))),
+            other => return Err(Fault::new(place, "numbers of type f16, f32 or f64", format!("type {other}"))),
         };
         let mut chunks = values.as_chunks::<N>().0.to_vec();
         chunks.truncate(rows);
@@ -434,7 +434,9 @@ impl<'a> Package<'a> {
             "i64" => numbers(bytes, i64::from_le_bytes).collect(),
             "i8" => bytes.iter().map(|&byte| i64::from(byte as i8)).collect(),
             "u8" => bytes.iter().map(|&byte| i64::from(byte)).collect(),
-            other => return Err(Fault::new(place, "integers", format!("type {other}"))),
+            other => {
+                return Err(Fault::new(place, "integers of type i8, u8, i32, u32 or i64", format!("type {other}")));
+            }
         })
     }
 
@@ -443,7 +445,7 @@ impl<'a> Package<'a> {
         let (bytes, _) = self.bytes(array, 16, place)?;
         let values: Vec<f64> = match array.kind.as_str() {
             "f64" => numbers(bytes, f64::from_le_bytes).collect(),
-            other => return Err(Fault::new(place, "matrices of 64-bit numbers", format!("type {other}"))),
+            other => return Err(Fault::new(place, "matrices of type f64", format!("type {other}"))),
         };
         Ok(values.as_chunks::<16>().0.to_vec())
     }

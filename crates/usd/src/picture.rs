@@ -1,8 +1,9 @@
 //! Decodes textures: PNG, JPEG, WebP, TGA, Radiance HDR and OpenEXR, from a file on disk or an
 //! entry of a .usdz package.
 //!
-//! The content determines the format; TGA has no signature, so its file name does. The bytes are
-//! not trusted: sizes are limited before decoding, and a panic in a library is an error.
+//! The first bytes determine the format. TGA has no signature, so a file name that ends with .tga
+//! determines this format. The bytes are not trusted: sizes are limited before decoding, and a
+//! panic in a library is an error.
 
 use std::io::Cursor;
 use std::panic::AssertUnwindSafe;
@@ -88,7 +89,10 @@ fn codes(name: &str, bytes: &[u8]) -> Result<Picture, String> {
     let (width, height) = decoder.dimensions();
     // a texel takes at most 16 bytes: four channels of at most four bytes
     if u64::from(width) * u64::from(height) * 16 > MOST_BYTES || width.max(height) > MOST_TEXELS_A_SIDE {
-        return Err(format!("{width} × {height} texels, more than fit into {} MiB", MOST_BYTES >> 20));
+        return Err(format!(
+            "{width} × {height} texels, more than 32768 in a row or column, or more than fit into {} MiB",
+            MOST_BYTES >> 20
+        ));
     }
     let color = decoder.color_type();
     let deep = color.bytes_per_pixel() / color.channel_count();
@@ -114,12 +118,14 @@ fn exr(bytes: &[u8]) -> Result<Picture, String> {
     // data. A damaged file could therefore end the program.
     if header.deep || matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
         let found = if header.deep { "deep data".to_owned() } else { header.compression.to_string() };
-        return Err(format!("OpenEXR with {found}; none, RLE, ZIP, PIZ, PXR24 and B44 are read"));
+        return Err(format!(
+            "OpenEXR with {found}; flat pictures are read, without compression or with RLE, ZIP, PIZ, PXR24 or B44"
+        ));
     }
     let (width, height) = (header.layer_size.0, header.layer_size.1);
     let most = MOST_BYTES / 16;
     if width == 0 || height == 0 || (width as u64).saturating_mul(height as u64) > most {
-        return Err(format!("OpenEXR of {width} × {height} texels"));
+        return Err(format!("OpenEXR of {width} × {height} texels, which is empty or too large"));
     }
     let blocks: usize = meta.headers.iter().map(|header| header.chunk_count).fold(0, usize::saturating_add);
     if blocks.saturating_mul(LEAST_BYTES_PER_BLOCK) > bytes.len() {

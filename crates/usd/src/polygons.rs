@@ -8,7 +8,8 @@ use crate::package::{MeshEntry, Package, Primvar};
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Polygons {
     pub(crate) points: Vec<[f32; 3]>,
-    /// Number of corners per face, ≥ 0. Their sum is the length of [`corners`](Self::corners).
+    /// Number of corners of each face, ≥ 0. The sum of these numbers is the length of
+    /// [`corners`](Self::corners).
     pub(crate) counts: Vec<i32>,
     /// For every corner of a face, the index of its point.
     pub(crate) corners: Vec<i32>,
@@ -82,7 +83,7 @@ pub(crate) type UvNames<'a> = [Option<&'a str>; 2];
 /// Reads a mesh; `warn` receives a message for each primvar that is left out.
 ///
 /// # Errors
-/// If the topology is inconsistent.
+/// If the topology is inconsistent, or a coordinate is not finite.
 pub(crate) fn read(
     package: &Package<'_>,
     entry: &MeshEntry,
@@ -109,11 +110,11 @@ pub(crate) fn read(
     }
     let wanted: i64 = counts.iter().fold(0, |sum, &count| sum.saturating_add(count));
     if wanted != corners.len() as i64 {
-        let expected = format!("{wanted} indices, as faceVertexCounts says");
+        let expected = format!("{wanted} indices, the sum of faceVertexCounts");
         return Err(Fault::new(format!("{place}.faceVertexIndices"), expected, corners.len()));
     }
     if let Some(at) = corners.iter().position(|&point| !(0..points.len() as i64).contains(&point)) {
-        let expected = format!("a point below {}", points.len());
+        let expected = format!("the index of a point, below {}", points.len());
         return Err(Fault::new(format!("{place}.faceVertexIndices[{at}]"), expected, corners[at]));
     }
     // Read the primvars that the scene supports.
@@ -169,6 +170,7 @@ impl Reader<'_, '_> {
             Fault::Cancelled(_) => String::new(),
         };
         let values = self.package.reals::<N>(&primvar.values, &place).map_err(text)?;
+        // Find the number of elements that need a value.
         let (interpolation, elements) = match primvar.interpolation.as_str() {
             "constant" => (Interpolation::Constant, 1),
             "uniform" => (Interpolation::Uniform, self.sizes.faces),
@@ -180,6 +182,7 @@ impl Reader<'_, '_> {
         if values.iter().flatten().any(|value| !value.is_finite()) {
             return Err("values that are not finite".into());
         }
+        // Read the indices, and check them and the number of values.
         let indices = match &primvar.indices {
             None => None,
             Some(array) => {

@@ -53,8 +53,8 @@ impl Surroundings {
     }
 }
 
-/// Returns the file to which a program's name refers. A path names a file itself; another name is
-/// searched in the folders of `PATH`.
+/// Returns the file to which a program's name refers. A name with a folder is the file's path. A
+/// name without a folder is searched in the folders of `PATH`.
 pub(crate) fn on_path(program: &Path) -> Option<PathBuf> {
     let file = if cfg!(windows) { program.with_extension("exe") } else { program.to_owned() };
     if file.components().count() > 1 {

@@ -60,7 +60,7 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
         "Z" => DAffine3::from_rotation_x(-std::f64::consts::FRAC_PI_2),
         other => {
             if other != "Y" {
-                task.warn("upAxis", format!("expected Y or Z, found {other:?}; it is taken as Y"));
+                task.warn("upAxis", format!("expected Y or Z, found {other:?}; Y is used"));
             }
             DAffine3::IDENTITY
         }
@@ -92,7 +92,7 @@ fn assemble(name: &str, package: &Package<'_>, task: Task<'_>) -> Result<Scene, 
         let camera = camera(entry, &header.cameras, &scene_from_stage);
         match camera {
             Ok(camera) => assembly.parts.cameras.push(camera),
-            Err(reason) => task.warn(&entry.place, format!("the camera has {reason}; it is left out")),
+            Err(reason) => task.warn(&entry.place, format!("the camera is left out, since it has {reason}")),
         }
     }
     let parts = assembly.parts;
@@ -167,7 +167,8 @@ impl<'a> Assembly<'a> {
         Mesh { place, positions, normals, tangents: Vec::new(), uvs, colors, triangles, material }
     }
 
-    /// Makes the meshes of a shape that is not a polygon mesh. Such a shape has one material.
+    /// Makes the meshes of an implicit shape, of curves or of points. Such a shape has one
+    /// material.
     fn other(&mut self, shape: &Shape, materials: &[Option<usize>]) -> Result<Vec<Mesh>, Fault> {
         let bound = materials.first().copied().flatten().and_then(|index| self.materials[index].as_ref());
         let uv_names = bound.map_or([None, None], |bound| bound.uv_names.clone());
@@ -186,6 +187,7 @@ impl<'a> Assembly<'a> {
         let constant = primvars.iter().filter(|primvar| primvar.interpolation == "constant").cloned().collect();
         let whole = MeshEntry { place: shape.place().to_owned(), primvars: constant, ..MeshEntry::default() };
         let whole = polygons::read(self.package, &whole, [None, None], &mut |_| {})?;
+        // Select the material: the bound one, or a new one that shows the display colour.
         let (material, colors) = match bound {
             Some((_, true)) if geometry.colors.is_empty() => {
                 if let Some(&[r, g, b]) = whole.colors.as_ref().and_then(|colors| colors.values.first()) {
@@ -211,11 +213,16 @@ impl<'a> Assembly<'a> {
     fn place(&mut self, placement: &Placement, scene_from_stage: &DAffine3) -> Result<(), Fault> {
         let shapes = &self.package.header.geometries;
         let shape = shapes.get(placement.geometry);
-        let shape = shape
-            .ok_or_else(|| Fault::new("instances", format!("a geometry below {}", shapes.len()), placement.geometry))?;
+        let shape = shape.ok_or_else(|| {
+            Fault::new("instances", format!("the index of a geometry, below {}", shapes.len()), placement.geometry)
+        })?;
         let place = shape.place();
         if let Some(&material) = placement.materials.iter().flatten().find(|&&index| index >= self.materials.len()) {
-            return Err(Fault::new(place, format!("a material below {}", self.materials.len()), material));
+            return Err(Fault::new(
+                place,
+                format!("the index of a material, below {}", self.materials.len()),
+                material,
+            ));
         }
         // Convert a shape only once per combination of materials.
         let shown = match self.shown.entry((placement.geometry, placement.materials.clone())) {
@@ -313,7 +320,7 @@ impl<'a> Assembly<'a> {
             };
         };
         if materials.len() != 1 + entry.subsets.len() {
-            let expected = format!("{} materials, one and one for each subset", 1 + entry.subsets.len());
+            let expected = format!("{} materials, one for the mesh and one for each subset", 1 + entry.subsets.len());
             return Err(Fault::new(&entry.place, expected, materials.len()));
         }
         match self.mesh_parts(entry, materials) {
@@ -420,8 +427,8 @@ impl<'a> Assembly<'a> {
         Ok(Some(slots))
     }
 
-    /// Returns the index of the material for a mesh to which the file binds none. The `bool` is
-    /// true if vertex colours multiply the material's colour.
+    /// Returns the index of a material for a mesh to which the file binds no material. The `bool`
+    /// is true if vertex colours multiply the material's colour.
     fn plain(&mut self, polygons: &Polygons) -> (usize, bool) {
         let constant = |interpolation| interpolation == Interpolation::Constant;
         let color = polygons.colors.as_ref();

@@ -20,7 +20,8 @@ pub(crate) const CHECK: &str = "import sys\ntry: from pxr import Usd, Sdf\nexcep
 /// Options of the setup.
 #[derive(Clone, Debug, Default)]
 pub struct Setup {
-    /// The Python that creates the environment; `None`: the first Python on PATH.
+    /// The Python that creates the environment; `None`: the first Python on PATH that is new
+    /// enough.
     pub python: Option<PathBuf>,
     /// Install usd-exchange, whose OpenUSD reads MaterialX files, instead of usd-core.
     pub materialx: bool,
@@ -30,16 +31,18 @@ pub struct Setup {
 }
 
 impl Setup {
-    /// Creates the environment anew; `say` is called with a line per step. Returns the
-    /// environment's interpreter.
+    /// Creates the environment anew, and returns its interpreter. `say` receives lines of progress,
+    /// among them every line that pip prints.
     ///
     /// # Errors
-    /// If there is no Python, if a step fails, or if the setup is cancelled. The folder is then
-    /// removed.
+    /// If no Python or no data folder is found, if a step fails, or if the setup is cancelled. A
+    /// folder that is then incomplete is removed.
     pub fn run(&self, say: &mut dyn FnMut(&str), cancel: &Cancel) -> Result<PathBuf, UsdError> {
         let fault = |expected: &str, found: String| UsdError::Setup { expected: expected.into(), found };
         let folder = self.folder.clone().or_else(own_environment);
-        let folder = folder.ok_or_else(|| fault("a home folder", "neither HOME nor its like is set".into()))?;
+        let folder = folder.ok_or_else(|| {
+            fault("a data folder of the user", "no absolute path in HOME, XDG_DATA_HOME or LOCALAPPDATA".into())
+        })?;
         let (base, version) = self.base(cancel)?;
         let package = if self.materialx { "usd-exchange" } else { "usd-core" };
         say(&format!("{version} ({}) makes an environment in {}", base.display(), folder.display()));

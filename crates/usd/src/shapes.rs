@@ -40,7 +40,13 @@ pub(crate) fn solid(entry: &SolidEntry) -> Result<Geometry, Fault> {
         ("capsule", &[radius, height]) => capsule(radius, radius, height, axis),
         ("capsule", &[top, bottom, height]) => capsule(top, bottom, height, axis),
         ("plane", &[width, length]) => plane(width, length, axis),
-        (other, sizes) => return Err(Fault::new(&entry.place, "a shape and its sizes", format!("{other} {sizes:?}"))),
+        (other, sizes) => {
+            return Err(Fault::new(
+                &entry.place,
+                "a known shape with the right number of sizes",
+                format!("{other} {sizes:?}"),
+            ));
+        }
     })
 }
 
@@ -147,7 +153,7 @@ pub(crate) fn curves(
     let widths = widths.unwrap_or_else(|| {
         let width = spacing::width(&middles(&points, &counts), &points, CURVES).unwrap_or(WIDTH);
         let message = format!(
-            "the curves have no widths; they are drawn {width} wide, by their spacing (1 if all points coincide)"
+            "the curves have no widths; the width {width} is used, which follows from their spacing (1 if all points coincide)"
         );
         task.warn(place, message);
         Owned { values: vec![width], width: 1, interpolation: Interpolation::Constant }
@@ -186,7 +192,7 @@ pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) 
     let place = entry.place.as_str();
     let mut points = points(package, &entry.points, place)?;
     if points.len() > MOST_POINTS {
-        task.warn(place, format!("of {} points the first {MOST_POINTS} are shown", points.len()));
+        task.warn(place, format!("of {} points only the first {MOST_POINTS} are shown", points.len()));
         points.truncate(MOST_POINTS);
     }
     // If widths are missing, they follow from the spacing of the points.
@@ -198,12 +204,13 @@ pub(crate) fn balls(package: &Package<'_>, entry: &PointsEntry, task: Task<'_>) 
     if widths.is_empty() && !points.is_empty() {
         let width = spacing::width(&points, &points, POINTS).unwrap_or(WIDTH);
         let message = format!(
-            "the points have no widths; they are drawn {width} wide, by their spacing (1 if all points coincide)"
+            "the points have no widths; the width {width} is used, which follows from their spacing (1 if all points coincide)"
         );
         task.warn(place, message);
         widths.push(width);
     }
-    // If a list is too short, its first value applies to the points without a value.
+    // A point without a width gets the first width. If there are fewer colours than points, all
+    // points get the first colour.
     let colors = Owned::primvar(package, &entry.primvars, "displayColor", place).filter(|colors| colors.width >= 3);
     let each = |list: &[f32], i: usize| list.get(i).or(list.first()).copied();
     let color = |i: usize| {

@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 use crate::texture::{Channel, Kind, Source, Textures};
 
-/// An input of a shader. Exactly one field is set.
+/// An input of a shader. At most one field is set; without any, the input has its default.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default)]
 pub(crate) struct Input {
@@ -110,9 +110,10 @@ impl Inputs {
         self.inputs.get(name)?.text.as_deref()
     }
 
-    /// Returns the names of inputs that have no effect although they differ from their defaults.
-    /// `known` lists inputs without a counterpart, with the default of their first component.
-    /// Inputs of this list that have a texture are also returned.
+    /// Returns the names of inputs that have no effect although the file sets them. `known` lists
+    /// inputs without a counterpart, with the default of their components. Such an input is
+    /// returned if it differs from the default, or is a texture or primvar. An input outside this
+    /// list is returned if it has a value or texture that was not read.
     pub(crate) fn ignored(&self, known: &[(&'static str, f32)]) -> Vec<String> {
         let read = self.read.borrow();
         let matters = |name: &str, input: &Input| {
@@ -244,7 +245,7 @@ impl<'a> Builder<'_, 'a> {
             (false, true) => AlphaMode::Mask { cutoff: threshold },
             (false, false) => AlphaMode::Blend,
         };
-        // an alpha mask with a constant opacity above the threshold hides nothing
+        // an alpha mask hides nothing if the opacity is constant and at least the threshold
         if alpha_channel_is_unused(&alpha_channel) && !opaque && threshold > 0.0 && alpha >= threshold {
             self.material.alpha_mode = AlphaMode::Opaque;
         }
@@ -304,7 +305,8 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Sets the clearcoat's weight, roughness and normal map. A constant weight of 0 sets none.
+    /// Sets the clearcoat's weight, roughness and normal map. A constant weight of 0 sets no
+    /// clearcoat.
     pub(crate) fn coat(&mut self, weight: &Value<1>, roughness: &Value<1>, normal: &Value<3>) {
         if weight.number().is_some_and(|weight| weight <= 0.0) {
             return;
@@ -323,7 +325,7 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Sets the sheen's colour and roughness. A weight of 0 sets none.
+    /// Sets the sheen's colour and roughness. A weight of 0 sets no sheen.
     pub(crate) fn sheen(&mut self, weight: f32, color: &Value<3>, roughness: &Value<1>) {
         if weight <= 0.0 {
             return;
@@ -350,8 +352,8 @@ impl<'a> Builder<'_, 'a> {
         }
     }
 
-    /// Sets the transmission. Transmitted light is tinted at the surface, or by absorption if
-    /// `depth` is above 0. The mesh encloses a solid, unless `thin` is true.
+    /// Sets the transmission. The mesh encloses a solid, unless `thin` is true. In a solid with a
+    /// `depth` above 0, absorption tints the transmitted light; otherwise the surface tints it.
     pub(crate) fn transmission(&mut self, weight: &Value<1>, color: Vec3, depth: f32, thin: bool) {
         let (factor, texture) = self.data(weight, 0);
         if factor <= 0.0 {

@@ -3,8 +3,8 @@
 
 use glam::Vec3;
 
-/// Largest number of positions whose nearest neighbour is searched. The median of so many distances
-/// is accurate enough.
+/// Largest number of positions whose nearest neighbour is searched. The median of 256 distances is
+/// accurate enough.
 const ASKED: usize = 256;
 
 /// A rule for a width: a fraction of the distance between neighbours, within bounds. The bounds are
@@ -21,7 +21,8 @@ pub(crate) struct Rule {
 }
 
 /// Returns the width of objects at `places`. It is a fraction of the median distance to the nearest
-/// other position, within bounds that follow from `points`. `None` if all points coincide.
+/// other position, within bounds that follow from the bounding box of `points`. `None` if this box
+/// has no extent.
 pub(crate) fn width(places: &[Vec3], points: &[Vec3], rule: Rule) -> Option<f32> {
     let finite = || points.iter().copied().filter(|point| point.is_finite());
     let low = finite().reduce(Vec3::min)?;

@@ -14,6 +14,7 @@ pub(crate) fn cloud(package: &Package<'_>, entry: &SplatsEntry, task: Task<'_>) 
     let SplatsEntry { place, .. } = entry;
     let positions = entry.positions.as_ref().map_or(Ok(Vec::new()), |array| package.reals::<3>(array, place))?;
     let count = positions.len();
+    // Limit the degree of the harmonics to the degree that is rendered.
     let in_file = usize::try_from(entry.degree).ok().filter(|degree| *degree <= 64);
     let in_file = in_file.ok_or_else(|| Fault::new(place, "a degree of harmonics from 0 to 64", entry.degree))?;
     let degree = in_file.min(MAX_DEGREE);

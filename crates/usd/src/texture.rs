@@ -41,7 +41,8 @@ pub(crate) struct Source {
 }
 
 impl Source {
-    /// Returns true if all lists have the same length and all numbers are finite.
+    /// Returns true if the source has one to four channels, lists of this length, and finite
+    /// numbers.
     pub(crate) fn is_sound(&self) -> bool {
         let count = self.channels.len();
         let finite = |list: &[f32]| list.iter().all(|value| value.is_finite());
@@ -161,9 +162,9 @@ impl<'a> Textures<'a> {
     }
 
     /// Returns a texture with these channels, for the coordinate set `uv_set`. `None` if no channel
-    /// has a picture, or if a picture cannot be read; callers then use the shader's fallback. All
-    /// channels use the primvar, transform and wrap rules of the first component; a warning reports
-    /// if other channels differ.
+    /// has a picture, or if a picture cannot be read; the slot then has no texture. All channels
+    /// use the primvar, transform and wrap rules of the first component; a warning reports if other
+    /// channels differ.
     pub(crate) fn slot(
         &mut self,
         channels: [Channel<'_>; 4],
@@ -259,8 +260,8 @@ impl<'a> Textures<'a> {
         Some(self.images.len() - 1)
     }
 
-    /// Converts a picture to linear radiance, for the environment and lights; returns the index of
-    /// the image.
+    /// Converts a picture to linear radiance, for the environment. Returns the index of the image,
+    /// or `None` if the picture cannot be read.
     pub(crate) fn radiance(&mut self, image: usize) -> Option<usize> {
         let source = Source::plain(image);
         let key = format!("radiance {image}");

@@ -12,11 +12,11 @@ use crate::{UsdError, blend};
 const BPY: &str = "import sys\ntry: import bpy\nexcept ImportError as error: sys.exit(str(error))\n\
     print('Blender', bpy.app.version_string, 'as a module')";
 
-/// Oldest version of Blender that reads `.blend` files for us, as in `python/blend.py`.
+/// Oldest supported version of Blender, as in `python/blend.py`.
 const OLDEST_BLENDER: [u32; 2] = [4, 2];
 
-/// `Ok` has the program that reads a kind of file, and its version. `Err` lists the programs that
-/// were tried, each with its failure, if none can read the file.
+/// `Ok` has the program that reads a kind of file, and the version of OpenUSD or Blender. If there
+/// is no such program, `Err` lists the programs that were tried, each with its failure.
 pub type There = Result<(String, String), Vec<String>>;
 
 /// Finds the Python that reads USD files.
@@ -56,7 +56,7 @@ pub fn blender(cancel: &Cancel) -> Result<There, UsdError> {
     )
 }
 
-/// Returns the failure of a Blender that is too old. `said` begins with its name and version.
+/// Returns the failure of a Blender that is too old. `said` begins with "Blender" and a version.
 fn too_old(said: &str) -> Option<String> {
     let number = |text: &str| text.chars().take_while(char::is_ascii_digit).collect::<String>().parse::<u32>().ok();
     let mut parts = said.strip_prefix("Blender ")?.split('.').map(number);

@@ -1,9 +1,9 @@
 //! MaterialX's large surface shaders: standard_surface, open_pbr_surface, gltf_pbr; and
 //! surface_unlit, which only emits.
 //!
-//! All have a metal or dielectric base with a diffuse colour, a specular lobe, transmission, coat,
-//! sheen, thin film, emission and opacity. Transmission is tinted at the surface, or coloured by
-//! absorption over a depth.
+//! The first three have a metal or dielectric base with a diffuse colour, a specular lobe,
+//! transmission, coat, sheen, thin film, emission and opacity. Transmission is tinted at the
+//! surface, or coloured by absorption over a depth.
 //!
 //! Subsurface scattering is replaced by the diffuse colour that results from it. A coat has no
 //! colour, and has the index of refraction 1.5.
@@ -17,7 +17,9 @@ const UP: [f32; 3] = [0.0, 0.0, 1.0];
 
 type Ignored = &'static [(&'static str, f32)];
 
-/// Returns the diffuse colour, mixed with the colour that results from subsurface scattering.
+/// Returns the diffuse colour and its weight. Subsurface scattering of the weight `weight` adds a
+/// colour: two constant colours are mixed. If a colour is a texture, the colour with the larger
+/// weight is returned.
 fn with_subsurface(
     inputs: &Inputs,
     base: Value<3>,

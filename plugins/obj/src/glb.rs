@@ -10,7 +10,7 @@ use crate::mtl::{Map, MtlMaterial};
 use crate::paths::forward;
 use crate::up::Up;
 
-/// glTF's constants for component types and buffer targets.
+// glTF's numbers for component types and buffer targets:
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
 const VERTICES: u32 = 34962;
@@ -224,7 +224,9 @@ fn glb(root: &Value, mut binary: Vec<u8>) -> Result<Vec<u8>, PluginError> {
     text.resize(text.len().next_multiple_of(4), b' ');
     binary.resize(binary.len().next_multiple_of(4), 0);
     let length = |n: usize| {
-        u32::try_from(n).map(u32::to_le_bytes).map_err(|_| PluginError::Failed("the file exceeds 4 GiB".into()))
+        u32::try_from(n)
+            .map(u32::to_le_bytes)
+            .map_err(|_| PluginError::Failed("expected meshes that take less than 4 GiB as GLB, found more".into()))
     };
     let mut bytes = Vec::with_capacity(28 + text.len() + binary.len());
     bytes.extend(b"glTF\x02\0\0\0");

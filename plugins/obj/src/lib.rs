@@ -11,8 +11,9 @@
 //! | `Ns` | roughness = 1 − √(Ns / 1000), as Blender writes it |
 //! | `Pr`, `Pm` | roughness and metallic, if the file has them |
 //!
-//! Lines, points and curves are ignored. All other maps are ignored with a warning. OBJ files state
-//! neither their unit nor their upward axis, so the parameters `scale` and `up` set them.
+//! Lines, points and curves are ignored. All maps except `map_Kd` are ignored with a warning. OBJ
+//! files state neither their unit nor their upward axis, so the parameters `scale` and `up` set
+//! them.
 
 mod glb;
 mod mtl;
@@ -57,7 +58,10 @@ impl ImporterPlugin for Obj {
             Param::choice(
                 "up",
                 "y",
-                [("y", "The y axis, as most programs write it."), ("z", "The z axis, as CAD programs do.")],
+                [
+                    ("y", "The y axis, as in the files of most programs."),
+                    ("z", "The z axis, as in the files of CAD programs."),
+                ],
                 "The file's upward axis.",
             ),
             Param::float("scale", 1.0, 1e-9..=1e9, "Size of the file's unit.").unit("scene units"),
@@ -104,7 +108,7 @@ fn materials(host: &Host, assets: &Assets<'_>, file: &str, names: &str) -> Vec<M
         let mut warn = |line: usize, message: String| host.warn(&format!("{name}: line {line}: {message}"));
         Ok::<_, PluginError>(mtl::parse(&text::decode(&bytes), &mut warn))
     };
-    let warn = |error: PluginError| host.warn(&format!("{file}: imported without its materials: {error}"));
+    let warn = |error: PluginError| host.warn(&format!("{file}: materials are missing: {error}"));
     let error = match read(names) {
         Ok(found) => return found,
         Err(error) => error,

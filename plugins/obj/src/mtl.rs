@@ -60,6 +60,7 @@ pub(crate) fn parse(text: &str, warn: &mut dyn FnMut(usize, String)) -> Vec<MtlM
             continue;
         }
         let Some(material) = materials.last_mut() else { continue };
+        // Read the value of the key, or warn that it is invalid.
         let mut bad = |expected: &str| warn(number, format!("`{key}`: expected {expected}, found `{rest}`"));
         match key {
             "Kd" | "Ke" => match color(rest) {

@@ -3,9 +3,9 @@
 //!
 //! A backslash at the end of a line continues the line, and `#` begins a comment. Names and
 //! comments may have any encoding, and `vt` may have a single coordinate. Faces may refer to
-//! vertices that do not exist. The parser refuses such faces, but for some indices its arithmetic
-//! would overflow. So this module replaces each index that is out of range by one that the parser
-//! refuses safely.
+//! vertices that do not exist. The parser refuses such faces, but for some of these indices its
+//! arithmetic would overflow. So this module replaces these indices by an index that the parser
+//! refuses without an overflow.
 
 use std::borrow::Cow;
 use std::cell::Cell;
@@ -128,8 +128,8 @@ fn write_shape(line: &str, counts: &mut Counts, out: &mut Vec<u8>) {
     }
 }
 
-/// Writes the indices `v/vt/vn` of a face's corner. An index that is out of range becomes
-/// [`NOWHERE`].
+/// Writes the indices `v/vt/vn` of a face's corner. An index that counts back too far, or exceeds
+/// [`NOWHERE`], becomes [`NOWHERE`].
 fn write_corner(corner: &str, counts: &Counts, out: &mut Vec<u8>) {
     for (place, index) in corner.split('/').enumerate() {
         if place > 0 {

@@ -79,7 +79,7 @@ fn a_missing_material_file_is_a_warning() {
     document(&Files(BTreeMap::from([("a.obj", OBJ)])), &json!({}), &host).unwrap();
     let messages = host.messages();
     assert_eq!(messages.len(), 1, "{messages:?}");
-    assert_eq!(messages[0], (LogLevel::Warn, "a.obj: imported without its materials: looks.mtl: no such file".into()));
+    assert_eq!(messages[0], (LogLevel::Warn, "a.obj: materials are missing: looks.mtl: no such file".into()));
 }
 
 #[test]

@@ -46,7 +46,7 @@ pub enum Packed<'a> {
     Capture(&'a [u8], Vec<(&'a str, &'a [u8])>),
 }
 
-/// The use of a picture, which decides its formats.
+/// The use of a picture, which decides the allowed formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Use {
     /// A texture, which may be PNG, JPEG, WebP or KTX2.
@@ -84,7 +84,7 @@ pub enum Filter {
 /// Decoded content.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Unpacked {
-    /// Size of a picture in texels, and of one of its texels in bytes.
+    /// Size of a picture in texels, and size of a texel in bytes.
     Size {
         /// Number of texels in a row of the picture.
         width: u32,

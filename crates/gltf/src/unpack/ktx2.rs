@@ -19,14 +19,16 @@ use crate::options::MAX_SIDE;
 /// First bytes of a KTX2 file.
 pub(super) const MAGIC: &[u8] = b"\xABKTX 20\xBB\r\n\x1A\n";
 
-/// Number of bytes of the header before the list of levels, and of one level's entry in the list.
+/// Number of bytes of the header before the list of levels.
 const HEADER_BYTES: usize = 80;
+/// Number of bytes of one level's entry in this list.
 const LEVEL_BYTES: usize = 24;
 /// Range of the header's bytes that states offset and length of the key/value data.
 #[cfg(feature = "ktx2")]
 const NOTES: Range<usize> = 56..64;
-/// Colour models of the data format descriptor that stand for Basis Universal's two codecs.
+/// Colour model of the data format descriptor for Basis Universal's codec ETC1S.
 const ETC1S: u32 = 163;
+/// Colour model of the data format descriptor for Basis Universal's codec UASTC.
 const UASTC: u32 = 166;
 
 /// The decoded channels from which glTF's red, green, blue and alpha are taken.
@@ -66,8 +68,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
 pub(super) fn decode(bytes: &[u8]) -> Result<Pixels, Unsound> {
     let Header { width, height, channels } = Header::read(bytes)?;
     let broken = |error| Unsound::new("a sound Basis Universal picture", format!("{error:?}"));
-    // hide the key/value data: texels do not need it, and the decoder trusts the length of its last
-    // entry
+    // hide the key/value data: texels do not need this data, and the decoder trusts the length of
+    // its last entry
     let mut noteless = bytes.to_vec();
     noteless[NOTES].fill(0);
     let transcoder = Transcoder::new(&noteless).map_err(broken)?;
@@ -124,7 +126,8 @@ impl Header {
             let found = format!("colour model {model} with supercompression {scheme}");
             return fault("ETC1S in BasisLZ, or UASTC plain or in Zstandard", found);
         }
-        // check that every level has as many bytes as its texels need
+        // check that every level is within the file, and that a level of UASTC has the size that
+        // its texels need
         for level in 0..levels {
             let entry = HEADER_BYTES + LEVEL_BYTES * level as usize;
             inside(long(entry)?, long(entry + 8)?)?;

@@ -79,7 +79,7 @@ fn open(opener: Opener, usage: Use, bytes: &[u8]) -> Result<(ImageFormat, Box<dy
         Use::Environment => &ENVIRONMENTS[..],
     };
     let names: Vec<String> = formats.iter().map(|format| format!("{format:?}")).collect();
-    let expected = format!("a picture in the format {}", names.join(" or "));
+    let expected = format!("a picture in the format {} (a texture may also be KTX2)", names.join(" or "));
     let format = match image::guess_format(bytes) {
         Ok(format) if formats.contains(&format) => format,
         Ok(format) => return Err(Unsound::new(expected, format!("{format:?}"))),

@@ -1,5 +1,5 @@
 //! Converts requests, and results of decoding (answers), to bytes and back. The bytes are
-//! little-endian. Numbers have 64 bits. The length of a list precedes the list.
+//! little-endian. Numbers outside of lists have 64 bits. The length of a list precedes the list.
 
 use glam::{Quat, Vec3};
 use gltf::json::accessor::ComponentType;

@@ -1,4 +1,4 @@
-// Writes the files of this folder with encoders of other projects. Run it once, by hand:
+// Writes the files of this folder with encoders of other projects. Run this script once, by hand:
 //
 //   npm install @gltf-transform/core@4 @gltf-transform/extensions@4
 //   npm install @gltf-transform/functions@4 draco3dgltf meshoptimizer ktx2-encoder

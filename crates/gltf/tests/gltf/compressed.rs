@@ -171,7 +171,7 @@ fn picture(bytes: &[u8]) -> Builder {
 #[test]
 fn basis_pictures_are_decoded() {
     // KHR_texture_basisu. In ETC1S the colours of a block lie on one line in the space of colours,
-    // so its tolerance is larger.
+    // so the tolerance of ETC1S is larger.
     for (name, tolerance) in [("etc1s", 24), ("uastc", 8), ("uastc-zstd", 8)] {
         let file = data(&format!("{name}.ktx2"));
         let scene = scene(&picture(&file));
@@ -186,8 +186,8 @@ fn basis_pictures_are_decoded() {
         }
         println!("{name}: off by at most {largest}");
         assert!(largest <= tolerance, "{name}: {largest}");
-        // The file is cut short, which must be an error. Then every byte is broken in turn, which
-        // gives an error or a picture, but no panic.
+        // The file is cut short, which must be an error. Then one byte after another is broken,
+        // which gives an error or a picture, but no panic.
         for length in 0..file.len() {
             assert!(load(&picture(&file[..length]).glb()).0.is_err(), "{name} cut to {length}");
         }

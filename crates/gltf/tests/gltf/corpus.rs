@@ -274,7 +274,7 @@ fn hostile_files_do_no_harm() {
     // these files show nothing or are broken, and the error must name the place
     let named = [
         ("assimp-BoxWithInfinites/BoxWithInfinites.glb", "/attributes/POSITION: expected finite numbers"),
-        ("assimp-IndexOutOfRange/IndexOutOfRange.gltf", "/indices: expected vertices below 24, found 255"),
+        ("assimp-IndexOutOfRange/IndexOutOfRange.gltf", "/indices: expected vertex indices below 24, found 255"),
         ("assimp-MissingBin/BoxTextured.gltf", "/images/0/uri: expected a readable file"),
         ("assimp-RecursiveNodes/RecursiveNodes.gltf", "/nodes/0: expected a tree of nodes"),
         ("validator/glb/length_mismatch.glb", "byte 8: expected a file of 49 bytes, found 48"),
@@ -287,8 +287,8 @@ fn hostile_files_do_no_harm() {
     }
 }
 
-/// Most hostile files have their defect in an object that no scene shows, so here every object is
-/// shown in turn.
+/// Most hostile files have their defect in an object that no scene shows, so here each object is
+/// shown in its own copy of the file.
 #[test]
 fn hostile_objects_do_no_harm_when_shown() {
     let Some(folder) = assets("hostile/gltf") else { return };
@@ -316,7 +316,7 @@ fn hostile_objects_do_no_harm_when_shown() {
         ("mesh/accessor_unequal_count", "/attributes/COLOR_0: expected"),
         ("mesh/position_accessor_invalid_format", "/attributes/POSITION: expected VEC3"),
         ("accessor/small_stride", "byteStride: expected at least"),
-        ("mesh_data/index_buffer_oob", "/indices: expected vertices below"),
+        ("mesh_data/index_buffer_oob", "/indices: expected vertex indices below"),
         ("node/unresolved_skin", "/skin: expected an index below"),
         ("image/unrecognized_format", "expected a picture in the format"),
         ("buffer/not_found", "/buffers/0/uri: expected a readable file"),

@@ -526,7 +526,7 @@ fn scenes_that_list_children_are_shown() {
         b
     };
     let child = "expected a node without a parent, found node 0, a child of node 1";
-    let shown_there = format!("{child}; it stays a child of that node");
+    let shown_there = format!("{child}; the node stays a child of this parent");
     assert_eq!(corner(&under(json!([0, 1]))), (vec![3.0], vec![format!("/scenes/0/nodes/0: {shown_there}")]));
     assert_eq!(corner(&under(json!([1, 0]))), (vec![3.0], vec![format!("/scenes/0/nodes/1: {shown_there}")]));
     let alone =
@@ -539,13 +539,12 @@ fn scenes_that_list_children_are_shown() {
     b.push("nodes", json!({"children": [0, 0], "translation": [5, 0, 0]}));
     let (places, warnings) = corner(&b);
     assert_eq!((places, warnings.len()), (vec![3.0], 2));
-    let expected =
-        "/nodes/2/children/0: expected one parent, found node 0, which is a child of node 1; it keeps this parent";
+    let expected = "/nodes/2/children/0: expected a node without another parent, found node 0, which is a child of node 1; the node keeps that parent";
     assert_eq!(warnings[0], expected);
 }
 
-/// glTF has strides only for vertices. A stride on indices is applied if the indices fit it, as in
-/// other readers. Otherwise it has no effect.
+/// glTF has strides only for vertices. A stride on indices is applied if the indices fit into their
+/// view with this stride, as in other readers. Otherwise it has no effect.
 #[test]
 fn strides_where_none_belong_are_said() {
     for (bytes, stride, expected) in [
@@ -610,7 +609,7 @@ fn what_has_no_effect_is_said() {
     assert!(scene.unwrap().meshes[0].tangents.is_empty());
     let expected = [
         "/animations: the file is animated; its nodes keep their own values, since no time is given",
-        "/scenes/0/extras/lumistack/enviroment: unknown; known here: environment",
+        "/scenes/0/extras/lumistack/enviroment: the member is unknown and has no effect; known members: environment",
         "/meshes/0/primitives/0: some tangents have no direction; all are left out and generated where needed",
     ];
     assert_eq!(warnings, expected.map(|warning| format!("test.gltf: {warning}")));

@@ -105,8 +105,8 @@ fn a_file_cut_anywhere_is_refused() {
 
 #[test]
 fn a_binary_chunk_cut_anywhere_is_survived() {
-    // only the binary chunk is cut, in a valid container, so that every accessor in turn extends
-    // past the data
+    // cut only the binary chunk, in a valid container; for some of the lengths each accessor
+    // extends past the data
     let whole = everything();
     let json_length = whole.bin.len();
     for length in (0..json_length).step_by(3) {

@@ -93,7 +93,7 @@ fn what_is_not_known_is_taken_for_what_is() {
     b.set(&extension("sortingMethod"), "depth".into());
     let (scene, warnings) = load(&b.glb());
     assert_eq!(scene.unwrap().splat_count(), COUNT);
-    for part in ["`other` is taken for srgb", "`box` is not known", "`depth` is not known"] {
+    for part in ["found `other`; srgb_rec709_display is used", "`box` is not known", "`depth` is not known"] {
         assert!(warnings.iter().any(|warning| warning.contains(part)), "{part}: {warnings:?}");
     }
 }
@@ -118,7 +118,7 @@ fn broken_splats_are_refused_or_left_out() {
             &|b| {
                 b.remove(&attribute(name));
             },
-            "an attribute that splats have",
+            "an attribute that splats need",
         );
         refused(
             &|b| {

@@ -1,5 +1,5 @@
-//! Shared by the tests: a writer of small glTF files, resolvers, and the folder of files of other
-//! projects.
+//! Helpers that the tests share: a writer of small glTF files, resolvers, and the folder of files
+//! of other projects.
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};

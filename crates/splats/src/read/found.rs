@@ -1,4 +1,4 @@
-//! The result of every reader, and functions of stored values that the formats share.
+//! The result of every reader, and conversions of stored values that the formats share.
 
 use glam::{Quat, Vec3};
 use lumistack_scene::Cloud;

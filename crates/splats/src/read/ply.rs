@@ -16,7 +16,7 @@ use glam::{Quat, Vec3};
 
 use super::found::{Axes, Found, ReadError, cloud, constant, degree_of, exp, from_smallest_three, sigmoid};
 
-/// Largest size of a header in bytes; the end of the header is searched only so far.
+/// Largest size of a header in bytes; the end of the header is searched only within these bytes.
 const MAX_HEADER: usize = 1 << 16;
 /// Number of splats per chunk of the compressed form.
 const CHUNK: usize = 256;
@@ -215,8 +215,8 @@ fn packed(
         Some(sh) => return Err(ReadError::new("element sh", format!("{} rows", vertices.count), sh.count)),
         None => (Vec::new(), 0),
     };
-    // Expand the words of each splat. Their 11, 10 and 11 bits are x, y and z between the chunk's
-    // bounds.
+    // Expand the words of each splat. In a position and in a scale, 11, 10 and 11 bits are x, y and
+    // z between the chunk's bounds.
     let word = |column: &Column<'_>, i: usize| u32::from_le_bytes(column.bytes(i));
     let three = |word: u32| [unit(word, 21, 11), unit(word, 11, 10), unit(word, 0, 11)];
     let lerp = |low: f32, high: f32, t: f32| low + t * (high - low);

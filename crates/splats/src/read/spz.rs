@@ -1,5 +1,5 @@
 //! `.spz`, versions 1 to 4: quantized attributes. Each attribute is stored for all splats, and then
-//! the next one follows. Version 4 stores every attribute in a stream of its own.
+//! the next one follows. Version 4 stores every attribute in a separate stream.
 //!
 //! ```text
 //! position   24-bit fixed point (version 1: half floats)
@@ -23,8 +23,9 @@ use ruzstd::StreamingDecoder;
 use super::found::{Axes, Found, ReadError, cloud, exp, from_smallest_three};
 
 const MAGIC: u32 = 0x5053_474e;
-/// Sizes of the headers in bytes: of versions 1 to 3, and of version 4.
+/// Size of the header of versions 1 to 3, in bytes.
 const HEADER: usize = 16;
+/// Size of the header of version 4, in bytes.
 const HEADER_4: usize = 32;
 /// Bit of the header's flags that marks records of vendors, which are not read.
 const EXTENSIONS: u8 = 2;
@@ -112,7 +113,11 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
     let strides = header.strides();
     let needed = if header.degree == 0 { 5 } else { 6 };
     if streams < needed {
-        return Err(ReadError::new("numStreams", format!("{needed} of degree {}", header.degree), streams));
+        return Err(ReadError::new(
+            "numStreams",
+            format!("at least {needed} streams for degree {}", header.degree),
+            streams,
+        ));
     }
     let room = || ReadError::new("tocByteOffset", format!("a table of {streams} streams inside the file"), table);
     let entries = bytes.get(table..).and_then(|rest| rest.get(..16 * streams)).ok_or_else(room)?;
@@ -148,7 +153,9 @@ pub fn read_spz(bytes: &[u8], max_bytes: u64) -> Result<Found, ReadError> {
     parts.resize(6, Vec::new());
     let mut found = splats(&header, [0, 1, 2, 3, 4, 5].map(|i| parts[i].as_slice()))?;
     if header.flags & EXTENSIONS != 0 {
-        found.left_out.push("records of vendors in the header: other axes than right, up, back are not read".into());
+        found
+            .left_out
+            .push("records of vendors in the header are not read; the axes are taken as right, up, back".into());
     }
     Ok(found)
 }

@@ -8,14 +8,14 @@ use lumistack_simd::{Kernel, Lanes};
 use super::harmonics::{MOST, basis};
 use super::prepare::{CUTOFF, Eye, NEAREST, PIXEL_VARIANCE, Splat, TILE};
 
-/// Number of views of a block. With more views, the lists of splats per tile are made for fewer
-/// blocks. With fewer views, less memory is needed, and fewer splats are projected into views that
-/// do not show them.
+/// Number of views of a block. With more views per block, there are fewer blocks, so lists of
+/// splats per tile are made less often. With fewer views per block, less memory is needed, and
+/// fewer splats are projected into views that do not show them.
 pub(crate) const VIEWS: usize = 16;
 /// One value for each view of a block of views.
 pub(crate) type Lane = [f32; VIEWS];
 
-/// The eyes of the views of a block. The last one is repeated if there are fewer than [`VIEWS`].
+/// The eyes of the views of a block. If there are fewer than [`VIEWS`], the last eye is repeated.
 #[derive(Clone, Debug)]
 pub(crate) struct Eyes {
     /// Slopes of parallel rays, or the eyes' columns (x) and rows (y).
@@ -26,7 +26,7 @@ pub(crate) struct Eyes {
 }
 
 impl Eyes {
-    /// Packs the eyes of 1 to [`VIEWS`] views. All of them must be of one kind.
+    /// Packs the eyes of 1 to [`VIEWS`] views. All eyes must be of one kind: slopes or positions.
     pub(crate) fn new(eyes: &[Eye]) -> Self {
         let of = |i: usize| match eyes[i.min(eyes.len() - 1)] {
             Eye::Slope(slope) => (slope, None),
@@ -157,7 +157,7 @@ impl Kernel for Project {
         if to.seen == 0 || harmonics.is_empty() {
             return;
         }
-        // From an eye, each splat has a direction of its own; parallel rays have one direction per
+        // From an eye, every splat has another direction; parallel rays have one direction per
         // view.
         let mut own = [[0.0; VIEWS]; MOST];
         let bases = match eyes.distance {

@@ -11,10 +11,9 @@
 //! ```
 //!
 //! The ray from an eye through the splat's centre has s = (e − c)/(D − z) and m = D/(D − z). Here e
-//! and c = (x, y) are the columns and rows of the eye and of the centre, and D is the distance of
-//! the eye from the window. Within one splat rays are
-//! treated as parallel. This is the affine approximation that KHR_gaussian_splatting prescribes,
-//! for the sheared frustum of the window.
+//! has the column and row of the eye, and c = (x, y) those of the centre. D is the distance of the
+//! eye from the window. Within one splat, rays are treated as parallel. This is the affine
+//! approximation that KHR_gaussian_splatting prescribes, for the sheared frustum of the window.
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use lumistack_display::{FieldGeometry, Projection};
@@ -73,8 +72,8 @@ impl Eye {
         }
     }
 
-    /// Returns the slopes of the ray through a splat's centre, and the magnification m; `None` for
-    /// a splat behind the eye.
+    /// Returns the slopes of the ray through a splat's centre, and the magnification m. `None` for
+    /// a splat behind the eye, or closer to the eye than [`NEAREST`].
     #[inline]
     fn ray(&self, [x, y, z]: [f32; 3]) -> Option<([f32; 2], f32)> {
         match *self {
@@ -87,7 +86,8 @@ impl Eye {
         }
     }
 
-    /// Projects a splat onto the window; `None` for a splat behind the eye.
+    /// Projects a splat onto the window. `None` for a splat behind the eye, or closer to the eye
+    /// than [`NEAREST`].
     #[inline]
     pub(crate) fn project(&self, splat: &Splat) -> Option<Seen> {
         let ([sx, sy], m) = self.ray(splat.centre)?;

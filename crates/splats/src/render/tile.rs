@@ -1,9 +1,9 @@
 //! Renders a tile of all views of a block.
 //!
-//! The splats that any view shows in the tile come in order of depth, a chunk at a time. A chunk is
-//! projected for all views together. Each view blends in its own order. A splat is blended as soon
-//! as no splat of a later chunk can be nearer. For this test, each chunk has a lower bound of its
-//! splats' distances:
+//! The splats that any view shows in the tile are read in chunks, the chunk with the nearest splats
+//! first. A chunk is projected for all views together. Each view blends in its own order. A splat
+//! is blended as soon as no splat of a later chunk can be nearer. For this test, each chunk has a
+//! lower bound of its splats' distances:
 //!
 //! ```text
 //! parallel rays:   distance = −(s·p + z (1 + s²)) ≥ −s·c − |s|₁ r − z₁ (1 + s²)
@@ -30,8 +30,9 @@ use super::harmonics::{MOST, basis};
 use super::lanes::{self, Eyes, Lane, Project, Projected, VIEWS};
 use super::prepare::{CUTOFF, Eye, PIXEL_VARIANCE, Prepared, Splat, TILE, ends, sortable};
 
-/// Number of blocks of pixels along a tile's edge, and in the tile.
+/// Number of blocks of pixels along a tile's edge.
 const ALONG: usize = TILE / EDGE;
+/// Number of blocks of pixels in a tile.
 const BLOCKS: usize = ALONG * ALONG;
 /// Number of splats that are projected before any of them is blended.
 const CHUNK: usize = 384;
@@ -40,8 +41,9 @@ const CHUNK: usize = 384;
 const AHEAD: usize = 12;
 /// Number of values per pixel: red, green, blue, transmittance, depth in pixels.
 pub(crate) const VALUES: usize = 5;
-/// Bounds of the rounding error of distances: in pixels, and as a fraction of squared distances.
+/// Bound of the rounding error of the distances of parallel rays, in pixels.
 const ROUNDED: f32 = 0.05;
+/// Bound of the rounding error of squared distances from an eye, as a fraction of these distances.
 const ROUNDED_SHARE: f32 = 1e-5;
 
 /// Data that all tiles of a call share.
@@ -372,7 +374,7 @@ struct Scratch {
 fn blend_up_to(shared: &Shared<'_>, canvas: &mut Canvas, distance: f32, origin: [f32; 2], scratch: &mut Scratch) {
     canvas.pending.sort_unstable_by_key(|(key, _)| *key);
     let ready = canvas.pending.partition_point(|(found, _)| *found < key(distance, 0));
-    // Blend at most 4096 splats at a time, so that their indices fit into 16 bits. Each splat is
+    // Blend parts of at most 4096 splats, so that their indices fit into 16 bits. Each splat is
     // listed in the blocks that it covers.
     for part in canvas.pending[..ready].chunks(1 << 12) {
         scratch.ordered.clear();

@@ -6,9 +6,9 @@ use image::{ImageFormat, Rgba, RgbaImage};
 use lumistack_scene::Cloud;
 use serde_json::json;
 
-/// Largest number of entries of the palette of harmonics, and number of entries per row of the
-/// palette's picture.
+/// Largest number of entries of the palette of harmonics.
 const MOST: usize = 1 << 16;
+/// Number of entries per row of the palette's picture.
 const PER_ROW: usize = 64;
 
 /// Returns the files of a SOG of version 2, with their names; `meta.json` is the first.

@@ -158,8 +158,8 @@ fn crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -
 
 /// Returns the normal on one side of a crease of triangles (Hoppe et al. 1994). The side has k
 /// faces, and its edges end at e₀ to e_k; θ is π/k. The tangent across the crease is −sin θ (e₀ +
-/// e_k) + (2 − 2 cos θ) Σ sin iθ e_i. A crease with fewer than four faces on this side has weights
-/// of its own.
+/// e_k) + (2 − 2 cos θ) Σ sin iθ e_i. If the side has fewer than four faces, the weights are
+/// special.
 fn triangle_crease_normal(topology: &Topology, vertex: u32, fan: &Fan, at: impl Fn(u32) -> DVec3) -> DVec3 {
     let points: Vec<DVec3> = spokes(topology, fan).into_iter().map(&at).collect();
     let here = at(vertex);

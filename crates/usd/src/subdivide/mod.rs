@@ -246,8 +246,8 @@ impl Refinement {
         let starts = starts.collect();
         let mut sharpness = vec![0.0; groups.len()];
         for (vertex, range) in groups_of_vertex.iter().enumerate() {
-            // at a boundary corner, the rule of the face-varying data applies, not the rule of the
-            // mesh
+            // with the rule `None`, data are smoothed also at a boundary corner, which the mesh
+            // keeps sharp
             let given = self.cage.vertex_sharpness[vertex];
             let lone = self.cage.corners_at(vertex as u32).len() == 1;
             sharpness[range.clone()].fill(if lone && rule == FaceVarying::None { 0.0 } else { given });
@@ -406,7 +406,8 @@ fn refine(cage: &Topology, scheme: Scheme, smooth_triangles: bool, level: u32) -
     (levels, topology, parents)
 }
 
-/// Refines a mesh without smoothing; returns the results of [`refine`].
+/// Refines a mesh without smoothing. Returns the stencils of each level, the topology of the last
+/// level, and an empty list in place of the faces' parents.
 fn refine_linearly(cage: &Topology, scheme: Scheme, level: u32) -> (Vec<Stencils>, Topology, Vec<u32>) {
     let triangles = scheme == Scheme::Loop;
     let mut topology = cage.clone();

@@ -1,7 +1,7 @@
 //! One level of refinement: the weights of each child vertex, and the topology of the children.
 //!
-//! Child vertices are numbered in the order of the parent's vertices, edges and faces. In Loop's
-//! scheme faces have no child vertices.
+//! Child vertices are numbered in this order: first the children of vertices, then of edges, then
+//! of faces. In Loop's scheme faces have no child vertices.
 
 use std::f64::consts::TAU;
 
@@ -39,7 +39,8 @@ impl Stencils {
         vertices.iter().for_each(|&vertex| self.add(vertex, weight / vertices.len() as f64));
     }
 
-    /// Ends the current child, whose parents were added. The next call adds to a new child.
+    /// Ends the current child, whose parents were added. The next call of [`add`](Self::add) begins
+    /// a new child.
     pub(super) fn end(&mut self) {
         self.starts.push(self.parents.len() as u32);
     }

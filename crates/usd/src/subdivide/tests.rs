@@ -536,7 +536,7 @@ fn levels_stop_at_the_budget() {
     assert_eq!(affordable_level(4000, 2, 7_999), 0);
     assert_eq!(affordable_level(usize::MAX, 9, 200_000), 0);
     assert_eq!(affordable_level(0, 3, 0), 3);
-    // The meshes have 24 corners (a cube), one corner more than level 4 allows, and 4000 corners
-    // (1000 quadrilaterals). The last three meshes are dense.
+    // The first three meshes have 24 corners (a cube), one corner more than level 4 allows, and
+    // 4000 corners (1000 quadrilaterals). The last three meshes are dense.
     assert_eq!([24, 63, 4000, 25_000, 30_000, 200_000].map(level_for), [4, 3, 2, 2, 1, 0]);
 }

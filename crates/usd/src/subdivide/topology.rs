@@ -90,8 +90,8 @@ pub(super) struct Fan {
 }
 
 impl Topology {
-    /// Builds a topology. All vertices of faces must be below `vertex_count`. `starts` is the field
-    /// of the same name. A vertex that several separate fans share becomes infinitely sharp.
+    /// Builds a topology. All vertex indices of faces must be below `vertex_count`. `starts` is the
+    /// field of the same name. A vertex that several separate fans share becomes infinitely sharp.
     pub(super) fn new(vertex_count: usize, starts: Vec<u32>, corners: Vec<u32>, vertex_sharpness: Vec<f32>) -> Self {
         let mut face_of_corner = vec![0; corners.len()];
         for face in 0..starts.len() - 1 {

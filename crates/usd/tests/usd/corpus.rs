@@ -42,7 +42,7 @@ fn assets() -> Option<PathBuf> {
     lumistack_testkit::skip::folder("LUMISTACK_ASSETS", "../shared/scenes")
 }
 
-/// Runs the walker (the Python code that reads a stage) on all USD files in a folder of the assets;
+/// Runs the walker (the Python code that reads a stage) on all USD files in a folder of the assets.
 /// `None` if the folder or a Python is missing.
 fn walk(folder: &str) -> Option<Walked> {
     let (assets, python) = (assets()?, common::python()?);

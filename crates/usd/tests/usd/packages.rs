@@ -101,7 +101,7 @@ fn a_package_becomes_a_scene() {
     assert_eq!(scene.cameras[0].focus_distance, Some(2.0));
 }
 
-/// Replaces each number of the header in turn with wrong values.
+/// Replaces every value of the header by wrong values, one replacement per package.
 #[test]
 fn numbers_that_lie_do_no_harm() {
     let (header, data) = sample();

@@ -345,8 +345,8 @@ fn curves_and_points_without_widths_take_a_share_of_their_spacing() {
         let mesh = scene.meshes.iter().find(|mesh| mesh.place == place).unwrap();
         mesh.positions.iter().map(|p| p.x).fold(f32::INFINITY, f32::min)
     };
-    // The spacing is 1. The bounds are 9 × 9 × 9, so their diagonal is 15.6, and the width is
-    // limited to 0.5 % of it.
+    // The spacing is 1. The bounds are 9 × 9 × 9, so their diagonal is 15.6. The width is limited
+    // to 0.5 % of the diagonal.
     assert!((lowest("/hair") + 0.5 * 0.005 * 243f32.sqrt()).abs() < 1e-4, "{}", lowest("/hair"));
     assert!((lowest("/alone") + 0.5 * 0.005 * 1000.0).abs() < 1e-2, "{}", lowest("/alone"));
     assert!((lowest("/dots") + 0.5 * 0.75 * 2.0).abs() < 1e-3, "{}", lowest("/dots"));

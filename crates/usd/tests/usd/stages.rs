@@ -447,9 +447,9 @@ fn broken_meshes_do_not_take_the_others_away() {
     let (scene, warnings) = try_with(&format!("{broken}{}", triangle_at("m", 0.0, "")), &LoadOptions::default());
     assert_eq!(scene.unwrap().instances.len(), 1);
     assert!(
-        warnings
-            .iter()
-            .any(|warning| warning.message.contains("expected a point below 1, found 1; the mesh is left out")),
+        warnings.iter().any(|warning| warning
+            .message
+            .contains("expected the index of a point, below 1, found 1; the mesh is left out")),
         "{warnings:?}"
     );
     let (scene, _) = try_with(broken, &LoadOptions::default());
