@@ -9,7 +9,7 @@ pub fn lacking(path: &Path, no_camera: bool, no_lights: bool) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     if no_camera {
         lines.push(
-            "no camera in the file: the front is seen, or a side with more content; --look-from AZ,EL chooses".into(),
+            "no camera in the file: the window shows the front, or a side with more content; --look-from AZ,EL chooses the direction".into(),
         );
     }
     if no_lights {

@@ -1,5 +1,6 @@
-//! Errors of the pipeline, from the job file to the outputs. Every message contains the file, the
-//! position in the file, the expected value and the found value.
+//! Errors of the pipeline, from the job file to the outputs. A message about a wrong value states
+//! the place (a file with the position in it, a key or an option), the expected value and the found
+//! value.
 
 use std::path::{Path, PathBuf};
 
@@ -20,7 +21,7 @@ use lumistack_usd::UsdError;
 use serde::Serialize;
 use thiserror::Error;
 
-/// A job that did not finish.
+/// The reason for which a job did not finish.
 #[derive(Debug, Error)]
 pub enum PipelineError {
     /// The user stopped the run; finished results are kept.
@@ -85,7 +86,7 @@ pub enum PipelineError {
     /// Lumistack wrote it.
     #[error(
         "{}: expected no file, or one that Lumistack wrote, found {}; {work} into this folder would replace it; move it away, or choose another folder with -o",
-        path.display(), if *changed { "a file that was changed since Lumistack wrote it" } else { "something else" }
+        path.display(), if *changed { "a file that was changed since Lumistack wrote it" } else { "a file or folder that Lumistack did not write" }
     )]
     Foreign {
         /// The file or folder.
@@ -203,7 +204,7 @@ pub enum PipelineError {
     /// Factorization failed.
     #[error(transparent)]
     Factorize(FactorizeError),
-    /// An output plugin failed.
+    /// A plugin is missing, refuses its parameters, or failed.
     #[error(transparent)]
     Output(HostError),
     /// The report could not be made.

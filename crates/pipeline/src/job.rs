@@ -1,7 +1,9 @@
-//! The job file: names the input (a scene or a light field), the display and the outputs.
+//! The job file names the input (a scene, a light field or a source plugin), the display and the
+//! outputs.
 //!
 //! Only the input and the display have no default. `docs/JOB.md` lists all keys. Relative paths are
-//! relative to the job file. Each table has a file in the folder `job`.
+//! relative to the job file. The types of most tables are in the folder `job`; the types of
+//! `[window]`, `[light]` and `[render]` are in the crate `shot`.
 
 mod display;
 mod factorize;
@@ -53,7 +55,8 @@ pub struct Job {
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub scene: Option<PathBuf>,
-    /// Light field of another program: a folder of views, a `.npy` file or a quilt.
+    /// Light field of another program: a folder of views, a `.npy` file or a quilt. For a sequence,
+    /// a folder with a light field for each time step.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "lumistack_core::path_text::optional")]
     #[schemars(with = "Option<PathText>")]
     pub light_field: Option<PathBuf>,
@@ -244,7 +247,7 @@ impl Job {
         Ok(job)
     }
 
-    /// Returns all paths in the job.
+    /// Returns the job's paths, except the paths in parameters of plugins and in `sweep.displays`.
     pub fn paths_mut(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let own = [
             &mut self.scene,
@@ -265,7 +268,8 @@ impl Job {
     /// chosen.
     ///
     /// # Errors
-    /// If the preset is unknown, the file does not parse, or a changed value is out of range.
+    /// If the job does not name exactly one preset or display file, the preset is unknown, the
+    /// display file cannot be read, or a value is out of range.
     pub fn resolve_display(&self) -> Result<Display, PipelineError> {
         let display = self.display.resolve()?;
         let most = self.most_views(&display);
@@ -296,8 +300,8 @@ impl Job {
         job
     }
 
-    /// Returns the denoiser. `auto` selects shared light if the number of views is automatic too,
-    /// unless Blender may render them. Otherwise it selects no denoiser.
+    /// Returns the denoiser. `auto` selects no denoiser if the job or the display fixes the number
+    /// of views, or if Blender may render them. Otherwise `auto` selects shared light.
     pub(crate) fn denoise_for(&self, display: &Display) -> Denoise {
         let fixed = matches!(display.field.views, Views::Fixed(_));
         match self.render.denoise {
@@ -307,10 +311,10 @@ impl Job {
         }
     }
 
-    /// Returns whether noisy pixels of the views get [further
-    /// paths](lumistack_pathtracer::Settings::further_paths). Only fixed views get them, since each
-    /// may be looked at alone. If a display chooses its views, the solver averages the noise that
-    /// further paths would remove.
+    /// Returns true if noisy pixels of the views get [further
+    /// paths](lumistack_pathtracer::Settings::further_paths): if the views share light and their
+    /// number is fixed, since users may look at each view alone. If a display chooses its views,
+    /// the solver averages the noise that further paths would remove.
     pub(crate) fn has_further_paths(&self, display: &Display) -> bool {
         self.denoise_for(display) == Denoise::Shared && matches!(display.field.views, Views::Fixed(_))
     }
@@ -321,7 +325,8 @@ impl Job {
         self.render.engine == Engine::Blender || is_file && self.render.engine == Engine::Auto
     }
 
-    /// Checks ranges of values, and that the job has no two keys that exclude each other.
+    /// Checks the input, ranges of values, and combinations of keys. [`DisplayJob::resolve`] checks
+    /// the display; the stages check `[factorize]` and `[sweep]`.
     ///
     /// # Errors
     /// For the first wrong value.
@@ -350,7 +355,7 @@ impl Job {
             return fail("report.zone_directions", &expected, self.report.zone_directions.to_string());
         }
         if self.pose != PoseJob::default() && self.scene.is_none() {
-            return fail("pose", "a scene to pose", "none".into());
+            return fail("pose", "a job with `scene`, since only scenes have poses", "no `scene`".into());
         }
         if let Some(corners) =
             self.pose.crop_box.filter(|corners| !corners.as_flattened().iter().all(|x| x.is_finite()))
@@ -404,6 +409,7 @@ impl Job {
                 return fail(format!("nodes[{i}].id"), expected, format!("`{}`", node.id));
             }
             ids.push(&node.id);
+            // A table that the node does not use is a mistake, so it is an error.
             let (unused, owner) = match (node.plugin == NodeJob::TENSOR_DISPLAY, &node.factorize) {
                 (true, _) if !node.params.is_empty() => ("params", "a node plugin"),
                 (false, Some(_)) => ("factorize", "`tensor-display`"),
@@ -485,7 +491,8 @@ mod tests {
         names[1..].to_vec()
     }
 
-    /// 13 × 13 native slopes; a lower limit takes every second or every third of them.
+    /// The display has 13 × 13 native slopes. A lower limit selects every second or every third
+    /// slope, and for 3 × 3 views only the outer and the middle slopes.
     #[test]
     fn the_number_of_chosen_views_has_a_limit_that_can_be_set() {
         let views = |render: &str| {

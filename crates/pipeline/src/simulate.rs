@@ -195,7 +195,7 @@ pub fn picture_from(
         }
         Viewpoint::Sweep(count) => strip(display, &simulator, count)?,
     };
-    // Divide by β, which gives the picture the brightness of the target.
+    // Unless `raw` is true, divide by β, which gives the picture the brightness of the target.
     picture.data_mut().iter_mut().for_each(|value| *value *= scale);
     Ok(picture)
 }

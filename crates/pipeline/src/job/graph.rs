@@ -44,7 +44,7 @@ pub struct SourceJob {
     /// Number of the time step; in a sequence, of the first time step.
     #[serde(default, skip_serializing_if = "is_default")]
     pub time: u64,
-    /// Time of the time step, seconds.
+    /// Time of the time step, seconds; in a sequence, of the first time step.
     #[serde(default, skip_serializing_if = "is_default")]
     pub time_s: f64,
     /// Parameters of the plugin.

@@ -22,8 +22,8 @@ pub struct SequenceJob {
     /// Shift of the window from the first time step to the last, `[x, y, z]` in display space at
     /// the first time step, millimetres.
     pub shift_mm: [f64; 3],
-    /// Time of the scene's animations between the first time step and the last, seconds. The first
-    /// time step is at `pose.time_s`, or at 0.
+    /// Duration from the first time step to the last, seconds, for the animations of a scene or for
+    /// a source. The first time step is at `pose.time_s` or `source.time_s`; both are 0 by default.
     pub duration_s: f64,
     /// If true, every time step has a full report. The report of the sequence is always written.
     pub reports: bool,

@@ -9,8 +9,8 @@
 //!
 //! A stamp identifies a result by the content of its inputs, which exists only after the earlier
 //! stages. The keys of this file need only the job and the files that the job names. A run writes
-//! the keys to `cache/steps.json`, where the next plan finds which results are current. With each
-//! key it writes the time of the step, and the files of the scene.
+//! the keys to `cache/steps.json`, where the next plan finds which results are current. The run
+//! also writes the time of each step, and the files of the scene.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -126,7 +126,7 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
         };
         let (work, memory_bytes) = (work(plan, index, &sizes), memory(plan, index, &sizes));
         // The rate comes from this step's last execution, or else from another step of the same
-        // stage.
+        // stage, or else from the calibration.
         let own = record.filter(|record| record.seconds.is_some());
         let stage = plan.steps[index].stage;
         let alike = || {
@@ -140,7 +140,8 @@ pub(crate) fn fill(plan: &mut Plan, registry: &Registry) {
     }
 }
 
-/// Computes the key of every step. The key is `None` if the scene's files are not known yet.
+/// Computes the key of every step. The key is `None` if a file or plugin that it depends on is not
+/// known yet, or cannot be read.
 fn keys(plan: &Plan, records: &Records, registry: &Registry) -> Vec<Option<String>> {
     let ids = plan.indices();
     let mut keys: Vec<Option<String>> = Vec::new();
@@ -173,8 +174,8 @@ fn settings(plan: &Plan, part: usize) -> Job {
     job
 }
 
-/// Adds the content of the files that a step reads to the step's key. Returns `None` if the files
-/// are not known.
+/// Adds the content of the files and plugins that a step reads to the step's key. Returns `None` if
+/// one of them is not known or cannot be read.
 fn add_content(
     key: &mut KeyBuilder,
     plan: &Plan,
@@ -235,7 +236,8 @@ fn add_files(key: &mut KeyBuilder, path: &Path) -> Option<()> {
     })
 }
 
-/// Returns true if the run folder has the unchanged files of a result.
+/// Returns true if the run folder has the files of a result. Files with a stamp must be unchanged;
+/// for other files, this function checks only that they exist.
 fn is_there(plan: &Plan, index: usize) -> bool {
     let step = &plan.steps[index];
     let dir = plan.folder.join(&step.folder);
@@ -273,7 +275,8 @@ struct Sizes {
     /// Number of values in the patterns of all frames.
     values: f64,
     frames: f64,
-    /// Time of the solver for each ray, layer and frame, in the time for a uniform backlight.
+    /// Time of the solver for each ray, layer and frame, as a multiple of the time for a uniform
+    /// backlight.
     solver_times: f64,
     /// Number of paths of the measurement that chooses the number of samples.
     measured_paths: f64,
@@ -467,7 +470,7 @@ const EXPOSURE: f64 = (64 << 20) as f64;
 /// Bytes of the program itself: its code, libraries and threads, and memory that the allocator
 /// keeps.
 const PROGRAM: f64 = (80 << 20) as f64;
-/// Number of views that one thread has in memory at a time.
+/// Maximum number of views that one thread has in memory.
 const VIEWS_IN_WORK: f64 = 8.0;
 /// Time of the filter `shared`, divided by the time of the other filters. Measured with 169 views
 /// of 420 × 262 pixels.
@@ -479,8 +482,8 @@ const PLACE: f64 = 1e5;
 /// Time of the measurement that chooses the number of samples, divided by the time of its paths.
 /// The measurement also solves and compares.
 const MEASURED_TIMES: f64 = 1.5;
-/// Time of views with further paths, divided by the time of the same views without them. Both share
-/// light. Measured factors are between 1.5 and 2.2 (docs/ZONE.md).
+/// Time of views that share light and get further paths, divided by the time of the same views
+/// without further paths. Measured factors are between 1.5 and 2.2 (docs/ZONE.md).
 const FURTHER_TIMES: f64 = 1.8;
 /// Largest number of values per pixel of a view while the view gets further paths. These are the
 /// values of its first paths, of the further paths, and of all paths together.

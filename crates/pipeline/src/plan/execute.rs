@@ -1,8 +1,8 @@
 //! Executes plans step by step. Each step finds the results of its inputs in memory.
 //!
-//! A result is dropped from memory after the last step that reads it. If an input's result is not
-//! in memory, the input's step is executed first. If the run folder has the current result of the
-//! input's step, this step only reads the result. So a process can execute any single step.
+//! A result is dropped from memory after the last step that reads it. If an input is not in memory,
+//! the step that makes this input is executed first. If the run folder has the current result of
+//! that step, it is only read. So a process can execute any single step.
 
 pub(crate) mod check;
 pub(crate) mod context;

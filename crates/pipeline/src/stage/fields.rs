@@ -81,8 +81,9 @@ impl Shot<'_> {
     /// are in a folder inside `cache_dir`. `blender` is true if Blender renders the views.
     pub(crate) fn fields(&self, cache_dir: &Path, blender: bool) -> Vec<FieldJob> {
         let (job, geometry, settings) = (self.job, self.geometry, self.settings());
-        // Each view for the report is averaged over a range of slopes. This range is as wide as a
-        // bin of the target's grid, not a bin of the view's own grid.
+        // If each view of the target is averaged over its bin of slopes, each held-out view and
+        // each view outside the zone is averaged over a range of the same width. The bins of their
+        // own grids are wider.
         let settings_of_others = Settings {
             angular_filter: match settings.angular_filter {
                 lumistack_pathtracer::AngularFilter::Bin => {

@@ -26,7 +26,8 @@ use crate::store::plugin_files::plugin_key;
 pub struct Ingested {
     /// The scene and its lights.
     pub scene: Arc<Scene>,
-    /// All files that were read, each with a hash of its content.
+    /// All files that were read, each with a hash of its content. An importer, Blender, and data in
+    /// memory also have entries, with a name instead of a path.
     pub files: Vec<(PathBuf, String)>,
     /// Pose and variants that were selected.
     pub pose: PoseJob,
@@ -62,8 +63,8 @@ impl Ingested {
         }
     }
 
-    /// Returns the animations, variants and similar choices in the file. Reads the file only if its
-    /// reader has not listed them.
+    /// Returns the animations, variants and similar choices in the file. Reads the file again if the
+    /// choices were not listed when the scene was loaded.
     ///
     /// # Errors
     /// The errors of [`scene_contents`].
@@ -208,7 +209,8 @@ pub fn ingest_scene(
 }
 
 /// Checks that a job's scene has a reader and, for glTF, the camera that the job names. Other
-/// readers need another program, so their cameras are checked when the scene is read.
+/// readers may need another program or a plugin, so their cameras are checked when the scene is
+/// read.
 ///
 /// # Errors
 /// If the scene has no reader or no such camera, or a glTF file cannot be read.

@@ -338,9 +338,9 @@ impl Work<'_> {
         Ok((lumistack_field_io::read_stack(&layers).map_err(field_error)?, Some(kept)))
     }
 
-    /// Joins the convergence of all tiles. Errors are summed over the rays of all tiles, so a ray
-    /// through two tiles is counted twice. Times are added as if the tiles were solved one after
-    /// the other.
+    /// Joins the convergence of all tiles. Objectives are summed, so a ray through two tiles is
+    /// counted twice. Times are summed as if the tiles were solved one after another. PSNR and KKT
+    /// residual follow from mean squares over the pixels of all tiles.
     fn kept(&self) -> Option<Convergence> {
         let mut all: Option<Convergence> = None;
         let mut before = 0.0;

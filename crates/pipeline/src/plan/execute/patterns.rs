@@ -99,8 +99,8 @@ impl Context<'_> {
         tiles::run_tile(cut, [round, block.number(), block.count()], &stamps, task)
     }
 
-    /// Returns the display of a part, adapted to the light field. `shared` is the display of the
-    /// run's job.
+    /// Returns the display of a part. For a node, this is the node's display, adapted to the light
+    /// field. Otherwise it is `shared`, the display of the job.
     fn display(
         &mut self,
         part: usize,
@@ -147,8 +147,8 @@ impl Context<'_> {
         Ok(())
     }
 
-    /// Returns settings with which a time step is solved without a warm start; `None` for the first
-    /// time step.
+    /// Returns the settings with which a time step is solved without a warm start. `None` for the
+    /// first time step, and outside of a sequence.
     fn fresh(&self, part: usize) -> Option<FactorizeJob> {
         let (time, sequence) = self.plan.time(part)?;
         match &self.plan.parts[sequence].kind {
