@@ -26,8 +26,8 @@ impl LiveFolder {
     /// Locks a folder and prepares it for the run.
     ///
     /// # Errors
-    /// If another run uses the folder, a file of another program is in the way, or an input is
-    /// among the files that are written.
+    /// If another run uses the folder, or the run would replace a file of another program or an
+    /// input.
     pub fn lock(dir: &Path, job: &Job, registry: &Registry, task: Task<'_>) -> Result<Self, PipelineError> {
         let owned = folder::lock(dir, Work::Run, job, registry, task)?;
         Ok(Self { dir: dir.to_owned(), _owned: owned })

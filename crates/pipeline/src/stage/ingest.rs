@@ -63,8 +63,8 @@ impl Ingested {
         }
     }
 
-    /// Returns the animations, variants and similar choices in the file. Reads the file again if the
-    /// choices were not listed when the scene was loaded.
+    /// Returns the animations, variants and similar choices in the file. Reads the file again if
+    /// the choices were not listed when the scene was loaded.
     ///
     /// # Errors
     /// The errors of [`scene_contents`].

@@ -74,7 +74,8 @@ impl Tiles {
         self.rounds
     }
 
-    /// Returns the neighbouring tiles whose patterns a tile reads.
+    /// Returns the numbers of the tiles whose patterns a tile reads: the tile itself and its
+    /// neighbours.
     pub(crate) fn around(&self, number: usize) -> Vec<usize> {
         self.tiling.around(number)
     }
